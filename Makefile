@@ -1,0 +1,47 @@
+# Every target runs a module of ci/ or scenarios/ in the project's own Python environment (made by ci/python, kept in the cache folder).
+.DEFAULT_GOAL := help
+.PHONY: help demo test test-thorough check bench cluster status down toolchain images lock golden
+
+PYTHON := ci/python
+SCENARIO ?= scenarios/pose-point-cloud-db-recording
+# extra parameters, for example: make demo SET="vehicles=3 encounters=1"
+SET ?=
+
+help:           ## this list
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+demo:           ## the paper's use case, end to end, on the embedded cluster
+	@$(PYTHON) -m ci.demo $(SCENARIO) $(addprefix --set ,$(SET))
+
+test:           ## checks, unit, chart, forge and cluster tests (one small cluster, shared)
+	@$(PYTHON) -m ci.test
+
+test-thorough:  ## the slower proofs
+	@$(PYTHON) -m ci.test --thorough
+
+check:          ## layers, style and types
+	@$(PYTHON) -m ci.check
+
+bench:          ## benchmarks: ratios against a baseline in the same run
+	@$(PYTHON) -m ci.benchmarks
+
+cluster:        ## only the embedded cluster with the platform installed
+	@$(PYTHON) -m ci.demo $(SCENARIO) --until platform $(addprefix --set ,$(SET))
+
+status:         ## what runs
+	@$(PYTHON) -m ci.cluster status
+
+down:           ## stop the cluster and remove everything it made
+	@$(PYTHON) -m ci.cluster down
+
+toolchain:      ## build the programs of the embedded cluster (cached)
+	@$(PYTHON) -m ci.toolchain
+
+images:         ## build the container images (cached)
+	@$(PYTHON) -m ci.images
+
+lock:           ## write the lock files anew from operator/pyproject.toml
+	@$(PYTHON) -m ci.lock
+
+golden:         ## write the charts' golden renderings anew
+	@$(PYTHON) -m pytest -c operator/pyproject.toml operator/tests/charts --golden

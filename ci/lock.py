@@ -1,0 +1,28 @@
+"""`make lock`: the lock files of operator/requirements/ from operator/pyproject.toml, with hashes and without download addresses."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+TOP = Path(__file__).resolve().parent.parent
+LOCKS = {"platform": ["--extra", "platform"], "robot": ["--extra", "robot"], "development": ["--all-extras"]}
+UV = "uv==0.13.8"  # the resolver; installed into a folder that is thrown away
+
+
+def main() -> int:
+    with tempfile.TemporaryDirectory() as folder:
+        subprocess.run([sys.executable, "-m", "pip", "install", "-q", "--target", folder, UV], check=True)
+        for name, extras in LOCKS.items():
+            target = f"requirements/{name}.txt"
+            command = [f"{folder}/bin/uv", "pip", "compile", "-q", "--python-version", "3.11", *extras, "pyproject.toml"]
+            options = ["--generate-hashes", "--no-emit-index-url", "--custom-compile-command", "make lock", "-o", target]
+            subprocess.run([*command, *options], cwd=TOP / "operator", check=True, stdout=subprocess.DEVNULL)
+            print(f"operator/{target}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
