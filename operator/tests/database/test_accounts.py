@@ -1,3 +1,4 @@
+# ruff: noqa: S106 - passwords of accounts that live as long as a test
 """Accounts of the embedded profile's database: who may do what, over pymongo on a real process.
 
 The calls are those the platform's set-up makes on a MongoDB server too.
