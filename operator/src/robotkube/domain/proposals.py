@@ -1,0 +1,191 @@
+"""The commit of a plan as text: building the message and reading it back, strictly.
+
+    deploy(recording): vehicle-00, vehicle-01 within 400 m
+
+    RobotKube-Task: cloud-0/pose-point-cloud-proximity-3f2a9c
+    RobotKube-Event: 3f2a9c...
+    RobotKube-Rule: lidar-proximity
+    RobotKube-Trace: <32 hex>
+    RobotKube-Plan: 20261121-100000-1a2b3c
+    RobotKube-Chart: event-detector@0.1.0@sha256:...
+    RobotKube-Evidence: none
+
+Task, Event, Rule and Trace come once per task, in this order. A change of the initial configuration has
+`RobotKube-Cause: initial` and the plan's id as its trace; a plan can have both.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from robotkube.domain.errors import DocumentError
+from robotkube.domain.releases import DIGEST, NAME, PLAN, TASK, TOKEN, VERSION, Cause
+
+SUBJECT_CHARACTERS_MAX = 100
+VERBS = ("deploy", "withdraw")
+INITIAL = "initial"
+CAUSES_MAX = 100
+
+_SUBJECT = re.compile(rf"({'|'.join(VERBS)})\(([a-z0-9][a-z0-9-]*)\): (\S.*)")
+_TRAILER = re.compile(r"(RobotKube-[A-Z][a-z]+): (\S+)")
+_KEYS = ("Task", "Event", "Rule", "Trace", "Cause", "Plan", "Chart", "Evidence")
+
+
+@dataclass(frozen=True, order=True)
+class ChartReference:
+    """A chart as trailers name it: name@version@digest."""
+
+    name: str
+    version: str
+    digest: str
+
+    def __str__(self) -> str:
+        return f"{self.name}@{self.version}@{self.digest}"
+
+
+@dataclass(frozen=True)
+class CommitMessage:
+    """What a plan's commit says. `causes` are the tasks (their `application` is not part of the text); `initial` is
+    true when the initial configuration changes as well or alone; `charts` are those of the changed releases, sorted."""
+
+    verb: str
+    area: str
+    reason: str
+    plan: str
+    causes: tuple[Cause, ...] = ()
+    initial: bool = False
+    charts: tuple[ChartReference, ...] = ()
+    evidence: str = "none"
+
+    @property
+    def subject(self) -> str:
+        """First line, bounded in length, without control characters."""
+        return shorten(f"{self.verb}({self.area}): {one_line(self.reason)}", SUBJECT_CHARACTERS_MAX)
+
+    @property
+    def traces(self) -> tuple[str, ...]:
+        """Every trace the commit carries, in order."""
+        return tuple(c.trace for c in self.causes) + ((self.plan,) if self.initial else ())
+
+
+def one_line(text: str) -> str:
+    """`text` with every run of white space and control characters as one space: it cannot forge a trailer."""
+    return " ".join("".join(c if c.isprintable() else " " for c in text).split()) or "no reason given"
+
+
+def shorten(text: str, characters_max: int) -> str:
+    """`text`, cut with an ellipsis when longer than allowed."""
+    return text if len(text) <= characters_max else text[: characters_max - 1].rstrip() + "…"
+
+
+def write_message(message: CommitMessage) -> str:
+    """The whole commit message, ending with a newline."""
+    lines: list[tuple[str, str]] = []
+    for cause in message.causes:
+        lines += [("Task", cause.task), ("Event", cause.event), ("Rule", cause.rule), ("Trace", cause.trace)]
+    if message.initial:
+        lines += [("Cause", INITIAL), ("Trace", message.plan)]
+    lines += [
+        ("Plan", message.plan),
+        *(("Chart", str(chart)) for chart in message.charts),
+        ("Evidence", message.evidence),
+    ]
+    return "\n".join([message.subject, "", *(f"RobotKube-{key}: {value}" for key, value in lines)]) + "\n"
+
+
+def read_message(text: str, where: str = "commit message") -> CommitMessage:
+    """The message in `text`; DocumentError lists what is missing, doubled, malformed or unknown."""
+    subject, _, rest = text.partition("\n")
+    problems: list[str] = []
+    match = _SUBJECT.fullmatch(subject)
+    if not match:
+        problems.append(f"subject {subject!r} must be `deploy(<area>): <reason>` or `withdraw(<area>): <reason>`")
+    trailers = _trailers(rest, problems)
+    message = CommitMessage(
+        verb=match[1] if match else "",
+        area=match[2] if match else "",
+        reason=match[3] if match else "",
+        plan=_one(trailers, "Plan", PLAN, problems),
+        causes=_causes(trailers, problems),
+        initial=_initial(trailers, problems),
+        charts=_charts(trailers["Chart"], problems),
+        evidence=_one(trailers, "Evidence", TOKEN, problems),
+    )
+    problems += _completeness(message, trailers)
+    if problems:
+        raise DocumentError(where, problems)
+    return message
+
+
+def _trailers(rest: str, problems: list[str]) -> dict[str, list[str]]:
+    found: dict[str, list[str]] = {key: [] for key in _KEYS}
+    lines = rest.rstrip("\n").split("\n")
+    if lines and lines[0]:
+        problems.append("the line after the subject must be empty")
+    for line in lines[1:]:
+        match = _TRAILER.fullmatch(line)
+        key = match[1].removeprefix("RobotKube-") if match else ""
+        if match and key in found:
+            found[key].append(match[2])
+        else:
+            problems.append(f"line {line!r} is not one of the trailers {', '.join('RobotKube-' + k for k in _KEYS)}")
+    return found
+
+
+def _one(trailers: dict[str, list[str]], key: str, pattern: re.Pattern[str], problems: list[str]) -> str:
+    values = trailers[key]
+    if len(values) != 1:
+        problems.append(f"RobotKube-{key} must stand exactly once, found {len(values)}")
+        return ""
+    if not pattern.fullmatch(values[0]):
+        problems.append(f"RobotKube-{key}: {values[0]!r} must match {pattern.pattern}")
+    return values[0]
+
+
+def _causes(trailers: dict[str, list[str]], problems: list[str]) -> tuple[Cause, ...]:
+    counts = {key: len(trailers[key]) for key in ("Task", "Event", "Rule")}
+    traces = trailers["Trace"][: counts["Task"]]
+    if len(set(counts.values())) > 1 or len(traces) != counts["Task"]:
+        problems.append(
+            f"every task needs one -Task, -Event, -Rule and -Trace; found {counts}, {len(trailers['Trace'])} traces"
+        )
+        return ()
+    if counts["Task"] > CAUSES_MAX:
+        problems.append(f"{counts['Task']} tasks in one plan, at most {CAUSES_MAX} are allowed")
+    for key, pattern in (("Task", TASK), ("Event", TOKEN), ("Rule", TOKEN), ("Trace", TOKEN)):
+        problems += [
+            f"RobotKube-{key}: {v!r} must match {pattern.pattern}" for v in trailers[key] if not pattern.fullmatch(v)
+        ]
+    rows = zip(trailers["Task"], trailers["Event"], trailers["Rule"], traces, strict=True)
+    return tuple(Cause(task, event, rule, trace, "") for task, event, rule, trace in rows)
+
+
+def _initial(trailers: dict[str, list[str]], problems: list[str]) -> bool:
+    if trailers["Cause"] not in ([], [INITIAL]):
+        problems.append(f"RobotKube-Cause must be `{INITIAL}`, at most once, found {trailers['Cause']}")
+    return bool(trailers["Cause"])
+
+
+def _charts(values: Sequence[str], problems: list[str]) -> tuple[ChartReference, ...]:
+    charts = []
+    for value in values:
+        parts = value.split("@")
+        if len(parts) == 3 and NAME.fullmatch(parts[0]) and VERSION.fullmatch(parts[1]) and DIGEST.fullmatch(parts[2]):
+            charts.append(ChartReference(*parts))
+        else:
+            problems.append(f"RobotKube-Chart: {value!r} must be name@version@sha256:<64 hex>")
+    return tuple(charts)
+
+
+def _completeness(message: CommitMessage, trailers: dict[str, list[str]]) -> Iterable[str]:
+    if not message.causes and not message.initial:
+        yield "neither a RobotKube-Task nor `RobotKube-Cause: initial`: the commit does not say why"
+    extra = trailers["Trace"][len(trailers["Task"]) :]
+    if message.initial and message.plan and extra != [message.plan]:
+        yield f"RobotKube-Trace of the initial configuration must be the plan's id {message.plan!r}, found {extra}"
+    if not message.initial and extra:
+        yield f"more RobotKube-Trace than tasks: {extra}"
+    if not message.charts:
+        yield "RobotKube-Chart is missing: name every chart of the changed releases"

@@ -1,0 +1,332 @@
+"""Files of the deployment repository as values: HelmRelease, OCIRepository and their YAML text.
+
+    releases/<namespace>/<release>.yaml           HelmRelease    (helm.toolkit.fluxcd.io/v2)
+    sources/<namespace>/<chart>-<digest12>.yaml   OCIRepository  (source.toolkit.fluxcd.io/v1)
+
+Reading is strict: every key is known, path and content agree, chart annotation and chartRef agree. What is written here
+reads back equal, byte for byte.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from robotkube.domain.errors import DocumentError
+from robotkube.domain.texts import join, read_mapping, write_mapping
+
+APPLICATION_NAME_MAX = 53  # Helm's bound on release names; the Argo CD Application's name keeps to it as well
+RELEASE_API, SOURCE_API = "helm.toolkit.fluxcd.io/v2", "source.toolkit.fluxcd.io/v1"
+RELEASES, SOURCES = "releases", "sources"
+INTERVAL = "10m"
+
+NAME = re.compile(r"[a-z0-9]([a-z0-9-]{0,61}[a-z0-9])?", re.ASCII)
+DIGEST = re.compile(r"sha256:[0-9a-f]{64}", re.ASCII)
+VERSION = re.compile(r"\d+\.\d+\.\d+(-[0-9A-Za-z.-]+)?", re.ASCII)
+PLAN = re.compile(r"\d{8}-\d{6}-[0-9a-f]{6}", re.ASCII)
+TOKEN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._:-]{0,127}", re.ASCII)
+TASK = re.compile(r"[a-z0-9]([a-z0-9-]{0,61}[a-z0-9])?/[a-z0-9]([a-z0-9.-]{0,251}[a-z0-9])?", re.ASCII)
+URL = re.compile(r"oci://[A-Za-z0-9.-]+(:\d{1,5})?(/[a-z0-9][a-z0-9._-]*)+", re.ASCII)
+
+_LISTS = {"tasks": TASK, "events": TOKEN, "rules": TOKEN, "traces": TOKEN, "applications": NAME}
+_SINGLE = {"chart": NAME, "chart-version": VERSION, "chart-digest": DIGEST, "plan": PLAN, "evidence": TOKEN}
+
+
+@dataclass(frozen=True, order=True)
+class Cause:
+    """A task that a release or a commit answers: `task` is `<namespace>/<name>`, `application` the one it asked for."""
+
+    task: str
+    event: str
+    rule: str
+    trace: str
+    application: str
+
+
+@dataclass(frozen=True)
+class Release:
+    """One release file. `values` are the chart's values (JSON values); `causes` is empty when only the initial
+    configuration asks for it; `plan` is the plan that last changed it."""
+
+    namespace: str
+    name: str
+    chart: str
+    version: str
+    digest: str
+    values: Mapping[str, Any]
+    causes: tuple[Cause, ...] = ()
+    plan: str = ""
+    evidence: str = "none"
+
+    @property
+    def key(self) -> str:
+        """`<namespace>/<release>`, as tasks' statuses name it."""
+        return f"{self.namespace}/{self.name}"
+
+    @property
+    def path(self) -> str:
+        """Where the file stands in the repository."""
+        return f"{RELEASES}/{self.namespace}/{self.name}.yaml"
+
+    @property
+    def source_name(self) -> str:
+        """Name of the OCIRepository it points to."""
+        return source_name(self.chart, self.digest)
+
+    def same_but_plan(self, other: Release) -> bool:
+        """Whether both ask for the same, whichever plan wrote them."""
+        return replace(self, plan="") == replace(other, plan="")
+
+
+@dataclass(frozen=True)
+class Source:
+    """One OCIRepository file: a chart by manifest digest; `url` is oci://host/organisation/chart."""
+
+    namespace: str
+    chart: str
+    digest: str
+    url: str
+    insecure: bool = True
+
+    @property
+    def name(self) -> str:
+        """Name of the object: chart and the digest's first 12 digits."""
+        return source_name(self.chart, self.digest)
+
+    @property
+    def path(self) -> str:
+        """Where the file stands in the repository."""
+        return f"{SOURCES}/{self.namespace}/{self.name}.yaml"
+
+
+def source_name(chart: str, digest: str) -> str:
+    """`<chart>-<digest12>`."""
+    return f"{chart}-{digest.removeprefix('sha256:')[:12]}"
+
+
+def application_name(namespace: str, name: str) -> str:
+    """Name of the Argo CD Application of a release; DocumentError when it would be longer than allowed."""
+    joined = f"{namespace}-{name}"
+    if len(joined) > APPLICATION_NAME_MAX:
+        problem = f"Argo CD Application name {joined!r} has {len(joined)} characters, at most {APPLICATION_NAME_MAX}"
+        raise DocumentError(f"{namespace}/{name}", [f"{problem} are allowed; shorten the release's name"])
+    return joined
+
+
+def write_release(release: Release) -> str:
+    """The release file's text."""
+    annotations = {
+        "chart": release.chart,
+        "chart-version": release.version,
+        "chart-digest": release.digest,
+        "plan": release.plan,
+        "evidence": release.evidence,
+    }
+    if release.causes:
+        annotations |= {
+            "tasks": " ".join(c.task for c in release.causes),
+            "events": " ".join(c.event for c in release.causes),
+            "rules": " ".join(c.rule for c in release.causes),
+            "traces": " ".join(c.trace for c in release.causes),
+            "applications": " ".join(c.application for c in release.causes),
+        }
+    return write_mapping(
+        {
+            "apiVersion": RELEASE_API,
+            "kind": "HelmRelease",
+            "metadata": {
+                "annotations": {f"robotkube.io/{key}": value for key, value in annotations.items()},
+                "name": release.name,
+                "namespace": release.namespace,
+            },
+            "spec": {
+                "chartRef": {"kind": "OCIRepository", "name": release.source_name},
+                "interval": INTERVAL,
+                "values": release.values,
+            },
+        }
+    )
+
+
+def write_source(source: Source) -> str:
+    """The source file's text."""
+    spec: dict[str, Any] = {"interval": INTERVAL, "ref": {"digest": source.digest}, "url": source.url}
+    if source.insecure:
+        spec["insecure"] = True
+    metadata = {"name": source.name, "namespace": source.namespace}
+    return write_mapping({"apiVersion": SOURCE_API, "kind": "OCIRepository", "metadata": metadata, "spec": spec})
+
+
+class _Reader:
+    """Collects every problem of one document before it is refused."""
+
+    def __init__(self, where: str) -> None:
+        self.where = where
+        self.problems: list[str] = []
+
+    def mapping(
+        self, value: Any, path: str, required: Iterable[str], optional: Iterable[str] = ()
+    ) -> Mapping[str, Any]:
+        if not isinstance(value, Mapping):
+            self.problems.append(f"{path or 'document'}: must be a mapping")
+            return {}
+        required, known = set(required), set(required) | set(optional)
+        self.problems += [f"{join(path, key)}: missing" for key in sorted(required - set(value))]
+        self.problems += [f"{join(path, key)}: unknown key; remove it" for key in sorted(set(value) - known)]
+        return value
+
+    def text(self, value: Any, path: str, pattern: re.Pattern[str]) -> str:
+        if isinstance(value, str) and pattern.fullmatch(value):
+            return value
+        if value is not None:
+            self.problems.append(f"{path}: {value!r} must match {pattern.pattern}")
+        return ""
+
+    def equal(self, value: Any, path: str, expected: Any) -> None:
+        if value is not None and value != expected:
+            self.problems.append(f"{path}: {value!r} must be {expected!r}")
+
+    def finish(self) -> None:
+        if self.problems:
+            raise DocumentError(self.where, self.problems)
+
+
+def read_release(text: str, path: str) -> Release:
+    """The release in `text`, found at `path`; DocumentError lists every problem."""
+    document, reader = read_mapping(text, path), _Reader(path)
+    metadata, spec = _outer(reader, document, RELEASE_API, "HelmRelease")
+    reader.mapping(metadata, "metadata", ["name", "namespace", "annotations"])
+    single, causes = _annotations(reader, metadata.get("annotations"))
+    reader.mapping(spec, "spec", ["chartRef", "interval", "values"])
+    reader.equal(spec.get("interval"), "spec.interval", INTERVAL)
+    values = spec.get("values")
+    if values is not None and not isinstance(values, Mapping):
+        reader.problems.append("spec.values: must be a mapping")
+    release = Release(
+        namespace=reader.text(metadata.get("namespace"), "metadata.namespace", NAME),
+        name=reader.text(metadata.get("name"), "metadata.name", NAME),
+        chart=single["chart"],
+        version=single["chart-version"],
+        digest=single["chart-digest"],
+        values=values if isinstance(values, Mapping) else {},
+        causes=causes,
+        plan=single["plan"],
+        evidence=single["evidence"],
+    )
+    reader.equal(spec.get("chartRef"), "spec.chartRef", {"kind": "OCIRepository", "name": release.source_name})
+    if not reader.problems:
+        reader.equal(path, "path", release.path)
+        application_name(release.namespace, release.name)
+    reader.finish()
+    return release
+
+
+def _outer(
+    reader: _Reader, document: Mapping[str, Any], api: str, kind: str
+) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
+    reader.mapping(document, "", ["apiVersion", "kind", "metadata", "spec"])
+    reader.equal(document.get("apiVersion"), "apiVersion", api)
+    reader.equal(document.get("kind"), "kind", kind)
+    metadata, spec = document.get("metadata"), document.get("spec")
+    return (metadata if isinstance(metadata, Mapping) else {}), (spec if isinstance(spec, Mapping) else {})
+
+
+def _annotations(reader: _Reader, value: Any) -> tuple[dict[str, str], tuple[Cause, ...]]:
+    prefix, path = "robotkube.io/", "metadata.annotations"
+    found = reader.mapping(
+        value if value is not None else {}, path, [prefix + k for k in _SINGLE], [prefix + k for k in _LISTS]
+    )
+    single = {
+        key: reader.text(found.get(prefix + key), f"{path}.{prefix}{key}", pattern) for key, pattern in _SINGLE.items()
+    }
+    lists = {
+        key: _words(reader, found.get(prefix + key), f"{path}.{prefix}{key}", pattern)
+        for key, pattern in _LISTS.items()
+    }
+    if len({len(words) for words in lists.values()}) > 1:
+        counts = ", ".join(f"{key} {len(words)}" for key, words in lists.items())
+        reader.problems.append(
+            f"{path}: tasks, events, rules, traces and applications must be equally many, found {counts}"
+        )
+        return single, ()
+    rows = zip(*(lists[key] for key in ("tasks", "events", "rules", "traces", "applications")), strict=True)
+    return single, tuple(Cause(*row) for row in rows)
+
+
+def _words(reader: _Reader, value: Any, path: str, pattern: re.Pattern[str]) -> list[str]:
+    if value is None:
+        return []
+    if not isinstance(value, str) or not value:
+        reader.problems.append(f"{path}: must be words separated by single spaces")
+        return []
+    return [reader.text(word, path, pattern) for word in value.split(" ")]
+
+
+def read_source(text: str, path: str) -> Source:
+    """The source in `text`, found at `path`; DocumentError lists every problem."""
+    document, reader = read_mapping(text, path), _Reader(path)
+    metadata, spec = _outer(reader, document, SOURCE_API, "OCIRepository")
+    reader.mapping(metadata, "metadata", ["name", "namespace"])
+    reader.mapping(spec, "spec", ["interval", "ref", "url"], ["insecure"])
+    reader.equal(spec.get("interval"), "spec.interval", INTERVAL)
+    reference = reader.mapping(spec.get("ref") or {}, "spec.ref", ["digest"])
+    url = reader.text(spec.get("url"), "spec.url", URL)
+    if not isinstance(spec.get("insecure", False), bool):
+        reader.problems.append("spec.insecure: must be true or false")
+    source = Source(
+        namespace=reader.text(metadata.get("namespace"), "metadata.namespace", NAME),
+        chart=url.rpartition("/")[2],
+        digest=reader.text(reference.get("digest"), "spec.ref.digest", DIGEST),
+        url=url,
+        insecure=spec.get("insecure", False) is True,
+    )
+    reader.equal(metadata.get("name"), "metadata.name", source.name)
+    if not reader.problems:
+        reader.equal(path, "path", source.path)
+    reader.finish()
+    return source
+
+
+@dataclass(frozen=True)
+class Tree:
+    """The two folders of the deployment repository by path; `problems` are of files that could not be read."""
+
+    releases: Mapping[str, Release]
+    sources: Mapping[str, Source]
+    problems: tuple[str, ...] = ()
+
+
+def read_tree(files: Mapping[str, str]) -> Tree:
+    """Every file below releases/ and sources/ (path -> text). Broken files and broken relations become problems:
+    a missing source, two releases with one Argo CD Application name, a path that is not a release or source file."""
+    releases: dict[str, Release] = {}
+    sources: dict[str, Source] = {}
+    problems: list[str] = []
+    for path in sorted(files):
+        try:
+            if path.startswith(f"{RELEASES}/"):
+                releases[path] = read_release(files[path], path)
+            elif path.startswith(f"{SOURCES}/"):
+                sources[path] = read_source(files[path], path)
+        except DocumentError as error:
+            problems += [f"{error.where}: {problem}" for problem in error.problems]
+    return Tree(releases, sources, tuple(problems + _relations(releases, sources)))
+
+
+def _relations(releases: Mapping[str, Release], sources: Mapping[str, Source]) -> list[str]:
+    problems: list[str] = []
+    names: dict[str, str] = {}
+    for path, release in releases.items():
+        wanted = f"{SOURCES}/{release.namespace}/{release.source_name}.yaml"
+        source = sources.get(wanted)
+        if source is None:
+            problems.append(f"{path}: its source {wanted} is missing or not readable")
+        elif source.digest != release.digest:
+            problems.append(f"{path}: chart digest {release.digest} differs from {wanted} ({source.digest})")
+        name = application_name(release.namespace, release.name)
+        if name in names:
+            problems.append(f"{path}: Argo CD Application name {name!r} is taken by {names[name]}; rename one release")
+        names.setdefault(name, path)
+    return problems

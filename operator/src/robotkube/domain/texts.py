@@ -1,0 +1,126 @@
+"""YAML text <-> plain values, strictly: the only module of the domain with a library (PyYAML, which here does no I/O).
+
+Reading refuses what different YAML readers understand differently or what can grow without bound: several documents,
+duplicate keys, anchors and aliases, tags, keys that are not text, numbers that JSON has not, text beyond a size.
+Writing sorts keys, never wraps lines, and quotes every text that any YAML 1.1 or 1.2 reader could take for a number,
+so that a hexadecimal identifier such as `12e34567` stays text in Go as well.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import yaml
+
+from robotkube.domain.errors import DocumentError
+
+TEXT_BYTES_MAX = 256 * 1024
+DEPTH_MAX = 32
+INTEGER_MAX = 2**53  # the ApplicationSet controller reads numbers as doubles
+
+_PLAIN = re.compile(r"[A-Za-z_/][A-Za-z0-9_./@-]*( [A-Za-z0-9_./@-]+)*", re.ASCII)
+_YAML_1_1_WORDS = frozenset(["y", "n", "yes", "no", "on", "off", "true", "false", "null"])
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe loader without timestamps: a time stays the text that was written."""
+
+
+_Loader.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in resolvers if tag != "tag:yaml.org,2002:timestamp"]
+    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+
+
+def _mapping(loader: _Loader, node: yaml.MappingNode) -> dict[str, Any]:
+    result: dict[str, Any] = {}
+    for key_node, value_node in node.value:
+        key = loader.construct_object(key_node, deep=True)
+        line = key_node.start_mark.line + 1
+        if not isinstance(key, str):
+            raise yaml.YAMLError(f"line {line}: key {key!r} is not text; put it in quotes")
+        if key in result:
+            raise yaml.YAMLError(f"line {line}: key {key!r} stands twice; keep one of them")
+        result[key] = loader.construct_object(value_node, deep=True)
+    return result
+
+
+_Loader.add_constructor("tag:yaml.org,2002:map", _mapping)
+
+
+class _Dumper(yaml.SafeDumper):
+    """Block style; texts that are not plainly text are quoted."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        """Never write anchors: the reader refuses them."""
+        return True
+
+
+def _text(dumper: _Dumper, value: str) -> yaml.ScalarNode:
+    plain = _PLAIN.fullmatch(value) and value.lower() not in _YAML_1_1_WORDS
+    return dumper.represent_scalar("tag:yaml.org,2002:str", value, style=None if plain else '"')
+
+
+_Dumper.add_representer(str, _text)
+
+
+def read_mapping(text: str, where: str) -> dict[str, Any]:
+    """The one mapping in `text`; DocumentError names `where` and the problem when it is anything else."""
+    if len(text.encode()) > TEXT_BYTES_MAX:
+        raise DocumentError(where, [f"longer than {TEXT_BYTES_MAX} bytes; split it"])
+    try:
+        _refuse_anchors(text, where)
+        documents = list(yaml.load_all(text, Loader=_Loader))
+    except yaml.YAMLError as error:
+        raise DocumentError(where, [f"not readable as YAML: {' '.join(str(error).split())}"]) from error
+    except RecursionError as error:
+        raise DocumentError(where, [f"nested deeper than {DEPTH_MAX}"]) from error
+    if len(documents) != 1 or not isinstance(documents[0], dict):
+        raise DocumentError(where, ["must hold exactly one YAML document, a mapping"])
+    problems = json_problems(documents[0], "")
+    if problems:
+        raise DocumentError(where, problems)
+    return documents[0]
+
+
+def _refuse_anchors(text: str, where: str) -> None:
+    for event in yaml.parse(text, Loader=_Loader):
+        if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
+            raise DocumentError(where, ["anchors and aliases are not allowed; write the value out"])
+
+
+def write_mapping(document: Mapping[str, Any]) -> str:
+    """`document` as YAML text: keys sorted, no wrapped lines, one trailing newline."""
+    return yaml.dump(
+        document, Dumper=_Dumper, sort_keys=True, allow_unicode=True, width=2**20, default_flow_style=False
+    )
+
+
+def json_problems(value: Any, path: str, depth: int = 0) -> list[str]:
+    """What in `value` JSON and a Go reader would not carry unchanged; `path` is the key so far (`spec.values.x`)."""
+    if depth > DEPTH_MAX:
+        return [f"{path}: nested deeper than {DEPTH_MAX}"]
+    if value is None or isinstance(value, (str, bool)):
+        return []
+    if isinstance(value, int):
+        return (
+            []
+            if abs(value) <= INTEGER_MAX
+            else [f"{path}: {value} is beyond 2^53 and would lose digits; write it as text"]
+        )
+    if isinstance(value, float):
+        return [] if math.isfinite(value) else [f"{path}: {value} is not a JSON number"]
+    if isinstance(value, Mapping):
+        found = [f"{path}: key {key!r} is not text" for key in value if not isinstance(key, str)]
+        return found + [p for key, item in value.items() for p in json_problems(item, join(path, str(key)), depth + 1)]
+    if isinstance(value, Sequence) and not isinstance(value, (bytes, bytearray)):
+        return [p for index, item in enumerate(value) for p in json_problems(item, f"{path}[{index}]", depth + 1)]
+    return [f"{path}: {type(value).__name__} is not a JSON value"]
+
+
+def join(path: str, key: str) -> str:
+    """`path` extended by `key`, as people write it."""
+    return f"{path}.{key}" if path else key

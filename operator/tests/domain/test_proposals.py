@@ -1,0 +1,72 @@
+"""Commit messages: built and read back equal; forged or incomplete ones are refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robotkube.domain.errors import DocumentError
+from robotkube.domain.proposals import ChartReference, CommitMessage, one_line, read_message, write_message
+from robotkube.domain.releases import Cause
+
+PLAN = "20261121-100000-1a2b3c"
+CAUSES = (Cause("cloud-0/a", "e1", "near", "1" * 32, ""), Cause("cloud-0/b", "e2", "near", "2" * 32, ""))
+CHART = ChartReference("mqtt-bridge", "0.1.0", "sha256:" + "a" * 64)
+MESSAGE = CommitMessage("deploy", "recording", "vehicle-00, vehicle-01 within 400 m", PLAN, CAUSES, False, (CHART,))
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        MESSAGE,
+        replace(MESSAGE, initial=True),
+        replace(MESSAGE, causes=(), initial=True, area="initial"),
+        replace(MESSAGE, verb="withdraw"),
+    ],
+)
+def test_message_reads_back_equal(message: CommitMessage) -> None:
+    assert read_message(write_message(message)) == message
+
+
+@given(st.text(max_size=300))
+def test_a_reason_cannot_forge_trailers(reason: str) -> None:
+    message = read_message(write_message(replace(MESSAGE, reason=reason)))
+    assert replace(message, reason="") == replace(MESSAGE, reason="")
+    assert len(message.subject) <= 100
+
+
+def test_one_line() -> None:
+    assert one_line("a\n\nRobotKube-Evidence: all\tb") == "a RobotKube-Evidence: all b"
+    assert one_line(" \n") == "no reason given"
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        (("deploy(recording)", "feat(recording)"), "subject"),
+        ((f"RobotKube-Plan: {PLAN}\n", ""), "RobotKube-Plan must stand exactly once, found 0"),
+        (("RobotKube-Event: e2\n", ""), "every task needs one"),
+        (("RobotKube-Evidence: none", "RobotKube-Evidence: none\nRobotKube-Evidence: none"), "exactly once"),
+        (("@0.1.0@", "@"), "name@version@"),
+        ((f"RobotKube-Chart: {CHART}\n", ""), "RobotKube-Chart is missing"),
+        (("RobotKube-Task: cloud-0/a", "RobotKube-Task: a"), "RobotKube-Task: 'a' must match"),
+        (("RobotKube-Rule: near", "RobotKube-Author: me"), "is not one of the trailers"),
+        (("RobotKube-Plan", "RobotKube-Cause: people\nRobotKube-Plan"), "RobotKube-Cause must be"),
+        (("RobotKube-Plan", "RobotKube-Cause: initial\nRobotKube-Plan"), "must be the plan's id"),
+        (("\n\n", "\n"), "must be empty"),
+    ],
+)
+def test_message_refusals(change: tuple[str, str], problem: str) -> None:
+    text = write_message(MESSAGE)
+    assert change[0] in text
+    with pytest.raises(DocumentError) as caught:
+        read_message(text.replace(*change, 1))
+    assert problem in str(caught.value)
+
+
+def test_a_commit_without_a_cause_is_refused() -> None:
+    with pytest.raises(DocumentError, match="does not say why"):
+        read_message(write_message(replace(MESSAGE, causes=())))
