@@ -1,0 +1,256 @@
+"""What a scenario is: parameters, story, topology and the bounds of its expectations, read once from `scenario.yaml`.
+
+Everything is checked before anything is started. `ScenarioError` names the file, the key and the way out.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import yaml
+
+SCHEMA = Path(__file__).with_name("scenario.schema.json")
+FILE_BYTES_MAX = 1_000_000
+
+
+class ScenarioError(ValueError):
+    """A scenario, an override or a bag that cannot be run; the message says where and what to do. Never retried."""
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """The numbers of a run. Rates in Hz, distances in m, speed in m/s of one vehicle; `points` is the least per
+    cloud."""
+
+    vehicles: int
+    lidar_vehicles: int
+    pose_hz: int
+    point_cloud_hz: int
+    points: int
+    start_distance_m: float
+    stop_distance_m: float
+    encounters: int
+    speed_mps: float
+
+
+@dataclass(frozen=True)
+class Story:
+    """Names of the things the run waits for: account of the person, applications, rule, agent that records."""
+
+    person: str
+    player_application: str
+    rule: str
+    application: str
+    recording_agent: str
+
+
+@dataclass(frozen=True)
+class Node:
+    """One machine of the topology; `index` counts within its entry."""
+
+    name: str
+    role: str
+    agent: str
+    cpu: str
+    memory: str
+    capabilities: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Bound:
+    """A limit on a measured value: `kind` is at_least, at_most or equals."""
+
+    kind: str
+    value: float | bool
+
+    def holds(self, measured: float | bool | None) -> bool:
+        """Whether a value is within the bound; a value that could not be measured never is."""
+        if measured is None:
+            return False
+        if self.kind == "at_least":
+            return measured >= self.value
+        if self.kind == "at_most":
+            return measured <= self.value
+        return measured == self.value
+
+    def __str__(self) -> str:
+        sign = {"at_least": ">=", "at_most": "<=", "equals": "="}[self.kind]
+        return f"{sign} {str(self.value).lower() if isinstance(self.value, bool) else format(self.value, 'g')}"
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A scenario with its parameters settled."""
+
+    name: str
+    description: str
+    folder: Path
+    parameters: Parameters
+    story: Story
+    nodes: tuple[Node, ...]
+    expectations: Mapping[str, Bound]
+
+    @property
+    def vehicles(self) -> tuple[str, ...]:
+        """Agents of role vehicle, in order of their number."""
+        return tuple(node.agent for node in self.nodes if node.role == "vehicle")
+
+    @property
+    def lidar_vehicles(self) -> tuple[str, ...]:
+        """The vehicles that carry a lidar and meet."""
+        return self.vehicles[: self.parameters.lidar_vehicles]
+
+
+def ros_name(agent: str) -> str:
+    """An agent's name inside ROS topics, which take no hyphen."""
+    return agent.replace("-", "_")
+
+
+def pose_topic(agent: str) -> str:
+    """Topic of a vehicle's geometry_msgs/PoseStamped."""
+    return f"/vehicles/{ros_name(agent)}/pose"
+
+
+def cloud_topic(agent: str) -> str:
+    """Topic of a vehicle's sensor_msgs/PointCloud2."""
+    return f"/vehicles/{ros_name(agent)}/lidar_center/pointcloud"
+
+
+def transform_topic(agent: str) -> str:
+    """Topic of the geometry_msgs/TransformStamped that says where the lidar sits, sent once and latched."""
+    return f"/vehicles/{ros_name(agent)}/lidar_center/transform"
+
+
+def load(folder: Path, overrides: Sequence[str] = (), variant: str | None = None) -> Scenario:
+    """Reads `folder`/scenario.yaml, lays a variant and then `key=value` overrides over its parameters, checks it all.
+
+    Raises `ScenarioError` with file, key and fix.
+    """
+    file = folder / "scenario.yaml"
+    document = _document(file)
+    parameters = dict(document["parameters"]) | _variant(file, document, variant) | _overrides(file, overrides)
+    _check(file, document | {"parameters": parameters})
+    _check_distances(file, parameters)
+    return Scenario(
+        name=document["name"],
+        description=document["description"],
+        folder=folder,
+        parameters=Parameters(**parameters),
+        story=Story(**document["story"]),
+        nodes=_nodes(file, document["topology"]["nodes"], parameters["vehicles"]),
+        expectations={name: Bound(*next(iter(bound.items()))) for name, bound in document["expectations"].items()},
+    )
+
+
+def _document(file: Path) -> dict[str, Any]:
+    if not file.is_file():
+        raise ScenarioError(
+            f"{file}: there is no such file; give the folder of a scenario, such as "
+            f"scenarios/pose-point-cloud-db-recording"
+        )
+    if file.stat().st_size > FILE_BYTES_MAX:
+        raise ScenarioError(f"{file}: larger than {FILE_BYTES_MAX} bytes, which no scenario is")
+    try:
+        document = yaml.safe_load(file.read_text())
+    except yaml.YAMLError as error:
+        raise ScenarioError(f"{file}: not valid YAML ({' '.join(str(error).split())})") from error
+    if not isinstance(document, dict):
+        raise ScenarioError(f"{file}: must be a mapping with the keys parameters, story, topology, expectations")
+    _check(file, document)
+    return document
+
+
+def _check(file: Path, document: Mapping[str, Any]) -> None:
+    """Checks the JSON Schema and reports the first error by its key."""
+    validator = jsonschema.Draft202012Validator(json.loads(SCHEMA.read_text()))
+    errors = sorted(validator.iter_errors(document), key=lambda error: [str(part) for part in error.absolute_path])
+    if errors:
+        error = errors[0]
+        key = ".".join(str(part) for part in error.absolute_path) or "(top)"
+        raise ScenarioError(f"{file}: {key}: {error.message}; allowed: {_allowed(error)}")
+
+
+def _allowed(error: jsonschema.ValidationError) -> str:
+    """The way out of a schema error, in few words."""
+    if error.validator == "additionalProperties" and isinstance(error.schema, dict):
+        known = error.schema.get("properties") or error.schema.get("required") or []
+        return "the keys " + ", ".join(sorted(known))
+    return f"{error.validator} {json.dumps(error.validator_value)}"[:300]
+
+
+def _variant(file: Path, document: Mapping[str, Any], name: str | None) -> dict[str, Any]:
+    variants: dict[str, dict[str, Any]] = document.get("variants", {})
+    if name is None:
+        return {}
+    if name not in variants:
+        raise ScenarioError(
+            f"{file}: variants: there is no variant {name!r}; there is: {', '.join(sorted(variants)) or 'none'}"
+        )
+    return variants[name]
+
+
+def _overrides(file: Path, overrides: Sequence[str]) -> dict[str, Any]:
+    """Parses `key=value` texts; the value is YAML, so that numbers are numbers."""
+    result = {}
+    for text in overrides:
+        key, sign, value = text.partition("=")
+        if not sign or not key:
+            raise ScenarioError(f"--set {text}: must have the form key=value, such as vehicles=3")
+        if key not in Parameters.__dataclass_fields__:
+            known = ", ".join(Parameters.__dataclass_fields__)
+            raise ScenarioError(f"--set {text}: {file} has no parameter {key!r}; it has: {known}")
+        result[key] = yaml.safe_load(value)
+    return result
+
+
+def _check_distances(file: Path, parameters: Mapping[str, Any]) -> None:
+    if parameters["stop_distance_m"] <= parameters["start_distance_m"]:
+        raise ScenarioError(
+            f"{file}: parameters.stop_distance_m: {parameters['stop_distance_m']} must be greater than "
+            f"start_distance_m "
+            f"({parameters['start_distance_m']}), else the rule would start and stop at once"
+        )
+
+
+def _nodes(file: Path, entries: Sequence[Mapping[str, Any]], vehicles: int) -> tuple[Node, ...]:
+    """Expands entries with a count; parameter `vehicles` is the count of role vehicle."""
+    nodes = []
+    for entry in entries:
+        count = vehicles if entry["role"] == "vehicle" and "count" in entry else entry.get("count", 1)
+        nodes += [_node(file, entry, index) for index in range(count)]
+    names = [node.name for node in nodes]
+    doubled = sorted({name for name in names if names.count(name) > 1})
+    if doubled:
+        raise ScenarioError(
+            f"{file}: topology.nodes: {', '.join(doubled)} occurs twice; put {{index:02}} into the name of an entry "
+            f"with count"
+        )
+    found = sum(node.role == "vehicle" for node in nodes)
+    if found != vehicles:
+        raise ScenarioError(
+            f"{file}: topology.nodes: {found} nodes of role vehicle, but parameter vehicles is {vehicles}; give "
+            f"that entry a count"
+        )
+    return tuple(nodes)
+
+
+def _node(file: Path, entry: Mapping[str, Any], index: int) -> Node:
+    try:
+        name, agent = entry["name"].format(index=index), entry["agent"].format(index=index)
+    except (LookupError, ValueError) as error:
+        raise ScenarioError(
+            f"{file}: topology.nodes: {entry['name']}: only {{index}} can stand in braces, such as {{index:02}}"
+        ) from error
+    return Node(
+        name=name,
+        role=entry["role"],
+        agent=agent,
+        cpu=entry["capacity"]["cpu"],
+        memory=entry["capacity"]["memory"],
+        capabilities=tuple(entry["capabilities"]),
+    )

@@ -1,0 +1,250 @@
+"""One rosbag2 folder (metadata.yaml and one uncompressed MCAP file) per vehicle, kept under the user's cache.
+
+Times in a bag are offsets from the start of the run in ns: log_time = publish_time = header.stamp = offset + k *
+period.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import heapq
+import importlib.metadata
+import json
+import os
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+from mcap.writer import CompressionType, IndexType, Writer
+
+from ci.folders import user_cache
+from scenarios.definition import Parameters, Scenario, cloud_topic, pose_topic, ros_name, transform_topic
+from scenarios.generator import messages, routes, scene
+
+CLOUD_OFFSET_NS = 5_000_000  # between two poses
+CHUNK_BYTES = 1 << 20
+CACHE_ENTRIES_MAX = 4
+SOURCES = ("routes.py", "scene.py", "messages.py", "bags.py")
+
+Message = tuple[str, int, bytes]  # topic, time in ns, serialised message
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic as the bag declares it; `depth` is the history a publisher keeps."""
+
+    name: str
+    type_name: str
+    durability: str
+    depth: int
+
+
+def topics_of(agent: str, lidar: bool) -> tuple[Topic, ...]:
+    """The topics in a vehicle's bag."""
+    pose = Topic(pose_topic(agent), messages.POSE_TYPE, "volatile", 1000)
+    if not lidar:
+        return (pose,)
+    return (
+        pose,
+        Topic(transform_topic(agent), messages.TRANSFORM_TYPE, "transient_local", 1),
+        Topic(cloud_topic(agent), messages.CLOUD_TYPE, "volatile", 10),
+    )
+
+
+def make_bags(scenario: Scenario, cache: Path | None = None, say: Callable[[str], None] = print) -> Mapping[str, Path]:
+    """Bag folders by agent, made if the cache does not hold them; interrupted work leaves nothing that is taken for
+    a bag."""
+    root = (cache or user_cache()) / "bags"
+    root.mkdir(parents=True, exist_ok=True)
+    target = root / key(scenario.parameters)
+    if target.is_dir():
+        os.utime(target)
+        say(f"bags: cached in {target}")
+    else:
+        _make(scenario, root, target, say)
+        _forget_old(root, target)
+    return {agent: target / agent for agent in scenario.vehicles}
+
+
+def key(parameters: Parameters) -> str:
+    """Name of a set of bags: hash of the parameters, this generator's source and the libraries it uses."""
+    digest = hashlib.sha256(json.dumps(asdict(parameters), sort_keys=True).encode())
+    for name in SOURCES:
+        digest.update(Path(__file__).with_name(name).read_bytes())
+    for library in ("numpy", "mcap", "rosbags"):
+        digest.update(importlib.metadata.version(library).encode())
+    return digest.hexdigest()[:16]
+
+
+def _make(scenario: Scenario, root: Path, target: Path, say: Callable[[str], None]) -> None:
+    begin = time.monotonic()
+    with tempfile.TemporaryDirectory(prefix="partial-", dir=root) as partial:
+        for number, agent in enumerate(scenario.vehicles):
+            size = write_bag(Path(partial) / agent, scenario, number)
+            say(
+                f"bags: {agent} {number + 1}/{len(scenario.vehicles)}, {size / 1e6:.0f} MB, "
+                f"{time.monotonic() - begin:.1f} s"
+            )
+        made = root / f"{Path(partial).name}.made"
+        Path(partial).rename(made)
+        Path(partial).mkdir()
+    made.chmod(0o755)
+    made.rename(target)
+
+
+def _forget_old(root: Path, target: Path) -> None:
+    """Keeps the latest sets of bags; leftovers of interrupted runs older than an hour go as well."""
+    entries = sorted(
+        (entry for entry in root.iterdir() if entry != target), key=lambda entry: entry.stat().st_mtime, reverse=True
+    )
+    hour_ago = time.time() - 3600
+    partial = [entry for entry in entries if entry.name.startswith("partial-")]
+    finished = [entry for entry in entries if not entry.name.startswith("partial-")]
+    for entry in finished[CACHE_ENTRIES_MAX - 1 :] + [entry for entry in partial if entry.stat().st_mtime < hour_ago]:
+        shutil.rmtree(entry, ignore_errors=True)
+
+
+def write_bag(folder: Path, scenario: Scenario, number: int) -> int:
+    """Writes the bag of vehicle `number` into the new `folder`; returns its size in bytes."""
+    parameters = scenario.parameters
+    agent = scenario.vehicles[number]
+    lidar = number < parameters.lidar_vehicles
+    topics = topics_of(agent, lidar)
+    folder.mkdir(parents=True)
+    file = folder / f"{agent}.mcap"
+    stream = _merged(_poses(parameters, agent, number), _lidar(parameters, agent, number) if lidar else iter(()))
+    counts, last = _write_mcap(file, topics, stream)
+    (folder / "metadata.yaml").write_text(_metadata(file.name, topics, counts, last))
+    return file.stat().st_size
+
+
+def _merged(first: Iterator[Message], second: Iterator[Message]) -> Iterator[Message]:
+    return heapq.merge(first, second, key=lambda message: message[1])
+
+
+def _grid(parameters: Parameters, hertz: int, offset: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    count = routes.duration_seconds(parameters) * hertz
+    return offset + np.arange(count, dtype=np.int64) * (messages.NANOSECONDS // hertz)
+
+
+def _poses(parameters: Parameters, agent: str, number: int) -> Iterator[Message]:
+    stamps = _grid(parameters, parameters.pose_hz, 0)
+    motion = routes.motion(parameters, number, stamps / messages.NANOSECONDS)
+    writer, topic = messages.PoseWriter(), pose_topic(agent)
+    for stamp, x, y, yaw in zip(
+        stamps.tolist(), motion.x.tolist(), motion.y.tolist(), motion.yaw.tolist(), strict=True
+    ):
+        yield topic, stamp, writer.message(stamp, x, y, yaw)
+
+
+def _lidar(parameters: Parameters, agent: str, number: int) -> Iterator[Message]:
+    """The transform at offset 0, then the clouds."""
+    base, frame = ros_name(agent), f"{ros_name(agent)}/lidar_center"
+    mount, rays = scene.MOUNTS[number], scene.ray_directions(parameters.points)
+    yield transform_topic(agent), 0, messages.transform(0, base, frame, mount)
+    stamps = _grid(parameters, parameters.point_cloud_hz, CLOUD_OFFSET_NS)
+    own, other = (routes.motion(parameters, index, stamps / messages.NANOSECONDS) for index in (number, 1 - number))
+    writer, topic, random = messages.CloudWriter(frame, len(rays)), cloud_topic(agent), np.random.default_rng(number)
+    for index, stamp in enumerate(stamps.tolist()):
+        noise = random.standard_normal(len(rays), np.float32) * np.float32(scene.NOISE_M)
+        yield (
+            topic,
+            stamp,
+            writer.message(stamp, scene.cast(rays, mount, _place(own, index), _place(other, index), noise)),
+        )
+
+
+def _place(motion: routes.Motion, index: int) -> scene.Place:
+    return scene.Place(float(motion.x[index]), float(motion.y[index]), float(motion.yaw[index]))
+
+
+def _write_mcap(file: Path, topics: tuple[Topic, ...], stream: Iterator[Message]) -> tuple[dict[str, int], int]:
+    """Writes all messages; returns their number per topic and the last time in ns."""
+    counts = {topic.name: 0 for topic in topics}
+    last = 0
+    with file.open("wb") as output:
+        writer = Writer(
+            output,
+            chunk_size=CHUNK_BYTES,
+            compression=CompressionType.NONE,
+            index_types=IndexType.ALL,
+            enable_crcs=True,
+        )
+        writer.start(profile="ros2", library="robotkube")
+        channels = {topic.name: _register(writer, topic) for topic in topics}
+        for topic, moment, data in stream:
+            writer.add_message(channels[topic], moment, data, moment, counts[topic] & 0xFFFFFFFF)
+            counts[topic] += 1
+            last = moment
+        writer.finish()  # type: ignore[no-untyped-call]
+    return counts, last
+
+
+def _register(writer: Writer, topic: Topic) -> int:
+    kind = messages.definition(topic.type_name)
+    schema = writer.register_schema(kind.name, "ros2msg", kind.text.encode())
+    qualities = yaml.safe_dump([_quality(topic)], sort_keys=False)
+    return int(
+        writer.register_channel(
+            topic.name, "cdr", schema, {"offered_qos_profiles": qualities, "topic_type_hash": kind.type_hash}
+        )
+    )
+
+
+def _quality(topic: Topic) -> dict[str, object]:
+    """Quality of service in the words of rosbag2, version 9."""
+    endless = {"sec": 9223372036, "nsec": 854775807}
+    return {
+        "history": "keep_last",
+        "depth": topic.depth,
+        "reliability": "reliable",
+        "durability": topic.durability,
+        "deadline": dict(endless),
+        "lifespan": dict(endless),
+        "liveliness": "automatic",
+        "liveliness_lease_duration": dict(endless),
+        "avoid_ros_namespace_conventions": False,
+    }
+
+
+def _metadata(file: str, topics: tuple[Topic, ...], counts: Mapping[str, int], last: int) -> str:
+    """metadata.yaml of rosbag2, version 9."""
+    span = {
+        "starting_time": {"nanoseconds_since_epoch": 0},
+        "duration": {"nanoseconds": last},
+        "message_count": sum(counts.values()),
+    }
+    return yaml.safe_dump(
+        {
+            "rosbag2_bagfile_information": {
+                "version": 9,
+                "storage_identifier": "mcap",
+                "relative_file_paths": [file],
+                **span,
+                "topics_with_message_count": [
+                    {"topic_metadata": _topic_metadata(topic), "message_count": counts[topic.name]} for topic in topics
+                ],
+                "compression_format": "",
+                "compression_mode": "",
+                "files": [{"path": file, **json.loads(json.dumps(span))}],
+                "custom_data": None,
+                "ros_distro": "jazzy",
+            }
+        },
+        sort_keys=False,
+    )
+
+
+def _topic_metadata(topic: Topic) -> dict[str, object]:
+    return {
+        "name": topic.name,
+        "type": topic.type_name,
+        "serialization_format": "cdr",
+        "offered_qos_profiles": [_quality(topic)],
+        "type_description_hash": messages.definition(topic.type_name).type_hash,
+    }
