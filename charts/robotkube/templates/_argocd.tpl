@@ -1,0 +1,66 @@
+{{- /* Installed, and copied into the deployment repository to be read there. */ -}}
+{{- define "robotkube.appProject" -}}
+apiVersion: argoproj.io/v1alpha1
+kind: AppProject
+metadata:
+  name: robotkube-apps
+  namespace: {{ .Values.argocd.namespace }}
+  labels: {{- include "robotkube.labels" (dict "root" . "component" "argocd") | nindent 4 }}
+spec:
+  description: releases of the deployment repository, and nothing else
+  sourceRepos: [{{ include "robotkube.charts" . }}/*]          # * crosses no slash
+  destinations:
+  {{- range .Values.agents }}
+  - {server: "https://kubernetes.default.svc", namespace: {{ .name }}}
+  {{- else }} []
+  {{- end }}
+  clusterResourceWhitelist: []
+  namespaceResourceWhitelist:
+  - {group: apps, kind: Deployment}
+  - {group: "", kind: ConfigMap}
+{{- end }}
+
+{{- define "robotkube.applicationSet" -}}
+apiVersion: argoproj.io/v1alpha1
+kind: ApplicationSet
+metadata:
+  name: releases
+  namespace: {{ .Values.argocd.namespace }}
+  labels: {{- include "robotkube.labels" (dict "root" . "component" "argocd") | nindent 4 }}
+spec:
+  goTemplate: true
+  goTemplateOptions: ["missingkey=error"]
+  generators:
+  - git:
+      repoURL: {{ include "robotkube.forgeUrl" . }}/robotkube/deployment.git
+      revision: main
+      requeueAfterSeconds: 300                                 # only the fallback: the gate's hook is the normal way
+      files: [{path: "releases/**/*.yaml"}]
+  template:
+    metadata:
+      name: {{ `'{{ .metadata.namespace }}-{{ .metadata.name }}'` }}
+      namespace: {{ .Values.argocd.namespace }}
+      labels:
+        robotkube.io/agent: {{ `'{{ .metadata.namespace }}'` }}
+      annotations:
+        robotkube.io/plan: {{ `'{{ index .metadata.annotations "robotkube.io/plan" }}'` }}
+      finalizers: [resources-finalizer.argocd.argoproj.io]
+    spec:
+      project: robotkube-apps
+      source:
+        repoURL: {{ include "robotkube.charts" . | printf "'%s/{{ index .metadata.annotations \"robotkube.io/chart\" }}'" }}
+        path: .                                                # required, also for a chart
+        # A tag written there by mistake becomes sha256:<tag>, which resolves to nothing.
+        targetRevision: {{ `'sha256:{{ index .metadata.annotations "robotkube.io/chart-digest" | trimPrefix "sha256:" }}'` }}
+        helm:
+          releaseName: {{ `'{{ .metadata.name }}'` }}
+          values: {{ `'{{ toJson (dig "values" (dict) .spec) }}'` }}           # a string: nothing is interpreted or dropped
+          parameters:
+          - {name: global.plan, value: {{ `'{{ index .metadata.annotations "robotkube.io/plan" }}'` }}, forceString: true}
+      destination: {server: https://kubernetes.default.svc, namespace: {{ `'{{ .metadata.namespace }}'` }}}
+      syncPolicy:
+        automated: {prune: true, selfHeal: true}
+        # ApplyOutOfSyncOnly and no client-side validation: 40 % less CPU in the controller for a plan of many releases.
+        syncOptions: [ApplyOutOfSyncOnly=true, Validate=false]
+        retry: {limit: 2, backoff: {duration: 1s, factor: 2, maxDuration: 2s}}       # longer retries hold a corrected release back
+{{- end }}

@@ -1,0 +1,42 @@
+{{- define "robotkube.brokerConfiguration" -}}
+listener 1883
+allow_anonymous false
+password_file /run/mosquitto/passwords
+acl_file /run/mosquitto/acl
+set_tcp_nodelay true
+max_inflight_messages {{ .Values.broker.limits.inflightMessages | int64 }}
+max_queued_messages {{ .Values.broker.limits.queuedMessages | int64 }}
+max_queued_bytes {{ .Values.broker.limits.queuedBytes | int64 }}
+message_size_limit {{ .Values.broker.limits.messageBytes | int64 }}
+queue_qos0_messages false
+# Nothing is written to disk: bridges resend what was not acknowledged and publish retained messages again when they reconnect.
+persistence false
+sys_interval 0
+connection_messages false
+log_dest stdout
+log_type error
+log_type warning
+log_type notice
+{{- end }}
+
+{{- /* Without a matching line everything is refused. */ -}}
+{{- define "robotkube.brokerRules" -}}
+user observer
+topic read mqtt/#
+{{- range .Values.agents }}
+
+user {{ .name }}
+{{- if has .role (list "vehicle" "roadside") }}
+topic readwrite mqtt/vehicles/{{ include "robotkube.ros" .name }}/#
+{{- else }}
+topic read mqtt/#
+{{- end }}
+{{- end }}
+{{- end }}
+
+{{- define "robotkube.brokerPasswords" -}}
+observer:{{ include "robotkube.password" (dict "root" . "purpose" "broker" "account" "observer") }}
+{{- range .Values.agents }}
+{{ .name }}:{{ include "robotkube.password" (dict "root" $ "purpose" "broker" "account" .name) }}
+{{- end }}
+{{- end }}

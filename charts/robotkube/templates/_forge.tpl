@@ -1,0 +1,72 @@
+{{- /* app.ini. A Secret, since it holds keys. The file is read-only for the forge, so every key it would write there itself is given. */ -}}
+{{- define "robotkube.forgeIni" -}}
+APP_NAME = RobotKube
+WORK_PATH = /data
+[server]
+HTTP_ADDR = 0.0.0.0
+HTTP_PORT = 3000
+ROOT_URL = {{ include "robotkube.forgeUrl" . }}/
+LOCAL_ROOT_URL = http://127.0.0.1:3000/
+{{- with .Values.forge.staticRootPath }}
+STATIC_ROOT_PATH = {{ . }}
+{{- end }}
+APP_DATA_PATH = /data/data
+DISABLE_SSH = true
+OFFLINE_MODE = true
+LFS_START_SERVER = false
+[database]
+DB_TYPE = sqlite3
+PATH = /data/gitea.db
+SQLITE_JOURNAL_MODE = WAL
+[security]
+INSTALL_LOCK = true
+SECRET_KEY = {{ include "robotkube.password" (dict "root" . "purpose" "forge-key" "account" "secret") }}
+INTERNAL_TOKEN = {{ include "robotkube.password" (dict "root" . "purpose" "forge-key" "account" "internal") }}
+# Passwords here are 240 random bits: no one guesses them from a hash, and each Git and registry request is checked against one.
+PASSWORD_HASH_ALGO = pbkdf2$1000$50
+[oauth2]
+ENABLED = false
+JWT_SECRET = {{ include "robotkube.password" (dict "root" . "purpose" "forge-key" "account" "jwt") | trunc 32 | b64enc | trimSuffix "=" }}
+[service]
+DISABLE_REGISTRATION = true
+REQUIRE_SIGNIN_VIEW = true
+[repository]
+ROOT = /data/repositories
+DEFAULT_BRANCH = main
+[packages]
+ENABLED = true
+[actions]
+ENABLED = false
+[mailer]
+ENABLED = false
+[cron]
+ENABLED = false
+[log]
+MODE = console
+LEVEL = Warn
+[indexer]
+ISSUE_INDEXER_TYPE = db
+[session]
+PROVIDER = memory
+[cache]
+ADAPTER = memory
+[queue]
+TYPE = channel
+[webhook]
+# Manager and gate have private addresses, which Gitea refuses by itself.
+ALLOWED_HOST_LIST = private
+{{- end }}
+
+{{- /* The administrator, made or given its password again; run by the same program and files as the forge. */ -}}
+{{- define "robotkube.forgePrepare" -}}
+set -eu
+forge() { gitea --config /etc/gitea/app.ini "$@"; }
+account() { cat "/var/run/secrets/robotkube/$1"; }
+forge migrate
+if forge admin user list --admin | grep -qw "$(account username)"; then
+  forge admin user change-password --username "$(account username)" --password "$(account password)" --must-change-password=false
+else
+  forge admin user create --admin --username "$(account username)" --password "$(account password)" \
+    --email administrator@forge.invalid --must-change-password=false
+fi
+{{- end }}

@@ -1,0 +1,86 @@
+{{- /* Everything that is wrong with the values, found in one pass and said at once, each with its fix. The schema has checked types and
+       unknown keys before. */ -}}
+{{- define "robotkube.refusals" -}}
+{{- $problems := list }}
+{{- $roles := list "cloud" "edge" "roadside" "vehicle" }}
+{{- $taken := list .Release.Namespace .Values.argocd.namespace "default" "kube-system" "kube-public" "kube-node-lease" }}
+{{- $seen := list }}
+{{- range $i, $agent := .Values.agents }}
+{{- $at := printf "agents[%d] %q" $i $agent.name }}
+{{- if not (regexMatch "^[a-z]([-a-z0-9]*[a-z0-9])?$" $agent.name) }}
+{{- $problems = append $problems (printf "%s: the name becomes a namespace and a ROS name. Use lower case letters, digits and hyphens, a letter first, such as vehicle-00." $at) }}
+{{- end }}
+{{- if gt (len $agent.name) 22 }}
+{{- $problems = append $problems (printf "%s: %d characters; Argo CD's <namespace>-<release> has 53, of which a release needs up to 30. Use at most 22." $at (len $agent.name)) }}
+{{- end }}
+{{- if has $agent.name $seen }}
+{{- $problems = append $problems (printf "%s: declared twice. Give each agent a name of its own." $at) }}
+{{- end }}
+{{- if has $agent.name $taken }}
+{{- $problems = append $problems (printf "%s: this namespace belongs to the cluster or the platform. Use another name." $at) }}
+{{- end }}
+{{- if not (has $agent.role $roles) }}
+{{- $problems = append $problems (printf "%s: unknown role %q. Use one of: %s." $at $agent.role (join ", " $roles)) }}
+{{- end }}
+{{- $claims := list }}
+{{- range $claim := $agent.claims }}
+{{- if eq $claim.name "recordings" }}
+{{- $problems = append $problems (printf "%s: claim \"recordings\" is made by records: true. Set that, or use another name." $at) }}
+{{- end }}
+{{- if has $claim.name $claims }}
+{{- $problems = append $problems (printf "%s: claim %q is declared twice. Remove one." $at $claim.name) }}
+{{- end }}
+{{- if not (regexMatch "^[a-z0-9]([-a-z0-9]{0,61}[a-z0-9])?$" $claim.name) }}
+{{- $problems = append $problems (printf "%s: claim name %q. Use lower case letters, digits and hyphens." $at $claim.name) }}
+{{- end }}
+{{- $claims = append $claims $claim.name }}
+{{- end }}
+{{- $seen = append $seen $agent.name }}
+{{- end }}
+{{- if not .Values.images.platform }}
+{{- $problems = append $problems "images.platform is empty. Give the reference of the platform image, such as registry.example/robotkube/platform@sha256:..." }}
+{{- end }}
+{{- if and (eq .Values.database.kind "ferretdb") (not .Values.images.ferretdb) }}
+{{- $problems = append $problems "database.kind is ferretdb, but images.ferretdb is empty. Give its reference, or use database.kind: mongo." }}
+{{- end }}
+{{- if and (eq .Values.database.kind "mongo") (not .Values.images.mongo) }}
+{{- $problems = append $problems "database.kind is mongo, but images.mongo is empty. Give its reference." }}
+{{- end }}
+{{- if and (eq .Values.broker.kind "mosquitto") (not .Values.images.mosquitto) }}
+{{- $problems = append $problems "broker.kind is mosquitto, but images.mosquitto is empty. Give its reference." }}
+{{- end }}
+{{- if and (eq .Values.forge.kind "gitea") (not .Values.images.gitea) }}
+{{- $problems = append $problems "forge.kind is gitea, but images.gitea is empty. Give its reference." }}
+{{- end }}
+{{- range $part := list "broker" "database" }}
+{{- $values := index $.Values $part }}
+{{- if and (eq $values.kind "external") (not $values.external.host) }}
+{{- $problems = append $problems (printf "%s.kind is external, but %s.external.host is empty. Give the host name." $part $part) }}
+{{- end }}
+{{- if and (ne $values.kind "external") $values.external.host }}
+{{- $problems = append $problems (printf "%s.external.host is given, but %s.kind is %s. Set the kind to external, or leave the host out." $part $part $values.kind) }}
+{{- end }}
+{{- end }}
+{{- $url := .Values.forge.external.url }}
+{{- if and (eq .Values.forge.kind "external") (not (regexMatch "^https?://[^/]+$" $url)) }}
+{{- $problems = append $problems (printf "forge.kind is external, but forge.external.url is %q. Give http(s)://<host>[:<port>] without a path or a slash at the end." $url) }}
+{{- end }}
+{{- if and (ne .Values.forge.kind "external") $url }}
+{{- $problems = append $problems (printf "forge.external.url is given, but forge.kind is %s. Set the kind to external, or leave the url out." .Values.forge.kind) }}
+{{- end }}
+{{- $seed := .Values.secrets.seed }}
+{{- if and $seed (lt (len $seed) 32) }}
+{{- $problems = append $problems "secrets.seed is shorter than 32 characters. All passwords follow from it: give more, or leave it out." }}
+{{- end }}
+{{- $kept := lookup "v1" "Secret" .Release.Namespace "robotkube-seed" | dig "data" "seed" "" | b64dec }}
+{{- if and $seed $kept (ne $seed $kept) }}
+{{- $problems = append $problems "secrets.seed differs from the one kept in the Secret robotkube-seed: forge and database would refuse the new passwords. Leave secrets.seed out, or delete the Secret together with the claims forge and database." }}
+{{- end }}
+{{- if $problems }}
+{{- $text := printf "robotkube: %d problem(s) in the values, nothing was changed:" (len $problems) }}
+{{- range $i, $problem := $problems }}
+{{- $text = printf "%s\n  %d. %s" $text (add1 $i) $problem }}
+{{- end }}
+{{- fail (printf "\n%s\n" $text) }}
+{{- end }}
+{{- end }}

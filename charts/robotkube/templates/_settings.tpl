@@ -1,0 +1,121 @@
+{{- /* Settings files. Form: docs/reference/settings.md. */ -}}
+{{- define "robotkube.managerSettings" -}}
+listen: {address: 0.0.0.0, port: 8080}
+log_level: {{ .Values.logLevel }}
+forge:
+  url: {{ include "robotkube.forgeUrl" . }}
+  credentials: /var/run/secrets/robotkube/forge
+  deployment: robotkube/deployment
+  catalogue: robotkube/catalogue
+  branch: main
+registry:
+  charts: {{ include "robotkube.charts" . }}
+argocd:
+  url: http://{{ include "robotkube.host" (dict "root" . "name" "argocd-server" "namespace" .Values.argocd.namespace) }}
+  credentials: /var/run/secrets/robotkube/argocd
+  namespace: {{ .Values.argocd.namespace }}
+  project: robotkube-apps
+hook:
+  url: {{ include "robotkube.hookUrl" . }}
+  secret: /var/run/secrets/robotkube/hook/secret
+webhook:
+  secret: /var/run/secrets/robotkube/webhook/secret
+agents:
+{{- include "robotkube.agents" . }}
+{{- end }}
+
+{{- define "robotkube.gateSettings" -}}
+listen: {address: 0.0.0.0, port: 8080}
+log_level: {{ .Values.logLevel }}
+forge:
+  url: {{ include "robotkube.forgeUrl" . }}
+  credentials: /var/run/secrets/robotkube/forge
+  deployment: robotkube/deployment
+  catalogue: robotkube/catalogue
+  branch: main
+  proposer: manager
+registry:
+  charts: {{ include "robotkube.charts" . }}
+hook:
+  url: {{ include "robotkube.hookUrl" . }}
+  secret: /var/run/secrets/robotkube/hook/secret
+webhook:
+  secret: /var/run/secrets/robotkube/webhook/secret
+agents:
+{{- include "robotkube.agents" . }}
+{{- end }}
+
+{{- define "robotkube.bootstrapSettings" -}}
+{{- $webhook := "/var/run/secrets/robotkube/webhook/secret" -}}
+log_level: {{ .Values.logLevel }}
+wait_seconds: {{ .Values.bootstrap.waitSeconds | int }}
+{{- if eq .Values.forge.kind "gitea" }}
+forge:
+  url: {{ include "robotkube.forgeUrl" . }}
+  administrator: /var/run/secrets/robotkube/forge/administrator
+  accounts:
+  {{- range list "manager" "gate" "argocd" "publisher" "operator-team" }}
+  - {name: {{ . }}, credentials: /var/run/secrets/robotkube/forge/{{ . }}}
+  {{- end }}
+  organisations:
+  - {name: robotkube, packages: {publisher: write, argocd: read, manager: read, gate: read}}
+  - {name: staging, packages: {publisher: write, argocd: read, manager: read, gate: read}}
+  repositories:
+  - name: robotkube/deployment
+    description: What runs on the fleet, one file per release
+    branch: main
+    seed: /etc/robotkube/seed/deployment
+    access: {manager: read, gate: write, argocd: read, operator-team: read}
+    main: [gate]
+  - name: robotkube/catalogue
+    description: What may be deployed
+    branch: main
+    seed: /etc/robotkube/seed/catalogue
+    access: {manager: read, gate: read, publisher: write, operator-team: read}
+    main: [publisher]
+  webhooks:
+  {{- range $process := list "gate" "manager" }}
+  {{- $url := printf "http://%s:8080/webhook" (include "robotkube.host" (dict "root" $ "name" $process)) }}
+  - {repository: robotkube/deployment, url: {{ $url | quote }}, events: [push, pull_request], secret: {{ $webhook }}}
+  - {repository: robotkube/catalogue, url: {{ $url | quote }}, events: [push], secret: {{ $webhook }}}
+  {{- end }}
+{{- end }}
+{{- if ne .Values.database.kind "external" }}
+database:
+  kind: {{ .Values.database.kind }}
+  host: {{ include "robotkube.databaseHost" . }}
+  port: {{ include "robotkube.databasePort" . }}
+  administrator: /var/run/secrets/robotkube/database/administrator
+  accounts:
+  {{- range .Values.agents }}{{ if .records }}
+  - {username: {{ include "robotkube.database" .name }}, database: {{ include "robotkube.database" .name }}, credentials: /var/run/secrets/robotkube/database/{{ .name }}}
+  {{- end }}{{ else }} []
+  {{- end }}
+{{- end }}
+argocd:
+  namespace: {{ .Values.argocd.namespace }}
+  account: {name: manager, credentials: /var/run/secrets/robotkube/argocd}
+  rbac: |
+    p, role:robotkube-manager, applications, get, robotkube-apps/*, allow
+    g, manager, role:robotkube-manager
+  hook: {secret: /var/run/secrets/robotkube/hook/secret}
+  closed_project: default
+  hook_reader: argocd-applicationset-controller
+{{- end }}
+
+{{- define "robotkube.teardownSettings" -}}
+log_level: {{ .Values.logLevel }}
+argocd: {namespace: {{ .Values.argocd.namespace }}, project: robotkube-apps, application_set: releases}
+wait_seconds: {{ .Values.teardown.waitSeconds | int }}
+{{- end }}
+
+{{- /* Pod fields of a process that reads such a file. Arguments: {root, component}. */ -}}
+{{- define "robotkube.settingsAnnotation" -}}
+robotkube.io/settings: {{ include (printf "robotkube.%sSettings" .component) .root | sha256sum | trunc 16 | quote }}
+{{- end }}
+
+{{- define "robotkube.processEnvironment" -}}
+env:
+- {name: POD_NAMESPACE, valueFrom: {fieldRef: {fieldPath: metadata.namespace}}}
+- {name: HOME, value: /tmp}
+{{- end }}
