@@ -1,0 +1,56 @@
+"""`python -m ci.images`: build the images; `python -m ci.images context NAME FOLDER`: write one image's build context for `docker build`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from ci.images.buildah import BuildError
+from ci.images.building import build_images, cache_folder
+from ci.images.catalogue import BY_NAME, IMAGES, Sources, go_module
+from ci.images.contexts import ContextError, assemble, check
+from ci.steps import Steps
+
+
+def arguments(words: list[str] | None = None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m ci.images", description=__doc__)
+    parser.add_argument("names", nargs="*", help="images to build (default: all), or: context NAME FOLDER")
+    parser.add_argument("--toolchain-bin", type=Path, required=True, help="folder with gitea, argocd, helm, ferretdb")
+    parser.add_argument("--folder", type=Path, default=cache_folder(), help="where archives and images.json go")
+    parser.add_argument("--fresh", action="store_true", help="build again without any cache")
+    return parser.parse_args(words)
+
+
+def write_context(name: str, folder: Path, toolchain_bin: Path) -> None:
+    if name not in BY_NAME:
+        raise BuildError(f"no such image: {name}; there are {', '.join(BY_NAME)}")
+    contents = BY_NAME[name].contents(Sources(toolchain_bin, go_module))
+    check(name, contents)
+    assemble(contents, folder)
+    (folder / "Dockerfile").write_bytes(BY_NAME[name].dockerfile.read_bytes())
+
+
+def main() -> int:
+    given = arguments()
+    try:
+        if given.names[:1] == ["context"] and len(given.names) == 3:
+            write_context(given.names[1], Path(given.names[2]), given.toolchain_bin)
+            return 0
+        steps = Steps(len(given.names) or len(IMAGES))
+        built = build_images(given.toolchain_bin, given.folder, given.names, fresh=given.fresh, steps=steps)
+    except (BuildError, ContextError) as error:
+        print(f"images: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("images: interrupted; what was finished is kept", file=sys.stderr)
+        return 130
+    layers = {digest: size for image in built.values() for digest, size in image.layers.items()}
+    for image in built.values():
+        print(f"{image.reference} {image.size / 1e6:.0f} MB")
+    print(f"all layers together {sum(layers.values()) / 1e6:.0f} MB; lock: {given.folder / 'images.json'}", file=sys.stderr)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,109 @@
+"""The images: what each is made of and what it stands on."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from ci.images.contexts import ContextError, Copied
+
+TOP = Path(__file__).resolve().parent.parent.parent
+DOCKERFILES = TOP / "operator" / "images"
+MODULE_SECONDS_MAX = 300
+
+
+@dataclass(frozen=True)
+class Sources:
+    """Where programs and Go modules' files come from; `module` maps (module path, folder of the go.mod naming it) to its folder."""
+
+    toolchain_bin: Path
+    module: Callable[[str, str], Path]
+
+
+@cache
+def go_module(path: str, folder: str) -> Path:
+    """The folder of a Go module that ci/`folder`/go.mod names, fetched if it is not in the module cache."""
+    command = ["go", "mod", "download", "-json", path]
+    done = subprocess.run(command, cwd=TOP / "ci" / folder, capture_output=True, text=True, timeout=MODULE_SECONDS_MAX, check=False)
+    found = json.loads(done.stdout or "{}")
+    if done.returncode or "Dir" not in found:
+        raise ContextError(f"go module {path} (ci/{folder}/go.mod): {found.get('Error') or done.stderr.strip()}")
+    return Path(found["Dir"])
+
+
+@dataclass(frozen=True)
+class Image:
+    """An image to build: `name` is also the folder of its Dockerfile; `on_base`: it stands on (or is built in) the image `base`."""
+
+    name: str
+    contents: Callable[[Sources], tuple[Copied, ...]]
+    on_base: bool = True
+
+    @property
+    def dockerfile(self) -> Path:
+        return DOCKERFILES / self.name / "Dockerfile"
+
+
+def _repository(path: str, *, executable: bool = False, optional: bool = False) -> Copied:
+    return Copied(TOP / path, path, executable, optional)
+
+
+def _script(path: str) -> Copied:
+    return _repository(path, executable=True)
+
+
+def _program(sources: Sources, name: str) -> Copied:
+    return Copied(sources.toolchain_bin / name, f"bin/{name}", executable=True)
+
+
+def _ros(_: Sources) -> tuple[Copied, ...]:
+    return (
+        _repository("operator/requirements/robot.txt"),
+        _script("operator/images/ros/prune"),
+        _repository("operator/src/robotkube"),
+    )
+
+
+def _platform(_: Sources) -> tuple[Copied, ...]:
+    return (
+        _repository("operator/requirements/platform.txt"),
+        _repository("operator/src/robotkube"),
+        _repository("gitops", optional=True),
+        _repository("registry/schemas", optional=True),
+    )
+
+
+def _gitea(sources: Sources) -> tuple[Copied, ...]:
+    module = sources.module("code.gitea.io/gitea", "toolchain/gitea")
+    data = [Copied(module / name, f"share/gitea/{name}") for name in ("options", "templates", "public")]
+    return (_program(sources, "gitea"), *data)
+
+
+def _argocd(sources: Sources) -> tuple[Copied, ...]:
+    module = sources.module("github.com/argoproj/argo-cd/v3", "toolchain")
+    scripts = ("entrypoint.sh", "hack/gpg-wrapper.sh", "hack/git-verify-wrapper.sh")
+    wrappers = [Copied(module / path, f"share/argocd/{Path(path).name}", executable=True) for path in scripts]
+    return (_program(sources, "argocd"), _program(sources, "helm"), *wrappers)
+
+
+def _base(_: Sources) -> tuple[Copied, ...]:
+    return _script("operator/images/base/install-packages"), _script("operator/images/base/compile-python")
+
+
+BASE = Image("base", _base, on_base=False)
+IMAGES: tuple[Image, ...] = (
+    BASE,
+    Image("pause", lambda _: (_repository("operator/images/pause/pause.c"),)),
+    Image("mosquitto", lambda _: ()),
+    Image("redis", lambda _: ()),
+    Image("gitea", _gitea),
+    Image("argocd", _argocd),
+    Image("ferretdb", lambda sources: (_program(sources, "ferretdb"),), on_base=False),
+    Image("platform", _platform),
+    Image("ros", _ros),
+)
+BY_NAME = {image.name: image for image in IMAGES}
