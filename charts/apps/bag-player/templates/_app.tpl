@@ -1,0 +1,9 @@
+{{- define "bag-player.app" -}}
+image: ros
+command: [python3, -m, robotkube.entrypoints.player]
+claims: [{name: bags, claim: {{ .Values.bags.claim }}, path: /var/lib/robotkube/bags}]
+config:
+  agent: {{ .Values.player.agent | default .Values.placement.agent }}
+  bag: {{ .Values.player.bag | default (printf "/var/lib/robotkube/bags/%s" .Values.placement.agent) }}
+  ledger: {{ .Values.player.ledger }}
+{{- end }}

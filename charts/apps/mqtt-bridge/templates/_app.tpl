@@ -1,0 +1,9 @@
+{{- define "mqtt-bridge.app" -}}
+image: ros
+command: [python3, -m, robotkube.entrypoints.bridge]
+broker: {{ .Values.broker.existingSecret }}
+config:
+  agent: {{ .Values.placement.agent }}
+  out: {{ toJson .Values.bridge.out }}
+  in: {{ toJson .Values.bridge.in }}
+{{- end }}
