@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from robotkube.domain.detector_settings import TopicSettings
 from robotkube.domain.observation import ApplicationState, PodState
+from robotkube.domain.placement import NodeState
+from robotkube.domain.recordings import Received, SegmentPlace
 
 # ---------------------------------------------------------------------------------------------------------------------
 # Git: deployment repository and catalogue repository
@@ -43,10 +46,22 @@ class Catalogue(RepositoryFiles, Protocol):
 
 
 class DeploymentRepository(RepositoryFiles, Protocol):
-    """The deployment repository as the manager sees it: it reads and proposes, it cannot write main."""
+    """Main of the deployment repository as the manager reads it."""
+
+    def contains(self, commit: str) -> bool:
+        """Whether `commit`, which is here, is main's tip or one of its ancestors."""
+        ...
+
+    def log(self, since: str | None, commits_max: int) -> Sequence[Commit]:
+        """The newest `commits_max` commits of main after `since` (exclusive; None = from the first), oldest first."""
+        ...
+
+
+class Proposals(Protocol):
+    """What the manager may write: commits of its own, proposed as pull requests; never main."""
 
     def commit(self, parent: str, changes: Mapping[str, str | None], message: str) -> str:
-        """Make a commit on `parent` (path -> text, None removes) in memory and return its id."""
+        """Make a commit on `parent`, which was fetched (path -> text, None removes), in memory; its id."""
         ...
 
     def propose(self, commit: str, topic: str, title: str, body: str) -> int | None:
@@ -59,8 +74,17 @@ class DeploymentRepository(RepositoryFiles, Protocol):
 class MainBranch(RepositoryFiles, Protocol):
     """The deployment repository as the gate sees it."""
 
+    @property
+    def tip(self) -> str:
+        """Main's tip as last fetched or pushed; empty before the first fetch."""
+        ...
+
     def proposal(self, number: int) -> Commit:
-        """The head commit of a pull request, fetched."""
+        """The head commit of a pull request, fetched together with main."""
+        ...
+
+    def contains(self, commit: str) -> bool:
+        """Whether `commit` is main's tip or one of its ancestors."""
         ...
 
     def push_main(self, commit: str) -> bool:
@@ -108,8 +132,8 @@ class Forge(Protocol):
         """One pull request by its number."""
         ...
 
-    def pull_requests(self, state: str = "open") -> Sequence[PullRequest]:
-        """Pull requests against main, newest first, at most 50; `state` is open, closed or all."""
+    def pull_requests(self, state: str = "open", author: str = "") -> Sequence[PullRequest]:
+        """Pull requests against main, newest first, at most 50; `state` is open, closed or all; `author` narrows."""
         ...
 
     def comments(self, number: int) -> Sequence[Comment]:
@@ -130,6 +154,14 @@ class Forge(Protocol):
 # ---------------------------------------------------------------------------------------------------------------------
 
 
+class PushHook(Protocol):
+    """Telling Argo CD that main moved; best effort and bounded."""
+
+    def hook(self, before: str, after: str) -> bool:
+        """Send the signed, GitHub-shaped push event of main to the ApplicationSet controller; whether it was taken."""
+        ...
+
+
 class ArgoCD(Protocol):
     """Asking Argo CD to look again; both calls are best effort and bounded, and say whether they were heard."""
 
@@ -145,18 +177,6 @@ class ArgoCD(Protocol):
 # ---------------------------------------------------------------------------------------------------------------------
 # Cluster: what the manager reads of Kubernetes, and the tasks
 # ---------------------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class NodeState:
-    """A Node that belongs to an agent (label robotkube.io/agent)."""
-
-    name: str
-    agent: str
-    role: str
-    capabilities: frozenset[str]
-    ready: bool
-    cordoned: bool = False
 
 
 class TaskStore(Protocol):
@@ -184,4 +204,239 @@ class Cluster(Protocol):
 
     def pods(self, release: str) -> Sequence[PodState]:
         """Pods of a release, named `<namespace>/<release>` (label app.kubernetes.io/instance)."""
+        ...
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Recordings: database, segments on the claim, spool
+# ---------------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Write:
+    """One change of the recordings' database: `document` is put at `_id` `id` if nothing is there; with `update` its
+    fields are set in the document that is there. Doing it twice changes nothing."""
+
+    collection: str
+    id: str
+    document: Mapping[str, Any]
+    update: bool = False
+    size: int = 0
+
+
+class RecordingStore(Protocol):
+    """The database of one agent's recordings. Every method raises UnavailableError when it does not answer."""
+
+    def begin(self, recording: str, document: Mapping[str, Any], volume: str) -> None:
+        """Make the recording's document, or take up an existing one: `ended` becomes null, `volume` is added."""
+        ...
+
+    def known(self, recording: str) -> Iterable[tuple[str, int, str]]:
+        """Topic, stamp and SHA-256 of every message that is stored already."""
+        ...
+
+    def write(self, writes: Sequence[Write]) -> None:
+        """Do all writes; returns when the database has acknowledged them."""
+        ...
+
+    def ping(self) -> None:
+        """Returns when the database answers with this account."""
+        ...
+
+    def close(self) -> None:
+        """Give the connections back."""
+        ...
+
+
+class RecordingReader(Protocol):
+    """Reading access to a database of recordings. Every method raises UnavailableError when it does not answer."""
+
+    def recordings(self) -> Sequence[Mapping[str, Any]]:
+        """The documents of `recordings`, oldest first."""
+        ...
+
+    def buckets(self, recording: str) -> Iterable[Mapping[str, Any]]:
+        """The documents of `samples` that belong to the recording."""
+        ...
+
+    def index(self, recording: str) -> Iterable[Mapping[str, Any]]:
+        """The documents of `segments_index` that belong to the recording."""
+        ...
+
+
+class Segments(Protocol):
+    """Appends large messages to MCAP files of one recording."""
+
+    def append(self, message: Received, type_name: str) -> SegmentPlace:
+        """Write one message; it is safe only after the next `synchronise`. OSError when the volume refuses."""
+        ...
+
+    def synchronise(self) -> None:
+        """Returns when everything appended is on the disk."""
+        ...
+
+    def close(self) -> None:
+        """Finish the open file (index and footer)."""
+        ...
+
+
+class SegmentReader(Protocol):
+    """Reads messages back from the segments of all volumes within reach."""
+
+    def read(self, volume: str, place: SegmentPlace, size: int) -> bytes:
+        """The message's bytes; UnavailableError when the volume is not within reach or the file has no such message."""
+        ...
+
+
+class Spool(Protocol):
+    """Writes that the database has not taken yet, kept on the claim."""
+
+    def put(self, recording: str, writes: Sequence[Write]) -> None:
+        """Keep them; returns when they are on the disk. OSError when the volume refuses."""
+        ...
+
+    def batches(self) -> Sequence[str]:
+        """Names of what is kept, oldest first."""
+        ...
+
+    def read(self, batch: str) -> Sequence[Write]:
+        """The writes of one batch."""
+        ...
+
+    def remove(self, batch: str) -> None:
+        """Forget a batch that was written."""
+        ...
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Bootstrap: every `make_*`, `patch_*`, `set_*` looks first and says whether it changed anything
+# ---------------------------------------------------------------------------------------------------------------------
+
+
+class ForgeAdministration(Protocol):
+    """The forge as its administrator; UnavailableError when it does not answer, InputError when it refuses."""
+
+    def answers(self) -> bool:
+        """False (nothing changes) when it serves and knows the administrator; UnavailableError before."""
+        ...
+
+    def make_account(self, name: str, password: str) -> bool:
+        """An account with that password."""
+        ...
+
+    def make_organisation(self, name: str) -> bool:
+        """A private organisation."""
+        ...
+
+    def make_repository(self, repository: str, description: str, branch: str) -> bool:
+        """A private, empty repository with pull requests and linear history."""
+        ...
+
+    def seed(self, repository: str, branch: str, files: Mapping[str, bytes]) -> bool:
+        """The first commit, only when the repository is empty."""
+        ...
+
+    def protect(self, repository: str, branch: str, pushers: Sequence[str]) -> bool:
+        """Only `pushers` push the branch, nobody by force; nobody makes tags."""
+        ...
+
+    def make_team(
+        self, organisation: str, team: str, units: Mapping[str, str], members: frozenset[str], repository: str
+    ) -> bool:
+        """A team with exactly these members and units; for one repository, or for none when it is empty."""
+        ...
+
+    def make_webhook(self, repository: str, url: str, events: Sequence[str], secret: str) -> bool:
+        """Signed deliveries, one webhook per repository and url."""
+        ...
+
+
+class DatabaseAdministration(Protocol):
+    """The database as its administrator."""
+
+    def answers(self) -> bool:
+        """False (nothing changes) when it serves and knows the administrator; UnavailableError before."""
+        ...
+
+    def make_account(self, database: str, username: str, password: str) -> bool:
+        """An account of `database` with readWrite on it and nothing else."""
+        ...
+
+
+class ArgoCDConfiguration(Protocol):
+    """Argo CD's own objects in its namespace; UnavailableError when they or the API server are not there yet."""
+
+    def answers(self) -> bool:
+        """False (nothing changes) when Argo CD has made its secret's server.secretkey; UnavailableError before."""
+        ...
+
+    def patch_config_map(self, name: str, data: Mapping[str, str]) -> bool:
+        """Set keys of a ConfigMap."""
+        ...
+
+    def patch_secret(self, data: Mapping[str, str]) -> bool:
+        """Set keys of argocd-secret."""
+        ...
+
+    def set_password(self, account: str, password: str) -> bool:
+        """Set a local account's password unless the stored hash fits it."""
+        ...
+
+    def close_project(self, name: str) -> bool:
+        """Make an AppProject allow nothing."""
+        ...
+
+    def restart_on(self, deployment: str, secret: str) -> bool:
+        """Restart a Deployment when, and only when, `secret` differs from the one it was last restarted for."""
+        ...
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Event detector: live topics, own tasks
+# ---------------------------------------------------------------------------------------------------------------------
+
+
+class TopicInput(Protocol):
+    """One subscription."""
+
+    @property
+    def lost(self) -> int:
+        """Messages that the middleware dropped before they were drained."""
+        ...
+
+    def drain(self, messages_max: int) -> Sequence[tuple[bytes, int]]:
+        """What arrived since the last call, oldest first: serialised message and time of reception in ns."""
+        ...
+
+    def close(self) -> None:
+        """Give the subscription back."""
+        ...
+
+
+class LiveTopics(Protocol):
+    """The ROS graph as a detector sees it."""
+
+    def subscribe(self, topic: str, settings: TopicSettings) -> TopicInput:
+        """Subscribe; DocumentError when there is no such message type."""
+        ...
+
+    def visible(self) -> Mapping[str, Sequence[str]]:
+        """Topic -> types of every topic that has a publisher or subscriber now."""
+        ...
+
+
+class OwnTasks(Protocol):
+    """The TaskDescriptions of a detector's own namespace. UnavailableError when the API server does not answer,
+    RefusalError when it says no."""
+
+    def tasks(self) -> Sequence[Mapping[str, Any]]:
+        """All of them."""
+        ...
+
+    def create(self, task: Mapping[str, Any]) -> None:
+        """Make the object; one of that name that is there already is success."""
+        ...
+
+    def delete(self, name: str) -> None:
+        """Delete the object; one that is not there is success."""
         ...

@@ -1,10 +1,17 @@
-"""Whether the cluster shows what a plan wrote: the Argo CD Application's fields that matter, and the rule over them."""
+"""Whether the cluster shows what a plan wrote: the fields that matter and the rule over them.
+
+With an OCI chart source Argo CD's revision is the chart's digest, not the Git commit, so a changed release looks
+synced before anything was compared. A release counts as observed only when the plan's annotation is there AND what was
+compared and what was applied equal what is asked for.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
+
+NODE_SILENT_SECONDS_MAX = 40.0
 
 
 @dataclass(frozen=True)
@@ -26,7 +33,8 @@ class ApplicationState:
 
 @dataclass(frozen=True)
 class PodState:
-    """A pod of a release: `deleting` when it has a deletion time, `node_silent_seconds` the age of its node's lease."""
+    """A pod of a release: `deleting` when it has a deletion time; `node_silent_seconds` is how long its Node has not
+    reported (0 while it reports)."""
 
     namespace: str
     name: str
@@ -34,3 +42,54 @@ class PodState:
     node: str = ""
     deleting: bool = False
     node_silent_seconds: float = 0.0
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """`annotated`: Argo CD knows the plan. `synced`: it compared and applied it. `done`: observed. `message` says what
+    is still missing, or which pods are out of reach."""
+
+    annotated: bool
+    synced: bool
+    done: bool
+    message: str
+
+
+def judge_present(application: ApplicationState | None, plan: str) -> Verdict:
+    """A release that `plan` wrote: the rule of the design."""
+    if application is None:
+        return Verdict(False, False, False, "its Argo CD Application does not exist yet")
+    if application.plan != plan or application.deleting:
+        seen = "is being deleted" if application.deleting else f"shows plan {application.plan or 'none'}"
+        return Verdict(False, False, False, f"its Argo CD Application {seen}")
+    missing = [
+        text
+        for text, holds in (
+            ("the new source is not compared yet", application.compared_source == application.source),
+            ("the new source is not applied yet", application.synced_source == application.source),
+            (f"operation is {application.phase or 'not started'}", application.phase == "Succeeded"),
+            (f"sync is {application.sync or 'unknown'}", application.sync == "Synced"),
+        )
+        if not holds
+    ]
+    if missing:
+        return Verdict(True, False, False, "; ".join([*missing, *application.conditions]))
+    if application.health != "Healthy":
+        return Verdict(
+            True, True, False, "; ".join([f"health is {application.health or 'unknown'}", *application.conditions])
+        )
+    return Verdict(True, True, True, "")
+
+
+def judge_removed(application: ApplicationState | None, pods: Sequence[PodState]) -> Verdict:
+    """A release that a plan removed: Application and pods are gone; a deleted pod on a silent node is out of reach and
+    named, it does not hold the plan back."""
+    if application is not None:
+        what = "is being deleted" if application.deleting else "still exists"
+        return Verdict(application.deleting, False, False, f"its Argo CD Application {what}")
+    lost = [pod for pod in pods if pod.deleting and pod.node_silent_seconds > NODE_SILENT_SECONDS_MAX]
+    alive = [pod.name for pod in pods if pod not in lost]
+    if alive:
+        return Verdict(True, True, False, f"pods still exist: {', '.join(sorted(alive))}")
+    message = ", ".join(f"pod {pod.name} is out of reach on silent node {pod.node}" for pod in lost)
+    return Verdict(True, True, True, message)

@@ -10,17 +10,20 @@ reads back equal, byte for byte.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
+from robotkube.domain.documents import Reader
 from robotkube.domain.errors import DocumentError
-from robotkube.domain.texts import join, read_mapping, write_mapping
+from robotkube.domain.texts import read_mapping, write_mapping
 
 APPLICATION_NAME_MAX = 53  # Helm's bound on release names; the Argo CD Application's name keeps to it as well
 RELEASE_API, SOURCE_API = "helm.toolkit.fluxcd.io/v2", "source.toolkit.fluxcd.io/v1"
 RELEASES, SOURCES = "releases", "sources"
 INTERVAL = "10m"
+FILES_KEPT_MAX = 4096  # files read once stay read: a plan looks at all of them
 
 NAME = re.compile(r"[a-z0-9]([a-z0-9-]{0,61}[a-z0-9])?", re.ASCII)
 DIGEST = re.compile(r"sha256:[0-9a-f]{64}", re.ASCII)
@@ -159,43 +162,10 @@ def write_source(source: Source) -> str:
     return write_mapping({"apiVersion": SOURCE_API, "kind": "OCIRepository", "metadata": metadata, "spec": spec})
 
 
-class _Reader:
-    """Collects every problem of one document before it is refused."""
-
-    def __init__(self, where: str) -> None:
-        self.where = where
-        self.problems: list[str] = []
-
-    def mapping(
-        self, value: Any, path: str, required: Iterable[str], optional: Iterable[str] = ()
-    ) -> Mapping[str, Any]:
-        if not isinstance(value, Mapping):
-            self.problems.append(f"{path or 'document'}: must be a mapping")
-            return {}
-        required, known = set(required), set(required) | set(optional)
-        self.problems += [f"{join(path, key)}: missing" for key in sorted(required - set(value))]
-        self.problems += [f"{join(path, key)}: unknown key; remove it" for key in sorted(set(value) - known)]
-        return value
-
-    def text(self, value: Any, path: str, pattern: re.Pattern[str]) -> str:
-        if isinstance(value, str) and pattern.fullmatch(value):
-            return value
-        if value is not None:
-            self.problems.append(f"{path}: {value!r} must match {pattern.pattern}")
-        return ""
-
-    def equal(self, value: Any, path: str, expected: Any) -> None:
-        if value is not None and value != expected:
-            self.problems.append(f"{path}: {value!r} must be {expected!r}")
-
-    def finish(self) -> None:
-        if self.problems:
-            raise DocumentError(self.where, self.problems)
-
-
+@lru_cache(FILES_KEPT_MAX)
 def read_release(text: str, path: str) -> Release:
     """The release in `text`, found at `path`; DocumentError lists every problem."""
-    document, reader = read_mapping(text, path), _Reader(path)
+    document, reader = read_mapping(text, path), Reader(path)
     metadata, spec = _outer(reader, document, RELEASE_API, "HelmRelease")
     reader.mapping(metadata, "metadata", ["name", "namespace", "annotations"])
     single, causes = _annotations(reader, metadata.get("annotations"))
@@ -224,7 +194,7 @@ def read_release(text: str, path: str) -> Release:
 
 
 def _outer(
-    reader: _Reader, document: Mapping[str, Any], api: str, kind: str
+    reader: Reader, document: Mapping[str, Any], api: str, kind: str
 ) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
     reader.mapping(document, "", ["apiVersion", "kind", "metadata", "spec"])
     reader.equal(document.get("apiVersion"), "apiVersion", api)
@@ -233,7 +203,7 @@ def _outer(
     return (metadata if isinstance(metadata, Mapping) else {}), (spec if isinstance(spec, Mapping) else {})
 
 
-def _annotations(reader: _Reader, value: Any) -> tuple[dict[str, str], tuple[Cause, ...]]:
+def _annotations(reader: Reader, value: Any) -> tuple[dict[str, str], tuple[Cause, ...]]:
     prefix, path = "robotkube.io/", "metadata.annotations"
     found = reader.mapping(
         value if value is not None else {}, path, [prefix + k for k in _SINGLE], [prefix + k for k in _LISTS]
@@ -255,7 +225,7 @@ def _annotations(reader: _Reader, value: Any) -> tuple[dict[str, str], tuple[Cau
     return single, tuple(Cause(*row) for row in rows)
 
 
-def _words(reader: _Reader, value: Any, path: str, pattern: re.Pattern[str]) -> list[str]:
+def _words(reader: Reader, value: Any, path: str, pattern: re.Pattern[str]) -> list[str]:
     if value is None:
         return []
     if not isinstance(value, str) or not value:
@@ -264,9 +234,10 @@ def _words(reader: _Reader, value: Any, path: str, pattern: re.Pattern[str]) -> 
     return [reader.text(word, path, pattern) for word in value.split(" ")]
 
 
+@lru_cache(FILES_KEPT_MAX)
 def read_source(text: str, path: str) -> Source:
     """The source in `text`, found at `path`; DocumentError lists every problem."""
-    document, reader = read_mapping(text, path), _Reader(path)
+    document, reader = read_mapping(text, path), Reader(path)
     metadata, spec = _outer(reader, document, SOURCE_API, "OCIRepository")
     reader.mapping(metadata, "metadata", ["name", "namespace"])
     reader.mapping(spec, "spec", ["interval", "ref", "url"], ["insecure"])

@@ -25,7 +25,10 @@ _PLAIN = re.compile(r"[A-Za-z_/][A-Za-z0-9_./@-]*( [A-Za-z0-9_./@-]+)*", re.ASCI
 _YAML_1_1_WORDS = frozenset(["y", "n", "yes", "no", "on", "off", "true", "false", "null"])
 
 
-class _Loader(yaml.SafeLoader):
+_Base: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # the same rules, ten times faster where it was built in
+
+
+class _Loader(_Base):  # type: ignore[misc]
     """Safe loader without timestamps: a time stays the text that was written."""
 
 

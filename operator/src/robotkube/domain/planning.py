@@ -1,0 +1,210 @@
+"""Plan: the ordered difference between desired and present releases, as files, commit message and pull request text."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, replace
+from hashlib import sha256
+
+from robotkube.domain.catalogue import Catalogue
+from robotkube.domain.composition import Desired, Met, Refused
+from robotkube.domain.proposals import INITIAL, ChartReference, CommitMessage, write_message
+from robotkube.domain.releases import Cause, Release, Source, Tree, write_release, write_source
+from robotkube.domain.tasks import TaskDescription
+
+ADD, CHANGE, REMOVE = "add", "change", "remove"
+
+
+@dataclass(frozen=True)
+class Change:
+    """One release that differs; `before` is None for a new one, `after` None for one that goes."""
+
+    path: str
+    before: Release | None
+    after: Release | None
+
+    @property
+    def kind(self) -> str:
+        """add, change or remove."""
+        return ADD if self.before is None else REMOVE if self.after is None else CHANGE
+
+    @property
+    def release(self) -> Release:
+        """The newer of both sides."""
+        found = self.after or self.before
+        assert found is not None
+        return found
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What one commit does. `files` are path -> text, None removes; `causes` the tasks that come or go with it."""
+
+    id: str
+    base: str
+    changes: tuple[Change, ...]
+    files: Mapping[str, str | None]
+    message: CommitMessage
+    text: str
+
+    @property
+    def title(self) -> str:
+        """Title of the pull request."""
+        return self.message.subject
+
+    @property
+    def fingerprint(self) -> str:
+        """Equal for plans that would do the same on whatever base."""
+        return fingerprint(self.changes)
+
+
+def differences(desired: Mapping[str, Release], present: Mapping[str, Release]) -> tuple[Change, ...]:
+    """Releases that differ in anything but the plan that wrote them; those that go come last, else by path."""
+    changes = []
+    for path in sorted(set(desired) | set(present)):
+        before, after = present.get(path), desired.get(path)
+        if before is None or after is None or not before.same_but_plan(after):
+            changes.append(Change(path, before, after))
+    return tuple(sorted(changes, key=lambda c: (c.kind == REMOVE, c.path)))
+
+
+def fingerprint(changes: Iterable[Change]) -> str:
+    """Identifies a difference: 6 hexadecimal digits are its start in a plan's id."""
+    digest = sha256()
+    for change in changes:
+        content = json.dumps(asdict(replace(change.after, plan="")), sort_keys=True) if change.after else ""
+        digest.update(f"{change.kind} {change.path}\n{content}\n".encode())
+    return digest.hexdigest()
+
+
+def make_plan(
+    changes: tuple[Change, ...],
+    tree: Tree,
+    desired: Desired,
+    tasks: Mapping[str, TaskDescription],
+    catalogue: Catalogue,
+    registry: str,
+    base: str,
+    now: str,
+) -> Plan:
+    """The plan for `changes` on commit `base`; `registry` is oci://host/organisation, `now` `YYYYMMDD-HHMMSS` (UTC)."""
+    identifier = f"{now}-{sha256((base + fingerprint(changes)).encode()).hexdigest()[:6]}"
+    stamped = tuple(replace(c, after=replace(c.after, plan=identifier)) if c.after else c for c in changes)
+    message = _message(stamped, desired, tasks, catalogue, identifier)
+    files = _files(stamped, tree, registry)
+    return Plan(identifier, base, stamped, files, message, write_message(message))
+
+
+def _files(changes: Iterable[Change], tree: Tree, registry: str) -> dict[str, str | None]:
+    """Release files of the changes, and exactly the sources that the resulting releases need."""
+    releases = dict(tree.releases)
+    files: dict[str, str | None] = {}
+    for change in changes:
+        files[change.path] = write_release(change.after) if change.after else None
+        if change.after:
+            releases[change.path] = change.after
+        else:
+            releases.pop(change.path, None)
+    needed = {s.path: s for s in (_source(release, registry) for release in releases.values())}
+    for path, source in needed.items():
+        if tree.sources.get(path) != source:
+            files[path] = write_source(source)
+    files |= {path: None for path in tree.sources if path not in needed}
+    return files
+
+
+def _source(release: Release, registry: str) -> Source:
+    return Source(release.namespace, release.chart, release.digest, f"{registry}/{release.chart}")
+
+
+def come_and_go(changes: Iterable[Change]) -> tuple[frozenset[Cause], frozenset[Cause]]:
+    """Tasks that the changes newly answer, and tasks that they no longer answer anywhere among the changed releases."""
+    after = {c for change in changes if change.after for c in change.after.causes}
+    before = {c for change in changes if change.before for c in change.before.causes}
+    return frozenset(after - before), frozenset(before - after)
+
+
+def _message(
+    changes: tuple[Change, ...],
+    desired: Desired,
+    tasks: Mapping[str, TaskDescription],
+    catalogue: Catalogue,
+    plan: str,
+) -> CommitMessage:
+    come, go = come_and_go(changes)
+    causes = set(come | go)
+    initial = False
+    for change in changes:
+        before = set(change.before.causes) if change.before else set()
+        after = set(change.after.causes) if change.after else set()
+        if before == after:
+            causes |= after
+        initial |= not (before | after) or (before == after and change.path in desired.initial)
+    area, reason = _reason(changes, come, go, tasks, catalogue)
+    charts = {ChartReference(c.release.chart, c.release.version, c.release.digest) for c in changes}
+    verb = "withdraw" if go and not come and not initial else "deploy"
+    return CommitMessage(verb, area, reason, plan, tuple(sorted(causes)), initial or not causes, tuple(sorted(charts)))
+
+
+def _reason(
+    changes: tuple[Change, ...],
+    come: frozenset[Cause],
+    go: frozenset[Cause],
+    tasks: Mapping[str, TaskDescription],
+    catalogue: Catalogue,
+) -> tuple[str, str]:
+    """Area and reason of the subject: those of the first task that comes, else goes, else of the configuration."""
+    chosen = sorted(come) or sorted(go)
+    if not chosen:
+        return INITIAL, f"{len(changes)} releases" if len(changes) != 1 else changes[0].release.key
+    first = chosen[0]
+    application = catalogue.applications.get(first.application)
+    reason = tasks[first.task].reason if first.task in tasks else first.task
+    more = f" and {len(chosen) - 1} more" if len(chosen) > 1 else ""
+    return (application.area if application else first.application), f"{reason or first.task}{more}"
+
+
+def describe(plan: Plan, desired: Desired, tasks: Mapping[str, TaskDescription], assurance: str) -> str:
+    """The pull request's body (Markdown): what was asked, every choice with its reason, what changes, the evidence."""
+    lines = [f"Plan `{plan.id}` on `{plan.base[:12]}`.", "", "## Asked", ""]
+    come, go = come_and_go(plan.changes)
+    for cause in sorted(come):
+        task = tasks.get(cause.task)
+        reason = f": {_quoted(task.reason)}" if task else ""
+        lines.append(f"- `{cause.task}` asks for {cause.application} (rule {cause.rule}, event {cause.event}){reason}")
+    lines += [f"- `{c.task}` is withdrawn (rule {c.rule}, event {c.event})" for c in sorted(go)]
+    if plan.message.initial:
+        lines.append("- the initial configuration (catalogue and policies/initial.yaml)")
+    lines += ["", "## Decided", ""]
+    for key in [c.task for c in sorted(come)]:
+        outcome = desired.outcomes.get(key)
+        if isinstance(outcome, Met):
+            lines += [f"- `{key}`: {choice}" for choice in outcome.choices]
+    refused = {k: o for k, o in desired.outcomes.items() if isinstance(o, Refused)}
+    lines += [f"- `{key}` is refused, {o.reason}: {_quoted(o.message)}" for key, o in sorted(refused.items())]
+    lines += ["", "## Changes", ""]
+    for change in plan.changes:
+        lines.append(
+            f"- {change.kind} `{change.release.key}` ({change.release.chart} {change.release.version}){_delta(change)}"
+        )
+    lines += ["", "## Evidence", "", f"Assurance of the release policy: **{assurance}**."]
+    return "\n".join(lines) + "\n"
+
+
+def _quoted(text: str) -> str:
+    return " ".join("".join(c if c.isprintable() else " " for c in text).split()).replace("`", "'")
+
+
+def _delta(change: Change) -> str:
+    """Top-level values that differ, by name."""
+    if change.before is None or change.after is None:
+        return ""
+    before, after = change.before.values, change.after.values
+    keys = [key for key in sorted({*before, *after}) if before.get(key) != after.get(key)]
+    parts = [f"values {', '.join(keys)}"] if keys else []
+    if change.before.digest != change.after.digest:
+        parts.append(f"chart from {change.before.version} ({change.before.digest[7:19]})")
+    if change.before.causes != change.after.causes:
+        parts.append(f"tasks {len(change.before.causes)} -> {len(change.after.causes)}")
+    return f": {'; '.join(parts)}"
