@@ -91,7 +91,7 @@ def _argocd(sources: Sources) -> tuple[Copied, ...]:
 
 
 def _base(_: Sources) -> tuple[Copied, ...]:
-    return _script("operator/images/base/install-packages"), _script("operator/images/base/compile-python")
+    return tuple(_script(f"operator/images/base/{name}") for name in ("install-packages", "install-git", "compile-python"))
 
 
 BASE = Image("base", _base, on_base=False)
