@@ -1,0 +1,231 @@
+"""What a recording looks like in storage, and whether storage and the sources' ledgers agree. Documents in and out.
+
+Pure. Identifiers are derived from content, so writing something a second time changes nothing
+(docs/reference/contracts.md, "Recording storage"). Stamps and times are integers in ns since 1970.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+DOCUMENT, SEGMENT = "document", "segment"
+SECOND_NS = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """A message to store. `sha256`: hex digest of `data`, the whole serialised message."""
+
+    topic: str
+    stamp: int
+    received: int
+    sha256: str
+    data: bytes
+
+
+@dataclass(frozen=True)
+class SegmentPlace:
+    """Where a large message lies: file below the claim, and the byte offset of its MCAP message record."""
+
+    segment: str
+    offset: int
+
+
+def bucket_documents(recording: str, messages: Sequence[Received]) -> list[dict[str, Any]]:
+    """One bucket per topic and whole second of stamp, oldest first; `_id` ends with a digest of its content."""
+    buckets: dict[tuple[str, int], list[Received]] = {}
+    for message in sorted(messages, key=lambda message: (message.topic, message.stamp)):
+        buckets.setdefault((message.topic, message.stamp // SECOND_NS), []).append(message)
+    return [_bucket(recording, topic, second, content) for (topic, second), content in buckets.items()]
+
+
+def _bucket(recording: str, topic: str, second: int, messages: Sequence[Received]) -> dict[str, Any]:
+    content = hashlib.sha256("".join(f"{m.stamp}:{m.sha256};" for m in messages).encode()).hexdigest()[:16]
+    samples = [{"stamp": m.stamp, "received": m.received, "sha256": m.sha256, "data": m.data} for m in messages]
+    return {
+        "_id": f"{recording}/{topic}/{second}/{content}",
+        "recording": recording,
+        "topic": topic,
+        "second": second,
+        "samples": samples,
+    }
+
+
+def index_document(
+    recording: str, message: Received, place: SegmentPlace, volume: str, distinct: bool = False
+) -> dict[str, Any]:
+    """The index entry of a large message whose segment is synchronised. `volume`: `<node>/<claim>`.
+
+    `stored` is null until the entry's own acknowledgement is known: a second write sets it to that time.
+    `distinct`: another message of the topic has the same stamp, so the digest belongs into `_id`.
+    """
+    suffix = f"/{message.sha256[:16]}" if distinct else ""
+    return {
+        "_id": f"{recording}/{message.topic}/{message.stamp}{suffix}",
+        "recording": recording,
+        "topic": message.topic,
+        "stamp": message.stamp,
+        "received": message.received,
+        "sha256": message.sha256,
+        "size": len(message.data),
+        "volume": volume,
+        "segment": place.segment,
+        "offset": place.offset,
+        "stored": None,
+    }
+
+
+class Duplicates:
+    """Remembers what a recording holds, so that nothing is stored twice: per topic the latest `stamps_max` stamps."""
+
+    def __init__(self, stamps_max: int = 100_000) -> None:
+        self._stamps_max = stamps_max
+        self._topics: dict[str, dict[int, tuple[int, ...]]] = {}
+        self.dropped = 0
+
+    def admit(self, topic: str, stamp: int, sha256: str) -> bool:
+        """Whether this message is new; it is remembered."""
+        stamps = self._topics.setdefault(topic, {})
+        known, digest = stamps.get(stamp, ()), int(sha256[:16], 16)
+        if digest in known:
+            self.dropped += 1
+            return False
+        stamps[stamp] = (*known, digest)
+        if len(stamps) > self._stamps_max:
+            del stamps[next(iter(stamps))]
+        return True
+
+    def shares_stamp(self, topic: str, stamp: int) -> bool:
+        """Whether different messages of the topic have this stamp."""
+        return len(self._topics.get(topic, {}).get(stamp, ())) > 1
+
+
+@dataclass(frozen=True)
+class LedgerLine:
+    """One published message, as its source wrote it down."""
+
+    sequence: int
+    stamp: int
+    sha256: str
+
+
+@dataclass(frozen=True)
+class StoredMessage:
+    """One message found in storage: `sha256` computed from the stored bytes now, `claimed` what was written beside it.
+
+    `sha256` is empty when the bytes could not be read; `problem` says why.
+    """
+
+    topic: str
+    stamp: int
+    sha256: str
+    claimed: str
+    size: int
+    problem: str = ""
+
+
+@dataclass(frozen=True)
+class TopicVerdict:
+    """How storage and ledger of a topic compare within a window of stamps (both ends included).
+
+    `published`, `stored`: numbers of ledger lines and of stored messages in the window. `lost`: ledger lines that are
+    not in storage. `duplicates`: stored copies beyond the first. `mismatches`: stored messages whose bytes differ from
+    the ledger's or from what was claimed when they were stored. `unknown`: stored stamps that no ledger line has.
+    `unreadable`: stored messages whose bytes are not there.
+    """
+
+    topic: str
+    published: int
+    stored: int
+    lost: tuple[LedgerLine, ...]
+    duplicates: tuple[int, ...]
+    mismatches: tuple[int, ...]
+    unknown: tuple[int, ...]
+    unreadable: tuple[str, ...]
+
+    @property
+    def complete(self) -> bool:
+        """Nothing lost, doubled, changed, invented or unreadable."""
+        return not (self.lost or self.duplicates or self.mismatches or self.unknown or self.unreadable)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The comparison of a recording with its sources' ledgers; `window` are the stamps it covers.
+
+    `without_ledger`: stored topics that nothing was compared with.
+    """
+
+    recording: str
+    window: tuple[int, int]
+    topics: Mapping[str, TopicVerdict] = field(default_factory=dict)
+    without_ledger: tuple[str, ...] = ()
+
+    @property
+    def complete(self) -> bool:
+        """Whether every topic is complete and at least one was compared."""
+        return bool(self.topics) and all(topic.complete for topic in self.topics.values())
+
+
+def compare_topic(
+    topic: str, ledger: Iterable[LedgerLine], stored: Iterable[StoredMessage], window: tuple[int, int]
+) -> TopicVerdict:
+    """Compare one topic. Messages and lines outside the window are left out.
+
+    A ledger line is in storage when a message with its stamp is; equal stamps are told apart by their digests.
+    """
+    first, last = window
+    lines = [line for line in ledger if first <= line.stamp <= last]
+    found = [message for message in stored if first <= message.stamp <= last]
+    readable = [message for message in found if not message.problem]
+    expected = Counter((line.stamp, line.sha256) for line in lines)
+    stamps = {line.stamp for line in lines}
+    changed = [m for m in readable if m.stamp in stamps and (m.stamp, m.sha256) not in expected]
+    changed += [m for m in readable if m.sha256 != m.claimed and m not in changed]
+    present = Counter(message.stamp for message in readable)
+    published = Counter(line.stamp for line in lines)
+    return TopicVerdict(
+        topic=topic,
+        published=len(lines),
+        stored=len(found),
+        lost=tuple(_lost(lines, present)),
+        duplicates=tuple(
+            stamp for stamp, count in sorted(present.items()) for _ in range(count - max(1, published[stamp]))
+        ),
+        mismatches=tuple(sorted(message.stamp for message in changed)),
+        unknown=tuple(sorted(message.stamp for message in readable if message.stamp not in stamps)),
+        unreadable=tuple(message.problem for message in found if message.problem),
+    )
+
+
+def _lost(lines: Sequence[LedgerLine], present: Counter[int]) -> Iterable[LedgerLine]:
+    left = Counter(present)
+    for line in lines:
+        if left[line.stamp] > 0:
+            left[line.stamp] -= 1
+        else:
+            yield line
+
+
+def compare(
+    recording: str,
+    ledgers: Mapping[str, Sequence[LedgerLine]],
+    stored: Iterable[StoredMessage],
+    window: tuple[int, int],
+) -> Verdict:
+    """Compare a recording with the ledgers of its topics. Stored topics without ledger are named, not compared."""
+    by_topic: dict[str, list[StoredMessage]] = {topic: [] for topic in ledgers}
+    without: set[str] = set()
+    for message in stored:
+        if message.topic in by_topic:
+            by_topic[message.topic].append(message)
+        else:
+            without.add(message.topic)
+    verdicts = {
+        topic: compare_topic(topic, ledgers[topic], messages, window) for topic, messages in sorted(by_topic.items())
+    }
+    return Verdict(recording, window, verdicts, tuple(sorted(without)))

@@ -1,0 +1,169 @@
+"""The operator reaction: a TaskDescription while an event lasts. The API server never holds reception up.
+
+One thread works through a bounded queue. At first it lists the detector's own tasks: their events are taken over
+(`adopted`), so that a detector that was restarted withdraws what its predecessor asked for. Until that list has been
+had, no rule may be evaluated, or the same event would be raised twice.
+"""
+
+from __future__ import annotations
+
+import logging
+import queue
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from robotkube.domain.demands import demand, event_of
+from robotkube.domain.detection import START, Edge, task_name
+from robotkube.domain.detector_settings import OperatorReaction
+from robotkube.domain.errors import RobotKubeError, UnavailableError
+from robotkube.ports import OwnTasks
+
+QUEUE_MAX = 256
+RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX = 0.2, 5.0
+TRY_SECONDS_MAX = 3600.0
+
+log = logging.getLogger(__name__)
+
+
+@dataclass
+class EventRecord:
+    """One edge and what came of it: the task (`<namespace>/<name>`), when the API server acknowledged, or the error."""
+
+    edge: Edge
+    task: str | None = None
+    done: int | None = None
+    error: str | None = None
+
+    def document(self) -> dict[str, Any]:
+        """The record as /events shows it (docs/reference/contracts.md)."""
+        edge = self.edge
+        return {
+            "id": edge.id,
+            "rule": edge.rule,
+            "edge": edge.edge,
+            "agents": list(edge.agents),
+            "time": edge.time,
+            "stamp": edge.stamp,
+            "distance_m": edge.distance_m,
+            "trace": edge.trace,
+            "task": self.task,
+            "done": self.done,
+            "error": self.error,
+        }
+
+
+@dataclass(frozen=True)
+class _Order:
+    record: EventRecord
+    reaction: OperatorReaction | None
+    start_distance_m: float
+
+
+class OperatorReactions:
+    """Creates and deletes the tasks of one detector (`requester`: `<namespace>/<release>`)."""
+
+    def __init__(
+        self,
+        requester: str,
+        namespace: str,
+        tasks: OwnTasks,
+        clock_ns: Callable[[], int],
+        monotonic: Callable[[], float],
+    ) -> None:
+        self._requester, self._namespace, self._tasks = requester, namespace, tasks
+        self._clock_ns, self._monotonic = clock_ns, monotonic
+        self._orders: queue.Queue[_Order] = queue.Queue(QUEUE_MAX)
+        self._stopping = threading.Event()
+        self._names: dict[str, str] = {}
+        self._withdrawn: set[str] = set()
+        self.adopted: list[Edge] | None = None
+        self.reachable = False
+        self._thread = threading.Thread(target=self._run, name="operator-reactions", daemon=True)
+
+    def start(self) -> None:
+        """Begin with the adoption."""
+        self._thread.start()
+
+    def stop(self, seconds: float) -> None:
+        """End the thread within `seconds`; tasks stay as they are."""
+        self._stopping.set()
+        self._thread.join(seconds)
+
+    def react(self, record: EventRecord, reaction: OperatorReaction | None, start_distance_m: float) -> None:
+        """Have the task of an edge made or withdrawn; never blocks. `reaction` may be None for a stop edge."""
+        if record.edge.edge != START:
+            self._withdrawn.add(record.edge.id)
+        try:
+            self._orders.put_nowait(_Order(record, reaction, start_distance_m))
+        except queue.Full:
+            record.error = f"{QUEUE_MAX} reactions wait for the API server; this one was dropped"
+            log.error("event %s: %s", record.edge.id, record.error)
+
+    def _run(self) -> None:
+        self._adopt()
+        while not self._stopping.is_set():
+            try:
+                order = self._orders.get(timeout=0.5)
+            except queue.Empty:
+                continue
+            self._carry_out(order)
+
+    def _adopt(self) -> None:
+        pause = RETRY_SECONDS_FIRST
+        while not self._stopping.is_set():
+            try:
+                found = self._tasks.tasks()
+            except RobotKubeError as error:
+                log.warning("reading own tasks failed: %s; trying again in %.1f s", error, pause)
+                self._stopping.wait(pause)
+                pause = min(pause * 2, RETRY_SECONDS_MAX)
+                continue
+            edges = []
+            for task in found:
+                edge = event_of(task, self._requester)
+                if edge is not None:
+                    self._names[edge.id] = task["metadata"]["name"]
+                    edges.append(edge)
+            self.adopted, self.reachable = sorted(edges, key=lambda edge: edge.time), True
+            return
+
+    def _carry_out(self, order: _Order) -> None:
+        record, began, pause = order.record, self._monotonic(), RETRY_SECONDS_FIRST
+        while not self._stopping.is_set():
+            try:
+                self._attempt(order)
+                self.reachable = True
+                return
+            except UnavailableError as error:
+                self.reachable = False
+                record.error = str(error)
+                if self._monotonic() - began > TRY_SECONDS_MAX:
+                    log.error("event %s: given up after %.0f s: %s", record.edge.id, TRY_SECONDS_MAX, error)
+                    return
+                log.warning("event %s: %s; trying again in %.1f s", record.edge.id, error, pause)
+                self._stopping.wait(pause)
+                pause = min(pause * 2, RETRY_SECONDS_MAX)
+            except RobotKubeError as error:
+                record.error = str(error)
+                log.error("event %s: %s", record.edge.id, error)
+                return
+
+    def _attempt(self, order: _Order) -> None:
+        record, edge = order.record, order.record.edge
+        name = self._names.get(edge.id) or task_name(edge)
+        if edge.edge != START:
+            self._tasks.delete(name)
+            self._names.pop(edge.id, None)
+            self._withdrawn.discard(edge.id)
+        elif edge.id in self._withdrawn and record.error is not None:
+            return  # the API server was away as long as the event lasted
+        else:
+            assert order.reaction is not None
+            self._tasks.create(demand(self._requester, order.reaction, edge, order.start_distance_m))
+        record.task, record.done, record.error = f"{self._namespace}/{name}", self._clock_ns(), None
+        log.info(
+            "event %s: %s rule=%s agents=%s task=%s stamp=%d time=%d done=%d",
+            edge.id, edge.edge, edge.rule, ",".join(edge.agents), record.task, edge.stamp, edge.time, record.done,
+        )  # fmt: skip

@@ -1,0 +1,92 @@
+"""Reading recordings back: which there are, and whether one agrees with its sources' ledgers.
+
+Everything is computed from the stored bytes: small messages from the buckets, large ones from their segments.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
+
+from robotkube.domain.errors import DocumentError, UnavailableError
+from robotkube.domain.recordings import LedgerLine, SegmentPlace, StoredMessage, Verdict, compare
+from robotkube.ports import RecordingReader, SegmentReader
+
+
+def list_recordings(reader: RecordingReader) -> list[dict[str, Any]]:
+    """The recordings, oldest first: id, times, provenance, volumes."""
+    return [dict(document) for document in reader.recordings()]
+
+
+def stored_messages(
+    reader: RecordingReader, segments: SegmentReader, recording: str, window: tuple[int, int] | None = None
+) -> Iterator[StoredMessage]:
+    """Every stored message of a recording whose stamp is in `window`, with the hash of the bytes as they are now."""
+    for bucket in reader.buckets(recording):
+        for sample in bucket["samples"]:
+            if _within(sample["stamp"], window):
+                data = bytes(sample["data"])
+                digest = hashlib.sha256(data).hexdigest()
+                yield StoredMessage(bucket["topic"], sample["stamp"], digest, sample["sha256"], len(data))
+    for entry in reader.index(recording):
+        if _within(entry["stamp"], window):
+            yield _large(segments, entry)
+
+
+def first_stored(reader: RecordingReader, recording: str) -> dict[str, int]:
+    """Topic -> when the first of its large messages was stored: segment synchronised and entry acknowledged, ns."""
+    first: dict[str, int] = {}
+    for entry in reader.index(recording):
+        if entry.get("stored") is not None:
+            first[entry["topic"]] = min(first.get(entry["topic"], entry["stored"]), entry["stored"])
+    return first
+
+
+def first_stamps(reader: RecordingReader, recording: str) -> dict[str, int]:
+    """Topic -> the least stamp of its large messages, ns. The later of two begins the window of the pair."""
+    first: dict[str, int] = {}
+    for entry in reader.index(recording):
+        first[entry["topic"]] = min(first.get(entry["topic"], entry["stamp"]), entry["stamp"])
+    return first
+
+
+def verify(
+    reader: RecordingReader,
+    segments: SegmentReader,
+    recording: str,
+    ledgers: Mapping[str, Sequence[LedgerLine]],
+    window: tuple[int, int],
+) -> Verdict:
+    """Compare the recording with the ledgers of its topics, within a window of stamps (ns, both ends included)."""
+    return compare(recording, ledgers, stored_messages(reader, segments, recording, window), window)
+
+
+def read_ledger(lines: Iterable[str], where: str) -> list[LedgerLine]:
+    """The lines of a player's ledger; DocumentError when it is not complete (its last line says how many there are)."""
+    found: list[LedgerLine] = []
+    for number, line in enumerate(lines, start=1):
+        try:
+            values = json.loads(line)
+            if values.get("end"):
+                if values["count"] != len(found):
+                    raise DocumentError(where, [f"line {number}: has {len(found)} messages, says {values['count']}"])
+                return found
+            found.append(LedgerLine(values["sequence"], values["stamp"], values["sha256"]))
+        except (ValueError, KeyError, AttributeError) as error:
+            raise DocumentError(where, [f"line {number}: is no ledger line ({error})"]) from error
+    raise DocumentError(where, ["has no end line: its player is still running or was killed"])
+
+
+def _within(stamp: int, window: tuple[int, int] | None) -> bool:
+    return window is None or window[0] <= stamp <= window[1]
+
+
+def _large(segments: SegmentReader, entry: Mapping[str, Any]) -> StoredMessage:
+    topic, stamp, claimed, size = entry["topic"], entry["stamp"], entry["sha256"], entry["size"]
+    try:
+        data = segments.read(entry["volume"], SegmentPlace(entry["segment"], entry["offset"]), size)
+    except UnavailableError as error:
+        return StoredMessage(topic, stamp, "", claimed, size, str(error))
+    return StoredMessage(topic, stamp, hashlib.sha256(data).hexdigest(), claimed, size)
