@@ -1,0 +1,157 @@
+"""Turns Argo CD's own `manifests/install.yaml` into the installation of the embedded cluster.
+
+`render` decides which objects stay and how each workload runs on a small machine; it changes nothing else, so a newer
+Argo CD needs no change here unless it renames a workload or an image, and then says so.
+
+    python3 -m gitops.argocd.render --manifests .../manifests/install.yaml --images images.yaml > argocd.yaml
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+Object = dict[str, Any]
+
+NAMESPACE = "argocd"
+CLUSTER_KINDS = {"CustomResourceDefinition", "ClusterRole", "ClusterRoleBinding", "Namespace"}
+# Single sign-on and notifications are not used. NetworkPolicies would promise what a cluster without a controller for
+# them does not keep.
+DROPPED_PARTS = ("dex", "notifications")
+DROPPED_KINDS = {"NetworkPolicy"}
+IMAGES = {"quay.io/argoproj/argocd": "argocd", "public.ecr.aws/docker/library/redis": "redis"}
+PLACE: Object = {
+    "nodeSelector": {"robotkube.io/role": "platform"},
+    "tolerations": [{"key": "robotkube.io/role", "operator": "Equal", "value": "platform", "effect": "NoSchedule"}],
+}
+# Requests are small and there is no CPU limit: all of it stands on the way from a commit to its pods.
+RESOURCES: dict[str, tuple[str, str, str]] = {  # container -> CPU and memory requested, memory limit
+    "argocd-application-controller": ("150m", "256Mi", "1Gi"),
+    "argocd-applicationset-controller": ("50m", "64Mi", "384Mi"),
+    "argocd-repo-server": ("100m", "128Mi", "1Gi"),
+    "argocd-server": ("50m", "64Mi", "384Mi"),
+    "redis": ("20m", "16Mi", "128Mi"),
+    "copyutil": ("10m", "16Mi", "256Mi"),
+    "secret-init": ("10m", "16Mi", "256Mi"),
+}
+SETTINGS: dict[str, dict[str, str]] = {
+    "argocd-cm": {
+        "application.resourceTrackingMethod": "annotation",
+        # Charts are pinned by digest and Git tells by its hook: looking again is only the fallback, and one at a time.
+        "timeout.reconciliation": "300s",
+        "timeout.reconciliation.jitter": "60s",
+    },
+    "argocd-cmd-params-cm": {
+        "server.insecure": "true",
+        "controller.status.processors": "10",
+        "controller.operation.processors": "5",
+        "controller.kubectl.parallelism.limit": "5",
+        "reposerver.parallelism.limit": "4",
+    },
+}
+READINESS = {"initialDelaySeconds": 1, "periodSeconds": 5}
+# The controller serves its hook only if argocd-server has made this key before; kubelet starts the container once the
+# key is there.
+SERVER_KEY = {
+    "name": "ROBOTKUBE_START_AFTER_SERVER_KEY",
+    "valueFrom": {"secretKeyRef": {"name": "argocd-secret", "key": "server.secretkey"}},
+}
+ENVIRONMENT: dict[str, list[Object]] = {
+    "argocd-applicationset-controller": [SERVER_KEY],
+    "argocd-repo-server": [{"name": "ARGOCD_GPG_ENABLED", "value": "false"}],
+    "argocd-server": [{"name": "ARGOCD_GPG_ENABLED", "value": "false"}],
+}
+
+
+def render(manifests: str, images: Mapping[str, str]) -> str:
+    """The manifests to apply, as YAML.
+
+    `manifests` is the text of Argo CD's install.yaml; `images` maps `argocd` and `redis` to references (further keys
+    are ignored). Raises ValueError when a reference is missing or a workload is not one this module knows.
+    """
+    missing = [name for name in IMAGES.values() if not images.get(name)]
+    if missing:
+        raise ValueError(f"Argo CD: no image reference for {', '.join(missing)}; add them to the images file")
+    documents = filter(None, yaml.load_all(manifests, Loader=_LOADER))
+    return yaml.dump_all(_rendered(documents, images), Dumper=_DUMPER, sort_keys=True)
+
+
+def _rendered(documents: Iterator[Object], images: Mapping[str, str]) -> Iterator[Object]:
+    for document in documents:
+        if not _kept(document):
+            continue
+        if document["kind"] not in CLUSTER_KINDS:
+            document["metadata"]["namespace"] = NAMESPACE
+        if document["kind"] == "ConfigMap" and document["metadata"]["name"] in SETTINGS:
+            document["data"] = {**document.get("data", {}), **SETTINGS[document["metadata"]["name"]]}
+        if document["kind"] in {"Deployment", "StatefulSet"}:
+            _adapt_workload(document, images)
+        yield document
+
+
+def _kept(document: Object) -> bool:
+    name: str = document["metadata"]["name"]
+    return document["kind"] not in DROPPED_KINDS and not any(part in name for part in DROPPED_PARTS)
+
+
+def _adapt_workload(workload: Object, images: Mapping[str, str]) -> None:
+    pod = workload["spec"]["template"]["spec"]
+    pod["nodeSelector"] = {**pod.get("nodeSelector", {}), **PLACE["nodeSelector"]}
+    pod["tolerations"] = [*pod.get("tolerations", []), *PLACE["tolerations"]]
+    pod.pop("affinity", None)  # one node: spreading is work for the scheduler and no gain
+    for container in [*pod.get("initContainers", []), *pod["containers"]]:
+        _adapt_container(workload["metadata"]["name"], container, images)
+
+
+def _adapt_container(workload: str, container: Object, images: Mapping[str, str]) -> None:
+    repository = container["image"].rsplit("@", 1)[0].rsplit(":", 1)[0]
+    if repository not in IMAGES or container["name"] not in RESOURCES:
+        raise ValueError(
+            f"Argo CD: {workload} has container {container['name']} of image {container['image']}, "
+            "unknown to gitops/argocd/render.py; add it to IMAGES and RESOURCES there"
+        )
+    container["image"] = images[IMAGES[repository]]
+    container["imagePullPolicy"] = "IfNotPresent"
+    cpu, memory, memory_limit = RESOURCES[container["name"]]
+    container["resources"] = {"requests": {"cpu": cpu, "memory": memory}, "limits": {"memory": memory_limit}}
+    container["env"] = [*container.get("env", []), *ENVIRONMENT.get(container["name"], [])]
+    if "readinessProbe" in container:
+        container["readinessProbe"].update(READINESS)
+
+
+_LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # 34 000 lines: 0.6 s in C, 9 s in Python
+
+
+class _PlainDumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[misc]
+    """Writes every value in full: shared settings must not become YAML aliases, which some readers refuse."""
+
+    def ignore_aliases(self, data: object) -> bool:
+        return True
+
+
+_DUMPER = _PlainDumper
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        prog="gitops.argocd.render", description="Argo CD's manifests for the embedded cluster"
+    )
+    parser.add_argument("--manifests", type=Path, required=True, help="Argo CD's manifests/install.yaml")
+    parser.add_argument("--images", type=Path, required=True, help="YAML: {images: {argocd: <reference>, redis: ...}}")
+    arguments = parser.parse_args()
+    images = yaml.safe_load(arguments.images.read_text(encoding="utf-8"))["images"]
+    try:
+        sys.stdout.write(render(arguments.manifests.read_text(encoding="utf-8"), images))
+    except ValueError as error:
+        print(error, file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
