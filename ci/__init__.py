@@ -1,0 +1,1 @@
+"""What builds, starts and tests RobotKube on one machine: tool chain, images, clusters, checks."""

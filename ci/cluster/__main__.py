@@ -1,0 +1,87 @@
+"""`python -m ci.cluster`: start, stop and look at the embedded cluster."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from ci import packages, preflight
+from ci.cluster import cleaning, images, topology
+from ci.cluster.addresses import PLANS
+from ci.cluster.embedded import Embedded
+from ci.cluster.records import ClusterFolders
+from ci.errors import InputError, SetUpError
+from ci.folders import PROJECT
+
+SCENARIO = PROJECT / "scenarios" / "pose-point-cloud-db-recording" / "scenario.yaml"
+
+
+def arguments() -> argparse.ArgumentParser:
+    """The command line."""
+    parser = argparse.ArgumentParser(prog="python -m ci.cluster", description=__doc__)
+    commands = parser.add_subparsers(dest="command", required=True)
+    for name, text in (
+        ("up", "start the cluster, or use the running one if it equals"),
+        ("down", "remove the cluster and prove it"),
+        ("status", "nodes, pods that are not ready, cost of the cluster's processes"),
+        ("run-dir", "print the folder of the cluster's files"),
+    ):
+        command = commands.add_parser(name, help=text)
+        command.add_argument("--name", choices=sorted(PLANS), default="demo")
+    up = commands.choices["up"]
+    up.add_argument("--topology", type=Path, default=SCENARIO, help="a scenario.yaml")
+    up.add_argument("--set", action="append", default=[], metavar="PARAMETER=VALUE", help="for example vehicles=3")
+    up.add_argument("--images", type=Path, default=None, help="lock file of the images")
+    up.add_argument("--binaries", type=Path, default=None, help="folder of the tool chain's programs")
+    return parser
+
+
+def overrides(settings: list[str]) -> dict[str, str]:
+    """`vehicles=3` -> {"vehicles": "3"}."""
+    pairs = [setting.partition("=") for setting in settings]
+    for name, equals, _ in pairs:
+        if not equals:
+            raise InputError(f"--set {name}: must be PARAMETER=VALUE, for example vehicles=3")
+    return {name: value for name, _, value in pairs}
+
+
+def run(options: argparse.Namespace) -> None:
+    """Do one command; raises SetUpError."""
+    if options.command == "run-dir":
+        print(ClusterFolders(options.name).base)
+    elif options.command == "down":
+        cleaning.remove(options.name)
+    elif options.command == "status":
+        print(Embedded(options.name, Path()).status())
+    else:
+        up(options)
+
+
+def up(options: argparse.Namespace) -> None:
+    """Check everything that can be wrong first, then start."""
+    wanted = topology.read(options.topology, overrides(options.set))
+    preflight.require()
+    packages.ensure("cluster")
+    lock = images.read_lock(options.images or images.lock_file())
+    binaries = options.binaries
+    if binaries is None:
+        from ci.toolchain import ensure
+
+        binaries = ensure().binaries
+    Embedded(options.name, binaries).up(wanted, lock)
+    print(f"export KUBECONFIG={ClusterFolders(options.name).kubeconfig}")
+
+
+def main() -> int:
+    """Exit code 0 done, 1 input refused, 2 usage, 3 the machine cannot."""
+    try:
+        run(arguments().parse_args())
+    except SetUpError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return error.exit_code
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,70 @@
+"""The few calls to the API server that starting a cluster needs, over the standard library (no client to import)."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import ssl
+from pathlib import Path
+from typing import Any
+
+from ci.errors import SetUpError
+
+TIMEOUT_SECONDS = 20
+APPLY = "application/apply-patch+yaml"
+MANAGER = "fieldManager=robotkube-cluster&force=true"
+
+
+class UnreachableError(Exception):
+    """The API server does not answer (yet)."""
+
+
+class Api:
+    """One connection with the administrator's certificate; not for several threads."""
+
+    def __init__(self, address: str, pki: Path) -> None:
+        self.address = address
+        self._context = ssl.create_default_context(cafile=str(pki / "ca.crt"))
+        self._context.load_cert_chain(pki / "admin.crt", pki / "admin.key")
+        self._connection: http.client.HTTPSConnection | None = None
+
+    def ready(self) -> bool:
+        """True when /readyz says ok."""
+        try:
+            return self._request("GET", "/readyz")[0] == http.client.OK
+        except UnreachableError:
+            return False
+
+    def get(self, path: str) -> dict[str, Any]:
+        """The object or list at `path`; raises SetUpError with the server's message."""
+        return self._document("GET", path)
+
+    def apply(self, path: str, manifest: dict[str, Any]) -> dict[str, Any]:
+        """Server-side apply of `manifest` at `path` (with its name)."""
+        return self._document("PATCH", f"{path}?{MANAGER}", json.dumps(manifest).encode(), APPLY)
+
+    def _document(self, method: str, path: str, body: bytes | None = None, kind: str = "") -> dict[str, Any]:
+        try:
+            status, answer = self._request(method, path, body, kind)
+        except UnreachableError as error:
+            raise SetUpError(f"the API server at {self.address} does not answer: {error}") from error
+        if status >= http.client.BAD_REQUEST:
+            raise SetUpError(f"{method} {path}: {status} {answer[:300].decode(errors='replace')}")
+        document: dict[str, Any] = json.loads(answer)
+        return document
+
+    def _request(self, method: str, path: str, body: bytes | None = None, kind: str = "") -> tuple[int, bytes]:
+        headers = {"Accept": "application/json"} | ({"Content-Type": kind} if kind else {})
+        try:
+            if self._connection is None:
+                self._connection = http.client.HTTPSConnection(
+                    self.address, 6443, context=self._context, timeout=TIMEOUT_SECONDS
+                )
+            self._connection.request(method, path, body, headers)
+            response = self._connection.getresponse()
+            return response.status, response.read()
+        except (OSError, http.client.HTTPException) as error:
+            if self._connection is not None:
+                self._connection.close()
+            self._connection = None
+            raise UnreachableError(str(error)) from error

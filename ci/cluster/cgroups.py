@@ -1,0 +1,128 @@
+"""Control groups of a cluster, version 1 (each controller a hierarchy) and version 2 (one hierarchy).
+
+    /robotkube-<cluster>/daemons/<process>   the processes of the cluster itself
+    /robotkube-<cluster>/<node>/...          kubelet's cgroupRoot, with the pods below
+
+On version 1 the daemons are put into the accounting hierarchy only; the others stay as the caller has them.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path("/sys/fs/cgroup")
+ACCOUNTING = "cpuacct"
+CPUSET_FILES = ("cpuset.cpus", "cpuset.mems")
+REMOVAL_ATTEMPTS = 50
+REMOVAL_PAUSE_SECONDS = 0.1
+CONTROLLERS_V2 = ("cpuset", "cpu", "io", "memory", "pids")
+
+
+def unified() -> bool:
+    """True on version 2, False on version 1 and hybrid."""
+    return (ROOT / "cgroup.controllers").exists()
+
+
+def hierarchies() -> tuple[Path, ...]:
+    """Mount points of all hierarchies; one on version 2. Links (cpu -> cpu,cpuacct) are not listed twice."""
+    if unified():
+        return (ROOT,)
+    return tuple(sorted({entry.resolve() for entry in ROOT.iterdir() if (entry / "cgroup.procs").exists()}))
+
+
+def top(cluster: str) -> str:
+    """The cluster's folder in every hierarchy."""
+    return f"robotkube-{cluster}"
+
+
+def daemon_folder(cluster: str, process: str) -> Path:
+    """The folder a daemon joins, made if it is not there."""
+    base = ROOT if unified() else (ROOT / ACCOUNTING).resolve()
+    folder = base / top(cluster) / "daemons" / process
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def node_root(cluster: str, node: str) -> str:
+    """Make a node's folder in every hierarchy; returns it as kubelet's cgroupRoot. cpusets begin empty on version 1."""
+    for hierarchy in hierarchies():
+        folder = hierarchy
+        for part in (top(cluster), node):
+            if unified():
+                _delegate(folder)
+            folder = folder / part
+            folder.mkdir(exist_ok=True)
+            _inherit_cpuset(hierarchy, folder)
+    return f"/{top(cluster)}/{node}"
+
+
+def _inherit_cpuset(hierarchy: Path, folder: Path) -> None:
+    if unified():
+        return
+    for name in CPUSET_FILES:
+        if (folder / name).exists():
+            (folder / name).write_text((hierarchy / name).read_text())
+
+
+def _delegate(folder: Path) -> None:
+    available = (folder / "cgroup.controllers").read_text().split()
+    wanted = " ".join(f"+{name}" for name in CONTROLLERS_V2 if name in available)
+    (folder / "cgroup.subtree_control").write_text(wanted)
+
+
+def folders(cluster: str) -> tuple[Path, ...]:
+    """Every folder of the cluster in every hierarchy, the deepest first."""
+    found = [
+        Path(parent) for hierarchy in hierarchies() for parent, _, _ in os.walk(hierarchy / top(cluster), topdown=False)
+    ]
+    return tuple(found)
+
+
+def processes(cluster: str) -> set[int]:
+    """Process ids in any folder of the cluster."""
+    return {pid for folder in folders(cluster) for pid in _members(folder)}
+
+
+def _members(folder: Path) -> Iterator[int]:
+    try:
+        yield from map(int, (folder / "cgroup.procs").read_text().split())
+    except OSError:
+        return  # the folder went away meanwhile, or is a threaded one
+
+
+def remove(cluster: str) -> tuple[Path, ...]:
+    """Remove the cluster's folders; returns those that stayed after the bounded attempts."""
+    for _ in range(REMOVAL_ATTEMPTS):
+        for folder in folders(cluster):
+            try:
+                folder.rmdir()
+            except OSError:
+                continue  # still has members: the next attempt finds it
+        if not folders(cluster):
+            return ()
+        time.sleep(REMOVAL_PAUSE_SECONDS)
+    return folders(cluster)
+
+
+def cpu_seconds(cluster: str, process: str) -> float | None:
+    """Seconds of processor time of a daemon and all its children, the ended ones included; None if it has no folder."""
+    base = ROOT if unified() else (ROOT / ACCOUNTING).resolve()
+    folder = base / top(cluster) / "daemons" / process
+    try:
+        if not unified():
+            return int((folder / "cpuacct.usage").read_text()) / 1e9
+        fields = dict(line.split() for line in (folder / "cpu.stat").read_text().splitlines())
+        return int(fields["usage_usec"]) / 1e6
+    except OSError:
+        return None
+
+
+def prove_writable() -> None:
+    """Make and remove a folder in every hierarchy; raises OSError."""
+    for hierarchy in hierarchies():
+        trial = hierarchy / f"robotkube-trial-{os.getpid()}"
+        trial.mkdir()
+        trial.rmdir()

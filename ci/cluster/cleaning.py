@@ -1,0 +1,70 @@
+"""Removing a cluster completely, also one whose start was killed half-way, and proving it."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+from ci.cluster import cgroups, network, processes
+from ci.cluster.addresses import plan_of
+from ci.cluster.records import ClusterFolders, Record
+from ci.errors import SetUpError
+
+
+def remove(name: str, keep_logs: bool = True) -> None:
+    """Undo everything a start of this cluster did, in an order in which nothing comes back.
+
+    Mounts and network namespaces of the nodes end with their last process. Raises SetUpError listing what is left.
+    """
+    folders, plan = ClusterFolders(name), plan_of(name)
+    record = Record.read(folders.record)
+    processes.kill_all(name)
+    network.remove(plan)
+    cgroups.remove(name)
+    _unmount(folders.base)
+    network.restore_sysctls(record)
+    for folder in reversed(record.made_folders):
+        if Path(folder).is_dir() and not any(Path(folder).iterdir()):
+            Path(folder).rmdir()
+    left = leftovers(name)
+    if left:
+        raise SetUpError(f"cluster {name} could not be removed completely; left are: {'; '.join(left)}")
+    _remove_files(folders, keep_logs)
+
+
+def leftovers(name: str) -> tuple[str, ...]:
+    """Everything of the cluster that is on the machine outside of the cache folder; empty when there is nothing."""
+    folders, plan = ClusterFolders(name), plan_of(name)
+    record = Record.read(folders.record)
+    found = [f"process {pid}" for pid in sorted(processes.strays(name))]
+    found += [f"link {link}" for link in network.links(plan)]
+    found += [f"nftables {table}" for table in network.tables(plan)]
+    found += [f"route {route}" for route in network.routes(plan)]
+    found += [f"cgroup {folder}" for folder in cgroups.folders(name)]
+    found += [f"mount {place}" for place in _mounts(folders.base)]
+    found += [f"folder {folder}" for folder in record.made_folders if Path(folder).exists()]
+    return tuple(found)
+
+
+def _mounts(base: Path) -> tuple[str, ...]:
+    lines = Path("/proc/self/mountinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+    places = (line.split()[4] for line in lines)
+    return tuple(place for place in places if place.startswith(f"{base}/"))
+
+
+def _unmount(base: Path) -> None:
+    for place in reversed(_mounts(base)):
+        subprocess.run(["umount", "--lazy", place], capture_output=True, timeout=30, check=False)
+
+
+def _remove_files(folders: ClusterFolders, keep_logs: bool) -> None:
+    if not folders.base.is_dir():
+        return
+    for entry in folders.base.iterdir():
+        if entry == folders.log and keep_logs:
+            continue
+        if entry.is_dir() and not entry.is_symlink():
+            shutil.rmtree(entry)
+        else:
+            entry.unlink()

@@ -1,0 +1,199 @@
+"""The provider `embedded`: a Kubernetes cluster of this machine's processes, one network namespace per node."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
+from pathlib import Path
+from typing import TypeVar
+
+from ci.cluster import cleaning, control_plane, images, network, node_processes, objects, status
+from ci.cluster.addresses import PLANS, AddressPlan, plan_of
+from ci.cluster.api import Api
+from ci.cluster.node_processes import Node
+from ci.cluster.pki import Authority
+from ci.cluster.processes import Launcher, Process, recorded, wait_until
+from ci.cluster.provider import NodeState
+from ci.cluster.records import ClusterFolders, Record
+from ci.cluster.topology import Topology
+from ci.errors import SetUpError
+from ci.steps import Step, Steps
+
+STEPS = 7
+API_TIMEOUT_SECONDS = 60
+HOLD_TIMEOUT_SECONDS = 15
+CONTAINERD_TIMEOUT_SECONDS = 60
+READY_TIMEOUT_SECONDS = 120
+PARALLEL = 4
+T = TypeVar("T")
+
+
+class Embedded:
+    """One cluster by name; its state is on disk, so any process may make this object."""
+
+    def __init__(self, name: str, binaries: Path) -> None:
+        self.name = name
+        self.plan: AddressPlan = plan_of(name)
+        self.folders = ClusterFolders(name)
+        self.binaries = binaries
+        self.launcher = Launcher(self.folders, binaries)
+
+    def up(self, topology: Topology, wanted: Sequence[images.Image]) -> None:
+        """See Provider.up. A start that fails leaves its logs and is removed by the next `up` or `down`."""
+        steps = Steps(STEPS)
+        record = Record.read(self.folders.record)
+        if self._reusable(record, topology):
+            with steps.step(f"cluster {self.name}: running, of the same topology") as step:
+                self._import_new(wanted, step)
+            return
+        with steps.step("remove what is left of earlier starts"):
+            self._stop_others()
+            cleaning.remove(self.name, keep_logs=False)
+        self._start(topology, wanted, steps)
+
+    def down(self) -> None:
+        """See Provider.down."""
+        cleaning.remove(self.name)
+
+    def status(self) -> str:
+        """See Provider.status."""
+        return status.table(self.name, self.api(), recorded(self.folders))
+
+    def kubeconfig(self) -> Path:
+        """See Provider.kubeconfig."""
+        return self.folders.kubeconfig
+
+    def api(self) -> Api:
+        """A connection as administrator; raises SetUpError when there is no cluster."""
+        if not self.folders.kubeconfig.exists():
+            raise SetUpError(f"cluster {self.name} is not running: start it with make cluster")
+        return Api(str(self.plan.gateway), self.folders.pki)
+
+    def nodes(self) -> tuple[NodeState, ...]:
+        """See Provider.nodes."""
+        return status.nodes(self.api())
+
+    def import_images(self, wanted: Sequence[images.Image]) -> None:
+        """See Provider.import_images."""
+        sockets = [
+            node_processes.socket_of(process) for process in recorded(self.folders) if process.name.endswith(".node")
+        ]
+        jobs = [(image, socket) for image in wanted for socket in sockets]
+        _in_parallel(lambda job: images.import_one(job[0], job[1], self.binaries), jobs)
+
+    def volume_path(self, namespace: str, claim: str) -> Path:
+        """See Provider.volume_path."""
+        return objects.volume_path(self.api(), namespace, claim)
+
+    def _reusable(self, record: Record, topology: Topology) -> bool:
+        if not record.complete or record.specification != self._specification(topology):
+            return False
+        found = recorded(self.folders)
+        if not found or not all(process.alive() for process in found):
+            return False
+        api = self.api()
+        return api.ready() and all(node.ready for node in status.nodes(api))
+
+    def _specification(self, topology: Topology) -> str:
+        parts = [str(self.binaries), json.dumps([asdict(node) for node in topology.nodes])]
+        parts += [path.read_text(encoding="utf-8") for path in sorted(Path(__file__).parent.glob("*.py"))]
+        return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+    def _import_new(self, wanted: Sequence[images.Image], step: Step) -> None:
+        record = Record.read(self.folders.record)
+        new = [image for image in wanted if record.images.get(image.name) != image.reference]
+        self.import_images(new)
+        record.images.update({image.name: image.reference for image in new})
+        record.write(self.folders.record)
+        step.note = f"{len(new)} new images"
+
+    def _stop_others(self) -> None:
+        for other in PLANS:
+            if other != self.name and cleaning.leftovers(other):
+                print(f"stopping the cluster {other!r}: only one can run at a time", flush=True)
+                cleaning.remove(other)
+
+    def _start(self, topology: Topology, wanted: Sequence[images.Image], steps: Steps) -> None:
+        placed = node_processes.nodes_of(topology.nodes, self.plan, self.folders)
+        for node in placed:
+            node_processes.reserved(node.spec)
+        record = Record(self._specification(topology))
+        with steps.step(f"images for {len(placed)} nodes") as step:
+            root, cached = images.imported(wanted, self.launcher)
+            step.note = "cached" if cached else f"{len(wanted)} imported"
+        with steps.step("certificates"):
+            self._credentials(placed)
+        with steps.step("network"):
+            holders = self._network(placed, record)
+        with steps.step("control plane and containerd"):
+            api, kernel = self._control_plane()
+            runtimes = self._runtimes(placed, holders, root, images.sandbox_of(wanted))
+            wait_until(api.ready, "the API server", API_TIMEOUT_SECONDS, kernel)
+            control_plane.start_controllers(self.launcher, self.plan)
+        with steps.step("kubelets, name service, volumes"):
+            self._kubelets(placed, holders, runtimes)
+            objects.create(api, placed)
+            control_plane.start_name_service(self.launcher, self.plan)
+        with steps.step(f"{len(placed)} nodes Ready"):
+            self._wait_ready(api, len(placed))
+        record.images = {image.name: image.reference for image in wanted}
+        record.complete = True
+        record.write(self.folders.record)
+
+    def _credentials(self, placed: Sequence[Node]) -> None:
+        self.folders.base.mkdir(parents=True, exist_ok=True)
+        authority = Authority(self.folders.pki)
+        control_plane.write_credentials(authority, self.plan, self.folders)
+        for node in placed:
+            node.folder.mkdir(parents=True)
+        _in_parallel(lambda node: node_processes.write_credentials(node, authority), placed)
+
+    def _network(self, placed: Sequence[Node], record: Record) -> list[Process]:
+        missing = node_processes.missing_places()
+        record.made_folders = [str(path) for path in missing]
+        network.set_sysctls(record, self.folders.record)
+        for path in missing:
+            path.mkdir()
+        network.create_bridge(self.plan)
+        holders = [node_processes.hold(node, self.launcher) for node in placed]
+        wait_until(lambda: all(node.held.exists() for node in placed), "namespaces", HOLD_TIMEOUT_SECONDS, holders)
+        network.connect(self.plan, [holder.pid for holder in holders])
+        return holders
+
+    def _control_plane(self) -> tuple[Api, list[Process]]:
+        kernel = [control_plane.start_etcd(self.launcher, self.plan)]
+        kernel.append(control_plane.start_api_server(self.launcher, self.plan))
+        return self.api(), kernel
+
+    def _runtimes(self, placed: Sequence[Node], holders: Sequence[Process], root: Path, sandbox: str) -> list[Process]:
+        runtimes = []
+        for node, holder in zip(placed, holders, strict=True):
+            images.clone(root, node.folder / "containerd")
+            runtimes.append(node_processes.start_containerd(node, self.launcher, holder, sandbox))
+        return runtimes
+
+    def _kubelets(self, placed: Sequence[Node], holders: Sequence[Process], runtimes: Sequence[Process]) -> None:
+        sockets = [node_processes.socket_of(holder) for holder in holders]
+        wait_until(
+            lambda: all(socket.exists() for socket in sockets), "containerd", CONTAINERD_TIMEOUT_SECONDS, runtimes
+        )
+        for node, holder in zip(placed, holders, strict=True):
+            node_processes.start_kubelet(node, self.launcher, holder)
+            node_processes.start_proxy(node, self.launcher, holder)
+
+    def _wait_ready(self, api: Api, count: int) -> None:
+        def ready() -> bool:
+            found = status.nodes(api)
+            return len(found) == count and all(node.ready for node in found)
+
+        wait_until(ready, "all nodes Ready", READY_TIMEOUT_SECONDS, recorded(self.folders))
+
+
+def _in_parallel(work: Callable[[T], None], items: Sequence[T]) -> None:
+    """Do `work` on all items; the first error is raised."""
+    with ThreadPoolExecutor(PARALLEL) as pool:
+        for _ in pool.map(work, items):
+            pass

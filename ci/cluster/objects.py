@@ -1,0 +1,104 @@
+"""Objects a fresh cluster gets from its provider: rights of its processes, the StorageClass, volumes made in advance."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from ci.cluster.api import Api
+from ci.cluster.node_processes import Node
+from ci.errors import SetUpError
+
+STORAGE_CLASS = "local"
+VOLUME_SIZE = "20Gi"
+VOLUMES_PER_ROLE = {"platform": 6, "cloud": 4}
+VOLUMES_OTHERWISE = 3
+RBAC = "/apis/rbac.authorization.k8s.io/v1"
+
+
+def create(api: Api, nodes: tuple[Node, ...]) -> None:
+    """Apply all objects and make the volumes' folders."""
+    for path, manifest in [*_rights(), _storage_class()]:
+        api.apply(path, manifest)
+    for node in nodes:
+        for name, folder in volumes(node):
+            folder.mkdir(parents=True, exist_ok=True)
+            api.apply(f"/api/v1/persistentvolumes/{name}", persistent_volume(node, name, folder))
+
+
+def volumes(node: Node) -> tuple[tuple[str, Path], ...]:
+    """Names and folders of the node's volumes."""
+    count = VOLUMES_PER_ROLE.get(node.spec.role, VOLUMES_OTHERWISE)
+    return tuple((f"{node.name}-{number}", node.folders.volumes / node.name / str(number)) for number in range(count))
+
+
+def persistent_volume(node: Node, name: str, folder: Path) -> dict[str, Any]:
+    """A local volume that only this node's pods can use; kept when its claim goes."""
+    here = {"key": "kubernetes.io/hostname", "operator": "In", "values": [node.name]}
+    return {
+        "apiVersion": "v1",
+        "kind": "PersistentVolume",
+        "metadata": {"name": name, "labels": node.spec.labels},
+        "spec": {
+            "accessModes": ["ReadWriteOnce"],
+            "capacity": {"storage": VOLUME_SIZE},
+            "local": {"path": str(folder)},
+            "nodeAffinity": {"required": {"nodeSelectorTerms": [{"matchExpressions": [here]}]}},
+            "persistentVolumeReclaimPolicy": "Retain",
+            "storageClassName": STORAGE_CLASS,
+        },
+    }
+
+
+def volume_path(api: Api, namespace: str, claim: str) -> Path:
+    """The folder of the host behind a bound claim; raises SetUpError saying in which state the claim is otherwise."""
+    found = api.get(f"/api/v1/namespaces/{namespace}/persistentvolumeclaims/{claim}")
+    volume = found["spec"].get("volumeName")
+    if not volume:
+        phase = found.get("status", {}).get("phase", "unknown")
+        raise SetUpError(f"claim {namespace}/{claim} has no volume (phase {phase}): start a pod that uses it")
+    return Path(api.get(f"/api/v1/persistentvolumes/{volume}")["spec"]["local"]["path"])
+
+
+def _storage_class() -> tuple[str, dict[str, Any]]:
+    manifest = {
+        "apiVersion": "storage.k8s.io/v1",
+        "kind": "StorageClass",
+        "metadata": {
+            "name": STORAGE_CLASS,
+            "annotations": {"storageclass.kubernetes.io/is-default-class": "true"},
+        },
+        "provisioner": "kubernetes.io/no-provisioner",
+        "volumeBindingMode": "WaitForFirstConsumer",
+        "reclaimPolicy": "Retain",
+    }
+    return f"/apis/storage.k8s.io/v1/storageclasses/{STORAGE_CLASS}", manifest
+
+
+def _rights() -> list[tuple[str, dict[str, Any]]]:
+    names = [
+        {"apiGroups": [""], "resources": ["services", "namespaces"], "verbs": ["list", "watch"]},
+        {"apiGroups": ["discovery.k8s.io"], "resources": ["endpointslices"], "verbs": ["list", "watch"]},
+    ]
+    role = {
+        "apiVersion": "rbac.authorization.k8s.io/v1",
+        "kind": "ClusterRole",
+        "metadata": {"name": "robotkube:name-service"},
+        "rules": names,
+    }
+    return [
+        (f"{RBAC}/clusterroles/robotkube:name-service", role),
+        _binding("robotkube:name-service", "robotkube:name-service"),
+        _binding("robotkube:kubelet-client", "system:kubelet-api-admin"),
+    ]
+
+
+def _binding(user: str, role: str) -> tuple[str, dict[str, Any]]:
+    manifest = {
+        "apiVersion": "rbac.authorization.k8s.io/v1",
+        "kind": "ClusterRoleBinding",
+        "metadata": {"name": user},
+        "roleRef": {"apiGroup": "rbac.authorization.k8s.io", "kind": "ClusterRole", "name": role},
+        "subjects": [{"apiGroup": "rbac.authorization.k8s.io", "kind": "User", "name": user}],
+    }
+    return f"{RBAC}/clusterrolebindings/{user}", manifest
