@@ -1,0 +1,92 @@
+"""`make demo`: from nothing to the scenario's report. Every step is idempotent and says what it found in the cache.
+
+    python -m ci.demo SCENARIO [--set vehicles=3] [--until cluster|platform] [--name demo]
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from ci import preparing, publish
+from ci.cluster import topology
+from ci.cluster.__main__ import overrides
+from ci.cluster.embedded import Embedded
+from ci.cluster.records import ClusterFolders
+from ci.errors import InputError, SetUpError
+from ci.installation import Installer
+from ci.steps import Steps
+from scenarios.definition import ScenarioError
+from scenarios.runner import running
+
+STOPS = ("cluster", "platform", "scenario")
+STEPS = {"cluster": 3, "platform": 6, "scenario": 7}
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is to be run: scenario folder, overrides of its parameters, cluster name, last step."""
+
+    scenario: Path
+    settings: dict[str, str]
+    name: str
+    until: str
+
+
+def bring_up(request: Request, steps: Steps) -> Installer:
+    """Tool chain, images, cluster, Argo CD, platform, catalogue. Returns the installer of the running cluster."""
+    wanted = topology.read(request.scenario / "scenario.yaml", request.settings)
+    with steps.step("tool chain"):
+        binaries = preparing.tool_chain()
+    with steps.step("images"):
+        prepared = preparing.everything()
+    provider = Embedded(request.name, binaries)
+    with steps.step("cluster"):
+        provider.up(wanted, prepared.images)
+    folders = ClusterFolders(request.name)
+    installer = Installer(binaries, folders.kubeconfig, folders.base / "values")
+    if request.until == "cluster":
+        return installer
+    with steps.step("Argo CD"):
+        installer.argocd(prepared.references())
+    with steps.step("platform"):
+        installer.platform(prepared.references(), wanted)
+    with steps.step("catalogue"):
+        publish.publish(folders.kubeconfig)
+    return installer
+
+
+def run(request: Request) -> int:
+    """Exit code of the whole: the scenario's when it ran."""
+    if not (request.scenario / "scenario.yaml").is_file():
+        raise InputError(f"{request.scenario}: no scenario.yaml there; give a folder of scenarios/")
+    steps = Steps(STEPS[request.until])
+    installer = bring_up(request, steps)
+    if request.until != "scenario":
+        print(f"export KUBECONFIG={installer.kubeconfig}")
+        return 0
+    with steps.step("scenario"):
+        return running.run(request.scenario, request.name, request.settings, set_up_seconds=dict(steps.seconds))
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="make demo", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenario", type=Path)
+    parser.add_argument("--set", action="append", default=[], metavar="PARAMETER=VALUE")
+    parser.add_argument("--name", default="demo")
+    parser.add_argument("--until", choices=STOPS, default="scenario")
+    given = parser.parse_args()
+    try:
+        return run(Request(given.scenario, overrides(given.set), given.name, given.until))
+    except (SetUpError, ScenarioError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return getattr(error, "exit_code", 1)
+    except KeyboardInterrupt:
+        print("interrupted; what was finished is kept, `make down` removes what runs", file=sys.stderr)
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())

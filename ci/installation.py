@@ -1,0 +1,130 @@
+"""Installs the platform on a running cluster, as a person would: Argo CD from its own manifests, then `helm install robotkube`.
+
+Nothing here knows how the cluster was made. Every wait has a bound; a wait that runs out says which object it waited for and shows the
+events and the last log lines of its pods.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ci import toolchain
+from ci.cluster.topology import Topology
+from ci.errors import SetUpError
+from ci.folders import PROJECT
+
+NAMESPACE, ARGOCD = "robotkube", "argocd"
+CHART = PROJECT / "charts" / "robotkube"
+INSTALL_TIMEOUT_SECONDS = 420
+ROLLOUT_TIMEOUT_SECONDS = 240
+BAGS_SIZE = "2Gi"
+PLATFORM_IMAGES = ("platform", "mosquitto", "gitea", "ferretdb")
+LOG_LINES = 15
+
+
+@dataclass(frozen=True)
+class Installer:
+    """`kubectl` and `helm` against one cluster; `work` is a folder for the values files that are generated."""
+
+    binaries: Path
+    kubeconfig: Path
+    work: Path
+
+    def kubectl(self, *arguments: str, text: str | None = None, seconds: int = 60) -> str:
+        """Run kubectl; SetUpError with its message when it fails."""
+        return self._run("kubectl", arguments, text, seconds)
+
+    def helm(self, *arguments: str, seconds: int = INSTALL_TIMEOUT_SECONDS + 30) -> str:
+        """Run helm; SetUpError with its message when it fails."""
+        return self._run("helm", arguments, None, seconds)
+
+    def _run(self, program: str, arguments: Sequence[str], text: str | None, seconds: int) -> str:
+        command = [str(self.binaries / program), "--kubeconfig", str(self.kubeconfig), *arguments]
+        try:
+            done = subprocess.run(command, input=text, capture_output=True, text=True, timeout=seconds, check=False)
+        except subprocess.TimeoutExpired as error:
+            raise SetUpError(f"{program} {' '.join(arguments[:4])}: no answer within {seconds} s") from error
+        if done.returncode:
+            raise SetUpError(f"{program} {' '.join(arguments[:4])}: {done.stderr.strip()[-1500:]}")
+        return done.stdout
+
+    def argocd(self, references: Mapping[str, str]) -> None:
+        """Apply Argo CD's own manifests, with our images, and wait until its definitions are known."""
+        from gitops.argocd import render
+
+        source = toolchain.module_folder("github.com/argoproj/argo-cd/v3") / "manifests" / "install.yaml"
+        manifests = render.render(source.read_text(encoding="utf-8"), references)
+        namespace = {"apiVersion": "v1", "kind": "Namespace", "metadata": {"name": ARGOCD}}
+        self.kubectl("apply", "--server-side", "--force-conflicts", "-f", "-", text=yaml.safe_dump(namespace))
+        apply = ("apply", "--server-side", "--force-conflicts", "-n", ARGOCD, "-f", "-")
+        self.kubectl(*apply, text=manifests, seconds=120)
+        kinds = [f"crd/{kind}.argoproj.io" for kind in ("applications", "applicationsets", "appprojects")]
+        self.kubectl("wait", "--for=condition=Established", "--timeout=60s", *kinds, seconds=70)
+
+    def platform(self, references: Mapping[str, str], topology: Topology) -> None:
+        """`helm upgrade --install robotkube`, with the embedded profile, the images' digests and the topology's agents."""
+        values = self.work / "values.yaml"
+        self.work.mkdir(parents=True, exist_ok=True)
+        values.write_text(yaml.safe_dump(platform_values(references, topology)), encoding="utf-8")
+        options = ["-n", NAMESPACE, "--create-namespace", "-f", str(CHART / "values-embedded.yaml"), "-f", str(values)]
+        try:
+            self.helm("upgrade", "--install", NAMESPACE, str(CHART), *options, "--timeout", f"{INSTALL_TIMEOUT_SECONDS}s")
+        except SetUpError as error:
+            raise SetUpError(f"{error}\n{self.state(NAMESPACE)}\n{self.state(ARGOCD)}") from error
+        for namespace in (NAMESPACE, ARGOCD):
+            self.rollout(namespace)
+
+    def rollout(self, namespace: str) -> None:
+        """Wait until every Deployment and StatefulSet of a namespace is rolled out."""
+        listed = json.loads(self.kubectl("-n", namespace, "get", "deployments,statefulsets", "-o", "json"))
+        for item in listed["items"]:
+            name = f"{item['kind'].lower()}/{item['metadata']['name']}"
+            wait = ("-n", namespace, "rollout", "status", name, f"--timeout={ROLLOUT_TIMEOUT_SECONDS}s")
+            try:
+                self.kubectl(*wait, seconds=ROLLOUT_TIMEOUT_SECONDS + 10)
+            except SetUpError as error:
+                raise SetUpError(f"{error}\n{self.state(namespace)}") from error
+
+    def state(self, namespace: str) -> str:
+        """Pods of a namespace, and events and last log lines of those that are not ready: what a person would look at first."""
+        try:
+            pods = json.loads(self.kubectl("-n", namespace, "get", "pods", "-o", "json"))["items"]
+            lines = [self.kubectl("-n", namespace, "get", "pods", "-o", "wide")]
+            for pod in filter(_not_ready, pods):
+                name = pod["metadata"]["name"]
+                field = f"--field-selector=involvedObject.name={name}"
+                lines.append(self.kubectl("-n", namespace, "get", "events", field))
+                tail = ("logs", name, "--all-containers", f"--tail={LOG_LINES}", "--ignore-errors")
+                lines.append(self.kubectl("-n", namespace, *tail))
+        except SetUpError as error:
+            return f"(state of {namespace} cannot be read: {error})"
+        return "\n".join(lines)
+
+
+def _not_ready(pod: Mapping[str, Any]) -> bool:
+    if pod["status"].get("phase") == "Succeeded":
+        return False
+    conditions = pod["status"].get("conditions", [])
+    return not any(entry["type"] == "Ready" and entry["status"] == "True" for entry in conditions)
+
+
+def platform_values(references: Mapping[str, str], topology: Topology) -> dict[str, Any]:
+    """Values of charts/robotkube for a topology: one agent per machine outside the platform."""
+    agents: dict[str, dict[str, Any]] = {}
+    for node in topology.nodes:
+        if node.role == "platform":
+            continue
+        agent: dict[str, Any] = {"name": node.agent, "role": node.role}
+        if "recording" in node.capabilities:
+            agent["records"] = True
+        if node.role == "vehicle":
+            agent["claims"] = [{"name": "bags", "size": BAGS_SIZE}]
+        agents.setdefault(node.agent, agent)
+    return {"images": {name: references[name] for name in PLATFORM_IMAGES}, "agents": list(agents.values())}

@@ -1,0 +1,48 @@
+"""What other commands stand on: Debian packages, tool chain, images. Each step is cached, and done once per process."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from pathlib import Path
+
+from ci import packages, preflight, toolchain
+from ci.cluster.images import Image, lock_file, read_lock
+from ci.images.building import build_images
+from ci.steps import Steps
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """Programs of the tool chain, and the images by name (as the lock file lists them)."""
+
+    binaries: Path
+    images: tuple[Image, ...]
+
+    def references(self) -> dict[str, str]:
+        """Image name -> repository@digest."""
+        return {image.name: image.reference for image in self.images}
+
+
+@functools.cache
+def tool_chain() -> Path:
+    """Folder of the programs, built when they are not in the cache."""
+    preflight.require()
+    packages.ensure("toolchain", "cluster", "images")
+    return toolchain.ensure().binaries
+
+
+@functools.cache
+def everything() -> Prepared:
+    """Tool chain and images."""
+    binaries = tool_chain()
+    build_images(binaries, steps=Steps(10))
+    return Prepared(binaries, tuple(read_lock(lock_file())))
+
+
+def prepare(needs: str) -> None:
+    """`nothing`, `toolchain` or `images`: make it so."""
+    if needs == "toolchain":
+        tool_chain()
+    elif needs == "images":
+        everything()
