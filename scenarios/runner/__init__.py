@@ -1,0 +1,1 @@
+"""Runs a scenario on a running platform, measures it from its data, and reports."""

@@ -1,0 +1,73 @@
+"""Whether every commit of the deployment repository can be traced to its cause: a merged pull request and all
+trailers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from scenarios.runner.inputs import Commit, PullRequest, RunInputs
+
+PLAN_TRAILERS = ("Plan", "Trace", "Chart", "Evidence")
+TASK_TRAILERS = ("Task", "Event", "Rule")
+PEOPLE_MAY_TOUCH = "policies/"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One commit with its pull request and what is missing, empty when it is complete."""
+
+    commit: Commit
+    pull_request: int | None
+    missing: tuple[str, ...]
+
+    def row(self) -> Mapping[str, object]:
+        """The entry by the names of the report."""
+        trailers = self.commit.trailers
+        return {
+            "task": " ".join(trailers.get("Task", ())) or None,
+            "event": " ".join(trailers.get("Event", ())) or None,
+            "pull_request": self.pull_request,
+            "commit": self.commit.sha,
+            "subject": self.commit.subject,
+            "trailers": {f"RobotKube-{name}": list(values) for name, values in sorted(trailers.items())},
+            "missing": list(self.missing),
+        }
+
+
+def entries(inputs: RunInputs) -> tuple[Entry, ...]:
+    """All commits of main but the seed, oldest first."""
+    merged = {request.commit: request for request in inputs.pull_requests if request.merged and request.commit}
+    commits = sorted((commit for commit in inputs.commits if commit.parents), key=lambda commit: commit.time)
+    return tuple(_entry(commit, merged.get(commit.sha)) for commit in commits)
+
+
+def complete(inputs: RunInputs, found: Sequence[Entry]) -> bool | None:
+    """Whether nothing is missing in any commit and every merged plan is a commit of main; None when there is
+    nothing."""
+    if not found:
+        return None
+    known = {commit.sha for commit in inputs.commits}
+    plans = all(plan.commit in known for plan in inputs.plans if plan.merged)
+    one_root = sum(not commit.parents for commit in inputs.commits) == 1
+    return plans and one_root and not any(entry.missing for entry in found)
+
+
+def _entry(commit: Commit, request: PullRequest | None) -> Entry:
+    missing = [] if request else ["merged pull request"]
+    if not _of_a_person(commit):
+        missing += [f"RobotKube-{name}" for name in _missing_trailers(commit.trailers)]
+    return Entry(commit, request.number if request else None, tuple(missing))
+
+
+def _of_a_person(commit: Commit) -> bool:
+    """People change policies only, and their commits carry no plan; whatever touches releases is a plan's."""
+    return bool(commit.paths) and all(path.startswith(PEOPLE_MAY_TOUCH) for path in commit.paths)
+
+
+def _missing_trailers(trailers: Mapping[str, tuple[str, ...]]) -> list[str]:
+    missing = [name for name in PLAN_TRAILERS if not trailers.get(name)]
+    if trailers.get("Cause") == ("initial",) and not trailers.get("Task"):
+        return missing
+    tasks = len(trailers.get("Task", ()))
+    return missing + [name for name in TASK_TRAILERS if len(trailers.get(name, ())) != tasks or not tasks]

@@ -1,0 +1,84 @@
+"""What a run had to show and what it showed. Pure: the same inputs give the same table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from scenarios.definition import Bound, Scenario
+from scenarios.runner import audit, measures
+from scenarios.runner.encounters import Encounter
+from scenarios.runner.inputs import RunInputs
+
+Value = float | int | bool | None
+Measure = Callable[[Scenario, RunInputs, Sequence[Encounter]], Value]
+
+
+@dataclass(frozen=True)
+class Expectation:
+    """One line of the table; `measured` is None when the inputs do not tell."""
+
+    name: str
+    expected: str
+    measured: Value
+    passed: bool
+
+
+def judge(scenario: Scenario, inputs: RunInputs, encounters: Sequence[Encounter]) -> tuple[Expectation, ...]:
+    """The table: the number of encounters first, then the scenario's expectations in their order."""
+    seen = Expectation(
+        "encounters",
+        f"= {scenario.parameters.encounters}",
+        len(encounters),
+        len(encounters) == scenario.parameters.encounters,
+    )
+    rows = [
+        _row(name, bound, MEASURES[name](scenario, inputs, encounters)) for name, bound in scenario.expectations.items()
+    ]
+    return (seen, *rows)
+
+
+def _row(name: str, bound: Bound, measured: Value) -> Expectation:
+    return Expectation(name, str(bound), measured, bound.holds(measured))
+
+
+def _payloads_equal(_: Scenario, inputs: RunInputs, encounters: Sequence[Encounter]) -> Value:
+    if not inputs.ledgers or not any(encounter.readable for encounter in encounters):
+        return None
+    return not any(encounter.unequal for encounter in encounters)
+
+
+def _transforms(_: Scenario, inputs: RunInputs, encounters: Sequence[Encounter]) -> Value:
+    return not any(encounter.transforms_missing for encounter in encounters) if encounters else None
+
+
+def _first_cloud(_: Scenario, inputs: RunInputs, encounters: Sequence[Encounter]) -> Value:
+    return measures.worst(
+        measures.latencies(encounter)["event_to_first_point_cloud_stored"] for encounter in encounters
+    )
+
+
+def _removed(_: Scenario, inputs: RunInputs, encounters: Sequence[Encounter]) -> Value:
+    return measures.worst(measures.latencies(encounter)["stop_to_removed"] for encounter in encounters)
+
+
+def _releases_equal(_: Scenario, inputs: RunInputs, encounters: Sequence[Encounter]) -> Value:
+    return inputs.releases_before == inputs.releases_after if inputs.releases_before else None
+
+
+MEASURES: dict[str, Measure] = {
+    "pose_hz_min": lambda scenario, inputs, _: measures.pose_hz_min(scenario, inputs),
+    "pose_age_p99_seconds": lambda scenario, inputs, _: measures.pose_age_seconds(scenario, inputs, 0.99),
+    "point_clouds_at_broker_before_event": lambda _, inputs, met: measures.clouds_before_event(inputs, met),
+    "poses_recorded_share": lambda scenario, _, met: measures.recorded_share(scenario, met, clouds=False),
+    "point_clouds_recorded_share": lambda scenario, _, met: measures.recorded_share(scenario, met, clouds=True),
+    "lost": lambda _, __, met: measures.recorded(met)["lost"],
+    "duplicates": lambda _, __, met: measures.recorded(met)["duplicates"],
+    "payloads_equal": _payloads_equal,
+    "transforms_in_every_recording": _transforms,
+    "event_to_first_point_cloud_seconds": _first_cloud,
+    "stop_to_removed_seconds": _removed,
+    "point_clouds_at_broker_after_removal": lambda _, inputs, met: measures.clouds_after_removal(inputs, met),
+    "releases_after_equal_before": _releases_equal,
+    "audit_complete": lambda _, inputs, __: audit.complete(inputs, audit.entries(inputs)),
+}

@@ -1,0 +1,183 @@
+"""What is known of a run when it has ended: plain values, gathered by `collecting` and judged by `expectations`.
+
+All times are integers in ns since 1970, unless a name says otherwise; None means: not seen, or not yet reached.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+NANOSECONDS = 1_000_000_000
+
+
+@dataclass(frozen=True)
+class LedgerLine:
+    """One message a player has published: number, header.stamp, hash of the whole serialised message."""
+
+    sequence: int
+    stamp: int
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Stored:
+    """One message found in storage. `sha256` is computed from the bytes read back: empty when they could not be read.
+
+    `received` and `stored` are the recorder's times: arrival, and acknowledgement by the database (large messages
+    only).
+    """
+
+    recording: str
+    topic: str
+    stamp: int
+    received: int
+    sha256: str
+    stored: int | None = None
+    volume: str | None = None
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A recording's provenance."""
+
+    name: str
+    task: str
+    event: str
+
+
+@dataclass(frozen=True)
+class Edge:
+    """A rule's rising (`start`) or falling (`stop`) edge as the event detector tells it."""
+
+    id: str
+    rule: str
+    edge: str
+    agents: tuple[str, ...]
+    time: int
+    stamp: int
+    distance_m: float | None
+    trace: str
+    task: str | None
+    done: int | None
+    error: str | None = None
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A plan as the manager tells it."""
+
+    plan: str
+    subject: str
+    cause: str
+    tasks: tuple[str, ...]
+    events: tuple[str, ...]
+    started: int
+    proposed: int | None
+    merged: int | None
+    observed: int | None
+    pull_request: int | None
+    commit: str | None
+    changed: tuple[str, ...]
+    created: tuple[str, ...]
+    removed: tuple[str, ...]
+    error: str | None = None
+
+
+@dataclass(frozen=True)
+class PullRequest:
+    """A pull request of the deployment repository; `commit` is what the forge says was merged."""
+
+    number: int
+    title: str
+    merged: bool
+    commit: str | None
+
+
+@dataclass(frozen=True)
+class Commit:
+    """A commit of main, with its trailers by name without `RobotKube-` and the paths it touches."""
+
+    sha: str
+    parents: tuple[str, ...]
+    author: str
+    subject: str
+    time: int
+    trailers: Mapping[str, tuple[str, ...]]
+    paths: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class TopicCount:
+    """Counters of one topic at the event detector's input: per unix second of arrival, and per age in whole ms."""
+
+    received: int
+    dropped: int
+    seconds: Mapping[int, int]
+    ages_ms: Mapping[int, int]
+
+
+@dataclass(frozen=True)
+class InputCounters:
+    """One reading of the counters; `started` tells whether two readings are of one process."""
+
+    started: int
+    topics: Mapping[str, TopicCount]
+
+
+@dataclass(frozen=True)
+class BrokerMessages:
+    """Messages of a topic that the observer got from the broker in one frame."""
+
+    time: int
+    topic: str
+    count: int
+
+
+@dataclass(frozen=True)
+class BrokerLog:
+    """What the observer saw, and from when to when it was subscribed; `gaps` counts lost connections in between."""
+
+    since: int
+    until: int
+    gaps: int
+    messages: tuple[BrokerMessages, ...]
+
+
+@dataclass(frozen=True)
+class Pod:
+    """A pod's life as the watch saw it."""
+
+    namespace: str
+    name: str
+    uid: str
+    created: int
+    running: int | None = None
+    ready: int | None = None
+    deleted: int | None = None
+
+
+@dataclass(frozen=True)
+class RunInputs:
+    """Everything the report is computed from. `releases_*` map a release to a digest of its specification."""
+
+    run: str
+    provider: str
+    started: int
+    ended: int
+    ledgers: Mapping[str, tuple[LedgerLine, ...]]
+    stored: tuple[Stored, ...]
+    recordings: tuple[Recording, ...]
+    edges: tuple[Edge, ...]
+    plans: tuple[Plan, ...]
+    pull_requests: tuple[PullRequest, ...]
+    commits: tuple[Commit, ...]
+    input_before: InputCounters | None
+    input_after: InputCounters | None
+    broker: BrokerLog | None
+    pods: tuple[Pod, ...]
+    releases_before: Mapping[str, str]
+    releases_after: Mapping[str, str]
+    cpu_core_seconds: Mapping[str, float] = field(default_factory=dict)
+    set_up_seconds: Mapping[str, float] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()

@@ -1,0 +1,127 @@
+"""report.json: every figure of a run under its name, and whether the run passed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from scenarios.definition import Scenario
+from scenarios.runner import audit, expectations, measures, timeline
+from scenarios.runner.encounters import Encounter, encounters
+from scenarios.runner.inputs import NANOSECONDS, RunInputs
+
+PARAMETERS = (
+    "vehicles",
+    "lidar_vehicles",
+    "pose_hz",
+    "point_cloud_hz",
+    "start_distance_m",
+    "stop_distance_m",
+    "encounters",
+)
+DIGITS = 6
+
+
+@dataclass(frozen=True)
+class Report:
+    """The document of report.json, and the parts of it that are shown."""
+
+    document: dict[str, Any]
+    table: tuple[expectations.Expectation, ...]
+    moments: tuple[timeline.Moment, ...]
+    inputs: RunInputs
+
+    @property
+    def passed(self) -> bool:
+        """Whether every expectation holds."""
+        return bool(self.document["passed"])
+
+
+def report(scenario: Scenario, inputs: RunInputs) -> Report:
+    """Computes the report; pure."""
+    met = encounters(scenario, inputs)
+    table = expectations.judge(scenario, inputs, met)
+    moments = timeline.timeline(inputs, met)
+    return Report(_rounded(_document(scenario, inputs, met, table, moments)), table, moments, inputs)
+
+
+def write(done: Report, folder: Path, page: str) -> tuple[Path, Path]:
+    """Writes report.json and report.html into `folder`, which is made; returns their paths."""
+    folder.mkdir(parents=True, exist_ok=True)
+    files = folder / "report.json", folder / "report.html"
+    files[0].write_text(json.dumps(done.document, indent=2) + "\n")
+    files[1].write_text(page)
+    return files
+
+
+def _document(
+    scenario: Scenario,
+    inputs: RunInputs,
+    met: Sequence[Encounter],
+    table: Sequence[expectations.Expectation],
+    moments: Sequence[timeline.Moment],
+) -> dict[str, Any]:
+    latencies = [measures.latencies(encounter) for encounter in met]
+    return {
+        "scenario": scenario.name,
+        "run": inputs.run,
+        "provider": inputs.provider,
+        "nodes": len(scenario.nodes),
+        "parameters": {name: getattr(scenario.parameters, name) for name in PARAMETERS},
+        "rates_measured": {
+            "pose_hz_min": measures.pose_hz_min(scenario, inputs),
+            "point_cloud_hz_min": measures.point_cloud_hz_min(met),
+        },
+        "age_seconds": {
+            "pose_p50": measures.pose_age_seconds(scenario, inputs, 0.5),
+            "pose_p99": measures.pose_age_seconds(scenario, inputs, 0.99),
+        },
+        "latency_seconds": latencies[0] if latencies else dict.fromkeys(measures.LATENCIES),
+        "latency_quantiles": {name: measures.quantiles(one[name] for one in latencies) for name in measures.LATENCIES},
+        "latency_breakdown_seconds": [measures.breakdown(encounter) for encounter in met],
+        "recorded": measures.recorded(met),
+        "cpu_core_seconds": dict(sorted(inputs.cpu_core_seconds.items())),
+        "set_up_seconds": dict(inputs.set_up_seconds),
+        "audit": [entry.row() for entry in audit.entries(inputs)],
+        "warnings": _warnings(inputs),
+        "expectations": [asdict(row) for row in table],
+        "timeline": [_moment(inputs, moment) for moment in moments],
+        "passed": all(row.passed for row in table),
+    }
+
+
+def _moment(inputs: RunInputs, moment: timeline.Moment) -> dict[str, Any]:
+    since = (moment.time - inputs.started) / NANOSECONDS
+    return {"seconds": since, "what": moment.text, "pull_request": moment.pull_request, "commit": moment.commit}
+
+
+def _warnings(inputs: RunInputs) -> list[str]:
+    """What a reader must know besides the table."""
+    warnings = list(inputs.warnings)
+    if any("none" in commit.trailers.get("Evidence", ()) for commit in inputs.commits):
+        warnings.insert(
+            0, ("the release policy is `assurance: none`: charts were deployed without evidence of verification")
+        )
+    if inputs.input_before and inputs.input_after and inputs.input_before.started != inputs.input_after.started:
+        warnings.append("the event detector was restarted during the run: its counters do not cover it")
+    if inputs.broker and inputs.broker.gaps:
+        warnings.append(f"the observer lost its connection to the broker {inputs.broker.gaps} times")
+    warnings += [
+        f"event {edge.id}: {edge.error}" for edge in inputs.edges if edge.error and edge.time >= inputs.started
+    ]
+    warnings += [
+        f"plan {plan.plan}: {plan.error}" for plan in inputs.plans if plan.error and plan.started >= inputs.started
+    ]
+    return warnings
+
+
+def _rounded(value: Any) -> Any:
+    """Cuts floats to microseconds, so that the file can be read."""
+    if isinstance(value, float):
+        return round(value, DIGITS)
+    if isinstance(value, dict):
+        return {key: _rounded(item) for key, item in value.items()}
+    return [_rounded(item) for item in value] if isinstance(value, list) else value

@@ -1,0 +1,82 @@
+"""The run as a list of moments, for the terminal and the page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from scenarios.runner.encounters import Encounter
+from scenarios.runner.inputs import NANOSECONDS, Plan, RunInputs
+
+
+@dataclass(frozen=True)
+class Moment:
+    """Something that happened: time in ns, the pull request and commit it belongs to."""
+
+    time: int
+    text: str
+    pull_request: int | None = None
+    commit: str | None = None
+
+
+def timeline(inputs: RunInputs, encounters: Sequence[Encounter]) -> tuple[Moment, ...]:
+    """All moments known, in order of time."""
+    moments = [Moment(inputs.started, "players start"), Moment(inputs.ended, "run ends")]
+    for number, encounter in enumerate(encounters, 1):
+        moments += _of_encounter(number, encounter)
+    return tuple(sorted(moments, key=lambda moment: moment.time))
+
+
+def _of_encounter(number: int, encounter: Encounter) -> Iterator[Moment]:
+    start, stop = encounter.start, encounter.stop
+    yield Moment(start.time, f"event {number}: {', '.join(start.agents)}{_distance(start.distance_m)} ({start.rule})")
+    if start.done:
+        yield Moment(start.done, f"task {start.task} created")
+    yield from _of_plan(encounter.plan, "deployment", "deployment observed: synced and healthy")
+    for pod in encounter.pods:
+        yield Moment(pod.created, f"pod {pod.namespace}/{pod.name} created")
+        if pod.running:
+            yield Moment(pod.running, f"pod {pod.namespace}/{pod.name} running")
+        if pod.deleted:
+            yield Moment(pod.deleted, f"pod {pod.namespace}/{pod.name} gone")
+    first = encounter.first_cloud
+    if first and first.stored:
+        yield Moment(first.stored, f"first point cloud stored ({first.topic})")
+    if stop:
+        yield Moment(stop.time, f"event {number} ends: {', '.join(stop.agents)}{_distance(stop.distance_m)}")
+        if stop.done:
+            yield Moment(stop.done, f"task {stop.task or start.task} withdrawn")
+    yield from _of_plan(encounter.withdrawal, "removal", "removal observed: Applications and pods gone")
+
+
+def _of_plan(plan: Plan | None, what: str, observed: str) -> Iterator[Moment]:
+    if plan is None:
+        return
+    if plan.proposed:
+        yield Moment(plan.proposed, f"{what} proposed: {plan.subject}", plan.pull_request)
+    if plan.merged:
+        yield Moment(plan.merged, f"{what} merged: {_releases(plan)}", plan.pull_request, plan.commit)
+    if plan.observed:
+        yield Moment(plan.observed, observed, plan.pull_request, plan.commit)
+
+
+def _releases(plan: Plan) -> str:
+    parts = [
+        f"{len(releases)} {word}"
+        for word, releases in (("new", plan.created), ("changed", plan.changed), ("removed", plan.removed))
+        if releases
+    ]
+    return f"releases: {', '.join(parts) or 'none'}"
+
+
+def _distance(metres: float | None) -> str:
+    return "" if metres is None else f" at {metres:.1f} m"
+
+
+def lines(inputs: RunInputs, moments: Sequence[Moment]) -> Iterator[str]:
+    """The timeline as text: seconds since the players started, what, pull request, commit."""
+    for moment in moments:
+        since = (moment.time - inputs.started) / NANOSECONDS
+        request = f"  #{moment.pull_request}" if moment.pull_request else ""
+        commit = f"  {moment.commit[:10]}" if moment.commit else ""
+        yield f"{since:9.3f} s  {moment.text}{request}{commit}"
