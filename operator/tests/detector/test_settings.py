@@ -1,0 +1,109 @@
+"""The detector's document: what is read, and one clear problem per mistake."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from robotkube.domain.detector_settings import OperatorReaction, ProximityRule, RecordingReaction, read_detector_settings
+from robotkube.domain.errors import DocumentError
+from robotkube.domain.texts import read_mapping
+from robotkube.domain.topics import TopicPattern
+
+GOOD = """
+name: cloud-0/event-detector
+topics:
+- {name: "/vehicles/{agent}/pose", type: geometry_msgs/msg/PoseStamped, buffer: {seconds: 5}}
+- {name: /vehicles/vehicle_00/cloud, type: sensor_msgs/msg/PointCloud2, depth: 20}
+rules:
+- {name: near, kind: proximity, agents: [a, b], topic: "/vehicles/{agent}/pose", start_distance_m: 400, stop_distance_m: 500}
+- {name: all, kind: always}
+reactions:
+- {rule: near, kind: operator, application: recording, parameters: {vehicles: "{agents}"}}
+- {rule: all, kind: recording, recording: task-1, trace: ab, topics: [{name: /vehicles/vehicle_00/cloud, storage: segment}], volume: recordings}
+"""
+
+
+def document() -> dict[str, Any]:
+    return read_mapping(GOOD, "config.yaml")
+
+
+def test_a_good_document_is_read() -> None:
+    settings = read_detector_settings(document(), "config.yaml")
+    near, operator, recording = settings.rules[0], settings.reactions[0], settings.reactions[1]
+    assert isinstance(near, ProximityRule)
+    assert (near.start_distance_m, near.stop_distance_m, near.agents) == (400, 500, ("a", "b"))
+    assert isinstance(operator, OperatorReaction)
+    assert operator.parameters == {"vehicles": "{agents}"}
+    assert isinstance(recording, RecordingReaction)
+    assert recording.storage == {"/vehicles/vehicle_00/cloud": "segment"}
+    assert (settings.topics[0].buffer_seconds, settings.topics[1].depth) == (5, 20)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "expected"),
+    [
+        (["name"], None, "name: is missing; it must be a text that is not empty"),
+        (["topics"], [], "topics: must be a list of 1 to 200 mappings"),
+        (["topics", 0, "typ"], 1, "topics[0].typ: unknown key; known are"),
+        (["topics", 0, "name"], "pose", "topics[0].name: pose is not a full ROS topic name"),
+        (["topics", 0, "name"], "/{agent}/{agent}", "more than once"),
+        (["topics", 0, "depth"], 0, "topics[0].depth: must be a number from 1 to 100000"),
+        (["topics", 0, "depth"], True, "topics[0].depth: must be a number"),
+        (["topics", 0, "durability"], "latched", "must be one of volatile, transient_local"),
+        (["topics", 0, "buffer"], 5, "topics[0].buffer: must be a mapping"),
+        (["topics", 1, "name"], "/vehicles/{agent}/pose", "topics: /vehicles/{agent}/pose stands twice"),
+        (["rules", 0, "kind"], "nearness", "rules[0].kind: must be one of proximity, always"),
+        (["rules", 0, "agents"], ["a"], "rules[0].agents: must be a list of at least 2 different texts"),
+        (["rules", 0, "agents"], ["a", "a"], "rules[0].agents: must be a list of at least 2 different texts"),
+        (["rules", 0, "stop_distance_m"], 399, "rules[0].stop_distance_m: must not be less than start_distance_m"),
+        (["rules", 0, "topic"], "/vehicles/vehicle_00/pose", "must hold {agent}"),
+        (["rules", 0, "topic"], "/v/{agent}/pose", "is not listed under topics"),
+        (["rules", 1, "name"], "near", "rules: near stands twice"),
+        (["reactions", 0, "rule"], "far", "reactions[0].rule: there is no rule far; name one of all, near"),
+        (["reactions", 0, "rule"], "all", "an operator reaction needs a rule of kind proximity"),
+        (["reactions", 1, "rule"], "near", "a recording reaction needs a rule of kind always"),
+        (["reactions", 1, "recording"], "../x", "reactions[1].recording: must be a name"),
+        (["reactions", 1, "topics", 0, "storage"], "file", "must be one of document, segment"),
+        (["reactions", 1, "topics", 0, "name"], "/other", "reactions[1].topics: /other is not listed under topics"),
+    ],
+)
+def test_each_mistake_is_named(path: list[Any], value: Any, expected: str) -> None:
+    bad: Any = document()
+    target = bad
+    for key in path[:-1]:
+        target = target[key]
+    if value is None:
+        del target[path[-1]]
+    else:
+        target[path[-1]] = value
+    with pytest.raises(DocumentError) as caught:
+        read_detector_settings(bad, "config.yaml")
+    assert expected in str(caught.value)
+    assert str(caught.value).startswith("config.yaml: ")
+
+
+def test_all_mistakes_are_named_at_once() -> None:
+    with pytest.raises(DocumentError) as caught:
+        read_detector_settings({"name": "", "topics": [{"name": 1}], "extra": 0}, "config.yaml")
+    assert len(caught.value.problems) >= 4
+
+
+@pytest.mark.parametrize(
+    ("topic", "agent"),
+    [
+        ("/vehicles/vehicle_00/pose", "vehicle-00"),
+        ("/vehicles/pose", None),
+        ("/vehicles//pose", None),
+        ("/vehicles/a/b/pose", None),
+        ("/vehicles/vehicle_00/pose2", None),
+    ],
+)
+def test_patterns_find_the_agent(topic: str, agent: str | None) -> None:
+    assert TopicPattern("/vehicles/{agent}/pose").agent(topic) == agent
+
+
+def test_patterns_name_the_topic() -> None:
+    assert TopicPattern("/vehicles/{agent}/pose").topic("vehicle-07") == "/vehicles/vehicle_07/pose"
+    assert TopicPattern("/tf").agent("/tf") == ""
