@@ -392,6 +392,23 @@ class ArgoCDConfiguration(Protocol):
 
 
 # ---------------------------------------------------------------------------------------------------------------------
+# Teardown: all releases end before the platform goes
+# ---------------------------------------------------------------------------------------------------------------------
+
+
+class InstalledReleases(Protocol):
+    """What Argo CD made of the deployment repository; UnavailableError when the API server does not answer."""
+
+    def withdraw(self) -> bool:
+        """Delete the ApplicationSet, and by that its Argo CD Applications; False when there was none."""
+        ...
+
+    def remaining(self) -> Sequence[str]:
+        """Names of the Argo CD Applications that are still there."""
+        ...
+
+
+# ---------------------------------------------------------------------------------------------------------------------
 # Event detector: live topics, own tasks
 # ---------------------------------------------------------------------------------------------------------------------
 
