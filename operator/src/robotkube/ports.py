@@ -457,3 +457,58 @@ class OwnTasks(Protocol):
     def delete(self, name: str) -> None:
         """Delete the object; one that is not there is success."""
         ...
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Robots' data: topics of the node's ROS network
+# ---------------------------------------------------------------------------------------------------------------------
+
+
+class MessageSource(Protocol):
+    """A subscription that hands out serialised messages (CDR with its encapsulation)."""
+
+    @property
+    def matched(self) -> int:
+        """Publishers that are connected now."""
+        ...
+
+    def take(self, messages_max: int = 1000) -> list[bytes]:
+        """The messages that wait, oldest first, at most `messages_max`; never blocks."""
+        ...
+
+    def close(self) -> None:
+        """Stop receiving."""
+        ...
+
+
+class MessageSink(Protocol):
+    """A publisher of serialised messages."""
+
+    @property
+    def matched(self) -> int:
+        """Subscriptions that are connected now."""
+        ...
+
+    def publish(self, data: bytes) -> None:
+        """Send one message. UnavailableError when the middleware cannot take it now."""
+        ...
+
+    def close(self) -> None:
+        """Stop sending."""
+        ...
+
+
+class RobotNetwork(Protocol):
+    """The ROS network of this node; all methods belong to one thread. InputError: unknown type or bad topic name."""
+
+    def subscribe(
+        self, topic: str, type_name: str, reliability: str = "reliable", durability: str = "volatile", depth: int = 1000
+    ) -> MessageSource:
+        """Begin to receive a topic."""
+        ...
+
+    def advertise(
+        self, topic: str, type_name: str, reliability: str = "reliable", durability: str = "volatile", depth: int = 1000
+    ) -> MessageSink:
+        """Begin to offer a topic."""
+        ...

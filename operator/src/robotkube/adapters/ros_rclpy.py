@@ -1,0 +1,196 @@
+"""ROS 2 topics as serialised messages, on the bindings below rclpy's Node.
+
+Why not rclpy.Node, executors and message classes: they cost most of what a small process costs. A node object opens six
+more DDS entities, a message package imports numpy, an executor spends 200 us per message. Here a process has a context,
+one node without services, and per topic one publisher or subscription that moves bytes (CDR with its encapsulation).
+Figures: docs/decisions/0010-data-path.md.
+
+    node = RosNode("bridge")         # one per process; ROS_DOMAIN_ID comes from the environment
+    poses = node.subscribe("/p", "geometry_msgs/msg/PoseStamped", depth=1000)
+    for data in poses.take(500): ...              # never blocks; call it every 20 to 40 ms
+    out = node.advertise("/q", "geometry_msgs/msg/PoseStamped")
+    out.publish(data)                             # any serialised message of that type
+
+Nobody but the DDS library's own threads works in the background: what is not taken stays in the subscription's history
+(`depth` messages; when it is full, the oldest goes).
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import sys
+from collections.abc import Callable
+from importlib.machinery import ModuleSpec
+from importlib.resources import files
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from robotkube.domain.errors import InputError, RobotKubeError, UnavailableError
+
+PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+_TYPE_NAME = re.compile(r"([a-z][a-z0-9_]*)/msg/([A-Z][A-Za-z0-9]*)")
+_WORD_START = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
+
+
+class MessageTypeError(InputError):
+    """A message type that is not installed in this image."""
+
+
+def message_type(name: str) -> Any:
+    """What the bindings need to know of a type such as geometry_msgs/msg/PoseStamped: an object whose class holds the
+    type support. The package's Python messages are not imported. MessageTypeError says what is wrong with `name`."""
+    match = _TYPE_NAME.fullmatch(name)
+    if match is None:
+        raise MessageTypeError(f"type {name!r} is not written like geometry_msgs/msg/PoseStamped")
+    package, message = match.groups()
+    support = _type_support_module(package, name)
+    attribute = f"type_support_msg__msg__{_WORD_START.sub('_', message).lower()}"
+    if not hasattr(support, attribute):
+        raise MessageTypeError(f"type {name}: package {package} has no message {message}; see its documentation")
+    metaclass = type("Type", (type,), {"_TYPE_SUPPORT": getattr(support, attribute)})
+    return metaclass(message, (), {})
+
+
+def _type_support_module(package: str, name: str) -> ModuleType:
+    full_name = f"{package}.{package}_s__rosidl_typesupport_c"
+    if full_name in sys.modules:
+        return sys.modules[full_name]
+    found = importlib.util.find_spec(package)
+    folders = list(found.submodule_search_locations or ()) if found else []
+    libraries = [p for folder in folders for p in Path(folder).glob(f"{package}_s__rosidl_typesupport_c*.so")]
+    if not libraries:
+        raise MessageTypeError(f"type {name}: message package {package} is not installed in this image")
+    spec = importlib.util.spec_from_file_location(full_name, libraries[0])
+    assert isinstance(spec, ModuleSpec)
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    sys.modules[full_name] = module
+    return module
+
+
+class RosNode:
+    """A context with one node. `name` may hold letters, digits and underscores. All methods belong to one thread."""
+
+    def __init__(self, name: str) -> None:
+        _use_profile()
+        self._bindings = _bindings()
+        self._context = self._bindings.Context([], self._bindings.RCL_DEFAULT_DOMAIN_ID)
+        with self._context:
+            self._node = self._bindings.Node(name, "/", self._context, [], False, False)
+
+    def subscribe(
+        self, topic: str, type_name: str, reliability: str = "reliable", durability: str = "volatile", depth: int = 1000
+    ) -> RosSubscription:
+        """A subscription; MessageTypeError for an unknown type, InputError for a topic name ROS refuses."""
+        kind = message_type(type_name)
+        quality = self._quality(reliability, durability, depth)
+        with self._node:
+            handle = self._make(lambda: self._bindings.Subscription(self._node, kind, topic, quality), topic)
+        return RosSubscription(topic, handle, kind)
+
+    def advertise(
+        self, topic: str, type_name: str, reliability: str = "reliable", durability: str = "volatile", depth: int = 1000
+    ) -> RosPublisher:
+        """A publisher; errors as in `subscribe`."""
+        kind = message_type(type_name)
+        quality = self._quality(reliability, durability, depth)
+        with self._node:
+            handle = self._make(lambda: self._bindings.Publisher(self._node, kind, topic, quality), topic)
+        return RosPublisher(topic, handle, self._bindings.RCLError)
+
+    def close(self) -> None:
+        """Leave the network. May hang in the middleware: a process calls it only under its shutdown deadline."""
+        self._node.destroy_when_not_in_use()
+        with self._context:
+            self._context.shutdown()
+
+    def _make(self, factory: Callable[[], Any], topic: str) -> Any:
+        try:
+            return factory()
+        except (ValueError, self._bindings.RCLError) as error:
+            raise InputError(f"topic {topic}: ROS refuses it: {error}") from error
+
+    def _quality(self, reliability: str, durability: str, depth: int) -> Any:
+        from rclpy import qos
+
+        profile: Any = qos.QoSProfile
+        return profile(
+            depth=depth,
+            reliability=qos.ReliabilityPolicy[reliability.upper()],
+            durability=qos.DurabilityPolicy[durability.upper()],
+        ).get_c_qos_profile()
+
+
+class RosSubscription:
+    """Receives serialised messages of one topic."""
+
+    def __init__(self, topic: str, handle: Any, kind: Any) -> None:
+        self.topic = topic
+        self._handle, self._kind, self._take = handle, kind, handle.take_message
+
+    def take(self, messages_max: int = 1000) -> list[bytes]:
+        """The messages that wait, in their order, at most `messages_max`; empty when none waits."""
+        taken: list[bytes] = []
+        take, kind = self._take, self._kind
+        with self._handle:
+            while len(taken) < messages_max and (message := take(kind, True)) is not None:
+                taken.append(message[0])
+        return taken
+
+    @property
+    def matched(self) -> int:
+        """Publishers that are connected now."""
+        with self._handle:
+            return int(self._handle.get_publisher_count())
+
+    def close(self) -> None:
+        """Stop receiving; what was not taken is gone."""
+        self._handle.destroy_when_not_in_use()
+
+
+class RosPublisher:
+    """Sends serialised messages on one topic."""
+
+    def __init__(self, topic: str, handle: Any, failure: type[Exception]) -> None:
+        self.topic = topic
+        self._handle, self._failure = handle, failure
+        self._publish = handle.publish_raw
+
+    def publish(self, data: bytes) -> None:
+        """Send one serialised message. UnavailableError when the middleware cannot take it now."""
+        try:
+            self._publish(data)
+        except self._failure as error:
+            raise UnavailableError(f"topic {self.topic}: the middleware did not take a message: {error}") from error
+
+    @property
+    def matched(self) -> int:
+        """Subscriptions that are connected now."""
+        with self._handle:
+            return int(self._handle.get_subscription_count())
+
+    def close(self) -> None:
+        """Stop sending; what is not acknowledged yet is gone."""
+        self._handle.destroy_when_not_in_use()
+
+
+def _bindings() -> Any:
+    try:
+        from rclpy.impl.implementation_singleton import rclpy_implementation
+    except ImportError as error:
+        raise RobotKubeError(
+            f"rclpy does not start ({error}); install the packages of operator/requirements/robot.txt"
+        ) from error
+    return rclpy_implementation
+
+
+def _use_profile() -> None:
+    """Give Fast DDS the profile of this package unless the environment names another one."""
+    if PROFILE_VARIABLE not in os.environ:
+        profile = files("robotkube") / "profiles" / "fastdds.xml"
+        if profile.is_file():
+            os.environ[PROFILE_VARIABLE] = str(profile)
