@@ -313,7 +313,7 @@ RECORDED = {"poses_recorded_share", "point_clouds_recorded_share"}
         (silence_a_vehicle, {"pose_hz_min", "pose_age_p99_seconds"}),
         (leave_a_release_behind, {"releases_after_equal_before"}),
         (change_a_release_for_good, {"releases_after_equal_before"}),
-        (miss_an_encounter, {"encounters"}),
+        (miss_an_encounter, {"encounters", "stop_to_removed_seconds"}),
         (never_stop, {"lost", "stop_to_removed_seconds", *RECORDED}),
     ],
     ids=lambda value: getattr(value, "__name__", ""),
