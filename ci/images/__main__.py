@@ -1,4 +1,5 @@
-"""`python -m ci.images`: build the images; `python -m ci.images context NAME FOLDER`: write one image's build context for `docker build`."""
+"""`python -m ci.images`: build the images; `python -m ci.images context NAME FOLDER`: write one image's build
+context for `docker build`."""
 
 from __future__ import annotations
 
@@ -48,7 +49,10 @@ def main() -> int:
     layers = {digest: size for image in built.values() for digest, size in image.layers.items()}
     for image in built.values():
         print(f"{image.reference} {image.size / 1e6:.0f} MB")
-    print(f"all layers together {sum(layers.values()) / 1e6:.0f} MB; lock: {given.folder / 'images.json'}", file=sys.stderr)
+    print(
+        f"all layers together {sum(layers.values()) / 1e6:.0f} MB; lock: {given.folder / 'images.json'}",
+        file=sys.stderr,
+    )
     return 0
 
 

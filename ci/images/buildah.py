@@ -1,4 +1,5 @@
-"""buildah, run without a daemon and with a storage of its own, so that a user's images and containers are never touched."""
+"""buildah, run without a daemon and with a storage of its own, so that a user's images and containers are never
+touched."""
 
 from __future__ import annotations
 
@@ -26,7 +27,14 @@ class Buildah:
     log: Path
 
     def _command(self, *words: str) -> list[str]:
-        roots = ["--root", str(self.storage / "root"), "--runroot", str(self.storage / "run"), "--storage-driver", "overlay"]
+        roots = [
+            "--root",
+            str(self.storage / "root"),
+            "--runroot",
+            str(self.storage / "run"),
+            "--storage-driver",
+            "overlay",
+        ]
         return ["buildah", *roots, *words]
 
     def run(self, *words: str, seconds: int = COMMAND_SECONDS_MAX) -> None:
@@ -34,11 +42,35 @@ class Buildah:
 
     def has(self, tag: str) -> bool:
         command = self._command("inspect", "--type", "image", tag)
-        return self.storage.exists() and subprocess.run(command, capture_output=True, check=False, timeout=60).returncode == 0
+        return (
+            self.storage.exists()
+            and subprocess.run(command, capture_output=True, check=False, timeout=60).returncode == 0
+        )
 
-    def build(self, context: Path, dockerfile: Path, tag: str, arguments: dict[str, str], volumes: tuple[str, ...], fresh: bool) -> None:
-        """Build `dockerfile` with its own layers cached unless `fresh`; the machine's network is used, base images are never fetched."""
-        words = ["build", "--layers", "--pull-never", "--network", "host", "--format", "oci", "--file", str(dockerfile), "--tag", tag]
+    def build(
+        self,
+        context: Path,
+        dockerfile: Path,
+        tag: str,
+        arguments: dict[str, str],
+        volumes: tuple[str, ...],
+        fresh: bool,
+    ) -> None:
+        """Build `dockerfile` with its own layers cached unless `fresh`; the machine's network is used, base images
+        are never fetched."""
+        words = [
+            "build",
+            "--layers",
+            "--pull-never",
+            "--network",
+            "host",
+            "--format",
+            "oci",
+            "--file",
+            str(dockerfile),
+            "--tag",
+            tag,
+        ]
         words += [f"--build-arg={name}={value}" for name, value in arguments.items()]
         words += [f"--volume={volume}" for volume in volumes]
         words += ["--no-cache"] if fresh else []
@@ -46,7 +78,13 @@ class Buildah:
 
     def load(self, archive: Path, tag: str) -> None:
         """Take an OCI archive into the storage under `tag`."""
-        done = subprocess.run(self._command("pull", "--quiet", f"oci-archive:{archive}"), capture_output=True, text=True, check=False, timeout=COMMAND_SECONDS_MAX)
+        done = subprocess.run(
+            self._command("pull", "--quiet", f"oci-archive:{archive}"),
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=COMMAND_SECONDS_MAX,
+        )
         if done.returncode:
             raise BuildError(f"buildah could not load {archive}: {done.stderr.strip()}")
         self.run("tag", done.stdout.split()[-1], tag)
@@ -66,7 +104,9 @@ def run_logged(command: list[str], log: Path, seconds: int, environment: dict[st
     log.parent.mkdir(parents=True, exist_ok=True)
     with log.open("a", encoding="utf-8") as out:
         start = out.tell()
-        process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.STDOUT, env={**os.environ, **environment})
+        process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.STDOUT, env={**os.environ, **environment}
+        )
         try:
             code = process.wait(timeout=seconds)
         except subprocess.TimeoutExpired as error:
@@ -92,4 +132,6 @@ def require_programs() -> None:
     """Say which program is missing before anything is started."""
     missing = [name for name in ("buildah", "mmdebstrap") if shutil.which(name) is None]
     if missing:
-        raise BuildError(f"{' and '.join(missing)} missing: apt-get install -y --no-install-recommends {' '.join(missing)}")
+        raise BuildError(
+            f"{' and '.join(missing)} missing: apt-get install -y --no-install-recommends {' '.join(missing)}"
+        )

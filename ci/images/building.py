@@ -1,7 +1,8 @@
 """Builds what changed and writes the lock of images.
 
-Every image has a key of its contents (Dockerfile, files, key of the base image, the code that normalises). An archive whose key is
-there is not built again. Results appear by renaming a finished folder, so an interrupted run leaves nothing that looks finished.
+Every image has a key of its contents (Dockerfile, files, key of the base image, the code that normalises). An archive
+whose key is there is not built again. Results appear by renaming a finished folder, so an interrupted run leaves
+nothing that looks finished.
 """
 
 from __future__ import annotations
@@ -60,12 +61,17 @@ def cache_folder() -> Path:
 
 
 def build_images(
-    toolchain_bin: Path, folder: Path | None = None, names: Sequence[str] = (), *, fresh: bool = False, steps: Steps | None = None
+    toolchain_bin: Path,
+    folder: Path | None = None,
+    names: Sequence[str] = (),
+    *,
+    fresh: bool = False,
+    steps: Steps | None = None,
 ) -> dict[str, BuiltImage]:
     """Build the images `names` (default all) and the base they stand on; returns them by name and writes images.json.
 
-    `toolchain_bin` holds the programs gitea, argocd, helm and ferretdb. `fresh` builds again without any cache. One run at a time per
-    cache folder; a second one waits. Raises BuildError or ContextError.
+    `toolchain_bin` holds the programs gitea, argocd, helm and ferretdb. `fresh` builds again without any cache. One
+    run at a time per cache folder; a second one waits. Raises BuildError or ContextError.
     """
     chosen = _choose(names)
     shop = Workshop(folder or cache_folder(), Sources(toolchain_bin, go_module), fresh)
@@ -102,7 +108,9 @@ def keys_of(images: Sequence[Image], contents: dict[str, tuple[Copied, ...]]) ->
     return keys
 
 
-def _build_all(shop: Workshop, images: Sequence[Image], contents: dict[str, tuple[Copied, ...]], steps: Steps) -> dict[str, BuiltImage]:
+def _build_all(
+    shop: Workshop, images: Sequence[Image], contents: dict[str, tuple[Copied, ...]], steps: Steps
+) -> dict[str, BuiltImage]:
     keys = keys_of(images, contents)
     buildah = Buildah(shop.folder / ".buildah" / keys[BASE.name], shop.folder / "build.log")
     work = shop.folder / ".work"
@@ -124,7 +132,9 @@ def _build_all(shop: Workshop, images: Sequence[Image], contents: dict[str, tupl
     return built
 
 
-def _build(shop: Workshop, image: Image, contents: tuple[Copied, ...], keys: dict[str, str], buildah: Buildah, work: Path) -> None:
+def _build(
+    shop: Workshop, image: Image, contents: tuple[Copied, ...], keys: dict[str, str], buildah: Buildah, work: Path
+) -> None:
     require_programs()
     sources = machine.debian_sources()
     lent = machine.lend(work / "lent", *machine.current_environment(), sources)
@@ -140,7 +150,11 @@ def _build(shop: Workshop, image: Image, contents: tuple[Copied, ...], keys: dic
     buildah.export(raw_tag, layout)
     result.mkdir(parents=True)
     normal = normalising.normalise_image(layout, result / "image.tar", f"{REPOSITORY}/{image.name}", lent.placeholders)
-    record = {"digest": normal.digest, "size": normal.size, "layers": {layer.digest: layer.size for layer in normal.layers}}
+    record = {
+        "digest": normal.digest,
+        "size": normal.size,
+        "layers": {layer.digest: layer.size for layer in normal.layers},
+    }
     (result / "image.json").write_text(json.dumps(record, indent=1), encoding="utf-8")
     _replace(result, shop.folder / f"{image.name}-{keys[image.name]}")
 
@@ -166,7 +180,9 @@ def _provide_base(
 
 def _read(name: str, place: Path) -> BuiltImage:
     record = json.loads((place / "image.json").read_bytes())
-    return BuiltImage(name, f"{REPOSITORY}/{name}@{record['digest']}", place / "image.tar", record["size"], record["layers"])
+    return BuiltImage(
+        name, f"{REPOSITORY}/{name}@{record['digest']}", place / "image.tar", record["size"], record["layers"]
+    )
 
 
 def _write_lock(shop: Workshop, built: dict[str, BuiltImage]) -> None:
@@ -199,7 +215,9 @@ def _clear(folder: Path) -> None:
 def _forget_old(shop: Workshop, keys: dict[str, str]) -> None:
     """Keep the newest versions of each image and the builder's storage of the present base only."""
     for name, key in keys.items():
-        places = [p for p in shop.folder.glob(f"{name}-*") if len(p.name) == len(name) + 17 and p.name != f"{name}-{key}"]
+        places = [
+            p for p in shop.folder.glob(f"{name}-*") if len(p.name) == len(name) + 17 and p.name != f"{name}-{key}"
+        ]
         for place in sorted(places, key=lambda p: p.stat().st_mtime, reverse=True)[KEPT_VERSIONS - 1 :]:
             _clear(place)
     for storage in (shop.folder / ".buildah").glob("*"):

@@ -18,7 +18,8 @@ MODULE_SECONDS_MAX = 300
 
 @dataclass(frozen=True)
 class Sources:
-    """Where programs and Go modules' files come from; `module` maps (module path, folder of the go.mod naming it) to its folder."""
+    """Where programs and Go modules' files come from; `module` maps (module path, folder of the go.mod naming it)
+    to its folder."""
 
     toolchain_bin: Path
     module: Callable[[str, str], Path]
@@ -28,7 +29,9 @@ class Sources:
 def go_module(path: str, folder: str) -> Path:
     """The folder of a Go module that ci/`folder`/go.mod names, fetched if it is not in the module cache."""
     command = ["go", "mod", "download", "-json", path]
-    done = subprocess.run(command, cwd=TOP / "ci" / folder, capture_output=True, text=True, timeout=MODULE_SECONDS_MAX, check=False)
+    done = subprocess.run(
+        command, cwd=TOP / "ci" / folder, capture_output=True, text=True, timeout=MODULE_SECONDS_MAX, check=False
+    )
     found = json.loads(done.stdout or "{}")
     if done.returncode or "Dir" not in found:
         raise ContextError(f"go module {path} (ci/{folder}/go.mod): {found.get('Error') or done.stderr.strip()}")
@@ -37,7 +40,8 @@ def go_module(path: str, folder: str) -> Path:
 
 @dataclass(frozen=True)
 class Image:
-    """An image to build: `name` is also the folder of its Dockerfile; `on_base`: it stands on (or is built in) the image `base`."""
+    """An image to build: `name` is also the folder of its Dockerfile; `on_base`: it stands on (or is built in) the
+    image `base`."""
 
     name: str
     contents: Callable[[Sources], tuple[Copied, ...]]
@@ -91,7 +95,9 @@ def _argocd(sources: Sources) -> tuple[Copied, ...]:
 
 
 def _base(_: Sources) -> tuple[Copied, ...]:
-    return tuple(_script(f"operator/images/base/{name}") for name in ("install-packages", "install-git", "compile-python"))
+    return tuple(
+        _script(f"operator/images/base/{name}") for name in ("install-packages", "install-git", "compile-python")
+    )
 
 
 BASE = Image("base", _base, on_base=False)

@@ -1,7 +1,8 @@
 """Build contexts: exactly the files an image is made of, and the key that stands for them.
 
-A context mirrors the repository's paths, so that `docker build -f operator/images/<name>/Dockerfile .` at the top of a checkout works
-for images that need nothing else. Programs are in `bin/`, data files of Go modules in `share/<module>/`.
+A context mirrors the repository's paths, so that `docker build -f operator/images/<name>/Dockerfile .` at the top of a
+checkout works for images that need nothing else. Programs are in `bin/`, data files of Go modules in
+`share/<module>/`.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ class ContextError(Exception):
 
 @dataclass(frozen=True)
 class Copied:
-    """One file or folder of a context: `source` on this machine, `target` inside the context. An absent optional folder is empty."""
+    """One file or folder of a context: `source` on this machine, `target` inside the context. An absent optional
+    folder is empty."""
 
     source: Path
     target: str
@@ -54,7 +56,9 @@ def check(image: str, contents: tuple[Copied, ...]) -> None:
     """Refuse a context whose sources are missing, before anything is built."""
     for copied in contents:
         if not copied.source.exists() and not copied.optional:
-            raise ContextError(f"image {image}: {copied.source} is missing ({copied.target} of its build context); {_fix(copied)}")
+            raise ContextError(
+                f"image {image}: {copied.source} is missing ({copied.target} of its build context); {_fix(copied)}"
+            )
 
 
 def _fix(copied: Copied) -> str:

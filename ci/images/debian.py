@@ -20,7 +20,12 @@ OPTIONS = (
     '--aptopt=Acquire::Languages "none"',
     *(f"--dpkgopt=path-exclude={path}" for path in LEFT_OUT),
 )
-UNWANTED_FILES = ("/etc/apt/sources.list", "/etc/apt/sources.list.d/0000debian.sources", "/etc/hostname", "/etc/resolv.conf")
+UNWANTED_FILES = (
+    "/etc/apt/sources.list",
+    "/etc/apt/sources.list.d/0000debian.sources",
+    "/etc/hostname",
+    "/etc/resolv.conf",
+)
 
 
 def key() -> str:
@@ -36,7 +41,15 @@ def make(buildah: Buildah, sources: Path | None) -> None:
     with tempfile.TemporaryDirectory(dir=buildah.storage.parent, prefix=".debian-") as folder:
         root = Path(folder) / "root.tar"
         hooks = [f'--customize-hook=rm -f "$1"{path}' for path in UNWANTED_FILES] if sources else []
-        command = ["mmdebstrap", "--quiet", *OPTIONS, *hooks, "bookworm", str(root), *([str(sources)] if sources else [])]
+        command = [
+            "mmdebstrap",
+            "--quiet",
+            *OPTIONS,
+            *hooks,
+            "bookworm",
+            str(root),
+            *([str(sources)] if sources else []),
+        ]
         run_logged(command, buildah.log, ROOT_SECONDS_MAX, {"SOURCE_DATE_EPOCH": str(EPOCH_SECONDS)})
         (Path(folder) / "Dockerfile").write_text("FROM scratch\nADD root.tar /\n", encoding="utf-8")
         buildah.build(Path(folder), Path(folder) / "Dockerfile", TAG, {}, (), fresh=False)

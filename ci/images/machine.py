@@ -1,8 +1,8 @@
 """What the machine knows about package registries, lent to a build and left in no image.
 
-pip's configuration (files and PIP_* variables), the certificates it trusts and, on Debian bookworm, APT's sources are copied into one
-folder that is mounted over the build's file system. The paths at which something is mounted are the placeholders that normalising
-takes out of the layers.
+pip's configuration (files and PIP_* variables), the certificates it trusts and, on Debian bookworm, APT's sources are
+copied into one folder that is mounted over the build's file system. The paths at which something is mounted are the
+placeholders that normalising takes out of the layers.
 """
 
 from __future__ import annotations
@@ -18,7 +18,9 @@ MOUNTED = "/mnt/robotkube-build"
 CERTIFICATES = f"{MOUNTED}/certificates.crt"
 CERTIFICATE_VARIABLES = ("PIP_CERT", "SSL_CERT_FILE", "REQUESTS_CA_BUNDLE", "CURL_CA_BUNDLE")
 HOST_CERTIFICATES = Path("/etc/ssl/certs/ca-certificates.crt")
-MADE_BY_BUILDER = frozenset({"etc/resolv.conf", "etc/hosts", "etc/hostname", "run/.containerenv", "run/secrets", "dev", "proc", "sys"})
+MADE_BY_BUILDER = frozenset(
+    {"etc/resolv.conf", "etc/hosts", "etc/hostname", "run/.containerenv", "run/secrets", "dev", "proc", "sys"}
+)
 APT_FILE, PIP_FILE = "etc/apt/apt.conf.d/zz-robotkube-build", "etc/pip.conf"
 
 
@@ -31,7 +33,8 @@ class Lent:
 
 
 def lend(folder: Path, environment: Mapping[str, str], home: Path, sources: Path | None) -> Lent:
-    """Gather the machine's settings in `folder`; `sources` is a file or folder with APT sources, or None to use the image's own."""
+    """Gather the machine's settings in `folder`; `sources` is a file or folder with APT sources, or None to use the
+    image's own."""
     folder.mkdir(parents=True, exist_ok=True)
     certificates = _certificates(environment)
     if certificates:
@@ -54,7 +57,12 @@ def _certificates(environment: Mapping[str, str]) -> Path | None:
 def _pip(environment: Mapping[str, str], home: Path, certificates: bool) -> str:
     """All of pip's settings in one file: system, user, then PIP_* variables, the later the stronger."""
     merged: dict[str, str] = {}
-    for path in (Path("/etc/pip.conf"), home / ".pip/pip.conf", home / ".config/pip/pip.conf", Path(environment.get("PIP_CONFIG_FILE", ""))):
+    for path in (
+        Path("/etc/pip.conf"),
+        home / ".pip/pip.conf",
+        home / ".config/pip/pip.conf",
+        Path(environment.get("PIP_CONFIG_FILE", "")),
+    ):
         parser = configparser.RawConfigParser()
         if path.is_file():
             parser.read(path, encoding="utf-8")
@@ -77,13 +85,21 @@ def _apt(folder: Path, sources: Path | None, certificates: bool) -> str:
     for path in [sources] if sources.is_file() else sorted(sources.iterdir()):
         if path.suffix in (".sources", ".list"):
             shutil.copyfile(path, parts / path.name)
-    lines += ['Dir::Etc::sourcelist "/dev/null";', f'Dir::Etc::sourceparts "{MOUNTED}/sources.list.d";', 'Acquire::Check-Valid-Until "false";']
+    lines += [
+        'Dir::Etc::sourcelist "/dev/null";',
+        f'Dir::Etc::sourceparts "{MOUNTED}/sources.list.d";',
+        'Acquire::Check-Valid-Until "false";',
+    ]
     return "\n".join(lines) + "\n"
 
 
 def _local_folders(environment: Mapping[str, str]) -> tuple[Path, ...]:
     """Folders of wheels that pip is told to look into."""
-    return tuple(Path(text) for text in environment.get("PIP_FIND_LINKS", "").split() if text.startswith("/") and Path(text).is_dir())
+    return tuple(
+        Path(text)
+        for text in environment.get("PIP_FIND_LINKS", "").split()
+        if text.startswith("/") and Path(text).is_dir()
+    )
 
 
 def debian_sources(release: Path = Path("/etc/os-release"), apt: Path = Path("/etc/apt")) -> Path | None:

@@ -1,10 +1,11 @@
 """Rewrites what a builder made into an image that depends on nothing but its contents.
 
-Builders stamp layers with times, list files in the order of the disk, leave the mount points of what was mounted during the build
-and write history. Here every layer is written again: entries sorted by name, one modification time, numeric owners only, links of one
-file pointing to the first of its names; the configuration is rebuilt from what has a meaning at run time. The same contents give the
-same bytes, so a base layer is the same blob in all images that stand on it. Layers are not compressed: nodes unpack them from a local
-archive, and a compressor's version would show in the digest.
+Builders stamp layers with times, list files in the order of the disk, leave the mount points of what was mounted
+during the build and write history. Here every layer is written again: entries sorted by name, one modification time,
+numeric owners only, links of one file pointing to the first of its names; the configuration is rebuilt from what has a
+meaning at run time. The same contents give the same bytes, so a base layer is the same blob in all images that stand
+on it. Layers are not compressed: nodes unpack them from a local archive, and a compressor's version would show in the
+digest.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import shutil
 import tarfile
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -76,8 +78,8 @@ class Hashing:
 def normalise_layer(raw: Path, target: Path, placeholders: frozenset[str] = frozenset()) -> Blob | None:
     """Write the layer `raw` (a tar, compressed or not) to `target` in normal form; None if nothing is in it.
 
-    `placeholders` are paths without a leading slash at which the build mounted files of the machine: the empty files and folders
-    that stay behind are left out, contents never are.
+    `placeholders` are paths without a leading slash at which the build mounted files of the machine: the empty files
+    and folders that stay behind are left out, contents never are.
     """
     with tarfile.open(raw, "r:*") as source, target.open("wb") as file:
         members = [m for m in source.getmembers() if not _is_placeholder(m, placeholders)]
@@ -145,8 +147,8 @@ def _link(holder: tarfile.TarInfo, name: str, target: str) -> tarfile.TarInfo:
 def normalise_image(raw: Path, archive: Path, name: str, placeholders: frozenset[str] = frozenset()) -> NormalImage:
     """Write the image of the OCI layout folder `raw` to `archive`, an OCI layout in a tar.
 
-    The index names the image `<name>@<manifest digest>`, which is the name it gets in a containerd that imports the archive.
-    Needs free space for the layers once more beside `archive` while it works.
+    The index names the image `<name>@<manifest digest>`, which is the name it gets in a containerd that imports the
+    archive. Needs free space for the layers once more beside `archive` while it works.
     """
     blobs = archive.with_suffix(".blobs")
     blobs.mkdir(parents=True)
@@ -161,9 +163,7 @@ def normalise_image(raw: Path, archive: Path, name: str, placeholders: frozenset
     }
     described = _store(blobs, canonical_json(document))
     write_archive(archive, blobs, described, f"{name}@{described.digest}")
-    for blob in blobs.iterdir():
-        blob.unlink()
-    blobs.rmdir()
+    shutil.rmtree(blobs)
     return NormalImage(described.digest, tuple(layers))
 
 

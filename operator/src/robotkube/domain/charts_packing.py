@@ -1,0 +1,114 @@
+"""Charts as reproducible OCI artifacts: the same files always give the same archive, manifest and digest.
+
+`helm package` stamps the present time into an archive, so packing twice gives two digests; evidence and the deployment
+repository name charts by digest, hence an own packing: order, times, owner, modes and the gzip header are fixed. Media
+types are those of Helm's OCI support (HIP 6); "digest" always means that of the OCI manifest.
+"""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import json
+import re
+import tarfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from robotkube.domain.errors import DocumentError
+
+CHART_CONFIG_TYPE = "application/vnd.cncf.helm.config.v1+json"
+CHART_LAYER_TYPE = "application/vnd.cncf.helm.chart.content.v1.tar+gzip"
+MANIFEST_TYPE = "application/vnd.oci.image.manifest.v1+json"
+CHART_FILE = "Chart.yaml"
+IMAGES_FILE = "images.yaml"
+NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
+VERSION = re.compile(r"\d+\.\d+\.\d+(-[0-9A-Za-z.-]+)?(\+[0-9A-Za-z.-]+)?")
+PATH_BYTES_MAX = 100  # of the ustar format, which has no extended headers
+
+
+@dataclass(frozen=True)
+class PackedChart:
+    """A chart ready to be pushed; `digest` is that of `manifest`, which names `config` and `archive` by theirs."""
+
+    name: str
+    version: str
+    archive: bytes
+    config: bytes
+    manifest: bytes
+
+    @property
+    def digest(self) -> str:
+        """`sha256:<hex>` of the OCI manifest."""
+        return sha256(self.manifest)
+
+    @property
+    def tag(self) -> str:
+        """The version as a registry's tag, in which `+` is not allowed (Helm writes `_`)."""
+        return self.version.replace("+", "_")
+
+
+def sha256(data: bytes) -> str:
+    """Digest in OCI form."""
+    return "sha256:" + hashlib.sha256(data).hexdigest()
+
+
+def canonical_json(document: Any) -> bytes:
+    """The bytes that are hashed: keys sorted, no spaces."""
+    return json.dumps(document, sort_keys=True, separators=(",", ":")).encode()
+
+
+def pack_chart(where: str, metadata: Mapping[str, Any], files: Mapping[str, bytes]) -> PackedChart:
+    """Pack `files` (path inside the chart -> content; Chart.yaml among them) of the chart that `metadata` (parsed
+    Chart.yaml) describes.
+
+    `where` names the chart's place in errors. Raises DocumentError for a name, version or path that cannot be packed.
+    """
+    _check(where, metadata, files)
+    name, version = metadata["name"], metadata["version"]
+    archive = gzip.compress(_tar(name, files), compresslevel=9, mtime=0)
+    config = canonical_json(metadata)
+    manifest = {
+        "schemaVersion": 2,
+        "mediaType": MANIFEST_TYPE,
+        "config": _descriptor(CHART_CONFIG_TYPE, config),
+        "layers": [_descriptor(CHART_LAYER_TYPE, archive)],
+        "annotations": {"org.opencontainers.image.title": name, "org.opencontainers.image.version": version},
+    }
+    return PackedChart(name, version, archive, config, canonical_json(manifest))
+
+
+def _check(where: str, metadata: Mapping[str, Any], files: Mapping[str, bytes]) -> None:
+    problems = []
+    if not NAME.fullmatch(str(metadata.get("name", ""))):
+        problems.append(
+            f"name: {metadata.get('name')!r} is no chart name; write lower-case letters, digits and single hyphens"
+        )
+    if not VERSION.fullmatch(str(metadata.get("version", ""))):
+        problems.append(f"version: {metadata.get('version')!r} is no semantic version; write for example 0.1.0")
+    if CHART_FILE not in files:
+        problems.append(f"{CHART_FILE} is missing")
+    for path in sorted(files):
+        if len(f"{metadata.get('name')}/{path}".encode()) > PATH_BYTES_MAX:
+            problems.append(
+                f"{path}: longer than {PATH_BYTES_MAX} bytes with the chart's name; use a shorter file name"
+            )
+    if problems:
+        raise DocumentError(where, problems)
+
+
+def _tar(name: str, files: Mapping[str, bytes]) -> bytes:
+    """Chart.yaml first, as Helm writes it, then by path; every file 0644, owner 0, time 0."""
+    parts = []
+    for path in sorted(files, key=lambda path: (path != CHART_FILE, path)):
+        info = tarfile.TarInfo(f"{name}/{path}")
+        info.size, info.mode, info.mtime = len(files[path]), 0o644, 0
+        padding = -len(files[path]) % tarfile.BLOCKSIZE
+        parts += [info.tobuf(tarfile.USTAR_FORMAT), files[path], b"\0" * padding]
+    parts.append(b"\0" * 2 * tarfile.BLOCKSIZE)
+    return b"".join(parts)
+
+
+def _descriptor(media_type: str, data: bytes) -> dict[str, Any]:
+    return {"mediaType": media_type, "digest": sha256(data), "size": len(data)}
