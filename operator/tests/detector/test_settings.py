@@ -6,7 +6,12 @@ from typing import Any
 
 import pytest
 
-from robotkube.domain.detector_settings import OperatorReaction, ProximityRule, RecordingReaction, read_detector_settings
+from robotkube.domain.detector_settings import (
+    OperatorReaction,
+    ProximityRule,
+    RecordingReaction,
+    read_detector_settings,
+)
 from robotkube.domain.errors import DocumentError
 from robotkube.domain.texts import read_mapping
 from robotkube.domain.topics import TopicPattern

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import bson
+from bson.errors import BSONError
 from pymongo import MongoClient, UpdateOne
 from pymongo.database import Database
 from pymongo.errors import BulkWriteError, DuplicateKeyError, PyMongoError
@@ -67,7 +68,7 @@ def _translated(doing: str) -> Iterator[None]:
     try:
         yield
     except PyMongoError as error:
-        text = " ".join(str(error).split())
+        text = " ".join(str(error).partition(", Topology Description")[0].split())
         raise UnavailableError(f"database, {doing}: {text[:500]}") from error
 
 
@@ -217,12 +218,12 @@ class BsonSpool:
         return sorted(path.name for path in self._folder.glob("*.bson"))
 
     def read(self, batch: str) -> Sequence[Write]:
-        """The writes of one file."""
-        with (self._folder / batch).open("rb") as file:
-            return [
-                Write(d["collection"], d["id"], d["document"], d["update"], d["size"])
-                for d in bson.decode_file_iter(file)
-            ]
+        """The writes of one file; DocumentError when it is damaged."""
+        try:
+            with (self._folder / batch).open("rb") as file:
+                return [Write(**values) for values in bson.decode_file_iter(file)]
+        except (BSONError, TypeError) as error:
+            raise DocumentError(str(self._folder / batch), [f"is damaged: {error}"]) from error
 
     def remove(self, batch: str) -> None:
         """Delete the file."""

@@ -102,6 +102,11 @@ class RosNode:
             handle = self._make(lambda: self._bindings.Publisher(self._node, kind, topic, quality), topic)
         return RosPublisher(topic, handle, self._bindings.RCLError)
 
+    def topics(self) -> dict[str, list[str]]:
+        """Topic -> message types of every topic that somebody publishes or subscribes to now."""
+        with self._node:
+            return dict(self._bindings.rclpy_get_topic_names_and_types(self._node, False))
+
     def close(self) -> None:
         """Leave the network. May hang in the middleware: a process calls it only under its shutdown deadline."""
         self._node.destroy_when_not_in_use()

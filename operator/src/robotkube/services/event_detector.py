@@ -87,17 +87,22 @@ class _Topic:
 
 
 class EventDetector:
-    """Everything of one detector but its threads and its clock. `make_recorder` gives a started recorder."""
+    """Everything of one detector but its threads and its clock.
+
+    `make_operator` and `make_recorder` give started reactions; they are called when settings ask for them, after the
+    subscriptions are made.
+    """
 
     def __init__(
         self,
         live: LiveTopics,
-        operator: OperatorReactions | None,
+        make_operator: Callable[[DetectorSettings], OperatorReactions],
         make_recorder: Callable[[RecordingReaction, DetectorSettings], Recorder],
         clock_ns: Callable[[], int],
         monotonic: Callable[[], float],
     ) -> None:
-        self._live, self._operator, self._make_recorder = live, operator, make_recorder
+        self._live, self._make_operator, self._make_recorder = live, make_operator, make_recorder
+        self._operator: OperatorReactions | None = None
         self._clock_ns, self._monotonic = clock_ns, monotonic
         self.started = clock_ns()
         self._settings = DetectorSettings("", ())
@@ -106,7 +111,7 @@ class EventDetector:
         self._recorders: dict[str, Recorder] = {}
         self._events: deque[EventRecord] = deque(maxlen=EVENTS_MAX)
         self._discovered_at = float("-inf")
-        self._adopted = operator is None
+        self._adopted = True
         self.problem = ""
 
     @property
@@ -142,7 +147,9 @@ class EventDetector:
         self._close_topics(settings)
         self._renew_rules(before)
         self._subscribe(self._expected())
-        # after the subscriptions: recorders import and connect beside, and that takes time from everything else
+        # after the subscriptions: reactions import and connect beside, and that takes time from everything else
+        if settings.operators and self._operator is None:
+            self._operator, self._adopted = self._make_operator(settings), False
         ended = self._renew_recorders()
         for topic in self._topics.values():
             self._connect(topic)

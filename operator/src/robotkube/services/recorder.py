@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from robotkube.domain.detector_settings import RecordingReaction
-from robotkube.domain.errors import UnavailableError
+from robotkube.domain.errors import InputError, UnavailableError
 from robotkube.domain.recordings import (
     SEGMENT,
     Duplicates,
@@ -204,17 +204,18 @@ class Recorder:
     def _open_store(self) -> None:
         if self._place.monotonic() < self._retry_at:
             return
+        store = self._place.open_store()
         try:
-            store = self._place.open_store()
+            self._take_up_spool(store)
             store.begin(self.reaction.recording, self._document(), self._place.volume)
             for topic, stamp, sha256 in store.known(self.reaction.recording):
                 self._duplicates.admit(topic, stamp, sha256)
         except UnavailableError as error:
+            store.close()
             self._later(error)
             return
         self._store = store
         log.info("recording %s: database reached", self.reaction.recording)
-        self._take_up_spool(store)
 
     def _document(self) -> dict[str, Any]:
         reaction = self.reaction
@@ -230,14 +231,14 @@ class Recorder:
     def _take_up_spool(self, store: RecordingStore) -> None:
         assert self._spool is not None
         for batch in self._spool.batches():
-            writes = self._spool.read(batch)
             try:
-                store.write(writes)
-            except UnavailableError as error:
-                self._later(error)
-                return
-            self._acknowledged(writes)
+                writes = self._spool.read(batch)
+            except InputError as error:
+                log.error("recording %s: the spooled %s stays where it is: %s", self.reaction.recording, batch, error)
+                continue
+            store.write(writes)
             self._spool.remove(batch)
+            self._acknowledged(writes)
             log.info("recording %s: brought in the spooled %s", self.reaction.recording, batch)
 
     def _store_batch(self, segments: Segments) -> None:

@@ -1,0 +1,265 @@
+"""The recorder on a real database and real files: once and completely, also when things go away in between."""
+
+from __future__ import annotations
+
+import hashlib
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robotkube.adapters.mongodb_pymongo import (
+    Account,
+    BsonSpool,
+    PymongoRecordingReader,
+    PymongoRecordingStore,
+    connect,
+)
+from robotkube.adapters.segments_mcap import McapSegmentReader, McapSegments
+from robotkube.domain.detector_settings import RecordingReaction
+from robotkube.domain.recordings import LedgerLine
+from robotkube.ports import RecordingStore
+from robotkube.services.recorder import Recorder, RecorderPlace
+from robotkube.services.recordings import first_stored, list_recordings, stored_messages, verify
+
+DATABASE, VOLUME, RECORDING = "recordings_cloud_0", "cloud-0/recordings", "task-1"
+POSE, CLOUD = "geometry_msgs/msg/PoseStamped", "sensor_msgs/msg/PointCloud2"
+POSES, CLOUDS = "/vehicles/vehicle_00/pose", "/vehicles/vehicle_00/cloud"
+BEGIN = 1_795_250_000_000_000_000
+MS = 1_000_000
+WAIT_SECONDS_MAX = 20.0
+REACTION = RecordingReaction(
+    rule="everything",
+    recording=RECORDING,
+    volume="recordings",
+    storage={POSES: "document", CLOUDS: "segment"},
+    trace="ab",
+    provenance={"task": "cloud-0/t"},
+)
+
+
+class Bench:
+    """A recorder with everything it needs, and the ledger of what it was offered."""
+
+    def __init__(self, server: Any, root: Path) -> None:
+        self.server, self.root = server, root
+        self.ledgers: dict[str, list[LedgerLine]] = {POSES: [], CLOUDS: []}
+        self.recorders: list[Recorder] = []
+        self.account = Account("127.0.0.1", server.port, DATABASE, "recorder", "secret", DATABASE)
+        server.create_account("recorder", "secret", DATABASE)
+        self.database = connect(self.account)
+
+    def open_store(self) -> RecordingStore:
+        return PymongoRecordingStore(connect(self.account, answer_seconds_max=0.5))
+
+    def recorder(self, **bounds: int) -> Recorder:
+        def open_segments() -> tuple[McapSegments, BsonSpool]:
+            return McapSegments(self.root, RECORDING, time.time_ns), BsonSpool(self.root, time.time_ns)
+
+        place = RecorderPlace(VOLUME, self.open_store, open_segments, time.time_ns, time.monotonic)
+        recorder = Recorder(REACTION, place, {POSES: POSE, CLOUDS: CLOUD}, **bounds)
+        self.recorders.append(recorder)
+        recorder.start()
+        return recorder
+
+    def offer(self, recorder: Recorder, topic: str, number: int, again: bool = False) -> None:
+        large = topic == CLOUDS
+        data = number.to_bytes(4, "little") * (80_000 if large else 30)
+        stamp = BEGIN + number * (100 if large else 10) * MS
+        if not again:
+            self.ledgers[topic].append(LedgerLine(number, stamp, hashlib.sha256(data).hexdigest()))
+        recorder.offer(topic, CLOUD if large else POSE, REACTION.storage[topic], stamp, time.time_ns(), data)
+
+    def second(self, recorder: Recorder, second: int) -> None:
+        """What arrives within one second."""
+        for number in range(second * 100, second * 100 + 100):
+            self.offer(recorder, POSES, number)
+            if number % 10 == 0:
+                self.offer(recorder, CLOUDS, number // 10)
+
+    @property
+    def reader(self) -> PymongoRecordingReader:
+        return PymongoRecordingReader(self.database)
+
+    @property
+    def segments(self) -> McapSegmentReader:
+        return McapSegmentReader({VOLUME: self.root})
+
+    def assert_complete(self, seconds: int) -> None:
+        verdict = verify(self.reader, self.segments, RECORDING, self.ledgers, (BEGIN, BEGIN + 10**12))
+        assert verdict.complete, verdict
+        assert verdict.topics[POSES].stored == 100 * seconds
+        assert verdict.topics[CLOUDS].stored == 10 * seconds
+
+
+@pytest.fixture
+def bench(server: Any, tmp_path: Path) -> Iterator[Bench]:
+    bench = Bench(server, tmp_path / "claim")
+    yield bench
+    for recorder in bench.recorders:
+        recorder.stop(2.0)
+    bench.database.client.close()
+
+
+def until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + WAIT_SECONDS_MAX
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def test_a_recording_is_complete_after_its_stop(bench: Bench) -> None:
+    recorder = bench.recorder()
+    before = time.time_ns()
+    for second in range(3):
+        bench.second(recorder, second)
+    assert recorder.stop(8.0)
+    bench.assert_complete(3)
+    (document,) = list_recordings(bench.reader)
+    assert document["_id"] == RECORDING
+    assert document["volumes"] == [VOLUME]
+    assert document["provenance"] == {"task": "cloud-0/t"}
+    assert document["ended"] > document["started"] > before
+    assert document["counts"]["dropped"] == 0
+    stored = list(bench.reader.index(RECORDING))
+    assert all(before < entry["stored"] < time.time_ns() for entry in stored)
+    assert first_stored(bench.reader, RECORDING) == {CLOUDS: min(entry["stored"] for entry in stored)}
+
+
+def test_the_first_large_message_is_stored_at_once(bench: Bench) -> None:
+    recorder = bench.recorder()
+    until(lambda: recorder.ready)
+    time.sleep(0.05)
+    began = time.monotonic()
+    bench.offer(recorder, CLOUDS, 0)
+    until(lambda: CLOUDS in recorder.counts.first_stored)
+    assert time.monotonic() - began < 0.25
+
+
+def test_messages_that_come_twice_are_stored_once(bench: Bench) -> None:
+    recorder = bench.recorder()
+    for _ in range(2):
+        for number in range(20):
+            bench.offer(recorder, POSES, number, again=number in {line.sequence for line in bench.ledgers[POSES]})
+            bench.offer(recorder, CLOUDS, number, again=number in {line.sequence for line in bench.ledgers[CLOUDS]})
+        until(lambda: recorder.counts.documents == 20)
+    assert recorder.stop(8.0)
+    assert recorder.counts.duplicates == 40
+    verdict = verify(bench.reader, bench.segments, RECORDING, bench.ledgers, (BEGIN, BEGIN + 10**12))
+    assert verdict.complete, verdict
+
+
+def test_a_second_recorder_goes_on_without_storing_anything_again(bench: Bench) -> None:
+    first = bench.recorder()
+    bench.second(first, 0)
+    assert first.stop(8.0)
+    second = bench.recorder()
+    until(lambda: second.ready)
+    for number in range(50, 100):
+        bench.offer(second, POSES, number, again=True)
+    bench.second(second, 1)
+    assert second.stop(8.0)
+    bench.assert_complete(2)
+    (document,) = list_recordings(bench.reader)
+    assert document["volumes"] == [VOLUME]
+    assert document["ended"]
+
+
+def test_different_messages_of_one_stamp_are_both_kept(bench: Bench) -> None:
+    recorder = bench.recorder()
+    for data in (b"one" * 100, b"two" * 100):
+        recorder.offer(CLOUDS, CLOUD, "segment", BEGIN, BEGIN, data)
+        recorder.offer(POSES, POSE, "document", BEGIN, BEGIN, data)
+    assert recorder.stop(8.0)
+    found = [(m.topic, m.sha256) for m in stored_messages(bench.reader, bench.segments, RECORDING)]
+    assert len(set(found)) == len(found) == 4
+
+
+def test_reception_goes_on_while_the_database_is_away(bench: Bench) -> None:
+    recorder = bench.recorder()
+    bench.second(recorder, 0)
+    until(lambda: recorder.ready and recorder.waiting == 0)
+    bench.server.kill()
+    began = time.monotonic()
+    for second in range(1, 4):
+        bench.second(recorder, second)
+    assert time.monotonic() - began < 1.0
+    until(lambda: recorder.counts.retries > 0 and recorder.counts.segments == 40)
+    bench.server.start()
+    until(lambda: recorder.waiting == 0)
+    assert recorder.stop(8.0)
+    bench.assert_complete(4)
+    assert recorder.counts.spooled == 0
+
+
+def test_a_database_that_comes_late_gets_everything(bench: Bench) -> None:
+    bench.server.kill()
+    recorder = bench.recorder()
+    bench.second(recorder, 0)
+    time.sleep(0.7)
+    assert not recorder.ready
+    bench.server.start()
+    until(lambda: recorder.ready)
+    assert recorder.stop(8.0)
+    bench.assert_complete(1)
+
+
+@pytest.mark.parametrize("database_at_start", [True, False])
+def test_the_spool_carries_a_recording_over_a_missing_database(bench: Bench, database_at_start: bool) -> None:
+    if not database_at_start:
+        bench.server.kill()
+    first = bench.recorder()
+    if database_at_start:
+        until(lambda: first.ready)
+        bench.server.kill()
+    bench.second(first, 0)
+    assert not (first.stop(3.0) and first.counts.spooled == 0)
+    assert first.counts.spooled > 0
+    bench.server.start()
+    second = bench.recorder()
+    until(lambda: second.ready and second.waiting == 0)
+    assert not list((bench.root / "spool").iterdir())
+    assert second.stop(8.0)
+    bench.assert_complete(1)
+    assert all(entry["stored"] for entry in bench.reader.index(RECORDING))
+
+
+def test_waiting_writes_are_bounded_by_the_spool(bench: Bench) -> None:
+    recorder = bench.recorder(waiting_bytes_max=50_000)
+    until(lambda: recorder.ready)
+    bench.server.kill()
+    for second in range(6):
+        bench.second(recorder, second)
+        time.sleep(0.1)
+    until(lambda: recorder.counts.spooled > 0)
+    bench.server.start()
+    recorder.stop(8.0)
+    second = bench.recorder()
+    until(lambda: second.ready)
+    assert second.stop(8.0)
+    bench.assert_complete(6)
+
+
+def test_a_claim_that_refuses_loses_nothing_once_it_takes_again(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    full = threading.Event()
+    write = McapSegments.synchronise
+
+    def refuse(self: McapSegments) -> None:
+        if full.is_set():
+            self._give_up()
+            raise OSError(28, "No space left on device")
+        write(self)
+
+    monkeypatch.setattr(McapSegments, "synchronise", refuse)
+    recorder = bench.recorder()
+    bench.second(recorder, 0)
+    until(lambda: recorder.counts.segments == 10)
+    full.set()
+    bench.second(recorder, 1)
+    time.sleep(0.6)
+    full.clear()
+    assert recorder.stop(8.0)
+    bench.assert_complete(2)

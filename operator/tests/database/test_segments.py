@@ -1,0 +1,131 @@
+"""Segments are MCAP files that other readers understand, finished or not."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+from mcap.records import Message
+from mcap.stream_reader import StreamReader
+
+from robotkube.adapters.segments_mcap import McapSegmentReader, McapSegments, definition
+from robotkube.domain.errors import UnavailableError
+from robotkube.domain.recordings import Received, SegmentPlace
+
+CLOUD = "sensor_msgs/msg/PointCloud2"
+
+
+def message(number: int, topic: str = "/cloud", size: int = 1000) -> Received:
+    return Received(topic, number, number + 5, "", bytes([number % 256]) * size)
+
+
+@pytest.fixture
+def open_segments(tmp_path: Path) -> Iterator[Callable[..., McapSegments]]:
+    """Makes writers below tmp_path; what a test leaves open is closed after it."""
+    made: list[McapSegments] = []
+
+    def make(now: int = 1, bytes_max: int = 10**9) -> McapSegments:
+        made.append(McapSegments(tmp_path, "task-1", lambda: now, bytes_max))
+        return made[-1]
+
+    yield make
+    for segments in made:
+        segments.close()
+
+
+def test_every_message_is_found_by_its_place(tmp_path: Path, open_segments: Callable[..., McapSegments]) -> None:
+    segments = open_segments(bytes_max=5000)
+    sent = [message(n, f"/cloud{n % 2}", 500 + n) for n in range(20)]
+    places = [segments.append(item, CLOUD) for item in sent]
+    segments.synchronise()
+    reader = McapSegmentReader({"cloud-0/recordings": tmp_path})
+    assert len({place.segment for place in places}) > 2
+    for item, place in zip(sent, places, strict=True):
+        assert reader.read("cloud-0/recordings", place, len(item.data)) == item.data
+
+
+def test_finished_segments_are_ordinary_mcap(tmp_path: Path, open_segments: Callable[..., McapSegments]) -> None:
+    segments = open_segments()
+    for n in range(5):
+        segments.append(message(n), CLOUD)
+    segments.close()
+    (path,) = tmp_path.rglob("*.mcap")
+    with path.open("rb") as file:
+        reader = make_reader(file)
+        summary = reader.get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        assert summary.statistics.message_count == 5
+        (schema,) = summary.schemas.values()
+        assert schema.name == CLOUD
+        assert b"MSG: std_msgs/Header" in schema.data
+        assert b"MSG: builtin_interfaces/Time" in schema.data
+        assert [m.data for _, _, m in reader.iter_messages()] == [message(n).data for n in range(5)]
+        file.seek(0)
+        assert [m.publish_time for _, _, m in make_reader(file).iter_messages()] == list(range(5))
+
+
+def test_an_unfinished_segment_is_read_record_by_record(
+    tmp_path: Path, open_segments: Callable[..., McapSegments]
+) -> None:
+    segments = open_segments()
+    for n in range(5):
+        segments.append(message(n), CLOUD)
+    segments.synchronise()
+    (path,) = tmp_path.rglob("*.mcap")
+    with path.open("rb") as file:
+        records = itertools.islice(StreamReader(file, record_size_limit=None).records, 3 + 5)
+        found = [record for record in records if isinstance(record, Message)]
+    assert [record.data for record in found] == [message(n).data for n in range(5)]
+
+
+def test_a_second_writer_of_the_recording_leaves_the_first_ones_files(
+    open_segments: Callable[..., McapSegments],
+) -> None:
+    first = open_segments(now=1)
+    one = first.append(message(1), CLOUD)
+    second = open_segments(now=2)
+    two = second.append(message(2), CLOUD)
+    assert one.segment != two.segment
+
+
+def test_a_refusing_volume_gives_the_segment_up(
+    tmp_path: Path, open_segments: Callable[..., McapSegments], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    segments = open_segments()
+    segments.append(message(1), CLOUD)
+
+    def refuse(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr("os.fsync", refuse)
+        with pytest.raises(OSError, match="No space left"):
+            segments.synchronise()
+    place = segments.append(message(2), CLOUD)
+    segments.synchronise()
+    assert place.segment.endswith("-0002.mcap")
+    assert McapSegmentReader({"n/c": tmp_path}).read("n/c", place, 1000) == message(2).data
+
+
+def test_what_cannot_be_read_is_named(tmp_path: Path, open_segments: Callable[..., McapSegments]) -> None:
+    segments = open_segments()
+    place = segments.append(message(1), CLOUD)
+    segments.synchronise()
+    reader = McapSegmentReader({"n/c": tmp_path})
+    for volume, wrong, size, text in [
+        ("edge-0/recordings", place, 1000, "claim recordings of node edge-0 is not within reach"),
+        ("n/c", SegmentPlace("task-1/none.mcap", 0), 1000, "No such file"),
+        ("n/c", SegmentPlace("../../etc/passwd", 0), 1000, "leads out of the volume"),
+        ("n/c", SegmentPlace(place.segment, place.offset + 1), 900, "there is no message of 900 bytes"),
+        ("n/c", place, 2000, "ends within the message"),
+    ]:
+        with pytest.raises(UnavailableError, match=text):
+            reader.read(volume, wrong, size)
+
+
+def test_an_unknown_type_has_no_definition(tmp_path: Path) -> None:
+    assert definition("own_msgs/msg/Thing", tmp_path) == ""
