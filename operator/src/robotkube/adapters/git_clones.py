@@ -1,0 +1,213 @@
+"""A bare clone of one repository of the forge, kept up to date: fetch, read commits and files, push one commit.
+
+The gate reads and moves main with it, and reads the catalogue; the publisher writes the catalogue with it. A clone
+keeps the texts of the last files it was asked for, by blob id.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import pygit2
+from pygit2.enums import DeltaStatus, FileMode
+
+from robotkube.domain.errors import InputError, UnavailableError
+from robotkube.ports import Commit
+
+TEXTS_KEPT_MAX = 4096
+FILE_BYTES_MAX = 1024 * 1024
+CHANGED_FILES_MAX = 1000
+TIMEOUT_MILLISECONDS = 10_000
+
+pygit2.settings.server_connect_timeout = TIMEOUT_MILLISECONDS
+pygit2.settings.server_timeout = TIMEOUT_MILLISECONDS
+
+
+class _Callbacks(pygit2.RemoteCallbacks):
+    """Password once per connection (libgit2 would ask for ever); the server's word on a pushed reference."""
+
+    def __init__(self, username: str, password: str) -> None:
+        super().__init__()
+        self._username, self._password, self._asked = username, password, 0
+        self.refusal = ""
+
+    def credentials(self, url: str, username_from_url: str | None, allowed_types: Any) -> Any:
+        self._asked += 1
+        if self._asked > 2:
+            raise PermissionError(f"the forge refused the password of account {self._username}")
+        return pygit2.UserPass(self._username, self._password)
+
+    def push_update_reference(self, refname: str, message: str | None) -> None:
+        if message:
+            self.refusal = message
+
+
+class GitClone:
+    """Ports MainBranch and Catalogue for one repository `<url>/<organisation>/<name>`; the clone stands in `folder`.
+
+    Not for several threads at once. UnavailableError: the forge does not answer or refuses the account; a loop may try
+    again. InputError: what was asked for is not there.
+    """
+
+    def __init__(
+        self, url: str, repository: str, username: str, password: str, folder: Path, branch: str = "main"
+    ) -> None:
+        self._where = f"git {url}/{repository}"
+        self._account = (username, password)
+        self._branch = branch
+        self._repository = pygit2.init_repository(str(folder), bare=True)
+        if "origin" not in list(self._repository.remotes.names()):
+            self._repository.remotes.create("origin", f"{url}/{repository}.git")
+        self._repository.remotes.set_url("origin", f"{url}/{repository}.git")
+        self._text = lru_cache(TEXTS_KEPT_MAX)(self._read_text)
+
+    @property
+    def tip(self) -> str:
+        """The branch's tip as last fetched or pushed; empty before the first fetch and for an empty repository."""
+        reference = self._repository.references.get(f"refs/heads/{self._branch}")
+        return str(reference.target) if reference else ""
+
+    def fetch(self) -> str:
+        """Bring the branch's tip here and return its commit id."""
+        self._fetch([])
+        return self.tip
+
+    def proposal(self, number: int) -> Commit:
+        """The head commit of pull request `number`; brings the branch's tip as well, by the same connection."""
+        self._fetch([f"+refs/pull/{number}/head:refs/proposals/{number}"])
+        reference = self._repository.references.get(f"refs/proposals/{number}")
+        if reference is None:
+            raise InputError(f"{self._where}: refs/pull/{number}/head is not there")
+        return self.commit(str(reference.target))
+
+    def contains(self, commit: str) -> bool:
+        """Whether `commit` is the branch's tip or one of its ancestors."""
+        found, tip = self._lookup(commit), self.tip
+        return tip == commit or (tip != "" and self._repository.descendant_of(tip, found.id))
+
+    def _fetch(self, specifications: list[str]) -> None:
+        callbacks = _Callbacks(*self._account)
+        main = f"+refs/heads/{self._branch}:refs/heads/{self._branch}"
+        try:
+            self._repository.remotes["origin"].fetch([main, *specifications], callbacks=callbacks)
+        except (pygit2.GitError, PermissionError, OSError) as error:
+            raise UnavailableError(f"{self._where}: fetch: {error}") from error
+
+    def commit(self, commit: str) -> Commit:
+        """A commit that is here, with its changes to its first parent (all its files when it has none)."""
+        found = self._lookup(commit)
+        changes: dict[str, str | None] = {}
+        irregular: list[str] = []
+        for path, blob, mode in self._changes(found):
+            text = None if blob is None else self._ordinary_text(blob, mode)
+            if blob is not None and text is None:
+                irregular.append(path)
+            else:
+                changes[path] = text
+        return Commit(
+            id=commit,
+            parents=tuple(str(parent) for parent in found.parent_ids),
+            message=found.message,
+            author=found.author.name,
+            changes=changes,
+            irregular=tuple(irregular),
+        )
+
+    def _changes(self, commit: pygit2.Commit) -> list[tuple[str, pygit2.Oid | None, int]]:
+        if commit.parent_ids:
+            difference = commit.parents[0].tree.diff_to_tree(commit.tree)
+        else:
+            difference = commit.tree.diff_to_tree(swap=True)
+        deltas = list(difference.deltas)
+        if len(deltas) > CHANGED_FILES_MAX:
+            raise InputError(f"{self._where}: {commit.id} changes {len(deltas)} files, at most {CHANGED_FILES_MAX}")
+        return [
+            (delta.old_file.path, None, 0)
+            if delta.status == DeltaStatus.DELETED
+            else (delta.new_file.path, delta.new_file.id, delta.new_file.mode)
+            for delta in deltas
+        ]
+
+    def _ordinary_text(self, blob: pygit2.Oid, mode: int) -> str | None:
+        if mode != FileMode.BLOB:
+            return None
+        try:
+            return self._text(str(blob))
+        except (InputError, UnicodeDecodeError):
+            return None
+
+    def _read_text(self, blob: str) -> str:
+        found = self._repository[blob]
+        if not isinstance(found, pygit2.Blob) or found.size > FILE_BYTES_MAX:
+            raise InputError(f"{self._where}: {blob} is not a file of at most {FILE_BYTES_MAX} bytes")
+        return bytes(found.data).decode()
+
+    def files(self, commit: str, folders: Sequence[str]) -> Mapping[str, str]:
+        """Path -> text of every ordinary text file below `folders` in `commit`; others are left out."""
+        tree = self._lookup(commit).tree
+        found: dict[str, str] = {}
+        for folder in folders:
+            entry = tree[folder] if folder in tree else None  # noqa: SIM401 - a Tree has no get
+            if isinstance(entry, pygit2.Tree):
+                self._collect(entry, folder, found)
+        return found
+
+    def _collect(self, tree: pygit2.Tree, prefix: str, found: dict[str, str]) -> None:
+        for entry in tree:
+            path = f"{prefix}/{entry.name}"
+            if isinstance(entry, pygit2.Tree):
+                self._collect(entry, path, found)
+                continue
+            text = self._ordinary_text(entry.id, entry.filemode)
+            if text is not None:
+                found[path] = text
+
+    def push_main(self, commit: str) -> bool:
+        """Move the branch to exactly `commit`, never by force; False when it has moved meanwhile."""
+        name = f"refs/pushes/{self._branch}"
+        self._repository.references.create(name, commit, force=True)
+        callbacks = _Callbacks(*self._account)
+        try:
+            self._repository.remotes["origin"].push([f"{name}:refs/heads/{self._branch}"], callbacks=callbacks)
+        except pygit2.GitError as error:
+            if "non-fastforward" in str(error) or "not present locally" in str(error):
+                return False
+            raise UnavailableError(f"{self._where}: push: {error}") from error
+        except (PermissionError, OSError) as error:
+            raise UnavailableError(f"{self._where}: push: {error}") from error
+        if callbacks.refusal:
+            return self._refused(commit, callbacks.refusal)
+        self._repository.references.create(f"refs/heads/{self._branch}", commit, force=True)
+        return True
+
+    def _refused(self, commit: str, refusal: str) -> bool:
+        if self.fetch() == commit:
+            return True
+        if self.tip not in self._lookup(commit).parent_ids:
+            return False
+        raise InputError(
+            f"{self._where}: push of {commit} to {self._branch} refused: {refusal}; "
+            f"account {self._account[0]} must be on the branch's push list (the bootstrap Job sets it)"
+        )
+
+    def log(self, since: str | None, commits_max: int) -> Sequence[Commit]:
+        """First-parent commits of the branch after `since` (exclusive; None = from the first), the newest `commits_max`
+        of them, oldest first."""
+        found: list[Commit] = []
+        commit = self.tip
+        while commit and commit != since and len(found) < commits_max:
+            found.append(self.commit(commit))
+            commit = found[-1].parents[0] if found[-1].parents else ""
+        return found[::-1]
+
+    def _lookup(self, commit: str) -> pygit2.Commit:
+        try:
+            found = self._repository[commit]
+        except (KeyError, ValueError) as error:
+            raise InputError(f"{self._where}: commit {commit!r} is not here") from error
+        if not isinstance(found, pygit2.Commit):
+            raise InputError(f"{self._where}: {commit!r} is not a commit")
+        return found

@@ -1,0 +1,236 @@
+"""Gitea as its administrator: accounts, organisations, teams, repositories, protection, webhooks over its API.
+
+Each call looks at what is there and changes only what differs: it can run after every upgrade and be killed anywhere.
+"""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import httpx
+
+from robotkube.domain.errors import InputError, UnavailableError
+
+TIMEOUT_SECONDS = 30.0
+PAGE_ITEMS = 50
+PAGES_MAX = 20
+SEED_MESSAGE = "Begin this repository\n\nThe only commit of main without a pull request.\n"
+
+# Main keeps one line of history: the gate pushes checked commits, people's pull requests are rebased onto it.
+REPOSITORY_OPTIONS: Mapping[str, Any] = {
+    "has_pull_requests": True,
+    "allow_merge_commits": False,
+    "allow_rebase": True,
+    "allow_rebase_explicit": False,
+    "allow_squash_merge": False,
+    "allow_fast_forward_only_merge": True,
+    "default_merge_style": "rebase",
+    "allow_manual_merge": False,
+    "autodetect_manual_merge": True,  # what the gate pushed shows as merged
+    "has_issues": False,
+    "has_wiki": False,
+    "has_projects": False,
+    "has_packages": False,
+    "has_releases": False,
+    "has_actions": False,
+}
+
+
+class GiteaAdministration:
+    """The port ForgeAdministration for the forge at `url`, as `username` (an administrator of the forge)."""
+
+    def __init__(self, url: str, username: str, password: str) -> None:
+        self._url, self._username = url, username
+        self._client = httpx.Client(base_url=f"{url}/api/v1", auth=(username, password), timeout=TIMEOUT_SECONDS)
+
+    def disconnect(self) -> None:
+        """Give the connections back."""
+        self._client.close()
+
+    def answers(self) -> bool:
+        """False when it serves and takes the administrator's password; UnavailableError before."""
+        try:
+            self._call("GET", "/user")
+        except InputError as error:  # the forge's own set-up makes this account moments after it serves
+            raise UnavailableError(f"{error}; the administrator is not there or has another password") from error
+        return False
+
+    def make_account(self, name: str, password: str) -> bool:
+        """An account with that password; no e-mail reaches it."""
+        found = self._find(f"/users/{name}")
+        if found is None:
+            account = {"username": name, "email": f"{name}@forge.invalid", "password": password}
+            self._call("POST", "/admin/users", {**account, "must_change_password": False})
+            return True
+        if self._knows(name, password):
+            return False
+        self._call("PATCH", f"/admin/users/{name}", {"login_name": name, "source_id": 0, "password": password})
+        return True
+
+    def _knows(self, name: str, password: str) -> bool:
+        try:
+            answer = httpx.get(f"{self._url}/api/v1/user", auth=(name, password), timeout=TIMEOUT_SECONDS)
+        except httpx.HTTPError as error:
+            raise UnavailableError(f"forge {self._url}: {error or type(error).__name__}") from error
+        return answer.status_code == 200
+
+    def make_organisation(self, name: str) -> bool:
+        """A private organisation."""
+        if self._find(f"/orgs/{name}") is not None:
+            return False
+        self._call("POST", "/orgs", {"username": name, "visibility": "private"})
+        return True
+
+    def make_repository(self, repository: str, description: str, branch: str) -> bool:
+        """A private, empty repository with pull requests and linear history."""
+        organisation, _, name = repository.partition("/")
+        wanted = {"description": description, "default_branch": branch, "private": True, **REPOSITORY_OPTIONS}
+        found = self._find(f"/repos/{repository}")
+        if found is None:
+            first = {"name": name, "private": True, "default_branch": branch, "description": description}
+            found = self._call("POST", f"/orgs/{organisation}/repos", first)
+        elif not _differences(found, wanted):
+            return False
+        options = {key: wanted[key] for key in _differences(found, wanted)}
+        if found.get("empty") and "default_branch" in options:
+            del options["default_branch"]  # refused while there is no branch
+        # Gitea takes the merge styles only together with has_pull_requests.
+        self._call("PATCH", f"/repos/{repository}", {**options, **REPOSITORY_OPTIONS})
+        return True
+
+    def seed(self, repository: str, branch: str, files: Mapping[str, bytes]) -> bool:
+        """The first commit, only when the repository is empty."""
+        if not self._call("GET", f"/repos/{repository}").get("empty"):
+            return False
+        if not files:
+            raise InputError(f"seed of {repository}: the folder holds no files; settings and image must agree on it")
+        changes = [
+            {"operation": "create", "path": path, "content": base64.b64encode(content).decode()}
+            for path, content in sorted(files.items())
+        ]
+        identity = {"name": self._username, "email": f"{self._username}@forge.invalid"}
+        who = {"author": identity, "committer": identity}
+        commit = {"branch": branch, "message": SEED_MESSAGE, "files": changes, **who}
+        self._call("POST", f"/repos/{repository}/contents", commit)
+        return True
+
+    def protect(self, repository: str, branch: str, pushers: Sequence[str]) -> bool:
+        """Only `pushers` push the branch, nobody by force; who may write the repository may merge; only the administrator tags."""
+        rule = {
+            "enable_push": True,
+            "enable_push_whitelist": True,
+            "push_whitelist_usernames": sorted(pushers),
+            "enable_force_push": False,
+            "enable_merge_whitelist": False,
+            "block_on_outdated_branch": False,
+            "block_admin_merge_override": True,
+        }
+        changed = self._protect_branch(repository, branch, rule)
+        return self._protect_tags(repository) or changed
+
+    def _protect_branch(self, repository: str, branch: str, rule: Mapping[str, Any]) -> bool:
+        path = f"/repos/{repository}/branch_protections"
+        found = next((r for r in self._call("GET", path) if r.get("rule_name") == branch), None)
+        if found is None:
+            self._call("POST", path, {"rule_name": branch, **rule})
+        elif _differences(found, rule):
+            self._call("PATCH", f"{path}/{branch}", dict(rule))
+        else:
+            return False
+        return True
+
+    def _protect_tags(self, repository: str) -> bool:
+        path = f"/repos/{repository}/tag_protections"
+        if any(rule.get("name_pattern") == "*" for rule in self._call("GET", path) or []):
+            return False
+        self._call("POST", path, {"name_pattern": "*", "whitelist_usernames": [self._username]})
+        return True
+
+    def make_team(
+        self, organisation: str, team: str, units: Mapping[str, str], members: frozenset[str], repository: str
+    ) -> bool:
+        """A team with exactly these members and units; for one repository, or for none when it is empty."""
+        level = "write" if "write" in units.values() else "read"
+        wanted = {"permission": level, "units_map": dict(units), "includes_all_repositories": False}
+        found = next((t for t in self._pages(f"/orgs/{organisation}/teams") if t["name"] == team), None)
+        changed = found is None
+        if found is None:
+            found = self._call("POST", f"/orgs/{organisation}/teams", {"name": team, **wanted})
+        elif _differences(found, {key: wanted[key] for key in ("units_map", "includes_all_repositories")}):
+            self._call("PATCH", f"/teams/{found['id']}", {"name": team, **wanted})
+            changed = True
+        changed = self._set_members(found["id"], members) or changed
+        return (bool(repository) and self._give_repository(found["id"], repository)) or changed
+
+    def _set_members(self, team: int, members: frozenset[str]) -> bool:
+        present = {member["login"] for member in self._pages(f"/teams/{team}/members")}
+        for name in sorted(members - present):
+            self._call("PUT", f"/teams/{team}/members/{name}")
+        for name in sorted(present - members):
+            self._call("DELETE", f"/teams/{team}/members/{name}")
+        return present != members
+
+    def _give_repository(self, team: int, repository: str) -> bool:
+        if any(found["full_name"] == repository for found in self._pages(f"/teams/{team}/repos")):
+            return False
+        self._call("PUT", f"/teams/{team}/repos/{repository}")
+        return True
+
+    def make_webhook(self, repository: str, url: str, events: Sequence[str], secret: str) -> bool:
+        """Signed deliveries, one webhook per repository and url; the secret cannot be read, so it is set each time."""
+        path = f"/repos/{repository}/hooks"
+        config = {"url": url, "content_type": "json", "secret": secret}
+        wanted = {"config": config, "events": sorted(_hook_events(events)), "active": True}
+        found = [hook for hook in self._pages(path) if (hook.get("config") or {}).get("url") == url]
+        for double in found[1:]:
+            self._call("DELETE", f"{path}/{double['id']}")
+        if not found:
+            self._call("POST", path, {"type": "gitea", **wanted})
+            return True
+        self._call("PATCH", f"{path}/{found[0]['id']}", wanted)
+        return sorted(found[0].get("events") or []) != wanted["events"] or not found[0].get("active")
+
+    def _find(self, path: str) -> Any:
+        """GET, None when it is not there."""
+        with contextlib.suppress(_NotFoundError):
+            return self._call("GET", path)
+        return None
+
+    def _pages(self, path: str) -> list[Any]:
+        found: list[Any] = []
+        for page in range(1, PAGES_MAX + 1):
+            items = self._call("GET", f"{path}?limit={PAGE_ITEMS}&page={page}") or []
+            found += items
+            if len(items) < PAGE_ITEMS:
+                return found
+        raise InputError(f"forge {self._url}: {path} has more than {PAGES_MAX * PAGE_ITEMS} entries")
+
+    def _call(self, method: str, path: str, body: Mapping[str, Any] | None = None) -> Any:
+        what = f"forge {self._url}: {method} {path}"
+        try:
+            answer = self._client.request(method, path, json=body)
+        except httpx.HTTPError as error:
+            raise UnavailableError(f"{what}: {error or type(error).__name__}") from error
+        if answer.status_code >= 500:
+            raise UnavailableError(f"{what}: {answer.status_code} {answer.text[:500]}")
+        if answer.is_error:
+            kind = _NotFoundError if answer.status_code == 404 else InputError
+            raise kind(f"{what}: {answer.status_code} {answer.text[:500]}")
+        return answer.json() if answer.content else None
+
+
+class _NotFoundError(InputError):
+    pass
+
+
+def _hook_events(events: Sequence[str]) -> set[str]:
+    """Gitea tells updates of a pull request's commits by an event of their own."""
+    return {*events, *(["pull_request_sync"] if "pull_request" in events else [])}
+
+
+def _differences(found: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:
+    """Keys that `found` shows with another value; keys that the API does not show cannot differ."""
+    return [key for key, value in wanted.items() if key in found and found[key] != value]

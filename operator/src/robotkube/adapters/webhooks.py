@@ -1,0 +1,211 @@
+"""The HTTP side of a process: signed webhooks in, health and metrics out.
+
+    POST /webhook   a delivery of the forge: HMAC-SHA256 of the body in X-Gitea-Signature; 204, or 400/401/413
+    GET  /livez     200 while the process serves
+    GET  /readyz    200, or 503 with one reason per line
+    GET  /metrics   Prometheus text
+
+A delivery only wakes its receiver: what happened is read from the forge afterwards, so a lost, doubled or replayed
+delivery does no harm.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import hmac
+import json
+import logging
+import socket
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+
+BODY_BYTES_MAX = 4 * 1024 * 1024
+CONNECTIONS_MAX = 32
+CONNECTION_SECONDS_MAX = 30.0
+SHUTDOWN_SECONDS_MAX = 5.0
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Delivery:
+    """A signed delivery: the forge's event name (push, pull_request, pull_request_sync, ...) and its decoded body."""
+
+    event: str
+    payload: Mapping[str, Any]
+
+    @property
+    def repository(self) -> str:
+        """`<organisation>/<name>`, empty when the payload names none."""
+        return str((self.payload.get("repository") or {}).get("full_name", ""))
+
+
+def sign(body: bytes, secret: bytes) -> str:
+    """Hexadecimal HMAC-SHA256 of `body`, as the forge and GitHub compute it."""
+    return hmac.new(secret, body, hashlib.sha256).hexdigest()
+
+
+class _DeliveryError(Exception):
+    def __init__(self, status: int, message: str) -> None:
+        super().__init__(message)
+        self.status = status
+
+
+def read_delivery(headers: Mapping[str, str], body: bytes, secret: bytes) -> Delivery:
+    """The delivery in a request; raises with the HTTP status when signature or body are wrong."""
+    names = {name.lower(): value for name, value in headers.items()}
+    signature = names.get("x-gitea-signature", "")
+    if not hmac.compare_digest(signature.encode(), sign(body, secret).encode()):
+        raise _DeliveryError(401, "X-Gitea-Signature does not fit the body: both sides need the same webhook secret")
+    try:
+        payload = json.loads(body)
+    except ValueError as error:
+        raise _DeliveryError(400, f"the body is not JSON: {error}") from error
+    if not isinstance(payload, dict):
+        raise _DeliveryError(400, "the body must be a JSON object")
+    return Delivery(names.get("x-gitea-event", ""), payload)
+
+
+class WebServer:
+    """Serves on a thread of its own, at most CONNECTIONS_MAX requests at a time; `start()`, then `stop()`.
+
+    `deliver` must return at once (it wakes a loop); `ready` gives the reasons why the process is not ready (empty = it
+    is); `metrics` gives Prometheus text. Port 0 takes a free one, see `port`. Without a secret there is no /webhook.
+    """
+
+    def __init__(
+        self,
+        address: str,
+        port: int,
+        ready: Callable[[], Sequence[str]],
+        metrics: Callable[[], str],
+        secret: bytes = b"",
+        deliver: Callable[[Delivery], None] | None = None,
+    ) -> None:
+        self._server = _Server((address, port), _Handler)
+        self._server.ready, self._server.metrics = ready, metrics
+        self._server.secret, self._server.deliver = secret, deliver
+        self._thread = threading.Thread(target=self._server.serve_forever, kwargs={"poll_interval": 0.2}, daemon=True)
+
+    @property
+    def port(self) -> int:
+        """The TCP port it listens on."""
+        return int(self._server.server_address[1])
+
+    def start(self) -> None:
+        """Begin to serve."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End within SHUTDOWN_SECONDS_MAX."""
+        if self._thread.is_alive():
+            self._server.shutdown()
+            self._thread.join(SHUTDOWN_SECONDS_MAX)
+        self._server.server_close()
+        self._server.end_connections()
+
+
+class _Server(ThreadingHTTPServer):
+    daemon_threads = True
+    block_on_close = False
+    request_queue_size = CONNECTIONS_MAX
+    ready: Callable[[], Sequence[str]]
+    metrics: Callable[[], str]
+    secret: bytes
+    deliver: Callable[[Delivery], None] | None
+
+    def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
+        super().__init__(address, handler)
+        self._connections: set[Any] = set()
+        self._lock = threading.Lock()
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Drops a connection beyond the bound; the forge delivers again or the receiver's polling sees it."""
+        with self._lock:
+            taken = len(self._connections) < CONNECTIONS_MAX
+            if taken:
+                self._connections.add(request)
+        if taken:
+            super().process_request(request, client_address)
+        else:
+            self.shutdown_request(request)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """Gives the place back when the connection ends."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            with self._lock:
+                self._connections.discard(request)
+
+    def end_connections(self) -> None:
+        """Kept connections end now: a delivery must not go to a process that has stopped listening."""
+        with self._lock, contextlib.suppress(OSError):
+            for connection in self._connections:
+                connection.shutdown(socket.SHUT_RDWR)
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: _Server
+    protocol_version = "HTTP/1.1"
+    timeout = CONNECTION_SECONDS_MAX
+    server_version = "robotkube"
+    sys_version = ""
+
+    def do_GET(self) -> None:
+        """Health and metrics."""
+        if self.path == "/livez":
+            self._answer(200, "ok\n")
+        elif self.path == "/readyz":
+            reasons = self.server.ready()
+            self._answer(503 if reasons else 200, "".join(f"{reason}\n" for reason in reasons) or "ok\n")
+        elif self.path == "/metrics":
+            self._answer(200, self.server.metrics())
+        else:
+            self._answer(404, "not found\n")
+
+    def do_POST(self) -> None:
+        """A delivery."""
+        if self.path != "/webhook" or self.server.deliver is None:
+            self._refuse(404, "not found")
+            return
+        try:
+            delivery = read_delivery(dict(self.headers), self._body(), self.server.secret)
+        except _DeliveryError as error:
+            log.warning("webhook refused status=%d reason=%s", error.status, error)
+            self._refuse(error.status, str(error))
+            return
+        log.debug("delivery event=%s action=%s", delivery.event, delivery.payload.get("action", ""))
+        self.server.deliver(delivery)
+        self._answer(204, "")
+
+    def _body(self) -> bytes:
+        length = self.headers.get("Content-Length") or ""
+        if not length.isascii() or not length.isdigit():
+            raise _DeliveryError(411, "Content-Length is missing")
+        if int(length) > BODY_BYTES_MAX:
+            raise _DeliveryError(413, f"longer than {BODY_BYTES_MAX} bytes")
+        return self.rfile.read(int(length))
+
+    def _refuse(self, status: int, message: str) -> None:
+        self.close_connection = True  # the body may not have been read
+        self._answer(status, message + "\n")
+
+    def _answer(self, status: int, text: str) -> None:
+        body = text.encode()
+        self.send_response(status)
+        if self.close_connection:
+            self.send_header("Connection", "close")
+        if status != 204:
+            self.send_header("Content-Type", "text/plain; charset=utf-8")
+            self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        if status != 204:
+            self.wfile.write(body)
+
+    def log_message(self, format: str, *args: Any) -> None:  # noqa: A002 - the base class names it so
+        """No access log: one canonical line per unit of work comes from the services."""

@@ -1,0 +1,74 @@
+"""One real forge per test session, bootstrapped as an installation does it; a gate per test."""
+
+import secrets
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from forge_process import ForgeProcess, free_port
+from installation import (
+    ACCOUNTS,
+    ApplicationSetController,
+    Installation,
+    RunningGate,
+    forge_setup,
+    start_gate,
+    wait_until,
+)
+
+from robotkube.adapters.gitea_administration import GiteaAdministration
+from robotkube.services.bootstrapping import Bootstrap
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if Path(__file__).parent in item.path.parents:
+            item.add_marker(pytest.mark.forge)
+
+
+@pytest.fixture(scope="session")
+def forge_process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ForgeProcess]:
+    process = ForgeProcess(tmp_path_factory.mktemp("forge"))
+    process.start()
+    yield process
+    process.remove()
+
+
+@pytest.fixture(scope="session")
+def administration(forge_process: ForgeProcess) -> Iterator[GiteaAdministration]:
+    found = GiteaAdministration(forge_process.url, forge_process.administrator, forge_process.administrator_password)
+    yield found
+    found.disconnect()
+
+
+@pytest.fixture(scope="session")
+def installation(
+    forge_process: ForgeProcess, administration: GiteaAdministration, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Installation]:
+    passwords = {name: secrets.token_hex(12) for name in ACCOUNTS}
+    port = free_port()
+    setup = forge_setup(passwords, f"http://127.0.0.1:{port}/webhook")
+    Bootstrap(30, time.monotonic, time.sleep).forge(setup, administration)
+    found = Installation(forge_process.url, passwords, port, tmp_path_factory.mktemp("clones"), setup)
+    yield found
+    found.disconnect()
+
+
+@pytest.fixture
+def controller() -> Iterator[ApplicationSetController]:
+    controller = ApplicationSetController()
+    yield controller
+    controller.stop()
+
+
+@pytest.fixture
+def gate(installation: Installation, controller: ApplicationSetController, tmp_path: Path) -> Iterator[RunningGate]:
+    running = start_gate(installation, controller.url, tmp_path)
+    wait_until(lambda: not running.gate.reasons_not_ready(), "gate ready")
+    yield running
+    running.stop()

@@ -1,0 +1,319 @@
+"""A bootstrapped forge for tests: accounts, repositories, a proposer that plays the manager, a listener that plays Argo CD."""
+
+import hashlib
+import hmac
+import json
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pygit2
+
+from robotkube.adapters.argocd import PushHook
+from robotkube.adapters.git_clones import GitClone
+from robotkube.adapters.gitea import GiteaForge
+from robotkube.adapters.webhooks import WebServer
+from robotkube.domain.proposals import ChartReference, CommitMessage, write_message
+from robotkube.domain.releases import Cause, Release, Source, write_release, write_source
+from robotkube.services.bootstrapping import Account, ForgeSetup, Organisation, Repository, Webhook
+from robotkube.services.gate import Gate, GateSettings, metrics_text
+
+WAIT_SECONDS_MAX = 20.0
+ACCOUNTS = ("manager", "gate", "argocd", "publisher", "operator-team")
+CHARTS_URL = "oci://forge.robotkube.svc.cluster.local:3000/staging"
+WEBHOOK_SECRET = "webhook secret"  # noqa: S105
+HOOK_SECRET = "hook secret"  # noqa: S105
+DIGESTS = {
+    name: "sha256:" + hashlib.sha256(name.encode()).hexdigest() for name in ("mqtt-bridge", "event-detector", "old")
+}
+CAUSE = Cause("cloud-0/pose-1", "e1", "proximity", "0" * 32, "pose-point-cloud-recording")
+
+
+def wait_until(condition: Callable[[], bool], what: str, seconds: float = WAIT_SECONDS_MAX) -> None:
+    """Until it is true; fails with `what` after the bound."""
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, f"not within {seconds:.0f} s: {what}"
+        time.sleep(0.01)
+
+
+def chart_file(chart: str, digest: str, state: str = "staged", version: str = "0.1.0") -> str:
+    """A published chart version of the catalogue repository."""
+    return (
+        "apiVersion: registry.robotkube.io/v1alpha1\nkind: ChartVersion\n"
+        f"metadata: {{name: {chart}}}\nspec: {{version: {version}}}\n"
+        f"status: {{state: {state}, digest: '{digest}', images: []}}\n"
+    )
+
+
+CATALOGUE = {
+    "README.md": "catalogue\n",
+    "policies/release.yaml": "assurance: none\n",
+    "charts/mqtt-bridge/0.1.0.yaml": chart_file("mqtt-bridge", DIGESTS["mqtt-bridge"]),
+    "charts/event-detector/0.1.0.yaml": chart_file("event-detector", DIGESTS["event-detector"]),
+    "charts/event-detector/0.0.9.yaml": chart_file("event-detector", DIGESTS["old"], "withdrawn", "0.0.9"),
+}
+DEPLOYMENT = {"README.md": "deployment\n", "policies/initial.yaml": "add: []\nremove: []\n", "releases/.gitkeep": ""}
+
+
+def forge_setup(passwords: Mapping[str, str], gate_url: str, webhook_secret: str = WEBHOOK_SECRET) -> ForgeSetup:
+    """The installation as the platform chart declares it."""
+    events = ("push", "pull_request")
+    packages = {"publisher": "write", "argocd": "read", "manager": "read", "gate": "read"}
+    return ForgeSetup(
+        accounts=tuple(Account(name, passwords[name]) for name in ACCOUNTS),
+        organisations=(Organisation("robotkube", packages), Organisation("staging", packages)),
+        repositories=(
+            Repository(
+                "robotkube/deployment",
+                "What runs on the fleet",
+                "main",
+                {path: text.encode() for path, text in DEPLOYMENT.items()},
+                {"manager": "read", "gate": "write", "argocd": "read", "operator-team": "write"},
+                ("gate",),
+            ),
+            Repository(
+                "robotkube/catalogue",
+                "What may be deployed",
+                "main",
+                {path: text.encode() for path, text in CATALOGUE.items()},
+                {"manager": "read", "gate": "read", "publisher": "write", "operator-team": "read"},
+                ("publisher",),
+            ),
+        ),
+        webhooks=(
+            Webhook("robotkube/deployment", gate_url, events, webhook_secret),
+            Webhook("robotkube/catalogue", gate_url, ("push",), webhook_secret),
+        ),
+    )
+
+
+class ApplicationSetController:
+    """Takes the push hook as Argo CD's controller does: the signature decides; keeps what it accepted with its time."""
+
+    def __init__(self) -> None:
+        self.accepted: list[tuple[float, dict[str, Any]]] = []
+        self.refused = 0
+        outer = self
+
+        class Handler(BaseHTTPRequestHandler):
+            def do_POST(self) -> None:
+                body = self.rfile.read(int(self.headers["Content-Length"]))
+                wanted = "sha256=" + hmac.new(HOOK_SECRET.encode(), body, hashlib.sha256).hexdigest()
+                genuine = hmac.compare_digest(self.headers.get("X-Hub-Signature-256", ""), wanted)
+                if genuine and self.headers.get("X-GitHub-Event") == "push" and self.path == "/api/webhook":
+                    outer.accepted.append((time.monotonic(), json.loads(body)))
+                    self.send_response(200)
+                else:
+                    outer.refused += 1
+                    self.send_response(400)
+                self.send_header("Content-Length", "0")
+                self.end_headers()
+
+            def log_message(self, format: str, *args: Any) -> None:  # noqa: A002
+                pass
+
+        self._server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        self._server.daemon_threads = True
+        threading.Thread(target=self._server.serve_forever, kwargs={"poll_interval": 0.05}, daemon=True).start()
+        self.url = f"http://127.0.0.1:{self._server.server_address[1]}/api/webhook"
+
+    def announced(self, commit: str) -> bool:
+        """Whether a genuine hook named `commit` as main's new tip."""
+        return any(event["after"] == commit for _, event in self.accepted)
+
+    def stop(self) -> None:
+        self._server.shutdown()
+        self._server.server_close()
+
+
+class _Account(pygit2.RemoteCallbacks):
+    def __init__(self, username: str, password: str) -> None:
+        super().__init__(credentials=pygit2.UserPass(username, password))
+        self.refusal = ""
+
+    def push_update_reference(self, refname: str, message: str | None) -> None:
+        self.refusal = message or ""
+
+
+class Clone:
+    """Git as one account uses it: commits made in memory, pushed anywhere, with push options."""
+
+    def __init__(self, url: str, repository: str, username: str, password: str, folder: Path) -> None:
+        self.repository = pygit2.init_repository(str(folder), bare=True)
+        self.repository.remotes.create("origin", f"{url}/{repository}.git")
+        self._account = (username, password)
+        self.username = username
+
+    def tip(self) -> str:
+        """Main's tip, fetched."""
+        main = "+refs/heads/main:refs/heads/main"
+        self.repository.remotes["origin"].fetch([main], callbacks=_Account(*self._account))
+        return str(self.repository.references["refs/heads/main"].target)
+
+    def commit(self, changes: Mapping[str, str | None], message: str, parents: list[str], mode: int = 0o100644) -> str:
+        """A commit on the first of `parents`."""
+        index = pygit2.Index()
+        index.read_tree(self.repository[parents[0]].tree)
+        for path, text in changes.items():
+            if text is None:
+                index.remove(path)
+            else:
+                index.add(
+                    pygit2.IndexEntry(path, self.repository.create_blob(text.encode()), pygit2.enums.FileMode(mode))
+                )
+        who = pygit2.Signature(self.username, f"{self.username}@forge.invalid")
+        tree = index.write_tree(self.repository)
+        return str(self.repository.create_commit(None, who, who, message, tree, parents))
+
+    def push(self, commit: str, reference: str, options: list[str] | None = None, force: bool = False) -> str:
+        """Push; the server's refusal, or empty when it took it."""
+        self.repository.references.create("refs/heads/pushed", commit, force=True)
+        callbacks = _Account(*self._account)
+        specification = ("+" if force else "") + f"refs/heads/pushed:{reference}"
+        try:
+            self.repository.remotes["origin"].push([specification], callbacks=callbacks, push_options=options)
+        except pygit2.GitError as error:
+            return str(error) or "refused"
+        return callbacks.refusal
+
+
+@dataclass
+class Installation:
+    """One forge with everything on it; `client(account)` speaks its API."""
+
+    url: str
+    passwords: Mapping[str, str]
+    gate_port: int
+    folder: Path
+    setup: ForgeSetup
+    plans: int = 0
+    clients: dict[str, httpx.Client] = field(default_factory=dict)
+
+    def client(self, account: str) -> httpx.Client:
+        """The API of robotkube/deployment as `account`."""
+        if account not in self.clients:
+            base = f"{self.url}/api/v1/repos/robotkube/deployment"
+            self.clients[account] = httpx.Client(base_url=base, auth=(account, self.passwords[account]), timeout=30)
+        return self.clients[account]
+
+    def disconnect(self) -> None:
+        for client in self.clients.values():
+            client.close()
+
+    def clone(self, account: str, repository: str = "robotkube/deployment") -> Clone:
+        """A new clone as `account`."""
+        folder = self.folder / f"clone-{account}-{time.monotonic_ns()}"
+        return Clone(self.url, repository, account, self.passwords[account], folder)
+
+    def plan(self) -> str:
+        """A plan id nobody had before."""
+        self.plans += 1
+        return f"20261121-100000-{self.plans:06x}"
+
+    def pull_request(self, number: int) -> dict[str, Any]:
+        """As the forge shows it."""
+        answer = self.client("gate").get(f"/pulls/{number}")
+        answer.raise_for_status()
+        return dict(answer.json())
+
+    def comments(self, number: int) -> str:
+        """All comments as one text."""
+        return "\n".join(item["body"] for item in self.client("gate").get(f"/issues/{number}/comments").json())
+
+    def propose(self, clone: Clone, commit: str, topic: str) -> int:
+        """AGit push; the number of the pull request that opened."""
+        refusal = clone.push(commit, "refs/for/main", [f"topic={topic}", "title=a plan"])
+        assert refusal == "", refusal
+        found = self.client("gate").get("/pulls", params={"state": "all", "sort": "recentupdate", "limit": 10}).json()
+        return next(int(item["number"]) for item in found if item["head"]["sha"] == commit)
+
+
+def release_files(made_by: str, name: str = "recorder", **changes: Any) -> dict[str, str | None]:
+    """A release of the recorder and its source."""
+    release = Release(
+        **{
+            "namespace": "cloud-0",
+            "name": name,
+            "chart": "event-detector",
+            "version": "0.1.0",
+            "digest": DIGESTS["event-detector"],
+            "values": {"global": {}},
+            "causes": (CAUSE,),
+            "plan": made_by,
+            **changes,
+        }
+    )
+    source = Source(release.namespace, release.chart, release.digest, f"{CHARTS_URL}/{release.chart}")
+    return {release.path: write_release(release), source.path: write_source(source)}
+
+
+def message(plan: str, **changes: Any) -> str:
+    """The commit message that goes with `release_files`."""
+    chart = ChartReference("event-detector", "0.1.0", DIGESTS["event-detector"])
+    fields = {
+        "verb": "deploy",
+        "area": "recording",
+        "reason": "test",
+        "plan": plan,
+        "causes": (CAUSE,),
+        "charts": (chart,),
+    }
+    return write_message(CommitMessage(**{**fields, **changes}))
+
+
+@dataclass
+class RunningGate:
+    """The gate as its entry point wires it: web server, loop on a thread; `stop` ends both."""
+
+    gate: Gate
+    server: WebServer
+    thread: threading.Thread
+    stopping: threading.Event
+    connections: tuple[GiteaForge | PushHook, ...]
+
+    def stop(self) -> None:
+        self.gate.stop(self.stopping)
+        self.thread.join(WAIT_SECONDS_MAX)
+        self.server.stop()
+        for connection in self.connections:
+            connection.disconnect()
+
+
+def start_gate(installation: Installation, hook_url: str, folder: Path, webhooks: bool = True) -> RunningGate:
+    """A new gate on `folder`; without `webhooks` it only polls."""
+    account = ("gate", installation.passwords["gate"])
+    forge = GiteaForge(installation.url, "robotkube/deployment", *account)
+    hook = PushHook(hook_url, HOOK_SECRET.encode(), f"{installation.url}/robotkube/deployment")
+    gate = Gate(
+        forge,
+        GitClone(installation.url, "robotkube/deployment", *account, folder / "deployment"),
+        GitClone(installation.url, "robotkube/catalogue", *account, folder / "catalogue"),
+        hook,
+        GateSettings(
+            "robotkube/deployment",
+            "robotkube/catalogue",
+            "manager",
+            frozenset({"cloud-0", "vehicle-00", "vehicle-01"}),
+            CHARTS_URL,
+        ),
+        time.monotonic,
+    )
+    server = WebServer(
+        "127.0.0.1",
+        installation.gate_port if webhooks else 0,
+        gate.reasons_not_ready,
+        lambda: metrics_text(gate.statistics),
+        WEBHOOK_SECRET.encode(),
+        lambda delivery: gate.wake(delivery.event, delivery.payload),
+    )
+    stopping = threading.Event()
+    thread = threading.Thread(target=gate.run, args=(stopping,), daemon=True)
+    server.start()
+    thread.start()
+    return RunningGate(gate, server, thread, stopping, (forge, hook))

@@ -1,0 +1,254 @@
+"""The gate against a real forge: what it takes, what it refuses and in which words, and what survives restarts."""
+
+import time
+from pathlib import Path
+
+import pytest
+from installation import (
+    CAUSE,
+    DIGESTS,
+    ApplicationSetController,
+    Clone,
+    Installation,
+    RunningGate,
+    chart_file,
+    message,
+    release_files,
+    start_gate,
+    wait_until,
+)
+
+from robotkube.domain.proposals import ChartReference
+from robotkube.domain.releases import Cause
+
+
+@pytest.fixture(scope="module")
+def manager(installation: Installation) -> Clone:
+    return installation.clone("manager")
+
+
+def merged(installation: Installation, number: int) -> bool:
+    return bool(installation.pull_request(number)["merged"])
+
+
+def wait_for_refusal(installation: Installation, number: int) -> str:
+    """The comments of a pull request that the gate closed without merging."""
+    wait_until(lambda: installation.pull_request(number)["state"] == "closed", "closed")
+    assert not merged(installation, number)
+    return installation.comments(number)
+
+
+def test_a_good_proposal_becomes_main_and_is_announced(
+    installation: Installation, gate: RunningGate, controller: ApplicationSetController, manager: Clone
+) -> None:
+    plan, before = installation.plan(), manager.tip()
+    commit = manager.commit(release_files(plan), message(plan), [before])
+    number = installation.propose(manager, commit, plan)
+    wait_until(lambda: merged(installation, number), "merged")
+    found = installation.pull_request(number)
+    assert manager.tip() == commit
+    assert found["merge_commit_sha"] == commit
+    assert found["merged_by"]["login"] == "gate"
+    wait_until(lambda: controller.announced(commit), "announced")
+    event = next(event for _, event in controller.accepted if event["after"] == commit)
+    assert event["before"] == before
+    assert event["ref"] == "refs/heads/main"
+    assert event["repository"] == {
+        "html_url": f"{installation.url}/robotkube/deployment",
+        "default_branch": "main",
+    }
+
+
+def test_a_proposal_that_main_has_overtaken_is_closed_as_stale(
+    installation: Installation, gate: RunningGate, manager: Clone
+) -> None:
+    old = manager.tip()
+    first, second = installation.plan(), installation.plan()
+    one = manager.commit(release_files(first, "one"), message(first), [old])
+    two = manager.commit(release_files(second, "two"), message(second), [old])
+    number = installation.propose(manager, one, first)
+    wait_until(lambda: merged(installation, number), "first merged")
+    stale = installation.propose(manager, two, second)
+    text = wait_for_refusal(installation, stale)
+    assert "main moved" in text
+    assert old[:12] in text
+    assert one[:12] in text
+    assert manager.tip() == one
+
+
+WRONG_FILES = {
+    "a file that is not a release": ({"README.md": "mine\n"}, "README.md: a plan may only touch releases/"),
+    "a policy": ({"policies/initial.yaml": "add: [{}]\n"}, "policies/initial.yaml: a plan may only touch"),
+    "text that is not YAML": ({"releases/cloud-0/broken.yaml": "a: [\n"}, "releases/cloud-0/broken.yaml: not readable"),
+    "two documents": ({"releases/cloud-0/two.yaml": "a: 1\n---\nb: 2\n"}, "exactly one YAML document"),
+    "an unused source": (
+        {path: text for path, text in release_files("", chart="mqtt-bridge", digest=DIGESTS["mqtt-bridge"]).items()
+         if path.startswith("sources/")},
+        "no release uses this source",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", WRONG_FILES)
+def test_wrong_files_are_refused(installation: Installation, gate: RunningGate, manager: Clone, case: str) -> None:
+    extra, expected = WRONG_FILES[case]
+    plan = installation.plan()
+    commit = manager.commit({**release_files(plan, "extra"), **extra}, message(plan), [manager.tip()])
+    assert expected in wait_for_refusal(installation, installation.propose(manager, commit, plan))
+
+
+WRONG_RELEASES = {
+    "foreign namespace": ({"namespace": "kube-system"}, "'kube-system' is not the namespace of a declared agent"),
+    "unknown digest": ({"digest": "sha256:" + "a" * 64}, "is not in the catalogue"),
+    "withdrawn chart": ({"digest": DIGESTS["old"], "version": "0.0.9"}, "is withdrawn; the release policy"),
+    "another version": ({"version": "0.2.0"}, "is not in the catalogue, which has"),
+    "another plan": ({"plan": "20261121-100000-ffffff"}, "differs from the commit's RobotKube-Plan"),
+    "evidence": ({"evidence": "signed"}, "evidence 'signed' cannot be checked here"),
+    "long name": ({"name": "r" * 50}, "at most 53 are allowed"),
+    "other trace": (
+        {"causes": (Cause(CAUSE.task, CAUSE.event, CAUSE.rule, "f" * 32, "x"),)},
+        "event, rule or trace of",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", WRONG_RELEASES)
+def test_wrong_releases_are_refused(installation: Installation, gate: RunningGate, manager: Clone, case: str) -> None:
+    changes, expected = WRONG_RELEASES[case]
+    plan = installation.plan()
+    files = release_files(plan, **{"name": "wrong", **changes})
+    chart = ChartReference(
+        "event-detector", changes.get("version", "0.1.0"), changes.get("digest", DIGESTS["event-detector"])
+    )
+    commit = manager.commit(files, message(plan, charts=(chart,)), [manager.tip()])
+    text = wait_for_refusal(installation, installation.propose(manager, commit, plan))
+    assert expected in text
+    assert text.startswith("Refused: the gate does not take this commit to main.")
+
+
+def test_all_problems_are_named_at_once(installation: Installation, gate: RunningGate, manager: Clone) -> None:
+    plan = installation.plan()
+    files = {**release_files(plan, "many", namespace="kube-system", digest="sha256:" + "b" * 64), "x": "y"}
+    commit = manager.commit(files, "deploy everything\n", [manager.tip()])
+    text = wait_for_refusal(installation, installation.propose(manager, commit, plan))
+    for part in ("x: a plan may only touch", "kube-system", "not in the catalogue", "subject 'deploy everything'"):
+        assert part in text
+    for trailer in ("RobotKube-Plan must stand exactly once", "RobotKube-Evidence must stand exactly once"):
+        assert trailer in text
+
+
+def test_a_link_is_refused(installation: Installation, gate: RunningGate, manager: Clone) -> None:
+    plan = installation.plan()
+    commit = manager.commit({"releases/cloud-0/link.yaml": "/etc/passwd"}, message(plan), [manager.tip()], 0o120000)
+    text = wait_for_refusal(installation, installation.propose(manager, commit, plan))
+    assert "releases/cloud-0/link.yaml: not an ordinary text file" in text
+
+
+def test_a_merge_commit_is_refused(installation: Installation, gate: RunningGate, manager: Clone) -> None:
+    plan, tip = installation.plan(), manager.tip()
+    side = manager.commit({"x": "y"}, "side\n", [tip])
+    commit = manager.commit(release_files(plan, "merge"), message(plan), [tip, side])
+    text = wait_for_refusal(installation, installation.propose(manager, commit, plan))
+    assert "has 2 parents" in text
+
+
+def test_a_foreign_registry_is_refused(installation: Installation, gate: RunningGate, manager: Clone) -> None:
+    plan = installation.plan()
+    files = {
+        path: text.replace("oci://forge", "oci://elsewhere") if text else None
+        for path, text in release_files(plan, "foreign", namespace="vehicle-00").items()
+    }
+    commit = manager.commit(files, message(plan), [manager.tip()])
+    assert "must be oci://forge" in wait_for_refusal(installation, installation.propose(manager, commit, plan))
+
+
+def test_another_accounts_proposal_of_releases_is_left_to_people(installation: Installation, gate: RunningGate) -> None:
+    person, plan = installation.clone("operator-team"), installation.plan()
+    commit = person.commit(release_files(plan, "person"), message(plan), [person.tip()])
+    number = installation.propose(person, commit, plan)
+    rounds = gate.gate.statistics.rounds
+    wait_until(lambda: gate.gate.statistics.rounds > rounds + 1, "two rounds")
+    assert installation.pull_request(number)["state"] == "open"
+    installation.client("gate").patch(f"/pulls/{number}", json={"state": "closed"})
+
+
+def test_removal_of_a_release_is_taken(installation: Installation, gate: RunningGate, manager: Clone) -> None:
+    made, removed = installation.plan(), installation.plan()
+    files = release_files(made, "leaving", namespace="vehicle-01")
+    first = manager.commit(files, message(made), [manager.tip()])
+    wait_for = installation.propose(manager, first, made)
+    wait_until(lambda: merged(installation, wait_for), "made")
+    gone = manager.commit(dict.fromkeys(files), message(removed, verb="withdraw"), [manager.tip()])
+    number = installation.propose(manager, gone, removed)
+    wait_until(lambda: merged(installation, number), "removed")
+
+
+def test_a_new_gate_takes_what_waited_and_leaves_what_is_done(
+    installation: Installation, controller: ApplicationSetController, tmp_path: Path, manager: Clone
+) -> None:
+    """No webhook reaches this one: it only polls. The first proposal waits before it starts."""
+    plan = installation.plan()
+    commit = manager.commit(release_files(plan, "waiting"), message(plan), [manager.tip()])
+    number = installation.propose(manager, commit, plan)
+    for folder in ("first", "second"):
+        running = start_gate(installation, controller.url, tmp_path / folder, webhooks=False)
+        try:
+            wait_until(lambda: merged(installation, number), "merged")
+            wait_until(lambda: controller.announced(commit), "announced")
+        finally:
+            running.stop()
+        controller.accepted.clear()
+        assert installation.comments(number) == ""
+
+
+def test_the_catalogue_is_read_again_before_a_refusal(
+    installation: Installation, controller: ApplicationSetController, tmp_path: Path, manager: Clone
+) -> None:
+    running = start_gate(installation, controller.url, tmp_path, webhooks=False)
+    try:
+        wait_until(lambda: not running.gate.reasons_not_ready(), "ready")
+        digest = "sha256:" + "c" * 64
+        publisher = installation.clone("publisher", "robotkube/catalogue")
+        file = {"charts/event-detector/0.3.0.yaml": chart_file("event-detector", digest, version="0.3.0")}
+        assert publisher.push(publisher.commit(file, "publish\n", [publisher.tip()]), "refs/heads/main") == ""
+        plan = installation.plan()
+        files = release_files(plan, "newer", version="0.3.0", digest=digest, namespace="vehicle-00")
+        text = message(plan, charts=(ChartReference("event-detector", "0.3.0", digest),))
+        number = installation.propose(manager, manager.commit(files, text, [manager.tip()]), plan)
+        wait_until(lambda: merged(installation, number), "merged")
+    finally:
+        running.stop()
+
+
+def test_a_persons_policy_is_merged_by_the_person_and_relayed(
+    installation: Installation, gate: RunningGate, controller: ApplicationSetController
+) -> None:
+    person, topic = installation.clone("operator-team"), installation.plan()
+    text = "add: []\nremove: [{application: mqtt-bridge, agents: [vehicle-01]}]\n"
+    commit = person.commit({"policies/initial.yaml": text}, "Take vehicle-01 off the road\n", [person.tip()])
+    number = installation.propose(person, commit, topic)
+
+    def merge() -> bool:
+        answer = installation.client("operator-team").post(f"/pulls/{number}/merge", json={"Do": "rebase"})
+        assert answer.status_code in (200, 405), answer.text  # 405: still checking for conflicts
+        return answer.status_code == 200
+
+    wait_until(merge, "merged by the person")
+    tip = person.tip()
+    assert tip == commit
+    started = time.monotonic()
+    wait_until(lambda: controller.announced(tip), "relayed")
+    assert time.monotonic() - started < 5
+    assert controller.refused == 0
+
+
+def test_a_hook_that_nobody_took_is_sent_again(installation: Installation, tmp_path: Path, manager: Clone) -> None:
+    controller = ApplicationSetController()
+    url = controller.url
+    controller.stop()
+    running = start_gate(installation, url, tmp_path)
+    try:
+        wait_until(lambda: running.gate.statistics.hooks["lost"] >= 2, "sent again after a failure")
+    finally:
+        running.stop()
+    assert running.gate.statistics.hooks["taken"] == 0

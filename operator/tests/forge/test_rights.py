@@ -1,0 +1,81 @@
+"""What the forge itself refuses: the manager proposes and nothing else, nobody passes the gate by."""
+
+import pytest
+from installation import Installation, message, release_files
+
+
+@pytest.mark.parametrize(
+    ("reference", "force"),
+    [
+        ("refs/heads/main", False),
+        ("refs/heads/main", True),
+        ("refs/heads/feature", False),
+        ("refs/tags/v1", False),
+    ],
+)
+def test_the_manager_pushes_nothing(installation: Installation, reference: str, force: bool) -> None:
+    manager, plan = installation.clone("manager"), installation.plan()
+    commit = manager.commit(release_files(plan, "pushed"), message(plan), [manager.tip()])
+    tip = manager.tip()
+    assert manager.push(commit, reference, force=force) != ""
+    assert manager.tip() == tip
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "body"),
+    [
+        ("POST", "/statuses/{commit}", {"state": "success", "context": "gate"}),
+        ("PATCH", "/branch_protections/main", {"enable_push_whitelist": False}),
+        ("POST", "/contents/x.txt", {"content": "eA==", "message": "x", "branch": "main"}),
+        ("POST", "/hooks", {"type": "gitea", "config": {"url": "http://127.0.0.1:1", "content_type": "json"}}),
+        ("DELETE", "", None),
+    ],
+)
+def test_the_manager_has_no_other_way(
+    installation: Installation, method: str, path: str, body: dict[str, object] | None
+) -> None:
+    commit = installation.clone("manager").tip()
+    client = installation.client("manager")
+    assert client.request(method, path.format(commit=commit), json=body).status_code in (403, 404)
+
+
+def test_the_manager_does_not_merge(installation: Installation) -> None:
+    manager, plan = installation.clone("manager"), installation.plan()
+    commit = manager.commit(release_files(plan, "merged"), message(plan), [manager.tip()])
+    number = installation.propose(manager, commit, plan)
+    for way in ("rebase", "fast-forward-only", "manually-merged"):
+        body = {"Do": way, "MergeCommitID": commit}
+        assert installation.client("manager").post(f"/pulls/{number}/merge", json=body).status_code == 405
+    installation.client("gate").patch(f"/pulls/{number}", json={"state": "closed"})
+    assert not installation.pull_request(number)["merged"]
+
+
+def test_the_gate_does_not_force_main(installation: Installation) -> None:
+    gate = installation.clone("gate")
+    tip = gate.tip()
+    root = gate.repository[tip]
+    while root.parents:
+        root = root.parents[0]
+    assert gate.push(str(root.id), "refs/heads/main", force=True) != "" or str(root.id) == tip
+    assert gate.tip() == tip
+
+
+@pytest.mark.parametrize("account", ["manager", "argocd", "publisher"])
+def test_only_the_gate_pushes_main_of_the_deployment_repository(installation: Installation, account: str) -> None:
+    gate, plan = installation.clone("gate"), installation.plan()
+    tip = gate.tip()
+    other = installation.clone(account) if account != "publisher" else gate
+    if account == "publisher":  # it cannot even read it
+        answer = installation.client("publisher").get("")
+        assert answer.status_code == 404
+        return
+    commit = other.commit(release_files(plan, "direct"), message(plan), [other.tip()])
+    assert other.push(commit, "refs/heads/main") != ""
+    assert gate.tip() == tip
+
+
+def test_only_the_publisher_pushes_the_catalogue(installation: Installation) -> None:
+    for account in ("manager", "gate", "operator-team"):
+        clone = installation.clone(account, "robotkube/catalogue")
+        commit = clone.commit({"policies/release.yaml": "assurance: none\n"}, "mine\n", [clone.tip()])
+        assert clone.push(commit, "refs/heads/main") != ""
