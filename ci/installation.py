@@ -59,7 +59,7 @@ class Installer:
         """Apply Argo CD's own manifests, with our images, and wait until its definitions are known."""
         from gitops.argocd import render
 
-        source = toolchain.module_folder("github.com/argoproj/argo-cd/v3") / "manifests" / "install.yaml"
+        source = toolchain.module_dir("github.com/argoproj/argo-cd/v3") / "manifests" / "install.yaml"
         manifests = render.render(source.read_text(encoding="utf-8"), references)
         namespace = {"apiVersion": "v1", "kind": "Namespace", "metadata": {"name": ARGOCD}}
         self.kubectl("apply", "--server-side", "--force-conflicts", "-f", "-", text=yaml.safe_dump(namespace))
