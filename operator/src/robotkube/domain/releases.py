@@ -275,7 +275,7 @@ def read_tree(files: Mapping[str, str]) -> Tree:
     releases: dict[str, Release] = {}
     sources: dict[str, Source] = {}
     problems: list[str] = []
-    for path in sorted(files):
+    for path in sorted(path for path in files if not path.endswith("/.gitkeep")):
         try:
             if path.startswith(f"{RELEASES}/"):
                 releases[path] = read_release(files[path], path)

@@ -1,0 +1,136 @@
+"""The manager's own commits: made in memory on a fetched commit, proposed as pull requests by one AGit push.
+
+`git push origin <commit>:refs/for/main -o topic=... -o title=... -o description=...` opens the pull request;
+the account needs read access to the repository only. Works on the bare clone that another adapter keeps up to date.
+"""
+
+from __future__ import annotations
+
+import base64
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pygit2
+from pygit2.enums import FileMode
+
+from robotkube.domain.errors import InputError, RefusalError, UnavailableError
+
+EMAIL_DOMAIN = "robotkube.invalid"
+DESCRIPTION_BYTES_MAX = 48 * 1024  # the forge takes 64 KiB per push option; base64 makes a third more
+PROPOSAL_REFERENCE = "refs/proposals-of-mine/current"
+
+_NUMBER = re.compile(r"/pulls/(\d+)\b")
+
+
+class _Callbacks(pygit2.RemoteCallbacks):
+    """Password once per connection; what the server says while it takes the push."""
+
+    def __init__(self, username: str, password: str) -> None:
+        super().__init__()
+        self._username, self._password, self._asked = username, password, 0
+        self.said = ""
+        self.refusal = ""
+
+    def credentials(self, url: str, username_from_url: str | None, allowed_types: Any) -> Any:
+        self._asked += 1
+        if self._asked > 2:
+            raise PermissionError(f"the forge refused the password of account {self._username}")
+        return pygit2.UserPass(self._username, self._password)
+
+    def sideband_progress(self, string: str) -> None:
+        self.said = (self.said + string)[-16_384:]
+
+    def push_update_reference(self, refname: str, message: str | None) -> None:
+        if message:
+            self.refusal = message
+
+
+class ProposalWriter:
+    """The port Proposals on the bare clone in `folder`. `author` is the name in the commits; `clock` gives seconds."""
+
+    def __init__(
+        self,
+        folder: Path,
+        username: str,
+        password: str,
+        author: str,
+        clock: Callable[[], float],
+        branch: str = "main",
+    ) -> None:
+        self._repository = pygit2.Repository(str(folder))
+        self._account = (username, password)
+        self._author, self._clock, self._branch = author, clock, branch
+
+    def commit(self, parent: str, changes: Mapping[str, str | None], message: str) -> str:
+        """Make a commit on `parent` and return its id; nothing outside the object store changes."""
+        base = self._lookup(parent)
+        tree = self._edited(base.tree, _nested(changes))
+        signature = pygit2.Signature(self._author, f"{self._author}@{EMAIL_DOMAIN}", int(self._clock()), 0)
+        if tree is None:
+            tree = self._repository.TreeBuilder().write()
+        return str(self._repository.create_commit(None, signature, signature, message, tree, [base.id]))
+
+    def _edited(self, tree: pygit2.Tree | None, changes: Mapping[str, Any]) -> pygit2.Oid | None:
+        """`tree` with the nested changes applied; None when nothing is left of it."""
+        builder = self._repository.TreeBuilder(tree) if tree is not None else self._repository.TreeBuilder()
+        for name, change in changes.items():
+            present = tree[name] if tree is not None and name in tree else None
+            if isinstance(change, Mapping):
+                folder = self._edited(present if isinstance(present, pygit2.Tree) else None, change)
+                self._put(builder, name, folder, FileMode.TREE)
+            else:
+                blob = None if change is None else self._repository.create_blob(change.encode())
+                self._put(builder, name, blob, FileMode.BLOB)
+        return builder.write() if len(builder) else None
+
+    @staticmethod
+    def _put(builder: Any, name: str, content: pygit2.Oid | None, mode: FileMode) -> None:
+        if content is not None:
+            builder.insert(name, content, mode)
+        elif builder.get(name) is not None:
+            builder.remove(name)
+
+    def propose(self, commit: str, topic: str, title: str, body: str) -> int | None:
+        """Push `commit` for review; the pull request's number when the forge says it.
+
+        UnavailableError when the forge does not answer; RefusalError when it refuses the push."""
+        self._repository.references.create(PROPOSAL_REFERENCE, self._lookup(commit).id, force=True)
+        callbacks = _Callbacks(*self._account)
+        text = body.encode()[:DESCRIPTION_BYTES_MAX].decode(errors="ignore")
+        options = [
+            f"topic={topic}",
+            f"title={title}",
+            "description={base64}" + base64.b64encode(text.encode()).decode(),
+        ]
+        specification = f"{PROPOSAL_REFERENCE}:refs/for/{self._branch}"
+        try:
+            self._repository.remotes["origin"].push([specification], callbacks=callbacks, push_options=options)
+        except (pygit2.GitError, PermissionError, OSError) as error:
+            raise UnavailableError(f"proposal {topic}: push: {error}") from error
+        if callbacks.refusal:
+            raise RefusalError("ProposalRefused", f"the forge refused proposal {topic}: {callbacks.refusal}")
+        found = _NUMBER.findall(callbacks.said)
+        return int(found[-1]) if found else None
+
+    def _lookup(self, commit: str) -> pygit2.Commit:
+        try:
+            found = self._repository[commit]
+        except (KeyError, ValueError) as error:
+            raise InputError(f"commit {commit!r} is not in the clone; fetch first") from error
+        if not isinstance(found, pygit2.Commit):
+            raise InputError(f"{commit!r} is not a commit")
+        return found
+
+
+def _nested(changes: Mapping[str, str | None]) -> dict[str, Any]:
+    """`{a/b/c: text}` as `{a: {b: {c: text}}}`."""
+    root: dict[str, Any] = {}
+    for path, text in changes.items():
+        *folders, name = path.split("/")
+        place = root
+        for folder in folders:
+            place = place.setdefault(folder, {})
+        place[name] = text
+    return root

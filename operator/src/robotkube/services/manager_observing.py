@@ -1,0 +1,119 @@
+"""Following merged plans until the cluster shows them; asking Argo CD again while it does not."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping, Sequence
+
+from robotkube.domain.observation import Verdict, judge_present, judge_removed
+from robotkube.domain.releases import RELEASES, Release, application_name
+from robotkube.ports import ArgoCD, Cluster
+from robotkube.services.manager_records import PlanRecord
+
+ASK_SECONDS = 2.0
+EAGER_SECONDS_MAX = 60.0
+ASK_SECONDS_LATER = 15.0
+OBSERVE_SECONDS_MAX = 900.0
+REFRESHES_MAX = 3
+PLANS_MAX = 200
+
+log = logging.getLogger(__name__)
+
+
+class PlanObserver:
+    """`aside` runs a call without holding up the caller, or drops it while one is running."""
+
+    def __init__(
+        self,
+        cluster: Cluster,
+        argocd: ArgoCD,
+        aside: Callable[[Callable[[], None]], None],
+        now_ns: Callable[[], int],
+        monotonic: Callable[[], float],
+    ) -> None:
+        self._cluster, self._argocd, self._aside = cluster, argocd, aside
+        self._now_ns, self._monotonic = now_ns, monotonic
+        self._watched: dict[str, tuple[PlanRecord, float]] = {}
+        self._asked_at = 0.0
+
+    @property
+    def waiting(self) -> bool:
+        """Whether a merged plan is not observed yet."""
+        return bool(self._watched)
+
+    def watch(self, record: PlanRecord) -> None:
+        """Follow a plan whose commit is on main; the oldest is given up when there are too many."""
+        self._watched[record.id] = (record, self._monotonic())
+        self._asked_at = self._monotonic()
+        while len(self._watched) > PLANS_MAX:
+            self._watched.pop(next(iter(self._watched)))
+
+    def forget_observed(self, present: Mapping[str, Release]) -> None:
+        """Drop what is observed already: after a restart nobody knows when that was."""
+        for record, _ in list(self._watched.values()):
+            if all(verdict.done for verdict in self._verdicts(record, present).values()):
+                self._watched.pop(record.id)
+
+    def look(self, present: Mapping[str, Release], tip: str) -> list[PlanRecord]:
+        """Compare every followed plan with the cluster; those now observed. `present` are main's releases."""
+        applications = self._cluster.applications()
+        done: list[PlanRecord] = []
+        unheard: list[str] = []
+        base = tip
+        for record, since in list(self._watched.values()):
+            verdicts = self._verdicts(record, present)
+            if all(verdict.synced for verdict in verdicts.values()):
+                record.times.setdefault("synced", self._now_ns())
+            if all(verdict.done for verdict in verdicts.values()):
+                record.times.setdefault("observed", self._now_ns())
+                record.error = "; ".join(v.message for v in verdicts.values() if v.message) or None
+                done.append(record)
+                self._watched.pop(record.id)
+            elif self._monotonic() - since > OBSERVE_SECONDS_MAX:
+                self._give_up(record, verdicts)
+            else:
+                missing = [application_name(*key.split("/")) for key, v in verdicts.items() if not v.annotated]
+                unheard += missing
+                base = record.base if missing and base == tip else base
+        if unheard and self._due():
+            self._ask(base, tip, unheard, list(applications))
+        return done
+
+    def _verdicts(self, record: PlanRecord, present: Mapping[str, Release]) -> dict[str, Verdict]:
+        """A verdict per release that this plan was the last to write or remove; a later plan answers for the others."""
+        applications = self._cluster.applications()
+        found: dict[str, Verdict] = {}
+        for key in (*record.created, *record.changed):
+            release = present.get(f"{RELEASES}/{key}.yaml")
+            if release is not None and release.plan == record.id:
+                found[key] = judge_present(applications.get(application_name(*key.split("/"))), record.id)
+        for key in record.removed:
+            if f"{RELEASES}/{key}.yaml" not in present:
+                found[key] = judge_removed(applications.get(application_name(*key.split("/"))), self._cluster.pods(key))
+        return found
+
+    def _give_up(self, record: PlanRecord, verdicts: Mapping[str, Verdict]) -> None:
+        self._watched.pop(record.id)
+        missing = "; ".join(f"{key}: {v.message}" for key, v in verdicts.items() if not v.done)
+        record.error = f"not observed within {OBSERVE_SECONDS_MAX:.0f} s: {missing}"
+        log.error("plan not observed plan=%s missing=%r", record.id, missing)
+
+    def _due(self) -> bool:
+        oldest = min(since for _, since in self._watched.values())
+        pause = ASK_SECONDS if self._monotonic() - oldest < EAGER_SECONDS_MAX else ASK_SECONDS_LATER
+        if self._monotonic() - self._asked_at < pause:
+            return False
+        self._asked_at = self._monotonic()
+        return True
+
+    def _ask(self, before: str, after: str, unheard: Sequence[str], known: Sequence[str]) -> None:
+        """The hook and a refresh: a waiting ApplicationSet is freed by the refresh of any Application it owns."""
+        existing = [name for name in unheard if name in known] or list(known[:1])
+        log.info("asking again applications=%d after=%s", len(unheard), after[:12])
+
+        def ask() -> None:
+            self._argocd.hook(before, after)
+            for name in existing[:REFRESHES_MAX]:
+                self._argocd.refresh(name)
+
+        self._aside(ask)

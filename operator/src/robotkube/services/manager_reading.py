@@ -1,0 +1,81 @@
+"""What the manager has read: the catalogue, main's files as values, people's policy.
+
+The last good version of each stays while a newer one is broken: a broken file must never look like a withdrawal.
+"""
+
+from __future__ import annotations
+
+import logging
+
+from robotkube.domain.catalogue import FOLDERS, Catalogue, read_catalogue
+from robotkube.domain.errors import InputError
+from robotkube.domain.initial import PATH as INITIAL_PATH
+from robotkube.domain.initial import InitialPolicy, read_initial_policy
+from robotkube.domain.releases import RELEASES, SOURCES, Tree, read_tree
+from robotkube.ports import DeploymentRepository, RepositoryFiles
+
+POLICIES = "policies"
+
+log = logging.getLogger(__name__)
+
+
+class CatalogueReader:
+    """The catalogue at its last good commit."""
+
+    def __init__(self, files: RepositoryFiles) -> None:
+        self._files = files
+        self._seen = ""
+        self.tip = ""
+        self.catalogue = Catalogue()
+
+    def read(self) -> None:
+        """Take the newest commit. InputError when there is nothing good yet: then nothing may be planned."""
+        newest = self._files.fetch()
+        if newest and newest == self._seen:
+            return
+        if not newest:
+            raise InputError("the catalogue repository has no main branch yet; nothing is planned")
+        found = read_catalogue(self._files.files(newest, FOLDERS))
+        for problem in found.problems:
+            log.error("catalogue unusable commit=%s problem=%r", newest[:12], problem)
+        if found.problems and not self.tip:
+            raise InputError(f"catalogue {newest[:12]}: {found.problems[0]}; nothing is planned until it is repaired")
+        self._seen = newest
+        if not found.problems:
+            self.tip, self.catalogue = newest, found
+
+
+class MainReader:
+    """Main of the deployment repository: its releases and sources, and policies/initial.yaml."""
+
+    def __init__(self, repository: DeploymentRepository) -> None:
+        self._repository = repository
+        self.tip = ""
+        self.tree = Tree({}, {})
+        self.policy = InitialPolicy()
+        self.policy_text = ""
+        self._policy_good = False
+
+    def read(self) -> bool:
+        """Take the newest commit; whether main has moved. InputError as long as main or its policy cannot be read at
+        all."""
+        newest = self._repository.fetch()
+        if not newest:
+            raise InputError("the deployment repository has no main branch yet; nothing is planned")
+        if newest == self.tip:
+            return False
+        files = self._repository.files(newest, (RELEASES, SOURCES, POLICIES))
+        self._read_policy(files.get(INITIAL_PATH, "{}\n"), newest)
+        self.tree = read_tree({path: text for path, text in files.items() if not path.startswith(f"{POLICIES}/")})
+        self.tip = newest
+        for problem in self.tree.problems:
+            log.error("main has a broken file commit=%s problem=%r", newest[:12], problem)
+        return True
+
+    def _read_policy(self, text: str, commit: str) -> None:
+        try:
+            self.policy, self.policy_text, self._policy_good = read_initial_policy(text), text, True
+        except InputError as error:
+            if not self._policy_good:
+                raise
+            log.error("policy not taken commit=%s problem=%r", commit[:12], str(error))

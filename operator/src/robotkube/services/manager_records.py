@@ -1,0 +1,138 @@
+"""What the manager remembers of its plans: bounded, rebuilt from main's commits after a restart, served as JSON."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from robotkube.domain.errors import DocumentError
+from robotkube.domain.planning import ADD, CHANGE, REMOVE, Plan, come_and_go
+from robotkube.domain.proposals import CommitMessage, read_message
+from robotkube.domain.releases import RELEASES
+from robotkube.ports import Commit
+
+RECORDS_MAX = 1000
+TIMES = ("demand_seen", "started", "proposed", "merged", "synced", "observed")
+
+
+@dataclass
+class PlanRecord:
+    """One plan. `times` are ns since 1970, by the names in TIMES; `created`, `changed`, `removed` are release keys."""
+
+    id: str
+    subject: str
+    cause: str
+    tasks: tuple[str, ...]
+    events: tuple[str, ...]
+    base: str = ""
+    commit: str = ""
+    created: tuple[str, ...] = ()
+    changed: tuple[str, ...] = ()
+    removed: tuple[str, ...] = ()
+    pull_request: int | None = None
+    url: str = ""
+    error: str | None = None
+    on_main: bool = False
+    times: dict[str, int] = field(default_factory=dict)
+
+    def as_json(self) -> dict[str, Any]:
+        """The form of GET /plans."""
+        return {
+            "plan": self.id,
+            "subject": self.subject,
+            "cause": self.cause,
+            "tasks": list(self.tasks),
+            "events": list(self.events),
+            "commit": self.commit or None,
+            "pull_request": self.pull_request,
+            "url": self.url or None,
+            "created": list(self.created),
+            "changed": list(self.changed),
+            "removed": list(self.removed),
+            "error": self.error,
+            **{name: self.times.get(name) for name in TIMES},
+        }
+
+
+class PlanRecords:
+    """The last RECORDS_MAX plans by id, oldest first."""
+
+    def __init__(self, started: int) -> None:
+        self._started = started
+        self._records: OrderedDict[str, PlanRecord] = OrderedDict()
+
+    def __iter__(self) -> Iterator[PlanRecord]:
+        return iter(list(self._records.values()))
+
+    def add(self, record: PlanRecord) -> PlanRecord:
+        """Remember a plan; the oldest goes when there are too many."""
+        self._records[record.id] = record
+        while len(self._records) > RECORDS_MAX:
+            self._records.popitem(last=False)
+        return record
+
+    def has_merged(self, plan: str) -> bool:
+        """Whether the plan is remembered as one on main."""
+        return plan in self._records and self._records[plan].on_main
+
+    def committed(self, task: str) -> PlanRecord | None:
+        """The newest plan on main that names the task."""
+        found = (r for r in reversed(list(self._records.values())) if task in r.tasks and r.on_main)
+        return next(found, None)
+
+    def as_json(self) -> dict[str, Any]:
+        """The document of GET /plans."""
+        return {"started": self._started, "plans": [record.as_json() for record in self]}
+
+
+def record_of(plan: Plan, demand_seen: int, started: int) -> PlanRecord:
+    """The record of a new plan."""
+    keys = {kind: tuple(c.release.key for c in plan.changes if c.kind == kind) for kind in (ADD, CHANGE, REMOVE)}
+    come, go = come_and_go(plan.changes)
+    return PlanRecord(
+        id=plan.id,
+        subject=plan.title,
+        cause="task" if come else "withdrawal" if go else "initial",
+        tasks=tuple(c.task for c in plan.message.causes),
+        events=tuple(c.event for c in plan.message.causes),
+        base=plan.base,
+        created=keys[ADD],
+        changed=keys[CHANGE],
+        removed=keys[REMOVE],
+        times={"demand_seen": demand_seen, "started": started},
+    )
+
+
+def records_of(commits: Iterable[Commit]) -> Iterator[PlanRecord]:
+    """Records of the plans among main's commits (oldest first); other commits are left out. Their times are not known
+    any more; `on_main` says that they were merged."""
+    for commit in commits:
+        try:
+            message = read_message(commit.message)
+        except DocumentError:
+            continue
+        paths = [path for path in commit.changes if path.startswith(f"{RELEASES}/")]
+        yield PlanRecord(
+            id=message.plan,
+            subject=message.subject,
+            cause=_cause(message),
+            tasks=tuple(c.task for c in message.causes),
+            events=tuple(c.event for c in message.causes),
+            base=commit.parents[0] if commit.parents else "",
+            commit=commit.id,
+            changed=tuple(_key(path) for path in paths if commit.changes[path] is not None),
+            removed=tuple(_key(path) for path in paths if commit.changes[path] is None),
+            on_main=True,
+        )
+
+
+def _cause(message: CommitMessage) -> str:
+    if not message.causes:
+        return "initial"
+    return "withdrawal" if message.verb == "withdraw" else "task"
+
+
+def _key(path: str) -> str:
+    return path.removeprefix(f"{RELEASES}/").removesuffix(".yaml")

@@ -1,0 +1,139 @@
+"""Statuses of tasks, derived from main, from the outcome of the last composition and from what the cluster shows."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any
+
+from robotkube.domain.composition import Met, Refused
+from robotkube.domain.observation import ApplicationState, Verdict, judge_present
+from robotkube.domain.releases import RELEASES, Release, application_name
+from robotkube.domain.tasks import Condition, is_withdrawn, object_key, write_conditions
+from robotkube.ports import TaskStore
+from robotkube.services.manager_records import PlanRecord
+
+MESSAGE_CHARACTERS_MAX = 4096
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Situation:
+    """Everything a status is derived from. `outcomes` by task key; `held` are refusals of the gate by task key;
+    `proposed` is the plan under decision; `committed` finds the newest plan on main that names a task."""
+
+    outcomes: Mapping[str, Met | Refused] = field(default_factory=dict)
+    held: Mapping[str, PlanRecord] = field(default_factory=dict)
+    present: Mapping[str, Release] = field(default_factory=dict)
+    applications: Mapping[str, ApplicationState] = field(default_factory=dict)
+    proposed: PlanRecord | None = None
+    committed: Callable[[str], PlanRecord | None] = lambda task: None
+
+
+class StatusWriter:
+    """Writes a task's status when it differs from what stands there."""
+
+    def __init__(self, tasks: TaskStore, now_ns: Callable[[], int]) -> None:
+        self._tasks, self._now_ns = tasks, now_ns
+        self._written: dict[str, dict[str, Any]] = {}
+
+    def write(self, situation: Situation) -> None:
+        """Bring the statuses of all tasks up to date."""
+        documents = {object_key(d): d for d in self._tasks.tasks() if not is_withdrawn(d)}
+        self._written = {key: status for key, status in self._written.items() if key in documents}
+        for key, document in documents.items():
+            self._write(key, document, situation)
+
+    def _write(self, key: str, document: Mapping[str, Any], situation: Situation) -> None:
+        conditions, facts = derive(key, situation)
+        if not conditions:
+            return
+        generation = int(document["metadata"].get("generation", 1))
+        before = self._written.get(key) or document.get("status") or {}
+        now = datetime.fromtimestamp(self._now_ns() / 1e9, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+        status = {
+            "observedGeneration": generation,
+            "conditions": write_conditions(conditions, before.get("conditions", []), generation, now),
+            **facts,
+        }
+        if all(before.get(name) == value for name, value in status.items()):
+            return
+        namespace, name = key.split("/")
+        if self._tasks.patch_status(namespace, name, status):
+            self._written[key] = status
+            log.info("task %s", " ".join([f"task={key}", *(f"{c.type}={c.status}/{c.reason}" for c in conditions)]))
+
+
+def derive(key: str, situation: Situation) -> tuple[list[Condition], dict[str, Any]]:
+    """Conditions and the other fields of a task's status; nothing when the task was not looked at yet."""
+    outcome = situation.outcomes.get(key)
+    if outcome is None:
+        return [], {}
+    if isinstance(outcome, Refused):
+        refusal = Condition("Accepted", "False", outcome.reason, outcome.message[:MESSAGE_CHARACTERS_MAX])
+        return [refusal], {"plan": None, "pullRequest": None, "commit": None, "releases": None}
+    accepted = Condition("Accepted", "True", "Accepted", _bounded("; ".join(outcome.choices)))
+    committed, record = _committed(key, outcome, situation)
+    verdicts = _verdicts(outcome, situation)
+    conditions = [accepted, committed]
+    if committed.status == "True":
+        conditions += [_synced(verdicts), _ready(verdicts)]
+    return conditions, {"releases": list(outcome.releases), **_facts(record)}
+
+
+def _bounded(text: str) -> str:
+    return text if len(text) <= MESSAGE_CHARACTERS_MAX else f"{text[: MESSAGE_CHARACTERS_MAX - 1]}…"
+
+
+def _facts(record: PlanRecord | None) -> dict[str, Any]:
+    if record is None:
+        return {}
+    facts: dict[str, Any] = {"plan": record.id}
+    if record.commit and record.on_main:
+        facts["commit"] = record.commit
+    if record.pull_request is not None:
+        facts["pullRequest"] = {"number": record.pull_request, "url": record.url}
+    return facts
+
+
+def _committed(key: str, outcome: Met, situation: Situation) -> tuple[Condition, PlanRecord | None]:
+    found = [situation.present.get(f"{RELEASES}/{name}.yaml") for name in outcome.releases]
+    if found and all(release and key in {c.task for c in release.causes} for release in found):
+        record = situation.committed(key)
+        number = f" by pull request {record.pull_request}" if record and record.pull_request is not None else ""
+        commit = f"commit {record.commit[:12]}" if record and record.commit else "its releases are"
+        return Condition("Committed", "True", "Merged", f"{commit} on main{number}"), record
+    held = situation.held.get(key)
+    if held is not None:
+        return Condition("Committed", "False", "ProposalRefused", _bounded(held.error or "")), held
+    proposed = situation.proposed
+    if proposed is not None and key in proposed.tasks:
+        number = f"pull request {proposed.pull_request}" if proposed.pull_request is not None else "its pull request"
+        return Condition("Committed", "False", "Proposed", f"{number} waits for the gate"), proposed
+    return Condition("Committed", "False", "Waiting", "waits for the plan before it"), None
+
+
+def _verdicts(outcome: Met, situation: Situation) -> dict[str, Verdict]:
+    verdicts: dict[str, Verdict] = {}
+    for key in outcome.releases:
+        release = situation.present.get(f"{RELEASES}/{key}.yaml")
+        application = situation.applications.get(application_name(*key.split("/")))
+        verdicts[key] = judge_present(application, release.plan if release else "")
+    return verdicts
+
+
+def _synced(verdicts: Mapping[str, Verdict]) -> Condition:
+    missing = [f"{key}: {verdict.message}" for key, verdict in verdicts.items() if not verdict.synced]
+    if missing:
+        return Condition("Synced", "False", "Progressing", _bounded("; ".join(missing)))
+    return Condition("Synced", "True", "Applied", "Argo CD compared and applied every release")
+
+
+def _ready(verdicts: Mapping[str, Verdict]) -> Condition:
+    missing = [f"{key}: {verdict.message}" for key, verdict in verdicts.items() if not verdict.done]
+    if missing:
+        return Condition("Ready", "False", "Progressing", _bounded("; ".join(missing)))
+    return Condition("Ready", "True", "Observed", "every release is observed")

@@ -1,0 +1,111 @@
+"""A cluster in memory: ports TaskStore, Cluster and ArgoCD; and an Argo CD whose progress a test decides."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from robotkube.domain.observation import ApplicationState, PodState
+from robotkube.domain.placement import NodeState
+from robotkube.domain.releases import Release, application_name
+
+
+@dataclass
+class MemoryTasks:
+    """TaskDescriptions by key."""
+
+    objects: dict[str, dict[str, Any]] = field(default_factory=dict)
+    patches: int = 0
+
+    def tasks(self) -> Sequence[Mapping[str, Any]]:
+        """The objects as they are."""
+        return [copy.deepcopy(found) for found in self.objects.values()]
+
+    def patch_status(self, namespace: str, name: str, status: Mapping[str, Any]) -> bool:
+        """Merge into the status, as a merge patch does; False when the task is gone."""
+        found = self.objects.get(f"{namespace}/{name}")
+        if found is None:
+            return False
+        self.patches += 1
+        merged = {**found.get("status", {}), **copy.deepcopy(dict(status))}
+        found["status"] = {key: value for key, value in merged.items() if value is not None}
+        return True
+
+    def create(self, namespace: str, name: str, spec: Mapping[str, Any], created: str = "2026-11-21T10:00:00Z") -> None:
+        """A new task."""
+        metadata = {"namespace": namespace, "name": name, "generation": 1, "creationTimestamp": created}
+        self.objects[f"{namespace}/{name}"] = {"metadata": metadata, "spec": copy.deepcopy(dict(spec))}
+
+    def delete(self, key: str) -> None:
+        """The task is gone."""
+        del self.objects[key]
+
+    def condition(self, key: str, kind: str) -> tuple[str, str]:
+        """Status and reason of a condition; two empty texts when it is not there."""
+        for condition in self.objects[key].get("status", {}).get("conditions", []):
+            if condition["type"] == kind:
+                return condition["status"], condition["reason"]
+        return "", ""
+
+
+@dataclass
+class MemoryCluster:
+    """Nodes, Argo CD Applications and pods."""
+
+    machines: list[NodeState] = field(default_factory=list)
+    states: dict[str, ApplicationState] = field(default_factory=dict)
+    running: dict[str, list[PodState]] = field(default_factory=dict)
+
+    def nodes(self) -> Sequence[NodeState]:
+        """Nodes of agents."""
+        return list(self.machines)
+
+    def applications(self) -> Mapping[str, ApplicationState]:
+        """Argo CD Applications by name."""
+        return dict(self.states)
+
+    def pods(self, release: str) -> Sequence[PodState]:
+        """Pods of a release."""
+        return self.running.get(release, [])
+
+    def show(self, release: Release) -> None:
+        """Argo CD has done everything for a release."""
+        name = application_name(release.namespace, release.name)
+        source = {"digest": release.digest, "plan": release.plan}
+        self.states[name] = ApplicationState(
+            name, release.plan, source, source, source, phase="Succeeded", sync="Synced", health="Healthy"
+        )
+        self.running[release.key] = [PodState(release.namespace, f"{release.name}-0", release.key)]
+
+    def settle(self, releases: Mapping[str, Release]) -> None:
+        """Argo CD has brought everything to `releases` (by path)."""
+        wanted = {application_name(r.namespace, r.name): r for r in releases.values()}
+        keys = {release.key for release in wanted.values()}
+        self.states = {name: state for name, state in self.states.items() if name in wanted}
+        self.running = {key: pods for key, pods in self.running.items() if key in keys}
+        for release in wanted.values():
+            self.show(release)
+
+    def worsen(self, name: str, health: str) -> None:
+        """An Application loses its health."""
+        self.states[name] = replace(self.states[name], health=health)
+
+
+@dataclass
+class MemoryArgoCD:
+    """Counts what it was asked."""
+
+    hooks: list[tuple[str, str]] = field(default_factory=list)
+    refreshes: list[str] = field(default_factory=list)
+
+    def hook(self, before: str, after: str) -> bool:
+        """Heard."""
+        self.hooks.append((before, after))
+        return True
+
+    def refresh(self, application: str) -> bool:
+        """Heard."""
+        self.refreshes.append(application)
+        return True

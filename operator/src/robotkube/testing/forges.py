@@ -1,0 +1,128 @@
+"""A forge with its repositories in memory: ports DeploymentRepository, Proposals, Catalogue and Forge, and a gate whose
+decisions a test makes."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from robotkube.domain.errors import InputError, UnavailableError
+from robotkube.ports import Comment, Commit, PullRequest
+
+
+@dataclass
+class MemoryRepository:
+    """Commits on main; `away` makes every call fail as if the forge did not answer."""
+
+    commits: dict[str, Commit] = field(default_factory=dict)
+    trees: dict[str, dict[str, str]] = field(default_factory=dict)
+    tip: str = ""
+    away: bool = False
+    fetches: int = 0
+
+    def fetch(self) -> str:
+        """Main's tip."""
+        self._reach()
+        self.fetches += 1
+        return self.tip
+
+    def files(self, commit: str, folders: Sequence[str]) -> Mapping[str, str]:
+        """Files below the folders."""
+        return {p: t for p, t in self.trees[commit].items() if any(p.startswith(f"{folder}/") for folder in folders)}
+
+    def contains(self, commit: str) -> bool:
+        """Whether a commit is on main."""
+        return any(found.id == commit for found in self.log(None, len(self.commits)))
+
+    def log(self, since: str | None, commits_max: int) -> Sequence[Commit]:
+        """Main's newest commits, oldest first."""
+        found: list[Commit] = []
+        at = self.tip
+        while at and at != since and len(found) < commits_max:
+            found.append(self.commits[at])
+            at = self.commits[at].parents[0] if self.commits[at].parents else ""
+        return found[::-1]
+
+    def commit(self, parent: str, changes: Mapping[str, str | None], message: str) -> str:
+        """A commit that is not on main."""
+        if parent and parent not in self.commits:
+            raise InputError(f"commit {parent!r} is not here")
+        tree = {p: t for p, t in {**self.trees.get(parent, {}), **changes}.items() if t is not None}
+        identifier = hashlib.sha1(repr((parent, sorted(tree.items()), message)).encode()).hexdigest()  # noqa: S324
+        self.commits[identifier] = Commit(identifier, (parent,) if parent else (), message, "manager", dict(changes))
+        self.trees[identifier] = tree
+        return identifier
+
+    def push(self, changes: Mapping[str, str | None], message: str = "by hand") -> str:
+        """A commit straight onto main, as a person's merge makes it."""
+        self.tip = self.commit(self.tip, changes, message)
+        return self.tip
+
+    def _reach(self) -> None:
+        if self.away:
+            raise UnavailableError("the forge does not answer")
+
+
+class MemoryForge:
+    """Pull requests of one repository; `decide` sees every new one and may call `merge`, `refuse` or nothing."""
+
+    def __init__(self, repository: MemoryRepository) -> None:
+        self.repository = repository
+        self.pulls: dict[int, PullRequest] = {}
+        self.bodies: dict[int, str] = {}
+        self.said: dict[int, list[Comment]] = {}
+        self.decide: Callable[[PullRequest], None] = self.merge
+        self.tell_numbers = True
+
+    def commit(self, parent: str, changes: Mapping[str, str | None], message: str) -> str:
+        """A commit that is not on main."""
+        return self.repository.commit(parent, changes, message)
+
+    def propose(self, commit: str, topic: str, title: str, body: str) -> int | None:
+        """Open a pull request and let the gate look at it."""
+        self.repository._reach()
+        number = len(self.pulls) + 1
+        pull = PullRequest(number, f"http://forge/pulls/{number}", title, "manager", "open", commit, False, topic=topic)
+        self.pulls[number], self.bodies[number], self.said[number] = pull, body, []
+        self.decide(pull)
+        return number if self.tell_numbers else None
+
+    def pull_request(self, number: int) -> PullRequest:
+        """One pull request."""
+        self.repository._reach()
+        return self.pulls[number]
+
+    def pull_requests(self, state: str = "open", author: str = "") -> Sequence[PullRequest]:
+        """Pull requests, newest first."""
+        self.repository._reach()
+        found = [p for p in reversed(self.pulls.values()) if state in ("all", p.state) and author in ("", p.author)]
+        return found[:50]
+
+    def comments(self, number: int) -> Sequence[Comment]:
+        """What was said."""
+        return self.said[number]
+
+    def comment(self, number: int, text: str) -> None:
+        """Say something."""
+        self.said[number].append(Comment("gate", text))
+
+    def close(self, number: int) -> None:
+        """Close without merging."""
+        self.pulls[number] = replace(self.pulls[number], state="closed")
+
+    def merge(self, pull: PullRequest) -> None:
+        """Move main to the pull request's commit when that is possible, else close it as the gate does."""
+        if self.repository.commits[pull.head].parents != (self.repository.tip,):
+            self.refuse(pull, "Closed, main moved: build it again.")
+            return
+        self.repository.tip = pull.head
+        self.pulls[pull.number] = replace(pull, state="closed", merged=True, merge_commit=pull.head)
+
+    def refuse(self, pull: PullRequest, text: str) -> None:
+        """Comment and close."""
+        self.comment(pull.number, text)
+        self.close(pull.number)
+
+    def leave(self, pull: PullRequest) -> None:
+        """Decide nothing."""

@@ -1,0 +1,423 @@
+"""The manager's loop over worlds in memory: what it proposes, says and remembers, whatever happens in between."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from robotkube.adapters.schemas_jsonschema import validate
+from robotkube.adapters.templates_jinja2 import Jinja2Templates
+from robotkube.domain.errors import InputError, UnavailableError
+from robotkube.domain.placement import Agent, NodeState
+from robotkube.domain.proposals import read_message
+from robotkube.domain.releases import Release, read_tree
+from robotkube.services.application_manager import (
+    APPLICATIONS,
+    ATTEMPTS_MAX,
+    CATALOGUE,
+    DECISION_SECONDS_MAX,
+    DEPLOYMENT,
+    TASKS,
+    ApplicationManager,
+    World,
+)
+from robotkube.services.manager_observing import ASK_SECONDS, OBSERVE_SECONDS_MAX, PlanObserver
+from robotkube.services.manager_planning import ManagerSettings, Planner
+from robotkube.services.manager_reading import CatalogueReader, MainReader
+from robotkube.testing.clusters import MemoryArgoCD, MemoryCluster, MemoryTasks
+from robotkube.testing.forges import MemoryForge, MemoryRepository
+
+REGISTRY = Path(__file__).parents[3] / "registry"
+CHARTS = "oci://forge.robotkube.svc.cluster.local:3000/staging"
+MEETING = "cloud-0/meeting"
+START_NS = 1795250000_000000000
+
+
+def catalogue_files() -> dict[str, str]:
+    files = {str(p.relative_to(REGISTRY)): p.read_text() for p in REGISTRY.glob("applications/*.yaml")}
+    for index, path in enumerate(sorted(REGISTRY.glob("charts/*/*.yaml"))):
+        document = yaml.safe_load(path.read_text())
+        document["status"] = {"state": "staged", "digest": f"sha256:{index:064x}", "images": []}
+        files[str(path.relative_to(REGISTRY))] = yaml.safe_dump(document)
+    return {**files, "policies/release.yaml": "assurance: none\n"}
+
+
+class Stage:
+    """Everything around one manager; the clock moves only when a test moves it."""
+
+    def __init__(self, vehicles: int = 3) -> None:
+        names = [(f"vehicle-{i:02d}", "vehicle") for i in range(vehicles)] + [("cloud-0", "cloud")]
+        self.settings = ManagerSettings(tuple(Agent(name, role, name) for name, role in names), CHARTS)
+        capabilities = {"cloud": frozenset({"recording"})}
+        self.cluster = MemoryCluster(
+            [NodeState(name, name, role, capabilities.get(role, frozenset()), True) for name, role in names]
+        )
+        self.repository, self.catalogue = MemoryRepository(), MemoryRepository()
+        self.repository.push({"policies/initial.yaml": "add: []\nremove: []\n"}, "seed")
+        self.catalogue.push(catalogue_files(), "seed")
+        self.forge = MemoryForge(self.repository)
+        self.tasks, self.argocd = MemoryTasks(), MemoryArgoCD()
+        self.seconds = 0.0
+        self.manager = self.start()
+
+    def start(self) -> ApplicationManager:
+        """A new process: nothing is remembered."""
+
+        def now_ns() -> int:
+            return START_NS + int(self.seconds * 1e9)
+
+        def monotonic() -> float:
+            return self.seconds
+
+        def aside(call: Callable[[], None]) -> None:
+            call()
+
+        catalogue, main = CatalogueReader(self.catalogue), MainReader(self.repository)
+        render = Jinja2Templates().render
+        planner = Planner(self.settings, self.tasks, self.cluster, catalogue, main, render, validate)
+        observer = PlanObserver(self.cluster, self.argocd, aside, now_ns, monotonic)
+        world = World(self.tasks, self.cluster, self.repository, self.forge, self.forge)
+        return ApplicationManager(world, catalogue, main, planner, observer, now_ns, monotonic)
+
+    def go(self, steps: int = 4, seconds: float = 0.1, wake: str = TASKS) -> None:
+        self.manager.wake(wake)
+        for _ in range(steps):
+            self.manager.step()
+            self.seconds += seconds
+
+    def settle(self) -> None:
+        """Propose, merge, let Argo CD finish, observe."""
+        self.go()
+        self.cluster.settle(self.releases())
+        self.go(wake=APPLICATIONS)
+
+    def releases(self) -> dict[str, Release]:
+        tree = read_tree(self.repository.files(self.repository.tip, ("releases", "sources")))
+        assert tree.problems == ()
+        return dict(tree.releases)
+
+    def ask(self, name: str = "meeting", vehicles: tuple[str, ...] = ("vehicle-00", "vehicle-01"), **spec: Any) -> str:
+        event = {"rule": "lidar-proximity", "id": f"event-{name}", "trace": "a" * 32, "time": "2026-11-21T10:00:00Z"}
+        document = {
+            "requester": "cloud-0/event-detector",
+            "event": event,
+            "reason": f"{', '.join(vehicles)} within 400 m",
+            "application": "pose-point-cloud-recording",
+            "parameters": {"vehicles": list(vehicles)},
+            **spec,
+        }
+        self.tasks.create("cloud-0", name, document)
+        return f"cloud-0/{name}"
+
+    def plans(self) -> list[dict[str, Any]]:
+        return list(self.manager.records.as_json()["plans"])
+
+
+@pytest.fixture
+def stage() -> Stage:
+    """After the initial configuration is observed."""
+    found = Stage()
+    found.settle()
+    return found
+
+
+def test_the_initial_configuration_is_proposed_merged_and_observed(stage: Stage) -> None:
+    [plan] = stage.plans()
+    assert plan["cause"] == "initial"
+    assert plan["tasks"] == []
+    assert plan["pull_request"] == 1
+    assert plan["started"] <= plan["proposed"] <= plan["merged"] <= plan["synced"] <= plan["observed"]
+    assert len(plan["created"]) == 5
+    assert stage.manager.reasons_not_ready() == []
+    message = read_message(stage.repository.commits[stage.repository.tip].message)
+    assert (message.initial, message.plan) == (True, plan["plan"])
+    assert "## Decided" in stage.forge.bodies[1]
+
+
+def test_a_task_goes_all_the_way_and_back(stage: Stage) -> None:
+    before = stage.releases()
+    key = stage.ask()
+    stage.go()
+    assert stage.tasks.condition(key, "Accepted") == ("True", "Accepted")
+    assert stage.tasks.condition(key, "Committed") == ("True", "Merged")
+    assert stage.tasks.condition(key, "Synced") == ("False", "Progressing")
+    stage.cluster.settle(stage.releases())
+    stage.go(wake=APPLICATIONS)
+    assert stage.tasks.condition(key, "Ready") == ("True", "Observed")
+    status = stage.tasks.objects[key]["status"]
+    plan = stage.plans()[-1]
+    assert status["plan"] == plan["plan"]
+    assert status["commit"] == stage.repository.tip == plan["commit"]
+    assert status["pullRequest"] == {"number": 2, "url": "http://forge/pulls/2"}
+    assert status["releases"] == [
+        "cloud-0/mqtt-bridge",
+        "cloud-0/recorder-vehicle-00-vehicle-01",
+        "vehicle-00/mqtt-bridge",
+        "vehicle-01/mqtt-bridge",
+    ]
+    stage.tasks.delete(key)
+    stage.settle()
+    last = stage.plans()[-1]
+    assert (last["cause"], last["tasks"]) == ("withdrawal", [key])
+    assert last["observed"] is not None
+    after = stage.releases()
+    assert {p: r.values for p, r in after.items()} == {p: r.values for p, r in before.items()}
+    assert len(stage.plans()) == 3
+
+
+def test_a_quiet_world_costs_nothing(stage: Stage) -> None:
+    stage.ask()
+    stage.settle()
+    pulls, patches = len(stage.forge.pulls), stage.tasks.patches
+    stage.go(50, seconds=1.0)
+    assert (len(stage.forge.pulls), stage.tasks.patches) == (pulls, patches)
+    assert stage.argocd.hooks == []
+
+
+def test_tasks_that_come_while_one_is_decided_are_answered_together(stage: Stage) -> None:
+    stage.forge.decide = stage.forge.leave
+    first = stage.ask("a")
+    stage.go(1)
+    assert stage.tasks.condition(first, "Committed") == ("False", "Proposed")
+    second, third = stage.ask("b", ("vehicle-01", "vehicle-02")), stage.ask("c", ("vehicle-00", "vehicle-02"))
+    stage.go(3)
+    assert len(stage.forge.pulls) == 2
+    stage.forge.decide = stage.forge.merge
+    stage.forge.merge(stage.forge.pulls[2])
+    stage.go(3)
+    assert len(stage.forge.pulls) == 3
+    assert stage.plans()[-1]["tasks"] == [second, third]
+    assert stage.tasks.condition(third, "Committed") == ("True", "Merged")
+
+
+def test_main_moving_makes_the_plan_anew(stage: Stage) -> None:
+    stage.forge.decide = stage.forge.leave
+    stage.ask()
+    stage.go(1)
+    stage.repository.push({"README.md": "by a person"})
+    stage.forge.decide = stage.forge.merge
+    stage.go(4, wake=DEPLOYMENT)
+    assert stage.tasks.condition(MEETING, "Committed") == ("True", "Merged")
+    assert stage.manager.statistics.plans["outdated"] == 1
+    assert stage.plans()[1]["error"] == "main moved before the gate decided; built again"
+
+
+def test_rebuilding_has_a_bound(stage: Stage) -> None:
+    def overtake(pull: Any) -> None:
+        stage.repository.push({"README.md": str(pull.number)})
+
+    stage.forge.decide = overtake
+    stage.ask()
+    stage.go(30, seconds=0.01)
+    assert stage.manager.statistics.plans["outdated"] == ATTEMPTS_MAX
+    stage.seconds += 60
+    stage.forge.decide = stage.forge.merge
+    stage.go(4)
+    assert stage.tasks.condition(MEETING, "Committed") == ("True", "Merged")
+
+
+def test_a_refused_plan_is_said_and_not_repeated_until_its_inputs_change(stage: Stage) -> None:
+    stage.forge.decide = lambda pull: stage.forge.refuse(pull, "the chart is not in the catalogue")
+    stage.ask()
+    stage.go(20)
+    assert len(stage.forge.pulls) == 2
+    assert stage.tasks.condition(MEETING, "Committed") == ("False", "ProposalRefused")
+    committed = stage.tasks.objects[MEETING]["status"]["conditions"][1]
+    assert committed["message"] == "the chart is not in the catalogue"
+    stage.forge.decide = stage.forge.merge
+    stage.go(20)
+    assert len(stage.forge.pulls) == 2
+    stage.tasks.objects[MEETING]["metadata"]["generation"] = 2
+    stage.go(4)
+    assert stage.tasks.condition(MEETING, "Committed") == ("True", "Merged")
+
+
+def test_one_refused_task_does_not_hold_the_others(stage: Stage) -> None:
+    def judge(pull: Any) -> None:
+        bad = "vehicle-02" in stage.repository.trees[pull.head].get(
+            "releases/cloud-0/recorder-vehicle-00-vehicle-02.yaml", ""
+        )
+        stage.forge.refuse(pull, "no") if bad else stage.forge.merge(pull)
+
+    stage.forge.decide = judge
+    bad = stage.ask("bad", ("vehicle-00", "vehicle-02"))
+    good = stage.ask("good", ("vehicle-00", "vehicle-01"))
+    stage.go(12)
+    assert stage.tasks.condition(good, "Committed") == ("True", "Merged")
+    assert stage.tasks.condition(bad, "Committed") == ("False", "ProposalRefused")
+    pulls = len(stage.forge.pulls)
+    stage.go(20)
+    assert len(stage.forge.pulls) == pulls
+
+
+def test_a_refused_withdrawal_is_not_repeated(stage: Stage) -> None:
+    stage.ask()
+    stage.settle()
+    stage.forge.decide = lambda pull: stage.forge.refuse(pull, "no")
+    stage.tasks.delete(MEETING)
+    stage.go(20)
+    assert len(stage.forge.pulls) == 3
+
+
+def test_a_gate_that_does_not_decide_is_not_waited_for_for_ever(stage: Stage) -> None:
+    stage.forge.decide = stage.forge.leave
+    stage.ask()
+    stage.go(2)
+    stage.go(2, seconds=DECISION_SECONDS_MAX)
+    assert "no decision" in str(stage.plans()[1]["error"])
+    stage.forge.merge(stage.forge.pulls[2])
+    stage.go(8, seconds=3.0)
+    assert stage.plans()[1]["merged"] is not None
+    assert stage.tasks.condition(MEETING, "Committed") == ("True", "Merged")
+
+
+@pytest.mark.parametrize("moment", ["before the decision", "after the merge", "after all"])
+def test_a_restart_loses_nothing(stage: Stage, moment: str) -> None:
+    stage.forge.decide = stage.forge.leave
+    stage.ask()
+    stage.go(1)
+    if moment == "before the decision":
+        stage.manager = stage.start()
+        stage.forge.decide = stage.forge.merge
+    stage.forge.merge(stage.forge.pulls[2])
+    stage.forge.decide = stage.forge.merge
+    if moment == "after all":
+        stage.go()
+        stage.cluster.settle(stage.releases())
+        stage.tasks.objects[MEETING].pop("status")
+    if moment != "before the decision":
+        stage.manager = stage.start()
+    stage.settle()
+    status = stage.tasks.objects[MEETING]["status"]
+    assert stage.tasks.condition(MEETING, "Ready") == ("True", "Observed")
+    assert status["pullRequest"]["number"] == 2
+    assert status["commit"] == stage.repository.tip
+    stage.manager = stage.start()
+    stage.tasks.delete(MEETING)
+    stage.settle()
+    message = read_message(stage.repository.commits[stage.repository.tip].message)
+    assert [c.task for c in message.causes] == [MEETING]
+    assert message.verb == "withdraw"
+    assert len(stage.releases()) == 5
+
+
+def test_the_forge_may_be_away(stage: Stage) -> None:
+    stage.ask()
+    stage.repository.away = True
+    with pytest.raises(UnavailableError):
+        stage.go()
+    stage.repository.away = False
+    stage.go(6)
+    assert stage.tasks.condition(MEETING, "Committed") == ("True", "Merged")
+
+
+def test_a_pull_request_whose_number_was_not_told_is_found(stage: Stage) -> None:
+    stage.forge.tell_numbers = False
+    stage.ask()
+    stage.go()
+    assert stage.tasks.objects[MEETING]["status"]["pullRequest"]["number"] == 2
+
+
+@pytest.mark.parametrize(
+    ("spec", "reason", "text"),
+    [
+        ({"application": "nothing"}, "UnknownApplication", "the catalogue has no application 'nothing'"),
+        ({"parameters": {"vehicles": []}}, "InvalidParameters", "parameters.vehicles"),
+        ({"event": {"rule": "a b", "id": "1", "trace": "t"}}, "InvalidParameters", "spec.event.rule"),
+        ({"parameters": {"vehicles": ["vehicle-44"]}}, "NoCapableNode", "vehicle-44"),
+        ({"surprise": 1}, "InvalidParameters", "spec.surprise: unknown key"),
+    ],
+)
+def test_refused_tasks_are_told_why(stage: Stage, spec: dict[str, Any], reason: str, text: str) -> None:
+    key = stage.ask(**spec)
+    stage.go()
+    assert stage.tasks.condition(key, "Accepted") == ("False", reason)
+    assert text in stage.tasks.objects[key]["status"]["conditions"][0]["message"]
+    assert len(stage.forge.pulls) == 1
+
+
+def test_a_refused_task_is_accepted_when_the_world_changes(stage: Stage) -> None:
+    cloud = stage.cluster.machines.pop()
+    key = stage.ask()
+    stage.go()
+    assert stage.tasks.condition(key, "Accepted") == ("False", "NoCapableNode")
+    stage.cluster.machines.append(cloud)
+    stage.go()
+    assert stage.tasks.condition(key, "Accepted") == ("True", "Accepted")
+
+
+def test_a_broken_catalogue_or_policy_never_withdraws(stage: Stage) -> None:
+    stage.catalogue.push({"applications/pose-telemetry.yaml": "kind: ["})
+    stage.repository.push({"policies/initial.yaml": "add: 3\n"})
+    stage.go(wake=CATALOGUE)
+    stage.go(wake=DEPLOYMENT)
+    assert len(stage.forge.pulls) == 1
+    stage.manager = stage.start()
+    with pytest.raises(InputError, match="nothing is planned until it is repaired"):
+        stage.go()
+    assert len(stage.forge.pulls) == 1
+
+
+def test_people_change_the_initial_configuration(stage: Stage) -> None:
+    text = "add:\n- {application: bag-player, forRole: vehicle, parameters: {claim: run}}\nremove: []\n"
+    stage.repository.push({"policies/initial.yaml": text})
+    stage.go(wake=DEPLOYMENT)
+    assert len(stage.releases()) == 8
+    assert stage.plans()[-1]["cause"] == "initial"
+
+
+def test_a_new_agent_gets_its_initial_configuration() -> None:
+    stage = Stage()
+    node = stage.cluster.machines.pop(0)
+    stage.settle()
+    assert "releases/vehicle-00/mqtt-bridge.yaml" not in stage.releases()
+    stage.cluster.machines.append(node)
+    stage.settle()
+    assert "releases/vehicle-00/mqtt-bridge.yaml" in stage.releases()
+    assert stage.plans()[-1]["created"] == ["vehicle-00/mqtt-bridge"]
+
+
+def test_argo_cd_is_asked_again_until_it_knows_the_plan(stage: Stage) -> None:
+    stage.ask()
+    stage.go(4, seconds=0.1)
+    assert stage.argocd.hooks == []
+    stage.go(10, seconds=ASK_SECONDS / 2, wake=APPLICATIONS)
+    assert 3 <= len(stage.argocd.hooks) <= 5
+    assert "vehicle-00-mqtt-bridge" in stage.argocd.refreshes
+    stage.cluster.settle(stage.releases())
+    stage.go(wake=APPLICATIONS)
+    asked = len(stage.argocd.hooks)
+    stage.go(20, seconds=1.0)
+    assert len(stage.argocd.hooks) == asked
+
+
+def test_a_plan_that_is_never_observed_is_given_up(stage: Stage) -> None:
+    stage.ask()
+    stage.go()
+    stage.go(2, seconds=OBSERVE_SECONDS_MAX)
+    stage.go()
+    assert "not observed within" in str(stage.plans()[-1]["error"])
+    assert stage.tasks.condition(MEETING, "Ready") == ("False", "Progressing")
+
+
+def test_ready_follows_the_health_of_its_releases(stage: Stage) -> None:
+    stage.ask()
+    stage.settle()
+    stage.cluster.worsen("vehicle-00-mqtt-bridge", "Degraded")
+    stage.go(wake=APPLICATIONS)
+    assert stage.tasks.condition(MEETING, "Ready") == ("False", "Progressing")
+
+
+def test_plans_are_observed_while_the_next_is_written(stage: Stage) -> None:
+    stage.ask("a")
+    stage.go()
+    stage.ask("b", ("vehicle-01", "vehicle-02"))
+    stage.go()
+    assert [p["observed"] is None for p in stage.plans()] == [False, True, True]
+    stage.cluster.settle(stage.releases())
+    stage.go(wake=APPLICATIONS)
+    assert all(p["observed"] for p in stage.plans())
