@@ -65,7 +65,7 @@ forge:
     description: What runs on the fleet, one file per release
     branch: main
     seed: /etc/robotkube/seed/deployment
-    access: {manager: read, gate: write, argocd: read, operator-team: read}
+    access: {manager: read, gate: write, argocd: read, operator-team: write}
     main: [gate]
   - name: robotkube/catalogue
     description: What may be deployed
