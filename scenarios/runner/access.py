@@ -1,0 +1,191 @@
+"""What the run needs of the cluster: secrets, addresses, one ConfigMap per vehicle, states to show, HTTP of pods.
+
+Everything is done as the administrator of the kubeconfig; the platform's own accounts are read from their Secrets.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from kubernetes import client, config
+from kubernetes.client.exceptions import ApiException
+
+from scenarios.runner.waiting import RunError
+
+PLATFORM, ARGOCD = "robotkube", "argocd"
+ANSWER_SECONDS_MAX = 10
+CONFIGMAP = "simulation"
+HEALTH_PORT = 8081
+APPLICATIONS = ("argoproj.io", "v1alpha1", ARGOCD, "applications")
+TASKS = ("robotkube.io", "v1alpha1", "taskdescriptions")
+
+
+@dataclass(frozen=True)
+class Endpoint:
+    """Address and port at which a Service answers from this machine."""
+
+    host: str
+    port: int
+
+
+class Access:
+    """One connection to the API server; its methods raise `RunError` with the server's words."""
+
+    def __init__(self, kubeconfig: Path) -> None:
+        if not kubeconfig.is_file():
+            raise RunError(f"{kubeconfig}: there is no kubeconfig; start the cluster with `make cluster`")
+        self.kubeconfig = kubeconfig
+        self._client = config.new_client_from_config(str(kubeconfig))
+        self.core = client.CoreV1Api(self._client)
+        self.objects = client.CustomObjectsApi(self._client)
+
+    def secret(self, namespace: str, name: str) -> dict[str, str]:
+        """A Secret's values as text."""
+        found = self._call(self.core.read_namespaced_secret, f"secret {namespace}/{name}", name, namespace)
+        return {key: base64.b64decode(value).decode() for key, value in (found.data or {}).items()}
+
+    def endpoint(self, name: str, namespace: str = PLATFORM) -> Endpoint:
+        """ClusterIP and first port of a Service."""
+        found = self._call(self.core.read_namespaced_service, f"service {namespace}/{name}", name, namespace)
+        return Endpoint(found.spec.cluster_ip, found.spec.ports[0].port)
+
+    def put_simulation(self, namespace: str, run: str, start: int) -> None:
+        """Tells a vehicle's player when to start: makes or replaces its ConfigMap. `start` in ns since 1970."""
+        body = client.V1ConfigMap(
+            metadata=client.V1ObjectMeta(name=CONFIGMAP, namespace=namespace), data={"run": run, "start": str(start)}
+        )
+        try:
+            self.core.replace_namespaced_config_map(CONFIGMAP, namespace, body, _request_timeout=ANSWER_SECONDS_MAX)
+        except ApiException as error:
+            if error.status != 404:
+                raise RunError(f"configmap {namespace}/{CONFIGMAP}: {error.status} {error.reason}") from error
+            self._call(self.core.create_namespaced_config_map, f"configmap {namespace}/{CONFIGMAP}", namespace, body)
+
+    def pods(self, namespace: str) -> Sequence[Any]:
+        """The pods of a namespace."""
+        return list(self._call(self.core.list_namespaced_pod, f"pods of {namespace}", namespace).items)
+
+    def pods_of_agents(self) -> Sequence[Any]:
+        """The pods of all releases."""
+        listed = self.core.list_pod_for_all_namespaces
+        return list(self._call(listed, "pods of all agents", label_selector="robotkube.io/agent").items)
+
+    def delete_pod(self, namespace: str, name: str) -> None:
+        """Ends a pod; its Deployment makes another one."""
+        self._call(self.core.delete_namespaced_pod, f"pod {namespace}/{name}", name, namespace)
+
+    def applications(self) -> Mapping[str, Any]:
+        """Argo CD's Applications by name."""
+        found = self._call(self.objects.list_namespaced_custom_object, "Argo CD Applications", *APPLICATIONS)
+        return {item["metadata"]["name"]: item for item in found["items"]}
+
+    def pod_json(self, namespace: str, pod: str, path: str, port: int = HEALTH_PORT) -> Any:
+        """GET of a pod's HTTP port through the API server."""
+        return self._proxied(f"/api/v1/namespaces/{namespace}/pods/{pod}:{port}/proxy/{path}")
+
+    def service_json(self, name: str, path: str, port: int, namespace: str = PLATFORM) -> Any:
+        """GET of a Service's HTTP port through the API server."""
+        return self._proxied(f"/api/v1/namespaces/{namespace}/services/{name}:{port}/proxy/{path}")
+
+    def bind(self, namespace: str, claim: str) -> None:
+        """Gives a claim that no pod has used yet a free volume of its agent's node, so that it can be filled before.
+
+        For volumes made in advance; the node is the one labelled with the agent whose namespace this is.
+        """
+        found = self._call(
+            self.core.read_namespaced_persistent_volume_claim, f"claim {namespace}/{claim}", claim, namespace
+        )
+        if found.spec.volume_name:
+            return
+        volumes = self._call(
+            self.core.list_persistent_volume, "volumes", label_selector=f"robotkube.io/agent={namespace}"
+        ).items
+        free = [volume for volume in volumes if volume.spec.claim_ref is None]
+        if not free:
+            states = ", ".join(f"{volume.metadata.name} {volume.status.phase}" for volume in volumes) or "none"
+            raise RunError(f"claim {namespace}/{claim}: no volume of agent {namespace} is free (there are: {states})")
+        reference = {"namespace": namespace, "name": claim, "apiVersion": "v1", "kind": "PersistentVolumeClaim"}
+        body = {"spec": {"claimRef": reference}}
+        name = free[0].metadata.name
+        self._call(self.core.patch_persistent_volume, f"volume {name}", name, body)
+
+    def bound(self, namespace: str, claim: str) -> bool:
+        """Whether a claim has its volume."""
+        found = self._call(
+            self.core.read_namespaced_persistent_volume_claim, f"claim {namespace}/{claim}", claim, namespace
+        )
+        return bool(found.spec.volume_name and found.status.phase == "Bound")
+
+    def state(self, namespaces: Sequence[str]) -> str:
+        """Pods that are not ready and tasks with their conditions, for people; never fails, since it explains
+        failures."""
+        lines = []
+        try:
+            lines += [line for namespace in namespaces for line in self._pod_lines(namespace)]
+            lines += [_task_line(task) for task in self._tasks()]
+        except RunError as error:
+            lines.append(f"(the rest of the state cannot be read: {error})")
+        return "\n".join(lines) or "all pods are ready and there is no task"
+
+    def _pod_lines(self, namespace: str) -> list[str]:
+        return [
+            f"pod {namespace}/{pod.metadata.name}: {pod.status.phase}, {_waiting(pod)}"
+            for pod in self.pods(namespace)
+            if not pod_ready(pod)
+        ]
+
+    def _tasks(self) -> Sequence[Any]:
+        return list(self._call(self.objects.list_cluster_custom_object, "tasks", *TASKS)["items"])
+
+    def _proxied(self, path: str) -> Any:
+        answer = self._call(
+            self._client.call_api,
+            f"GET {path}",
+            path,
+            "GET",
+            auth_settings=["BearerToken"],
+            _preload_content=False,
+            _return_http_data_only=True,
+        )
+        try:
+            return json.loads(answer.data)
+        except ValueError as error:
+            raise RunError(f"GET {path}: the answer is not JSON: {bytes(answer.data[:200])!r}") from error
+
+    def _call(self, function: Any, what: str, *arguments: Any, **options: Any) -> Any:
+        try:
+            return function(*arguments, _request_timeout=ANSWER_SECONDS_MAX, **options)
+        except ApiException as error:
+            raise RunError(f"{what}: {error.status} {error.reason}: {str(error.body)[:300]}") from error
+        except OSError as error:
+            raise RunError(f"{what}: the API server does not answer: {error}") from error
+
+
+def _task_line(task: Mapping[str, Any]) -> str:
+    conditions = task.get("status", {}).get("conditions", [])
+    words = " ".join(f"{c['type']}={c['status']}({c.get('reason', '')})" for c in conditions)
+    return f"task {task['metadata']['namespace']}/{task['metadata']['name']}: {words or 'no status'}"
+
+
+def pod_ready(pod: Any) -> bool:
+    """Whether a pod's condition Ready is true; a pod that has succeeded counts as well."""
+    conditions = pod.status.conditions or []
+    return pod.status.phase == "Succeeded" or any(c.type == "Ready" and c.status == "True" for c in conditions)
+
+
+def _waiting(pod: Any) -> str:
+    """Why a pod's containers wait, or how they ended."""
+    words = []
+    for status in pod.status.container_statuses or []:
+        state, last = status.state, status.last_state
+        if state and state.waiting:
+            words.append(f"{state.waiting.reason}: {(state.waiting.message or '')[:200]}")
+        if last and last.terminated:
+            words.append(f"ended with {last.terminated.exit_code} ({last.terminated.reason})")
+    unscheduled = [c.message for c in pod.status.conditions or [] if c.type == "PodScheduled" and c.status != "True"]
+    return "; ".join([*words, *(text for text in unscheduled if text)]) or "not ready yet"

@@ -1,0 +1,95 @@
+"""CPU spent per component, from the control groups: one per daemon of the cluster, one per pod; children are included.
+
+Groups come and go with their pods: each is read every few seconds, and its last value counts.
+"""
+
+from __future__ import annotations
+
+import re
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+SAMPLE_SECONDS = 2.0
+STOP_SECONDS_MAX = 5.0
+POD = re.compile(r"pod([0-9a-f]{8}(?:[-_][0-9a-f]{4}){3}[-_][0-9a-f]{12})(?:\.slice)?$")
+PODS = ("*/kubepods/pod*", "*/kubepods/*/pod*", "*/kubepods.slice/*pod*.slice", "*/kubepods.slice/*/*pod*.slice")
+DAEMONS = "daemons/*"
+
+PodLabels = Mapping[str, tuple[str, str, Mapping[str, str]]]
+
+
+class CpuSampler:
+    """Reads the groups below `root` (the cluster's folder in the accounting hierarchy) from `start` to `stop`."""
+
+    def __init__(self, root: Path) -> None:
+        self._root = root
+        self._first: dict[Path, float] = {}
+        self._last: dict[Path, float] = {}
+        self._own = 0.0
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="cpu", daemon=True)
+
+    def start(self) -> None:
+        """Takes what was spent before as the zero of every group."""
+        self._own = time.process_time()
+        self.sample()
+        self._first = dict(self._last)
+        self._thread.start()
+
+    def stop(self, labels: PodLabels) -> dict[str, float]:
+        """Ends; core seconds by component. `labels`: uid -> namespace, name and labels of every pod seen."""
+        self._ending.set()
+        self._thread.join(STOP_SECONDS_MAX)
+        self.sample()
+        spent: dict[str, float] = defaultdict(float)
+        for folder, seconds in self._last.items():
+            spent[component(folder, labels)] += seconds - self._first.get(folder, 0.0)
+        spent["scenario (observer, watch)"] = time.process_time() - self._own
+        return {name: seconds for name, seconds in sorted(spent.items()) if seconds >= 0.005}
+
+    def sample(self) -> None:
+        """Reads every group that is there now."""
+        for folder in self._folders():
+            seconds = usage_seconds(folder)
+            if seconds is not None:
+                self._last[folder] = seconds
+
+    def _run(self) -> None:
+        while not self._ending.wait(SAMPLE_SECONDS):
+            self.sample()
+
+    def _folders(self) -> Iterator[Path]:
+        for pattern in (DAEMONS, *PODS):
+            yield from self._root.glob(pattern)
+
+
+def usage_seconds(folder: Path) -> float | None:
+    """CPU time a group has used, of version 1 or 2; None when it is gone."""
+    try:
+        return int((folder / "cpuacct.usage").read_text()) / 1e9
+    except (OSError, ValueError):
+        pass
+    try:
+        values = dict(line.split() for line in (folder / "cpu.stat").read_text().splitlines())
+        return int(values["usage_usec"]) / 1e6
+    except (OSError, ValueError, KeyError):
+        return None
+
+
+def component(folder: Path, labels: PodLabels) -> str:
+    """What a group belongs to: a kind of daemon (one name for all nodes) or a workload of the platform or of agents."""
+    found = POD.search(folder.name)
+    if not found:
+        return folder.name.rpartition(".")[2]
+    namespace, name, marks = labels.get(found[1].replace("_", "-"), ("", "", {}))
+    if not namespace:
+        return "pods not seen by name"
+    chart = marks.get("app.kubernetes.io/name", name)
+    if not marks.get("robotkube.io/agent"):
+        return chart
+    release = marks.get("app.kubernetes.io/instance", chart)
+    where = namespace.rpartition("-")[0] or namespace
+    return f"{'recorder' if release.startswith('recorder-') else chart} ({where})"

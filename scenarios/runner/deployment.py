@@ -1,0 +1,193 @@
+"""The deployment repository as the run sees it: its releases and commits by Git, its pull requests by the forge's API.
+
+A person's change goes the person's way: a commit proposed by AGit (refs/for/main), merged as it is, fast-forward only.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import tempfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import httpx
+import pygit2
+import yaml
+
+from scenarios.runner.access import Endpoint
+from scenarios.runner.inputs import NANOSECONDS, Commit, PullRequest
+from scenarios.runner.waiting import RunError
+
+REPOSITORY, BRANCH = "robotkube/deployment", "main"
+TRAILER = re.compile(r"^RobotKube-([A-Za-z]+): (.*)$", re.MULTILINE)
+ANSWER_SECONDS_MAX = 15.0
+PULL_REQUESTS_PER_PAGE = 50
+PAGES_MAX = 20
+COMMITS_MAX = 2000
+
+
+class Deployment:
+    """A bare clone in a temporary folder and a connection to the forge, as one person's account."""
+
+    def __init__(self, forge: Endpoint, username: str, password: str) -> None:
+        self._user = username
+        self._url = f"http://{forge.host}:{forge.port}"
+        self._client = httpx.Client(
+            base_url=f"{self._url}/api/v1/repos/{REPOSITORY}", auth=(username, password), timeout=ANSWER_SECONDS_MAX
+        )
+        self._callbacks = pygit2.RemoteCallbacks(credentials=pygit2.UserPass(username, password))
+        self._folder = tempfile.TemporaryDirectory(prefix="deployment-")
+        self._repository = pygit2.init_repository(self._folder.name, bare=True)
+        self._remote = self._repository.remotes.create("origin", f"{self._url}/{REPOSITORY}.git")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._client.close()
+        self._folder.cleanup()
+
+    def fetch(self) -> str:
+        """Brings the clone up to date; returns main's tip."""
+        try:
+            self._remote.fetch([f"+refs/heads/{BRANCH}:refs/heads/{BRANCH}"], callbacks=self._callbacks)
+        except pygit2.GitError as error:
+            raise RunError(f"{self._url}/{REPOSITORY}.git: cannot be fetched as {self._user}: {error}") from error
+        return str(self._tip().id)
+
+    def file(self, path: str) -> str:
+        """A file of main as text, empty when there is none."""
+        found = self._entry(path)
+        return found.data.decode() if isinstance(found, pygit2.Blob) else ""
+
+    def releases(self) -> dict[str, Mapping[str, Any]]:
+        """The release files of main by <namespace>/<release>."""
+        folder = self._entry("releases")
+        if not isinstance(folder, pygit2.Tree):
+            return {}
+        return {
+            f"{namespace.name}/{Path(str(file.name)).stem}": yaml.safe_load(file.data)
+            for namespace in folder
+            if isinstance(namespace, pygit2.Tree)
+            for file in namespace
+            if isinstance(file, pygit2.Blob)
+        }
+
+    def commits(self) -> tuple[Commit, ...]:
+        """All commits of main, newest first."""
+        walk = self._repository.walk(self._tip().id, pygit2.enums.SortMode.TOPOLOGICAL)
+        found = [self._commit(commit) for _, commit in zip(range(COMMITS_MAX), walk, strict=False)]
+        return tuple(found)
+
+    def pull_requests(self) -> tuple[PullRequest, ...]:
+        """All pull requests, in whatever state."""
+        found: list[PullRequest] = []
+        for page in range(1, PAGES_MAX + 1):
+            part = self._call("GET", "/pulls", params={"state": "all", "limit": PULL_REQUESTS_PER_PAGE, "page": page})
+            found += [_pull_request(item) for item in part]
+            if len(part) < PULL_REQUESTS_PER_PAGE:
+                break
+        return tuple(found)
+
+    def pull_request(self, number: int) -> PullRequest:
+        """One pull request."""
+        return _pull_request(self._call("GET", f"/pulls/{number}"))
+
+    def propose(self, path: str, text: str, message: str, topic: str) -> str:
+        """Proposes one changed file on top of main; returns the commit. The forge opens the pull request."""
+        parent = self._tip()
+        tree = self._with_file(parent.tree, path.split("/"), self._repository.create_blob(text.encode()))
+        who = pygit2.Signature(self._user, f"{self._user}@forge.invalid")
+        commit = self._repository.create_commit(None, who, who, message, tree, [parent.id])
+        reference = f"refs/heads/{topic}"
+        self._repository.references.create(reference, commit, force=True)
+        try:
+            self._remote.push([f"{reference}:refs/for/{BRANCH}/{topic}"], callbacks=self._callbacks)
+        except pygit2.GitError as error:
+            raise RunError(f"the forge did not take the proposal of {self._user} for {path}: {error}") from error
+        return str(commit)
+
+    def number_of(self, commit: str) -> int | None:
+        """The open or merged pull request whose head is `commit`."""
+        part = self._call("GET", "/pulls", params={"state": "all", "limit": PULL_REQUESTS_PER_PAGE})
+        return next((int(item["number"]) for item in part if (item.get("head") or {}).get("sha") == commit), None)
+
+    def merge(self, number: int) -> str:
+        """Asks the forge to merge; returns its refusal, empty when it agreed or had merged already."""
+        answer = self._client.post(f"/pulls/{number}/merge", json={"Do": "fast-forward-only"})
+        return "" if answer.is_success else f"{answer.status_code} {answer.text[:300]}"
+
+    def _call(self, method: str, path: str, **options: Any) -> Any:
+        try:
+            answer = self._client.request(method, path, **options)
+        except httpx.HTTPError as error:
+            raise RunError(f"forge {self._url}: {method} {path}: {error or type(error).__name__}") from error
+        if answer.is_error:
+            raise RunError(
+                f"forge {self._url}: {method} {path} as {self._user}: {answer.status_code} {answer.text[:300]}"
+            )
+        return answer.json()
+
+    def _tip(self) -> pygit2.Commit:
+        return self._repository.references[f"refs/heads/{BRANCH}"].peel(pygit2.Commit)
+
+    def _entry(self, path: str) -> Any:
+        try:
+            return self._tip().tree[path]
+        except KeyError:
+            return None
+
+    def _with_file(self, tree: pygit2.Tree | None, parts: list[str], blob: pygit2.Oid) -> pygit2.Oid:
+        """The tree with one file put at `parts`."""
+        builder = self._repository.TreeBuilder(tree) if tree is not None else self._repository.TreeBuilder()
+        name, *rest = parts
+        if not rest:
+            builder.insert(name, blob, pygit2.enums.FileMode.BLOB)
+        else:
+            below = tree[name] if tree is not None and name in tree else None
+            below = below if isinstance(below, pygit2.Tree) else None
+            builder.insert(name, self._with_file(below, rest, blob), pygit2.enums.FileMode.TREE)
+        return builder.write()
+
+    def _commit(self, commit: pygit2.Commit) -> Commit:
+        trailers: dict[str, tuple[str, ...]] = {}
+        for name, value in TRAILER.findall(commit.message):
+            trailers[name] = (*trailers.get(name, ()), value.strip())
+        return Commit(
+            sha=str(commit.id),
+            parents=tuple(str(parent) for parent in commit.parent_ids),
+            author=commit.author.name,
+            subject=commit.message.partition("\n")[0],
+            time=commit.commit_time * NANOSECONDS,
+            trailers=trailers,
+            paths=tuple(self._paths(commit)),
+        )
+
+    def _paths(self, commit: pygit2.Commit) -> Iterator[str]:
+        """Paths that a commit touches against its first parent."""
+        if commit.parents:
+            difference = commit.parents[0].tree.diff_to_tree(commit.tree)
+        else:
+            difference = commit.tree.diff_to_tree(swap=True)
+        for delta in difference.deltas:
+            yield delta.new_file.path
+
+
+def specification_digests(releases: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
+    """A digest of each release's specification: what it asks for, not which plan wrote it."""
+    return {
+        name: hashlib.sha256(json.dumps(document["spec"], sort_keys=True).encode()).hexdigest()[:16]
+        for name, document in sorted(releases.items())
+    }
+
+
+def _pull_request(found: Mapping[str, Any]) -> PullRequest:
+    merged = bool(found.get("merged"))
+    commit = found.get("merge_commit_sha") if merged else None
+    return PullRequest(int(found["number"]), str(found.get("title", "")), merged, str(commit) if commit else None)

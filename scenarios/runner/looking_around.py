@@ -1,0 +1,42 @@
+"""What a person can look at after a run, as commands that can be pasted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from scenarios.definition import Scenario
+from scenarios.runner.access import Endpoint
+
+PASSWORD = "$(kubectl -n robotkube get secret forge-account-{person} -o jsonpath={{.data.password}} | base64 -d)"  # noqa: S105
+WEB_PAGES = (
+    "The web pages of the forge and of Argo CD need front ends that are not built here yet; their APIs and the "
+    "commands "
+    "above show the same."
+)
+
+
+def commands(scenario: Scenario, kubeconfig: Path, forge: Endpoint) -> Iterator[tuple[str, str]]:
+    """Pairs of what is seen and the command; each ends by itself."""
+    person, agent = scenario.story.person, scenario.story.recording_agent
+    clone = f"http://{person}:{PASSWORD.format(person=person)}@{forge.host}:{forge.port}/robotkube/deployment.git"
+    yield "use this cluster", f"export KUBECONFIG={kubeconfig}"
+    yield "machines and their roles", "kubectl get nodes -L robotkube.io/role -L robotkube.io/agent"
+    yield "pods of all agents", "kubectl get pods -A -l robotkube.io/agent -o wide"
+    yield "what Argo CD runs", "kubectl -n argocd get applications"
+    yield "tasks (empty after a run)", "kubectl get taskdescriptions -A"
+    yield (
+        "what the recorder's account may do",
+        (f"kubectl auth can-i --list -n {agent} --as system:serviceaccount:{agent}:event-detector"),
+    )
+    yield "the deployment repository", f'git clone "{clone}" deployment'
+    yield "every change with its cause", "git -C deployment log --format='%h %an %s%n%(trailers)'"
+
+
+def lines(scenario: Scenario, kubeconfig: Path, forge: Endpoint) -> Iterator[str]:
+    """The commands as text, and what cannot be looked at."""
+    yield "To look around:"
+    for what, command in commands(scenario, kubeconfig, forge):
+        yield f"  # {what}"
+        yield f"  {command}"
+    yield WEB_PAGES

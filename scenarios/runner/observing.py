@@ -1,0 +1,163 @@
+"""Watches a run from outside: clouds at the broker with an account of its own, and the lives of the agents' pods."""
+
+from __future__ import annotations
+
+import struct
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from kubernetes import watch
+from paho.mqtt import client as mqtt
+from paho.mqtt.enums import CallbackAPIVersion
+
+from scenarios.runner.access import Access
+from scenarios.runner.inputs import BrokerLog, BrokerMessages, Pod
+from scenarios.runner.waiting import RunError
+
+FRAME = struct.Struct("<4sQQI")  # magic, session, sequence, number of messages
+MAGIC = b"RKF1"
+CLOUDS = "mqtt/vehicles/+/lidar_center/pointcloud"
+CONNECT_SECONDS_MAX = 15.0
+FRAMES_MAX = 200_000
+WATCH_SECONDS = 300
+STOP_SECONDS_MAX = 5.0
+
+
+@dataclass
+class BrokerObserver:
+    """Counts the clouds that cross the broker, frame by frame. Used with `start` and `stop`."""
+
+    host: str
+    port: int
+    username: str
+    password: str
+    _messages: list[BrokerMessages] = field(default_factory=list)
+    _subscribed: threading.Event = field(default_factory=threading.Event)
+    _since: int = 0
+    _gaps: int = 0
+    _ending: bool = False
+
+    def start(self) -> None:
+        """Connects and subscribes; raises `RunError` when the broker does not take it."""
+        self._client = mqtt.Client(CallbackAPIVersion.VERSION2, client_id=f"observer-{time.time_ns()}")
+        self._client.username_pw_set(self.username, self.password)
+        self._client.on_connect, self._client.on_disconnect = self._on_connect, self._on_disconnect
+        self._client.on_subscribe, self._client.on_message = self._on_subscribe, self._on_message
+        try:
+            self._client.connect(self.host, self.port, keepalive=20)
+        except OSError as error:
+            raise RunError(f"broker {self.host}:{self.port}: {error}") from error
+        self._client.loop_start()
+        if not self._subscribed.wait(CONNECT_SECONDS_MAX):
+            self._client.loop_stop()
+            raise RunError(f"broker {self.host}:{self.port}: did not let {self.username} subscribe to {CLOUDS}")
+
+    def stop(self) -> BrokerLog:
+        """Ends; returns what was seen."""
+        until = time.time_ns()
+        self._ending = True
+        self._client.disconnect()
+        self._client.loop_stop()
+        return BrokerLog(self._since, until, self._gaps, tuple(self._messages))
+
+    def _on_connect(self, client: Any, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
+        if not reason.is_failure:
+            client.subscribe(CLOUDS, qos=0)
+
+    def _on_subscribe(self, _client: Any, _data: Any, _number: Any, reasons: Any, _properties: Any) -> None:
+        if any(reason.is_failure for reason in reasons):
+            return
+        self._since = self._since or time.time_ns()
+        self._subscribed.set()
+
+    def _on_disconnect(self, *_arguments: Any) -> None:
+        self._gaps += not self._ending
+
+    def _on_message(self, _client: Any, _data: Any, message: Any) -> None:
+        if len(self._messages) < FRAMES_MAX:
+            self._messages.append(BrokerMessages(time.time_ns(), message.topic, frame_count(message.payload)))
+
+
+def frame_count(payload: bytes) -> int:
+    """Number of messages in a frame of mqtt-bridge; a payload that is no such frame counts as one."""
+    if len(payload) < FRAME.size or payload[:4] != MAGIC:
+        return 1
+    return int(FRAME.unpack_from(payload)[3])
+
+
+class PodWatch:
+    """Notes when pods of the agents' namespaces appear, run, are ready and are gone, by the time of the news."""
+
+    def __init__(self, access: Access, namespaces: Sequence[str], say: Callable[[str], None]) -> None:
+        self._access, self._namespaces, self._say = access, frozenset(namespaces), say
+        self._pods: dict[str, Pod] = {}
+        self.labels: dict[str, tuple[str, str, dict[str, str]]] = {}
+        self._lock = threading.Lock()
+        self._ending = threading.Event()
+        self._watch: Any = None
+        self._thread = threading.Thread(target=self._run, name="pods", daemon=True)
+
+    def start(self) -> None:
+        """Begins to watch; pods that exist already are noted with the time of their first news."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Ends; bounded, since the news may be silent."""
+        self._ending.set()
+        if self._watch is not None:
+            self._watch.stop()
+        self._thread.join(STOP_SECONDS_MAX)
+
+    def pods(self) -> tuple[Pod, ...]:
+        """The lives seen so far."""
+        with self._lock:
+            return tuple(self._pods.values())
+
+    def _run(self) -> None:
+        while not self._ending.is_set():
+            try:
+                self._follow()
+            except Exception as error:
+                if not self._ending.is_set():
+                    self._say(f"watch of the pods begins again: {type(error).__name__}")
+                    self._ending.wait(1.0)
+
+    def _follow(self) -> None:
+        """One watch: what is there, then the news until it ends; pods that went in between are noted as gone now."""
+        listed = self._access.core.list_pod_for_all_namespaces()
+        present = {pod.metadata.uid for pod in listed.items}
+        for pod in listed.items:
+            self._note("MODIFIED", pod)
+        for uid in [pod.uid for pod in self.pods() if pod.deleted is None and pod.uid not in present]:
+            self._put(replace(self._pods[uid], deleted=time.time_ns()))
+        self._watch = watch.Watch()
+        news = self._watch.stream(
+            self._access.core.list_pod_for_all_namespaces,
+            resource_version=listed.metadata.resource_version,
+            timeout_seconds=WATCH_SECONDS,
+        )
+        for event in news:
+            self._note(event["type"], event["object"])
+            if self._ending.is_set():
+                return
+
+    def _note(self, kind: str, pod: Any) -> None:
+        now, data = time.time_ns(), pod.metadata
+        self.labels[data.uid] = (data.namespace, data.name, dict(data.labels or {}))
+        if data.namespace not in self._namespaces:
+            return
+        known = self._pods.get(data.uid) or Pod(data.namespace, data.name, data.uid, now)
+        if kind == "DELETED":
+            known = replace(known, deleted=known.deleted or now)
+        if pod.status.phase == "Running":
+            known = replace(known, running=known.running or now)
+        if any(c.type == "Ready" and c.status == "True" for c in pod.status.conditions or []):
+            known = replace(known, ready=known.ready or now)
+        self._put(known)
+
+    def _put(self, pod: Pod) -> None:
+        with self._lock:
+            self._pods[pod.uid] = pod

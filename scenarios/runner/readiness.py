@@ -1,0 +1,79 @@
+"""Whether everything that the deployment repository asks for runs: the state a run begins from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from scenarios.definition import Scenario
+from scenarios.runner import collecting
+from scenarios.runner.access import Access, pod_ready
+from scenarios.runner.deployment import Deployment
+
+PLAN = "robotkube.io/plan"
+
+
+class Readiness:
+    """Looks at repository, manager, Argo CD and pods; `missing` says in few words what is not there yet."""
+
+    def __init__(self, access: Access, deployment: Deployment, scenario: Scenario) -> None:
+        self._access, self._deployment, self._scenario = access, deployment, scenario
+        self._missing: Sequence[str] = ("nothing was looked at yet",)
+
+    def reached(self) -> bool:
+        """Looks once, at the dearest things last and only when the others are as they should be."""
+        self._deployment.fetch()
+        releases = self._deployment.releases()
+        looks = (
+            lambda: [f"release {name} is not in the repository" for name in self._needed() if name not in releases],
+            self._plans,
+            lambda: not_observed(releases, self._access.applications()),
+            self._pods,
+        )
+        self._missing = next((missing for missing in (look() for look in looks) if missing), ())
+        return not self._missing
+
+    def missing(self) -> str:
+        """One line: how many things are missing, and the first."""
+        return f"{len(self._missing)} missing: {'; '.join(self._missing[:3])}"
+
+    def _needed(self) -> Sequence[str]:
+        """Releases that the run cannot do without."""
+        player, recording = self._scenario.story.player_application, self._scenario.story.recording_agent
+        vehicles = [f"{agent}/{release}" for agent in self._scenario.vehicles for release in (player, "mqtt-bridge")]
+        return [*vehicles, f"{recording}/mqtt-bridge", f"{recording}/{collecting.DETECTOR}"]
+
+    def _plans(self) -> Sequence[str]:
+        plans = collecting.plans(self._access)
+        return [f"plan {plan.plan} is not observed" for plan in plans if plan.observed is None and plan.error is None]
+
+    def _pods(self) -> Sequence[str]:
+        return [
+            f"pod {pod.metadata.namespace}/{pod.metadata.name} is not ready"
+            for pod in self._access.pods_of_agents()
+            if not pod_ready(pod)
+        ]
+
+
+def not_observed(releases: Mapping[str, Any], applications: Mapping[str, Any]) -> Sequence[str]:
+    """Releases whose Argo CD Application does not run the plan that the repository states, synced and healthy."""
+    found = []
+    for name, release in sorted(releases.items()):
+        application = applications.get(name.replace("/", "-"))
+        wanted = release["metadata"]["annotations"][PLAN]
+        problem = _problem(application, wanted)
+        if problem:
+            found.append(f"{name}: {problem}")
+    return found
+
+
+def _problem(application: Any, plan: str) -> str:
+    if application is None:
+        return "Argo CD has no Application for it yet"
+    if application["metadata"].get("annotations", {}).get(PLAN) != plan:
+        return f"Argo CD does not know plan {plan} yet"
+    status = application.get("status", {})
+    synced, healthy = status.get("sync", {}).get("status"), status.get("health", {}).get("status")
+    if (synced, healthy) != ("Synced", "Healthy"):
+        return f"{synced or 'not compared'}, {healthy or 'health not known'}"
+    return ""

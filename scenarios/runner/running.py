@@ -1,0 +1,321 @@
+"""One run of a scenario on a running platform: prepare, play, watch, wait, collect, report."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ci.cluster import cgroups
+from ci.cluster.embedded import Embedded
+from ci.folders import PROJECT
+from scenarios import definition
+from scenarios.definition import Scenario, cloud_topic, pose_topic
+from scenarios.generator import bags, checking, routes
+from scenarios.runner import collecting, looking_around, policy, report, timeline
+from scenarios.runner.access import Access
+from scenarios.runner.cpu import CpuSampler
+from scenarios.runner.deployment import Deployment, specification_digests
+from scenarios.runner.inputs import NANOSECONDS, InputCounters, RunInputs
+from scenarios.runner.observing import BrokerObserver, PodWatch
+from scenarios.runner.page import page, value
+from scenarios.runner.placing import Volumes, place_bags
+from scenarios.runner.readiness import Readiness
+from scenarios.runner.waiting import RunError, wait_for
+
+PROVIDER = "embedded"
+REPORTS = PROJECT / "build" / "reports"
+START_DELAY_SECONDS = 3
+MERGE_SECONDS_MAX = 60.0
+READY_SECONDS_MAX = 600.0
+PLAY_SECONDS_MARGIN = 60.0
+REMOVAL_SECONDS_MAX = 60.0
+LOOK_SECONDS_AFTER_REMOVAL = 6.0
+
+
+@dataclass
+class Run:
+    """A run under way: the tools it uses and what it has noted. `say` tells people, on standard error."""
+
+    scenario: Scenario
+    access: Access
+    volumes: Volumes
+    deployment: Deployment
+    observer: BrokerObserver
+    pods: PodWatch
+    sampler: CpuSampler
+    name: str
+    say: Callable[[str], None]
+    set_up_seconds: dict[str, float]
+    claims: Mapping[str, Path] = field(default_factory=dict)
+    releases_before: Mapping[str, str] = field(default_factory=dict)
+    input_before: InputCounters | None = None
+    started: int = 0
+    warnings: list[str] = field(default_factory=list)
+
+    @property
+    def namespaces(self) -> list[str]:
+        """Release namespaces of all agents that are not the platform."""
+        return [node.agent for node in self.scenario.nodes if node.role != "platform"]
+
+    def warn(self, text: str) -> None:
+        """Notes something for the report and says it."""
+        self.warnings.append(text)
+        self.say(f"warning: {text}")
+
+
+def run(
+    folder: Path,
+    cluster: str,
+    settings: Mapping[str, str],
+    variant: str | None = None,
+    set_up_seconds: Mapping[str, float] | None = None,
+) -> int:
+    """Runs the scenario in `folder` on `cluster`; returns 0 only if every expectation holds, else 1.
+
+    Raises `ScenarioError` for a bad scenario or bag before anything has been touched.
+    """
+    scenario = definition.load(folder, [f"{key}={text}" for key, text in settings.items()], variant)
+    routes.duration_seconds(scenario.parameters)
+    began = time.monotonic()
+    made = bags.make_bags(scenario, say=_say)
+    for agent, bag in made.items():
+        checking.check_bag(bag, scenario, agent)
+    seconds = dict(set_up_seconds or {}) | {"bags": round(time.monotonic() - began, 2)}
+    try:
+        return _run(scenario, cluster, made, seconds)
+    except RunError as error:
+        _say(f"error: {error}")
+        return 1
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+def _run(scenario: Scenario, cluster: str, made: Mapping[str, Path], seconds: dict[str, float]) -> int:
+    provider = Embedded(cluster, Path())
+    access = Access(provider.kubeconfig())
+    _check_nodes(scenario, provider)
+    person, broker = access.secret("robotkube", f"forge-account-{scenario.story.person}"), access.endpoint("broker")
+    account = access.secret("robotkube", "broker-account-observer")
+    with Deployment(access.endpoint("forge"), person["username"], person["password"]) as deployment:
+        going = Run(
+            scenario=scenario,
+            access=access,
+            volumes=provider,
+            deployment=deployment,
+            observer=BrokerObserver(broker.host, broker.port, account["username"], account["password"]),
+            pods=PodWatch(access, [node.agent for node in scenario.nodes], _say),
+            sampler=CpuSampler(cpu_root(cluster)),
+            name=f"run-{time.strftime('%Y%m%d-%H%M%S', time.gmtime())}",
+            say=_say,
+            set_up_seconds=seconds,
+        )
+        done = execute(going, made)
+        show(going, done)
+    return 0 if done.passed else 1
+
+
+def cpu_root(cluster: str) -> Path:
+    """The cluster's folder in the hierarchy that counts CPU time."""
+    base = cgroups.ROOT if cgroups.unified() else (cgroups.ROOT / cgroups.ACCOUNTING).resolve()
+    return base / cgroups.top(cluster)
+
+
+def _check_nodes(scenario: Scenario, provider: Embedded) -> None:
+    """The cluster must have the scenario's nodes, else the run would wait for players that cannot exist."""
+    there = {node.name for node in provider.nodes() if node.ready}
+    missing = [node.name for node in scenario.nodes if node.name not in there]
+    if missing:
+        raise RunError(
+            f"cluster {provider.name} has no ready node {', '.join(missing)}; start it with the same --set "
+            f"vehicles=..., "
+            "or give the run the number of vehicles that the cluster has"
+        )
+
+
+def execute(going: Run, made: Mapping[str, Path]) -> report.Report:
+    """The run itself. What fails after the players have started is reported together with what is known."""
+    prepare(going, made)
+    going.pods.start()
+    going.observer.start()
+    going.sampler.start()
+    try:
+        play(going)
+        wait_for_end(going)
+    except RunError as error:
+        if not going.started:
+            going.observer.stop()
+            going.pods.stop()
+            raise
+        going.warn(str(error))
+    return report.report(going.scenario, collect(going))
+
+
+def prepare(going: Run, made: Mapping[str, Path]) -> None:
+    """Bags into the claims, the person's pull request, all releases ready; nothing is played yet."""
+    began = time.monotonic()
+    going.claims = place_bags(going.access, going.volumes, made, going.say)
+    ask_for_players(going)
+    readiness = Readiness(going.access, going.deployment, going.scenario)
+    wait_for(
+        "all releases to be ready",
+        READY_SECONDS_MAX,
+        readiness.reached,
+        lambda: f"{readiness.missing()}\n{going.access.state(going.namespaces)}",
+        poll_seconds=2.0,
+        say=going.say,
+    )
+    going.set_up_seconds["players and releases ready"] = round(time.monotonic() - began, 2)
+    going.deployment.fetch()
+    going.releases_before = specification_digests(going.deployment.releases())
+
+
+def ask_for_players(going: Run) -> None:
+    """The person's pull request on policies/initial.yaml; none when the file says it already."""
+    going.deployment.fetch()
+    text = policy.changed(going.deployment.file(policy.PATH), going.scenario)
+    if text is None:
+        going.say(f"{policy.PATH} asks for the players already")
+        return
+    subject = f"policy(initial): play {going.scenario.name} on {going.scenario.parameters.vehicles} vehicles\n"
+    commit = going.deployment.propose(policy.PATH, text, subject, going.name)
+    number = _found(going, commit)
+    refusal = going.deployment.merge(number)
+
+    def merged() -> bool:
+        return going.deployment.pull_request(number).merged
+
+    wait_for(
+        f"pull request #{number} of {going.scenario.story.person} to be merged",
+        MERGE_SECONDS_MAX,
+        merged,
+        lambda: f"the forge's answer to merging it was: {refusal or 'agreed'}",
+    )
+    going.say(f"pull request #{number} of {going.scenario.story.person} on {policy.PATH} is merged ({commit[:10]})")
+
+
+def _found(going: Run, commit: str) -> int:
+    """The number of the pull request that the forge opened for a pushed commit."""
+    numbers: list[int] = []
+
+    def opened() -> bool:
+        number = going.deployment.number_of(commit)
+        numbers.extend([number] if number else [])
+        return bool(numbers)
+
+    wait_for("the forge to open the pull request", MERGE_SECONDS_MAX, opened, lambda: f"commit {commit} was pushed")
+    return numbers[0]
+
+
+def play(going: Run) -> None:
+    """Tells all players to start on one whole second."""
+    going.input_before = collecting.input_counters(going.access, going.scenario)
+    going.started = (time.time_ns() // NANOSECONDS + 1 + START_DELAY_SECONDS) * NANOSECONDS
+    for agent in going.scenario.vehicles:
+        going.access.put_simulation(agent, going.name, going.started)
+    if time.time_ns() > going.started:
+        going.warn("telling the players took longer than the start was ahead: they began late")
+    going.say(f"{going.name}: {len(going.scenario.vehicles)} players start in {START_DELAY_SECONDS} s")
+
+
+def wait_for_end(going: Run) -> None:
+    """Until all ledgers have their end and everything that the events brought is gone again, and a little longer."""
+    length = routes.duration_seconds(going.scenario.parameters)
+    files = [collecting.ledger_file(going.claims[a], going.name, t) for a, t in _played(going.scenario)]
+
+    def ended() -> bool:
+        return all(collecting.ledger_ended(file) for file in files)
+
+    def open_ledgers() -> str:
+        found = [file.name for file in files if not collecting.ledger_ended(file)]
+        return f"{len(found)} of {len(files)} ledgers have no end yet: {', '.join(found[:3])}"
+
+    limit = START_DELAY_SECONDS + length + PLAY_SECONDS_MARGIN
+    wait_for("the players to finish", limit, ended, open_ledgers, poll_seconds=1.0, say=going.say)
+
+    def gone() -> bool:
+        return not _left(going)
+
+    wait_for(
+        "everything the events brought to be gone", REMOVAL_SECONDS_MAX, gone, lambda: "\n".join(_left(going)), 1.0
+    )
+    time.sleep(LOOK_SECONDS_AFTER_REMOVAL)
+
+
+def _played(scenario: Scenario) -> list[tuple[str, str]]:
+    """Agents and their topics that are played to the end."""
+    return [
+        *((agent, pose_topic(agent)) for agent in scenario.vehicles),
+        *((agent, cloud_topic(agent)) for agent in scenario.lidar_vehicles),
+    ]
+
+
+def _left(going: Run) -> list[str]:
+    """Pods of releases that were not there before, and plans that are not finished."""
+    owners = [release.split("/", 1) for release in going.releases_before]
+    pods = [
+        f"pod {pod.namespace}/{pod.name}"
+        for pod in going.pods.pods()
+        if pod.created > going.started
+        and pod.deleted is None
+        and not any(pod.namespace == namespace and pod.name.startswith(f"{name}-") for namespace, name in owners)
+    ]
+    plans = collecting.plans(going.access)
+    return pods + [f"plan {plan.plan}" for plan in plans if plan.observed is None and plan.error is None]
+
+
+def collect(going: Run) -> RunInputs:
+    """Everything the report is computed from; what cannot be read is a warning and fails its expectations."""
+    ended, scenario, access = time.time_ns(), going.scenario, going.access
+
+    def read(what: str, source: Callable[[], Any], otherwise: Any) -> Any:
+        return collecting.attempt(what, source, otherwise, going.warn)
+
+    input_after = read("event detector's input", lambda: collecting.input_counters(access, scenario), None)
+    broker = going.observer.stop()
+    cpu = going.sampler.stop(going.pods.labels)
+    going.pods.stop()
+    edges = read("event detector's events", lambda: collecting.edges(access, scenario), ())
+    events = [edge.id for edge in edges if edge.time >= going.started]
+    recordings, found = read("recordings", lambda: collecting.stored(access, scenario, going.volumes, events), ((), ()))
+    read("deployment repository", going.deployment.fetch, "")
+    return RunInputs(
+        run=going.name,
+        provider=PROVIDER,
+        started=going.started,
+        ended=ended,
+        ledgers=collecting.ledgers(scenario, going.claims, going.name, going.warn),
+        stored=found,
+        recordings=recordings,
+        edges=edges,
+        plans=read("manager's plans", lambda: collecting.plans(access), ()),
+        pull_requests=read("pull requests", going.deployment.pull_requests, ()),
+        commits=read("commits", going.deployment.commits, ()),
+        input_before=going.input_before,
+        input_after=input_after,
+        broker=broker,
+        pods=going.pods.pods(),
+        releases_before=going.releases_before,
+        releases_after=read("releases", lambda: specification_digests(going.deployment.releases()), {}),
+        cpu_core_seconds=cpu,
+        set_up_seconds=going.set_up_seconds,
+        warnings=tuple(going.warnings),
+    )
+
+
+def show(going: Run, done: report.Report) -> None:
+    """Timeline, table, files and where to look, on standard output."""
+    files = report.write(done, REPORTS / going.scenario.name, page(done))
+    print("\n".join(timeline.lines(done.inputs, done.moments)), flush=True)
+    print()
+    for row in done.table:
+        print(f"{'ok  ' if row.passed else 'FAIL'} {row.name:<40} {row.expected:>8}  measured {value(row.measured)}")
+    for text in done.document["warnings"]:
+        print(f"warning: {text}")
+    print(f"\n{'passed' if done.passed else 'FAILED'}: {files[0]}, {files[1]}\n")
+    print("\n".join(looking_around.lines(going.scenario, going.access.kubeconfig, going.access.endpoint("forge"))))
