@@ -1,8 +1,8 @@
 """Images without pulling: imported once into a containerd root folder that every node then starts from.
 
     <cache>/imported/<key>/       containerd's root with all images of one lock file, never written again
-    <node>/containerd/            the node's own root: copies of the databases, hard links to the archives' contents, and
-                                  for every unpacked layer a link to the imported one (overlay only reads it)
+    <node>/containerd/            the node's own root: copies of the databases, hard links to the archives' contents,
+                                  and for every unpacked layer a link to the imported one (overlay only reads it)
 
 Importing 565 MB takes half a minute, starting a node from it a tenth of a second and no space.
 """

@@ -1,4 +1,4 @@
-"""Objects a fresh cluster gets from its provider: rights of its processes, the StorageClass, volumes made in advance."""
+"""Objects a fresh cluster gets from its provider: rights of its processes, StorageClass, volumes made in advance."""
 
 from __future__ import annotations
 
