@@ -55,12 +55,12 @@ class Bench:
     def open_store(self) -> RecordingStore:
         return PymongoRecordingStore(connect(self.account, answer_seconds_max=0.5))
 
-    def recorder(self, **bounds: int) -> Recorder:
+    def recorder(self, streams: frozenset[str] = frozenset(), **bounds: int) -> Recorder:
         def open_segments() -> tuple[McapSegments, BsonSpool]:
             return McapSegments(self.root, RECORDING, time.time_ns), BsonSpool(self.root, time.time_ns)
 
         place = RecorderPlace(VOLUME, self.open_store, open_segments, time.time_ns, time.monotonic)
-        recorder = Recorder(REACTION, place, {POSES: POSE, CLOUDS: CLOUD}, **bounds)
+        recorder = Recorder(REACTION, place, {POSES: POSE, CLOUDS: CLOUD}, streams, **bounds)
         self.recorders.append(recorder)
         recorder.start()
         return recorder
@@ -263,3 +263,28 @@ def test_a_claim_that_refuses_loses_nothing_once_it_takes_again(bench: Bench, mo
     full.clear()
     assert recorder.stop(8.0)
     bench.assert_complete(2)
+
+
+def test_a_recording_begins_when_its_streams_flow(bench: Bench) -> None:
+    recorder = bench.recorder(streams=frozenset([POSES]))
+    for number in range(3):
+        bench.offer(recorder, CLOUDS, number)  # stamps 0, 100, 200 ms: nobody knows yet which poses will be missing
+    for number in range(25, 100):
+        bench.offer(recorder, POSES, number)  # the first one is of 250 ms
+    bench.offer(recorder, CLOUDS, 1, again=True)
+    for number in range(3, 10):
+        bench.offer(recorder, CLOUDS, number)
+    assert recorder.stop(8.0)
+    assert recorder.counts.early == 4
+    stored = [m.stamp for m in stored_messages(bench.reader, bench.segments, RECORDING) if m.topic == CLOUDS]
+    assert stored == [BEGIN + number * 100 * MS for number in range(3, 10)]
+
+
+def test_a_silent_stream_does_not_hold_the_recording_up_for_ever(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("robotkube.services.recorder.BEGIN_SECONDS_MAX", 0.2)
+    recorder = bench.recorder(streams=frozenset([POSES]))
+    bench.offer(recorder, CLOUDS, 0)
+    time.sleep(0.25)
+    bench.offer(recorder, CLOUDS, 1)
+    assert recorder.stop(8.0)
+    assert (recorder.counts.early, recorder.counts.segments) == (1, 1)

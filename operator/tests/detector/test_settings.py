@@ -22,11 +22,21 @@ topics:
 - {name: "/vehicles/{agent}/pose", type: geometry_msgs/msg/PoseStamped, buffer: {seconds: 5}}
 - {name: /vehicles/vehicle_00/cloud, type: sensor_msgs/msg/PointCloud2, depth: 20}
 rules:
-- {name: near, kind: proximity, agents: [a, b], topic: "/vehicles/{agent}/pose", start_distance_m: 400, stop_distance_m: 500}
+- name: near
+  kind: proximity
+  agents: [a, b]
+  topic: "/vehicles/{agent}/pose"
+  start_distance_m: 400
+  stop_distance_m: 500
 - {name: all, kind: always}
 reactions:
 - {rule: near, kind: operator, application: recording, parameters: {vehicles: "{agents}"}}
-- {rule: all, kind: recording, recording: task-1, trace: ab, topics: [{name: /vehicles/vehicle_00/cloud, storage: segment}], volume: recordings}
+- rule: all
+  kind: recording
+  recording: task-1
+  trace: ab
+  topics: [{name: /vehicles/vehicle_00/cloud, storage: segment}]
+  volume: recordings
 """
 
 

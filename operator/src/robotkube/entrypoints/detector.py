@@ -30,6 +30,7 @@ from robotkube.domain.detector_settings import (
     read_detector_settings,
 )
 from robotkube.domain.errors import DocumentError, InputError, RefusalError
+from robotkube.domain.recordings import DOCUMENT
 from robotkube.domain.texts import read_mapping
 from robotkube.entrypoints.processes import PodSettings, Process, read_text, run
 from robotkube.services.event_detector import EventDetector
@@ -216,9 +217,18 @@ def make_recorder(reaction: RecordingReaction, settings: DetectorSettings, pod: 
         clock_ns=time.time_ns,
         monotonic=time.monotonic,
     )
-    recorder = Recorder(reaction, place, topics)
+    recorder = Recorder(reaction, place, topics, _streams(reaction, settings))
     recorder.start()
     return recorder
+
+
+def _streams(reaction: RecordingReaction, settings: DetectorSettings) -> frozenset[str]:
+    """The topics whose first message belongs to the recording's begin: small, one by name, and said again and again."""
+    return frozenset(
+        topic.pattern.text
+        for topic in settings.topics
+        if reaction.storage.get(topic.pattern.text) == DOCUMENT and not topic.latched and not topic.pattern.general
+    )
 
 
 def _open_store(pod: PodSettings) -> RecordingStore:

@@ -4,6 +4,10 @@
 duplicates, append large messages to segments and synchronise them, then write buckets and index entries. While the
 database is away, writes wait in memory, beyond `waiting_bytes_max` on the claim (spool), and are tried again. A
 recording that ends without its database leaves the rest in the spool, from where the next recorder brings it in.
+
+A recording begins when its streams flow: subscriptions of different topics are matched at different moments, and a
+cloud without the poses of its time would only look like a loss. So large messages measured before the first message
+of every stream are not stored; they are counted in `early`. A silent stream holds the begin up for BEGIN_SECONDS_MAX.
 """
 
 from __future__ import annotations
@@ -35,6 +39,7 @@ QUEUE_BYTES_MAX = 256 * 1024 * 1024
 WAITING_BYTES_MAX = 64 * 1024 * 1024
 RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX = 0.25, 5.0
 WRITES_PER_ROUND_MAX = 2000
+BEGIN_SECONDS_MAX = 3.0
 
 SAMPLES, SEGMENTS, RECORDINGS = "samples", "segments_index", "recordings"
 
@@ -59,6 +64,7 @@ class RecorderCounts:
     acknowledgement, ns."""
 
     offered: int = 0
+    early: int = 0
     dropped: int = 0
     duplicates: int = 0
     documents: int = 0
@@ -86,10 +92,13 @@ class Recorder:
         reaction: RecordingReaction,
         place: RecorderPlace,
         topics: Mapping[str, Any],
+        streams: frozenset[str] = frozenset(),
         waiting_bytes_max: int = WAITING_BYTES_MAX,
     ) -> None:
         self.reaction, self.counts = reaction, RecorderCounts()
         self._place, self._topics, self._waiting_bytes_max = place, dict(topics), waiting_bytes_max
+        self._silent, self._begin_stamp = set(streams), 0
+        self._first_large_at: float | None = None
         self._queue: deque[_Offer] = deque()
         self._batch: list[tuple[_Offer, Received]] = []
         self._offered_bytes = self._taken_bytes = 0
@@ -123,6 +132,12 @@ class Recorder:
     def offer(self, topic: str, type_name: str, storage: str, stamp: int, received: int, data: bytes) -> None:
         """Take a message in; never blocks. Beyond QUEUE_BYTES_MAX it is dropped and counted."""
         self.counts.offered += 1
+        if topic in self._silent:
+            self._silent.discard(topic)
+            self._begin_stamp = max(self._begin_stamp, stamp)
+        elif storage == SEGMENT and self._is_early(stamp):
+            self.counts.early += 1
+            return
         if self._offered_bytes - self._taken_bytes > QUEUE_BYTES_MAX:
             self.counts.dropped += 1
             return
@@ -144,6 +159,17 @@ class Recorder:
         if self._thread.is_alive():
             log.error("recording %s: storing did not end within %.1f s", self.reaction.recording, seconds)
         return not self._thread.is_alive() and not self._waiting
+
+    def _is_early(self, stamp: int) -> bool:
+        if self._silent:
+            now = self._place.monotonic()
+            if self._first_large_at is None:
+                self._first_large_at = now
+            if now - self._first_large_at < BEGIN_SECONDS_MAX:
+                return True
+            log.warning("recording %s: begins without %s", self.reaction.recording, ", ".join(sorted(self._silent)))
+            self._silent.clear()
+        return stamp < self._begin_stamp
 
     # the recorder's own thread ---------------------------------------------------------------------------------------
 

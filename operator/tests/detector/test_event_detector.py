@@ -1,0 +1,349 @@
+"""The detector's service over topics and tasks in memory: what it subscribes, raises, withdraws and counts."""
+
+from __future__ import annotations
+
+import struct
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from robotkube.domain.demands import demand, event_of, time_ns, time_text
+from robotkube.domain.detection import START, Edge
+from robotkube.domain.detector_settings import DetectorSettings, OperatorReaction, TopicSettings, read_detector_settings
+from robotkube.domain.errors import RefusalError, UnavailableError
+from robotkube.domain.messages import header_stamp, pose_position
+from robotkube.services.event_detector import EventDetector
+from robotkube.services.operator_reactions import OperatorReactions
+
+MS = 1_000_000
+NOW = 1_795_250_000_000_000_000
+WAIT_SECONDS_MAX = 10.0
+DOCUMENT: dict[str, Any] = {
+    "name": "cloud-0/event-detector",
+    "topics": [{"name": "/vehicles/{agent}/pose", "type": "geometry_msgs/msg/PoseStamped"}],
+    "rules": [
+        {
+            "name": "near",
+            "kind": "proximity",
+            "agents": ["vehicle-00", "vehicle-01"],
+            "topic": "/vehicles/{agent}/pose",
+            "start_distance_m": 400,
+            "stop_distance_m": 500,
+        }
+    ],
+    "reactions": [
+        {"rule": "near", "kind": "operator", "application": "recording", "parameters": {"vehicles": "{agents}", "n": 1}}
+    ],
+}
+
+
+def pose(stamp: int, x: float, frame: bytes = b"map", order: str = "<") -> bytes:
+    body = struct.pack(f"{order}iII", stamp // 10**9, stamp % 10**9, len(frame) + 1) + frame + b"\0"
+    body += bytes(-len(body) % 8) + struct.pack(f"{order}7d", x, 2.0, 3.0, 0, 0, 0, 1)
+    return (b"\0\1\0\0" if order == "<" else b"\0\0\0\0") + body
+
+
+class MemoryTopic:
+    lost = 0
+
+    def __init__(self) -> None:
+        self.waiting: list[tuple[bytes, int]] = []
+        self.closed = False
+
+    def drain(self, messages_max: int) -> Sequence[tuple[bytes, int]]:
+        taken, self.waiting = self.waiting[:messages_max], self.waiting[messages_max:]
+        return taken
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class MemoryTopics:
+    def __init__(self) -> None:
+        self.topics: dict[str, MemoryTopic] = {}
+        self.published: dict[str, list[str]] = {}
+
+    def subscribe(self, topic: str, settings: TopicSettings) -> MemoryTopic:
+        self.topics[topic] = MemoryTopic()
+        return self.topics[topic]
+
+    def visible(self) -> Mapping[str, Sequence[str]]:
+        return self.published
+
+
+class MemoryTasks:
+    """Tasks by name; `away` makes every call fail that many times, `refusing` for ever."""
+
+    def __init__(self) -> None:
+        self.objects: dict[str, Mapping[str, Any]] = {}
+        self.away, self.refusing, self.creations = 0, False, 0
+
+    def tasks(self) -> Sequence[Mapping[str, Any]]:
+        self._answer()
+        return list(self.objects.values())
+
+    def create(self, task: Mapping[str, Any]) -> None:
+        self._answer()
+        self.creations += 1
+        self.objects[task["metadata"]["name"]] = task
+
+    def delete(self, name: str) -> None:
+        self._answer()
+        self.objects.pop(name, None)
+
+    def _answer(self) -> None:
+        if self.refusing:
+            raise RefusalError("Refused", "forbidden")
+        if self.away > 0:
+            self.away -= 1
+            raise UnavailableError("API server: away")
+
+
+class Stage:
+    """A detector with its surroundings and a clock of its own."""
+
+    def __init__(self, tasks: MemoryTasks) -> None:
+        self.live, self.tasks, self.now = MemoryTopics(), tasks, NOW
+        self.operators: list[OperatorReactions] = []
+        self.detector = EventDetector(
+            self.live, self.operator, self.no_recorder, lambda: self.now, lambda: (self.now - NOW) / 1e9
+        )
+
+    def operator(self, settings: DetectorSettings) -> OperatorReactions:
+        self.operators.append(OperatorReactions(settings.name, "cloud-0", self.tasks, lambda: self.now, time.monotonic))
+        self.operators[-1].start()
+        return self.operators[-1]
+
+    def no_recorder(self, *_: object) -> Any:
+        raise AssertionError("nothing to record")
+
+    def apply(self, document: Mapping[str, Any] = DOCUMENT) -> None:
+        self.detector.apply(read_detector_settings(document, "config.yaml"))
+        until(lambda: all(operator.adopted is not None for operator in self.operators))
+
+    def send(self, agent: str, x: float, age_ms: int = 5) -> None:
+        self.now += 10 * MS
+        topic = f"/vehicles/{agent.replace('-', '_')}/pose"
+        self.live.topics[topic].waiting.append((pose(self.now - age_ms * MS, x), self.now))
+        self.detector.turn()
+
+    def edges(self) -> list[tuple[str, Any]]:
+        return [(event["edge"], event["done"] is not None) for event in self.events()]
+
+    def events(self) -> list[dict[str, Any]]:
+        found: list[dict[str, Any]] = self.detector.events_document()["events"]
+        return found
+
+
+@pytest.fixture
+def tasks() -> MemoryTasks:
+    return MemoryTasks()
+
+
+@pytest.fixture
+def make_stage(tasks: MemoryTasks) -> Iterator[Callable[[], Stage]]:
+    stages: list[Stage] = []
+
+    def make() -> Stage:
+        stages.append(Stage(tasks))
+        return stages[-1]
+
+    yield make
+    for stage in stages:
+        for operator in stage.operators:
+            operator.stop(2.0)
+
+
+@pytest.fixture
+def stage(make_stage: Callable[[], Stage]) -> Stage:
+    return make_stage()
+
+
+def until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + WAIT_SECONDS_MAX
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+
+
+def test_an_event_becomes_a_task_and_goes_with_it(stage: Stage, tasks: MemoryTasks) -> None:
+    stage.apply()
+    assert set(stage.live.topics) == {"/vehicles/vehicle_00/pose", "/vehicles/vehicle_01/pose"}
+    stage.send("vehicle-00", 0)
+    stage.send("vehicle-01", 600)
+    stage.send("vehicle-01", 399)
+    until(lambda: stage.edges() == [(START, True)])
+    (task,) = tasks.objects.values()
+    (event,) = stage.events()
+    assert event["time"] == stage.now
+    assert event["stamp"] == stage.now - 5 * MS
+    assert event["task"] == f"cloud-0/{task['metadata']['name']}"
+    assert task["spec"]["parameters"] == {"vehicles": ["vehicle-00", "vehicle-01"], "n": 1}
+    assert task["spec"]["reason"] == "vehicle-00, vehicle-01 within 400 m"
+    assert task["spec"]["event"]["id"] == event["id"]
+    assert time_ns(task["spec"]["event"]["time"]) == event["time"] // 1000 * 1000
+    stage.send("vehicle-01", 501)
+    until(lambda: stage.edges() == [(START, True), ("stop", True)])
+    assert not tasks.objects
+    assert stage.events()[1]["id"] == event["id"]
+
+
+def test_topics_of_other_agents_are_found_and_counted(stage: Stage) -> None:
+    stage.apply()
+    stage.live.published = {
+        "/vehicles/vehicle_07/pose": ["geometry_msgs/msg/PoseStamped"],
+        "/vehicles/vehicle_08/pose": ["std_msgs/msg/String"],
+        "/other": ["geometry_msgs/msg/PoseStamped"],
+    }
+    stage.now += 1001 * MS
+    stage.detector.turn()
+    assert set(stage.live.topics) == {f"/vehicles/vehicle_{n}/pose" for n in ("00", "01", "07")}
+    for _ in range(3):
+        stage.send("vehicle-07", 0, age_ms=12)
+    counter = stage.detector.input_document()["topics"]["/vehicles/vehicle_07/pose"]
+    assert counter["received"] == sum(count for _, count in counter["seconds"]) == 3
+    assert counter["ages_ms"] == [[12, 3]]
+    assert counter["type"] == "geometry_msgs/msg/PoseStamped"
+
+
+def test_malformed_messages_are_counted_and_change_nothing(stage: Stage) -> None:
+    stage.apply()
+    stage.live.topics["/vehicles/vehicle_00/pose"].waiting = [(b"", 1), (b"\0\1\0\0abc", 2), (pose(1, 1)[:30], 3)]
+    stage.detector.turn()
+    counter = stage.detector.input_document()["topics"]["/vehicles/vehicle_00/pose"]
+    assert counter["malformed"] == 3
+
+
+def test_a_restarted_detector_takes_its_events_over(make_stage: Callable[[], Stage], tasks: MemoryTasks) -> None:
+    first = make_stage()
+    first.apply()
+    first.send("vehicle-00", 0)
+    first.send("vehicle-01", 100)
+    until(lambda: len(tasks.objects) == 1)
+    tasks.objects["foreign"] = {"metadata": {"name": "foreign"}, "spec": {"requester": "cloud-0/other"}}
+    second = make_stage()
+    second.apply()
+    second.send("vehicle-00", 0)
+    second.send("vehicle-01", 100)
+    assert second.events() == []
+    assert tasks.creations == 1
+    second.send("vehicle-01", 600)
+    until(lambda: second.edges() == [("stop", True)])
+    assert list(tasks.objects) == ["foreign"]
+
+
+def test_a_task_whose_rule_is_gone_is_withdrawn(make_stage: Callable[[], Stage], tasks: MemoryTasks) -> None:
+    first = make_stage()
+    first.apply()
+    first.send("vehicle-00", 0)
+    first.send("vehicle-01", 100)
+    until(lambda: len(tasks.objects) == 1)
+    second = make_stage()
+    renamed = {**DOCUMENT, "rules": [{**DOCUMENT["rules"][0], "name": "closer"}]}
+    renamed["reactions"] = [{**DOCUMENT["reactions"][0], "rule": "closer"}]
+    second.apply(renamed)
+    second.detector.turn()
+    until(lambda: not tasks.objects)
+
+
+def test_nothing_is_raised_before_own_tasks_are_known(stage: Stage, tasks: MemoryTasks) -> None:
+    tasks.away = 2
+    stage.detector.apply(read_detector_settings(DOCUMENT, "config.yaml"))
+    stage.send("vehicle-00", 0)
+    stage.send("vehicle-01", 100)
+    assert stage.events() == []
+    assert "API server" in stage.detector.not_ready
+    until(lambda: stage.operators[0].adopted is not None)
+    stage.send("vehicle-01", 100)
+    stage.send("vehicle-00", 0)
+    until(lambda: stage.edges() == [(START, True)])
+    assert stage.detector.not_ready == ""
+
+
+def test_an_api_server_that_is_away_gets_the_task_later(stage: Stage, tasks: MemoryTasks) -> None:
+    stage.apply()
+    tasks.away = 2
+    stage.send("vehicle-00", 0)
+    began = time.monotonic()
+    stage.send("vehicle-01", 100)
+    assert time.monotonic() - began < 0.1
+    until(lambda: stage.edges() == [(START, True)])
+    assert tasks.creations == 1
+
+
+def test_an_event_that_ended_before_the_api_server_came_back_leaves_nothing(stage: Stage, tasks: MemoryTasks) -> None:
+    stage.apply()
+    tasks.away = 10**6
+    stage.send("vehicle-00", 0)
+    stage.send("vehicle-01", 100)
+    until(lambda: stage.events()[0]["error"] is not None)
+    stage.send("vehicle-01", 600)
+    tasks.away = 0
+    until(lambda: len(stage.edges()) == 2 and stage.edges()[1][1])
+    assert (tasks.creations, tasks.objects) == (0, {})
+    assert stage.edges()[0] == (START, False)
+
+
+def test_a_refusal_is_told_and_not_repeated(stage: Stage, tasks: MemoryTasks) -> None:
+    stage.apply()
+    tasks.refusing = True
+    stage.send("vehicle-00", 0)
+    stage.send("vehicle-01", 100)
+    until(lambda: stage.events()[0]["error"] == "Refused: forbidden")
+    tasks.refusing = False
+    stage.send("vehicle-01", 600)
+    until(lambda: stage.edges()[-1] == ("stop", True))
+
+
+def test_changed_settings_keep_what_goes_on(stage: Stage, tasks: MemoryTasks) -> None:
+    stage.apply()
+    stage.send("vehicle-00", 0)
+    stage.send("vehicle-01", 100)
+    until(lambda: stage.edges() == [(START, True)])
+    rule = {**DOCUMENT["rules"][0], "stop_distance_m": 900}
+    stage.apply({**DOCUMENT, "rules": [rule]})
+    stage.send("vehicle-00", 0)
+    stage.send("vehicle-01", 800)
+    assert len(stage.events()) == 1
+    stage.send("vehicle-01", 901)
+    until(lambda: stage.edges() == [(START, True), ("stop", True)])
+    assert tasks.creations == 1
+
+
+def test_a_rule_taken_away_ends_its_events(stage: Stage, tasks: MemoryTasks) -> None:
+    stage.apply()
+    stage.send("vehicle-00", 0)
+    stage.send("vehicle-01", 100)
+    until(lambda: len(tasks.objects) == 1)
+    stage.apply({"name": DOCUMENT["name"], "topics": DOCUMENT["topics"]})
+    until(lambda: not tasks.objects)
+
+
+def test_a_topic_taken_away_is_closed(stage: Stage) -> None:
+    stage.apply()
+    before = dict(stage.live.topics)
+    stage.apply({"name": DOCUMENT["name"], "topics": [{"name": "/tf", "type": "geometry_msgs/msg/PoseStamped"}]})
+    assert all(topic.closed for topic in before.values())
+    assert set(stage.detector.input_document()["topics"]) == {"/tf"}
+
+
+@pytest.mark.parametrize("frame", [b"", b"m", b"map", b"a_long_frame_name"])
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_fields_are_read_from_the_bytes(frame: bytes, order: str) -> None:
+    data = pose(1_795_250_000_123_456_789, -12.5, frame, order)
+    assert header_stamp(data) == 1_795_250_000_123_456_789
+    assert pose_position(data) == (-12.5, 2.0, 3.0)
+
+
+def test_a_task_tells_its_event_again() -> None:
+    edge = Edge("near", START, ("a", "b"), "1" * 16, "2" * 32, NOW + 123_000, NOW, 12.0)
+    task = demand("cloud-0/d", OperatorReaction("near", "recording", {}), edge, 400.0)
+    assert event_of(task, "cloud-0/d") == replace(edge, distance_m=None)
+    assert event_of(task, "cloud-0/e") is None
+    assert event_of({"metadata": {}, "spec": {"requester": "cloud-0/d"}}, "cloud-0/d") is None
+    leaving = {**task, "metadata": {**task["metadata"], "deletionTimestamp": "x"}}
+    assert event_of(leaving, "cloud-0/d") is None
+    assert time_text(NOW + 1000) == "2026-11-21T08:33:20.000001Z"

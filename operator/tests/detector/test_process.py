@@ -1,0 +1,203 @@
+"""The detector's process: real ROS topics in, calls to an API server out."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import urllib.request
+from collections.abc import Callable, Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robotkube.domain.texts import write_mapping
+
+pytest.importorskip("rclpy")
+
+PUBLISHER = Path(__file__).parents[1] / "publisher.py"
+SECONDS_MAX = 30.0
+SETTINGS: dict[str, Any] = {
+    "name": "cloud-0/event-detector",
+    "topics": [{"name": "/vehicles/{agent}/pose", "type": "geometry_msgs/msg/PoseStamped"}],
+    "rules": [
+        {
+            "name": "near",
+            "kind": "proximity",
+            "agents": ["vehicle-00", "vehicle-01"],
+            "topic": "/vehicles/{agent}/pose",
+            "start_distance_m": 400,
+            "stop_distance_m": 500,
+        }
+    ],
+    "reactions": [
+        {"rule": "near", "kind": "operator", "application": "recording", "parameters": {"vehicles": "{agents}"}}
+    ],
+}
+PATH = "/apis/robotkube.io/v1alpha1/namespaces/cloud-0/taskdescriptions"
+
+
+class Api(ThreadingHTTPServer):
+    """Keeps TaskDescriptions and one ConfigMap, as far as the detector asks for them; `calls` are the changes."""
+
+    def __init__(self, settings: str) -> None:
+        super().__init__(("127.0.0.1", 0), Handler)
+        self.objects: dict[str, Any] = {}
+        self.calls: list[tuple[str, str]] = []
+        self.settings = settings
+        self.changed = threading.Event()
+        self.closing = threading.Event()
+
+
+class Handler(BaseHTTPRequestHandler):
+    protocol_version = "HTTP/1.1"
+    server: Api
+
+    def do_GET(self) -> None:
+        if "watch=true" in self.path:
+            self.watch()
+        elif "/configmaps" in self.path:
+            self.answer(200, {"metadata": {"resourceVersion": "1"}, "items": [self.config_map()]})
+        else:
+            self.answer(200, {"items": list(self.server.objects.values())})
+
+    def do_POST(self) -> None:
+        task = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
+        self.server.objects[task["metadata"]["name"]] = task
+        self.server.calls.append(("create", task["metadata"]["name"]))
+        self.answer(201, task)
+
+    def do_DELETE(self) -> None:
+        name = self.path.removeprefix(PATH + "/")
+        self.server.calls.append(("delete", name))
+        self.answer(200 if self.server.objects.pop(name, None) else 404, {})
+
+    def watch(self) -> None:
+        self.send_response(200)
+        self.end_headers()
+        while not self.server.closing.wait(0.05):
+            if self.server.changed.is_set():
+                self.server.changed.clear()
+                self.wfile.write(json.dumps({"type": "MODIFIED", "object": self.config_map()}).encode() + b"\n")
+                self.wfile.flush()
+        self.close_connection = True
+
+    def config_map(self) -> dict[str, Any]:
+        return {"metadata": {"name": "event-detector"}, "data": {"config.yaml": self.server.settings}}
+
+    def answer(self, status: int, document: Any) -> None:
+        body = json.dumps(document).encode()
+        self.send_response(status)
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+    def log_message(self, *_: Any) -> None:
+        return None
+
+
+@pytest.fixture
+def api() -> Iterator[Api]:
+    api = Api(write_mapping(SETTINGS))
+    thread = threading.Thread(target=api.serve_forever)
+    thread.start()
+    yield api
+    api.closing.set()
+    api.shutdown()
+    api.server_close()
+    thread.join(SECONDS_MAX)
+
+
+@pytest.fixture
+def unused_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    processes: list[subprocess.Popen[str]] = []
+
+    def start(*arguments: str, **environment: str) -> subprocess.Popen[str]:
+        variables = {
+            **os.environ,
+            "ROS_DOMAIN_ID": str(100 + os.getpid() % 100),
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "ROS_LOG_DIR": str(tmp_path / "ros"),
+            "PYTHONPATH": os.pathsep.join(sys.path),
+            **environment,
+        }
+        processes.append(
+            subprocess.Popen(
+                [sys.executable, *arguments], env=variables, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+            )
+        )
+        return processes[-1]
+
+    yield start
+    for process in processes:
+        process.kill()
+        process.communicate(timeout=SECONDS_MAX)
+
+
+def until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + SECONDS_MAX
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def test_live_poses_become_tasks_until_the_rule_changes(
+    api: Api, start: Callable[..., subprocess.Popen[str]], tmp_path: Path, unused_port: int
+) -> None:
+    (tmp_path / "config.yaml").write_text(api.settings)
+    detector = start(
+        "-m", "robotkube.entrypoints.detector",
+        ROBOTKUBE_API_SERVER=f"http://127.0.0.1:{api.server_port}",
+        ROBOTKUBE_CONFIG=str(tmp_path / "config.yaml"),
+        ROBOTKUBE_CONFIGMAP="cloud-0/event-detector",
+        ROBOTKUBE_HEALTH_PORT=str(unused_port),
+    )  # fmt: skip
+
+    def page(path: str) -> Any:
+        with urllib.request.urlopen(f"http://127.0.0.1:{unused_port}{path}", timeout=5) as answer:
+            return json.load(answer)
+
+    start(str(PUBLISHER), str(tmp_path), "12")
+    until(lambda: len(api.calls) >= 3)
+    assert [call for call, _ in api.calls[:3]] == ["create", "delete", "create"]
+    assert api.calls[0] == ("create", api.calls[1][1])
+    events = page("/events")["events"]
+    assert [event["edge"] for event in events] == ["start", "stop", "start"]
+    assert events[0]["task"] == f"cloud-0/{api.calls[0][1]}"
+    assert all(0 <= event["done"] - event["stamp"] < 2e9 for event in events)
+    counted = page("/input")["topics"]["/vehicles/vehicle_00/pose"]
+    assert counted["received"] > 300
+    assert all(95 <= count <= 105 for _, count in counted["seconds"][1:-1])
+
+    # vehicle-01 is near now; without the rule its task goes
+    api.settings = write_mapping({"name": SETTINGS["name"], "topics": SETTINGS["topics"]})
+    api.changed.set()
+    until(lambda: not api.objects)
+    detector.send_signal(signal.SIGTERM)
+    assert detector.wait(8.0) == 0
+
+
+def test_wrong_settings_are_refused_with_file_key_and_fix(
+    start: Callable[..., subprocess.Popen[str]], tmp_path: Path
+) -> None:
+    path = tmp_path / "config.yaml"
+    path.write_text(write_mapping({**SETTINGS, "rules": [{**SETTINGS["rules"][0], "stop_distance_m": 1}]}))
+    process = start("-m", "robotkube.entrypoints.detector", ROBOTKUBE_CONFIG=str(path), ROBOTKUBE_HEALTH_PORT="0")
+    _, text = process.communicate(timeout=SECONDS_MAX)
+    assert process.returncode == 2
+    error = json.loads(text.splitlines()[-1])["error"]
+    assert error.startswith(f"{path}: rules[0].stop_distance_m: must not be less than start_distance_m")
