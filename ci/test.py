@@ -31,14 +31,17 @@ class Group:
     needs: str = "nothing"
 
 
+PURE = ("unit", "domain", "manager", "detector", "data_path", "scenario", "teardown")
+REAL = ("charts", "forge", "database", "cluster")
+
 GROUPS = (
     Group("check", (), 600),
-    Group("unit", ("unit", "scenario"), 900),
+    Group("unit", PURE, 900),
     Group("charts", ("charts",), 600, "toolchain"),
     Group("forge", ("forge", "database"), 900, "toolchain"),
     Group("cluster", ("cluster",), 2400, "images"),
 )
-THOROUGH = Group("thorough", ("unit", "scenario", "charts", "forge", "database", "cluster"), 5400, "images")
+THOROUGH = Group("thorough", PURE + REAL, 5400, "images")
 
 
 @dataclass(frozen=True)
