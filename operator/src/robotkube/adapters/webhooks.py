@@ -4,6 +4,7 @@
     GET  /livez     200 while the process serves
     GET  /readyz    200, or 503 with one reason per line
     GET  /metrics   Prometheus text
+    GET  <page>     a JSON document of the process, where it offers one
 
 A delivery only wakes its receiver: what happened is read from the forge afterwards, so a lost, doubled or replayed
 delivery does no harm.
@@ -74,7 +75,8 @@ class WebServer:
     """Serves on a thread of its own, at most CONNECTIONS_MAX requests at a time; `start()`, then `stop()`.
 
     `deliver` must return at once (it wakes a loop); `ready` gives the reasons why the process is not ready (empty = it
-    is); `metrics` gives Prometheus text. Port 0 takes a free one, see `port`. Without a secret there is no /webhook.
+    is); `metrics` gives Prometheus text; `pages` are JSON documents by path. Port 0 takes a free one, see `port`.
+    Without a secret there is no /webhook.
     """
 
     def __init__(
@@ -85,10 +87,12 @@ class WebServer:
         metrics: Callable[[], str],
         secret: bytes = b"",
         deliver: Callable[[Delivery], None] | None = None,
+        pages: Mapping[str, Callable[[], Mapping[str, Any]]] | None = None,
     ) -> None:
         self._server = _Server((address, port), _Handler)
         self._server.ready, self._server.metrics = ready, metrics
         self._server.secret, self._server.deliver = secret, deliver
+        self._server.pages = pages or {}
         self._thread = threading.Thread(target=self._server.serve_forever, kwargs={"poll_interval": 0.2}, daemon=True)
 
     @property
@@ -117,6 +121,7 @@ class _Server(ThreadingHTTPServer):
     metrics: Callable[[], str]
     secret: bytes
     deliver: Callable[[Delivery], None] | None
+    pages: Mapping[str, Callable[[], Mapping[str, Any]]]
 
     def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
         super().__init__(address, handler)
@@ -165,6 +170,8 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer(503 if reasons else 200, "".join(f"{reason}\n" for reason in reasons) or "ok\n")
         elif self.path == "/metrics":
             self._answer(200, self.server.metrics())
+        elif self.path in self.server.pages:
+            self._answer(200, json.dumps(self.server.pages[self.path]()) + "\n", "application/json")
         else:
             self._answer(404, "not found\n")
 
@@ -195,13 +202,13 @@ class _Handler(BaseHTTPRequestHandler):
         self.close_connection = True  # the body may not have been read
         self._answer(status, message + "\n")
 
-    def _answer(self, status: int, text: str) -> None:
+    def _answer(self, status: int, text: str, kind: str = "text/plain; charset=utf-8") -> None:
         body = text.encode()
         self.send_response(status)
         if self.close_connection:
             self.send_header("Connection", "close")
         if status != 204:
-            self.send_header("Content-Type", "text/plain; charset=utf-8")
+            self.send_header("Content-Type", kind)
             self.send_header("Content-Length", str(len(body)))
         self.end_headers()
         if status != 204:

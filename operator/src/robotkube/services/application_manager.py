@@ -12,6 +12,7 @@ import logging
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 from robotkube.domain.checks import STALE
 from robotkube.domain.errors import RobotKubeError
@@ -19,7 +20,7 @@ from robotkube.domain.planning import Plan, describe
 from robotkube.ports import Cluster, DeploymentRepository, Forge, Proposals, PullRequest, TaskStore
 from robotkube.services.manager_observing import PlanObserver
 from robotkube.services.manager_planning import Planner
-from robotkube.services.manager_reading import CatalogueReader, MainReader
+from robotkube.services.manager_reading import CatalogueReader, MainReader, catalogue_page
 from robotkube.services.manager_records import PlanRecord, PlanRecords, record_of, records_of
 from robotkube.services.manager_statuses import Situation, StatusWriter
 
@@ -100,6 +101,10 @@ class ApplicationManager:
         self._attempts = 0
         self._not_before = self._looked_at = self._seen_at = float("-inf")
         self._problem = "has not looked at the world yet"
+
+    def catalogue_page(self) -> dict[str, Any]:
+        """The document of GET /catalogue."""
+        return catalogue_page(self._catalogue.catalogue, self._catalogue.tip)
 
     # -- waking ---------------------------------------------------------------------------------------------------
 

@@ -6,8 +6,9 @@ The last good version of each stays while a newer one is broken: a broken file m
 from __future__ import annotations
 
 import logging
+from typing import Any
 
-from robotkube.domain.catalogue import FOLDERS, Catalogue, read_catalogue
+from robotkube.domain.catalogue import FOLDERS, Catalogue, read_catalogue, version_key
 from robotkube.domain.errors import InputError
 from robotkube.domain.initial import PATH as INITIAL_PATH
 from robotkube.domain.initial import InitialPolicy, read_initial_policy
@@ -43,6 +44,20 @@ class CatalogueReader:
         self._seen = newest
         if not found.problems:
             self.tip, self.catalogue = newest, found
+
+
+def catalogue_page(catalogue: Catalogue, tip: str) -> dict[str, Any]:
+    """The document of GET /catalogue."""
+    applications = [
+        {"kind": "application", "name": a.name, "description": a.description, "provides": list(a.provides)}
+        for _, a in sorted(catalogue.applications.items())
+    ]
+    charts = [
+        {"kind": "chart", "name": c.chart, "version": c.version, "state": c.state, "digest": c.digest}
+        for _, versions in sorted(catalogue.charts.items())
+        for c in sorted(versions, key=lambda c: version_key(c.version))
+    ]
+    return {"commit": tip, "assurance": catalogue.assurance, "entries": applications + charts}
 
 
 class MainReader:

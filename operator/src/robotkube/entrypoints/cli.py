@@ -1,0 +1,85 @@
+"""`robotkube <noun> <verb>`: what runs, what was asked for, what was planned and recorded.
+
+stdout is data (`--output table|yaml|json`), stderr is talk. Ends with 0 done, 1 refused, 2 wrong usage, 3 the world is
+unreachable. Access: a kubeconfig (`--kubeconfig`, KUBECONFIG); forge and manager are reached through the API server.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from robotkube.domain.errors import InputError, RefusalError, RobotKubeError, UnavailableError
+from robotkube.entrypoints.cli_output import FORMATS, Table, write
+from robotkube.entrypoints.cli_platform import Platform
+
+EXIT_DONE, EXIT_REFUSED, EXIT_USAGE, EXIT_UNREACHABLE = 0, 1, 2, 3
+
+
+@dataclass(frozen=True)
+class Command:
+    """One verb of a noun."""
+
+    noun: str
+    verb: str
+    summary: str
+    run: Callable[[argparse.Namespace], Table | None]
+    arguments: Callable[[argparse.ArgumentParser], None] = lambda parser: None
+
+
+def commands() -> Sequence[Command]:
+    """Every command; other modules of the command line add theirs here."""
+    from robotkube.entrypoints import cli_catalogue, cli_plans, cli_tasks
+
+    return [
+        Command("task", "list", "tasks of all agents", cli_tasks.list_tasks, cli_tasks.listing),
+        Command("task", "show", "everything about one task", cli_tasks.show_task, cli_tasks.naming),
+        Command("task", "withdraw", "delete a task: its demand ends", cli_tasks.withdraw_task, cli_tasks.withdrawing),
+        Command("release", "list", "releases on main and what the cluster shows", cli_plans.list_releases),
+        Command("plan", "list", "plans of the manager with their times", cli_plans.list_plans),
+        Command("catalogue", "list", "applications and chart versions", cli_catalogue.list_catalogue),
+    ]
+
+
+def parser(found: Sequence[Command]) -> argparse.ArgumentParser:
+    """The command line's grammar."""
+    root = argparse.ArgumentParser(prog="robotkube", description="Look into and steer a RobotKube platform.")
+    nouns = root.add_subparsers(dest="noun", required=True, metavar="<noun>")
+    parsers: dict[str, argparse._SubParsersAction[argparse.ArgumentParser]] = {}
+    for command in found:
+        if command.noun not in parsers:
+            noun = nouns.add_parser(command.noun, help=", ".join(c.verb for c in found if c.noun == command.noun))
+            parsers[command.noun] = noun.add_subparsers(dest="verb", required=True, metavar="<verb>")
+        verb = parsers[command.noun].add_parser(command.verb, help=command.summary, description=command.summary)
+        Platform.add_arguments(verb)
+        verb.add_argument("--output", choices=FORMATS, default="table", help="form of the data on stdout")
+        command.arguments(verb)
+        verb.set_defaults(command=command)
+    return root
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; the exit code."""
+    options = parser(commands()).parse_args(arguments)
+    try:
+        table = options.command.run(options)
+    except RobotKubeError as error:
+        print(f"robotkube: {error}", file=sys.stderr)
+        return exit_code(error)
+    except KeyboardInterrupt:
+        return EXIT_REFUSED
+    if table is not None:
+        write(table, options.output, sys.stdout)
+    return EXIT_DONE
+
+
+def exit_code(error: RobotKubeError) -> int:
+    """The exit code of an error."""
+    codes = ((RefusalError, EXIT_REFUSED), (UnavailableError, EXIT_UNREACHABLE), (InputError, EXIT_USAGE))
+    return next((code for kind, code in codes if isinstance(error, kind)), EXIT_REFUSED)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,75 @@
+"""Access of the command line to a platform: the API server, and by its service proxy the manager's pages."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from robotkube.adapters import kubernetes_api
+from robotkube.domain.errors import InputError, RefusalError
+from robotkube.domain.tasks import GROUP, PLURAL, VERSION
+
+OBJECTS_MAX = 5000
+
+
+class Platform:
+    """One platform, named by the options of the command line."""
+
+    def __init__(self, options: argparse.Namespace) -> None:
+        self._api = kubernetes_api.api_client(options.kubeconfig, options.context)
+        self._namespace, self._argocd = options.platform_namespace, options.argocd_namespace
+
+    @staticmethod
+    def add_arguments(parser: argparse.ArgumentParser) -> None:
+        """Options of every command."""
+        parser.add_argument("--kubeconfig", help="file with access to the cluster (default: KUBECONFIG)")
+        parser.add_argument("--context", help="context of the kubeconfig")
+        parser.add_argument("--platform-namespace", default="robotkube", help="where the platform is installed")
+        parser.add_argument("--argocd-namespace", default="argocd", help="where Argo CD is installed")
+
+    def tasks(self, namespace: str = "") -> Sequence[Mapping[str, Any]]:
+        """TaskDescriptions of one or all namespaces."""
+        scope = f"/namespaces/{namespace}" if namespace else ""
+        return self._items(f"/apis/{GROUP}/{VERSION}{scope}/{PLURAL}")
+
+    def task(self, key: str) -> Mapping[str, Any]:
+        """One task by `<namespace>/<name>`; RefusalError when there is none."""
+        return self._one("GET", key)
+
+    def withdraw(self, key: str, dry_run: bool) -> None:
+        """Delete a task."""
+        self._one("DELETE", key, [("dryRun", "All")] if dry_run else [])
+
+    def applications(self) -> Sequence[Mapping[str, Any]]:
+        """Argo CD Applications."""
+        return self._items(f"/apis/argoproj.io/v1alpha1/namespaces/{self._argocd}/applications")
+
+    def page(self, path: str) -> Mapping[str, Any]:
+        """A JSON page of the manager."""
+        where = f"/api/v1/namespaces/{self._namespace}/services/manager:8080/proxy{path}"
+        try:
+            return self._read("GET", where)
+        except KeyError as error:
+            raise InputError(f"no Service manager in namespace {self._namespace}; see --platform-namespace") from error
+
+    def _one(self, method: str, key: str, query: Sequence[tuple[str, str]] = ()) -> Mapping[str, Any]:
+        namespace, separator, name = key.partition("/")
+        if not separator or not namespace or not name or "/" in name:
+            raise InputError(f"task {key!r} must be <namespace>/<name>, as `robotkube task list` prints it")
+        try:
+            return self._read(method, f"/apis/{GROUP}/{VERSION}/namespaces/{namespace}/{PLURAL}/{name}", query)
+        except KeyError as error:
+            raise RefusalError("UnknownTask", f"there is no task {key}") from error
+
+    def _items(self, path: str) -> Sequence[Mapping[str, Any]]:
+        try:
+            items: Sequence[Mapping[str, Any]] = self._read("GET", path, [("limit", str(OBJECTS_MAX))])["items"]
+        except KeyError as error:
+            raise InputError(f"the cluster has no {path}; is the platform installed?") from error
+        return items
+
+    def _read(self, method: str, path: str, query: Sequence[tuple[str, str]] = ()) -> Mapping[str, Any]:
+        found: Mapping[str, Any] = json.loads(kubernetes_api.call(self._api, method, path, query).data)
+        return found

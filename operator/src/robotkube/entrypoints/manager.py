@@ -1,0 +1,203 @@
+"""`python3 -m robotkube.entrypoints.manager`: the application manager.
+
+Settings: docs/reference/settings.md. Ends with 0 on SIGTERM, 2 when the settings are wrong, 3 when the API server does
+not answer within a minute of the start. The clones stand below ROBOTKUBE_WORK (default /tmp/manager); they can be lost
+at any time.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from robotkube.adapters.argocd import ArgoCDServer, PushHook
+from robotkube.adapters.git_clones import GitClone
+from robotkube.adapters.git_deployment import ProposalWriter
+from robotkube.adapters.gitea import GiteaForge
+from robotkube.adapters.kubernetes_api import KubernetesWorld, api_client
+from robotkube.adapters.schemas_jsonschema import validate
+from robotkube.adapters.templates_jinja2 import Jinja2Templates
+from robotkube.adapters.webhooks import Delivery, WebServer
+from robotkube.domain.documents import Reader
+from robotkube.domain.errors import UnavailableError
+from robotkube.domain.placement import Agent
+from robotkube.entrypoints import settings as files
+from robotkube.entrypoints.processes import Process, run
+from robotkube.services.application_manager import (
+    CATALOGUE,
+    DEPLOYMENT,
+    ApplicationManager,
+    World,
+    metrics_text,
+)
+from robotkube.services.manager_observing import PlanObserver
+from robotkube.services.manager_planning import ManagerSettings, Planner
+from robotkube.services.manager_reading import CatalogueReader, MainReader
+
+GRACE_SECONDS = 5.0
+SYNC_SECONDS_MAX = 60.0
+COMMIT_AUTHOR = "robotkube-manager"
+
+
+@dataclass(frozen=True)
+class ManagerConfiguration:
+    """Everything the process needs, secrets included."""
+
+    listen: files.Listen
+    log_level: str
+    forge_url: str
+    account: files.Credentials
+    deployment: str
+    catalogue: str
+    branch: str
+    argocd_url: str
+    argocd_account: files.Credentials
+    argocd_namespace: str
+    argocd_project: str
+    hook_url: str
+    hook_secret: str
+    webhook_secret: str
+    manager: ManagerSettings
+
+
+def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ManagerConfiguration:
+    """The settings document of the manager."""
+    keys = ["listen", "log_level", "forge", "registry", "argocd", "hook", "webhook", "agents"]
+    root = reader.mapping(document, "", keys)
+    forge_keys = ["url", "credentials", "deployment", "catalogue", "branch"]
+    forge = reader.mapping(root.get("forge") or {}, "forge", forge_keys)
+    registry = reader.mapping(root.get("registry") or {}, "registry", ["charts"])
+    argocd = reader.mapping(root.get("argocd") or {}, "argocd", ["url", "credentials", "namespace", "project"])
+    hook = reader.mapping(root.get("hook") or {}, "hook", ["url", "secret"])
+    webhook = reader.mapping(root.get("webhook") or {}, "webhook", ["secret"])
+    return ManagerConfiguration(
+        listen=files.listen(reader, root.get("listen")),
+        log_level=files.log_level(reader, root.get("log_level")),
+        forge_url=reader.word(forge.get("url"), "forge.url", files.HTTP_URL),
+        account=files.credentials(reader, forge.get("credentials"), "forge.credentials"),
+        deployment=reader.word(forge.get("deployment"), "forge.deployment", files.REPOSITORY),
+        catalogue=reader.word(forge.get("catalogue"), "forge.catalogue", files.REPOSITORY),
+        branch=reader.word(forge.get("branch"), "forge.branch", files.WORD),
+        argocd_url=reader.word(argocd.get("url"), "argocd.url", files.HTTP_URL),
+        argocd_account=files.credentials(reader, argocd.get("credentials"), "argocd.credentials"),
+        argocd_namespace=reader.word(argocd.get("namespace"), "argocd.namespace", files.WORD),
+        argocd_project=reader.word(argocd.get("project"), "argocd.project", files.WORD),
+        hook_url=reader.word(hook.get("url"), "hook.url", files.HTTP_URL),
+        hook_secret=files.secret(reader, hook.get("secret"), "hook.secret"),
+        webhook_secret=files.secret(reader, webhook.get("secret"), "webhook.secret"),
+        manager=ManagerSettings(
+            agents=_agents(reader, root.get("agents")),
+            charts_url=reader.word(registry.get("charts"), "registry.charts", files.CHARTS_URL),
+        ),
+    )
+
+
+def _agents(reader: Reader, value: Any) -> tuple[Agent, ...]:
+    found = []
+    for index, item in enumerate(reader.sequence(value, "agents")):
+        path = f"agents[{index}]"
+        agent = reader.mapping(item, path, ["name", "role", "namespace", "records"])
+        words = [reader.word(agent.get(key), f"{path}.{key}", files.WORD) for key in ("name", "role", "namespace")]
+        found.append(Agent(*words))
+    return tuple(found)
+
+
+class Aside:
+    """One call at a time on a thread of its own; a call that comes while one is running is dropped."""
+
+    def __init__(self) -> None:
+        self._busy = threading.Semaphore(1)
+
+    def __call__(self, call: Callable[[], None]) -> None:
+        """Start the call, or drop it."""
+        if self._busy.acquire(blocking=False):
+            threading.Thread(target=self._run, args=(call,), daemon=True).start()
+
+    def _run(self, call: Callable[[], None]) -> None:
+        try:
+            call()
+        finally:
+            self._busy.release()
+
+
+def build_manager(found: ManagerConfiguration, cluster: KubernetesWorld, work: Path) -> ApplicationManager:
+    """The manager on its adapters; nothing is asked of the forge yet."""
+    url, account = found.forge_url, (found.account.username, found.account.password)
+    work.mkdir(parents=True, exist_ok=True)
+    deployment = GitClone(url, found.deployment, *account, work / "deployment", branch=found.branch)
+    proposals = ProposalWriter(work / "deployment", *account, COMMIT_AUTHOR, time.time, branch=found.branch)
+    catalogue = CatalogueReader(GitClone(url, found.catalogue, *account, work / "catalogue", branch=found.branch))
+    main = MainReader(deployment)
+    hook = PushHook(found.hook_url, found.hook_secret.encode(), f"{url}/{found.deployment}", branch=found.branch)
+    argocd_account = (found.argocd_account.username, found.argocd_account.password)
+    argocd = ArgoCDServer(found.argocd_url, *argocd_account, hook, found.argocd_project)
+    render = Jinja2Templates().render
+    planner = Planner(found.manager, cluster, cluster, catalogue, main, render, validate)
+    observer = PlanObserver(cluster, argocd, Aside(), time.time_ns, time.monotonic)
+    forge = GiteaForge(url, found.deployment, *account, branch=found.branch)
+    world = World(cluster, cluster, deployment, proposals, forge)
+    return ApplicationManager(world, catalogue, main, planner, observer, time.time_ns, time.monotonic)
+
+
+class Waker:
+    """Passes on what changed once there is a manager to wake."""
+
+    def __init__(self) -> None:
+        self.manager: ApplicationManager | None = None
+
+    def __call__(self, what: str) -> None:
+        """Something changed."""
+        if self.manager is not None:
+            self.manager.wake(what)
+
+
+def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
+    """Watch, serve webhooks and pages, run the manager's steps until the process shall end."""
+    found = files.read_settings(files.settings_path(environment), read_configuration)
+    files.send_logs(process, found.log_level)
+    kubeconfig = environment.get("KUBECONFIG")
+    api = api_client(kubeconfig, in_cluster=kubeconfig is None)
+    waker = Waker()
+    cluster = KubernetesWorld(api, found.argocd_namespace, waker, time.time)
+    work = Path(environment.get("ROBOTKUBE_WORK", "/tmp/manager"))  # noqa: S108 - the pod's own volume
+    manager = build_manager(found, cluster, work)
+    server = _server(found, manager, cluster)
+    server.start()
+    cluster.start()
+    process.log("started", port=server.port, agents=len(found.manager.agents))
+    if not cluster.wait_until_synced(SYNC_SECONDS_MAX):
+        raise UnavailableError("; ".join(cluster.complaints()))
+    waker.manager = manager
+    threading.Thread(target=_stop_with, args=(process, manager), daemon=True).start()
+    manager.run(process.stopping)
+    cluster.stop()
+    server.stop()
+
+
+def _stop_with(process: Process, manager: ApplicationManager) -> None:
+    process.stopping.wait()
+    manager.stop(process.stopping)
+
+
+def _server(found: ManagerConfiguration, manager: ApplicationManager, cluster: KubernetesWorld) -> WebServer:
+    def deliver(delivery: Delivery) -> None:
+        manager.wake(CATALOGUE if delivery.repository == found.catalogue else DEPLOYMENT)
+
+    return WebServer(
+        found.listen.address,
+        found.listen.port,
+        lambda: [*manager.reasons_not_ready(), *cluster.complaints()],
+        lambda: metrics_text(manager.statistics),
+        found.webhook_secret.encode(),
+        deliver,
+        {"/plans": manager.records.as_json, "/catalogue": manager.catalogue_page},
+    )
+
+
+if __name__ == "__main__":
+    run("manager", body, grace_seconds=GRACE_SECONDS)
