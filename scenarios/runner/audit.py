@@ -39,7 +39,7 @@ def entries(inputs: RunInputs) -> tuple[Entry, ...]:
     """All commits of main but the seed, oldest first."""
     merged = {request.commit: request for request in inputs.pull_requests if request.merged and request.commit}
     commits = sorted((commit for commit in inputs.commits if commit.parents), key=lambda commit: commit.time)
-    return tuple(_entry(commit, merged.get(commit.sha)) for commit in commits)
+    return tuple(entry(commit, merged.get(commit.sha)) for commit in commits)
 
 
 def complete(inputs: RunInputs, found: Sequence[Entry]) -> bool | None:
@@ -50,10 +50,11 @@ def complete(inputs: RunInputs, found: Sequence[Entry]) -> bool | None:
     known = {commit.sha for commit in inputs.commits}
     plans = all(plan.commit in known for plan in inputs.plans if plan.merged)
     one_root = sum(not commit.parents for commit in inputs.commits) == 1
-    return plans and one_root and not any(entry.missing for entry in found)
+    return plans and one_root and not any(one.missing for one in found)
 
 
-def _entry(commit: Commit, request: PullRequest | None) -> Entry:
+def entry(commit: Commit, request: PullRequest | None) -> Entry:
+    """What a commit and the pull request that was merged as it (None: none was) lack."""
     missing = [] if request else ["merged pull request"]
     if not _of_a_person(commit):
         missing += [f"RobotKube-{name}" for name in _missing_trailers(commit.trailers)]

@@ -30,6 +30,18 @@ PAGES_MAX = 20
 COMMITS_MAX = 2000
 
 
+class _Account(pygit2.RemoteCallbacks):
+    """Credentials, and what the server says to a push: a refusal is no error of the transport."""
+
+    def __init__(self, username: str, password: str) -> None:
+        super().__init__(credentials=pygit2.UserPass(username, password))
+        self.refusal = ""
+
+    def push_update_reference(self, _reference: str, message: str | None) -> None:
+        """Called once per pushed reference; None means taken."""
+        self.refusal = message or ""
+
+
 class Deployment:
     """A bare clone in a temporary folder and a connection to the forge, as one person's account."""
 
@@ -39,7 +51,7 @@ class Deployment:
         self._client = httpx.Client(
             base_url=f"{self._url}/api/v1/repos/{REPOSITORY}", auth=(username, password), timeout=ANSWER_SECONDS_MAX
         )
-        self._callbacks = pygit2.RemoteCallbacks(credentials=pygit2.UserPass(username, password))
+        self._callbacks = _Account(username, password)
         self._folder = tempfile.TemporaryDirectory(prefix="deployment-")
         self._repository = pygit2.init_repository(self._folder.name, bare=True)
         self._remote = self._repository.remotes.create("origin", f"{self._url}/{REPOSITORY}.git")
@@ -111,6 +123,8 @@ class Deployment:
             self._remote.push([f"{reference}:refs/for/{BRANCH}/{topic}"], callbacks=self._callbacks)
         except pygit2.GitError as error:
             raise RunError(f"the forge did not take the proposal of {self._user} for {path}: {error}") from error
+        if self._callbacks.refusal:
+            raise RunError(f"the forge refused the proposal of {self._user} for {path}: {self._callbacks.refusal}")
         return str(commit)
 
     def number_of(self, commit: str) -> int | None:

@@ -1,0 +1,70 @@
+"""The scenario's person against a real forge and gate: proposes a policy, merges it, and reads the history back."""
+
+import time
+from urllib.parse import urlparse
+
+import pytest
+import yaml
+from installation import CAUSE, Installation, RunningGate, message, release_files, wait_until
+
+from scenarios.runner import audit
+from scenarios.runner.access import Endpoint
+from scenarios.runner.deployment import Deployment, specification_digests
+from scenarios.runner.waiting import RunError
+
+POLICY = "policies/initial.yaml"
+TEXT = "add: [{application: bag-player, forRole: vehicle}]\nremove: []\n"
+
+
+def person(installation: Installation) -> Deployment:
+    address = urlparse(installation.url)
+    endpoint = Endpoint(address.hostname or "", address.port or 0)
+    return Deployment(endpoint, "operator-team", installation.passwords["operator-team"])
+
+
+def test_a_person_s_pull_request_is_merged_as_it_was_proposed(installation: Installation, gate: RunningGate) -> None:
+    with person(installation) as deployment:
+        before = deployment.fetch()
+        topic = f"run-{time.time_ns()}"
+        commit = deployment.propose(POLICY, TEXT, "policy(initial): play\n", topic)
+        wait_until(lambda: deployment.number_of(commit) is not None, "pull request open")
+        number = deployment.number_of(commit)
+        assert number
+        assert not deployment.pull_request(number).merged
+        assert deployment.merge(number) == ""
+        wait_until(lambda: deployment.pull_request(number).merged, "pull request merged")
+        assert deployment.fetch() == commit == deployment.pull_request(number).commit
+        assert yaml.safe_load(deployment.file(POLICY)) == yaml.safe_load(TEXT)
+        newest = deployment.commits()[0]
+        assert (newest.sha, newest.parents, newest.author) == (commit, (before,), "operator-team")
+        assert newest.paths == (POLICY,)
+        assert audit.entry(newest, deployment.pull_request(number)).missing == ()
+        assert deployment.commits()[-1].parents == ()
+
+
+def test_a_manager_s_commit_has_its_trailers_paths_and_pull_request(
+    installation: Installation, gate: RunningGate
+) -> None:
+    manager = installation.clone("manager")
+    plan = installation.plan()
+    commit = manager.commit(release_files(plan, "scenario"), message(plan), [manager.tip()])
+    number = installation.propose(manager, commit, plan)
+    with person(installation) as deployment:
+        wait_until(lambda: deployment.pull_request(number).merged, "merged")
+        assert deployment.fetch() == commit
+        newest = deployment.commits()[0]
+        merged = {request.commit: request for request in deployment.pull_requests() if request.merged}
+        assert audit.entry(newest, merged[commit]).missing == ()
+        assert newest.trailers["Event"] == (CAUSE.event,)
+        assert "releases/cloud-0/scenario.yaml" in newest.paths
+        assert "cloud-0/scenario" in specification_digests(deployment.releases())
+
+
+def test_main_cannot_be_pushed_and_a_wrong_password_is_named(installation: Installation) -> None:
+    address = urlparse(installation.url)
+    endpoint = Endpoint(address.hostname or "", address.port or 0)
+    with (
+        Deployment(endpoint, "operator-team", "wrong") as deployment,
+        pytest.raises(RunError, match="cannot be fetched as operator-team"),
+    ):
+        deployment.fetch()
