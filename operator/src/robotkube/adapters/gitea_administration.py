@@ -183,7 +183,8 @@ class GiteaAdministration:
         """Signed deliveries, one webhook per repository and url; the secret cannot be read, so it is set each time."""
         path = f"/repos/{repository}/hooks"
         config = {"url": url, "content_type": "json", "secret": secret}
-        wanted = {"config": config, "events": sorted(_hook_events(events)), "active": True}
+        asked, shown = _hook_events(events)
+        wanted = {"config": config, "events": sorted(asked), "active": True}
         found = [hook for hook in self._pages(path) if (hook.get("config") or {}).get("url") == url]
         for double in found[1:]:
             self._call("DELETE", f"{path}/{double['id']}")
@@ -191,7 +192,7 @@ class GiteaAdministration:
             self._call("POST", path, {"type": "gitea", **wanted})
             return True
         self._call("PATCH", f"{path}/{found[0]['id']}", wanted)
-        return sorted(found[0].get("events") or []) != wanted["events"] or not found[0].get("active")
+        return set(found[0].get("events") or []) != shown or not found[0].get("active")
 
     def _find(self, path: str) -> Any:
         """GET, None when it is not there."""
@@ -226,9 +227,13 @@ class _NotFoundError(InputError):
     pass
 
 
-def _hook_events(events: Sequence[str]) -> set[str]:
-    """Gitea tells updates of a pull request's commits by an event of their own."""
-    return {*events, *(["pull_request_sync"] if "pull_request" in events else [])}
+def _hook_events(events: Sequence[str]) -> tuple[set[str], set[str]]:
+    """Gitea's names when asking and when showing: `pull_request` asked for would mean comments, labels and reviews too;
+    new commits of a pull request are an event of their own."""
+    if "pull_request" not in events:
+        return set(events), set(events)
+    others = set(events) - {"pull_request"}
+    return others | {"pull_request_only", "pull_request_sync"}, others | {"pull_request", "pull_request_sync"}
 
 
 def _differences(found: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:
