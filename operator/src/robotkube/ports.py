@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from robotkube.domain.bags import BagTopic, LedgerState
 from robotkube.domain.detector_settings import TopicSettings
 from robotkube.domain.observation import ApplicationState, PodState
 from robotkube.domain.placement import NodeState
@@ -511,4 +512,116 @@ class RobotNetwork(Protocol):
         self, topic: str, type_name: str, reliability: str = "reliable", durability: str = "volatile", depth: int = 1000
     ) -> MessageSink:
         """Begin to offer a topic."""
+        ...
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# MQTT: one connection of a bridge
+# ---------------------------------------------------------------------------------------------------------------------
+
+
+class ChannelEvents(Protocol):
+    """What a connection tells its owner, from within `FrameChannel.turn`."""
+
+    def connected(self, session_kept: bool) -> None:
+        """The broker took the connection; `session_kept`: it still knows this client's subscriptions."""
+        ...
+
+    def disconnected(self) -> None:
+        """The connection is gone."""
+        ...
+
+    def acknowledged(self, token: int, heard: bool) -> None:
+        """The broker has the frame of this token; `heard`: it has subscribers for it."""
+        ...
+
+    def received(self, topic: str, payload: bytes) -> None:
+        """A frame arrived."""
+        ...
+
+    def refused(self, topic: str, reason: str) -> None:
+        """The broker refuses a subscription."""
+        ...
+
+
+class FrameChannel(Protocol):
+    """A connection to the broker that is made, and made again, by turning it. One thread, nothing blocks."""
+
+    @property
+    def complaint(self) -> str | None:
+        """None while connected, else why not."""
+        ...
+
+    def turn(self, now: float) -> None:
+        """Connect when that is due, read all that arrived, write what waits. `now` in monotonic seconds."""
+        ...
+
+    def publish(self, topic: str, payload: bytes, retained: bool) -> int | None:
+        """Hand over a frame with QoS 1; the token of its acknowledgement, or None when it was not taken."""
+        ...
+
+    def subscribe(self, topics: Sequence[str]) -> None:
+        """Subscribe with QoS 1; subscriptions do not outlive a lost connection."""
+        ...
+
+    def unsubscribe(self, topics: Sequence[str]) -> None:
+        """End subscriptions."""
+        ...
+
+    def flush(self) -> None:
+        """Write what `publish`, `subscribe` and `unsubscribe` left, as far as the network takes it."""
+        ...
+
+    def close(self) -> None:
+        """Say good-bye."""
+        ...
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Player: bag, ledgers, clock
+# ---------------------------------------------------------------------------------------------------------------------
+
+
+class Bag(Protocol):
+    """Recorded messages with times from the start of the run."""
+
+    @property
+    def topics(self) -> Sequence[BagTopic]:
+        """The topics in the bag."""
+        ...
+
+    def messages(self) -> Iterable[tuple[str, int, bytes]]:
+        """Topic, offset in ns and serialised message, offsets ascending. InputError where the bag is damaged."""
+        ...
+
+
+class Ledgers(Protocol):
+    """One append-only ledger per run and topic."""
+
+    def open(self, run: str, topic: str) -> LedgerState:
+        """Open for appending; what is there already. A torn last line is cut off. InputError when it cannot be."""
+        ...
+
+    def append(self, topic: str, line: str) -> None:
+        """Add a line to the open ledger of the topic; kept in memory until `flush`."""
+        ...
+
+    def flush(self) -> None:
+        """Write what was appended."""
+        ...
+
+    def close(self) -> None:
+        """Flush and close all ledgers of the run."""
+        ...
+
+
+class Clock(Protocol):
+    """The shared clock of all players."""
+
+    def now(self) -> int:
+        """Time in ns since 1970."""
+        ...
+
+    def sleep(self, nanoseconds: int) -> None:
+        """Return after that time, or earlier."""
         ...

@@ -1,0 +1,282 @@
+"""One MQTT 5 connection without threads of its own: the bridge's loop turns it.
+
+Every connection attempt uses a new client object with the same client id. So the broker's session lives on (clean start
+false, with an expiry) while nothing is resent behind the back of the outbox, which alone knows order and bounds.
+Only the attempt itself (name look-up, TCP) runs on a short-lived thread, because it may block for seconds.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import sys
+import threading
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+if "paho.mqtt.client" not in sys.modules and "dns" not in sys.modules:
+    # paho imports dnspython where it is installed, for a look-up that is not used here: 100 ms of every start
+    sys.modules["dns"] = None  # type: ignore[assignment]
+    import paho.mqtt.client as mqtt
+
+    del sys.modules["dns"]
+else:
+    import paho.mqtt.client as mqtt
+from paho.mqtt.enums import CallbackAPIVersion
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
+
+from robotkube.domain.errors import RobotKubeError
+from robotkube.ports import ChannelEvents
+
+CONNECT_SECONDS_MAX = 5.0
+KEEPALIVE_SECONDS = 5
+BACKOFF_SECONDS_MIN, BACKOFF_SECONDS_MAX = 0.2, 5.0
+MISC_SECONDS = 1.0
+PACKETS_PER_TURN_MAX = 10_000
+RECEIVE_BYTES = 256 * 1024
+MERGED_BYTES_MAX = 16 * 1024
+NO_MATCHING_SUBSCRIBERS = 0x10
+FAILURE = 0x80
+QOS = 1
+
+
+@dataclass(frozen=True)
+class BrokerAccount:
+    """Who connects where."""
+
+    host: str
+    port: int
+    username: str
+    password: str
+
+
+class _Client(mqtt.Client):
+    """paho's client with buffered reading and merged writing: a PUBACK then costs no system call of its own."""
+
+    def __init__(self, client_id: str) -> None:
+        super().__init__(CallbackAPIVersion.VERSION2, client_id=client_id, protocol=mqtt.MQTTv5)
+        self._received, self._place = b"", 0
+
+    def _sock_recv(self, bufsize: int) -> bytes:
+        if self._place >= len(self._received):
+            self._received, self._place = super()._sock_recv(max(bufsize, RECEIVE_BYTES)), 0
+        part = self._received[self._place : self._place + bufsize]
+        self._place += len(part)
+        return part
+
+    def read_all(self) -> None:
+        """Handle every packet that is here."""
+        for _ in range(PACKETS_PER_TURN_MAX):
+            code = self._packet_read()
+            if code == mqtt.MQTT_ERR_AGAIN or self._sock is None:
+                return
+            if code > 0:
+                self._loop_rc_handle(code)
+                return
+
+    def write_all(self) -> None:
+        """Send what is queued, small packets together."""
+        queue = self._out_packet
+        if len(queue) > 1 and sum(packet["to_process"] for packet in queue) <= MERGED_BYTES_MAX:
+            data = b"".join(packet["packet"][packet["pos"] :] for packet in queue)
+            queue.clear()
+            queue.append(_packet(data))
+        if queue:
+            self.loop_write()
+
+
+def _packet(data: bytes) -> Any:
+    return {
+        "command": mqtt.PUBACK,
+        "mid": 0,
+        "qos": QOS,
+        "pos": 0,
+        "to_process": len(data),
+        "packet": data,
+        "info": None,
+    }
+
+
+class PahoChannel:
+    """A connection under `client_id`. `account` is asked at every attempt, since passwords may be replaced;
+    the broker keeps the session for `session_seconds` after a loss."""
+
+    def __init__(
+        self, account: Callable[[], BrokerAccount], client_id: str, session_seconds: int, events: ChannelEvents
+    ) -> None:
+        self._account, self._client_id, self._session_seconds = account, client_id, session_seconds
+        self._events = events
+        self._client: _Client | None = None
+        self._attempt: _Attempt | None = None
+        self._backoff, self._retry_at, self._misc_at, self._now = BACKOFF_SECONDS_MIN, 0.0, 0.0, 0.0
+        self._subscribing: dict[int, list[str]] = {}
+        self._up = False
+        self.complaint: str | None = f"{client_id}: not connected to the broker yet"
+
+    def turn(self, now: float) -> None:
+        """See the port."""
+        self._now = now
+        client = self._client
+        if client is None:
+            self._connect(now)
+            return
+        client.read_all()
+        if self._client is client and now >= self._misc_at:
+            self._misc_at = now + MISC_SECONDS
+            client.loop_misc()
+
+    def publish(self, topic: str, payload: bytes, retained: bool) -> int | None:
+        """See the port."""
+        if self._client is None or not self._up:
+            return None
+        info = self._client.publish(topic, payload, QOS, retained)
+        return info.mid if info.rc == mqtt.MQTT_ERR_SUCCESS else None
+
+    def subscribe(self, topics: Sequence[str]) -> None:
+        """See the port."""
+        if self._client is not None and self._up and topics:
+            code, mid = self._client.subscribe([(topic, QOS) for topic in topics])
+            if code == mqtt.MQTT_ERR_SUCCESS and mid is not None:
+                self._subscribing[mid] = list(topics)
+
+    def unsubscribe(self, topics: Sequence[str]) -> None:
+        """See the port."""
+        if self._client is not None and self._up and topics:
+            self._client.unsubscribe(list(topics))
+
+    def flush(self) -> None:
+        """See the port."""
+        if self._client is not None:
+            self._client.write_all()
+
+    def close(self) -> None:
+        """See the port; the session stays at the broker until it expires."""
+        if self._client is not None:
+            client, self._client = self._client, None
+            with contextlib.suppress(OSError, ValueError):
+                client.disconnect()
+                client.write_all()
+
+    @property
+    def socket(self) -> Any:
+        """The connection's socket while there is one, else None."""
+        return None if self._client is None else self._client.socket()
+
+    @property
+    def wants_write(self) -> bool:
+        """Whether packets wait for the socket."""
+        return self._client is not None and self._client.want_write()
+
+    def _connect(self, now: float) -> None:
+        if self._attempt is None:
+            if now >= self._retry_at:
+                self._attempt = _Attempt(self._new_client, self._account)
+            return
+        if self._attempt.running:
+            return
+        attempt, self._attempt = self._attempt, None
+        if attempt.error is not None:
+            self.complaint = f"{self._client_id}: {attempt.error}"
+            self._lost()
+            return
+        self._client = attempt.client
+        self._misc_at = now + MISC_SECONDS
+
+    def _new_client(self) -> _Client:
+        client = _Client(self._client_id)
+        client.max_inflight_messages_set(0)
+        client.connect_timeout = CONNECT_SECONDS_MAX
+        client.on_socket_open = _prepare_socket
+        client.on_socket_register_write = _written_by_turn
+        client.on_connect = self._on_connect
+        client.on_disconnect = self._on_disconnect
+        client.on_message = self._on_message
+        client.on_publish = self._on_publish
+        client.on_subscribe = self._on_subscribe
+        properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
+        properties.SessionExpiryInterval = self._session_seconds
+        properties.ReceiveMaximum = 65535
+        client.session_properties = properties  # type: ignore[attr-defined]
+        return client
+
+    def _on_connect(self, client: Any, userdata: Any, flags: Any, reason: Any, properties: Any) -> None:
+        if client is not self._client or reason.value >= FAILURE:
+            self.complaint = f"{self._client_id}: the broker refuses the connection: {reason}"
+            return
+        self._up, self.complaint, self._backoff = True, None, BACKOFF_SECONDS_MIN
+        self._subscribing.clear()
+        self._events.connected(bool(flags.session_present))
+
+    def _on_disconnect(self, client: Any, userdata: Any, flags: Any, reason: Any, properties: Any) -> None:
+        if client is not self._client:
+            return
+        self._client = None
+        if self._up:
+            self.complaint = f"{self._client_id}: the connection was lost: {reason}"
+        self._lost()
+
+    def _on_message(self, client: Any, userdata: Any, message: Any) -> None:
+        self._events.received(message.topic, message.payload)
+
+    def _on_publish(self, client: Any, userdata: Any, mid: int, reason: Any, properties: Any) -> None:
+        if reason.value >= FAILURE:
+            self._events.refused("", f"the broker refuses a frame: {reason}")
+        self._events.acknowledged(mid, reason.value != NO_MATCHING_SUBSCRIBERS)
+
+    def _on_subscribe(self, client: Any, userdata: Any, mid: int, reasons: Any, properties: Any) -> None:
+        for topic, reason in zip(self._subscribing.pop(mid, []), reasons, strict=False):
+            if reason.value >= FAILURE:
+                self._events.refused(topic, f"the broker refuses the subscription: {reason}")
+
+    def _lost(self) -> None:
+        """After a failed attempt or a lost connection; the next attempt waits for the back-off."""
+        was_up, self._up = self._up, False
+        self._retry_at = self._now + self._backoff
+        self._backoff = min(2 * self._backoff, BACKOFF_SECONDS_MAX)
+        if was_up:
+            self._events.disconnected()
+
+
+class _Attempt:
+    """One connection attempt on a thread of its own, bounded by CONNECT_SECONDS_MAX per address."""
+
+    def __init__(self, new_client: Callable[[], _Client], account: Callable[[], BrokerAccount]) -> None:
+        self.client: _Client | None = None
+        self.error: str | None = None
+        self._new_client, self._account = new_client, account
+        self._thread = threading.Thread(target=self._run, name="connect", daemon=True)
+        self._thread.start()
+
+    @property
+    def running(self) -> bool:
+        """Whether the outcome is still open."""
+        return self._thread.is_alive()
+
+    def _run(self) -> None:
+        try:
+            account, client = self._account(), self._new_client()
+            client.username_pw_set(account.username, account.password)
+            properties = client.session_properties  # type: ignore[attr-defined]
+            client.connect(account.host, account.port, KEEPALIVE_SECONDS, clean_start=False, properties=properties)
+            self.client = client
+        except (OSError, ValueError, RobotKubeError) as error:
+            self.error = f"the broker does not answer: {error or type(error).__name__}"
+
+
+def _prepare_socket(client: Any, userdata: Any, connection: Any) -> None:
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+
+def _written_by_turn(client: Any, userdata: Any, connection: Any) -> None:
+    """Its presence makes paho queue packets until `write_all`."""
+
+
+def wait(channels: Iterable[PahoChannel], prompt: Iterable[PahoChannel], seconds: float) -> bool:
+    """Sleep until a connection can go on writing, or one of `prompt` can be read; False when the time was over."""
+    writing = [c.socket for c in channels if c.wants_write and c.socket is not None]
+    reading = [c.socket for c in prompt if c.socket is not None]
+    readable, writable, _ = select.select(reading, writing, [], max(seconds, 0.0))
+    return bool(readable or writable)

@@ -1,0 +1,140 @@
+"""Process of a bridge: `python3 -m robotkube.entrypoints.bridge` (variables: docs/reference/robot-processes.md)."""
+
+from __future__ import annotations
+
+import gc
+import os
+import time
+from collections import deque
+from collections.abc import Mapping
+
+from robotkube.adapters.health_http import HealthServer
+from robotkube.adapters.kubernetes_http import ApiServer, ConfigMapData, ConfigMapWatch, split_name
+from robotkube.adapters.mqtt_paho import BrokerAccount, PahoChannel, wait
+from robotkube.adapters.ros_rclpy import RosNode
+from robotkube.domain.bridging import BULK, check_agent, read_bridge_settings
+from robotkube.domain.errors import DocumentError, InputError
+from robotkube.domain.texts import read_mapping
+from robotkube.entrypoints.processes import PodSettings, Process, read_secret, read_text, run
+from robotkube.ports import ChannelEvents
+from robotkube.services.bridge import Bridge
+
+GRACE_SECONDS = 2.0
+PERIOD_SECONDS = 0.03
+SESSION_SECONDS = {"telemetry": 60, BULK: 5}
+KEY = "config.yaml"
+
+
+def body(process: Process) -> None:
+    """Wire the adapters to the service and turn it until the process shall end."""
+    pod = PodSettings.from_environment()
+    period = period_seconds(os.environ)
+    session = int.from_bytes(os.urandom(8), "little")
+
+    def channel(agent: str, name: str, events: ChannelEvents) -> PahoChannel:
+        return PahoChannel(lambda: account(pod), f"{agent}-{name}", SESSION_SECONDS[name], events)
+
+    bridge = Bridge(RosNode("mqtt_bridge"), channel, session, process.log)
+    follower = Follower(bridge, process)
+    HealthServer(ready=lambda: follower.complaint, metrics=follower.metrics, port=pod.health_port).start()
+    follower.apply(read_text(pod.config_file, "the bridge's settings"), str(pod.config_file))
+    if pod.config_map is not None:
+        follower.follow(*split_name(pod.config_map))
+    gc.freeze()
+    loop(process, bridge, follower, period)
+    bridge.close()
+
+
+def loop(process: Process, bridge: Bridge, follower: Follower, period: float) -> None:
+    """Turn the bridge every `period` seconds, and a connection with large frames whenever it can go on."""
+    due = time.monotonic()
+    while not process.stopping.is_set():
+        follower.apply_news()
+        bridge.turn(time.monotonic())
+        due = max(due + period, time.monotonic())
+        channels = bridge.channels
+        prompt = [c for name, c in channels.items() if name == BULK and isinstance(c, PahoChannel)]
+        everyone = [c for c in channels.values() if isinstance(c, PahoChannel)]
+        while (left := due - time.monotonic()) > 0 and wait(everyone, prompt, left):
+            for name in channels:
+                bridge.turn_channel(name, time.monotonic())
+
+
+class Follower:
+    """Takes settings to the bridge: the mounted file at the beginning, then every change of the ConfigMap. What is
+    refused leaves the old settings active; `complaint` and a metric say so."""
+
+    def __init__(self, bridge: Bridge, process: Process) -> None:
+        self._bridge, self._process = bridge, process
+        self._news: deque[tuple[str, str]] = deque(maxlen=1)
+        self._refused: str | None = None
+        self._applied = ""
+
+    @property
+    def complaint(self) -> str | None:
+        """None when ready. Refused settings do not make a bridge unready that carries older ones."""
+        if self._bridge.settings is None and self._refused is not None:
+            return self._refused
+        return self._bridge.complaint
+
+    def metrics(self) -> str:
+        """The bridge's metrics and the state of its settings."""
+        return f"{self._bridge.metrics()}robotkube_settings_refused {int(self._refused is not None)}\n"
+
+    def follow(self, namespace: str, name: str) -> None:
+        """Watch the ConfigMap from now on."""
+        where = f"ConfigMap {namespace}/{name}, key {KEY}"
+
+        def changed(data: ConfigMapData | None) -> None:
+            if data is not None and KEY in data:
+                self._news.append((data[KEY], where))
+
+        def failed(sentence: str) -> None:
+            self._process.log("watch interrupted", error=sentence)
+
+        ConfigMapWatch(ApiServer.from_environment(os.environ), namespace, name, changed, failed).start()
+
+    def apply_news(self) -> None:
+        """Apply what the watch brought; called by the loop's thread."""
+        while self._news:
+            self.apply(*self._news.popleft())
+
+    def apply(self, text: str, where: str) -> None:
+        """Apply settings, or keep the old ones and say why."""
+        if text == self._applied:
+            return
+        try:
+            settings = read_bridge_settings(read_mapping(text, where), where)
+            check_agent(self._bridge.settings, settings, where)
+        except DocumentError as error:
+            self._refused = str(error)
+            self._process.log("settings refused", error=str(error), kept=self._bridge.settings is not None)
+            return
+        self._refused, self._applied = None, text
+        if settings != self._bridge.settings:
+            self._bridge.configure(settings)
+
+
+def account(pod: PodSettings) -> BrokerAccount:
+    """The broker's account from the mounted Secret; InputError names the key."""
+    folder = pod.broker_folder
+    port = read_secret(folder, "port")
+    if not port.isdecimal():
+        raise InputError(f"{folder / 'port'}: {port!r} is no port number")
+    return BrokerAccount(
+        read_secret(folder, "host"), int(port), read_secret(folder, "username"), read_secret(folder, "password")
+    )
+
+
+def period_seconds(environment: Mapping[str, str]) -> float:
+    """ROBOTKUBE_PERIOD_MS, or the default; InputError when it is no number from 1 to 1000."""
+    text = environment.get("ROBOTKUBE_PERIOD_MS")
+    if text is None:
+        return PERIOD_SECONDS
+    if not text.isdecimal() or not 1 <= int(text) <= 1000:
+        raise InputError(f"ROBOTKUBE_PERIOD_MS is {text!r}; give whole milliseconds from 1 to 1000")
+    return int(text) / 1000
+
+
+if __name__ == "__main__":
+    run("mqtt-bridge", body, GRACE_SECONDS)

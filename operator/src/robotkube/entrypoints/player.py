@@ -1,0 +1,76 @@
+"""Process of a bag player: `python3 -m robotkube.entrypoints.player` (variables: docs/reference/robot-processes.md)."""
+
+from __future__ import annotations
+
+import gc
+import os
+import time
+from pathlib import Path
+
+from robotkube.adapters.bag_files import BagFile, LedgerFiles
+from robotkube.adapters.health_http import HealthServer
+from robotkube.adapters.kubernetes_http import ApiServer, ConfigMapData, ConfigMapWatch, split_name
+from robotkube.adapters.ros_rclpy import RosNode
+from robotkube.domain.bags import read_player_settings, read_run
+from robotkube.domain.errors import DocumentError, InputError
+from robotkube.domain.texts import read_mapping
+from robotkube.entrypoints.processes import PodSettings, Process, read_text, run
+from robotkube.services.player import Player
+
+GRACE_SECONDS = 2.0
+SIMULATION = "simulation"
+
+
+class WallClock:
+    """The machine's wall clock."""
+
+    def now(self) -> int:
+        """See the port."""
+        return time.time_ns()
+
+    def sleep(self, nanoseconds: int) -> None:
+        """See the port."""
+        time.sleep(nanoseconds / 1e9)
+
+
+def body(process: Process) -> None:
+    """Wire the adapters to the service and serve until the process shall end."""
+    pod = PodSettings.from_environment()
+    where = str(pod.config_file)
+    settings = read_player_settings(read_mapping(read_text(pod.config_file, "the player's settings"), where), where)
+    if pod.config_map is None:
+        raise InputError("ROBOTKUBE_CONFIGMAP is not set; without it the player cannot find ConfigMap simulation")
+    player = Player(
+        network=RosNode("bag_player"),
+        bag=BagFile(Path(settings.bag)),
+        ledgers=LedgerFiles(Path(settings.ledger)),
+        clock=WallClock(),
+        log=process.log,
+        stopped=process.stopping.is_set,
+    )
+    watch = follow(player, process, split_name(pod.config_map)[0])
+    HealthServer(ready=lambda: watch.complaint, metrics=player.metrics, port=pod.health_port).start()
+    gc.freeze()
+    player.serve()
+
+
+def follow(player: Player, process: Process, namespace: str) -> ConfigMapWatch:
+    """Give the player its orders from ConfigMap `simulation` of the namespace."""
+    where = f"ConfigMap {namespace}/{SIMULATION}"
+
+    def changed(data: ConfigMapData | None) -> None:
+        try:
+            player.order(read_run(data, where))
+        except DocumentError as error:
+            process.log("order refused", error=str(error))
+
+    def failed(sentence: str) -> None:
+        process.log("watch interrupted", error=sentence)
+
+    watch = ConfigMapWatch(ApiServer.from_environment(os.environ), namespace, SIMULATION, changed, failed)
+    watch.start()
+    return watch
+
+
+if __name__ == "__main__":
+    run("bag-player", body, GRACE_SECONDS)

@@ -1,0 +1,161 @@
+"""Plays a bag on the clock that all players share, and keeps the ledger of what it published.
+
+A message is due at `start + offset` of the wall clock, absolutely: a stall is made up for, nothing drifts, nothing is
+left out. A player that comes back in the middle of a run goes on where its ledger ends, without what was missed meanwhile.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from robotkube.domain.bags import LATE_NS, BagTopic, Run, ledger_end, ledger_line, restamped
+from robotkube.domain.messages import STAMPED_TYPES
+from robotkube.ports import Bag, Clock, Ledgers, MessageSink, RobotNetwork
+
+IDLE_NS = 200_000_000
+FLUSH_NS = 1_000_000_000
+
+
+@dataclass
+class Counts:
+    """What happened in all runs of this process."""
+
+    published: int = 0
+    late: int = 0
+    skipped: int = 0
+    runs: int = 0
+
+
+@dataclass
+class _Track:
+    """A topic of the bag in the run that is played. `sequence`: number of its next message in the bag; `next`: first
+    number that the ledger does not have; `lines`: messages in the ledger."""
+
+    topic: BagTopic
+    sink: MessageSink
+    next: int
+    lines: int
+    ended: bool
+    sequence: int = 0
+
+    def message(self, data: bytes, due: int) -> bytes:
+        """What is published: stamped with `due` when the type has a header."""
+        return restamped(data, due) if self.topic.type in STAMPED_TYPES else data
+
+
+@dataclass
+class Player:
+    """Plays runs as they are ordered. `order` may be called from any thread, `serve` runs on one until `stopped`."""
+
+    network: RobotNetwork
+    bag: Bag
+    ledgers: Ledgers
+    clock: Clock
+    log: Callable[..., None]
+    stopped: Callable[[], bool]
+    counts: Counts = field(default_factory=Counts)
+    _ordered: Run | None = None
+    _sinks: dict[str, MessageSink] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for topic in self.bag.topics:
+            self._sinks[topic.name] = self.network.advertise(
+                topic.name, topic.type, topic.reliability, topic.durability, topic.depth
+            )
+
+    def order(self, run: Run | None) -> None:
+        """Play this run from now on; None: be silent."""
+        self._ordered = run
+
+    def serve(self) -> None:
+        """Play what is ordered until the process shall end."""
+        done: Run | None = None
+        while not self.stopped():
+            run = self._ordered
+            if run is None or run == done:
+                self.clock.sleep(IDLE_NS)
+                continue
+            self._play(run)
+            done = run
+
+    @property
+    def matched(self) -> dict[str, int]:
+        """Connected subscriptions per topic."""
+        return {name: sink.matched for name, sink in self._sinks.items()}
+
+    def metrics(self) -> str:
+        """Counters in Prometheus' text format."""
+        counts = self.counts
+        return (
+            f"robotkube_player_messages_total {counts.published}\nrobotkube_player_late_messages_total {counts.late}\n"
+            f"robotkube_player_skipped_messages_total {counts.skipped}\nrobotkube_player_runs_total {counts.runs}\n"
+        )
+
+    def _play(self, run: Run) -> None:
+        tracks = self._tracks(run)
+        self.counts.runs += 1
+        self.log("run begins", run=run.id, start=run.start, resumed=any(track.lines for track in tracks.values()))
+        try:
+            finished = self._messages(run, tracks)
+            if finished:
+                self._end(tracks)
+        finally:
+            self.ledgers.close()
+        self.log("run ended", run=run.id, finished=finished, published=self.counts.published, late=self.counts.late)
+
+    def _tracks(self, run: Run) -> dict[str, _Track]:
+        tracks = {}
+        for topic in self.bag.topics:
+            state = self.ledgers.open(run.id, topic.name)
+            sink = self._sinks[topic.name]
+            tracks[topic.name] = _Track(topic, sink, state.next, state.lines, state.ended)
+        return tracks
+
+    def _messages(self, run: Run, tracks: dict[str, _Track]) -> bool:
+        """Whether the bag was played to its end."""
+        resumed = any(track.lines for track in tracks.values())
+        begun, flush_at = self.clock.now(), 0
+        for name, offset, data in self.bag.messages():
+            track, due = tracks[name], run.start + offset
+            sequence, track.sequence = track.sequence, track.sequence + 1
+            if sequence < track.next or (resumed and due < begun - LATE_NS):
+                self._skip(track, sequence, data, due)
+                continue
+            message = track.message(data, due)
+            line = ledger_line(sequence, due, hashlib.sha256(message).hexdigest())
+            now = self.clock.now()
+            if now >= flush_at:
+                self.ledgers.flush()
+                flush_at = now + FLUSH_NS
+            while (left := due - self.clock.now()) > 0:
+                self.clock.sleep(min(left, IDLE_NS))
+                if left > IDLE_NS:
+                    self.ledgers.flush()
+                    if self._interrupted(run):
+                        return False
+            if self._interrupted(run):
+                return False
+            track.sink.publish(message)
+            self.ledgers.append(name, line)
+            track.lines += 1
+            self.counts.published += 1
+            self.counts.late += left < -LATE_NS
+        return True
+
+    def _skip(self, track: _Track, sequence: int, data: bytes, due: int) -> None:
+        """A message of an earlier life of this player, or missed between the two; late subscribers of latched topics
+        still need it."""
+        if track.topic.latched:
+            track.sink.publish(track.message(data, due))
+        if sequence >= track.next:
+            self.counts.skipped += 1
+
+    def _end(self, tracks: dict[str, _Track]) -> None:
+        for name, track in tracks.items():
+            if not track.ended:
+                self.ledgers.append(name, ledger_end(track.lines))
+
+    def _interrupted(self, run: Run) -> bool:
+        return self.stopped() or self._ordered != run
