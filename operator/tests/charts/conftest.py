@@ -1,0 +1,151 @@
+"""Helm as the tests use it: render a chart with a profile, or see it refused."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from gitops.argocd.render import render
+
+from ci import toolchain
+
+REPOSITORY = Path(__file__).resolve().parents[3]
+CHARTS = REPOSITORY / "charts"
+PROFILES = Path(__file__).parent / "profiles"
+HELM_SECONDS_MAX = 60
+PLATFORM = CHARTS / "robotkube"
+APP_CHARTS = ("mqtt-bridge", "event-detector", "bag-player")
+
+Object = dict[str, Any]
+
+
+def program(name: str) -> str:
+    """A program of the tool chain: from the folder ROBOTKUBE_TOOLCHAIN_BIN, else the built one."""
+    folder = os.environ.get("ROBOTKUBE_TOOLCHAIN_BIN")
+    return str((Path(folder) if folder else toolchain.ensure().binaries) / name)
+
+
+@dataclass(frozen=True)
+class Rendered:
+    """What `helm template` wrote."""
+
+    text: str
+
+    @property
+    def objects(self) -> list[Object]:
+        return [document for document in yaml.safe_load_all(self.text) if document]
+
+    def of_kind(self, *kinds: str) -> list[Object]:
+        return [document for document in self.objects if document["kind"] in kinds]
+
+    def one(self, kind: str, name: str, namespace: str | None = None) -> Object:
+        """The object of this kind and name; `namespace` None is the release's own."""
+        found = [
+            document
+            for document in self.of_kind(kind)
+            if document["metadata"]["name"] == name and document["metadata"].get("namespace") == namespace
+        ]
+        assert len(found) == 1, f"{kind} {namespace}/{name}: {len(found)} found"
+        return found[0]
+
+    @property
+    def pods(self) -> list[tuple[str, Object]]:
+        """(kind/name, pod spec) of every workload."""
+        workloads = self.of_kind("Deployment", "StatefulSet", "Job", "DaemonSet", "CronJob", "ReplicaSet", "Pod")
+        return [(f"{w['kind']}/{w['metadata']['name']}", w["spec"]["template"]["spec"]) for w in workloads]
+
+
+@dataclass(frozen=True)
+class Helm:
+    """Runs helm; a profile is a list of values files."""
+
+    binary: str
+    folder: Path
+
+    def run(self, *arguments: str) -> subprocess.CompletedProcess[str]:
+        environment = {**os.environ, "HOME": str(self.folder), "HELM_NAMESPACE": "robotkube"}
+        return subprocess.run(
+            [self.binary, *arguments],
+            capture_output=True,
+            text=True,
+            timeout=HELM_SECONDS_MAX,
+            check=False,
+            env=environment,
+        )
+
+    def values(self, values: Mapping[str, Any]) -> Path:
+        """A values file with this content."""
+        path = self.folder / f"values-{len(list(self.folder.iterdir()))}.yaml"
+        path.write_text(yaml.safe_dump(dict(values)), encoding="utf-8")
+        return path
+
+    def template(self, chart: Path, *files: Path, release: str = "robotkube", **values: Any) -> Rendered:
+        done = self._template(chart, files, release, values)
+        assert done.returncode == 0, done.stderr
+        return Rendered(done.stdout)
+
+    def refusal(self, chart: Path, *files: Path, release: str = "robotkube", **values: Any) -> str:
+        """What helm says when it refuses these values; it is an error when it does not."""
+        done = self._template(chart, files, release, values)
+        assert done.returncode != 0, "the values were accepted"
+        return done.stderr
+
+    def _template(
+        self, chart: Path, files: tuple[Path, ...], release: str, values: Mapping[str, Any]
+    ) -> subprocess.CompletedProcess[str]:
+        given = [*files, self.values(values)] if values else list(files)
+        options = [option for path in given for option in ("-f", str(path))]
+        return self.run("template", release, str(chart), *options)
+
+
+@pytest.fixture(scope="session")
+def helm(tmp_path_factory: pytest.TempPathFactory) -> Helm:
+    return Helm(program("helm"), tmp_path_factory.mktemp("helm"))
+
+
+@pytest.fixture(scope="session")
+def official(helm: Helm) -> Rendered:
+    """The platform chart with its defaults."""
+    return helm.template(PLATFORM, PROFILES / "official.yaml")
+
+
+@pytest.fixture(scope="session")
+def embedded(helm: Helm) -> Rendered:
+    """The platform chart as the embedded cluster installs it."""
+    return helm.template(PLATFORM, PLATFORM / "values-embedded.yaml", PROFILES / "embedded.yaml")
+
+
+@pytest.fixture(scope="session")
+def apps(helm: Helm) -> Mapping[str, Rendered]:
+    """Each application chart, as a release named like its chart."""
+    return {name: helm.template(CHARTS / "apps" / name, PROFILES / f"{name}.yaml", release=name) for name in APP_CHARTS}
+
+
+@pytest.fixture
+def golden() -> Callable[[str, str], None]:
+    """Compares a text with golden/<name>.yaml; ROBOTKUBE_GOLDEN=write writes the files instead."""
+
+    def compare(name: str, text: str) -> None:
+        path = Path(__file__).parent / "golden" / f"{name}.yaml"
+        if os.environ.get("ROBOTKUBE_GOLDEN") == "write":
+            path.write_text(text, encoding="utf-8")
+        assert path.read_text(encoding="utf-8") == text, (
+            f"{path.name} differs; when that is intended: ROBOTKUBE_GOLDEN=write pytest operator/tests/charts, "
+            "and look at git diff"
+        )
+
+    return compare
+
+
+@pytest.fixture(scope="session")
+def argocd() -> list[Object]:
+    """Argo CD for the embedded cluster, from the manifests of the version the tool chain pins."""
+    source = toolchain.module_dir("github.com/argoproj/argo-cd/v3") / "manifests" / "install.yaml"
+    images = {"argocd": "registry.example/argocd@sha256:1", "redis": "registry.example/redis@sha256:2"}
+    return list(yaml.safe_load_all(render(source.read_text(encoding="utf-8"), images)))

@@ -1,0 +1,206 @@
+"""The broker's rendered files, in a real mosquitto: who may connect, and who may read and write what."""
+
+from __future__ import annotations
+
+import shutil
+import socket
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import paho.mqtt.client as mqtt
+import pytest
+from paho.mqtt.enums import CallbackAPIVersion
+
+START_SECONDS_MAX = 10.0
+ANSWER_SECONDS_MAX = 5.0
+QUIET_SECONDS = 0.3
+
+Connect = Callable[..., "Connection"]
+
+
+class Connection:
+    """One MQTT 5 connection: `received` collects messages; publishing and subscribing give the broker's reason code."""
+
+    def __init__(self, port: int, username: str | None, password: str | None) -> None:
+        self.received: list[tuple[str, bytes]] = []
+        self.arrived = threading.Condition()
+        self.refused: int | None = None
+        self._answers: dict[int, int] = {}
+        self._connected = threading.Event()
+        self._client = mqtt.Client(CallbackAPIVersion.VERSION2, protocol=mqtt.MQTTv5, reconnect_on_failure=False)
+        if username is not None:
+            self._client.username_pw_set(username, password)
+        self._client.on_connect = self._on_connect
+        self._client.on_message = self._on_message
+        self._client.on_publish = lambda _c, _u, mid, code, _p: self._answer(mid, code.value)
+        self._client.on_subscribe = lambda _c, _u, mid, codes, _p: self._answer(mid, codes[0].value)
+        self._client.connect("127.0.0.1", port, keepalive=10)
+        self._client.loop_start()
+        assert self._connected.wait(ANSWER_SECONDS_MAX)
+
+    def _on_connect(self, _client: Any, _data: Any, _flags: Any, code: Any, _properties: Any) -> None:
+        self.refused = code.value if code.is_failure else None
+        self._connected.set()
+
+    def _on_message(self, _client: Any, _data: Any, message: Any) -> None:
+        with self.arrived:
+            self.received.append((message.topic, message.payload))
+            self.arrived.notify_all()
+
+    def _answer(self, mid: int, code: int) -> None:
+        with self.arrived:
+            self._answers[mid] = code
+            self.arrived.notify_all()
+
+    def _code(self, mid: int) -> int:
+        with self.arrived:
+            assert self.arrived.wait_for(lambda: mid in self._answers, ANSWER_SECONDS_MAX), "no answer"
+            return self._answers[mid]
+
+    def subscribe(self, topic: str) -> int:
+        _, mid = self._client.subscribe(topic, qos=1)
+        assert mid is not None
+        return self._code(mid)
+
+    def publish(self, topic: str, payload: bytes = b"x") -> int:
+        return self._code(self._client.publish(topic, payload, qos=1).mid)
+
+    def topics(self, count: int) -> list[str]:
+        """The topics received, once `count` have come and no more follow."""
+        with self.arrived:
+            self.arrived.wait_for(lambda: len(self.received) >= count, ANSWER_SECONDS_MAX)
+            self.arrived.wait_for(lambda: len(self.received) > count, QUIET_SECONDS)
+            return [topic for topic, _ in self.received]
+
+    def close(self) -> None:
+        self._client.disconnect()
+        self._client.loop_stop()
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@pytest.fixture(scope="module")
+def broker(official: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
+    """Port of a mosquitto that runs on the rendered files, prepared by the init container's own command."""
+    if shutil.which("mosquitto", path="/usr/sbin:/usr/bin") is None:
+        pytest.skip("mosquitto is not installed: apt-get install --no-install-recommends mosquitto")
+    folder = tmp_path_factory.mktemp("broker")
+    folder.chmod(0o755)
+    files = official.one("ConfigMap", "broker")["data"]
+    (folder / "settings").mkdir()
+    (folder / "accounts").mkdir()
+    (folder / "run").mkdir()
+    (folder / "settings" / "acl").write_text(files["acl"])
+    passwords = official.one("Secret", "broker-accounts")["stringData"]["passwords"]
+    (folder / "accounts" / "passwords").write_text(passwords)
+    pod = dict(official.pods)["Deployment/broker"]
+    [script] = pod["initContainers"][0]["args"]
+    places = {"/accounts/": f"{folder}/accounts/", "/etc/mosquitto/": f"{folder}/settings/"}
+    places["/run/mosquitto/"] = f"{folder}/run/"
+    for place, here in places.items():
+        script = script.replace(place, here)
+    subprocess.run(["sh", "-ec", script], check=True, timeout=20)
+    for name in ("passwords", "acl"):
+        assert (folder / "run" / name).stat().st_mode & 0o077 == 0
+    assert passwords.split(":")[1][:60] not in (folder / "run" / "passwords").read_text()
+    port = free_port()
+    text = files["mosquitto.conf"].replace("listener 1883", f"listener {port} 127.0.0.1\nuser root")
+    (folder / "mosquitto.conf").write_text(text.replace("/run/mosquitto/", f"{folder}/run/"))
+    yield from running(folder / "mosquitto.conf", port)
+
+
+def running(configuration: Path, port: int) -> Iterator[int]:
+    log = configuration.with_suffix(".log")
+    with log.open("wb") as sink:
+        process = subprocess.Popen(["/usr/sbin/mosquitto", "-c", str(configuration)], stdout=sink, stderr=sink)
+    try:
+        deadline = time.monotonic() + START_SECONDS_MAX
+        while True:
+            assert process.poll() is None, log.read_text()
+            try:
+                socket.create_connection(("127.0.0.1", port), 1).close()
+                break
+            except OSError:
+                assert time.monotonic() < deadline, log.read_text()
+                time.sleep(0.02)
+        yield port
+    finally:
+        process.terminate()
+        process.wait(5)
+    warnings = [line for line in log.read_text().splitlines() if "Warning" in line and "run as root" not in line]
+    assert warnings == []
+
+
+@pytest.fixture
+def connect(broker: int, official: Any) -> Iterator[Connect]:
+    made: list[Connection] = []
+
+    def connect(account: str | None, password: str | None = None) -> Connection:
+        if account is not None and password is None:
+            place = ("broker-account-observer", None) if account == "observer" else ("broker-account", account)
+            secret = official.one("Secret", *place)["stringData"]
+            assert secret["username"] == account
+            password = secret["password"]
+        made.append(Connection(broker, account, password))
+        return made[-1]
+
+    yield connect
+    for connection in made:
+        connection.close()
+
+
+NOT_AUTHORISED = 135
+BAD_ACCOUNT = {134, NOT_AUTHORISED}
+
+
+@pytest.mark.parametrize("account", [(None, None), ("vehicle-00", "wrong"), ("nobody", "x"), ("vehicle-00", "")])
+def test_refuses_no_account_and_wrong_ones(connect: Connect, account: tuple[str | None, str | None]) -> None:
+    assert connect(*account).refused in BAD_ACCOUNT
+
+
+def test_a_vehicle_writes_and_reads_its_own_topics(connect: Connect) -> None:
+    vehicle = connect("vehicle-00")
+    assert vehicle.subscribe("mqtt/vehicles/vehicle_00/#") == 1
+    assert vehicle.publish("mqtt/vehicles/vehicle_00/pose") == 0
+    assert vehicle.topics(1) == ["mqtt/vehicles/vehicle_00/pose"]
+
+
+@pytest.mark.parametrize(
+    "topic", ["mqtt/vehicles/vehicle_01/pose", "mqtt/vehicles/vehicle_000/pose", "mqtt/other", "robotkube/tasks/x", "x"]
+)
+def test_a_vehicle_writes_nothing_else(connect: Connect, topic: str) -> None:
+    assert connect("vehicle-00").publish(topic) == NOT_AUTHORISED
+
+
+def test_a_vehicle_reads_no_other_vehicle(connect: Connect) -> None:
+    listener, other = connect("vehicle-01"), connect("vehicle-00")
+    listener.subscribe("mqtt/#")
+    listener.subscribe("mqtt/vehicles/vehicle_00/#")
+    assert other.publish("mqtt/vehicles/vehicle_00/pose") == 0
+    assert listener.topics(0) == []
+
+
+@pytest.mark.parametrize("account", ["cloud-0", "observer"])
+def test_cloud_and_observer_read_all_and_write_nothing(connect: Connect, account: str) -> None:
+    reader, vehicle = connect(account), connect("vehicle-00")
+    assert reader.subscribe("mqtt/#") == 1
+    assert reader.publish("mqtt/vehicles/vehicle_00/pose") == NOT_AUTHORISED
+    assert vehicle.publish("mqtt/vehicles/vehicle_00/pose") == 0
+    assert reader.topics(1) == ["mqtt/vehicles/vehicle_00/pose"]
+
+
+def test_four_point_clouds_fit_into_one_message(connect: Connect) -> None:
+    reader, vehicle = connect("cloud-0"), connect("vehicle-00")
+    reader.subscribe("mqtt/#")
+    cloud = bytes(20_000 * 16 * 4)
+    assert vehicle.publish("mqtt/vehicles/vehicle_00/lidar_center/pointcloud", cloud) == 0
+    reader.topics(1)
+    assert [len(payload) for _, payload in reader.received] == [len(cloud)]

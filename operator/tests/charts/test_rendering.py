@@ -1,0 +1,296 @@
+"""What the charts render: committed examples, Pod Security, rights, and where nothing may stand."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+Object = dict[str, Any]
+
+APP_CHARTS = ("mqtt-bridge", "event-detector", "bag-player")
+PROFILES = ("official", "embedded")
+# Cores requested by everything that runs all the time, Argo CD included: two cores carry the fleet, too.
+PLATFORM_CPU_MAX = 1.2
+PLATFORM = Path(__file__).resolve().parents[3] / "charts" / "robotkube"
+PROFILE = Path(__file__).parent / "profiles" / "official.yaml"
+WRITE_VERBS = {"create", "update", "patch", "delete", "deletecollection", "*", "bind", "escalate", "impersonate"}
+
+
+@pytest.fixture(params=PROFILES)
+def platform(request: pytest.FixtureRequest) -> Any:
+    return request.getfixturevalue(request.param)
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_platform_renders_as_committed(
+    request: pytest.FixtureRequest, profile: str, golden: Callable[[str, str], None]
+) -> None:
+    golden(profile, request.getfixturevalue(profile).text)
+
+
+@pytest.mark.parametrize("chart", APP_CHARTS)
+def test_application_charts_render_as_committed(
+    apps: Mapping[str, Any], chart: str, golden: Callable[[str, str], None]
+) -> None:
+    golden(chart, apps[chart].text)
+
+
+def restricted_problems(pod: Object) -> list[str]:
+    """Where a pod breaks Pod Security `restricted`, or our own rules: read-only root, resources, images by name."""
+    problems = [f"{key} is set" for key in ("hostNetwork", "hostPID", "hostIPC") if pod.get(key)]
+    security = pod.get("securityContext", {})
+    if security.get("seccompProfile") != {"type": "RuntimeDefault"} or security.get("runAsNonRoot") is not True:
+        problems.append("securityContext must set seccompProfile RuntimeDefault and runAsNonRoot")
+    if not isinstance(security.get("runAsUser"), int) or security["runAsUser"] == 0:
+        problems.append("runAsUser must be a number that is not root")
+    kinds = {"configMap", "emptyDir", "projected", "secret", "downwardAPI", "persistentVolumeClaim", "ephemeral", "csi"}
+    for volume in pod.get("volumes", []):
+        problems += [f"volume {volume['name']}: {key}" for key in volume if key != "name" and key not in kinds]
+        if "emptyDir" in volume and "sizeLimit" not in volume["emptyDir"]:
+            problems.append(f"volume {volume['name']}: no sizeLimit")
+    for container in [*pod.get("initContainers", []), *pod["containers"]]:
+        problems += [f"{container['name']}: {problem}" for problem in container_problems(container)]
+    return problems
+
+
+def container_problems(container: Object) -> list[str]:
+    expected = {"allowPrivilegeEscalation": False, "readOnlyRootFilesystem": True, "capabilities": {"drop": ["ALL"]}}
+    problems = [] if container["securityContext"] == expected else [f"securityContext is not {expected}"]
+    resources = container["resources"]
+    if set(resources["requests"]) != {"cpu", "memory"} or "memory" not in resources["limits"]:
+        problems.append("requests of CPU and memory and a limit of memory are needed")
+    if not container["image"]:
+        problems.append("no image")
+    if "/tmp" not in {mount["mountPath"] for mount in container["volumeMounts"]}:  # noqa: S108
+        problems.append("no folder for temporary files")
+    return problems
+
+
+def test_every_pod_of_the_platform_runs_restricted(platform: Any) -> None:
+    assert len(platform.pods) == 7
+    assert {name: found for name, pod in platform.pods if (found := restricted_problems(pod))} == {}
+
+
+@pytest.mark.parametrize("chart", APP_CHARTS)
+def test_every_pod_of_an_application_runs_restricted(apps: Mapping[str, Any], chart: str) -> None:
+    [(_, pod)] = apps[chart].pods
+    assert restricted_problems(pod) == []
+
+
+def test_the_checker_sees_what_it_looks_for(official: Any) -> None:
+    _, pod = official.pods[0]
+    pod["containers"][0]["securityContext"]["readOnlyRootFilesystem"] = False
+    pod["volumes"].append({"name": "host", "hostPath": {"path": "/"}})
+    pod["securityContext"]["runAsUser"] = 0
+    assert len(restricted_problems(pod)) == 3
+
+
+def test_every_process_has_probes(platform: Any) -> None:
+    for name, pod in platform.pods:
+        if not name.startswith("Job/"):
+            for container in pod["containers"]:
+                assert {"startupProbe", "readinessProbe", "livenessProbe"} <= set(container), name
+
+
+def cores(quantity: str) -> float:
+    return float(quantity[:-1]) / 1000 if quantity.endswith("m") else float(quantity)
+
+
+def test_the_platform_fits_on_two_cores(embedded: Any, argocd: list[Object]) -> None:
+    pods = [pod for name, pod in embedded.pods if not name.startswith("Job/")]
+    pods += [o["spec"]["template"]["spec"] for o in argocd if o["kind"] in {"Deployment", "StatefulSet"}]
+    requested = sum(cores(container["resources"]["requests"]["cpu"]) for pod in pods for container in pod["containers"])
+    assert requested < PLATFORM_CPU_MAX
+
+
+def test_embedded_pods_run_on_the_platform_nodes(embedded: Any) -> None:
+    for name, pod in embedded.pods:
+        assert pod["nodeSelector"] == {"robotkube.io/role": "platform"}, name
+        assert pod["tolerations"][0]["value"] == "platform", name
+
+
+def test_the_manager_may_write_nothing_but_the_status_of_tasks(platform: Any) -> None:
+    written = [
+        rule["resources"]
+        for role in [
+            platform.one("ClusterRole", "robotkube-manager"),
+            platform.one("Role", "robotkube-manager", "argocd"),
+        ]
+        for rule in role["rules"]
+        if WRITE_VERBS & set(rule["verbs"])
+    ]
+    assert written == [["taskdescriptions/status"]]
+
+
+def test_only_the_manager_has_a_right_beyond_a_namespace(platform: Any) -> None:
+    assert [role["metadata"]["name"] for role in platform.of_kind("ClusterRole")] == ["robotkube-manager"]
+
+
+def test_the_gate_has_no_right_and_no_token(platform: Any) -> None:
+    subjects = [
+        (subject["name"], binding["metadata"]["name"])
+        for binding in platform.of_kind("RoleBinding", "ClusterRoleBinding")
+        for subject in binding["subjects"]
+        if subject.get("namespace") == "robotkube"
+    ]
+    assert {name for name, _ in subjects} == {"manager", "bootstrap", "teardown"}
+    pod = dict(platform.pods)["Deployment/gate"]
+    assert pod["automountServiceAccountToken"] is False
+    assert "token" not in json.dumps(pod["volumes"])
+
+
+def test_the_bootstrap_may_only_get_and_patch_named_objects(platform: Any) -> None:
+    for rule in platform.one("Role", "robotkube-bootstrap", "argocd")["rules"]:
+        assert rule["verbs"] == ["get", "patch"]
+        assert rule["resourceNames"]
+
+
+def test_no_right_reaches_pods_for_writing_or_secrets_for_listing(platform: Any) -> None:
+    for role in platform.of_kind("Role", "ClusterRole"):
+        for rule in role["rules"]:
+            assert "*" not in [*rule["verbs"], *rule["resources"], *rule["apiGroups"]]
+            if "pods" in rule["resources"]:
+                assert not WRITE_VERBS & set(rule["verbs"])
+            if "secrets" in rule["resources"]:
+                assert rule["resourceNames"] == ["argocd-secret"]
+
+
+@pytest.mark.parametrize("chart", APP_CHARTS)
+def test_application_charts_make_one_deployment_and_one_configmap(apps: Mapping[str, Any], chart: str) -> None:
+    assert sorted((o["apiVersion"], o["kind"], o["metadata"]["name"]) for o in apps[chart].objects) == [
+        ("apps/v1", "Deployment", chart),
+        ("v1", "ConfigMap", chart),
+    ]
+
+
+@pytest.mark.parametrize("chart", APP_CHARTS)
+def test_the_plan_stands_on_the_objects_and_never_in_the_pod(apps: Mapping[str, Any], chart: str) -> None:
+    for document in apps[chart].objects:
+        assert document["metadata"]["annotations"] == {"robotkube.io/plan": "20261121-100000-1a2b3c"}
+    [deployment] = apps[chart].of_kind("Deployment")
+    assert "annotations" not in deployment["spec"]["template"]["metadata"]
+
+
+@pytest.mark.parametrize("chart", APP_CHARTS)
+def test_application_pods_wait_for_nothing(apps: Mapping[str, Any], chart: str) -> None:
+    [(_, pod)] = apps[chart].pods
+    assert "initContainers" not in pod
+    assert pod["enableServiceLinks"] is False
+    assert pod["dnsConfig"] == {"options": [{"name": "ndots", "value": "1"}]}
+    assert pod["automountServiceAccountToken"] is False
+    assert pod["serviceAccountName"] == chart
+    assert pod["terminationGracePeriodSeconds"] == {"event-detector": 8}.get(chart, 3)
+    assert cores(pod["containers"][0]["resources"]["requests"]["cpu"]) <= 0.05
+    assert all("initialDelaySeconds" not in probe for key, probe in pod["containers"][0].items() if "Probe" in key)
+
+
+@pytest.mark.parametrize("chart", APP_CHARTS)
+def test_the_service_accounts_that_application_charts_name_are_made_for_every_agent(official: Any, chart: str) -> None:
+    for agent in ("vehicle-00", "vehicle-01", "cloud-0"):
+        assert official.one("ServiceAccount", chart, agent)["automountServiceAccountToken"] is False
+
+
+def test_the_app_project_allows_what_the_application_charts_use_and_nothing_else(
+    official: Any, apps: Mapping[str, Any]
+) -> None:
+    spec = official.one("AppProject", "robotkube-apps", "argocd")["spec"]
+    used = {(o["apiVersion"].rpartition("/")[0], o["kind"]) for rendered in apps.values() for o in rendered.objects}
+    assert {(kind["group"], kind["kind"]) for kind in spec["namespaceResourceWhitelist"]} == used
+    assert spec["clusterResourceWhitelist"] == []
+    assert spec["sourceRepos"] == ["oci://forge.robotkube.svc.cluster.local:3000/staging/*"]
+    assert [place["namespace"] for place in spec["destinations"]] == ["vehicle-00", "vehicle-01", "cloud-0"]
+
+
+def test_the_seed_commit_holds_the_wiring_as_installed(official: Any) -> None:
+    data = official.one("ConfigMap", "bootstrap-seed")["data"]
+    for kind, name in (("AppProject", "robotkube-apps"), ("ApplicationSet", "releases")):
+        copied = yaml.safe_load(data[f"deployment--bootstrap--{kind.lower()}.yaml"])
+        assert copied == official.one(kind, name, "argocd")
+    assert yaml.safe_load(data["deployment--policies--initial.yaml"]) == {"add": [], "remove": []}
+    assert yaml.safe_load(data["catalogue--policies--release.yaml"]) == {"assurance": "none"}
+
+
+def test_the_seed_is_mounted_as_the_folders_that_the_settings_name(official: Any) -> None:
+    data = official.one("ConfigMap", "bootstrap-seed")["data"]
+    pod = dict(official.pods)["Job/bootstrap"]
+    [volume] = [volume for volume in pod["volumes"] if volume["name"] == "seed"]
+    items = {item["key"]: item["path"] for item in volume["configMap"]["items"]}
+    assert set(items) == set(data)
+    assert all(path == key.replace("--", "/") for key, path in items.items())
+    settings = yaml.safe_load(official.one("ConfigMap", "bootstrap")["data"]["config.yaml"])
+    for repository in settings["forge"]["repositories"]:
+        folder = repository["seed"].removeprefix("/etc/robotkube/seed/")
+        assert any(path.startswith(f"{folder}/") for path in items.values())
+
+
+@pytest.mark.parametrize("process", ["manager", "gate", "bootstrap", "teardown"])
+def test_every_secret_that_settings_name_is_mounted(platform: Any, process: str) -> None:
+    workload = "Job" if process in {"bootstrap", "teardown"} else "Deployment"
+    pod = dict(platform.pods)[f"{workload}/{process}"]
+    mounted = set()
+    for volume in pod["volumes"]:
+        for source in volume.get("projected", {}).get("sources", []):
+            secret = platform.one("Secret", source["secret"]["name"])
+            assert {item["key"] for item in source["secret"]["items"]} <= set(secret["stringData"])
+            mounted |= {f"/var/run/secrets/robotkube/{item['path']}" for item in source["secret"]["items"]}
+    settings = yaml.safe_load(platform.one("ConfigMap", process)["data"]["config.yaml"])
+    for path in named_paths(settings):
+        assert path in mounted or {f"{path}/username", f"{path}/password"} <= mounted, path
+
+
+def named_paths(value: Any) -> list[str]:
+    if isinstance(value, dict):
+        return [path for item in value.values() for path in named_paths(item)]
+    if isinstance(value, list):
+        return [path for item in value for path in named_paths(item)]
+    return [value] if isinstance(value, str) and value.startswith("/var/run/secrets/") else []
+
+
+def test_what_must_stay_is_kept(official: Any) -> None:
+    kept = {
+        (o["kind"], o["metadata"].get("namespace"), o["metadata"]["name"])
+        for o in official.objects
+        if o["metadata"].get("annotations", {}).get("helm.sh/resource-policy") == "keep"
+    }
+    assert kept == {
+        ("CustomResourceDefinition", None, "taskdescriptions.robotkube.io"),
+        ("Secret", None, "robotkube-seed"),
+        ("PersistentVolumeClaim", None, "database"),
+        ("PersistentVolumeClaim", None, "forge"),
+        ("PersistentVolumeClaim", "vehicle-00", "bags"),
+        ("PersistentVolumeClaim", "cloud-0", "recordings"),
+        ("Namespace", None, "vehicle-00"),
+        ("Namespace", None, "cloud-0"),
+    }
+
+
+def test_each_agent_has_a_password_of_its_own(official: Any) -> None:
+    secrets = [o["stringData"]["password"] for o in official.of_kind("Secret") if "password" in o["stringData"]]
+    given = {secret for secret in secrets if secrets.count(secret) == 1}
+    assert all(len(secret) == 60 for secret in secrets)
+    # Written twice on purpose: the forge's account argocd (forge, charts, deployment), a recorder's database account.
+    assert len(set(secrets) - given) == 2
+    assert official.one("Secret", "broker-account", "vehicle-00")["stringData"]["password"] in given
+
+
+def test_another_seed_gives_other_passwords(helm: Any, official: Any) -> None:
+    other = helm.template(PLATFORM, PROFILE, secrets={"seed": "another-seed-of-thirty-two-characters"})
+    old, new = (
+        {o["stringData"]["password"] for o in rendered.of_kind("Secret") if "password" in o["stringData"]}
+        for rendered in (official, other)
+    )
+    assert not old & new
+
+
+def test_without_a_seed_one_is_made_and_used_throughout(helm: Any) -> None:
+    first, second = (helm.template(PLATFORM, PROFILE, secrets={"seed": ""}) for _ in range(2))
+    seeds = [rendered.one("Secret", "robotkube-seed")["stringData"]["seed"] for rendered in (first, second)]
+    assert [len(seed) for seed in seeds] == [64, 64]
+    assert seeds[0] != seeds[1]
+    forge = first.one("Secret", "forge-account-argocd")["stringData"]["password"]
+    assert first.one("Secret", "robotkube-charts", "argocd")["stringData"]["password"] == forge
