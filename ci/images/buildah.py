@@ -13,6 +13,7 @@ BUILD_SECONDS_MAX = 1800
 COMMAND_SECONDS_MAX = 600
 STOP_SECONDS_MAX = 10
 LOG_LINES_SHOWN = 25
+FREE_BYTES_MIN = 6_000_000_000
 
 
 class BuildError(Exception):
@@ -128,10 +129,14 @@ def _end(process: subprocess.Popen[bytes]) -> None:
             process.wait(timeout=STOP_SECONDS_MAX)
 
 
-def require_programs() -> None:
-    """Say which program is missing before anything is started."""
+def require_programs(folder: Path) -> None:
+    """Say what the machine lacks for building in `folder` before anything is started."""
     missing = [name for name in ("buildah", "mmdebstrap") if shutil.which(name) is None]
     if missing:
-        raise BuildError(
-            f"{' and '.join(missing)} missing: apt-get install -y --no-install-recommends {' '.join(missing)}"
-        )
+        packages = " ".join(missing)
+        raise BuildError(f"missing: {packages}; apt-get install -y --no-install-recommends {packages}")
+    if os.geteuid() != 0:
+        raise BuildError("building images needs root (overlay mounts and chroot); run as root")
+    free = shutil.disk_usage(folder).free
+    if free < FREE_BYTES_MIN:
+        raise BuildError(f"{folder}: {free / 1e9:.1f} GB free, building images needs {FREE_BYTES_MIN / 1e9:.0f} GB")

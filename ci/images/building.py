@@ -1,6 +1,6 @@
 """Builds what changed and writes the lock of images.
 
-Every image has a key of its contents (Dockerfile, files, key of the base image, the code that normalises). An archive
+Every image has a key of its contents (Dockerfile, files, key of the base image, format of the archives). An archive
 whose key is there is not built again. Results appear by renaming a finished folder, so an interrupted run leaves
 nothing that looks finished.
 """
@@ -24,7 +24,6 @@ from ci.steps import Steps
 
 REPOSITORY = "forge.robotkube.svc.cluster.local:3000/robotkube"
 KEPT_VERSIONS = 3
-FORMAT = "1"
 
 
 @dataclass(frozen=True)
@@ -95,87 +94,102 @@ def _choose(names: Sequence[str]) -> tuple[Image, ...]:
     return tuple(image for image in IMAGES if image.name in wanted)
 
 
-def keys_of(images: Sequence[Image], contents: dict[str, tuple[Copied, ...]]) -> dict[str, str]:
-    """The key of each image; those on the base carry the base's key in theirs."""
-    code = Path(normalising.__file__).read_text(encoding="utf-8")
-    base_contents = contents.get(BASE.name) or BASE.contents(Sources(Path(), go_module))
-    base = key_of(base_contents, FORMAT, code, debian.key(), BASE.dockerfile.read_text(encoding="utf-8"))
-    keys = {BASE.name: base}
-    for image in images:
-        if image is not BASE:
-            text = image.dockerfile.read_text(encoding="utf-8")
-            keys[image.name] = key_of(contents[image.name], FORMAT, code, base if image.on_base else "", text)
-    return keys
+def key_of_image(image: Image, contents: tuple[Copied, ...], base_key: str) -> str:
+    """The key of what the image is made of; `base_key` counts for images that stand on the base."""
+    stands_on = debian.key() if image is BASE else base_key if image.on_base else ""
+    return key_of(contents, normalising.FORMAT, stands_on, image.dockerfile.read_text(encoding="utf-8"))
 
 
 def _build_all(
     shop: Workshop, images: Sequence[Image], contents: dict[str, tuple[Copied, ...]], steps: Steps
 ) -> dict[str, BuiltImage]:
-    keys = keys_of(images, contents)
-    buildah = Buildah(shop.folder / ".buildah" / keys[BASE.name], shop.folder / "build.log")
-    work = shop.folder / ".work"
-    _clear(work)
-    built: dict[str, BuiltImage] = {}
+    base_key = key_of_image(BASE, BASE.contents(shop.sources), "")
+    buildah = Buildah(shop.folder / ".buildah" / base_key, shop.folder / "build.log")
+    bench = Bench(shop, buildah, shop.folder / ".work", base_key)
+    _clear(bench.work)
+    places: dict[str, Path] = {}
     try:
         for image in images:
             with steps.step(f"image {image.name}") as step:
-                place = shop.folder / f"{image.name}-{keys[image.name]}"
-                if (place / "image.json").is_file() and not shop.fresh:
-                    step.note = "cached"
-                else:
-                    _build(shop, image, contents[image.name], keys, buildah, work)
-                built[image.name] = _read(image.name, place)
+                place, cached = _provide(bench, image, contents[image.name])
+                places[image.name] = place
+                step.note = "cached" if cached else ""
     finally:
-        buildah.clean()
-        _clear(work)
-    _forget_old(shop, keys)
-    return built
+        if bench.work.exists():
+            buildah.clean()
+        _clear(bench.work)
+    _forget_old(shop, places, base_key)
+    return {name: _read(name, place) for name, place in places.items()}
 
 
-def _build(
-    shop: Workshop, image: Image, contents: tuple[Copied, ...], keys: dict[str, str], buildah: Buildah, work: Path
-) -> None:
-    require_programs()
-    sources = machine.debian_sources()
-    lent = machine.lend(work / "lent", *machine.current_environment(), sources)
-    base_tag = f"localhost/robotkube/base:{keys[BASE.name]}"
-    tag = f"localhost/robotkube/{image.name}:{keys[image.name]}"
-    arguments = _provide_base(shop, image, keys, buildah, base_tag, sources)
-    context, layout, result = work / "context", work / "layout", work / "result"
-    for folder in (context, layout, result):
+@dataclass(frozen=True)
+class Bench:
+    """What one run works with: the builder, a folder that is gone afterwards, the key of the base image."""
+
+    shop: Workshop
+    buildah: Buildah
+    work: Path
+    base_key: str
+
+    @property
+    def base_tag(self) -> str:
+        return f"localhost/robotkube/base:{self.base_key}"
+
+
+def _provide(bench: Bench, image: Image, contents: tuple[Copied, ...]) -> tuple[Path, bool]:
+    """The folder of the image's archive, and whether it was there already."""
+    key = key_of_image(image, contents, bench.base_key)
+    place = bench.shop.folder / f"{image.name}-{key}"
+    if (place / "image.json").is_file() and not bench.shop.fresh:
+        return place, True
+    if not bench.work.exists():
+        require_programs(bench.shop.folder)
+        bench.buildah.log.unlink(missing_ok=True)
+        bench.buildah.clean()
+        bench.work.mkdir()
+    context, result = bench.work / "context", bench.work / "result"
+    for folder in (context, result):
         _clear(folder)
     assemble(contents, context)
-    raw_tag = f"{tag}-raw"
-    buildah.build(context, image.dockerfile, raw_tag, arguments, lent.volumes, shop.fresh)
-    buildah.export(raw_tag, layout)
-    result.mkdir(parents=True)
+    if key_of_image(image, contents, bench.base_key) != key:
+        raise BuildError(f"image {image.name}: its files changed while they were copied; run again")
+    _build(bench, image, f"localhost/robotkube/{image.name}:{key}-raw", context, result)
+    _clear(place)
+    result.rename(place)
+    return place, False
+
+
+def _build(bench: Bench, image: Image, tag: str, context: Path, result: Path) -> None:
+    """Build in `context`; `result` gets the archive and a record of it."""
+    sources = machine.debian_sources()
+    lent = machine.lend(bench.work / "lent", *machine.current_environment(), sources)
+    arguments = _provide_base(bench, image, sources)
+    layout = bench.work / "layout"
+    _clear(layout)
+    bench.buildah.build(context, image.dockerfile, tag, arguments, lent.volumes, bench.shop.fresh)
+    bench.buildah.export(tag, layout)
+    result.mkdir()
     normal = normalising.normalise_image(layout, result / "image.tar", f"{REPOSITORY}/{image.name}", lent.placeholders)
-    record = {
-        "digest": normal.digest,
-        "size": normal.size,
-        "layers": {layer.digest: layer.size for layer in normal.layers},
-    }
+    layers = {layer.digest: layer.size for layer in normal.layers}
+    record = {"digest": normal.digest, "size": normal.size, "layers": layers}
     (result / "image.json").write_text(json.dumps(record, indent=1), encoding="utf-8")
-    _replace(result, shop.folder / f"{image.name}-{keys[image.name]}")
 
 
-def _provide_base(
-    shop: Workshop, image: Image, keys: dict[str, str], buildah: Buildah, base_tag: str, sources: Path | None
-) -> dict[str, str]:
+def _provide_base(bench: Bench, image: Image, sources: Path | None) -> dict[str, str]:
     """Make sure that what the Dockerfile stands on is in the storage; returns its build arguments.
 
     Images stand on the base in its normal form, so that they share its layer byte by byte.
     """
     if image is BASE:
-        if shop.fresh or not buildah.has(debian.TAG):
-            buildah.storage.mkdir(parents=True, exist_ok=True)
-            debian.make(buildah, sources)
+        if bench.shop.fresh or not bench.buildah.has(debian.TAG):
+            bench.buildah.storage.mkdir(parents=True, exist_ok=True)
+            debian.make(bench.buildah, sources)
         return {"DEBIAN": debian.TAG}
     if not image.on_base:
         return {}
-    if shop.fresh or not buildah.has(base_tag):
-        buildah.load(shop.folder / f"{BASE.name}-{keys[BASE.name]}" / "image.tar", base_tag)
-    return {"BASE": base_tag}
+    if not bench.buildah.has(bench.base_tag):
+        bench.buildah.load(bench.shop.folder / f"{BASE.name}-{bench.base_key}" / "image.tar", bench.base_tag)
+    return {"BASE": bench.base_tag}
 
 
 def _read(name: str, place: Path) -> BuiltImage:
@@ -202,25 +216,18 @@ def _alone(folder: Path) -> Iterator[None]:
         yield
 
 
-def _replace(made: Path, place: Path) -> None:
-    _clear(place)
-    made.rename(place)
-
-
 def _clear(folder: Path) -> None:
     if folder.exists():
         shutil.rmtree(folder)
 
 
-def _forget_old(shop: Workshop, keys: dict[str, str]) -> None:
+def _forget_old(shop: Workshop, places: dict[str, Path], base_key: str) -> None:
     """Keep the newest versions of each image and the builder's storage of the present base only."""
-    for name, key in keys.items():
-        places = [
-            p for p in shop.folder.glob(f"{name}-*") if len(p.name) == len(name) + 17 and p.name != f"{name}-{key}"
-        ]
-        for place in sorted(places, key=lambda p: p.stat().st_mtime, reverse=True)[KEPT_VERSIONS - 1 :]:
+    for name, present in places.items():
+        others = [p for p in shop.folder.glob(f"{name}-*") if len(p.name) == len(present.name) and p != present]
+        for place in sorted(others, key=lambda p: p.stat().st_mtime, reverse=True)[KEPT_VERSIONS - 1 :]:
             _clear(place)
     for storage in (shop.folder / ".buildah").glob("*"):
-        if storage.name != keys[BASE.name]:
+        if storage.name != base_key:
             Buildah(storage, shop.folder / "build.log").clean()
             _clear(storage)

@@ -21,6 +21,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import IO, Any
 
+FORMAT = "1"  # part of every image's key: raise it when other bytes are written for the same contents
 EPOCH_SECONDS = 1_767_225_600  # 2026-01-01T00:00:00Z: the time of every file and image
 EPOCH_TEXT = "2026-01-01T00:00:00Z"
 MANIFEST_TYPE = "application/vnd.oci.image.manifest.v1+json"
