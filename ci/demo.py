@@ -37,7 +37,8 @@ class Request:
 
 def bring_up(request: Request, steps: Steps) -> Installer:
     """Tool chain, images, cluster, Argo CD, platform, catalogue. Returns the installer of the running cluster."""
-    wanted = topology.read(request.scenario / "scenario.yaml", request.settings)
+    counts = {name: value for name, value in request.settings.items() if name == "vehicles"}
+    wanted = topology.read(request.scenario / "scenario.yaml", counts)
     with steps.step("tool chain"):
         binaries = preparing.tool_chain()
     with steps.step("images"):

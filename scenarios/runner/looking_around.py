@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+from ci.folders import user_cache
 from scenarios.definition import Scenario
 from scenarios.runner.access import Endpoint
 
@@ -16,15 +17,28 @@ WEB_PAGES = (
 )
 
 
+ROBOTKUBE = "ci/python -m robotkube.entrypoints.cli"
+
+
+def kubectl_folder() -> Path | None:
+    """The folder of the tool chain's kubectl that was used last; None when there is none."""
+    found = [path.parent for path in (user_cache() / "toolchain").glob("*/bin/kubectl")]
+    return max(found, key=lambda folder: folder.parent.stat().st_mtime, default=None)
+
+
 def commands(scenario: Scenario, kubeconfig: Path, forge: Endpoint) -> Iterator[tuple[str, str]]:
     """Pairs of what is seen and the command; each ends by itself."""
     person, agent = scenario.story.person, scenario.story.recording_agent
     clone = f"http://{person}:{PASSWORD.format(person=person)}@{forge.host}:{forge.port}/robotkube/deployment.git"
-    yield "use this cluster", f"export KUBECONFIG={kubeconfig}"
+    programs = kubectl_folder()
+    path = f' PATH="{programs}:$PATH"' if programs else ""
+    yield "use this cluster (in the project's folder)", f"export KUBECONFIG={kubeconfig}{path}"
     yield "machines and their roles", "kubectl get nodes -L robotkube.io/role -L robotkube.io/agent"
     yield "pods of all agents", "kubectl get pods -A -l robotkube.io/agent -o wide"
     yield "what Argo CD runs", "kubectl -n argocd get applications"
-    yield "tasks (empty after a run)", "kubectl get taskdescriptions -A"
+    yield "what was planned, with times and pull requests", f"{ROBOTKUBE} plan list"
+    yield "what main asks for and what the cluster shows", f"{ROBOTKUBE} release list"
+    yield "tasks (none after a run)", f"{ROBOTKUBE} task list"
     yield (
         "what the recorder's account may do",
         (f"kubectl auth can-i --list -n {agent} --as system:serviceaccount:{agent}:event-detector"),

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from rosbags.rosbag2 import Reader
 
+from robotkube.adapters.bag_files import BagFile
 from scenarios import definition
 from scenarios.generator import bags, checking, messages, routes, scene
 
@@ -151,6 +152,19 @@ def test_the_same_parameters_give_the_same_bytes(
                 hashlib.sha256(file.read_bytes()).digest()
                 == hashlib.sha256((again[agent] / file.name).read_bytes()).digest()
             )
+
+
+def test_the_player_reads_the_bag_in_order_with_its_qualities(made: Mapping[str, Path]) -> None:
+    found = BagFile(made["vehicle-00"])
+    qualities = {topic.name.rpartition("/")[2]: (topic.durability, topic.reliability) for topic in found.topics}
+    assert qualities == {
+        "pose": ("volatile", "reliable"),
+        "transform": ("transient_local", "reliable"),
+        "pointcloud": ("volatile", "reliable"),
+    }
+    times = [(moment, messages.stamp_of(data)) for _, moment, data in found.messages()]
+    assert times == sorted(times)
+    assert all(moment == stamp for moment, stamp in times)
 
 
 def test_bags_are_made_once(quick: definition.Scenario, tmp_path: Path) -> None:
