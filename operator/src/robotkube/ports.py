@@ -10,7 +10,7 @@ from robotkube.domain.bags import BagTopic, LedgerState
 from robotkube.domain.detector_settings import TopicSettings
 from robotkube.domain.observation import ApplicationState, PodState
 from robotkube.domain.placement import NodeState
-from robotkube.domain.recordings import Received, SegmentPlace
+from robotkube.domain.recordings import Received, SegmentPlace, Write
 
 # ---------------------------------------------------------------------------------------------------------------------
 # Git: deployment repository and catalogue repository
@@ -211,18 +211,6 @@ class Cluster(Protocol):
 # ---------------------------------------------------------------------------------------------------------------------
 # Recordings: database, segments on the claim, spool
 # ---------------------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Write:
-    """One change of the recordings' database: `document` is put at `_id` `id` if nothing is there; with `update` its
-    fields are set in the document that is there. Doing it twice changes nothing."""
-
-    collection: str
-    id: str
-    document: Mapping[str, Any]
-    update: bool = False
-    size: int = 0
 
 
 class RecordingStore(Protocol):

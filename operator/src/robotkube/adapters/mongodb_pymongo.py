@@ -20,7 +20,7 @@ from pymongo.database import Database
 from pymongo.errors import BulkWriteError, DuplicateKeyError, PyMongoError
 
 from robotkube.domain.errors import DocumentError, UnavailableError
-from robotkube.ports import Write
+from robotkube.domain.recordings import Write
 
 RECORDINGS, SAMPLES, SEGMENTS = "recordings", "samples", "segments_index"
 ANSWER_SECONDS_MAX = 5.0

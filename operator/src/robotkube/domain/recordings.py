@@ -35,6 +35,18 @@ class SegmentPlace:
     offset: int
 
 
+@dataclass(frozen=True)
+class Write:
+    """One change of the recordings' database: `document` is put at `_id` `id` if nothing is there; with `update` its
+    fields are set in the document that is there. Doing it twice changes nothing."""
+
+    collection: str
+    id: str
+    document: Mapping[str, Any]
+    update: bool = False
+    size: int = 0
+
+
 def bucket_documents(recording: str, messages: Sequence[Received]) -> list[dict[str, Any]]:
     """One bucket per topic and whole second of stamp, oldest first; `_id` ends with a digest of its content."""
     buckets: dict[tuple[str, int], list[Received]] = {}

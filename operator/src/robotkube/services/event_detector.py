@@ -11,7 +11,7 @@ import logging
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from robotkube.domain.buffers import RingBuffer, Sample
 from robotkube.domain.detection import STOP, Edge, Proximity
@@ -23,9 +23,11 @@ from robotkube.domain.detector_settings import (
 )
 from robotkube.domain.errors import DocumentError
 from robotkube.domain.messages import STAMPED_TYPES, header_stamp, pose_position
-from robotkube.ports import LiveTopics, TopicInput
 from robotkube.services.operator_reactions import EventRecord, OperatorReactions
 from robotkube.services.recorder import Recorder
+
+if TYPE_CHECKING:
+    from robotkube.ports import LiveTopics, TopicInput
 
 DISCOVERY_SECONDS = 1.0
 DRAIN_MESSAGES_MAX = 500

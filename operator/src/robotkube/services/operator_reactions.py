@@ -12,13 +12,15 @@ import queue
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from robotkube.domain.demands import demand, event_of
 from robotkube.domain.detection import START, Edge, task_name
 from robotkube.domain.detector_settings import OperatorReaction
 from robotkube.domain.errors import RobotKubeError, UnavailableError
-from robotkube.ports import OwnTasks
+
+if TYPE_CHECKING:
+    from robotkube.ports import OwnTasks
 
 QUEUE_MAX = 256
 RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX = 0.2, 5.0

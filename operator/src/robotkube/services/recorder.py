@@ -18,7 +18,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from robotkube.domain.detector_settings import RecordingReaction
 from robotkube.domain.errors import InputError, UnavailableError
@@ -27,10 +27,13 @@ from robotkube.domain.recordings import (
     Duplicates,
     Received,
     SegmentPlace,
+    Write,
     bucket_documents,
     index_document,
 )
-from robotkube.ports import RecordingStore, Segments, Spool, Write
+
+if TYPE_CHECKING:
+    from robotkube.ports import RecordingStore, Segments, Spool
 
 BATCH_SECONDS = 0.25
 BATCH_BYTES = 4 * 1024 * 1024
