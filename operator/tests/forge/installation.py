@@ -1,4 +1,4 @@
-"""A bootstrapped forge for tests: accounts, repositories, a proposer that plays the manager, a listener that plays Argo CD."""
+"""A bootstrapped forge for tests: accounts, repositories, clones that propose, a listener that plays Argo CD."""
 
 import hashlib
 import hmac

@@ -1,4 +1,4 @@
-"""Times of one plan's way into main, over N proposals: `python tests/forge/latency.py [N]`; prints p50 and p95 in ms."""
+"""Times of a plan's way into main over N proposals: `python tests/forge/latency.py [N]` prints p50 and p95 in ms."""
 
 import logging
 import secrets

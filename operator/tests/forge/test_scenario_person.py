@@ -42,6 +42,31 @@ def test_a_person_s_pull_request_is_merged_as_it_was_proposed(installation: Inst
         assert deployment.commits()[-1].parents == ()
 
 
+def test_a_person_s_pull_request_is_merged_although_main_has_moved(
+    installation: Installation, gate: RunningGate
+) -> None:
+    manager, plan = installation.clone("manager"), installation.plan()
+    with person(installation) as deployment:
+        deployment.fetch()
+        commit = deployment.propose(POLICY, "add: []\nremove: []\n# moved\n", "policy(initial): stop\n", f"run-{plan}")
+        wait_until(lambda: deployment.number_of(commit) is not None, "pull request open")
+        number = deployment.number_of(commit)
+        assert number
+        theirs = manager.commit(release_files(plan, "meanwhile"), message(plan), [manager.tip()])
+        other = installation.propose(manager, theirs, plan)
+        wait_until(lambda: deployment.pull_request(other).merged, "the manager's merged")
+
+        def merged() -> bool:
+            return deployment.merge(number) == "" or deployment.pull_request(number).merged
+
+        wait_until(merged, "merged")
+        wait_until(lambda: deployment.pull_request(number).merged, "shown as merged")
+        assert deployment.fetch() == deployment.pull_request(number).commit != commit
+        newest = deployment.commits()[0]
+        assert (newest.parents, newest.paths) == ((theirs,), (POLICY,))
+        assert audit.entry(newest, deployment.pull_request(number)).missing == ()
+
+
 def test_a_manager_s_commit_has_its_trailers_paths_and_pull_request(
     installation: Installation, gate: RunningGate
 ) -> None:

@@ -118,7 +118,7 @@ class GiteaAdministration:
         return True
 
     def protect(self, repository: str, branch: str, pushers: Sequence[str]) -> bool:
-        """Only `pushers` push the branch, nobody by force; who may write the repository may merge; only the administrator tags."""
+        """Only `pushers` push the branch, nobody by force; who may write may merge; only the administrator tags."""
         rule = {
             "enable_push": True,
             "enable_push_whitelist": True,

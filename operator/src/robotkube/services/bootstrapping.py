@@ -149,7 +149,7 @@ class Bootstrap:
                 self._sleep(RETRY_SECONDS)
         if changed:
             self.changed.append(what)
-        log.info("step=%r changed=%s", what, str(changed).lower())
+        log.info("looked at step=%r changed=%s", what, str(changed).lower())
 
     def forge(self, setup: ForgeSetup, forge: ForgeAdministration) -> None:
         """Accounts, organisations, repositories with their seed, teams, protection, webhooks, in that order."""

@@ -1,0 +1,207 @@
+"""The manager's Git side against a real forge and the real gate: one AGit push per plan, the gate's decision, statuses.
+
+The cluster is in memory: it shows what main asks for as soon as a test says so.
+"""
+
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+from installation import CHARTS_URL, ApplicationSetController, Installation, RunningGate, wait_until
+
+from robotkube.adapters.git_clones import GitClone
+from robotkube.adapters.git_deployment import ProposalWriter
+from robotkube.adapters.gitea import GiteaForge
+from robotkube.adapters.schemas_jsonschema import validate
+from robotkube.adapters.templates_jinja2 import Jinja2Templates
+from robotkube.domain.placement import Agent, NodeState
+from robotkube.domain.proposals import read_message
+from robotkube.domain.releases import Release, read_tree
+from robotkube.services.application_manager import APPLICATIONS, DEPLOYMENT, TASKS, ApplicationManager, World
+from robotkube.services.manager_observing import PlanObserver
+from robotkube.services.manager_planning import ManagerSettings, Planner
+from robotkube.services.manager_reading import CatalogueReader, MainReader
+from robotkube.testing.clusters import MemoryArgoCD, MemoryCluster, MemoryTasks
+
+REGISTRY = Path(__file__).parents[3] / "registry"
+AGENTS = (("cloud-0", "cloud"), ("vehicle-00", "vehicle"), ("vehicle-01", "vehicle"))
+KEY = "cloud-0/meeting"
+PROPOSE_SECONDS_MAX = 3.0
+
+
+@dataclass
+class RunningManager:
+    """The manager as its entry point wires it, but for the cluster."""
+
+    manager: ApplicationManager
+    thread: threading.Thread
+    stopping: threading.Event
+    tasks: MemoryTasks
+    cluster: MemoryCluster
+    deployment: GitClone
+    forge: GiteaForge
+    catalogue: CatalogueReader
+
+    def stop(self) -> None:
+        self.manager.stop(self.stopping)
+        self.thread.join(10)
+        self.forge.disconnect()
+
+    def plans(self) -> list[dict[str, Any]]:
+        return list(self.manager.records.as_json()["plans"])
+
+    def last_plan_is(self, step: str) -> bool:
+        plans = self.plans()
+        return bool(plans) and plans[-1][step] is not None
+
+
+def start_manager(installation: Installation, folder: Path, tasks: MemoryTasks) -> RunningManager:
+    """A new manager on `folder`."""
+    url, account = installation.url, ("manager", installation.passwords["manager"])
+    deployment = GitClone(url, "robotkube/deployment", *account, folder / "deployment")
+    proposals = ProposalWriter(folder / "deployment", *account, "robotkube-manager", time.time)
+    catalogue = CatalogueReader(GitClone(url, "robotkube/catalogue", *account, folder / "catalogue"))
+    nodes = [NodeState(name, name, role, frozenset({"recording"}), True) for name, role in AGENTS]
+    cluster, main = MemoryCluster(nodes), MainReader(deployment)
+    settings = ManagerSettings(tuple(Agent(name, role, name) for name, role in AGENTS), CHARTS_URL)
+    planner = Planner(settings, tasks, cluster, catalogue, main, Jinja2Templates().render, validate)
+    observer = PlanObserver(cluster, MemoryArgoCD(), lambda call: call(), time.time_ns, time.monotonic)
+    forge = GiteaForge(url, "robotkube/deployment", *account)
+    world = World(tasks, cluster, deployment, proposals, forge)
+    manager = ApplicationManager(world, catalogue, main, planner, observer, time.time_ns, time.monotonic)
+    stopping = threading.Event()
+    thread = threading.Thread(target=manager.run, args=(stopping,), daemon=True)
+    thread.start()
+    return RunningManager(manager, thread, stopping, tasks, cluster, deployment, forge, catalogue)
+
+
+def releases(installation: Installation) -> dict[str, Release]:
+    """Main's releases, read by somebody else."""
+    clone = installation.clone("argocd")
+    tree = clone.repository[clone.tip()].tree
+    files: dict[str, str] = {}
+
+    def collect(found: Any, prefix: str) -> None:
+        for entry in found:
+            path = f"{prefix}{entry.name}"
+            if entry.type_str == "tree":
+                collect(entry, f"{path}/")
+            elif path.endswith(".yaml") and path.startswith(("releases/", "sources/")):
+                files[path] = entry.data.decode()
+
+    collect(tree, "")
+    found = read_tree(files)
+    assert found.problems == ()
+    return dict(found.releases)
+
+
+@pytest.fixture(scope="module")
+def _published(installation: Installation) -> None:
+    publisher = installation.clone("publisher", "robotkube/catalogue")
+    files: dict[str, str | None] = {
+        str(path.relative_to(REGISTRY)): path.read_text() for path in REGISTRY.glob("applications/*.yaml")
+    }
+    commit = publisher.commit(files, "publish applications", [publisher.tip()])
+    assert publisher.push(commit, "refs/heads/main") == ""
+
+
+@pytest.fixture
+def manager(
+    installation: Installation, gate: RunningGate, _published: None, tmp_path: Path
+) -> Iterator[RunningManager]:
+    found = start_manager(installation, tmp_path, MemoryTasks())
+    wait_until(lambda: found.manager.reasons_not_ready() == [], "ready")
+    initial = {f"releases/{name}/mqtt-bridge.yaml" for name, _ in AGENTS}
+    wait_until(lambda: initial <= set(releases(installation)), "initial configuration merged")
+    wait_until(lambda: all(p["on_main"] or p["error"] for p in found.plans()), "initial configuration seen")
+    yield found
+    found.stop()
+
+
+def ask(tasks: MemoryTasks) -> None:
+    spec = {
+        "requester": "cloud-0/event-detector",
+        "event": {"rule": "lidar-proximity", "id": "3f2a9c", "trace": "1e3" + "0" * 29, "time": "2026-11-21T10:00:00Z"},
+        "reason": "vehicle-00, vehicle-01 within 400 m",
+        "application": "pose-point-cloud-recording",
+        "parameters": {"vehicles": ["vehicle-00", "vehicle-01"]},
+    }
+    tasks.create("cloud-0", "meeting", spec)
+
+
+def test_a_task_becomes_a_commit_on_main_and_its_withdrawal_another(
+    installation: Installation, controller: ApplicationSetController, manager: RunningManager
+) -> None:
+    before = {path: release.values for path, release in releases(installation).items()}
+    ask(manager.tasks)
+    begin = time.monotonic()
+    manager.manager.wake(TASKS)
+    wait_until(lambda: len(installation.client("gate").get("/pulls").json()) > 0 or committed(manager), "proposed")
+    assert time.monotonic() - begin < PROPOSE_SECONDS_MAX
+    wait_until(lambda: committed(manager), "committed")
+    status = manager.tasks.objects[KEY]["status"]
+    plan = manager.plans()[-1]
+    number = status["pullRequest"]["number"]
+    wait_until(lambda: installation.pull_request(number)["merged"], "marked merged by the forge")
+    pull = installation.pull_request(number)
+    assert pull["merge_commit_sha"] == status["commit"] == plan["commit"]
+    assert pull["title"] == "deploy(recording): vehicle-00, vehicle-01 within 400 m"
+    assert pull["html_url"] == status["pullRequest"]["url"]
+    assert "cloud-0/recorder-vehicle-00-vehicle-01" in pull["body"]
+    assert "releases/cloud-0/recorder-vehicle-00-vehicle-01.yaml" in releases(installation)
+    wait_until(lambda: controller.announced(plan["commit"]), "announced")
+    manager.cluster.settle(releases(installation))
+    manager.manager.wake(APPLICATIONS)
+    wait_until(lambda: manager.tasks.condition(KEY, "Ready") == ("True", "Observed"), "observed")
+    manager.tasks.delete(KEY)
+    manager.manager.wake(TASKS)
+    wait_until(lambda: manager.plans()[-1]["cause"] == "withdrawal" and manager.last_plan_is("merged"), "withdrawn")
+    commit = manager.deployment.commit(manager.plans()[-1]["commit"])
+    assert commit.author == "robotkube-manager"
+    assert [cause.task for cause in read_message(commit.message).causes] == [KEY]
+    assert {path: release.values for path, release in releases(installation).items()} == before
+
+
+def committed(manager: RunningManager) -> bool:
+    return manager.tasks.condition(KEY, "Committed") == ("True", "Merged")
+
+
+def test_a_restarted_manager_finds_pull_request_and_commit_again(
+    installation: Installation, manager: RunningManager, tmp_path: Path
+) -> None:
+    ask(manager.tasks)
+    manager.manager.wake(TASKS)
+    wait_until(lambda: committed(manager), "committed")
+    status = manager.tasks.objects[KEY].pop("status")
+    manager.stop()
+    again = start_manager(installation, tmp_path / "again", manager.tasks)
+    try:
+        wait_until(lambda: committed(again), "committed again")
+        found = again.tasks.objects[KEY]["status"]
+        assert {k: found[k] for k in ("plan", "commit", "pullRequest")} == {
+            k: status[k] for k in ("plan", "commit", "pullRequest")
+        }
+        again.tasks.delete(KEY)
+        again.manager.wake(DEPLOYMENT)
+        again.manager.wake(TASKS)
+        wait_until(lambda: again.plans()[-1]["cause"] == "withdrawal" and again.last_plan_is("merged"), "withdrawn")
+    finally:
+        again.stop()
+
+
+def test_without_webhooks_and_with_the_gate_away_the_plan_waits(
+    installation: Installation, manager: RunningManager, gate: RunningGate
+) -> None:
+    gate.stop()
+    ask(manager.tasks)
+    manager.manager.wake(TASKS)
+    wait_until(lambda: manager.tasks.condition(KEY, "Committed") == ("False", "Proposed"), "proposed")
+    assert manager.last_plan_is("proposed")
+    assert not manager.last_plan_is("merged")
+    manager.tasks.delete(KEY)
+    number = manager.plans()[-1]["pull_request"]
+    installation.client("gate").patch(f"/pulls/{number}", json={"state": "closed"}).raise_for_status()

@@ -1,0 +1,360 @@
+"""Gate and bootstrap as processes with their settings files, on a real forge, a real database and a real API server."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import bcrypt
+import httpx
+import pymongo
+import pytest
+import yaml
+from api_server import NAMESPACE, ApiServer
+from forge_process import ForgeProcess, find_program, free_port
+from installation import (
+    CATALOGUE,
+    CHARTS_URL,
+    DEPLOYMENT,
+    HOOK_SECRET,
+    WEBHOOK_SECRET,
+    ApplicationSetController,
+    Installation,
+    message,
+    release_files,
+    wait_until,
+)
+from kubernetes import client
+from pymongo.errors import OperationFailure
+
+pytestmark = pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning")
+PROCESS_SECONDS_MAX = 60
+
+
+def secret_file(folder: Path, name: str, text: str) -> str:
+    path = folder / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
+    return str(path)
+
+
+def account_folder(folder: Path, name: str, username: str, password: str) -> str:
+    secret_file(folder, f"{name}/username", username)
+    secret_file(folder, f"{name}/password", password)
+    return str(folder / name)
+
+
+def write_settings(folder: Path, document: dict[str, Any]) -> dict[str, str]:
+    """The environment of a process with these settings."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "config.yaml").write_text(yaml.safe_dump(document))
+    return {**os.environ, "ROBOTKUBE_CONFIG": str(folder / "config.yaml"), "ROBOTKUBE_WORK": str(folder / "work")}
+
+
+def lines(text: str) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in text.splitlines() if line.startswith("{")]
+
+
+# -- gate -------------------------------------------------------------------------------------------------------------
+
+
+def gate_settings(installation: Installation, folder: Path, hook_url: str) -> dict[str, Any]:
+    return {
+        "listen": {"address": "127.0.0.1", "port": installation.gate_port},
+        "log_level": "info",
+        "forge": {
+            "url": installation.url,
+            "credentials": account_folder(folder, "forge", "gate", installation.passwords["gate"]),
+            "deployment": "robotkube/deployment",
+            "catalogue": "robotkube/catalogue",
+            "branch": "main",
+            "proposer": "manager",
+        },
+        "registry": {"charts": CHARTS_URL},
+        "hook": {"url": hook_url, "secret": secret_file(folder, "hook/secret", HOOK_SECRET)},
+        "webhook": {"secret": secret_file(folder, "webhook/secret", WEBHOOK_SECRET)},
+        "agents": [{"name": "cloud-0", "role": "cloud", "namespace": "cloud-0", "records": True}],
+    }
+
+
+def test_the_gate_process_takes_a_proposal_and_ends_when_asked(
+    installation: Installation, controller: ApplicationSetController, tmp_path: Path
+) -> None:
+    environment = write_settings(tmp_path, gate_settings(installation, tmp_path, controller.url))
+    command = [sys.executable, "-m", "robotkube.entrypoints.gate"]
+    with (tmp_path / "log").open("wb") as log:
+        process = subprocess.Popen(command, env=environment, stderr=log)
+    try:
+        url = f"http://127.0.0.1:{installation.gate_port}"
+        wait_until(lambda: answers(f"{url}/readyz") == 200, "ready")
+        manager, plan = installation.clone("manager"), installation.plan()
+        commit = manager.commit(release_files(plan, "by-process"), message(plan), [manager.tip()])
+        number = installation.propose(manager, commit, plan)
+        wait_until(lambda: bool(installation.pull_request(number)["merged"]), "merged")
+        wait_until(lambda: controller.announced(commit), "announced")
+        assert 'robotkube_gate_proposals_total{verdict="accepted"} 1' in httpx.get(f"{url}/metrics").text
+        started = time.monotonic()
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(PROCESS_SECONDS_MAX) == 0
+        assert time.monotonic() - started < 5
+    finally:
+        process.kill()
+        process.wait(PROCESS_SECONDS_MAX)
+    found = next(line for line in lines((tmp_path / "log").read_text()) if line["event"] == "proposal")
+    assert found["verdict"] == "accepted"
+    assert found["commit"] == commit[:12]
+    assert found["subject"] == "deploy(recording): test"
+
+
+def answers(url: str) -> int:
+    try:
+        return httpx.get(url, timeout=2).status_code
+    except httpx.HTTPError:
+        return 0
+
+
+def test_every_problem_of_the_gates_settings_is_named(installation: Installation, tmp_path: Path) -> None:
+    settings = gate_settings(installation, tmp_path, "http://127.0.0.1:9/")
+    settings["log_level"] = "loud"
+    settings["listen"]["port"] = "http"
+    settings["colour"] = "red"
+    settings["webhook"]["secret"] = str(tmp_path / "nowhere")
+    del settings["forge"]["proposer"]
+    environment = write_settings(tmp_path, settings)
+    command = [sys.executable, "-m", "robotkube.entrypoints.gate"]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=30, check=False)
+    assert done.returncode == 2
+    for part in (
+        "config.yaml",
+        "log_level: must be one of",
+        "listen.port",
+        "colour: unknown key",
+        "nowhere",
+        "proposer",
+    ):
+        assert part in done.stderr
+    assert installation.passwords["gate"] not in done.stderr
+
+
+# -- bootstrap --------------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class World:
+    """Forge, database and API server with nothing of ours on them yet."""
+
+    forge: ForgeProcess
+    database: tuple[int, str]
+    api: ApiServer
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
+    folder, port, password = tmp_path_factory.mktemp("world"), free_port(), "set up"
+    (folder / "database").mkdir()
+    (folder / "api").mkdir()
+    forge, api = ForgeProcess(folder / "forge"), ApiServer(folder / "api")
+    command = [
+        str(find_program().parent / "ferretdb"), "--handler=sqlite", f"--sqlite-url=file:{folder}/database/",
+        f"--state-dir={folder}/database", f"--listen-addr=127.0.0.1:{port}", "--debug-addr=-",
+        "--telemetry=disable", "--setup-database=admin", "--log-level=ERROR",
+    ]  # fmt: skip
+    environment = {"FERRETDB_SETUP_USERNAME": "administrator", "FERRETDB_SETUP_PASSWORD": password}
+    with (folder / "database.log").open("wb") as log:
+        database = subprocess.Popen(command, env={**os.environ, **environment}, stdout=log, stderr=log)
+    try:
+        forge.start()
+        api.start()
+        api.install_argocd()
+        yield World(forge, (port, password), api)
+    finally:
+        api.stop()
+        forge.remove()
+        database.kill()
+        database.wait(10)
+
+
+def bootstrap_settings(world: World, folder: Path, passwords: dict[str, str]) -> dict[str, Any]:
+    def account(name: str, username: str = "") -> dict[str, str]:
+        return {"name": name, "credentials": account_folder(folder, name, username or name, passwords[name])}
+
+    for repository, files in (("deployment", DEPLOYMENT), ("catalogue", CATALOGUE)):
+        for path, text in files.items():
+            secret_file(folder, f"seed/{repository}/{path}", text)
+    webhook = secret_file(folder, "webhook/secret", WEBHOOK_SECRET)
+    port, password = world.database
+    return {
+        "log_level": "info",
+        "wait_seconds": 60,
+        "forge": {
+            "url": world.forge.url,
+            "administrator": account_folder(
+                folder, "administrator", world.forge.administrator, world.forge.administrator_password
+            ),
+            "accounts": [account(name) for name in ("manager", "gate", "argocd", "publisher", "operator-team")],
+            "organisations": [
+                {"name": name, "packages": {"publisher": "write", "argocd": "read"}}
+                for name in ("robotkube", "staging")
+            ],
+            "repositories": [
+                {
+                    "name": "robotkube/deployment",
+                    "description": "What runs",
+                    "branch": "main",
+                    "seed": str(folder / "seed" / "deployment"),
+                    "access": {"manager": "read", "gate": "write", "argocd": "read", "operator-team": "write"},
+                    "main": ["gate"],
+                },
+                {
+                    "name": "robotkube/catalogue",
+                    "description": "What may run",
+                    "branch": "main",
+                    "seed": str(folder / "seed" / "catalogue"),
+                    "access": {"manager": "read", "gate": "read", "publisher": "write"},
+                    "main": ["publisher"],
+                },
+            ],
+            "webhooks": [
+                {
+                    "repository": "robotkube/deployment",
+                    "url": "http://127.0.0.1:9/webhook",
+                    "events": ["push", "pull_request"],
+                    "secret": webhook,
+                }
+            ],
+        },
+        "database": {
+            "kind": "ferretdb",
+            "host": "127.0.0.1",
+            "port": port,
+            "administrator": account_folder(folder, "database-administrator", "administrator", password),
+            "accounts": [
+                {
+                    "username": name,
+                    "database": name,
+                    "credentials": account_folder(folder, name, name, passwords[name]),
+                }
+                for name in ("recordings_cloud_0", "recordings_edge_0")
+            ],
+        },
+        "argocd": {
+            "namespace": NAMESPACE,
+            "account": account("argocd-manager", "manager") | {"name": "manager"},
+            "rbac": "p, role:x, applications, get, robotkube-apps/*, allow\ng, manager, role:x\n",
+            "hook": {"secret": secret_file(folder, "hook/secret", passwords["hook"])},
+            "closed_project": "default",
+            "hook_reader": "argocd-applicationset-controller",
+        },
+    }
+
+
+def run_bootstrap(world: World, folder: Path, settings: dict[str, Any]) -> tuple[int, list[dict[str, Any]]]:
+    environment = write_settings(folder, settings)
+    environment |= {"KUBECONFIG": str(world.api.kubeconfig("bootstrap")), "PYTHONWARNINGS": "ignore"}
+    command = [sys.executable, "-m", "robotkube.entrypoints.bootstrap"]
+    done = subprocess.run(
+        command, env=environment, capture_output=True, text=True, timeout=PROCESS_SECONDS_MAX, check=False
+    )
+    return done.returncode, lines(done.stderr)
+
+
+def changed(found: list[dict[str, Any]]) -> list[str]:
+    return [line["step"] for line in found if line.get("changed") == "true"]
+
+
+NAMES = (
+    *("manager", "gate", "argocd", "publisher", "operator-team"),
+    *("recordings_cloud_0", "recordings_edge_0", "argocd-manager", "hook"),
+)
+
+
+def test_the_bootstrap_process_makes_everything_once(world: World, tmp_path: Path) -> None:
+    passwords = {name: f"password of {name}" for name in NAMES}
+    settings = bootstrap_settings(world, tmp_path, passwords)
+    code, first = run_bootstrap(world, tmp_path, settings)
+    assert code == 0, first
+    assert "seed of robotkube/deployment" in changed(first)
+    argocd_is_wired(world, passwords)
+    recorders_reach_their_own_database_only(world, passwords)
+    account = httpx.get(f"{world.forge.url}/api/v1/user", auth=("gate", passwords["gate"]))
+    assert account.status_code == 200
+    code, second = run_bootstrap(world, tmp_path, settings)
+    assert code == 0
+    assert changed(second) == []
+    rotated = passwords | {"recordings_cloud_0": "other", "argocd-manager": "other", "hook": "other"}
+    code, third = run_bootstrap(world, tmp_path, bootstrap_settings(world, tmp_path, rotated))
+    assert code == 0
+    assert changed(third) == [
+        "database account recordings_cloud_0",
+        "password of manager",
+        "hook secret",
+        "deployment argocd-applicationset-controller",
+    ]
+    argocd_is_wired(world, rotated)
+    recorders_reach_their_own_database_only(world, rotated)
+
+
+def argocd_is_wired(world: World, passwords: dict[str, str]) -> None:
+    api = world.api.connect("administrator")
+    core = client.CoreV1Api(api)
+    settings = core.read_namespaced_config_map("argocd-cm", NAMESPACE).data
+    assert settings == {"url": "http://x", "accounts.manager": "login"}
+    rights = core.read_namespaced_config_map("argocd-rbac-cm", NAMESPACE).data
+    assert "g, manager, role:x" in rights["policy.robotkube.csv"]
+    secret = {k: decoded(v) for k, v in core.read_namespaced_secret("argocd-secret", NAMESPACE).data.items()}
+    assert secret["webhook.github.secret"] == passwords["hook"]
+    assert bcrypt.checkpw(passwords["argocd-manager"].encode(), secret["accounts.manager.password"].encode())
+    assert secret["accounts.manager.passwordMtime"].endswith("Z")
+    place = ("argoproj.io", "v1alpha1", NAMESPACE, "appprojects", "default")
+    spec = client.CustomObjectsApi(api).get_namespaced_custom_object(*place)["spec"]
+    assert {key: value for key, value in spec.items() if value} == {
+        "namespaceResourceBlacklist": [{"group": "*", "kind": "*"}]
+    }
+
+
+def decoded(value: str) -> str:
+    import base64
+
+    return base64.b64decode(value).decode()
+
+
+def recorders_reach_their_own_database_only(world: World, passwords: dict[str, str]) -> None:
+    port, _ = world.database
+    own, other = "recordings_cloud_0", "recordings_edge_0"
+    with pymongo.MongoClient[dict[str, Any]](
+        "127.0.0.1", port, username=own, password=passwords[own], authSource=own, serverSelectionTimeoutMS=5000
+    ) as recorder:
+        recorder[own]["samples"].insert_one({"x": 1})
+        for database in (other, "admin"):
+            with pytest.raises(OperationFailure):
+                recorder[database]["samples"].insert_one({"x": 1})
+
+
+def test_the_bootstrap_says_what_is_wrong(world: World, tmp_path: Path) -> None:
+    settings = bootstrap_settings(world, tmp_path, dict.fromkeys(NAMES, "word"))
+    settings["database"]["kind"] = "oracle"
+    settings["forge"]["repositories"][0]["seed"] = str(tmp_path / "nowhere")
+    settings["forge"]["repositories"][0]["access"]["manager"] = "admin"
+    settings["wait_seconds"] = 0
+    code, found = run_bootstrap(world, tmp_path, settings)
+    assert code == 2
+    text = found[-1]["error"]
+    for part in ("database.kind: must be one of", "repositories[0].seed", "access.manager: must be read or write"):
+        assert part in text
+    assert "wait_seconds: must be a whole number" in text
+
+
+def test_the_bootstrap_ends_when_argocd_never_comes(world: World, tmp_path: Path) -> None:
+    settings = bootstrap_settings(world, tmp_path, dict.fromkeys(NAMES, "word"))
+    del settings["forge"], settings["database"]
+    settings["argocd"]["namespace"] = "elsewhere"
+    settings["wait_seconds"] = 2
+    code, found = run_bootstrap(world, tmp_path, settings)
+    assert code in (2, 3)
+    assert "Secret argocd-secret in namespace elsewhere" in found[-1]["error"]
