@@ -1,6 +1,6 @@
 """The deployment repository as the run sees it: its releases and commits by Git, its pull requests by the forge's API.
 
-A person's change goes the person's way: a commit proposed by AGit (refs/for/main), merged as it is, fast-forward only.
+A person's change goes the person's way: a commit proposed by AGit (refs/for/main), merged by the forge.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from scenarios.runner.waiting import RunError
 
 REPOSITORY, BRANCH = "robotkube/deployment", "main"
 TRAILER = re.compile(r"^RobotKube-([A-Za-z]+): (.*)$", re.MULTILINE)
+MERGE_STYLES = ("fast-forward-only", "rebase")
 ANSWER_SECONDS_MAX = 15.0
 PULL_REQUESTS_PER_PAGE = 50
 PAGES_MAX = 20
@@ -133,9 +134,17 @@ class Deployment:
         return next((int(item["number"]) for item in part if (item.get("head") or {}).get("sha") == commit), None)
 
     def merge(self, number: int) -> str:
-        """Asks the forge to merge; returns its refusal, empty when it agreed or had merged already."""
-        answer = self._client.post(f"/pulls/{number}/merge", json={"Do": "fast-forward-only"})
-        return "" if answer.is_success else f"{answer.status_code} {answer.text[:300]}"
+        """Asks the forge to merge, as proposed if main has not moved, else on top of it; returns its refusal or ""."""
+        refusals = []
+        for style in MERGE_STYLES:
+            try:
+                answer = self._client.post(f"/pulls/{number}/merge", json={"Do": style})
+            except httpx.HTTPError as error:
+                return f"no answer: {error or type(error).__name__}"
+            if answer.is_success:
+                return ""
+            refusals.append(f"{style}: {answer.status_code} {answer.text[:200].strip()}")
+        return "; ".join(refusals)
 
     def _call(self, method: str, path: str, **options: Any) -> Any:
         try:

@@ -185,18 +185,21 @@ def ask_for_players(going: Run) -> None:
     subject = f"policy(initial): play {going.scenario.name} on {going.scenario.parameters.vehicles} vehicles\n"
     commit = going.deployment.propose(policy.PATH, text, subject, going.name)
     number = _found(going, commit)
-    refusal = going.deployment.merge(number)
+    refusals = ["not asked yet"]
 
     def merged() -> bool:
+        if not going.deployment.pull_request(number).merged:
+            refusals[0] = going.deployment.merge(number)
         return going.deployment.pull_request(number).merged
 
     wait_for(
         f"pull request #{number} of {going.scenario.story.person} to be merged",
         MERGE_SECONDS_MAX,
         merged,
-        lambda: f"the forge's answer to merging it was: {refusal or 'agreed'}",
+        lambda: f"the forge's answer to merging it was: {refusals[0] or 'agreed'}",
+        poll_seconds=1.0,
     )
-    going.say(f"pull request #{number} of {going.scenario.story.person} on {policy.PATH} is merged ({commit[:10]})")
+    going.say(f"pull request #{number} of {going.scenario.story.person} on {policy.PATH} is merged")
 
 
 def _found(going: Run, commit: str) -> int:

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 
 POLL_SECONDS = 0.5
+TELL_SECONDS = 10.0
 
 
 class RunError(Exception):
@@ -20,15 +21,23 @@ def wait_for(
     poll_seconds: float = POLL_SECONDS,
     say: Callable[[str], None] | None = None,
 ) -> float:
-    """Polls until `reached`; returns the seconds it took. Raises `RunError` with `state()` when the bound is
-    exceeded."""
+    """Polls until `reached`; returns the seconds it took. Raises `RunError` with `state()` when the bound is exceeded.
+
+    A look that fails (`RunError`: somebody does not answer) is repeated; the last failure is part of the message.
+    """
     began = told = time.monotonic()
-    while not reached():
+    failure = ""
+    while True:
+        try:
+            if reached():
+                return time.monotonic() - began
+            failure = ""
+        except RunError as error:
+            failure = f"\nthe last look failed: {error}"
         now = time.monotonic()
         if now - began > seconds:
-            raise RunError(f"waited {seconds:.0f} s for {what}, in vain\n{state()}")
-        if say and now - told >= 10:
+            raise RunError(f"waited {seconds:.0f} s for {what}, in vain{failure}\n{state()}")
+        if say and now - told >= TELL_SECONDS:
             told = now
-            say(f"waiting for {what}: {now - began:.0f} of at most {seconds:.0f} s; {state().splitlines()[0]}")
+            say(f"waiting for {what}: {now - began:.0f} of at most {seconds:.0f} s; {state().splitlines()[0]}{failure}")
         time.sleep(poll_seconds)
-    return time.monotonic() - began

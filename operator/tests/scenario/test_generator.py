@@ -165,6 +165,7 @@ def test_the_player_reads_the_bag_in_order_with_its_qualities(made: Mapping[str,
     times = [(moment, messages.stamp_of(data)) for _, moment, data in found.messages()]
     assert times == sorted(times)
     assert all(moment == stamp for moment, stamp in times)
+    found._file.close()
 
 
 def test_bags_are_made_once(quick: definition.Scenario, tmp_path: Path) -> None:

@@ -193,7 +193,7 @@ def test_cpu_is_summed_by_component_also_of_pods_that_came_and_went(tmp_path: Pa
         "robotkube.io/agent": "cloud-0",
     }
     spent = sampler.stop({UID: ("cloud-0", "recorder-x", marks)})
-    del spent["scenario (observer, watch)"]
+    spent.pop("scenario (observer, watch)", None)
     assert spent == {"etcd": 1.0, "kubelet": 3.0, "recorder (cloud)": 2.0}
 
 
@@ -264,6 +264,20 @@ def test_a_pod_s_life_is_noted_from_its_news() -> None:
 def test_a_wait_that_is_over_says_for_what_and_shows_the_state() -> None:
     with pytest.raises(waiting.RunError, match=r"waited 0 s for Godot, in vain\nhe is not here"):
         waiting.wait_for("Godot", 0.01, lambda: False, lambda: "he is not here", poll_seconds=0.01)
+
+
+def test_a_look_that_fails_is_repeated_and_its_last_failure_named() -> None:
+    answers = iter(["busy", "busy", ""])
+
+    def look() -> bool:
+        problem = next(answers, "gone")
+        if problem:
+            raise waiting.RunError(problem)
+        return True
+
+    assert waiting.wait_for("it", 10, look, str, poll_seconds=0.0) >= 0
+    with pytest.raises(waiting.RunError, match=r"in vain\nthe last look failed: gone\nstate"):
+        waiting.wait_for("it", 0.0, look, lambda: "state", poll_seconds=0.01)
 
 
 def test_a_ledger_has_ended_with_its_last_line(tmp_path: Path) -> None:
