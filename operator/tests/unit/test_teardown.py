@@ -13,7 +13,8 @@ import pytest
 
 from robotkube.domain.errors import DocumentError, InputError, UnavailableError
 from robotkube.entrypoints.processes import Process
-from robotkube.entrypoints.teardown import body, read_teardown_settings
+from robotkube.entrypoints.settings import read_settings
+from robotkube.entrypoints.teardown import body, read_configuration
 from robotkube.services.tearing_down import Clock, tear_down
 
 SETTINGS = """\
@@ -93,14 +94,14 @@ def test_gives_up_at_once_when_it_is_not_allowed() -> None:
         (SETTINGS + "colour: red\n", "colour: unknown key"),
         (SETTINGS.replace("namespace: argocd, ", ""), "argocd.namespace: missing"),
         (SETTINGS.replace("info", "loud"), "log_level: must be one of"),
-        ("a: [", "is not YAML"),
+        ("a: [", "YAML"),
     ],
 )
 def test_settings_are_read_strictly(tmp_path: Path, text: str, problem: str) -> None:
     path = tmp_path / "config.yaml"
     path.write_text(text)
     with pytest.raises(DocumentError, match=problem) as caught:
-        read_teardown_settings(path)
+        read_settings(path, read_configuration)
     assert str(path) in str(caught.value)
 
 

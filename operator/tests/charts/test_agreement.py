@@ -1,0 +1,92 @@
+"""Charts and programs agree: what a chart writes, its reader accepts; what packing makes, Helm renders."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from robotkube.adapters.chart_folders import pack
+from robotkube.domain.bags import read_player_settings
+from robotkube.domain.bridging import read_bridge_settings
+from robotkube.domain.catalogue import read_assurance
+from robotkube.domain.detector_settings import read_detector_settings
+from robotkube.domain.initial import InitialPolicy, read_initial_policy
+from robotkube.entrypoints import bootstrap, gate, manager, teardown
+from robotkube.entrypoints.settings import read_settings
+
+CHARTS = Path(__file__).resolve().parents[3] / "charts"
+PROFILES = Path(__file__).parent / "profiles"
+PROCESSES: dict[str, Any] = {"bootstrap": bootstrap, "gate": gate, "manager": manager, "teardown": teardown}
+APPS: dict[str, Callable[[Mapping[str, Any], str], Any]] = {
+    "bag-player": read_player_settings,
+    "event-detector": read_detector_settings,
+    "mqtt-bridge": read_bridge_settings,
+}
+
+
+def mounted(rendered: Any, process: str, folder: Path) -> Path:
+    """The process's volumes as files below `folder`; the path of its settings, which name them there."""
+    workload = "Job" if process in {"bootstrap", "teardown"} else "Deployment"
+    for volume in dict(rendered.pods)[f"{workload}/{process}"]["volumes"]:
+        for source in volume.get("projected", {}).get("sources", []):
+            data = rendered.one("Secret", source["secret"]["name"])["stringData"]
+            for item in source["secret"]["items"]:
+                write(folder / "secrets" / item["path"], data[item["key"]])
+        if volume["name"] == "seed":
+            data = rendered.one("ConfigMap", volume["configMap"]["name"])["data"]
+            for item in volume["configMap"]["items"]:
+                write(folder / "seed" / item["path"], data[item["key"]])
+    text = rendered.one("ConfigMap", process)["data"]["config.yaml"]
+    text = text.replace("/var/run/secrets/robotkube", str(folder / "secrets"))
+    return write(folder / "config.yaml", text.replace("/etc/robotkube/seed", str(folder / "seed")))
+
+
+def write(path: Path, text: str) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("profile", ["official", "embedded"])
+@pytest.mark.parametrize("process", PROCESSES)
+def test_processes_read_the_settings_the_chart_writes(
+    request: pytest.FixtureRequest, tmp_path: Path, process: str, profile: str
+) -> None:
+    path = mounted(request.getfixturevalue(profile), process, tmp_path)
+    assert read_settings(path, PROCESSES[process].read_configuration)
+
+
+def test_the_bootstrap_gets_all_seeds_and_accounts(official: Any, tmp_path: Path) -> None:
+    found = read_settings(mounted(official, "bootstrap", tmp_path), bootstrap.read_configuration)
+    assert found.forge is not None
+    assert found.database is not None
+    deployment, catalogue = found.forge.setup.repositories
+    assert {".gitkeep" in path for path in deployment.seed} == {True, False}
+    assert {"README.md", "policies/initial.yaml", "bootstrap/applicationset.yaml"} <= set(deployment.seed)
+    assert read_assurance(catalogue.seed["policies/release.yaml"].decode(), "release.yaml") == "none"
+    initial = read_initial_policy(deployment.seed["policies/initial.yaml"].decode(), "initial.yaml")
+    assert initial == InitialPolicy()
+    assert [account.database for account in found.database.accounts] == ["recordings_cloud_0"]
+
+
+@pytest.mark.parametrize("chart", APPS)
+def test_robot_processes_read_the_settings_their_charts_write(apps: Mapping[str, Any], chart: str) -> None:
+    text = apps[chart].one("ConfigMap", chart)["data"]["config.yaml"]
+    assert APPS[chart](yaml.safe_load(text), chart)
+
+
+@pytest.mark.parametrize("chart", APPS)
+def test_helm_renders_a_packed_chart_as_the_folder(
+    helm: Any, apps: Mapping[str, Any], chart: str, tmp_path: Path
+) -> None:
+    profile = yaml.safe_load((PROFILES / f"{chart}.yaml").read_text())
+    image = profile.pop("image")["reference"]
+    packed = pack(CHARTS / "apps" / chart, {"ros": image})
+    assert packed.digest == pack(CHARTS / "apps" / chart, {"ros": image}).digest
+    archive = tmp_path / f"{chart}.tgz"
+    archive.write_bytes(packed.archive)
+    assert helm.template(archive, helm.values(profile), release=chart).objects == apps[chart].objects
