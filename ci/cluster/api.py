@@ -20,13 +20,24 @@ class UnreachableError(Exception):
 
 
 class Api:
-    """One connection with the administrator's certificate; not for several threads."""
+    """Calls with the administrator's certificate; one connection within a `with` block; not for several threads."""
 
     def __init__(self, address: str, pki: Path) -> None:
         self.address = address
         self._context = ssl.create_default_context(cafile=str(pki / "ca.crt"))
         self._context.load_cert_chain(pki / "admin.crt", pki / "admin.key")
         self._connection: http.client.HTTPSConnection | None = None
+        self._keep = False
+
+    def __enter__(self) -> Api:
+        """Keep the connection between calls."""
+        self._keep = True
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close the connection."""
+        self._keep = False
+        self._close()
 
     def ready(self) -> bool:
         """True when /readyz says ok."""
@@ -64,7 +75,13 @@ class Api:
             response = self._connection.getresponse()
             return response.status, response.read()
         except (OSError, http.client.HTTPException) as error:
-            if self._connection is not None:
-                self._connection.close()
-            self._connection = None
+            self._close()
             raise UnreachableError(str(error)) from error
+        finally:
+            if not self._keep:
+                self._close()
+
+    def _close(self) -> None:
+        if self._connection is not None:
+            self._connection.close()
+        self._connection = None

@@ -129,16 +129,17 @@ class Embedded:
         with steps.step("network"):
             holders = self._network(placed, record)
         with steps.step("control plane and containerd"):
-            api, kernel = self._control_plane()
+            kernel = self._control_plane()
             runtimes = self._runtimes(placed, holders, root, images.sandbox_of(wanted))
-            wait_until(api.ready, "the API server", API_TIMEOUT_SECONDS, kernel)
+            wait_until(self.api().ready, "the API server", API_TIMEOUT_SECONDS, kernel)
             control_plane.start_controllers(self.launcher, self.plan)
         with steps.step("kubelets, name service, volumes"):
             self._kubelets(placed, holders, runtimes)
-            objects.create(api, placed)
+            with self.api() as api:
+                objects.create(api, placed)
             control_plane.start_name_service(self.launcher, self.plan)
         with steps.step(f"{len(placed)} nodes Ready"):
-            self._wait_ready(api, len(placed))
+            self._wait_ready(len(placed))
         record.images = {image.name: image.reference for image in wanted}
         record.complete = True
         record.write(self.folders.record)
@@ -163,10 +164,10 @@ class Embedded:
         network.connect(self.plan, [holder.pid for holder in holders])
         return holders
 
-    def _control_plane(self) -> tuple[Api, list[Process]]:
+    def _control_plane(self) -> list[Process]:
         kernel = [control_plane.start_etcd(self.launcher, self.plan)]
         kernel.append(control_plane.start_api_server(self.launcher, self.plan))
-        return self.api(), kernel
+        return kernel
 
     def _runtimes(self, placed: Sequence[Node], holders: Sequence[Process], root: Path, sandbox: str) -> list[Process]:
         runtimes = []
@@ -184,9 +185,9 @@ class Embedded:
             node_processes.start_kubelet(node, self.launcher, holder)
             node_processes.start_proxy(node, self.launcher, holder)
 
-    def _wait_ready(self, api: Api, count: int) -> None:
+    def _wait_ready(self, count: int) -> None:
         def ready() -> bool:
-            found = status.nodes(api)
+            found = self.nodes()
             return len(found) == count and all(node.ready for node in found)
 
         wait_until(ready, "all nodes Ready", READY_TIMEOUT_SECONDS, recorded(self.folders))

@@ -1,8 +1,8 @@
 """One node: a network and a mount namespace held by a process, in it containerd, kubelet and kube-proxy.
 
 The mount namespace is the node's own so that its mounts end with its processes, that every node can use the paths fixed
-in the programs (/run/containerd, /var/lib/kubelet/device-plugins, /var/lib/cni, /var/log/containers), and that no program
-has to read the mounts of all the others.
+in the programs (/run/containerd, /var/lib/kubelet/device-plugins, /var/lib/cni, /var/log/containers), and that none has
+to read the mounts of all the others.
 """
 
 from __future__ import annotations

@@ -24,6 +24,9 @@ KILL_TIMEOUT_SECONDS = 20
 PAUSE_SECONDS = 0.05
 SEARCH_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 JOIN = 'echo $$ > "$1/cgroup.procs" && shift && exec "$@"'
+# The daemon becomes a child of init, not of whoever starts the cluster; `setsid` does not fork here, so $! is its pid.
+DETACH = 'log=$1; shift; setsid "$@" < /dev/null >> "$log" 2>&1 & echo $!'
+START_TIMEOUT_SECONDS = 10
 
 
 @dataclass(frozen=True)
@@ -64,7 +67,6 @@ class Launcher:
     def __init__(self, folders: ClusterFolders, binaries: Path) -> None:
         self.folders = folders
         self.binaries = binaries
-        self._children: list[subprocess.Popen[bytes]] = []
 
     def start(
         self,
@@ -76,24 +78,26 @@ class Launcher:
         """Start `command` (its first word below `binaries` if it has no slash) through `prefix` (nsenter ...)."""
         program = command[0] if "/" in command[0] else str(self.binaries / command[0])
         group = cgroups.daemon_folder(self.folders.name, name)
-        full = ["/bin/sh", "-c", JOIN, "join", str(group), *prefix, program, *command[1:]]
         log = self.folders.log / f"{name}.log"
         for folder in (self.folders.log, self.folders.processes):
             folder.mkdir(parents=True, exist_ok=True)
-        with log.open("ab") as output:
-            child = subprocess.Popen(
-                full,
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=subprocess.STDOUT,
-                start_new_session=True,
-                cwd="/",
-                env=self._environment(environment or {}),
-            )
-        self._children.append(child)
-        process = Process(name, child.pid, start_ticks(child.pid) or 0, tuple(full[5:]), str(log))
+        words = [*prefix, program, *command[1:]]
+        pid = self._detached(["/bin/sh", "-c", JOIN, "join", str(group), *words], log, environment or {})
+        process = Process(name, pid, start_ticks(pid) or 0, tuple(words), str(log))
         write_atomically(self.folders.processes / f"{name}.json", json.dumps(asdict(process)))
         return process
+
+    def _detached(self, command: Sequence[str], log: Path, environment: Mapping[str, str]) -> int:
+        answer = subprocess.run(
+            ["/bin/sh", "-c", DETACH, "detach", str(log), *command],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            cwd="/",
+            env=self._environment(environment),
+            timeout=START_TIMEOUT_SECONDS,
+            check=True,
+        )
+        return int(answer.stdout)
 
     def _environment(self, more: Mapping[str, str]) -> dict[str, str]:
         return {"PATH": f"{self.binaries}:{SEARCH_PATH}", "HOME": "/", MARK: self.folders.name, **more}
