@@ -88,6 +88,7 @@ containers:
   - {name: ROBOTKUBE_CONFIGMAP, value: {{ .root.Release.Namespace }}/{{ .root.Release.Name }}}
   - {name: HOME, value: /tmp}
   - {name: ROS_LOG_DIR, value: /tmp/ros}
+  - {name: NODE_NAME, valueFrom: {fieldRef: {fieldPath: spec.nodeName}}}
   ports: [{name: health, containerPort: 8081}]
   # The start is looked at every second: it is on the way from an event to its recording. Afterwards looking costs more than it tells.
   startupProbe: {httpGet: {path: /readyz, port: health}, periodSeconds: 1, timeoutSeconds: 2, failureThreshold: 300}
