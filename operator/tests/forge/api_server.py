@@ -1,4 +1,4 @@
-"""An API server without nodes (etcd and kube-apiserver on loopback ports), with Argo CD's objects as they are before us."""
+"""An API server without nodes (etcd and kube-apiserver on loopback), with Argo CD's objects as they are before us."""
 
 import base64
 import secrets

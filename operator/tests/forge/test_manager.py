@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 from installation import CHARTS_URL, ApplicationSetController, Installation, RunningGate, wait_until
+from publisher_of_tests import publish_registry
 
 from robotkube.adapters.git_clones import GitClone
 from robotkube.adapters.git_deployment import ProposalWriter
@@ -27,7 +28,6 @@ from robotkube.services.manager_planning import ManagerSettings, Planner
 from robotkube.services.manager_reading import CatalogueReader, MainReader
 from robotkube.testing.clusters import MemoryArgoCD, MemoryCluster, MemoryTasks
 
-REGISTRY = Path(__file__).parents[3] / "registry"
 AGENTS = (("cloud-0", "cloud"), ("vehicle-00", "vehicle"), ("vehicle-01", "vehicle"))
 KEY = "cloud-0/meeting"
 PROPOSE_SECONDS_MAX = 3.0
@@ -99,20 +99,9 @@ def releases(installation: Installation) -> dict[str, Release]:
     return dict(found.releases)
 
 
-@pytest.fixture(scope="module")
-def _published(installation: Installation) -> None:
-    publisher = installation.clone("publisher", "robotkube/catalogue")
-    files: dict[str, str | None] = {
-        str(path.relative_to(REGISTRY)): path.read_text() for path in REGISTRY.glob("applications/*.yaml")
-    }
-    commit = publisher.commit(files, "publish applications", [publisher.tip()])
-    assert publisher.push(commit, "refs/heads/main") == ""
-
-
 @pytest.fixture
-def manager(
-    installation: Installation, gate: RunningGate, _published: None, tmp_path: Path
-) -> Iterator[RunningManager]:
+def manager(installation: Installation, gate: RunningGate, tmp_path: Path) -> Iterator[RunningManager]:
+    publish_registry(installation)
     found = start_manager(installation, tmp_path, MemoryTasks())
     wait_until(lambda: found.manager.reasons_not_ready() == [], "ready")
     initial = {f"releases/{name}/mqtt-bridge.yaml" for name, _ in AGENTS}

@@ -94,7 +94,14 @@ class GitClone:
         try:
             self._repository.remotes["origin"].fetch([main, *specifications], callbacks=callbacks)
         except (pygit2.GitError, PermissionError, OSError) as error:
-            raise UnavailableError(f"{self._where}: fetch: {error}") from error
+            raise self._unavailable("fetch", error) from error
+
+    def _unavailable(self, what: str, error: Exception) -> UnavailableError:
+        """libgit2 tells a refused password as `authentication that we do not support`."""
+        text = str(error)
+        if isinstance(error, PermissionError) or "authentication" in text:
+            text = f"the forge refuses account {self._account[0]}: its password is wrong, or it is not made yet"
+        return UnavailableError(f"{self._where}: {what}: {text}")
 
     def commit(self, commit: str) -> Commit:
         """A commit that is here, with its changes to its first parent (all its files when it has none)."""
@@ -175,9 +182,9 @@ class GitClone:
         except pygit2.GitError as error:
             if "non-fastforward" in str(error) or "not present locally" in str(error):
                 return False
-            raise UnavailableError(f"{self._where}: push: {error}") from error
+            raise self._unavailable("push", error) from error
         except (PermissionError, OSError) as error:
-            raise UnavailableError(f"{self._where}: push: {error}") from error
+            raise self._unavailable("push", error) from error
         if callbacks.refusal:
             return self._refused(commit, callbacks.refusal)
         self._repository.references.create(f"refs/heads/{self._branch}", commit, force=True)

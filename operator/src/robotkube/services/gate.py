@@ -74,6 +74,7 @@ class Gate:
         self._catalogue: tuple[str, Catalogue] = ("", Catalogue())
         self._announced = ""
         self._settled: dict[int, str] = {}
+        self._told: dict[int, str] = {}
         self._woken = threading.Event()
         self._look_due = True
         self._seen_at = monotonic() - SILENT_SECONDS_MAX - 1
@@ -123,7 +124,9 @@ class Gate:
         proposals = self._forge.pull_requests("open", self._settings.proposer)
         self._seen_at = self._monotonic()
         open_numbers = {proposal.number for proposal in proposals}
-        self._settled = {number: head for number, head in self._settled.items() if number in open_numbers}
+        for known in (self._settled, self._told):
+            for number in known.keys() - open_numbers:
+                del known[number]
         for proposal in sorted(proposals, key=lambda found: found.number):
             if proposal.author == self._settings.proposer and self._settled.get(proposal.number) != proposal.head:
                 self._try_to_decide(proposal)
@@ -195,7 +198,9 @@ class Gate:
             text = checks.stale_text(commit.parents[0] if commit.parents else "", self._main.tip)
         else:
             text = checks.refusal_text(verdict.problems)
-        self._forge.comment(number, text)
+        if self._told.get(number) != commit.id:  # said once, also when closing has to be tried again
+            self._forge.comment(number, text)
+            self._told[number] = commit.id
         self._forge.close(number)
 
     def _announce(self, before: str, after: str) -> None:
