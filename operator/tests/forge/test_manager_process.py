@@ -73,7 +73,9 @@ def settings(installation: Installation, folder: Path, port: int) -> Path:
             "catalogue": "robotkube/catalogue", "branch": "main",
         },
         "registry": {"charts": CHARTS_URL},
-        "argocd": {"url": nowhere, "credentials": f"{folder}/argocd", "namespace": "argocd", "project": "robotkube-apps"},
+        "argocd": {
+            "url": nowhere, "credentials": f"{folder}/argocd", "namespace": "argocd", "project": "robotkube-apps",
+        },
         "hook": {"url": f"{nowhere}/api/webhook", "secret": f"{folder}/hook/secret"},
         "webhook": {"secret": f"{folder}/webhook/secret"},
         "agents": [{"name": n, "role": r, "namespace": n, "records": r == "cloud"} for n, r in AGENTS],

@@ -1,7 +1,8 @@
 """What the manager sees of Kubernetes, kept up to date by one watch per kind; and the statuses of tasks it writes.
 
-A watch lists, then follows the changes from there; a lost connection is taken up where it ended, an expired position
-(410) by listing again. Until the first list of every kind is complete nothing may be decided: see `wait_until_synced`.
+A watch lists, then follows the changes from there; a watch that ends in order is taken up where it ended, anything else
+(lost connection, expired position) by listing again after a pause. Until the first list of every kind is complete
+nothing may be decided: see `wait_until_synced`.
 """
 
 from __future__ import annotations
@@ -166,7 +167,7 @@ class ResourceWatch:
         return str(version)
 
     def _follow(self, version: str) -> str:
-        """Changes until the server ends the watch; the position reached, empty when a new list is needed."""
+        """Changes until the server ends the watch; the position reached."""
         query = [
             ("watch", "true"),
             ("allowWatchBookmarks", "true"),
@@ -179,7 +180,7 @@ class ResourceWatch:
             for event in self._events(answer):
                 item = event["object"]
                 if event["type"] == "ERROR":
-                    return ""
+                    raise UnavailableError(f"watch refused: {item.get('message', item)}")
                 version = str(item["metadata"]["resourceVersion"])
                 if event["type"] != "BOOKMARK":
                     self._set(object_key(item), None if event["type"] == "DELETED" else self._reduce(item))

@@ -52,6 +52,7 @@ class PlanRecord:
             "changed": list(self.changed),
             "removed": list(self.removed),
             "error": self.error,
+            "on_main": self.on_main,
             **{name: self.times.get(name) for name in TIMES},
         }
 

@@ -1,0 +1,84 @@
+"""What the tests with an API server share: waiting, the administrator's calls, the definitions they need."""
+
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+from kubernetes import client
+
+from robotkube.adapters.kubernetes_api import call
+from robotkube.domain.errors import UnavailableError
+
+DEFINITION = Path(__file__).parents[3] / "charts/robotkube/templates/taskdescriptions/customresourcedefinition.yaml"
+WAIT_SECONDS_MAX = 20.0
+TASKS = "/apis/robotkube.io/v1alpha1/namespaces/cloud-0/taskdescriptions"
+ARGOCD = "/apis/argoproj.io/v1alpha1/namespaces/argocd/applications"
+
+
+def wait_until(condition: Callable[[], Any], what: str) -> None:
+    """Until it is true; fails with `what` after the bound."""
+    end = time.monotonic() + WAIT_SECONDS_MAX
+    while not condition():
+        assert time.monotonic() < end, f"not within {WAIT_SECONDS_MAX:.0f} s: {what}"
+        time.sleep(0.02)
+
+
+def applications_definition() -> dict[str, Any]:
+    """Applications without Argo CD's schema: any content."""
+    anything = {"type": "object", "x-kubernetes-preserve-unknown-fields": True}
+    version = {"name": "v1alpha1", "served": True, "storage": True, "schema": {"openAPIV3Schema": anything}}
+    names = {"kind": "Application", "listKind": "ApplicationList", "plural": "applications", "singular": "application"}
+    return {
+        "apiVersion": "apiextensions.k8s.io/v1",
+        "kind": "CustomResourceDefinition",
+        "metadata": {
+            "name": "applications.argoproj.io",
+            "annotations": {"api-approved.kubernetes.io": "unapproved, for a test"},
+        },
+        "spec": {"group": "argoproj.io", "scope": "Namespaced", "names": names, "versions": [version]},
+    }
+
+
+class Api:
+    """The administrator's few calls."""
+
+    def __init__(self, api: client.ApiClient) -> None:
+        self.client = api
+
+    def post(self, path: str, body: Mapping[str, Any]) -> None:
+        call(self.client, "POST", path, body=body).close()
+
+    def merge(self, path: str, body: Mapping[str, Any]) -> None:
+        call(self.client, "PATCH", path, body=body, content_type="application/merge-patch+json").close()
+
+    def delete(self, path: str) -> None:
+        call(self.client, "DELETE", path, [("gracePeriodSeconds", "0")]).close()
+
+    def task(self, name: str, **spec: Any) -> None:
+        """Create a task in cloud-0."""
+        event = {"rule": "near", "id": "e1", "time": "2026-11-21T10:00:00Z", "trace": "0" * 32}
+        full = {"requester": "somebody", "event": event, "application": "recording", "parameters": {"deep": {"x": 1}}}
+        metadata = {"name": name, "namespace": "cloud-0"}
+        document = {"apiVersion": "robotkube.io/v1alpha1", "kind": "TaskDescription", "metadata": metadata}
+        self.post(TASKS, {**document, "spec": {**full, **spec}})
+
+
+def prepare(api: Api) -> None:
+    """Definitions and namespaces; waits until the definitions are served."""
+    text = "".join(line for line in DEFINITION.read_text().splitlines(True) if "{{" not in line)
+    for definition in (yaml.safe_load(text), applications_definition()):
+        api.post("/apis/apiextensions.k8s.io/v1/customresourcedefinitions", definition)
+    for name in ("cloud-0", "argocd"):
+        api.post("/api/v1/namespaces", {"apiVersion": "v1", "kind": "Namespace", "metadata": {"name": name}})
+    for path in (TASKS, ARGOCD):
+        wait_until(lambda path=path: served(api, path), f"{path} served")
+
+
+def served(api: Api, path: str) -> bool:
+    try:
+        call(api.client, "GET", path).close()
+    except (KeyError, UnavailableError):
+        return False
+    return True

@@ -1,0 +1,167 @@
+"""registry/: schemas and readers agree, and what composition makes of it fits the charts' own schemas."""
+
+from __future__ import annotations
+
+import copy
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from robotkube.adapters.schemas_jsonschema import check_schema, validate
+from robotkube.adapters.templates_jinja2 import Jinja2Templates
+from robotkube.domain.catalogue import (
+    ChartRequirement,
+    in_range,
+    read_application,
+    read_assurance,
+    read_catalogue,
+    read_chart_version,
+)
+from robotkube.domain.composition import Demand, World, compose
+from robotkube.domain.errors import DocumentError, RefusalError
+from robotkube.domain.initial import initial_demands, read_initial_policy
+from robotkube.domain.placement import Agent, NodeState, fleet
+from robotkube.domain.tasks import read_task
+from robotkube.domain.texts import write_mapping
+
+ROOT = Path(__file__).parents[3]
+REGISTRY = ROOT / "registry"
+APPLICATIONS = sorted(REGISTRY.glob("applications/*.yaml"))
+CHARTS = sorted(REGISTRY.glob("charts/*/*.yaml"))
+STATUS = {"state": "staged", "digest": "sha256:" + "0" * 64, "images": []}
+
+
+def schema(name: str) -> dict[str, Any]:
+    return dict(json.loads((REGISTRY / "schemas" / f"{name}.json").read_text()))
+
+
+def load(path: Path) -> dict[str, Any]:
+    return dict(yaml.safe_load(path.read_text()))
+
+
+@pytest.mark.parametrize("path", APPLICATIONS, ids=lambda p: p.stem)
+def test_applications_are_valid(path: Path) -> None:
+    assert validate(schema("application"), load(path)) == []
+    application = read_application(path.read_text(), f"applications/{path.name}")
+    assert check_schema(application.parameters) == []
+    assert application.parameters["additionalProperties"] is False
+
+
+@pytest.mark.parametrize("path", CHARTS, ids=lambda p: p.parent.name)
+def test_chart_versions_are_valid_with_and_without_a_status(path: Path) -> None:
+    assert validate(schema("chart-version"), load(path)) == []
+    published = {**load(path), "status": STATUS}
+    assert validate(schema("chart-version"), published) == []
+    found = read_chart_version(write_mapping(published), str(path.relative_to(REGISTRY)))
+    assert (found.chart, found.version) == (path.parent.name, path.stem)
+    chart = load(ROOT / "charts" / "apps" / found.chart / "Chart.yaml")
+    assert (chart["name"], chart["version"]) == (found.chart, found.version)
+
+
+def test_the_release_policy_is_valid() -> None:
+    path = REGISTRY / "policies" / "release.yaml"
+    assert validate(schema("release-policy"), load(path)) == []
+    assert read_assurance(path.read_text(), "policies/release.yaml") == "none"
+    with pytest.raises(DocumentError, match="must be one of none, verified"):
+        read_assurance("assurance: some\n", "policies/release.yaml")
+
+
+BREAKS: list[tuple[str, Any]] = [
+    ("spec.surprise", 1),
+    ("spec.initialFor", "Not A Role"),
+    ("spec.parameters", {"type": "array"}),
+    ("spec.services.0.chart.version", "latest"),
+    ("spec.services.0.placement", {"role": "cloud", "agent": "a"}),
+    ("spec.services.0.placement", {}),
+    ("spec.services.0.values.placement", {"agent": "x"}),
+    ("spec.services.0.forEach", {"task": [1]}),
+    ("spec.links.0.kind", "carrier-pigeon"),
+    ("spec.links.0.to", {}),
+    ("spec.links.0.topics.0.extra", 1),
+    ("metadata.name", "Upper"),
+    ("kind", "Chart"),
+]
+
+
+@pytest.mark.parametrize(("key", "value"), BREAKS, ids=[key for key, _ in BREAKS])
+def test_schema_and_reader_refuse_the_same(key: str, value: Any) -> None:
+    document = copy.deepcopy(load(REGISTRY / "applications" / "pose-point-cloud-recording.yaml"))
+    place: Any = document
+    *parents, last = key.split(".")
+    for part in parents:
+        place = place[int(part)] if part.isdecimal() else place[part]
+    place[last] = value
+    assert validate(schema("application"), document) != []
+    with pytest.raises(DocumentError):
+        read_application(write_mapping(document), "applications/pose-point-cloud-recording.yaml")
+
+
+def everything() -> dict[str, Any]:
+    """All releases of a small fleet with players and one recording."""
+    files = {str(p.relative_to(REGISTRY)): p.read_text() for p in APPLICATIONS}
+    files |= {str(p.relative_to(REGISTRY)): write_mapping({**load(p), "status": STATUS}) for p in CHARTS}
+    catalogue = read_catalogue({**files, "policies/release.yaml": "assurance: none\n"})
+    agents = [Agent("cloud-0", "cloud", "cloud-0"), Agent("vehicle-00", "vehicle", "vehicle-00")]
+    nodes = [NodeState(a.name, a.name, a.role, frozenset({"recording"}), True) for a in agents]
+    policy = read_initial_policy("add: [{application: bag-player, forRole: vehicle}]\n")
+    event = {"rule": "near", "id": "e1", "trace": "0" * 32, "time": "2026-11-21T10:00:00Z"}
+    spec = {"event": event, "application": "pose-point-cloud-recording", "parameters": {"vehicles": ["vehicle-00"]}}
+    task = read_task({"metadata": {"namespace": "cloud-0", "name": "t"}, "spec": spec})
+    machines = fleet(agents, nodes)
+    demands = [
+        *initial_demands(catalogue, policy, machines),
+        Demand(task.key, task.application, task.parameters, task=task),
+    ]
+    desired = compose(demands, World(catalogue, machines, {}, Jinja2Templates().render, validate))
+    return dict(desired.releases)
+
+
+RELEASES = everything()
+
+
+@pytest.mark.parametrize("path", sorted(RELEASES))
+def test_composed_values_fit_the_charts(path: str) -> None:
+    release = RELEASES[path]
+    found = json.loads((ROOT / "charts" / "apps" / release.chart / "values.schema.json").read_text())
+    values = {**release.values, "global": {"plan": "p"}}
+    assert validate(found, values) == []
+
+
+def test_every_chart_is_used() -> None:
+    assert {release.chart for release in RELEASES.values()} == {path.parent.name for path in CHARTS}
+    assert len(RELEASES) == 5
+
+
+@pytest.mark.parametrize(
+    ("version", "requirement", "expected"),
+    [
+        ("0.1.0", ">=0.1.0 <0.2.0", True),
+        ("0.1.9", ">=0.1.0 <0.2.0", True),
+        ("0.2.0", ">=0.1.0 <0.2.0", False),
+        ("0.10.0", ">0.9.0", True),
+        ("1.0.0-rc.1", ">=1.0.0", False),
+        ("1.0.0", "=1.0.0", True),
+        ("1.0.0", "<=0.9.9", False),
+    ],
+)
+def test_version_ranges(version: str, requirement: str, expected: bool) -> None:
+    assert in_range(version, requirement) is expected
+
+
+def test_the_highest_allowed_version_is_taken_and_every_candidate_has_its_reason() -> None:
+    files = {}
+    states = {"0.1.0": "verified", "0.1.1": "staged", "0.1.2": "withdrawn", "0.2.0": "verified"}
+    for version, state in states.items():
+        document = load(CHARTS[0])
+        document["spec"]["version"], document["status"] = version, {**STATUS, "state": state}
+        files[f"charts/{CHARTS[0].parent.name}/{version}.yaml"] = write_mapping(document)
+    wanted = ChartRequirement(CHARTS[0].parent.name, ">=0.1.0 <0.2.0")
+    taken, reasons = read_catalogue({**files, "policies/release.yaml": "assurance: none\n"}).select(wanted)
+    assert taken.version == "0.1.1"
+    assert len(reasons) == 4
+    assert read_catalogue(files).select(wanted)[0].version == "0.1.0"  # without a policy: verified only
+    with pytest.raises(RefusalError, match=r"not in >=3\.0\.0"):
+        read_catalogue(files).select(ChartRequirement(CHARTS[0].parent.name, ">=3.0.0"))
