@@ -17,7 +17,6 @@ NEEDS: dict[str, tuple[str, ...]] = {
     "go": ("golang-go",),
     "cluster": (
         "containernetworking-plugins",
-        "conntrack",
         "iproute2",
         "nftables",
         "openssl",

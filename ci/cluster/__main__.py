@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from ci import packages, preflight
-from ci.cluster import cleaning, images, topology
+from ci.cluster import images, topology
 from ci.cluster.addresses import PLANS
 from ci.cluster.embedded import Embedded
 from ci.cluster.records import ClusterFolders
@@ -15,6 +15,7 @@ from ci.errors import InputError, SetUpError
 from ci.folders import PROJECT
 
 SCENARIO = PROJECT / "scenarios" / "pose-point-cloud-db-recording" / "scenario.yaml"
+INTERRUPTED = 130  # as a shell says it
 
 
 def arguments() -> argparse.ArgumentParser:
@@ -51,7 +52,7 @@ def run(options: argparse.Namespace) -> None:
     if options.command == "run-dir":
         print(ClusterFolders(options.name).base)
     elif options.command == "down":
-        cleaning.remove(options.name)
+        Embedded(options.name, Path()).down()
     elif options.command == "status":
         print(Embedded(options.name, Path()).status())
     else:
@@ -80,6 +81,9 @@ def main() -> int:
     except SetUpError as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code
+    except KeyboardInterrupt:
+        print("interrupted; the next start, or `down`, removes what was begun", file=sys.stderr)
+        return INTERRUPTED
     return 0
 
 

@@ -17,7 +17,7 @@ from ci.cluster.node_processes import Node
 from ci.cluster.pki import Authority
 from ci.cluster.processes import Launcher, Process, recorded, wait_until
 from ci.cluster.provider import NodeState
-from ci.cluster.records import ClusterFolders, Record
+from ci.cluster.records import ClusterFolders, Record, one_at_a_time
 from ci.cluster.topology import Topology
 from ci.errors import SetUpError
 from ci.steps import Step, Steps
@@ -29,6 +29,8 @@ CONTAINERD_TIMEOUT_SECONDS = 60
 READY_TIMEOUT_SECONDS = 120
 PARALLEL = 4
 T = TypeVar("T")
+# A cluster that runs was made by these modules as they are now, or it is made anew.
+DEFINING = ("addresses", "cgroups", "containerd", "control_plane", "network", "node_processes", "objects", "pki")
 
 
 class Embedded:
@@ -43,20 +45,25 @@ class Embedded:
 
     def up(self, topology: Topology, wanted: Sequence[images.Image]) -> None:
         """See Provider.up. A start that fails leaves its logs and is removed by the next `up` or `down`."""
+        with one_at_a_time():
+            self._up(topology, wanted)
+
+    def _up(self, topology: Topology, wanted: Sequence[images.Image]) -> None:
         steps = Steps(STEPS)
         record = Record.read(self.folders.record)
         if self._reusable(record, topology):
             with steps.step(f"cluster {self.name}: running, of the same topology") as step:
                 self._import_new(wanted, step)
             return
-        with steps.step("remove what is left of earlier starts"):
-            self._stop_others()
+        with steps.step("remove what is left of earlier starts") as step:
+            self._stop_others(step)
             cleaning.remove(self.name, keep_logs=False)
         self._start(topology, wanted, steps)
 
     def down(self) -> None:
         """See Provider.down."""
-        cleaning.remove(self.name)
+        with one_at_a_time():
+            cleaning.remove(self.name)
 
     def status(self) -> str:
         """See Provider.status."""
@@ -99,7 +106,8 @@ class Embedded:
 
     def _specification(self, topology: Topology) -> str:
         parts = [str(self.binaries), json.dumps([asdict(node) for node in topology.nodes])]
-        parts += [path.read_text(encoding="utf-8") for path in sorted(Path(__file__).parent.glob("*.py"))]
+        here = Path(__file__).parent
+        parts += [(here / f"{module}.py").read_text(encoding="utf-8") for module in DEFINING]
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
     def _import_new(self, wanted: Sequence[images.Image], step: Step) -> None:
@@ -110,10 +118,10 @@ class Embedded:
         record.write(self.folders.record)
         step.note = f"{len(new)} new images"
 
-    def _stop_others(self) -> None:
+    def _stop_others(self, step: Step) -> None:
         for other in PLANS:
             if other != self.name and cleaning.leftovers(other):
-                print(f"stopping the cluster {other!r}: only one can run at a time", flush=True)
+                step.say(f"stopping the cluster {other}: only one can run at a time")
                 cleaning.remove(other)
 
     def _start(self, topology: Topology, wanted: Sequence[images.Image], steps: Steps) -> None:

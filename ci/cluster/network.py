@@ -34,6 +34,8 @@ EXACTLY = {"net.bridge.bridge-nf-call-iptables": 0}  # nodes filter in their own
 
 def run(command: Sequence[str], text: str | None = None) -> str:
     """Run a network command; its standard output; raises SetUpError with its message."""
+    if shutil.which(command[0]) is None:
+        raise SetUpError(f"{command[0]} is missing; install the cluster's Debian packages: make cluster does it")
     result = subprocess.run(command, input=text, capture_output=True, text=True, timeout=TIMEOUT_SECONDS, check=False)
     if result.returncode != 0:
         raise SetUpError(f"{' '.join(command)} failed: {result.stderr.strip()[-500:]}")
@@ -140,17 +142,23 @@ def remove(plan: AddressPlan) -> None:
 
 def links(plan: AddressPlan) -> tuple[str, ...]:
     """Names of the bridge and the cables that are there."""
+    if shutil.which("ip") is None:
+        return ()  # without it no cluster can have been started
     names = (entry["ifname"] for entry in json.loads(run(["ip", "-json", "link", "show"]) or "[]"))
     return tuple(name for name in names if name == plan.bridge or name.startswith(f"{plan.bridge}-"))
 
 
 def tables(plan: AddressPlan) -> tuple[str, ...]:
     """The cluster's nftables tables that are there."""
+    if shutil.which("nft") is None:
+        return ()
     listed = run(["nft", "list", "tables"]).splitlines()
     return tuple(line for line in listed if line.split()[-1] == plan.bridge)
 
 
 def routes(plan: AddressPlan) -> tuple[str, ...]:
     """Routes of the host into the cluster that are there."""
+    if shutil.which("ip") is None:
+        return ()
     listed = run(["ip", "route", "show"]).splitlines()
     return tuple(line.strip() for line in listed if plan.bridge in line.split())

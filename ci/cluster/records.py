@@ -6,13 +6,21 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from ci.errors import SetUpError
 from ci.folders import user_cache
+
+LOCK_TIMEOUT_SECONDS = 30
+LOCK_PAUSE_SECONDS = 0.2
 
 
 @dataclass(frozen=True)
@@ -91,3 +99,27 @@ def write_atomically(path: Path, text: str) -> None:
     partial = path.with_name(path.name + f".{os.getpid()}.partial")
     partial.write_text(text, encoding="utf-8")
     partial.replace(path)
+
+
+@contextmanager
+def one_at_a_time() -> Iterator[None]:
+    """Let one process at a time start or stop clusters; the kernel frees the lock of a killed one.
+
+    Raises SetUpError when another one holds it longer than the bound.
+    """
+    path = user_cache() / "clusters" / "lock"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a") as lock:
+        deadline = time.monotonic() + LOCK_TIMEOUT_SECONDS
+        while True:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                if time.monotonic() > deadline:
+                    raise SetUpError(
+                        f"another process has been starting or stopping a cluster for {LOCK_TIMEOUT_SECONDS} s "
+                        f"(lock {path}): wait for it or end it"
+                    ) from None
+                time.sleep(LOCK_PAUSE_SECONDS)
+        yield
