@@ -90,9 +90,9 @@ class Buildah:
             raise BuildError(f"buildah could not load {archive}: {done.stderr.strip()}")
         self.run("tag", done.stdout.split()[-1], tag)
 
-    def export(self, tag: str, layout: Path) -> None:
-        """Write the image as an OCI layout folder, layers not compressed."""
-        self.run("push", "--quiet", "--disable-compression", "--format", "oci", tag, f"oci:{layout}:image")
+    def export(self, tag: str, folder: Path) -> None:
+        """Write the image as a folder: manifest.json, config and layers named by hex digest, not compressed."""
+        self.run("push", "--quiet", "--disable-compression", "--format", "oci", tag, f"dir:{folder}")
 
     def clean(self) -> None:
         """Remove working containers, also those of a run that was killed."""

@@ -8,6 +8,7 @@ nothing that looks finished.
 from __future__ import annotations
 
 import fcntl
+import hashlib
 import json
 import os
 import shutil
@@ -164,15 +165,35 @@ def _build(bench: Bench, image: Image, tag: str, context: Path, result: Path) ->
     sources = machine.debian_sources()
     lent = machine.lend(bench.work / "lent", *machine.current_environment(), sources)
     arguments = _provide_base(bench, image, sources)
-    layout = bench.work / "layout"
-    _clear(layout)
+    exported = bench.work / "exported"
+    _clear(exported)
     bench.buildah.build(context, image.dockerfile, tag, arguments, lent.volumes, bench.shop.fresh)
-    bench.buildah.export(tag, layout)
+    bench.buildah.export(tag, exported)
     result.mkdir()
-    normal = normalising.normalise_image(layout, result / "image.tar", f"{REPOSITORY}/{image.name}", lent.placeholders)
+    treatment = hashlib.sha256("\n".join([normalising.FORMAT, *sorted(lent.placeholders)]).encode()).hexdigest()
+    known = {} if bench.shop.fresh else _known_layers(bench, image, treatment)
+    normal = normalising.normalise_image(
+        exported, result / "image.tar", f"{REPOSITORY}/{image.name}", lent.placeholders, known
+    )
     layers = {layer.digest: layer.size for layer in normal.layers}
     record = {"digest": normal.digest, "size": normal.size, "layers": layers}
+    record |= {"treatment": treatment, "origins": dict(normal.origins)}
     (result / "image.json").write_text(json.dumps(record, indent=1), encoding="utf-8")
+
+
+def _known_layers(bench: Bench, image: Image, treatment: str) -> dict[str, normalising.KnownLayer]:
+    """Layers that archives of the base and of earlier versions of this image hold, by the builder's digests of them."""
+    known: dict[str, normalising.KnownLayer] = {}
+    folders = [*bench.shop.folder.glob(f"{image.name}-*"), bench.shop.folder / f"{BASE.name}-{bench.base_key}"]
+    for folder in folders:
+        record = json.loads((folder / "image.json").read_bytes()) if (folder / "image.json").is_file() else {}
+        if record.get("treatment") != treatment:
+            continue
+        normal_forms = {digest: digest for digest in record["layers"]}  # a normal form is its own normal form
+        for origin, digest in (record["origins"] | normal_forms).items():
+            blob = normalising.Blob(digest, record["layers"][digest])
+            known[origin] = normalising.KnownLayer(folder / "image.tar", blob)
+    return known
 
 
 def _provide_base(bench: Bench, image: Image, sources: Path | None) -> dict[str, str]:

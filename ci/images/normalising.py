@@ -15,7 +15,7 @@ import json
 import os
 import shutil
 import tarfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -47,10 +47,13 @@ class Blob:
 
 @dataclass(frozen=True)
 class NormalImage:
-    """The manifest's digest and the layers, lowest first, of a written archive."""
+    """The manifest's digest and the layers, lowest first, of a written archive; `origins` maps digests of the builder's
+    layers to those of their normal forms.
+    """
 
     digest: str
     layers: tuple[Blob, ...]
+    origins: Mapping[str, str]
 
     @property
     def size(self) -> int:
@@ -77,12 +80,12 @@ class Hashing:
 
 
 def normalise_layer(raw: Path, target: Path, placeholders: frozenset[str] = frozenset()) -> Blob | None:
-    """Write the layer `raw` (a tar, compressed or not) to `target` in normal form; None if nothing is in it.
+    """Write the layer `raw` (a tar) to `target` in normal form; None if nothing is in it.
 
     `placeholders` are paths without a leading slash at which the build mounted files of the machine: the empty files
     and folders that stay behind are left out, contents never are.
     """
-    with tarfile.open(raw, "r:*") as source, target.open("wb") as file:
+    with tarfile.open(raw, "r:") as source, target.open("wb") as file:
         members = [m for m in source.getmembers() if not _is_placeholder(m, placeholders)]
         if not members:
             return None
@@ -145,16 +148,44 @@ def _link(holder: tarfile.TarInfo, name: str, target: str) -> tarfile.TarInfo:
     return entry
 
 
-def normalise_image(raw: Path, archive: Path, name: str, placeholders: frozenset[str] = frozenset()) -> NormalImage:
-    """Write the image of the OCI layout folder `raw` to `archive`, an OCI layout in a tar.
+@dataclass(frozen=True)
+class KnownLayer:
+    """A layer in normal form inside an archive written earlier."""
+
+    archive: Path
+    blob: Blob
+
+    def copy_to(self, target: Path) -> Blob:
+        with tarfile.open(self.archive, "r:") as tar, target.open("wb") as out:
+            content = tar.extractfile("blobs/sha256/" + self.blob.digest.removeprefix("sha256:"))
+            if content is None:
+                raise ValueError(f"{self.archive}: no layer {self.blob.digest}")
+            shutil.copyfileobj(content, out, BLOCK_BYTES)
+        return self.blob
+
+
+def normalise_image(
+    raw: Path,
+    archive: Path,
+    name: str,
+    placeholders: frozenset[str] = frozenset(),
+    known: Mapping[str, KnownLayer] | None = None,
+) -> NormalImage:
+    """Write the image of the folder `raw` (manifest.json and blobs named by hex digest) to `archive`, an OCI layout in
+    a tar.
 
     The index names the image `<name>@<manifest digest>`, which is the name it gets in a containerd that imports the
-    archive. Needs free space for the layers once more beside `archive` while it works.
+    archive. `known` maps digests of the builder's layers to normal forms that need not be made again. Needs free space
+    for the layers once more beside `archive` while it works.
     """
     blobs = archive.with_suffix(".blobs")
     blobs.mkdir(parents=True)
-    _, manifest = _read_manifest(raw)
-    layers = [blob for entry in manifest["layers"] if (blob := _normal_blob(raw, blobs, entry, placeholders))]
+    manifest = json.loads((raw / "manifest.json").read_bytes())
+    made = {
+        entry["digest"]: _normal_blob(raw, blobs, entry["digest"], placeholders, known or {})
+        for entry in manifest["layers"]
+    }
+    layers = [blob for entry in manifest["layers"] if (blob := made[entry["digest"]])]
     config = _store(blobs, _config(json.loads(_blob_path(raw, manifest["config"]["digest"]).read_bytes()), layers))
     document = {
         "schemaVersion": 2,
@@ -165,7 +196,8 @@ def normalise_image(raw: Path, archive: Path, name: str, placeholders: frozenset
     described = _store(blobs, canonical_json(document))
     write_archive(archive, blobs, described, f"{name}@{described.digest}")
     shutil.rmtree(blobs)
-    return NormalImage(described.digest, tuple(layers))
+    origins = {digest: blob.digest for digest, blob in made.items() if blob}
+    return NormalImage(described.digest, tuple(layers), origins)
 
 
 def canonical_json(document: Any) -> bytes:
@@ -173,21 +205,18 @@ def canonical_json(document: Any) -> bytes:
     return json.dumps(document, sort_keys=True, separators=(",", ":")).encode()
 
 
-def _read_manifest(layout: Path) -> tuple[str, dict[str, Any]]:
-    index = json.loads((layout / "index.json").read_bytes())
-    if len(index["manifests"]) != 1:
-        raise ValueError(f"{layout}: index.json names {len(index['manifests'])} images, one was expected")
-    digest = index["manifests"][0]["digest"]
-    return digest, json.loads(_blob_path(layout, digest).read_bytes())
+def _blob_path(raw: Path, digest: str) -> Path:
+    return raw / digest.removeprefix("sha256:")
 
 
-def _blob_path(layout: Path, digest: str) -> Path:
-    return layout / "blobs" / digest.replace(":", "/", 1)
-
-
-def _normal_blob(raw: Path, blobs: Path, entry: dict[str, Any], placeholders: frozenset[str]) -> Blob | None:
+def _normal_blob(
+    raw: Path, blobs: Path, digest: str, placeholders: frozenset[str], known: Mapping[str, KnownLayer]
+) -> Blob | None:
     target = blobs / "layer"
-    blob = normalise_layer(_blob_path(raw, entry["digest"]), target, placeholders)
+    if digest in known:
+        blob: Blob | None = known[digest].copy_to(target)
+    else:
+        blob = normalise_layer(_blob_path(raw, digest), target, placeholders)
     if blob is None:
         target.unlink()
     else:

@@ -38,7 +38,8 @@ def pack(folder: Path, images: Mapping[str, str]) -> PackedChart:
             raise DocumentError(
                 str(folder / IMAGES_FILE), ["packing adds this file; remove it from the chart's folder"]
             )
-        files[IMAGES_FILE] = "".join(f"{name}: {images[name]}\n" for name in sorted(images)).encode()
+        used = _used_images(folder, metadata, images)
+        files[IMAGES_FILE] = "".join(f"{name}: {images[name]}\n" for name in used).encode()
     return pack_chart(str(folder), metadata, files)
 
 
@@ -49,7 +50,9 @@ def _used_images(folder: Path, metadata: Mapping[str, Any], images: Mapping[str,
         return sorted(images)
     unknown = [name for name in text.split() if name not in images]
     if unknown:
-        problem = f"annotations: {IMAGES_ANNOTATION}: no image {', '.join(unknown)}; there are {', '.join(sorted(images))}"
+        problem = (
+            f"annotations: {IMAGES_ANNOTATION}: no image {', '.join(unknown)}; there are {', '.join(sorted(images))}"
+        )
         raise DocumentError(str(folder / CHART_FILE), [problem])
     return sorted(set(text.split()))
 
