@@ -1,6 +1,7 @@
 """Publishes poses, clouds and a latched transform on real ROS topics, on a grid of stamps, and keeps a ledger.
 
-    publisher.py FOLDER SECONDS      # writes FOLDER/<topic with / as __>.jsonl, says "publishing" when it begins
+    publisher.py FOLDER SECONDS      # writes FOLDER/<topic with / as __>.jsonl, says "publishing" when it begins;
+                                     # SIGTERM ends it earlier, with complete ledgers
 
 vehicle-01 swings past vehicle-00 with a period of 6 s: near, far, near.
 """
@@ -11,6 +12,7 @@ import hashlib
 import json
 import math
 import os
+import signal
 import struct
 import sys
 import time
@@ -77,12 +79,16 @@ def main(folder: Path, seconds: float) -> None:
     latched = {
         a: node.advertise(f"/vehicles/{a}/transform", TRANSFORM, durability="transient_local", depth=1) for a in AGENTS
     }
+    ending: list[int] = []
+    signal.signal(signal.SIGTERM, lambda number, _: ending.append(number))
     start = time.time_ns()
     for agent, publisher in latched.items():
         publisher.publish(data := transform(start, agent.encode()))
         ledgers.write(publisher.topic, start, data)
     print("publishing", flush=True)
     for step in range(int(seconds * 1e9 / PERIOD_NS)):
+        if ending:
+            break
         stamp = start + step * PERIOD_NS
         time.sleep(max(0.0, (stamp - time.time_ns()) / 1e9))
         for number, (agent, publisher) in enumerate(poses.items()):

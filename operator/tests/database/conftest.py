@@ -62,7 +62,7 @@ class DatabaseServer:
     def client(
         self, user: str | None = SETUP_USER, password: str = SETUP_PASSWORD, database: str = "admin"
     ) -> pymongo.MongoClient[dict[str, Any]]:
-        account = {"username": user, "password": password, "authSource": database} if user else {}
+        account: dict[str, Any] = {"username": user, "password": password, "authSource": database} if user else {}
         client: pymongo.MongoClient[dict[str, Any]] = pymongo.MongoClient(
             "127.0.0.1", self.port, serverSelectionTimeoutMS=5000, **account
         )

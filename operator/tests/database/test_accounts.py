@@ -46,8 +46,8 @@ def test_wrong_password_and_unknown_account_are_refused(server: Any) -> None:
     for user, password, database in [
         ("recorder", "wrong", OWN), ("nobody", "secret", OWN), ("recorder", "secret", OTHER)
     ]:  # fmt: skip
-        client = server.client(user, password, database)
-        assert refused(lambda client=client: client[OWN]["samples"].find_one()) == AUTHENTICATION_FAILED
+        samples = server.client(user, password, database)[OWN]["samples"]
+        assert refused(samples.find_one) == AUTHENTICATION_FAILED
 
 
 def test_account_uses_its_own_database(own: Database) -> None:

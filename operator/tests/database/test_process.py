@@ -89,10 +89,10 @@ class Site:
         self.processes.append(process)
         return process
 
-    def publish(self, seconds: float) -> subprocess.Popen[str]:
-        publisher = self.start(str(PUBLISHER), str(self.folder / "ledgers"), str(seconds))
+    def publish(self) -> subprocess.Popen[str]:
+        publisher = self.start(str(PUBLISHER), str(self.folder / "ledgers"), str(2 * SECONDS_MAX))
         assert publisher.stdout is not None
-        assert publisher.stdout.readline() == "publishing\n"
+        assert "publishing\n" in publisher.stdout, publisher.communicate(timeout=SECONDS_MAX)[1]
         return publisher
 
     def record(self, port: int = 0) -> subprocess.Popen[str]:
@@ -143,12 +143,13 @@ def site(server: Any, tmp_path: Path) -> Iterator[Site]:
 
 
 def test_sigterm_in_mid_write_leaves_a_complete_recording(site: Site) -> None:
-    publisher, recorder = site.publish(5.0), site.record()
+    publisher, recorder = site.publish(), site.record()
     site.until_stored(40)
     ended_at, began = time.time_ns(), time.monotonic()
     recorder.send_signal(signal.SIGTERM)
     assert recorder.wait(8.0) == 0
     assert time.monotonic() - began < 5.0
+    publisher.terminate()
     publisher.wait(SECONDS_MAX)
 
     first = first_stamps(site.reader, RECORDING)
@@ -171,7 +172,7 @@ def test_sigterm_in_mid_write_leaves_a_complete_recording(site: Site) -> None:
 
 
 def test_a_killed_recorder_leaves_everything_acknowledged_readable(site: Site) -> None:
-    publisher, first = site.publish(7.0), site.record()
+    publisher, first = site.publish(), site.record()
     site.until_stored(20)
     first.kill()
     first.wait(SECONDS_MAX)
@@ -185,6 +186,7 @@ def test_a_killed_recorder_leaves_everything_acknowledged_readable(site: Site) -
     site.until_stored(before + 20)
     second.send_signal(signal.SIGTERM)
     assert second.wait(8.0) == 0
+    publisher.terminate()
     publisher.wait(SECONDS_MAX)
     everything = (0, time.time_ns())
     verdict = verify(site.reader, site.segments, RECORDING, site.ledgers(), everything)

@@ -237,9 +237,9 @@ def test_waiting_writes_are_bounded_by_the_spool(bench: Bench) -> None:
     until(lambda: recorder.counts.spooled > 0)
     bench.server.start()
     recorder.stop(8.0)
-    second = bench.recorder()
-    until(lambda: second.ready)
-    assert second.stop(8.0)
+    successor = bench.recorder()
+    until(lambda: successor.ready)
+    assert successor.stop(8.0)
     bench.assert_complete(6)
 
 
@@ -288,3 +288,16 @@ def test_a_silent_stream_does_not_hold_the_recording_up_for_ever(bench: Bench, m
     bench.offer(recorder, CLOUDS, 1)
     assert recorder.stop(8.0)
     assert (recorder.counts.early, recorder.counts.segments) == (1, 1)
+
+
+def test_an_error_of_ours_is_told_and_never_called_complete(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise KeyError("a mistake")
+
+    monkeypatch.setattr("robotkube.services.recorder.bucket_documents", fail)
+    recorder = bench.recorder()
+    bench.offer(recorder, POSES, 0)
+    until(lambda: recorder.failed != "")
+    bench.offer(recorder, POSES, 1)
+    assert "a mistake" in recorder.failed
+    assert not recorder.stop(2.0)

@@ -27,7 +27,9 @@ poses = st.lists(
 
 
 def run(rule: ProximityRule, inputs: list[tuple[str, float, int]]) -> tuple[list[Edge], list[tuple[str, float, int]]]:
-    detector, edges, stamp, seen = Proximity(rule), [], 0, []
+    detector, stamp = Proximity(rule), 0
+    edges: list[Edge] = []
+    seen: list[tuple[str, float, int]] = []
     for number, (agent, x, step) in enumerate(inputs):
         stamp += step * MS
         seen.append((agent, x, stamp))

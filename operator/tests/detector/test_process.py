@@ -171,7 +171,7 @@ def test_live_poses_become_tasks_until_the_rule_changes(
         with urllib.request.urlopen(f"http://127.0.0.1:{unused_port}{path}", timeout=5) as answer:
             return json.load(answer)
 
-    start(str(PUBLISHER), str(tmp_path), "12")
+    start(str(PUBLISHER), str(tmp_path), "60")
     until(lambda: len(api.calls) >= 3)
     assert [call for call, _ in api.calls[:3]] == ["create", "delete", "create"]
     assert api.calls[0] == ("create", api.calls[1][1])

@@ -15,6 +15,7 @@ from __future__ import annotations
 import json
 import logging
 import os
+import threading
 import time
 from collections import deque
 from collections.abc import Mapping, Sequence
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
 DRAIN_SECONDS = 0.02
 LAST_DRAIN_SECONDS_MAX = 0.5
 STORE_SECONDS_MAX = 5.0
+LEAVE_SECONDS_MAX = 1.0
 GRACE_SECONDS = 7.0
 CONFIG_KEY = "config.yaml"
 RECORDINGS_FOLDER = "/var/lib/robotkube/recordings"
@@ -60,8 +62,9 @@ def body(process: Process) -> None:
     _log_through(process)
     pod = PodSettings.from_environment()
     settings = _settings(read_text(pod.config_file, "the detector's settings"), str(pod.config_file))
+    node = RosNode("event_detector")
     detector = EventDetector(
-        Live(RosNode("event_detector")),
+        Live(node),
         lambda settings: make_operator(settings, pod),
         lambda reaction, settings: make_recorder(reaction, settings, pod),
         time.time_ns,
@@ -70,6 +73,7 @@ def body(process: Process) -> None:
     detector.apply(settings)
     process.log("subscribed", name=settings.name, subscriptions=detector.subscribed, seconds=_process_age_seconds())
     server = HealthServer(
+        live=lambda: next((recorder.failed for recorder in detector.recorders if recorder.failed), None),
         ready=lambda: detector.not_ready or None,
         metrics=lambda: metrics(detector),
         pages={
@@ -85,6 +89,14 @@ def body(process: Process) -> None:
     if watch is not None:
         watch.stop()
     _end(process, detector)
+    _leave(node)
+
+
+def _leave(node: RosNode) -> None:
+    """Say goodbye to the publishers, or they wait 20 s for a reader that is gone. The middleware may hang here."""
+    thread = threading.Thread(target=node.close, name="leave", daemon=True)
+    thread.start()
+    thread.join(LEAVE_SECONDS_MAX)
 
 
 def _receive(process: Process, detector: EventDetector, changes: deque[str]) -> None:

@@ -117,6 +117,7 @@ class Recorder:
         self._waiting_bytes = 0
         self._retry_seconds, self._retry_at = RETRY_SECONDS_FIRST, 0.0
         self._last_problem = ""
+        self.failed = ""
 
     @property
     def ready(self) -> bool:
@@ -161,7 +162,7 @@ class Recorder:
         self._thread.join(seconds + 1.0)
         if self._thread.is_alive():
             log.error("recording %s: storing did not end within %.1f s", self.reaction.recording, seconds)
-        return not self._thread.is_alive() and not self._waiting
+        return not (self._thread.is_alive() or self._queue or self._batch or self._waiting or self.counts.spooled)
 
     def _is_early(self, stamp: int) -> bool:
         if self._silent:
@@ -177,6 +178,16 @@ class Recorder:
     # the recorder's own thread ---------------------------------------------------------------------------------------
 
     def _run(self) -> None:
+        try:
+            self._work()
+        except Exception as error:  # an error of ours: the process must not go on as if it recorded
+            self.failed = f"recording {self.reaction.recording}: {type(error).__name__}: {error}"
+            log.exception("%s", self.failed)
+        finally:
+            if self._store is not None:
+                self._store.close()
+
+    def _work(self) -> None:
         while self._deadline is None:
             self._round()
             self._wake.wait(BATCH_SECONDS)
@@ -197,8 +208,6 @@ class Recorder:
             if self._waiting:
                 self._wake.wait(RETRY_SECONDS_FIRST)
         self._spool_waiting()
-        if self._store is not None:
-            self._store.close()
         log.info("recording %s: ended %s", self.reaction.recording, self._summary())
 
     def _end(self) -> None:
