@@ -31,8 +31,11 @@ def body(process: Process) -> None:
     period = period_seconds(os.environ)
     session = int.from_bytes(os.urandom(8), "little")
 
+    channels: dict[str, PahoChannel] = {}
+
     def channel(agent: str, name: str, events: ChannelEvents) -> PahoChannel:
-        return PahoChannel(lambda: account(pod), f"{agent}-{name}", SESSION_SECONDS[name], events)
+        channels[name] = PahoChannel(lambda: account(pod), f"{agent}-{name}", SESSION_SECONDS[name], events)
+        return channels[name]
 
     bridge = Bridge(RosNode("mqtt_bridge"), channel, session, process.log)
     follower = Follower(bridge, process)
@@ -41,23 +44,28 @@ def body(process: Process) -> None:
     if pod.config_map is not None:
         follower.follow(*split_name(pod.config_map))
     gc.freeze()
-    loop(process, bridge, follower, period)
+    loop(process, bridge, follower, channels, period)
     bridge.close()
 
 
-def loop(process: Process, bridge: Bridge, follower: Follower, period: float) -> None:
+def loop(
+    process: Process, bridge: Bridge, follower: Follower, channels: Mapping[str, PahoChannel], period: float
+) -> None:
     """Turn the bridge every `period` seconds, and a connection with large frames whenever it can go on."""
     due = time.monotonic()
     while not process.stopping.is_set():
         follower.apply_news()
         bridge.turn(time.monotonic())
         due = max(due + period, time.monotonic())
-        channels = bridge.channels
-        prompt = [c for name, c in channels.items() if name == BULK and isinstance(c, PahoChannel)]
-        everyone = [c for c in channels.values() if isinstance(c, PahoChannel)]
-        while (left := due - time.monotonic()) > 0 and wait(everyone, prompt, left):
-            for name in channels:
-                bridge.turn_channel(name, time.monotonic())
+        while (left := due - time.monotonic()) > 0:
+            active = [channels[name] for name in bridge.channels]
+            prompt = [channels[BULK]] if BULK in bridge.channels else []
+            writing = [channel for channel in active if channel.wants_write]
+            if not prompt and not writing:
+                time.sleep(left)
+            elif wait(writing, prompt, left):
+                for name in bridge.channels:
+                    bridge.turn_channel(name, time.monotonic())
 
 
 class Follower:

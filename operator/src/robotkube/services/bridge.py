@@ -7,7 +7,7 @@ is what makes it cheap: one frame, one packet, one acknowledgement for all messa
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 from robotkube.domain.bridging import BULK, BridgedTopic, BridgeSettings, difference
@@ -154,9 +154,9 @@ class Bridge:
         return self._settings
 
     @property
-    def channels(self) -> Mapping[str, FrameChannel]:
-        """The connections by name."""
-        return {name: link.channel for name, link in self._links.items()}
+    def channels(self) -> tuple[str, ...]:
+        """Names of the connections in use."""
+        return tuple(self._links)
 
     def configure(self, settings: BridgeSettings) -> None:
         """Carry these topics from now on. Only what differs is closed and opened; a topic that cannot be opened
@@ -208,6 +208,13 @@ class Bridge:
 
     def close(self) -> None:
         """Hand over what the connections take at once, then part from the broker."""
+        self._log(
+            "closing",
+            out={name: out.messages for name, out in self._outgoing.items()},
+            **{"in": {name: into.messages for name, into in self._incoming.items()}},
+            queued={name: len(link.outbox) for name, link in self._links.items()},
+            dropped={name: link.outbox.dropped for name, link in self._links.items()},
+        )
         for link in self._links.values():
             link.close()
 

@@ -1,7 +1,7 @@
 """Plays a bag on the clock that all players share, and keeps the ledger of what it published.
 
 A message is due at `start + offset` of the wall clock, absolutely: a stall is made up for, nothing drifts, nothing is
-left out. A player that comes back in the middle of a run goes on where its ledger ends, without what was missed meanwhile.
+left out. A player that comes back in the middle of a run goes on where its ledger ends, without what was missed.
 """
 
 from __future__ import annotations
