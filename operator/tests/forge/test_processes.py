@@ -1,5 +1,6 @@
 """Gate and bootstrap as processes with their settings files, on a real forge, a real database and a real API server."""
 
+import base64
 import json
 import os
 import signal
@@ -16,7 +17,8 @@ import httpx
 import pymongo
 import pytest
 import yaml
-from api_server import NAMESPACE, ApiServer
+from api_server import ApiServerProcess
+from argocd_objects import NAMESPACE, bootstrap_kubeconfig, connect, install_argocd
 from forge_process import ForgeProcess, find_program, free_port
 from installation import (
     CATALOGUE,
@@ -151,7 +153,8 @@ class World:
 
     forge: ForgeProcess
     database: tuple[int, str]
-    api: ApiServer
+    api: ApiServerProcess
+    kubeconfig: Path
 
 
 @pytest.fixture(scope="module")
@@ -159,7 +162,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
     folder, port, password = tmp_path_factory.mktemp("world"), free_port(), "set up"
     (folder / "database").mkdir()
     (folder / "api").mkdir()
-    forge, api = ForgeProcess(folder / "forge"), ApiServer(folder / "api")
+    forge, api = ForgeProcess(folder / "forge"), ApiServerProcess(folder / "api")
     command = [
         str(find_program().parent / "ferretdb"), "--handler=sqlite", f"--sqlite-url=file:{folder}/database/",
         f"--state-dir={folder}/database", f"--listen-addr=127.0.0.1:{port}", "--debug-addr=-",
@@ -171,8 +174,8 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
     try:
         forge.start()
         api.start()
-        api.install_argocd()
-        yield World(forge, (port, password), api)
+        install_argocd(api)
+        yield World(forge, (port, password), api, bootstrap_kubeconfig(api, folder))
     finally:
         api.stop()
         forge.remove()
@@ -256,7 +259,7 @@ def bootstrap_settings(world: World, folder: Path, passwords: dict[str, str]) ->
 
 def run_bootstrap(world: World, folder: Path, settings: dict[str, Any]) -> tuple[int, list[dict[str, Any]]]:
     environment = write_settings(folder, settings)
-    environment |= {"KUBECONFIG": str(world.api.kubeconfig("bootstrap")), "PYTHONWARNINGS": "ignore"}
+    environment |= {"KUBECONFIG": str(world.kubeconfig), "PYTHONWARNINGS": "ignore"}
     command = [sys.executable, "-m", "robotkube.entrypoints.bootstrap"]
     done = subprocess.run(
         command, env=environment, capture_output=True, text=True, timeout=PROCESS_SECONDS_MAX, check=False
@@ -301,7 +304,7 @@ def test_the_bootstrap_process_makes_everything_once(world: World, tmp_path: Pat
 
 
 def argocd_is_wired(world: World, passwords: dict[str, str]) -> None:
-    api = world.api.connect("administrator")
+    api = connect(world.api)
     core = client.CoreV1Api(api)
     settings = core.read_namespaced_config_map("argocd-cm", NAMESPACE).data
     assert settings == {"url": "http://x", "accounts.manager": "login"}
@@ -319,8 +322,6 @@ def argocd_is_wired(world: World, passwords: dict[str, str]) -> None:
 
 
 def decoded(value: str) -> str:
-    import base64
-
     return base64.b64decode(value).decode()
 
 

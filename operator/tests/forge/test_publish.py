@@ -4,9 +4,11 @@ import hashlib
 import io
 import json
 import tarfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import httpx
+import pygit2
 import pytest
 from installation import Installation
 
@@ -46,6 +48,18 @@ def image(folder: Path, name: str, content: bytes) -> Image:
 
 def descriptor(kind: str, data: bytes) -> dict[str, object]:
     return {"mediaType": kind, "digest": "sha256:" + hashlib.sha256(data).hexdigest(), "size": len(data)}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _catalogue_as_before(installation: Installation) -> Iterator[None]:
+    """The other tests of the session have a catalogue of their own, with charts that were never packed."""
+    clone = installation.clone("publisher", "robotkube/catalogue")
+    before = clone.repository[clone.tip()].tree
+    yield
+    who = pygit2.Signature("publisher", "publisher@forge.invalid")
+    tip = clone.tip()
+    commit = clone.repository.create_commit(None, who, who, "as before\n", before.id, [tip])
+    assert clone.push(str(commit), "refs/heads/main") == ""
 
 
 @pytest.fixture
