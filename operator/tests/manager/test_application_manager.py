@@ -362,6 +362,32 @@ def test_a_broken_catalogue_or_policy_never_withdraws(stage: Stage) -> None:
     assert len(stage.forge.pulls) == 1
 
 
+def test_a_task_that_was_made_anew_under_its_old_name_gets_its_own_status_and_chance(stage: Stage) -> None:
+    stage.forge.decide = lambda pull: stage.forge.refuse(pull, "no")
+    key = stage.ask()
+    stage.go(6)
+    assert stage.tasks.condition(key, "Committed") == ("False", "ProposalRefused")
+    stage.forge.decide = stage.forge.merge
+    stage.tasks.delete(key)
+    stage.ask()
+    stage.tasks.objects[key]["metadata"]["uid"] = "another"
+    stage.go(6)
+    assert stage.tasks.condition(key, "Committed") == ("True", "Merged")
+
+
+def test_a_status_that_is_refused_does_not_hold_the_others(stage: Stage) -> None:
+    def refuse(namespace: str, name: str, status: Any) -> bool:
+        if name == "bad":
+            raise InputError("status.plan: too long")
+        return MemoryTasks.patch_status(stage.tasks, namespace, name, status)
+
+    stage.tasks.patch_status = refuse  # type: ignore[method-assign]
+    stage.ask("bad", ("vehicle-00", "vehicle-02"))
+    good = stage.ask("good")
+    stage.settle()
+    assert stage.tasks.condition(good, "Ready") == ("True", "Observed")
+
+
 def test_people_change_the_initial_configuration(stage: Stage) -> None:
     text = "add:\n- {application: bag-player, forRole: vehicle, parameters: {claim: run}}\nremove: []\n"
     stage.repository.push({"policies/initial.yaml": text})

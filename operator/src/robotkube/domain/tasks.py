@@ -32,6 +32,7 @@ class TaskDescription:
     application: str
     parameters: Mapping[str, Any]
     event_details: Mapping[str, Any] = field(default_factory=dict)
+    identity: str = ""
 
     @property
     def key(self) -> str:
@@ -48,6 +49,12 @@ def object_key(document: Mapping[str, Any]) -> str:
     """`<namespace>/<name>` of any Kubernetes object."""
     metadata = document.get("metadata", {})
     return f"{metadata.get('namespace', '')}/{metadata.get('name', '')}"
+
+
+def object_identity(document: Mapping[str, Any]) -> str:
+    """What tells an object from a later one of the same name."""
+    metadata = document.get("metadata", {})
+    return f"{metadata.get('uid', '')} {metadata.get('creationTimestamp', '')}"
 
 
 def is_withdrawn(document: Mapping[str, Any]) -> bool:
@@ -84,6 +91,7 @@ def read_task(document: Mapping[str, Any]) -> TaskDescription:
         application=reader.text(spec.get("application"), "spec.application", NAME),
         parameters=parameters,
         event_details={key: str(value) for key, value in event.items()},
+        identity=object_identity(document),
     )
     reader.finish()
     return task

@@ -186,7 +186,9 @@ def _stop_with(process: Process, manager: ApplicationManager) -> None:
 
 def _server(found: ManagerConfiguration, manager: ApplicationManager, cluster: KubernetesWorld) -> WebServer:
     def deliver(delivery: Delivery) -> None:
-        manager.wake(CATALOGUE if delivery.repository == found.catalogue else DEPLOYMENT)
+        """Main moved, or a proposal was closed; that one was opened is no news."""
+        if delivery.event == "push" or delivery.payload.get("action") == "closed":
+            manager.wake(CATALOGUE if delivery.repository == found.catalogue else DEPLOYMENT)
 
     return WebServer(
         found.listen.address,

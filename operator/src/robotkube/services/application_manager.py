@@ -24,9 +24,9 @@ from robotkube.services.manager_reading import CatalogueReader, MainReader, cata
 from robotkube.services.manager_records import PlanRecord, PlanRecords, record_of, records_of
 from robotkube.services.manager_statuses import Situation, StatusWriter
 
-DECISION_POLL_SECONDS = 0.2
+DECISION_POLL_SECONDS = 0.5  # the forge's webhook is the normal way; asking costs the forge what the gate needs
 DECISION_EAGER_SECONDS = 5.0
-DECISION_POLL_SECONDS_LATER = 1.0
+DECISION_POLL_SECONDS_LATER = 2.0
 DECISION_SECONDS_MAX = 60.0
 ATTEMPTS_MAX = 10
 PAUSE_SECONDS = 5.0

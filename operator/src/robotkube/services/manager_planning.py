@@ -101,7 +101,7 @@ class Planner:
         return sorted((t for t in self.tasks.values() if t.key not in answered), key=lambda t: (t.created, t.key))
 
     def _inputs(self, task: TaskDescription) -> str:
-        return f"{task.generation} {self._catalogue.tip} {self._main.policy_text}"
+        return f"{task.identity} {task.generation} {self._catalogue.tip} {self._main.policy_text}"
 
     def _compose(self, tasks: list[TaskDescription]) -> Desired:
         machines = fleet(self._settings.agents, self._cluster.nodes())

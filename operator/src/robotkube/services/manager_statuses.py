@@ -9,9 +9,10 @@ from datetime import UTC, datetime
 from typing import Any
 
 from robotkube.domain.composition import Met, Refused
+from robotkube.domain.errors import InputError
 from robotkube.domain.observation import ApplicationState, Verdict, judge_present
 from robotkube.domain.releases import RELEASES, Release, application_name
-from robotkube.domain.tasks import Condition, is_withdrawn, object_key, write_conditions
+from robotkube.domain.tasks import Condition, is_withdrawn, object_identity, object_key, write_conditions
 from robotkube.ports import TaskStore
 from robotkube.services.manager_records import PlanRecord
 
@@ -38,12 +39,13 @@ class StatusWriter:
 
     def __init__(self, tasks: TaskStore, now_ns: Callable[[], int]) -> None:
         self._tasks, self._now_ns = tasks, now_ns
-        self._written: dict[str, dict[str, Any]] = {}
+        self._written: dict[str, tuple[str, dict[str, Any]]] = {}
 
     def write(self, situation: Situation) -> None:
         """Bring the statuses of all tasks up to date."""
         documents = {object_key(d): d for d in self._tasks.tasks() if not is_withdrawn(d)}
-        self._written = {key: status for key, status in self._written.items() if key in documents}
+        same = {key for key, (identity, _) in self._written.items() if identity == _identity(documents.get(key))}
+        self._written = {key: written for key, written in self._written.items() if key in same}
         for key, document in documents.items():
             self._write(key, document, situation)
 
@@ -52,7 +54,7 @@ class StatusWriter:
         if not conditions:
             return
         generation = int(document["metadata"].get("generation", 1))
-        before = self._written.get(key) or document.get("status") or {}
+        before = self._written[key][1] if key in self._written else document.get("status") or {}
         now = datetime.fromtimestamp(self._now_ns() / 1e9, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
         status = {
             "observedGeneration": generation,
@@ -61,10 +63,22 @@ class StatusWriter:
         }
         if all(before.get(name) == value for name, value in status.items()):
             return
-        namespace, name = key.split("/")
-        if self._tasks.patch_status(namespace, name, status):
-            self._written[key] = status
+        if self._patch(key, status):
+            self._written[key] = (object_identity(document), status)
             log.info("task %s", " ".join([f"task={key}", *(f"{c.type}={c.status}/{c.reason}" for c in conditions)]))
+
+    def _patch(self, key: str, status: Mapping[str, Any]) -> bool:
+        """One status that the API server refuses must not hold the others."""
+        namespace, name = key.split("/")
+        try:
+            return self._tasks.patch_status(namespace, name, status)
+        except InputError as error:
+            log.error("status refused task=%s reason=%s", key, error)
+            return True
+
+
+def _identity(document: Mapping[str, Any] | None) -> str | None:
+    return object_identity(document) if document is not None else None
 
 
 def derive(key: str, situation: Situation) -> tuple[list[Condition], dict[str, Any]]:
