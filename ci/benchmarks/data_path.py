@@ -23,19 +23,23 @@ from robotkube.testing.api_server import ApiServerInMemory
 CONNECT_SECONDS_MAX = 60.0
 LEAD_SECONDS = 3.0
 SETTLE_SECONDS = 2.0
+BRIDGE = "mqtt-bridge"
 
 
 class Setting:
     """All processes of one measurement."""
 
-    def __init__(self, folder: Path, vehicles: int, lidars: int, seconds: float, clouds: bool, period_ms: int) -> None:
+    def __init__(
+        self, folder: Path, vehicles: int, lidars: int, seconds: float, clouds: bool = False, period_ms: int = 30
+    ) -> None:
         self.folder, self.seconds, self.period_ms = folder, seconds, period_ms
         self.agents = [f"vehicle-{number:02d}" for number in range(vehicles)]
         self.tracks = {
             agent: [bags.pose_track(agent), *(bags.lidar_tracks(agent) if number < lidars else [])]
             for number, agent in enumerate(self.agents)
         }
-        self.clouds = clouds
+        self.bridged = {agent: list(tracks if clouds else tracks[:1]) for agent, tracks in self.tracks.items()}
+        self.hashes = False
         self.nodes = pods.Nodes()
         self.api = ApiServerInMemory("0.0.0.0")  # noqa: S104 - pods reach it at their node's gateway
         rules = {agent: pods.vehicle_rules(agent) for agent in self.agents}
@@ -55,13 +59,27 @@ class Setting:
         """Start broker, receiver, cloud bridge, then bridges and players of the vehicles."""
         self.broker.start()
         cloud = self.nodes.node()
-        topics = [track for agent in self.agents for track in self._bridged(agent)]
-        self._receiver(cloud, topics)
-        self._bridge(cloud, "cloud-0", "cloud bridge", incoming=topics)
+        self._receiver(cloud)
+        self.cloud_bridge = self._bridge(cloud, "cloud-0", "cloud bridge")
         for agent in self.agents:
             node = self.nodes.node()
-            self._bridge(node, agent, "vehicle bridges", outgoing=self._bridged(agent))
+            self._bridge(node, agent, "vehicle bridges")
             self._player(node, agent)
+
+    def configure(self) -> None:
+        """Give all bridges the settings that fit `bridged`."""
+        for agent in [*self.agents, "cloud-0"]:
+            self.api.put_config_map(agent, BRIDGE, {"config.yaml": json.dumps(self._bridge_settings(agent))})
+
+    def restart_cloud_bridge(self) -> None:
+        """End it as a pod is ended, and start it in the same place."""
+        self.cloud_bridge.stop()
+        self.pods.remove(self.cloud_bridge)
+        self.cloud_bridge = self._bridge(0, "cloud-0", "cloud bridge", self.cloud_namespace)
+
+    def connected(self, agent: str) -> bool:
+        """Whether the agent's bridge has been connected."""
+        return '"connected"' in (self.folder / agent / f"{BRIDGE}.log").read_text()
 
     def order(self, start: int) -> None:
         """Let all players play from `start` (ns)."""
@@ -82,8 +100,11 @@ class Setting:
             largest[pod.component] = max(largest.get(pod.component, 0), pod.memory_bytes())
         return largest
 
-    def _bridged(self, agent: str) -> list[bags.Track]:
-        return self.tracks[agent] if self.clouds else self.tracks[agent][:1]
+    def _bridge_settings(self, agent: str) -> dict[str, object]:
+        everything = [track for tracks in self.bridged.values() for track in tracks]
+        if agent in self.bridged:
+            return {"agent": agent, "out": _items(self.bridged[agent])}
+        return {"agent": agent, "in": _items(everything)}
 
     def _environment(self, agent: str, node: int, name: str) -> dict[str, str]:
         port = self.api.url.rpartition(":")[2]
@@ -95,7 +116,16 @@ class Setting:
             "ROBOTKUBE_PERIOD_MS": str(self.period_ms),
         }
 
-    def _launch(self, component: str, node: int, agent: str, name: str, module: str, settings: object) -> None:
+    def _launch(
+        self,
+        component: str,
+        node: int,
+        agent: str,
+        name: str,
+        module: str,
+        settings: object,
+        namespace: str | None = None,
+    ) -> pods.Pod:
         text = json.dumps(settings)
         path = self.folder / agent / f"{name}.yaml"
         path.parent.mkdir(exist_ok=True)
@@ -103,18 +133,16 @@ class Setting:
         self.api.put_config_map(agent, name, {"config.yaml": text})
         environment = self._environment(agent, node, name)
         log = self.folder / agent / f"{name}.log"
-        self.pods.append(pods.start(component, pods.python(module), environment, log, self.nodes.pod(node)))
+        place = namespace or self.nodes.pod(node)
+        self.pods.append(pods.start(component, pods.python(module), environment, log, place))
+        return self.pods[-1]
 
-    def _bridge(
-        self,
-        node: int,
-        agent: str,
-        component: str,
-        outgoing: list[bags.Track] | None = None,
-        incoming: list[bags.Track] | None = None,
-    ) -> None:
-        settings = {"agent": agent, "out": _items(outgoing or []), "in": _items(incoming or [])}
-        self._launch(component, node, agent, "mqtt-bridge", "robotkube.entrypoints.bridge", settings)
+    def _bridge(self, node: int, agent: str, component: str, namespace: str | None = None) -> pods.Pod:
+        place = namespace or self.nodes.pod(node)
+        if agent not in self.bridged:
+            self.cloud_namespace = place
+        settings = self._bridge_settings(agent)
+        return self._launch(component, node, agent, BRIDGE, "robotkube.entrypoints.bridge", settings, place)
 
     def _player(self, node: int, agent: str) -> None:
         bag = self.folder / "bags" / agent
@@ -122,9 +150,12 @@ class Setting:
         settings = {"agent": agent, "bag": str(bag), "ledger": str(self.folder / "ledger" / agent)}
         self._launch("players", node, agent, "bag-player", "robotkube.entrypoints.player", settings)
 
-    def _receiver(self, node: int, tracks: list[bags.Track]) -> None:
+    def _receiver(self, node: int) -> None:
+        """Subscribes to every topic of the bags, also to those that are not bridged (yet)."""
+        tracks = [track for tracks in self.tracks.values() for track in tracks]
         topics = [f"{t.name}={t.type}{':latched' if t.durability == 'transient_local' else ''}" for t in tracks]
-        command = pods.python("ci.benchmarks.receiver", str(self.folder / "received.json"), *topics)
+        options = ["--hashes"] if self.hashes else []
+        command = pods.python("ci.benchmarks.receiver", str(self.folder / "received.json"), *options, *topics)
         log = self.folder / "receiver.log"
         self.pods.append(pods.start("detector input", command, {}, log, self.nodes.pod(node)))
 
@@ -156,7 +187,7 @@ def measure(setting: Setting) -> dict[str, object]:
     """Run once; figures as printed."""
     setting.begin()
     begin = time.monotonic()
-    while "connected" not in (setting.folder / setting.agents[-1] / "mqtt-bridge.log").read_text():
+    while not all(setting.connected(agent) for agent in [*setting.agents, "cloud-0"]):
         if time.monotonic() - begin > CONNECT_SECONDS_MAX:
             raise SystemExit(f"the bridges do not connect; see {setting.folder}")
         time.sleep(0.1)

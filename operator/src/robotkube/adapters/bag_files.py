@@ -36,7 +36,14 @@ class BagFile:
 
     def __init__(self, folder: Path) -> None:
         self.path = _mcap_file(folder)
-        self._file = self.path.open("rb")
+        self._file = self._open()
+        try:
+            self._read_summary()
+        except InputError:
+            self._file.close()
+            raise
+
+    def _read_summary(self) -> None:
         summary = _summary(self._file, self.path)
         self._chunks = sorted(
             summary.chunk_indexes, key=lambda chunk: (chunk.message_start_time, chunk.message_end_time)
@@ -46,6 +53,16 @@ class BagFile:
         compressed = [chunk.compression for chunk in self._chunks if chunk.compression]
         if compressed:
             raise InputError(f"{self.path}: chunks are compressed ({compressed[0]}); write the bag without compression")
+
+    def close(self) -> None:
+        """Give the file back."""
+        self._file.close()
+
+    def _open(self) -> BinaryIO:
+        try:
+            return self.path.open("rb")
+        except OSError as error:
+            raise InputError(f"{self.path}: cannot be read ({error}); metadata.yaml names it") from error
 
     def messages(self) -> Iterator[tuple[str, int, bytes]]:
         """See the port."""

@@ -98,6 +98,13 @@ class ApiServer:
         """Delete an object; False when there was none."""
         return self._call("DELETE", path)[0] != 404
 
+    def close(self) -> None:
+        """Give the kept connection back; the next call makes a new one."""
+        with self._lock:
+            if self._connection is not None:
+                self._connection.close()
+                self._connection = None
+
     def open(self, timeout_seconds: float) -> http.client.HTTPConnection:
         """A connection of its own, not connected yet."""
         parts = urlsplit(self.url)
@@ -215,6 +222,7 @@ class ConfigMapWatch:
         listed = self._api.get(f"{path}?{urlencode(selector)}")
         if listed is None:
             raise InputError(f"namespace {self._namespace} has no ConfigMaps")
+        self._api.close()  # the watch has a connection of its own
         self._tell(listed["items"][0] if listed.get("items") else None)
         self.complaint = None
         version = listed["metadata"]["resourceVersion"]

@@ -23,7 +23,6 @@ import re
 import sys
 from collections.abc import Callable
 from importlib.machinery import ModuleSpec
-from importlib.resources import files
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -196,6 +195,6 @@ def _bindings() -> Any:
 def _use_profile() -> None:
     """Give Fast DDS the profile of this package unless the environment names another one."""
     if PROFILE_VARIABLE not in os.environ:
-        profile = files("robotkube") / "profiles" / "fastdds.xml"
+        profile = Path(__file__).parents[1] / "profiles" / "fastdds.xml"
         if profile.is_file():
             os.environ[PROFILE_VARIABLE] = str(profile)

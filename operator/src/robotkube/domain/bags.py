@@ -66,9 +66,9 @@ def read_player_settings(document: Mapping[str, Any], where: str) -> PlayerSetti
     reader = Reader(where)
     values = reader.mapping(document, "", ["agent", "bag", "ledger"])
     settings = PlayerSettings(
-        agent=reader.word(values.get("agent", ""), "agent", _AGENT),
-        bag=reader.word(values.get("bag", ""), "bag", _PATH),
-        ledger=reader.word(values.get("ledger", ""), "ledger", _PATH),
+        agent=reader.text(values.get("agent"), "agent", _AGENT),
+        bag=reader.text(values.get("bag"), "bag", _PATH),
+        ledger=reader.text(values.get("ledger"), "ledger", _PATH),
     )
     reader.finish()
     return settings

@@ -71,7 +71,7 @@ def read_bridge_settings(document: Mapping[str, Any], where: str) -> BridgeSetti
     reader = Reader(where)
     values = reader.mapping(document, "", ["agent"], ["out", "in"])
     settings = BridgeSettings(
-        agent=reader.word(values.get("agent", ""), "agent", _AGENT),
+        agent=reader.text(values.get("agent"), "agent", _AGENT),
         outgoing=_topics(reader, values.get("out"), "out"),
         incoming=_topics(reader, values.get("in"), "in"),
     )
@@ -100,8 +100,8 @@ def _topic(reader: Reader, item: Any, path: str) -> BridgedTopic:
     if not isinstance(depth, int) or isinstance(depth, bool) or not 1 <= depth <= DEPTH_MAX:
         reader.problems.append(f"{join(path, 'depth')}: {depth!r} must be a number of messages from 1 to {DEPTH_MAX}")
     return BridgedTopic(
-        name=reader.word(values.get("name", ""), join(path, "name"), _TOPIC),
-        type=reader.word(values.get("type", ""), join(path, "type"), _TYPE),
+        name=reader.text(values.get("name"), join(path, "name"), _TOPIC),
+        type=reader.text(values.get("type"), join(path, "type"), _TYPE),
         channel=reader.word(values.get("channel"), join(path, "channel"), _CHANNEL, TELEMETRY),
         reliability=reader.word(values.get("reliability"), join(path, "reliability"), _RELIABILITY, "reliable"),
         durability=reader.word(values.get("durability"), join(path, "durability"), _DURABILITY, "volatile"),

@@ -21,6 +21,7 @@ from robotkube.services.bridge import Bridge
 
 GRACE_SECONDS = 2.0
 PERIOD_SECONDS = 0.03
+MATCH_SECONDS_MAX, MATCH_POLL_SECONDS = 1.5, 0.02
 SESSION_SECONDS = {"telemetry": 60, BULK: 5}
 KEY = "config.yaml"
 
@@ -43,9 +44,17 @@ def body(process: Process) -> None:
     follower.apply(read_text(pod.config_file, "the bridge's settings"), str(pod.config_file))
     if pod.config_map is not None:
         follower.follow(*split_name(pod.config_map))
+    await_sinks(process, bridge)
     gc.freeze()
     loop(process, bridge, follower, channels, period)
     bridge.close()
+
+
+def await_sinks(process: Process, bridge: Bridge) -> None:
+    """Let the subscribers of this node find the new publishers before the broker hands over what it kept."""
+    deadline = time.monotonic() + MATCH_SECONDS_MAX
+    while not bridge.sinks_matched and time.monotonic() < deadline and not process.stopping.is_set():
+        time.sleep(MATCH_POLL_SECONDS)
 
 
 def loop(

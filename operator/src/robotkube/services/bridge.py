@@ -6,7 +6,6 @@ is what makes it cheap: one frame, one packet, one acknowledgement for all messa
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
@@ -53,17 +52,16 @@ class _Link:
         self.retained: dict[str, OutgoingFrame] = {}
         self.bad_frames = self.lost_sinks = self.connections = 0
         self.refusals: dict[str, str] = {}
-        self._log = log
+        self._log, self._now = log, 0.0
         self.channel = make(agent, name, self)
 
     def connected(self, session_kept: bool) -> None:
         """Subscribe anew; a broker without a session of ours has lost what it retained, too."""
-        now = time.monotonic()
         self.connections += 1
         self.refusals.clear()
         self._log("connected", channel=self.name, session_kept=session_kept)
         self.channel.subscribe(list(self.incoming))
-        self.outbox.connected(now)
+        self.outbox.connected(self._now)
         if not session_kept:
             waiting = {frame.payload for frame in self.outbox.waiting}
             for frame in self.retained.values():
@@ -73,11 +71,11 @@ class _Link:
     def disconnected(self) -> None:
         """What was on its way waits again."""
         self._log("disconnected", channel=self.name, reason=self.channel.complaint)
-        self.outbox.disconnected(time.monotonic())
+        self.outbox.disconnected(self._now)
 
     def acknowledged(self, token: int, heard: bool) -> None:
         """The broker has a frame."""
-        self.outbox.acknowledged(token, heard, time.monotonic())
+        self.outbox.acknowledged(token, heard, self._now)
 
     def refused(self, topic: str, reason: str) -> None:
         """Kept as a complaint until the next connection."""
@@ -115,7 +113,8 @@ class _Link:
                     self._log("message lost", topic=incoming.topic.name, error=str(error))
 
     def turn(self, now: float) -> None:
-        """Read, then hand over as much as the outbox lets go, then write."""
+        """Read, then hand over as much as the outbox lets go, then write. All events come within a turn."""
+        self._now = now
         self.channel.turn(now)
         if self.channel.complaint is None:
             self._hand_over(now)
@@ -123,7 +122,7 @@ class _Link:
 
     def close(self) -> None:
         """Hand over what the connection takes at once, then part from the broker."""
-        self.turn(time.monotonic())
+        self.turn(self._now)
         self.channel.close()
 
     def _hand_over(self, now: float) -> None:
@@ -146,7 +145,7 @@ class Bridge:
         self._links: dict[str, _Link] = {}
         self._sequences: dict[str, int] = {}
         self._problems: dict[str, str] = {}
-        self._matched_at = 0.0
+        self._matched_at = self._now = 0.0
 
     @property
     def settings(self) -> BridgeSettings | None:
@@ -157,6 +156,11 @@ class Bridge:
     def channels(self) -> tuple[str, ...]:
         """Names of the connections in use."""
         return tuple(self._links)
+
+    @property
+    def sinks_matched(self) -> bool:
+        """Whether every publisher has found a subscription."""
+        return all(incoming.sink.matched for incoming in self._incoming.values())
 
     def configure(self, settings: BridgeSettings) -> None:
         """Carry these topics from now on. Only what differs is closed and opened; a topic that cannot be opened
@@ -187,7 +191,8 @@ class Bridge:
         )
 
     def turn(self, now: float) -> None:
-        """Move everything that waits."""
+        """Move everything that waits. `now` in seconds of a clock that never goes back."""
+        self._now = now
         for outgoing in self._outgoing.values():
             messages = outgoing.source.take(MESSAGES_PER_TURN_MAX)
             if messages:
@@ -293,7 +298,7 @@ class Bridge:
         link = self._links[outgoing.topic.channel]
         link.outbox.forget(outgoing.topic.mqtt)
         if link.retained.pop(name, None) is not None:
-            link.outbox.put(OutgoingFrame(outgoing.topic.mqtt, b"", 0, True, time.monotonic()))
+            link.outbox.put(OutgoingFrame(outgoing.topic.mqtt, b"", 0, True, self._now))
 
     def _close_incoming(self, name: str) -> None:
         self._problems.pop(name, None)

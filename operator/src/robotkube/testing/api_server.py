@@ -9,8 +9,10 @@ Objects have resourceVersions and merge patches; there are no accounts and no sc
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
+import socket
 import threading
 import time
 from collections.abc import Mapping
@@ -33,6 +35,7 @@ class ApiServerInMemory:
         self._events: list[tuple[int, str, str, dict[str, Any]]] = []  # version, list path, type, object
         self._version = 1
         self._closed = False
+        self._connections: set[socket.socket] = set()
         self._server = ThreadingHTTPServer((address, port), _handler(self))
         self._server.daemon_threads = True
 
@@ -45,7 +48,14 @@ class ApiServerInMemory:
             self._closed = True
             self._lock.notify_all()
         self._server.shutdown()
+        for connection in list(self._connections):
+            with contextlib.suppress(OSError):
+                connection.shutdown(socket.SHUT_RDWR)
         self._server.server_close()
+
+    def note_connection(self, connection: socket.socket, is_open: bool) -> None:
+        """Connections are ended with the server."""
+        (self._connections.add if is_open else self._connections.discard)(connection)
 
     @property
     def url(self) -> str:
@@ -132,6 +142,15 @@ def merged(old: Any, patch: Any) -> Any:
 def _handler(server: ApiServerInMemory) -> type[BaseHTTPRequestHandler]:
     class Handler(BaseHTTPRequestHandler):
         protocol_version = "HTTP/1.1"
+
+        def setup(self) -> None:
+            super().setup()
+            server.note_connection(self.connection, True)
+
+        def finish(self) -> None:
+            server.note_connection(self.connection, False)
+            with contextlib.suppress(OSError):
+                super().finish()
 
         def log_message(self, *_: object) -> None:
             """Quiet."""

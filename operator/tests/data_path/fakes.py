@@ -1,0 +1,93 @@
+"""A ROS network and an MQTT connection in memory."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from robotkube.domain.errors import InputError
+from robotkube.ports import ChannelEvents
+
+
+@dataclass
+class Endpoint:
+    """A subscription or a publisher."""
+
+    topic: str
+    waiting: list[bytes] = field(default_factory=list)
+    published: list[bytes] = field(default_factory=list)
+    closed: bool = False
+    matched: int = 1
+
+    def take(self, messages_max: int = 1000) -> list[bytes]:
+        taken, self.waiting = self.waiting[:messages_max], self.waiting[messages_max:]
+        return taken
+
+    def publish(self, data: bytes) -> None:
+        self.published.append(data)
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class Network:
+    """Endpoints by topic; types of package `nowhere` are unknown."""
+
+    def __init__(self) -> None:
+        self.made: list[Endpoint] = []
+
+    def subscribe(self, topic: str, type_name: str, *_: object, **__: object) -> Endpoint:
+        if type_name.startswith("nowhere/"):
+            raise InputError(f"type {type_name}: message package nowhere is not installed in this image")
+        self.made.append(Endpoint(topic))
+        return self.made[-1]
+
+    advertise = subscribe
+
+    def endpoint(self, topic: str) -> Endpoint:
+        """The open endpoint of a topic."""
+        (found,) = [e for e in self.made if e.topic == topic and not e.closed]
+        return found
+
+
+class Channel:
+    """Notes what it is told; the test plays the broker."""
+
+    def __init__(self, name: str, events: ChannelEvents) -> None:
+        self.name, self.events = name, events
+        self.complaint: str | None = "not connected"
+        self.sent: list[tuple[str, bytes, bool]] = []
+        self.subscribed: list[str] = []
+        self.unsubscribed: list[str] = []
+        self.closed = False
+
+    def connect(self, session_kept: bool = False) -> None:
+        """The broker takes the connection."""
+        self.complaint = None
+        self.events.connected(session_kept)
+
+    def lose(self) -> None:
+        """The connection breaks."""
+        self.complaint = "lost"
+        self.events.disconnected()
+
+    def acknowledge(self, token: int, heard: bool = True) -> None:
+        """The broker has the frame."""
+        self.events.acknowledged(token, heard)
+
+    def turn(self, now: float) -> None: ...
+
+    def flush(self) -> None: ...
+
+    def publish(self, topic: str, payload: bytes, retained: bool) -> int | None:
+        self.sent.append((topic, payload, retained))
+        return len(self.sent)
+
+    def subscribe(self, topics: Sequence[str]) -> None:
+        self.subscribed += topics if self.complaint is None else []
+
+    def unsubscribe(self, topics: Sequence[str]) -> None:
+        self.unsubscribed += topics if self.complaint is None else []
+
+    def close(self) -> None:
+        self.closed = True
