@@ -83,6 +83,8 @@ def twice(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, BuiltImage
 @needs_buildah
 @pytest.mark.thorough
 def test_all_images_built_twice_from_nothing_have_the_same_digests(twice: list[dict[str, BuiltImage]]) -> None:
+    keys = [{name: image.archive.parent.name for name, image in built.items()} for built in twice]
+    assert keys[0] == keys[1], "the sources were edited while this test was building; run it on a quiet tree"
     references = [{name: image.reference for name, image in built.items()} for built in twice]
     assert references[0] == references[1]
     assert set(references[0]) == {image.name for image in IMAGES}
