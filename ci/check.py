@@ -32,7 +32,7 @@ def repository_rules() -> list[str]:
     findings = []
     if (TOP / "operator/__init__.py").exists():
         findings.append("operator/__init__.py: shadows the standard library's `operator`; remove it")
-    machine = re.compile(r"(?<![\w.])/(?:root|home/\w+|tmp/\w+)/[A-Za-z.]")
+    machine = re.compile(r"(?<![\w.}])/(?:root|home/\w+|tmp/\w+)/[A-Za-z.]")
     registries = re.compile(r"https?://[\w.-]*(?:pypi|pythonhosted|npmjs|proxy\.golang|mirror|deb\.debian)[\w.-]*")
     for name in tracked("*.py", "*.md", "*.yaml", "*.txt", "*.toml", "Makefile", "*.sh", "*.mod"):
         for number, line in enumerate((TOP / name).read_text(encoding="utf-8").splitlines(), 1):
@@ -43,7 +43,9 @@ def repository_rules() -> list[str]:
     for name in tracked("*.py"):
         lines = (TOP / name).read_text(encoding="utf-8").count("\n")
         if lines > LONGEST_MODULE_LINES:
-            findings.append(f"{name}: {lines} lines; a module of more than {LONGEST_MODULE_LINES} is more than one idea")
+            findings.append(
+                f"{name}: {lines} lines; a module of more than {LONGEST_MODULE_LINES} is more than one idea"
+            )
     return findings
 
 

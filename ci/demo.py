@@ -1,6 +1,6 @@
 """`make demo`: from nothing to the scenario's report. Every step is idempotent and says what it found in the cache.
 
-    python -m ci.demo SCENARIO [--set vehicles=3] [--until cluster|platform] [--name demo]
+python -m ci.demo SCENARIO [--set vehicles=3] [--until cluster|platform] [--name demo]
 """
 
 from __future__ import annotations
@@ -73,7 +73,9 @@ def run(request: Request) -> int:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(prog="make demo", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        prog="make demo", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("scenario", type=Path)
     parser.add_argument("--set", action="append", default=[], metavar="PARAMETER=VALUE")
     parser.add_argument("--name", default="demo")

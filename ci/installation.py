@@ -75,7 +75,9 @@ class Installer:
         values.write_text(yaml.safe_dump(platform_values(references, topology)), encoding="utf-8")
         options = ["-n", NAMESPACE, "--create-namespace", "-f", str(CHART / "values-embedded.yaml"), "-f", str(values)]
         try:
-            self.helm("upgrade", "--install", NAMESPACE, str(CHART), *options, "--timeout", f"{INSTALL_TIMEOUT_SECONDS}s")
+            self.helm(
+                "upgrade", "--install", NAMESPACE, str(CHART), *options, "--timeout", f"{INSTALL_TIMEOUT_SECONDS}s"
+            )
         except SetUpError as error:
             raise SetUpError(f"{error}\n{self.state(NAMESPACE)}\n{self.state(ARGOCD)}") from error
         for namespace in (NAMESPACE, ARGOCD):

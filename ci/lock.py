@@ -17,8 +17,24 @@ def main() -> int:
         subprocess.run([sys.executable, "-m", "pip", "install", "-q", "--target", folder, UV], check=True)
         for name, extras in LOCKS.items():
             target = f"requirements/{name}.txt"
-            command = [f"{folder}/bin/uv", "pip", "compile", "-q", "--python-version", "3.11", *extras, "pyproject.toml"]
-            options = ["--generate-hashes", "--no-emit-index-url", "--custom-compile-command", "make lock", "-o", target]
+            command = [
+                f"{folder}/bin/uv",
+                "pip",
+                "compile",
+                "-q",
+                "--python-version",
+                "3.11",
+                *extras,
+                "pyproject.toml",
+            ]
+            options = [
+                "--generate-hashes",
+                "--no-emit-index-url",
+                "--custom-compile-command",
+                "make lock",
+                "-o",
+                target,
+            ]
             subprocess.run([*command, *options], cwd=TOP / "operator", check=True, stdout=subprocess.DEVNULL)
             print(f"operator/{target}")
     return 0

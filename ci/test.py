@@ -23,7 +23,7 @@ TESTS = "operator/tests"
 
 @dataclass(frozen=True)
 class Group:
-    """One group of tests: pytest arguments, or the checks when there are none. `seconds_max` kills a group that hangs."""
+    """One group of tests: folders, or the checks when there are none. `seconds_max` kills a group that hangs."""
 
     name: str
     folders: tuple[str, ...]
@@ -31,14 +31,14 @@ class Group:
     needs: str = "nothing"
 
 
-PURE = ("unit", "domain", "manager", "detector", "data_path", "scenario", "teardown")
-REAL = ("charts", "forge", "database", "cluster")
+PURE = ("unit", "domain", "manager", "detector", "data_path", "scenario", "images")
+REAL = ("charts", "forge", "database", "apiserver", "cluster")
 
 GROUPS = (
     Group("check", (), 600),
     Group("unit", PURE, 900),
     Group("charts", ("charts",), 600, "toolchain"),
-    Group("forge", ("forge", "database"), 900, "toolchain"),
+    Group("forge", ("forge", "database", "apiserver"), 900, "toolchain"),
     Group("cluster", ("cluster",), 2400, "images"),
 )
 THOROUGH = Group("thorough", PURE + REAL, 5400, "images")
@@ -65,7 +65,7 @@ def run_pytest(group: Group, marker: str) -> tuple[int, int, int]:
     folders = [f"{TESTS}/{name}" for name in group.folders if (TOP / TESTS / name).is_dir()]
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder) / "report.xml"
-        command = [sys.executable, "-m", "pytest", "-c", "operator/pyproject.toml", "--rootdir", str(TOP), "-m", marker]
+        command = [sys.executable, "-m", "pytest", "-c", "operator/pyproject.toml", "-m", marker]
         command += ["--durations=5", f"--junitxml={report}", "-p", "no:cacheprovider", *folders]
         try:
             code = subprocess.run(command, cwd=TOP, timeout=group.seconds_max, check=False).returncode
@@ -113,7 +113,7 @@ def main() -> int:
     print("\ngroup      passed  failed skipped  seconds")
     for result in results:
         print(f"{result.name:<10} {result.passed:>6} {result.failed:>7} {result.skipped:>7} {result.seconds:>8.1f}")
-    passed, failed, skipped = (sum(getattr(result, key) for result in results) for key in ("passed", "failed", "skipped"))
+    passed, failed, skipped = (sum(getattr(one, key) for one in results) for key in ("passed", "failed", "skipped"))
     print(f"{passed} passed, {failed} failed, {skipped} skipped", flush=True)
     return 1 if failed or not passed else 0
 

@@ -30,7 +30,7 @@ class Setting:
     """All processes of one measurement."""
 
     def __init__(
-        self, folder: Path, vehicles: int, lidars: int, seconds: float, clouds: bool = False, period_ms: int = 30
+        self, folder: Path, vehicles: int, lidars: int, seconds: float, clouds: bool = False, period_ms: int = 40
     ) -> None:
         self.folder, self.seconds, self.period_ms = folder, seconds, period_ms
         self.agents = [f"vehicle-{number:02d}" for number in range(vehicles)]
@@ -244,12 +244,14 @@ def main() -> None:
     parser.add_argument("--lidars", type=int, default=2)
     parser.add_argument("--seconds", type=float, default=20)
     parser.add_argument("--clouds", action="store_true", help="bridge clouds and transforms, too")
-    parser.add_argument("--period-ms", type=int, default=30, help="of the bridges")
+    parser.add_argument("--mtu", type=int, default=1500, help="of the pods' network")
+    parser.add_argument("--period-ms", type=int, default=40, help="of the bridges")
     parser.add_argument("--keep", action="store_true", help="leave logs and ledgers")
     options = parser.parse_args()
     folder = Path(tempfile.mkdtemp(prefix="data-path-"))
     folder.chmod(0o755)
     setting = Setting(folder, options.vehicles, options.lidars, options.seconds, options.clouds, options.period_ms)
+    setting.nodes.mtu = options.mtu
     try:
         with setting.api:
             print(json.dumps(measure(setting), indent=1))

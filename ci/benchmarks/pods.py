@@ -79,10 +79,12 @@ class Pod:
 
 @dataclass
 class Nodes:
-    """Bridges and namespaces; `prefix` of at most 5 letters, `second` the second byte of the addresses 10.x.n.p."""
+    """Bridges and namespaces; `prefix` of at most 5 letters, `second` the second byte of the addresses 10.x.n.p,
+    `mtu` of all links."""
 
     prefix: str = "rkdp"
     second: int = 251
+    mtu: int = 1500
     _bridges: list[str] = field(default_factory=list)
     _namespaces: list[str] = field(default_factory=list)
 
@@ -93,7 +95,7 @@ class Nodes:
         _ip("link", "add", bridge, "type", "bridge")
         self._bridges.append(bridge)
         _ip("addr", "add", f"{self.gateway(number)}/24", "dev", bridge)
-        _ip("link", "set", bridge, "up")
+        _ip("link", "set", bridge, "mtu", str(self.mtu), "up")
         return number
 
     def gateway(self, node: int) -> str:
@@ -107,10 +109,10 @@ class Nodes:
         _ip("netns", "add", name)
         self._namespaces.append(name)
         _ip("link", "add", link, "type", "veth", "peer", "name", "eth0", "netns", name)
-        _ip("link", "set", link, "master", self._bridges[node], "up")
+        _ip("link", "set", link, "master", self._bridges[node], "mtu", str(self.mtu), "up")
         _ip("-n", name, "link", "set", "lo", "up")
         _ip("-n", name, "addr", "add", f"10.{self.second}.{node}.{10 + number}/24", "dev", "eth0")
-        _ip("-n", name, "link", "set", "eth0", "up")
+        _ip("-n", name, "link", "set", "eth0", "mtu", str(self.mtu), "up")
         _ip("-n", name, "route", "add", "default", "via", self.gateway(node))
         return name
 

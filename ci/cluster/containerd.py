@@ -62,6 +62,8 @@ sandbox = "{self.sandbox}"
 [plugins."io.containerd.cri.v1.runtime"]
 restrict_oom_score_adj = true  # some machines withhold the capability to lower it
 netns_mounts_under_state_dir = true
+stats_collect_period = "{STATISTICS_PERIOD_SECONDS}s"  # the default of one second wakes every shim each time
+stats_retention_period = "{3 * STATISTICS_PERIOD_SECONDS}s"
 [plugins."io.containerd.cri.v1.runtime".cni]
 bin_dirs = ["{CNI_PROGRAMS}"]
 conf_dir = "{self.cni}"

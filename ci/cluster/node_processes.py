@@ -39,7 +39,7 @@ ip link set lo up
 touch "$1"
 exec sleep infinity
 """
-HOUSEKEEPING_SECONDS = 60  # each reads the open files of every process of the machine
+HOUSEKEEPING_SECONDS = 300  # each reads the open files of every process of the machine
 
 
 @dataclass(frozen=True)

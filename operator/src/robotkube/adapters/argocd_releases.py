@@ -3,21 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
-
-from robotkube.adapters.kubernetes_http import ApiServer, custom_path
+from typing import Any, Protocol
+from urllib.parse import quote
 
 GROUP, VERSION = "argoproj.io", "v1alpha1"
 PAGE_SIZE, PAGES_MAX = 500, 100
 
 
+class Api(Protocol):
+    """The two calls needed of an API server; `kubernetes_http.ApiServer` offers them."""
+
+    def get(self, path: str) -> dict[str, Any] | None: ...
+
+    def delete(self, path: str) -> bool: ...
+
+
 class KubernetesInstalledReleases:
     """The port InstalledReleases: ApplicationSet `application_set`, Applications of AppProject `project`."""
 
-    def __init__(self, api: ApiServer, namespace: str, project: str, application_set: str) -> None:
+    def __init__(self, api: Api, namespace: str, project: str, application_set: str) -> None:
         self._api, self._project = api, project
-        self._set = custom_path(GROUP, VERSION, namespace, "applicationsets", application_set)
-        self._applications = custom_path(GROUP, VERSION, namespace, "applications")
+        base = f"/apis/{GROUP}/{VERSION}/namespaces/{quote(namespace)}"
+        self._set = f"{base}/applicationsets/{quote(application_set)}"
+        self._applications = f"{base}/applications"
 
     def withdraw(self) -> bool:
         """Delete the ApplicationSet; its Applications follow by their owner references."""
