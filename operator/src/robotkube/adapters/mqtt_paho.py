@@ -16,7 +16,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 if "paho.mqtt.client" not in sys.modules and "dns" not in sys.modules:
     # paho imports dnspython where it is installed, for a look-up that is not used here: 100 ms of every start
@@ -31,7 +31,9 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
 from robotkube.domain.errors import RobotKubeError
-from robotkube.ports import ChannelEvents
+
+if TYPE_CHECKING:  # the ports know every part's domain: 25 ms of a start
+    from robotkube.ports import ChannelEvents
 
 CONNECT_SECONDS_MAX = 5.0
 KEEPALIVE_SECONDS = 5

@@ -7,6 +7,7 @@ import os
 import time
 from collections import deque
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 from robotkube.adapters.health_http import HealthServer
 from robotkube.adapters.kubernetes_http import ApiServer, ConfigMapData, ConfigMapWatch, split_name
@@ -16,11 +17,13 @@ from robotkube.domain.bridging import BULK, check_agent, read_bridge_settings
 from robotkube.domain.errors import DocumentError, InputError
 from robotkube.domain.texts import read_mapping
 from robotkube.entrypoints.processes import PodSettings, Process, read_secret, read_text, run
-from robotkube.ports import ChannelEvents
 from robotkube.services.bridge import Bridge
 
+if TYPE_CHECKING:
+    from robotkube.ports import ChannelEvents
+
 GRACE_SECONDS = 2.0
-PERIOD_SECONDS = 0.03
+PERIOD_SECONDS = 0.04
 MATCH_SECONDS_MAX, MATCH_POLL_SECONDS = 1.5, 0.02
 SESSION_SECONDS = {"telemetry": 60, BULK: 5}
 KEY = "config.yaml"

@@ -8,12 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from robotkube.domain.bridging import BULK, BridgedTopic, BridgeSettings, difference
 from robotkube.domain.errors import InputError, UnavailableError
 from robotkube.domain.frames import FrameError, SeenFrames, decode_frame, encode_frame
 from robotkube.domain.outboxes import Bounds, Outbox, OutgoingFrame
-from robotkube.ports import ChannelEvents, FrameChannel, MessageSink, MessageSource, RobotNetwork
+
+if TYPE_CHECKING:  # the ports know every part's domain: 25 ms of a start
+    from robotkube.ports import ChannelEvents, FrameChannel, MessageSink, MessageSource, RobotNetwork
+
+    MakeChannel = Callable[[str, str, ChannelEvents], FrameChannel]
 
 FRAME_BYTES_MAX = 1_000_000
 MESSAGES_PER_TURN_MAX = 2000
@@ -21,7 +26,6 @@ MATCHED_SECONDS = 2.0
 TELEMETRY_BOUNDS = Bounds(seconds_max=60.0, frames_max=60_000, inflight_max=200)
 BULK_BOUNDS = Bounds(seconds_max=2.0, frames_max=10, inflight_max=4)
 
-MakeChannel = Callable[[str, str, ChannelEvents], FrameChannel]
 Log = Callable[..., None]
 
 
