@@ -1,4 +1,6 @@
-"""`make check`: formatting, lint, types, layers and the repository's own rules. Every check runs; the exit code is 1 if any failed."""
+"""`make check`: formatting, lint, types, layers and the repository's own rules. Every check runs; the exit code is
+1 if any failed.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ def tracked(*patterns: str) -> list[str]:
 
 
 def repository_rules() -> list[str]:
-    """Rules that no tool knows: no absolute paths of one machine, no registry addresses, no module of more than 500 lines."""
+    """Rules that no tool knows: no absolute paths of one machine, no registry addresses, no module of more than 500
+    lines.
+    """
     findings = []
     if (TOP / "operator/__init__.py").exists():
         findings.append("operator/__init__.py: shadows the standard library's `operator`; remove it")

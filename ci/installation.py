@@ -1,7 +1,8 @@
-"""Installs the platform on a running cluster, as a person would: Argo CD from its own manifests, then `helm install robotkube`.
+"""Installs the platform on a running cluster, as a person would: Argo CD from its own manifests, then `helm
+install robotkube`.
 
-Nothing here knows how the cluster was made. Every wait has a bound; a wait that runs out says which object it waited for and shows the
-events and the last log lines of its pods.
+Nothing here knows how the cluster was made. Every wait has a bound; a wait that runs out says which object it
+waited for and shows the events and the last log lines of its pods.
 """
 
 from __future__ import annotations
@@ -69,7 +70,7 @@ class Installer:
         self.kubectl("wait", "--for=condition=Established", "--timeout=60s", *kinds, seconds=70)
 
     def platform(self, references: Mapping[str, str], topology: Topology) -> None:
-        """`helm upgrade --install robotkube`, with the embedded profile, the images' digests and the topology's agents."""
+        """`helm upgrade --install robotkube` with the embedded profile, the images and the agents of the topology."""
         values = self.work / "values.yaml"
         self.work.mkdir(parents=True, exist_ok=True)
         values.write_text(yaml.safe_dump(platform_values(references, topology)), encoding="utf-8")
@@ -95,7 +96,9 @@ class Installer:
                 raise SetUpError(f"{error}\n{self.state(namespace)}") from error
 
     def state(self, namespace: str) -> str:
-        """Pods of a namespace, and events and last log lines of those that are not ready: what a person would look at first."""
+        """Pods of a namespace, and events and last log lines of those that are not ready: what a person would look at
+        first.
+        """
         try:
             pods = json.loads(self.kubectl("-n", namespace, "get", "pods", "-o", "json"))["items"]
             lines = [self.kubectl("-n", namespace, "get", "pods", "-o", "wide")]

@@ -1,4 +1,6 @@
-"""`make lock`: the lock files of operator/requirements/ from operator/pyproject.toml, with hashes and without download addresses."""
+"""`make lock`: the lock files of operator/requirements/ from operator/pyproject.toml, with hashes and without
+download addresses.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Progress of long work: one line when a step starts, one when it ends, on standard error.
 
-A step knows its number, what it is called, how long it took and whether its result was cached. `set_up_seconds` of the report are these
-times.
+A step knows its number, what it is called, how long it took and whether its result was cached. `set_up_seconds`
+of the report are these times.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""`make test`: five groups, each with its time; `--thorough` runs the slower proofs instead. Exit code 1 when anything failed.
+"""`make test`: five groups, each with its time; `--thorough` runs the slower proofs instead. Exit code 1 when
+anything failed.
 
 The tool chain and the images come first (built once, cached), since forge and cluster tests need the real programs.
 """

@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 import yaml
-from gitops.argocd.render import render
 
 from ci import toolchain
+from gitops.argocd.render import render
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 CHARTS = REPOSITORY / "charts"

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 import yaml
+
 from gitops.argocd.render import render
 
 Object = dict[str, Any]

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from robotkube.domain.errors import InputError
-from robotkube.ports import ChannelEvents
+from robotkube.ports.robots import ChannelEvents
 
 
 @dataclass

@@ -21,7 +21,7 @@ from robotkube.adapters.mongodb_pymongo import (
 from robotkube.adapters.segments_mcap import McapSegmentReader, McapSegments
 from robotkube.domain.detector_settings import RecordingReaction
 from robotkube.domain.recordings import LedgerLine
-from robotkube.ports import RecordingStore
+from robotkube.ports.recordings import RecordingStore
 from robotkube.services.recorder import Recorder, RecorderPlace
 from robotkube.services.recordings import first_stored, list_recordings, stored_messages, verify
 

@@ -15,7 +15,7 @@ import pygit2
 from pygit2.enums import DeltaStatus, FileMode
 
 from robotkube.domain.errors import InputError, UnavailableError
-from robotkube.ports import Commit
+from robotkube.ports.git import Commit
 
 TEXTS_KEPT_MAX = 4096
 FILE_BYTES_MAX = 1024 * 1024

@@ -8,7 +8,7 @@ from typing import Any
 import httpx
 
 from robotkube.domain.errors import InputError, UnavailableError
-from robotkube.ports import Comment, PullRequest
+from robotkube.ports.forges import Comment, PullRequest
 
 TIMEOUT_SECONDS = 10.0
 PULL_REQUESTS_MAX = 50

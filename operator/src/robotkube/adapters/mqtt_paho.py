@@ -33,7 +33,7 @@ from paho.mqtt.properties import Properties
 from robotkube.domain.errors import RobotKubeError
 
 if TYPE_CHECKING:  # the ports know every part's domain: 25 ms of a start
-    from robotkube.ports import ChannelEvents
+    from robotkube.ports.robots import ChannelEvents
 
 CONNECT_SECONDS_MAX = 5.0
 KEEPALIVE_SECONDS = 5

@@ -20,7 +20,7 @@ from robotkube.entrypoints.processes import PodSettings, Process, read_secret, r
 from robotkube.services.bridge import Bridge
 
 if TYPE_CHECKING:
-    from robotkube.ports import ChannelEvents
+    from robotkube.ports.robots import ChannelEvents
 
 GRACE_SECONDS = 2.0
 PERIOD_SECONDS = 0.04

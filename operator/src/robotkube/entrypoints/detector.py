@@ -40,7 +40,7 @@ from robotkube.services.recorder import Recorder, RecorderPlace
 
 if TYPE_CHECKING:
     from robotkube.adapters.kubernetes_http import ApiServer, ConfigMapWatch
-    from robotkube.ports import RecordingStore, Segments, Spool
+    from robotkube.ports.recordings import RecordingStore, Segments, Spool
 
 DRAIN_SECONDS = 0.02
 LAST_DRAIN_SECONDS_MAX = 0.5

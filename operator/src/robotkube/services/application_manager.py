@@ -17,7 +17,9 @@ from typing import Any
 from robotkube.domain.checks import STALE
 from robotkube.domain.errors import RobotKubeError
 from robotkube.domain.planning import Plan, describe
-from robotkube.ports import Cluster, DeploymentRepository, Forge, Proposals, PullRequest, TaskStore
+from robotkube.ports.clusters import Cluster, TaskStore
+from robotkube.ports.forges import Forge, PullRequest
+from robotkube.ports.git import DeploymentRepository, Proposals
 from robotkube.services.manager_observing import PlanObserver
 from robotkube.services.manager_planning import Planner
 from robotkube.services.manager_reading import CatalogueReader, MainReader, catalogue_page

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from robotkube.domain.errors import UnavailableError
-from robotkube.ports import ArgoCDConfiguration, DatabaseAdministration, ForgeAdministration
+from robotkube.ports.setting_up import ArgoCDConfiguration, DatabaseAdministration, ForgeAdministration
 
 RETRY_SECONDS = 1.0
 LEVELS = ("read", "write")

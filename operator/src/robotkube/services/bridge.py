@@ -16,7 +16,7 @@ from robotkube.domain.frames import FrameError, SeenFrames, decode_frame, encode
 from robotkube.domain.outboxes import Bounds, Outbox, OutgoingFrame
 
 if TYPE_CHECKING:  # the ports know every part's domain: 25 ms of a start
-    from robotkube.ports import ChannelEvents, FrameChannel, MessageSink, MessageSource, RobotNetwork
+    from robotkube.ports.robots import ChannelEvents, FrameChannel, MessageSink, MessageSource, RobotNetwork
 
     MakeChannel = Callable[[str, str, ChannelEvents], FrameChannel]
 

@@ -27,7 +27,7 @@ from robotkube.services.operator_reactions import EventRecord, OperatorReactions
 from robotkube.services.recorder import Recorder
 
 if TYPE_CHECKING:
-    from robotkube.ports import LiveTopics, TopicInput
+    from robotkube.ports.robots import LiveTopics, TopicInput
 
 DISCOVERY_SECONDS = 1.0
 DRAIN_MESSAGES_MAX = 500

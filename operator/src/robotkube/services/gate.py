@@ -18,7 +18,8 @@ from robotkube.domain.catalogue import FOLDERS as CATALOGUE_FOLDERS
 from robotkube.domain.catalogue import Catalogue, read_catalogue
 from robotkube.domain.errors import RobotKubeError
 from robotkube.domain.releases import RELEASES, SOURCES, read_tree
-from robotkube.ports import Commit, Forge, MainBranch, PullRequest, PushHook, RepositoryFiles
+from robotkube.ports.forges import Forge, PullRequest, PushHook
+from robotkube.ports.git import Commit, MainBranch, RepositoryFiles
 
 POLL_SECONDS = 2.0  # open proposals, when no webhook came
 LOOK_SECONDS = 10.0  # main's tip and the catalogue, when no webhook came

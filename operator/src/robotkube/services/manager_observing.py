@@ -7,7 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 
 from robotkube.domain.observation import Verdict, judge_present, judge_removed
 from robotkube.domain.releases import RELEASES, Release, application_name
-from robotkube.ports import ArgoCD, Cluster
+from robotkube.ports.clusters import Cluster
+from robotkube.ports.forges import ArgoCD
 from robotkube.services.manager_records import PlanRecord
 
 ASK_SECONDS = 2.0

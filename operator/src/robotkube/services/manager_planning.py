@@ -15,7 +15,7 @@ from robotkube.domain.placement import Agent, fleet
 from robotkube.domain.planning import Plan, differences, fingerprint, make_plan
 from robotkube.domain.releases import Release
 from robotkube.domain.tasks import TaskDescription, is_withdrawn, object_key, read_task
-from robotkube.ports import Cluster, TaskStore
+from robotkube.ports.clusters import Cluster, TaskStore
 from robotkube.services.manager_reading import CatalogueReader, MainReader
 from robotkube.services.manager_records import PlanRecord
 

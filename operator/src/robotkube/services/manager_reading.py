@@ -13,7 +13,7 @@ from robotkube.domain.errors import InputError
 from robotkube.domain.initial import PATH as INITIAL_PATH
 from robotkube.domain.initial import InitialPolicy, read_initial_policy
 from robotkube.domain.releases import RELEASES, SOURCES, Tree, read_tree
-from robotkube.ports import DeploymentRepository, RepositoryFiles
+from robotkube.ports.git import DeploymentRepository, RepositoryFiles
 
 POLICIES = "policies"
 

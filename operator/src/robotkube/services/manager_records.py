@@ -11,7 +11,7 @@ from robotkube.domain.errors import DocumentError
 from robotkube.domain.planning import ADD, CHANGE, REMOVE, Plan, come_and_go
 from robotkube.domain.proposals import CommitMessage, read_message
 from robotkube.domain.releases import RELEASES
-from robotkube.ports import Commit
+from robotkube.ports.git import Commit
 
 RECORDS_MAX = 1000
 TIMES = ("demand_seen", "started", "proposed", "merged", "synced", "observed")

@@ -13,7 +13,7 @@ from robotkube.domain.errors import InputError
 from robotkube.domain.observation import ApplicationState, Verdict, judge_present
 from robotkube.domain.releases import RELEASES, Release, application_name
 from robotkube.domain.tasks import Condition, is_withdrawn, object_identity, object_key, write_conditions
-from robotkube.ports import TaskStore
+from robotkube.ports.clusters import TaskStore
 from robotkube.services.manager_records import PlanRecord
 
 MESSAGE_CHARACTERS_MAX = 4096

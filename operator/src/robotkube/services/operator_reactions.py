@@ -20,7 +20,7 @@ from robotkube.domain.detector_settings import OperatorReaction
 from robotkube.domain.errors import RobotKubeError, UnavailableError
 
 if TYPE_CHECKING:
-    from robotkube.ports import OwnTasks
+    from robotkube.ports.robots import OwnTasks
 
 QUEUE_MAX = 256
 RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX = 0.2, 5.0

@@ -15,7 +15,7 @@ from robotkube.domain.bags import LATE_NS, BagTopic, Run, ledger_end, ledger_lin
 from robotkube.domain.messages import STAMPED_TYPES
 
 if TYPE_CHECKING:  # the ports know every part's domain: 25 ms of a start
-    from robotkube.ports import Bag, Clock, Ledgers, MessageSink, RobotNetwork
+    from robotkube.ports.robots import Bag, Clock, Ledgers, MessageSink, RobotNetwork
 
 IDLE_NS = 200_000_000
 FLUSH_NS = 1_000_000_000

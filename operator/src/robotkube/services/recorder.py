@@ -33,7 +33,7 @@ from robotkube.domain.recordings import (
 )
 
 if TYPE_CHECKING:
-    from robotkube.ports import RecordingStore, Segments, Spool
+    from robotkube.ports.recordings import RecordingStore, Segments, Spool
 
 BATCH_SECONDS = 0.25
 BATCH_BYTES = 4 * 1024 * 1024

@@ -12,7 +12,7 @@ from typing import Any
 
 from robotkube.domain.errors import DocumentError, UnavailableError
 from robotkube.domain.recordings import LedgerLine, SegmentPlace, StoredMessage, Verdict, compare
-from robotkube.ports import RecordingReader, SegmentReader
+from robotkube.ports.recordings import RecordingReader, SegmentReader
 
 
 def list_recordings(reader: RecordingReader) -> list[dict[str, Any]]:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from robotkube.domain.errors import RobotKubeError, UnavailableError
-from robotkube.ports import InstalledReleases
+from robotkube.ports.setting_up import InstalledReleases
 
 POLL_SECONDS = 1.0
 NAMED_MAX = 5

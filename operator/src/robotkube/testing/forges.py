@@ -8,7 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from robotkube.domain.errors import InputError, UnavailableError
-from robotkube.ports import Comment, Commit, PullRequest
+from robotkube.ports.forges import Comment, PullRequest
+from robotkube.ports.git import Commit
 
 
 @dataclass

@@ -1,0 +1,37 @@
+"""What the manager reads of Kubernetes, and the tasks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+from robotkube.domain.observation import ApplicationState, PodState
+from robotkube.domain.placement import NodeState
+
+
+class TaskStore(Protocol):
+    """TaskDescriptions of all agents' namespaces."""
+
+    def tasks(self) -> Sequence[Mapping[str, Any]]:
+        """The objects as Kubernetes holds them now (those being deleted included)."""
+        ...
+
+    def patch_status(self, namespace: str, name: str, status: Mapping[str, Any]) -> bool:
+        """Replace the given fields of the status; False when the task is gone."""
+        ...
+
+
+class Cluster(Protocol):
+    """What the manager sees of the cluster; values are snapshots kept up to date by watches."""
+
+    def nodes(self) -> Sequence[NodeState]:
+        """Nodes of agents."""
+        ...
+
+    def applications(self) -> Mapping[str, ApplicationState]:
+        """Argo CD Applications by name."""
+        ...
+
+    def pods(self, release: str) -> Sequence[PodState]:
+        """Pods of a release, named `<namespace>/<release>` (label app.kubernetes.io/instance)."""
+        ...

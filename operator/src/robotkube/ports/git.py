@@ -1,0 +1,87 @@
+"""The Git repositories: deployment repository and catalogue."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+
+@dataclass(frozen=True)
+class Commit:
+    """A commit as its reader sees it. `changes` is the difference to the first parent: path -> new text, None =
+    removed; a path whose new content is not a text file of ordinary mode stands in `irregular`."""
+
+    id: str
+    parents: tuple[str, ...]
+    message: str
+    author: str
+    changes: Mapping[str, str | None]
+    irregular: tuple[str, ...] = ()
+
+
+class RepositoryFiles(Protocol):
+    """A branch `main` that can be read."""
+
+    def fetch(self) -> str:
+        """Bring main's tip here and return its commit id (40 hex). UnavailableError when the forge does not answer."""
+        ...
+
+    def files(self, commit: str, folders: Sequence[str]) -> Mapping[str, str]:
+        """Path -> text of every file below `folders` in `commit`."""
+        ...
+
+
+class Catalogue(RepositoryFiles, Protocol):
+    """The catalogue repository: applications/, charts/, policies/."""
+
+
+class DeploymentRepository(RepositoryFiles, Protocol):
+    """Main of the deployment repository as the manager reads it."""
+
+    def contains(self, commit: str) -> bool:
+        """Whether `commit`, which is here, is main's tip or one of its ancestors."""
+        ...
+
+    def log(self, since: str | None, commits_max: int) -> Sequence[Commit]:
+        """The newest `commits_max` commits of main after `since` (exclusive; None = from the first), oldest first."""
+        ...
+
+
+class Proposals(Protocol):
+    """What the manager may write: commits of its own, proposed as pull requests; never main."""
+
+    def commit(self, parent: str, changes: Mapping[str, str | None], message: str) -> str:
+        """Make a commit on `parent`, which was fetched (path -> text, None removes), in memory; its id."""
+        ...
+
+    def propose(self, commit: str, topic: str, title: str, body: str) -> int | None:
+        """Open a pull request for exactly that commit; its number when the forge's answer names it, else None.
+
+        UnavailableError when the forge does not answer, RefusalError(ProposalRefused) when it says no."""
+        ...
+
+
+class MainBranch(RepositoryFiles, Protocol):
+    """The deployment repository as the gate sees it."""
+
+    @property
+    def tip(self) -> str:
+        """Main's tip as last fetched or pushed; empty before the first fetch."""
+        ...
+
+    def proposal(self, number: int) -> Commit:
+        """The head commit of a pull request, fetched together with main."""
+        ...
+
+    def contains(self, commit: str) -> bool:
+        """Whether `commit` is main's tip or one of its ancestors."""
+        ...
+
+    def push_main(self, commit: str) -> bool:
+        """Move main to `commit` (its parent must be main's tip); False when main has moved meanwhile."""
+        ...
+
+    def log(self, since: str | None, commits_max: int) -> Sequence[Commit]:
+        """Commits of main after `since` (exclusive; None = from the first), oldest first."""
+        ...
