@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from ci.benchmarks import pods
 from robotkube.adapters import mqtt_paho
 from robotkube.adapters.mqtt_paho import BrokerAccount, PahoChannel
+from robotkube.domain.mqtt_packets import read_number, write_number
 
 WAIT_SECONDS = 10.0
 TOPIC = "mqtt/vehicles/vehicle_00/pose"
@@ -167,9 +168,9 @@ def test_an_absent_broker_is_a_complaint() -> None:
 
 @given(st.integers(0, 268_435_455))
 def test_lengths_are_written_as_they_are_read(length: int) -> None:
-    data = bytearray(mqtt_paho._size(length))
-    assert mqtt_paho._number(data, 0, len(data)) == (length, len(data))
-    assert mqtt_paho._number(data, 0, len(data) - 1) is None
+    data = bytearray(write_number(length))
+    assert read_number(data, 0, len(data)) == (length, len(data))
+    assert read_number(data, 0, len(data) - 1) is None
 
 
 @given(st.lists(st.binary(max_size=300), max_size=6), st.lists(st.integers(1, 400), min_size=1, max_size=20))

@@ -31,6 +31,7 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
 from robotkube.domain.errors import RobotKubeError
+from robotkube.domain.mqtt_packets import MalformedPacketError, packet_bounds, read_number, write_number
 
 if TYPE_CHECKING:  # the ports know every part's domain: 25 ms of a start
     from robotkube.ports.robots import ChannelEvents
@@ -52,10 +53,6 @@ _ACKNOWLEDGEMENT = struct.Struct("!BBH")
 
 FrameReceived = Callable[[str, bytes], None]
 FrameAcknowledged = Callable[[int, int], None]
-
-
-class MalformedPacketError(Exception):
-    """The broker sent what is no MQTT; the connection is made anew."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +104,7 @@ class _Client(mqtt.Client):
     def send_frame(self, topic: str, payload: bytes, retained: bool) -> int:
         """Queue a PUBLISH with QoS 1; its packet identifier."""
         mid, name = self._mid_generate(), topic.encode()
-        length = _size(len(name) + len(payload) + 5)
+        length = write_number(len(name) + len(payload) + 5)
         head = bytes((PUBLISH_QOS_1 | retained,)) + length + struct.pack(f"!H{len(name)}sHB", len(name), name, mid, 0)
         self._out_packet.append(_packet(head + payload))
         return mid
@@ -125,7 +122,7 @@ class _Client(mqtt.Client):
     def _handle_buffer(self) -> bool:
         """Handle the whole packets in the buffer; False when the connection ended on one."""
         buffer, place, size = self._buffer, 0, len(self._buffer)
-        while (whole := _bounds(buffer, place, size)) is not None:
+        while (whole := packet_bounds(buffer, place, size)) is not None:
             begin, end = whole
             command, place = buffer[place], end
             if command & 0xF0 == PUBLISH:
@@ -145,7 +142,7 @@ class _Client(mqtt.Client):
         if quality:
             (mid,) = _MID.unpack_from(buffer, place)
             place += 2
-        properties = _number(buffer, place, end)
+        properties = read_number(buffer, place, end)
         if properties is None:
             raise MalformedPacketError
         self._frame_received(topic, bytes(buffer[properties[1] + properties[0] : end]))
@@ -168,38 +165,6 @@ class _Client(mqtt.Client):
         if code > 0:
             self._loop_rc_handle(code)
         return self._sock is not None
-
-
-def _bounds(buffer: bytearray, place: int, size: int) -> tuple[int, int] | None:
-    """Begin and end of the content of the packet at `place`; None when it is not whole yet."""
-    length = _number(buffer, place + 1, size) if place < size else None
-    if length is None or length[1] + length[0] > size:
-        return None
-    return length[1], length[1] + length[0]
-
-
-def _number(buffer: bytearray, place: int, end: int) -> tuple[int, int] | None:
-    """MQTT's variable byte integer at `place` and where it ends; None when it goes on beyond `end`."""
-    value = 0
-    for shift in (0, 7, 14, 21):
-        if place >= end:
-            return None
-        byte = buffer[place]
-        place += 1
-        value |= (byte & 0x7F) << shift
-        if byte < 0x80:
-            return value, place
-    raise MalformedPacketError
-
-
-def _size(length: int) -> bytes:
-    """A length as MQTT's variable byte integer."""
-    parts = bytearray()
-    while True:
-        length, part = divmod(length, 128)
-        parts.append(part | (0x80 if length else 0))
-        if not length:
-            return bytes(parts)
 
 
 def _packet(data: bytes) -> Any:
