@@ -7,6 +7,8 @@ import argparse
 import sys
 from pathlib import Path
 
+from ci import preparing
+from ci.errors import SetUpError
 from ci.images.buildah import BuildError
 from ci.images.building import build_images, cache_folder
 from ci.images.catalogue import BY_NAME, IMAGES, Sources, go_module
@@ -17,7 +19,11 @@ from ci.steps import Steps
 def arguments(words: list[str] | None = None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m ci.images", description=__doc__)
     parser.add_argument("names", nargs="*", help="images to build (default: all), or: context NAME FOLDER")
-    parser.add_argument("--toolchain-bin", type=Path, required=True, help="folder with gitea, argocd, helm, ferretdb")
+    parser.add_argument(
+        "--toolchain-bin",
+        type=Path,
+        help="folder with gitea, argocd, helm, ferretdb (default: the tool chain, built when needed)",
+    )
     parser.add_argument("--folder", type=Path, default=cache_folder(), help="where archives and images.json go")
     parser.add_argument("--fresh", action="store_true", help="build again without any cache")
     return parser.parse_args(words)
@@ -35,14 +41,15 @@ def write_context(name: str, folder: Path, toolchain_bin: Path) -> None:
 def main() -> int:
     given = arguments()
     try:
+        given.toolchain_bin = given.toolchain_bin or preparing.tool_chain()
         if given.names[:1] == ["context"] and len(given.names) == 3:
             write_context(given.names[1], Path(given.names[2]), given.toolchain_bin)
             return 0
         steps = Steps(len(given.names) or len(IMAGES))
         built = build_images(given.toolchain_bin, given.folder, given.names, fresh=given.fresh, steps=steps)
-    except (BuildError, ContextError) as error:
+    except (BuildError, ContextError, SetUpError) as error:
         print(f"images: {error}", file=sys.stderr)
-        return 1
+        return getattr(error, "exit_code", 1)
     except KeyboardInterrupt:
         print("images: interrupted; what was finished is kept", file=sys.stderr)
         return 130
