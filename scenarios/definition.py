@@ -143,8 +143,14 @@ def load(folder: Path, overrides: Sequence[str] = (), variant: str | None = None
         parameters=Parameters(**parameters),
         story=Story(**document["story"]),
         nodes=_nodes(file, document["topology"]["nodes"], parameters["vehicles"]),
-        expectations={name: Bound(*next(iter(bound.items()))) for name, bound in document["expectations"].items()},
+        expectations={name: _bound(bound, parameters) for name, bound in document["expectations"].items()},
     )
+
+
+def _bound(given: Mapping[str, Any], parameters: Mapping[str, Any]) -> Bound:
+    """A bound as written, or as a share of a parameter when it says `of`."""
+    kind, value = next((key, value) for key, value in given.items() if key != "of")
+    return Bound(kind, value * parameters[given["of"]] if "of" in given else value)
 
 
 def _document(file: Path) -> dict[str, Any]:

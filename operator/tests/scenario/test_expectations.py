@@ -241,7 +241,7 @@ def change_a_counter(**changes: Any) -> Break:
 def slow_down_one_vehicle_for_a_window(run: Any) -> None:
     seconds = dict(run.known.input_after.topics[POSE].seconds)
     for second in range(10, 15):
-        seconds[run.known.started // SECOND + second] = 94
+        seconds[run.known.started // SECOND + second] = 18
     change_a_counter(seconds=seconds)(run)
 
 
