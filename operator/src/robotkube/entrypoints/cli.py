@@ -31,7 +31,7 @@ class Command:
 
 def commands() -> Sequence[Command]:
     """Every command; other modules of the command line add theirs here."""
-    from robotkube.entrypoints import cli_catalogue, cli_plans, cli_tasks
+    from robotkube.entrypoints import cli_catalogue, cli_plans, cli_recordings, cli_tasks
 
     return [
         Command("task", "list", "tasks of all agents", cli_tasks.list_tasks, cli_tasks.listing),
@@ -39,6 +39,15 @@ def commands() -> Sequence[Command]:
         Command("task", "withdraw", "delete a task: its demand ends", cli_tasks.withdraw_task, cli_tasks.withdrawing),
         Command("release", "list", "releases on main and what the cluster shows", cli_plans.list_releases),
         Command("plan", "list", "plans of the manager with their times", cli_plans.list_plans),
+        Command("recording", "list", "what was recorded", cli_recordings.list_all, cli_recordings.listing),
+        Command("recording", "show", "everything about one recording", cli_recordings.show, cli_recordings.naming),
+        Command(
+            "recording",
+            "verify",
+            "compare a recording with the ledgers of its sources",
+            cli_recordings.verify_one,
+            cli_recordings.verifying,
+        ),
         Command("catalogue", "list", "applications and chart versions", cli_catalogue.list_catalogue),
     ]
 
@@ -72,6 +81,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return EXIT_REFUSED
     if table is not None:
         write(table, options.output, sys.stdout)
+        if table.refusal:
+            print(f"robotkube: {table.refusal}", file=sys.stderr)
+            return EXIT_REFUSED
     return EXIT_DONE
 
 

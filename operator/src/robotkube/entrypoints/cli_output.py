@@ -15,12 +15,16 @@ CELL_CHARACTERS_MAX = 80
 
 @dataclass(frozen=True)
 class Table:
-    """`columns` of every row for people; `rows` whole, for programs. With `single` the one row is the document."""
+    """`columns` of every row for people; `rows` whole, for programs. With `single` the one row is the document.
+
+    `refusal`: why the command ends as refused although it has data to show; empty when it does not.
+    """
 
     name: str
     columns: Sequence[str]
     rows: Sequence[Mapping[str, Any]]
     single: bool = False
+    refusal: str = ""
 
 
 def write(table: Table, form: str, stream: TextIO) -> None:

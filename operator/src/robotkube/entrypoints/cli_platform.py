@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import base64
 import json
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -12,6 +13,7 @@ from robotkube.domain.errors import InputError, RefusalError
 from robotkube.domain.tasks import GROUP, PLURAL, VERSION
 
 OBJECTS_MAX = 5000
+DATABASE_ACCOUNT, AGENT_LABEL = "database-account", "robotkube.io/agent"
 
 
 class Platform:
@@ -54,6 +56,26 @@ class Platform:
         except KeyError as error:
             raise InputError(f"no Service manager in namespace {self._namespace}; see --platform-namespace") from error
 
+    def database_accounts(self, agent: str = "") -> Mapping[str, Mapping[str, str]]:
+        """Agent that records -> values of its Secret `database-account`; InputError when there is none."""
+        query = [("fieldSelector", f"metadata.name={DATABASE_ACCOUNT}"), ("labelSelector", AGENT_LABEL)]
+        found = {item["metadata"]["namespace"]: _texts(item) for item in self._items("/api/v1/secrets", query)}
+        if agent:
+            found = {name: values for name, values in found.items() if name == agent}
+        if not found:
+            raise InputError(f"no Secret {DATABASE_ACCOUNT} of {agent or 'any agent'}; does it have `records: true`?")
+        return found
+
+    def address(self, service: str) -> tuple[str, int]:
+        """ClusterIP and first port of one of the platform's Services."""
+        try:
+            found = self._read("GET", f"/api/v1/namespaces/{self._namespace}/services/{service}")
+        except KeyError as error:
+            raise InputError(
+                f"no Service {service} in namespace {self._namespace}; see --platform-namespace"
+            ) from error
+        return str(found["spec"]["clusterIP"]), int(found["spec"]["ports"][0]["port"])
+
     def _one(self, method: str, key: str, query: Sequence[tuple[str, str]] = ()) -> Mapping[str, Any]:
         namespace, separator, name = key.partition("/")
         if not separator or not namespace or not name or "/" in name:
@@ -63,9 +85,11 @@ class Platform:
         except KeyError as error:
             raise RefusalError("UnknownTask", f"there is no task {key}") from error
 
-    def _items(self, path: str) -> Sequence[Mapping[str, Any]]:
+    def _items(self, path: str, query: Sequence[tuple[str, str]] = ()) -> Sequence[Mapping[str, Any]]:
         try:
-            items: Sequence[Mapping[str, Any]] = self._read("GET", path, [("limit", str(OBJECTS_MAX))])["items"]
+            items: Sequence[Mapping[str, Any]] = self._read(
+                "GET", path, [("limit", str(OBJECTS_MAX)), *query]
+            )["items"]
         except KeyError as error:
             raise InputError(f"the cluster has no {path}; is the platform installed?") from error
         return items
@@ -73,3 +97,7 @@ class Platform:
     def _read(self, method: str, path: str, query: Sequence[tuple[str, str]] = ()) -> Mapping[str, Any]:
         found: Mapping[str, Any] = json.loads(kubernetes_api.call(self._api, method, path, query).data)
         return found
+
+
+def _texts(secret: Mapping[str, Any]) -> Mapping[str, str]:
+    return {key: base64.b64decode(value).decode() for key, value in (secret.get("data") or {}).items()}
