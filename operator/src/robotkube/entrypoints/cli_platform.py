@@ -87,9 +87,7 @@ class Platform:
 
     def _items(self, path: str, query: Sequence[tuple[str, str]] = ()) -> Sequence[Mapping[str, Any]]:
         try:
-            items: Sequence[Mapping[str, Any]] = self._read(
-                "GET", path, [("limit", str(OBJECTS_MAX)), *query]
-            )["items"]
+            items: Sequence[Mapping[str, Any]] = self._read("GET", path, [("limit", str(OBJECTS_MAX)), *query])["items"]
         except KeyError as error:
             raise InputError(f"the cluster has no {path}; is the platform installed?") from error
         return items

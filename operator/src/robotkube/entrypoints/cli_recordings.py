@@ -1,0 +1,252 @@
+"""`robotkube recording list|show|verify`: what was recorded, and whether it is what its sources published.
+
+For administrators of the cluster: the accounts come from the Secrets `database-account` of the agents that record, and
+the database is reached at the address of its Service, or where `--database` says.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from robotkube.adapters.mongodb_pymongo import Account, PymongoRecordingReader, connect
+from robotkube.adapters.segments_mcap import McapSegmentReader
+from robotkube.domain.errors import DocumentError, InputError, RefusalError, UnavailableError
+from robotkube.domain.recordings import SEGMENT, LedgerLine, TopicVerdict, Verdict
+from robotkube.entrypoints.cli_output import Table
+from robotkube.entrypoints.cli_platform import Platform
+from robotkube.ports.recordings import RecordingReader, SegmentReader
+from robotkube.services.recordings import first_stored, list_recordings, read_ledger, verify
+
+Readers = Mapping[str, RecordingReader]
+Window = tuple[int, int]
+
+
+def listing(parser: argparse.ArgumentParser) -> None:
+    """Arguments of every command about recordings."""
+    parser.add_argument("--agent", default="", help="only what this agent recorded (default: all that record)")
+    parser.add_argument("--database", metavar="HOST:PORT", help="where the database answers (default: its Service)")
+
+
+def naming(parser: argparse.ArgumentParser) -> None:
+    """Arguments of commands about one recording."""
+    listing(parser)
+    parser.add_argument("recording", help="its name, as `robotkube recording list` prints it")
+
+
+def verifying(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `recording verify`."""
+    naming(parser)
+    parser.add_argument(
+        "--ledgers",
+        action="append",
+        required=True,
+        metavar="FOLDER",
+        help="a player's ledgers of one run; once per player",
+    )
+    parser.add_argument(
+        "--segments",
+        action="append",
+        default=[],
+        metavar="VOLUME=FOLDER",
+        help="where a volume (<node>/<claim>) is in reach; once per volume",
+    )
+    parser.add_argument(
+        "--window",
+        metavar="FIRST:LAST",
+        help="stamps to compare, ns, both included (default: while all its large topics were stored)",
+    )
+
+
+def list_all(options: argparse.Namespace) -> Table:
+    """All recordings, oldest first."""
+    return listed(_readers(options))
+
+
+def show(options: argparse.Namespace) -> Table:
+    """Everything about one recording."""
+    return shown(_readers(options), options.recording)
+
+
+def verify_one(options: argparse.Namespace) -> Table:
+    """The comparison of one recording with ledgers; refused unless it is complete."""
+    segments = McapSegmentReader(dict(_volume(text) for text in options.segments))
+    window = _window(options.window) if options.window else None
+    folders = [Path(folder) for folder in options.ledgers]
+    return verified(_readers(options), segments, options.recording, folders, window)
+
+
+def listed(readers: Readers) -> Table:
+    """The table of `recording list`."""
+    rows = [_row(agent, found) for agent, reader in readers.items() for found in list_recordings(reader)]
+    columns = ("recording", "agent", "started", "seconds", "state", "documents", "segments", "dropped", "volumes")
+    return Table("recordings", columns, sorted(rows, key=lambda row: str(row["started"])))
+
+
+def shown(readers: Readers, recording: str) -> Table:
+    """The document of `recording show`."""
+    agent, reader, found = _find(readers, recording)
+    first = {topic: _time(stored) for topic, stored in first_stored(reader, recording).items()}
+    row = _row(agent, found)
+    kept = ("topics", "provenance", "counts")
+    return Table("recording", (), [{**row, **{key: found.get(key) for key in kept}, "first_stored": first}], True)
+
+
+def verified(
+    readers: Readers, segments: SegmentReader, recording: str, folders: Sequence[Path], window: Window | None
+) -> Table:
+    """The table of `recording verify`: a row per topic. `folders` hold `<topic with / as __>.jsonl`."""
+    _, reader, found = _find(readers, recording)
+    topics = found.get("topics") or {}
+    covered = window or _common(reader, recording, [name for name, t in topics.items() if t["storage"] == SEGMENT])
+    ledgers = dict(_ledgers(folders, sorted(topics)))
+    if not ledgers:
+        raise InputError(
+            f"{', '.join(map(str, folders))}: no ledger of a topic of {recording}; --ledgers names the folder of "
+            f"one run, with files as {_file_name(min(topics, default='/topic'))}"
+        )
+    verdict = verify(reader, segments, recording, ledgers, covered)
+    missing = sorted(set(topics) - set(ledgers))
+    columns = ("topic", "published", "stored", "lost", "duplicates", "mismatches", "unknown", "unreadable", "complete")
+    rows = [*(_verdict_row(one) for one in verdict.topics.values()), *({"topic": topic} for topic in missing)]
+    return Table("topics", columns, rows, refusal=_refusal(verdict, missing))
+
+
+@dataclass(frozen=True)
+class _Explained:
+    """A reader whose first answer tells a person what to do when the database is out of reach from here."""
+
+    reader: PymongoRecordingReader
+    address: str
+
+    def recordings(self) -> Sequence[Mapping[str, Any]]:
+        try:
+            return self.reader.recordings()
+        except UnavailableError as error:
+            raise UnavailableError(
+                f"{error}; is {self.address} in reach from here? Else run `kubectl -n robotkube port-forward "
+                "service/database 27017` and add --database 127.0.0.1:27017"
+            ) from error
+
+    def buckets(self, recording: str) -> Iterator[Mapping[str, Any]]:
+        yield from self.reader.buckets(recording)
+
+    def index(self, recording: str) -> Iterator[Mapping[str, Any]]:
+        yield from self.reader.index(recording)
+
+
+def _readers(options: argparse.Namespace) -> Readers:
+    platform = Platform(options)
+    accounts = platform.database_accounts(options.agent)
+    host, port = _address(options.database) if options.database else platform.address("database")
+    return {agent: _reader(agent, values, host, port) for agent, values in sorted(accounts.items())}
+
+
+def _reader(agent: str, values: Mapping[str, str], host: str, port: int) -> RecordingReader:
+    try:
+        account = Account(
+            host, port, values["database"], values["username"], values["password"], values["authenticationDatabase"]
+        )
+    except KeyError as error:
+        raise DocumentError(f"secret {agent}/database-account", [f"has no key {error}"]) from error
+    return _Explained(PymongoRecordingReader(connect(account)), f"{host}:{port}")
+
+
+def _find(readers: Readers, recording: str) -> tuple[str, RecordingReader, Mapping[str, Any]]:
+    for agent, reader in readers.items():
+        for found in list_recordings(reader):
+            if found["_id"] == recording:
+                return agent, reader, found
+    raise RefusalError("UnknownRecording", f"there is no recording {recording}; see `robotkube recording list`")
+
+
+def _row(agent: str, found: Mapping[str, Any]) -> dict[str, Any]:
+    started, ended, counts = found.get("started"), found.get("ended"), found.get("counts") or {}
+    return {
+        "recording": found["_id"],
+        "agent": agent,
+        "task": (found.get("provenance") or {}).get("task"),
+        "started": _time(started),
+        "ended": _time(ended),
+        "seconds": round((ended - started) / 1e9, 1) if started and ended else None,
+        "state": "ended" if ended else "open",
+        **{name: counts.get(name) for name in ("documents", "segments", "dropped")},
+        "volumes": list(found.get("volumes") or []),
+    }
+
+
+def _verdict_row(one: TopicVerdict) -> dict[str, Any]:
+    kinds = ("lost", "duplicates", "mismatches", "unknown", "unreadable")
+    counts = {kind: len(getattr(one, kind)) for kind in kinds}
+    return {
+        "topic": one.topic,
+        "published": one.published,
+        "stored": one.stored,
+        **counts,
+        "complete": str(one.complete).lower(),
+    }
+
+
+def _refusal(verdict: Verdict, missing: Sequence[str]) -> str:
+    bad = [one.topic for one in verdict.topics.values() if not one.complete]
+    first = next((text for one in verdict.topics.values() for text in one.unreadable), "")
+    reasons = [f"differs from the ledgers: {', '.join(bad)}"] if bad else []
+    reasons += [f"no ledger was given of: {', '.join(missing)}"] if missing else []
+    reasons += [f"first that cannot be read: {first} (--segments <node>/<claim>=<folder>)"] if first else []
+    return f"{verdict.recording}: {'; '.join(reasons)}" if reasons else ""
+
+
+def _common(reader: RecordingReader, recording: str, topics: Sequence[str]) -> Window:
+    """From the latest first to the earliest last stamp of the large topics."""
+    first: dict[str, int] = {}
+    last: dict[str, int] = {}
+    for entry in reader.index(recording):
+        topic, stamp = entry["topic"], entry["stamp"]
+        first[topic] = min(first.get(topic, stamp), stamp)
+        last[topic] = max(last.get(topic, stamp), stamp)
+    if not topics or set(topics) - set(first):
+        absent = ", ".join(sorted(set(topics) - set(first))) or "any topic with large messages"
+        raise InputError(f"{recording} holds nothing of {absent}, so what to compare must be said: --window FIRST:LAST")
+    return max(first.values()), min(last.values())
+
+
+def _ledgers(folders: Sequence[Path], topics: Sequence[str]) -> Iterator[tuple[str, list[LedgerLine]]]:
+    for topic in topics:
+        for folder in folders:
+            file = folder / _file_name(topic)
+            if file.is_file():
+                yield topic, read_ledger(file.read_text().splitlines(), str(file))
+                break
+
+
+def _file_name(topic: str) -> str:
+    return f"{topic.replace('/', '__')}.jsonl"
+
+
+def _volume(text: str) -> tuple[str, Path]:
+    volume, separator, folder = text.partition("=")
+    if not separator or "/" not in volume or not Path(folder).is_dir():
+        raise InputError(f"--segments {text!r} must be <node>/<claim>=<existing folder>, as cloud-0/recordings=...")
+    return volume, Path(folder)
+
+
+def _window(text: str) -> Window:
+    first, _, last = text.partition(":")
+    if not (first.isdigit() and last.isdigit() and int(first) <= int(last)):
+        raise InputError(f"--window {text!r} must be FIRST:LAST, two stamps in ns, the first not later")
+    return int(first), int(last)
+
+
+def _address(text: str) -> tuple[str, int]:
+    host, _, port = text.rpartition(":")
+    if not host or not port.isdigit():
+        raise InputError(f"--database {text!r} must be HOST:PORT")
+    return host, int(port)
+
+
+def _time(ns: int | None) -> str | None:
+    return None if ns is None else datetime.fromtimestamp(ns // 10**9, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
