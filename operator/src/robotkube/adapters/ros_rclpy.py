@@ -3,7 +3,7 @@
 Why not rclpy.Node, executors and message classes: they cost most of what a small process costs. A node object opens six
 more DDS entities, a message package imports numpy, an executor spends 200 us per message. Here a process has a context,
 one node without services, and per topic one publisher or subscription that moves bytes (CDR with its encapsulation).
-Figures: docs/decisions/0010-data-path.md.
+Figures: docs/decisions/0004-data-path.md.
 
     node = RosNode("bridge")         # one per process; ROS_DOMAIN_ID comes from the environment
     poses = node.subscribe("/p", "geometry_msgs/msg/PoseStamped", depth=1000)
