@@ -25,6 +25,7 @@ NAMESPACE, ARGOCD = "robotkube", "argocd"
 CHART = PROJECT / "charts" / "robotkube"
 INSTALL_TIMEOUT_SECONDS = 420
 ROLLOUT_TIMEOUT_SECONDS = 240
+RESTRICTED = {"pod-security.kubernetes.io/enforce": "restricted"}
 BAGS_SIZE = "2Gi"
 PLATFORM_IMAGES = ("platform", "mosquitto", "gitea", "ferretdb")
 LOG_LINES = 15
@@ -62,22 +63,30 @@ class Installer:
 
         source = toolchain.module_dir("github.com/argoproj/argo-cd/v3") / "manifests" / "install.yaml"
         manifests = render.render(source.read_text(encoding="utf-8"), references)
-        namespace = {"apiVersion": "v1", "kind": "Namespace", "metadata": {"name": ARGOCD}}
-        self.kubectl("apply", "--server-side", "--force-conflicts", "-f", "-", text=yaml.safe_dump(namespace))
+        self.namespace(ARGOCD, {})
         apply = ("apply", "--server-side", "--force-conflicts", "-n", ARGOCD, "-f", "-")
         self.kubectl(*apply, text=manifests, seconds=120)
         kinds = [f"crd/{kind}.argoproj.io" for kind in ("applications", "applicationsets", "appprojects")]
         self.kubectl("wait", "--for=condition=Established", "--timeout=60s", *kinds, seconds=70)
 
-    def platform(self, references: Mapping[str, str], topology: Topology) -> None:
-        """`helm upgrade --install robotkube` with the embedded profile, the images and the agents of the topology."""
+    def namespace(self, name: str, labels: Mapping[str, str]) -> None:
+        """A namespace with labels, whether it is there or not."""
+        namespace = {"apiVersion": "v1", "kind": "Namespace", "metadata": {"name": name, "labels": dict(labels)}}
+        self.kubectl("apply", "--server-side", "--force-conflicts", "-f", "-", text=yaml.safe_dump(namespace))
+
+    def platform(self, references: Mapping[str, str], topology: Topology, chart: Path = CHART) -> None:
+        """`helm upgrade --install robotkube` with the embedded profile, the images and the agents of the topology.
+
+        The namespace comes first: a chart cannot say that its own namespace takes only restricted pods.
+        """
         values = self.work / "values.yaml"
         self.work.mkdir(parents=True, exist_ok=True)
         values.write_text(yaml.safe_dump(platform_values(references, topology)), encoding="utf-8")
-        options = ["-n", NAMESPACE, "--create-namespace", "-f", str(CHART / "values-embedded.yaml"), "-f", str(values)]
+        self.namespace(NAMESPACE, RESTRICTED)
+        options = ["-n", NAMESPACE, "-f", str(chart / "values-embedded.yaml"), "-f", str(values)]
         try:
             self.helm(
-                "upgrade", "--install", NAMESPACE, str(CHART), *options, "--timeout", f"{INSTALL_TIMEOUT_SECONDS}s"
+                "upgrade", "--install", NAMESPACE, str(chart), *options, "--timeout", f"{INSTALL_TIMEOUT_SECONDS}s"
             )
         except SetUpError as error:
             raise SetUpError(f"{error}\n{self.state(NAMESPACE)}\n{self.state(ARGOCD)}") from error
