@@ -24,10 +24,11 @@ def main(arguments: list[str] | None = None) -> int:
     command.add_argument("--cluster", default="demo", help="name of the cluster")
     command.add_argument("--variant", help="named set of parameters in scenario.yaml")
     command.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="overrides a parameter")
+    command.add_argument("--reports", type=Path, default=running.REPORTS, help="folder of the reports")
     given = parser.parse_args(arguments)
     try:
         settings = dict(pair(text) for text in given.set)
-        return running.run(given.scenario, given.cluster, settings, given.variant)
+        return running.run(given.scenario, given.cluster, settings, given.variant, reports=given.reports)
     except ScenarioError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

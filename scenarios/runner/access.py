@@ -44,6 +44,10 @@ class Access:
         self.core = client.CoreV1Api(self._client)
         self.objects = client.CustomObjectsApi(self._client)
 
+    def disconnect(self) -> None:
+        """Ends the connection."""
+        self._client.close()
+
     def secret(self, namespace: str, name: str) -> dict[str, str]:
         """A Secret's values as text."""
         found = self._call(self.core.read_namespaced_secret, f"secret {namespace}/{name}", name, namespace)

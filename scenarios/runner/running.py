@@ -73,8 +73,10 @@ def run(
     settings: Mapping[str, str],
     variant: str | None = None,
     set_up_seconds: Mapping[str, float] | None = None,
+    reports: Path = REPORTS,
 ) -> int:
-    """Runs the scenario in `folder` on `cluster`; returns 0 only if every expectation holds, else 1.
+    """Runs the scenario in `folder` on `cluster`; returns 0 only if every expectation holds, else 1. The report is
+    written to `reports`/<scenario>/.
 
     Raises `ScenarioError` for a bad scenario or bag before anything has been touched.
     """
@@ -86,7 +88,7 @@ def run(
         checking.check_bag(bag, scenario, agent)
     seconds = dict(set_up_seconds or {}) | {"bags": round(time.monotonic() - began, 2)}
     try:
-        return _run(scenario, cluster, made, seconds)
+        return _run(scenario, cluster, made, seconds, reports)
     except RunError as error:
         _say(f"error: {error}")
         return 1
@@ -96,7 +98,7 @@ def _say(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
-def _run(scenario: Scenario, cluster: str, made: Mapping[str, Path], seconds: dict[str, float]) -> int:
+def _run(scenario: Scenario, cluster: str, made: Mapping[str, Path], seconds: dict[str, float], reports: Path) -> int:
     provider = Embedded(cluster, Path())
     access = Access(provider.kubeconfig())
     _check_nodes(scenario, provider)
@@ -116,7 +118,7 @@ def _run(scenario: Scenario, cluster: str, made: Mapping[str, Path], seconds: di
             set_up_seconds=seconds,
         )
         done = execute(going, made)
-        show(going, done)
+        show(going, done, reports)
     return 0 if done.passed else 1
 
 
@@ -311,9 +313,9 @@ def collect(going: Run) -> RunInputs:
     )
 
 
-def show(going: Run, done: report.Report) -> None:
+def show(going: Run, done: report.Report, reports: Path) -> None:
     """Timeline, table, files and where to look, on standard output."""
-    files = report.write(done, REPORTS / going.scenario.name, page(done))
+    files = report.write(done, reports / going.scenario.name, page(done))
     print("\n".join(timeline.lines(done.inputs, done.moments)), flush=True)
     print()
     for row in done.table:
