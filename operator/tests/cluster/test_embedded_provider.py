@@ -82,9 +82,8 @@ def machine() -> dict[str, Any]:
 
 
 @pytest.fixture(scope="module")
-def before() -> dict[str, Any]:
-    for name in ("demo", "test"):
-        cleaning.remove(name)
+def before(no_demo: None) -> dict[str, Any]:
+    cleaning.remove(NAME)
     return machine()
 
 

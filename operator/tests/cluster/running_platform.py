@@ -1,0 +1,125 @@
+"""The platform on the shared cluster as the tests see it: as administrator, by kubectl, and by the accounts it made."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import httpx
+
+from ci.cluster.embedded import Embedded
+from ci.errors import SetUpError
+from ci.installation import Installer
+from robotkube.adapters.git_clones import GitClone
+from robotkube.adapters.git_deployment import ProposalWriter
+from scenarios.definition import Scenario
+from scenarios.runner.access import Access
+from scenarios.runner.waiting import RunError
+
+DEPLOYMENT = "robotkube/deployment"
+WAIT_SECONDS_MAX = 60.0
+POLL_SECONDS = 0.5
+
+
+def eventually(what: str, reached: Callable[[], Any], seconds: float = WAIT_SECONDS_MAX) -> Any:
+    """The first true answer; a look that fails is repeated. Fails with `what` and the last answer after the bound."""
+    end, answer = time.monotonic() + seconds, None
+    while time.monotonic() < end:
+        try:
+            answer = reached()
+        except (SetUpError, RunError) as error:
+            answer = None if time.monotonic() < end else error
+        if answer:
+            return answer
+        time.sleep(POLL_SECONDS)
+    raise AssertionError(f"not within {seconds:.0f} s: {what}; last seen: {answer!r}")
+
+
+@dataclass(frozen=True)
+class Platform:
+    """The installed platform. `access` is the connection that the scenario's runner uses, too."""
+
+    installer: Installer
+    provider: Embedded
+    access: Access
+    scenario: Scenario
+
+    @property
+    def name(self) -> str:
+        """Name of the cluster."""
+        return self.provider.name
+
+    @property
+    def agents(self) -> list[str]:
+        """Agents with a release namespace."""
+        return [node.agent for node in self.scenario.nodes if node.role != "platform"]
+
+    def kubectl(self, *arguments: str, text: str | None = None, seconds: int = 90) -> str:
+        """Standard output of kubectl; SetUpError with what it said when it fails."""
+        return self.installer.kubectl(*arguments, text=text, seconds=seconds)
+
+    def get(self, *arguments: str) -> Any:
+        """An object or a list as kubectl prints it in JSON."""
+        return json.loads(self.kubectl("get", *arguments, "-o", "json"))
+
+    def deployment(self, namespace: str, name: str) -> dict[str, Any]:
+        """A Deployment, empty when there is none."""
+        found = self.kubectl("-n", namespace, "get", "deployment", name, "--ignore-not-found", "-o", "json")
+        return dict(json.loads(found)) if found else {}
+
+    def available(self, namespace: str, name: str) -> bool:
+        """Whether all replicas of a Deployment are there, as last asked for."""
+        found = self.deployment(namespace, name)
+        status = found.get("status", {})
+        seen = status.get("observedGeneration") == found.get("metadata", {}).get("generation")
+        return bool(found) and seen and status.get("availableReplicas", 0) == found["spec"]["replicas"] > 0
+
+    def settled(self) -> bool:
+        """Whether everything that main asks for runs: Applications Synced and Healthy."""
+        states = [application.get("status", {}) for application in self.access.applications().values()]
+        seen = [(s.get("sync", {}).get("status"), s.get("health", {}).get("status")) for s in states]
+        return bool(seen) and all(state == ("Synced", "Healthy") for state in seen)
+
+    def forge_url(self) -> str:
+        """Where the forge answers from this machine."""
+        forge = self.access.endpoint("forge")
+        return f"http://{forge.host}:{forge.port}"
+
+    def password(self, account: str) -> str:
+        """A forge account's password."""
+        return self.access.secret("robotkube", f"forge-account-{account}")["password"]
+
+    def forge(self, account: str) -> httpx.Client:
+        """The forge's API of the deployment repository as `account`; to be closed."""
+        base = f"{self.forge_url()}/api/v1/repos/{DEPLOYMENT}"
+        return httpx.Client(base_url=base, auth=(account, self.password(account)), timeout=30)
+
+    def writer(self, account: str, folder: Path) -> Writer:
+        """Commits to the deployment repository as `account`, by a clone in `folder`."""
+        clone = GitClone(self.forge_url(), DEPLOYMENT, account, self.password(account), folder)
+        proposals = ProposalWriter(folder, account, self.password(account), account, time.time)
+        return Writer(clone, proposals)
+
+
+@dataclass(frozen=True)
+class Writer:
+    """One account with a clone of the deployment repository."""
+
+    clone: GitClone
+    proposals: ProposalWriter
+
+    def commit(self, changes: Mapping[str, str | None], message: str) -> str:
+        """A commit on main's tip."""
+        return self.proposals.commit(self.clone.fetch(), changes, message)
+
+    def push(self, changes: Mapping[str, str | None], message: str) -> str:
+        """The changes on main, by the account itself: no pull request, no gate."""
+        for _ in range(3):
+            commit = self.commit(changes, message)
+            if self.clone.push_main(commit):
+                return commit
+        raise AssertionError("main moved three times")

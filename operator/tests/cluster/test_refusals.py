@@ -1,0 +1,191 @@
+"""What reaches main past manager and gate, or asks for more than a release may, is refused by Argo CD; what the manager
+proposes wrongly is refused by the gate; and what nobody asked for is taken away again.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+from running_platform import Platform, Writer, eventually
+
+from ci import publish
+from robotkube.adapters.chart_folders import pack
+from robotkube.adapters.oci_registry import Registry
+from robotkube.domain.proposals import ChartReference, CommitMessage, write_message
+from robotkube.domain.releases import Release, Source, write_release, write_source
+
+AGENT, PLAN = "vehicle-02", "20261121-100000-abcdef"
+CHARTS = "oci://forge.robotkube.svc.cluster.local:3000/staging"
+REFUSED_SECONDS_MAX = 90.0
+VERSION = "0.1.0"
+CONFIGMAP = """
+apiVersion: v1
+kind: ConfigMap
+metadata: {name: {{ .Release.Name }}}
+data: {reached: the cluster}
+"""
+CLUSTER_ROLE = """
+apiVersion: rbac.authorization.k8s.io/v1
+kind: ClusterRole
+metadata: {name: everything-test}
+rules: [{apiGroups: ["*"], resources: ["*"], verbs: ["*"]}]
+"""
+UNKNOWN_DIGEST = "sha256:" + "d" * 64
+
+
+def push_chart(platform: Platform, folder: Path, name: str) -> str:
+    """A chart with a ConfigMap and a ClusterRole, in staging; returns its digest."""
+    (folder / "templates").mkdir(parents=True)
+    (folder / "Chart.yaml").write_text(f"apiVersion: v2\nname: {name}\nversion: {VERSION}\n")
+    (folder / "values.yaml").write_text("{}\n")
+    (folder / "templates" / "configmap.yaml").write_text(CONFIGMAP)
+    (folder / "templates" / "clusterrole.yaml").write_text(CLUSTER_ROLE)
+    forge = publish.find_forge(platform.installer.kubeconfig)
+    with Registry(forge.url, publish.ACCOUNT, forge.password) as registry:
+        return registry.push_chart(publish.STAGING, pack(folder, {}))
+
+
+def files(name: str, chart: str, digest: str, annotation: str = "") -> dict[str, str | None]:
+    """A release with its source; `annotation` stands where the chart's name should."""
+    release = Release(AGENT, name, chart, VERSION, digest, {}, plan=PLAN)
+    text = write_release(release)
+    if annotation:
+        text = text.replace(f"robotkube.io/chart: {chart}\n", f"robotkube.io/chart: {annotation}\n")
+        assert annotation in text
+    source = Source(AGENT, chart, digest, f"{CHARTS}/{chart}")
+    return {release.path: text, source.path: write_source(source)}
+
+
+@pytest.fixture(scope="module")
+def asleep(platform: Platform) -> Iterator[None]:
+    """The manager does not run, since it would take away at once what nobody asked for."""
+    eventually("all Applications synced and healthy", platform.settled)
+    platform.kubectl("-n", "robotkube", "scale", "deployment/manager", "--replicas=0")
+    chosen = ("-n", "robotkube", "wait", "--for=delete", "pod", "-l", "app.kubernetes.io/name=manager")
+    platform.kubectl(*chosen, "--timeout=30s")
+    yield
+    platform.kubectl("-n", "robotkube", "scale", "deployment/manager", "--replicas=1")
+    platform.kubectl("-n", "robotkube", "rollout", "status", "deployment/manager", "--timeout=60s")
+
+
+@pytest.fixture(scope="module")
+def refused(platform: Platform, asleep: None, tmp_path_factory: pytest.TempPathFactory) -> Writer:
+    """Three releases on main that the gate has not seen, by the one account that may push there."""
+    digest = push_chart(platform, tmp_path_factory.mktemp("chart") / "everything", "everything")
+    gate = platform.writer("gate", tmp_path_factory.mktemp("gate"))
+    changes = files("everything", "everything", digest)
+    changes |= files("foreign", "elsewhere", digest, annotation="../robotkube/everything")
+    changes |= files("unknown", "mqtt-bridge", UNKNOWN_DIGEST)
+    gate.push(changes, "test: releases that no gate has seen\n")
+    return gate
+
+
+def application(platform: Platform, name: str) -> dict[str, Any]:
+    """The Application of a release of this module, empty when there is none."""
+    return dict(platform.access.applications().get(f"{AGENT}-{name}", {}))
+
+
+def conditions(found: Mapping[str, Any]) -> str:
+    """All that Argo CD says against an Application."""
+    status = found.get("status", {})
+    texts = [f"{entry['type']}: {entry['message']}" for entry in status.get("conditions", [])]
+    return "\n".join([*texts, status.get("operationState", {}).get("message", "")])
+
+
+def test_a_cluster_role_is_refused_with_its_whole_release(platform: Platform, refused: Writer) -> None:
+    def said() -> bool:
+        text = conditions(application(platform, "everything"))
+        return "SyncError" in text and "ClusterRole is not permitted in project robotkube-apps" in text
+
+    eventually("the ClusterRole is refused", said, REFUSED_SECONDS_MAX)
+    state = application(platform, "everything")["status"]
+    assert state["sync"]["status"] == "OutOfSync"
+    assert state["operationState"]["phase"] == "Failed"
+    assert platform.kubectl("get", "clusterrole", "everything-test", "--ignore-not-found") == ""
+    assert platform.kubectl("-n", AGENT, "get", "configmap", "everything", "--ignore-not-found") == ""
+
+
+def test_a_chart_from_elsewhere_is_refused(platform: Platform, refused: Writer) -> None:
+    def said() -> bool:
+        text = conditions(application(platform, "foreign"))
+        return "InvalidSpecError" in text and "is not permitted in project 'robotkube-apps'" in text
+
+    eventually("the source is refused", said, REFUSED_SECONDS_MAX)
+    assert application(platform, "foreign")["status"]["sync"]["status"] == "Unknown"
+    assert platform.kubectl("-n", AGENT, "get", "configmap", "foreign", "--ignore-not-found") == ""
+
+
+def test_a_digest_that_the_registry_does_not_have_changes_nothing(platform: Platform, refused: Writer) -> None:
+    def said() -> bool:
+        text = conditions(application(platform, "unknown"))
+        return "ComparisonError" in text and "not found" in text
+
+    eventually("the digest is not found", said, REFUSED_SECONDS_MAX)
+    assert application(platform, "unknown")["status"]["sync"]["status"] == "Unknown"
+
+
+def test_the_other_releases_go_on(platform: Platform, refused: Writer) -> None:
+    assert platform.available(AGENT, "mqtt-bridge")
+
+
+def test_what_is_taken_away_is_gone_by_gits_word_alone(platform: Platform, refused: Writer) -> None:
+    """The one that is no valid release: the manager leaves files alone that it cannot read."""
+    path = f"releases/{AGENT}/foreign.yaml"
+    source = next(path for path in refused.clone.files(refused.clone.fetch(), ("sources",)) if "elsewhere" in path)
+    refused.push({path: None, source: None}, "test: take the foreign release away\n")
+    eventually("the Application is gone", lambda: not application(platform, "foreign"), REFUSED_SECONDS_MAX)
+
+
+def test_the_manager_takes_away_what_nobody_asked_for(platform: Platform, refused: Writer) -> None:
+    """By a pull request, as everything it does. The fixtures wake it again afterwards; it may be woken twice."""
+    platform.kubectl("-n", "robotkube", "scale", "deployment/manager", "--replicas=1")
+
+    def clean() -> bool:
+        left = [name for name in refused.clone.files(refused.clone.fetch(), ("releases",)) if AGENT in name]
+        return not any(name.endswith(("everything.yaml", "unknown.yaml")) for name in left)
+
+    eventually("main is as the catalogue and the tasks want it", clean, REFUSED_SECONDS_MAX)
+    gone = ("everything", "unknown")
+    eventually(
+        "the Applications are gone", lambda: not any(application(platform, n) for n in gone), REFUSED_SECONDS_MAX
+    )
+    message = refused.clone.log(None, 1)[0].message
+    assert message.startswith("deploy(initial)")
+    eventually("all other Applications synced and healthy", platform.settled)
+
+
+BROKEN = {
+    "an unknown key": (("\nspec:\n", "\nspec:\n  surplus: 1\n"), ("spec", "surplus")),
+    "no digest": (("robotkube.io/chart-digest", "robotkube.io/digest"), ("metadata.annotations", "chart-digest")),
+}
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_a_broken_proposal_is_refused_with_file_and_key(platform: Platform, tmp_path: Path, case: str) -> None:
+    (old, new), expected = BROKEN[case]
+    manager = platform.writer("manager", tmp_path)
+    plan = f"{time.strftime('%Y%m%d-%H%M%S', time.gmtime())}-{len(case):06x}"
+    changes = files("broken", "mqtt-bridge", UNKNOWN_DIGEST)
+    path = f"releases/{AGENT}/broken.yaml"
+    text = str(changes[path]).replace(PLAN, plan)
+    assert old in text
+    chart = ChartReference("mqtt-bridge", VERSION, UNKNOWN_DIGEST)
+    words = CommitMessage("deploy", "initial", "test", plan, initial=True, charts=(chart,))
+    commit = manager.commit({**changes, path: text.replace(old, new)}, write_message(words))
+    number = manager.proposals.propose(commit, plan, words.subject, "a test")
+    with platform.forge("gate") as forge:
+
+        def closed() -> bool:
+            found = forge.get(f"/pulls/{number}").json()
+            assert not found["merged"]
+            return bool(found["state"] == "closed")
+
+        eventually("the gate closes the pull request", closed)
+        comments = "\n".join(item["body"] for item in forge.get(f"/issues/{number}/comments").json())
+    for part in (path, *expected):
+        assert part in comments
+    assert manager.clone.fetch() != commit
