@@ -44,4 +44,4 @@ lock:           ## write the lock files anew from operator/pyproject.toml
 	@$(PYTHON) -m ci.lock
 
 golden:         ## write the charts' golden renderings anew
-	@$(PYTHON) -m pytest -c operator/pyproject.toml operator/tests/charts --golden
+	@ROBOTKUBE_GOLDEN=write $(PYTHON) -m pytest -c operator/pyproject.toml -p no:cacheprovider operator/tests/charts/test_rendering.py

@@ -6,9 +6,12 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterable
+from pathlib import Path
 
 from ci.errors import SetUpError
+from ci.folders import user_cache
 
 INSTALL_TIMEOUT_SECONDS = 900
 
@@ -24,6 +27,8 @@ NEEDS: dict[str, tuple[str, ...]] = {
         "util-linux",
     ),
     "images": ("buildah", "mmdebstrap"),
+    # the last four are what the broker is linked with, see `unpacked`
+    "tests": ("git", "iproute2", "openssl", "util-linux", "libcjson1", "libdlt2", "libmosquitto1", "libwrap0"),
 }
 
 
@@ -51,10 +56,29 @@ def ensure(*groups: str) -> None:
         _apt_get(arguments, command)
 
 
-def _apt_get(arguments: list[str], command: str) -> None:
+def unpacked(package: str) -> tuple[Path, ...]:
+    """Folders of the programs of a Debian package that is fetched but not installed: installing a server would start
+    it, and tests run their own. What it is linked with must be in NEEDS. Kept below the user's cache folder.
+    """
+    folder = user_cache() / "debian" / package
+    programs = (folder / "usr" / "sbin", folder / "usr" / "bin")
+    if any(path.is_dir() for path in programs):
+        return programs
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=folder.parent) as made:
+        # fetched as root: the account apt uses otherwise may not write to this folder
+        _apt_get(["-o", "APT::Sandbox::User=root", "download", package], f"apt-get download {package}", made)
+        [archive] = Path(made).glob("*.deb")
+        subprocess.run(["dpkg-deb", "--extract", archive, Path(made) / "files"], check=True, timeout=60)
+        (Path(made) / "files").rename(folder)
+    return programs
+
+
+def _apt_get(arguments: list[str], command: str, folder: str | None = None) -> None:
     environment = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
     result = subprocess.run(
         ["apt-get", "-qq", *arguments],
+        cwd=folder,
         env=environment,
         capture_output=True,
         text=True,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +11,8 @@ from ci import packages, preflight, toolchain
 from ci.cluster.images import Image, lock_file, read_lock
 from ci.images.building import build_images
 from ci.steps import Steps
+
+TOOLCHAIN_VARIABLE = "ROBOTKUBE_TOOLCHAIN_BIN"
 
 
 @dataclass(frozen=True)
@@ -40,9 +43,21 @@ def everything() -> Prepared:
     return Prepared(binaries, tuple(read_lock(lock_file())))
 
 
+@functools.cache
+def for_tests() -> None:
+    """Debian packages that tests and benchmarks run; a broker is put on this process's PATH."""
+    packages.ensure("tests", "images")
+    os.environ["PATH"] = os.pathsep.join([os.environ["PATH"], *map(str, packages.unpacked("mosquitto"))])
+
+
 def prepare(needs: str) -> None:
-    """`nothing`, `toolchain` or `images`: make it so."""
-    if needs == "toolchain":
-        tool_chain()
-    elif needs == "images":
+    """Make what a group of tests `needs`: `nothing`, `tests`, `toolchain` (and tests), `images` (and all the others).
+
+    The folder of the tool chain's programs is in the environment variable ROBOTKUBE_TOOLCHAIN_BIN from then on.
+    """
+    if needs != "nothing":
+        for_tests()
+    if needs in ("toolchain", "images"):
+        os.environ[TOOLCHAIN_VARIABLE] = str(tool_chain())
+    if needs == "images":
         everything()

@@ -1,103 +1,139 @@
 """`make test`: five groups, each with its time; `--thorough` runs the slower proofs instead. Exit code 1 when
 anything failed.
 
-The tool chain and the images come first (built once, cached), since forge and cluster tests need the real programs.
+What a group needs (Debian packages, tool chain, images) is made before its time begins, once, and cached. Tests find
+the programs of the tool chain in the folder ROBOTKUBE_TOOLCHAIN_BIN. A group that runs no test has failed.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import signal
 import subprocess
 import sys
 import tempfile
 import time
-import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from ci import preparing
+from ci import preparing, results
+from ci.errors import SetUpError
 
 TOP = Path(__file__).resolve().parent.parent
 TESTS = "operator/tests"
+TEARDOWN_SECONDS_MAX = 120
 
 
 @dataclass(frozen=True)
 class Group:
-    """One group of tests: folders, or the checks when there are none. `seconds_max` kills a group that hangs."""
+    """One group of tests: folders, or the checks when there are none.
+
+    `goal_seconds` is what it may take on a quiet machine of two cores; twice that, and it is ended. `needs` is what
+    `preparing.prepare` makes before.
+    """
 
     name: str
     folders: tuple[str, ...]
-    seconds_max: int
-    needs: str = "nothing"
+    goal_seconds: int
+    needs: str
 
+    @property
+    def seconds_max(self) -> int:
+        return 2 * self.goal_seconds + 120
 
-PURE = ("unit", "domain", "manager", "detector", "data_path", "scenario", "images")
-REAL = ("charts", "forge", "database", "apiserver", "cluster")
 
 GROUPS = (
-    Group("check", (), 600),
-    Group("unit", PURE, 900),
-    Group("charts", ("charts",), 600, "toolchain"),
-    Group("forge", ("forge", "database", "apiserver"), 900, "toolchain"),
-    Group("cluster", ("cluster",), 2400, "images"),
+    Group("check", (), 180, "nothing"),
+    Group("unit", ("unit", "domain", "manager", "detector", "data_path", "scenario", "images"), 300, "tests"),
+    Group("charts", ("charts",), 120, "toolchain"),
+    Group("forge", ("forge", "database", "apiserver"), 240, "toolchain"),
+    Group("cluster", ("cluster",), 600, "images"),
 )
-THOROUGH = Group("thorough", PURE + REAL, 5400, "images")
+THOROUGH = Group("thorough", tuple(folder for group in GROUPS for folder in group.folders), 3600, "images")
 
 
 @dataclass(frozen=True)
 class Result:
     """Counts of one group, and its wall time in seconds."""
 
-    name: str
+    group: Group
     passed: int
     failed: int
     skipped: int
     seconds: float
 
 
-def run_checks(group: Group) -> tuple[int, int, int]:
+def ungrouped(tests: Path = TOP / TESTS) -> list[str]:
+    """Folders with tests that no group runs, and folders of a group that have none: both are mistakes."""
+    found = {path.parent.relative_to(tests).as_posix() for path in tests.rglob("test_*.py")}
+    return sorted(found ^ set(THOROUGH.folders))
+
+
+def run_checks(group: Group) -> results.Counts:
     done = subprocess.run([sys.executable, "-m", "ci.check"], cwd=TOP, timeout=group.seconds_max, check=False)
-    return (1, 0, 0) if done.returncode == 0 else (0, 1, 0)
+    return results.Counts(1, 0, 0) if done.returncode == 0 else results.Counts(0, 1, 0)
 
 
-def run_pytest(group: Group, marker: str) -> tuple[int, int, int]:
-    """Run a group's folders that exist; a run that dies counts as one failure more than what it reported."""
-    folders = [f"{TESTS}/{name}" for name in group.folders if (TOP / TESTS / name).is_dir()]
+def run_pytest(group: Group, marker: str) -> results.Counts:
+    """Run a group's folders. A run that ends badly without a failed test counts as one failure."""
     with tempfile.TemporaryDirectory() as folder:
-        report = Path(folder) / "report.xml"
-        command = [sys.executable, "-m", "pytest", "-c", "operator/pyproject.toml", "-m", marker]
-        command += ["--durations=5", f"--junitxml={report}", "-p", "no:cacheprovider", *folders]
-        try:
-            code = subprocess.run(command, cwd=TOP, timeout=group.seconds_max, check=False).returncode
-        except subprocess.TimeoutExpired:
-            print(f"{group.name}: not done after {group.seconds_max} s, killed", flush=True)
-            code = -1
-        passed, failed, skipped = counts(report)
-    if code != 0 and not failed:
-        failed = 1
-    return passed, failed, skipped
+        report = Path(folder) / "results"
+        command = [sys.executable, "-m", "pytest", "-c", "operator/pyproject.toml", "-m", marker, "-p", "ci.results"]
+        command += ["--durations=10", "-p", "no:cacheprovider", *(f"{TESTS}/{name}" for name in group.folders)]
+        process = subprocess.Popen(command, cwd=TOP, env={**os.environ, results.VARIABLE: str(report)})
+        code = wait(process, group)
+        counts = results.read(report)
+    for test in counts.died:
+        print(f"{group.name}: the run ended in the middle of {test}", flush=True)
+    if not counts.passed + counts.failed + counts.skipped:
+        print(f"{group.name}: no test was run (pytest ended with {code})", flush=True)
+    if code and not counts.failed:
+        return results.Counts(counts.passed, 1, counts.skipped)
+    return counts
 
 
-def counts(report: Path) -> tuple[int, int, int]:
-    """(passed, failed, skipped) of a JUnit file; zeros when there is none."""
-    if not report.exists():
-        return 0, 0, 0
-    suites = ElementTree.parse(report).getroot().iter("testsuite")  # noqa: S314 - written by our own pytest
-    total = failed = skipped = 0
-    for suite in suites:
-        total += int(suite.get("tests", 0))
-        failed += int(suite.get("failures", 0)) + int(suite.get("errors", 0))
-        skipped += int(suite.get("skipped", 0))
-    return total - failed - skipped, failed, skipped
+def wait(process: subprocess.Popen[bytes], group: Group) -> int:
+    """The exit code. An interrupt reaches pytest, too; it is given time to take down what its fixtures started."""
+    try:
+        return process.wait(group.seconds_max)
+    except KeyboardInterrupt:
+        end(process)
+        raise
+    except subprocess.TimeoutExpired:
+        print(f"{group.name}: not done after {group.seconds_max} s, ended", flush=True)
+        process.send_signal(signal.SIGINT)
+        end(process)
+        return -1
+
+
+def end(process: subprocess.Popen[bytes]) -> None:
+    try:
+        process.wait(TEARDOWN_SECONDS_MAX)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
 
 
 def run(group: Group, marker: str) -> Result:
     print(f"\n== {group.name}", flush=True)
     preparing.prepare(group.needs)
     began = time.monotonic()
-    passed, failed, skipped = run_pytest(group, marker) if group.folders else run_checks(group)
-    return Result(group.name, passed, failed, skipped, time.monotonic() - began)
+    counts = run_pytest(group, marker) if group.folders else run_checks(group)
+    return Result(group, counts.passed, counts.failed, counts.skipped, time.monotonic() - began)
+
+
+def table(finished: Iterable[Result]) -> str:
+    """One line per group, and the closing line with the sums."""
+    lines, sums = ["group      passed  failed skipped  seconds    goal"], [0, 0, 0]
+    for one in finished:
+        counts = (one.passed, one.failed, one.skipped)
+        late = "  late" if one.seconds > one.group.goal_seconds else ""
+        cells = "{:>6} {:>7} {:>7}".format(*counts)
+        lines.append(f"{one.group.name:<10} {cells} {one.seconds:>8.1f} {one.group.goal_seconds:>7}{late}")
+        sums = [total + count for total, count in zip(sums, counts, strict=True)]
+    return "\n".join([*lines, "{} passed, {} failed, {} skipped".format(*sums)])
 
 
 def main() -> int:
@@ -106,17 +142,20 @@ def main() -> int:
     parser.add_argument("--only", action="append", choices=[group.name for group in GROUPS], help="run only this group")
     arguments = parser.parse_args()
     os.environ.setdefault("PYTHONHASHSEED", "0")
-    if arguments.thorough:
-        results = [run(THOROUGH, "thorough")]
-    else:
-        chosen = [group for group in GROUPS if not arguments.only or group.name in arguments.only]
-        results = [run(group, "not thorough") for group in chosen]
-    print("\ngroup      passed  failed skipped  seconds")
-    for result in results:
-        print(f"{result.name:<10} {result.passed:>6} {result.failed:>7} {result.skipped:>7} {result.seconds:>8.1f}")
-    passed, failed, skipped = (sum(getattr(one, key) for one in results) for key in ("passed", "failed", "skipped"))
-    print(f"{passed} passed, {failed} failed, {skipped} skipped", flush=True)
-    return 1 if failed or not passed else 0
+    chosen = [group for group in GROUPS if not arguments.only or group.name in arguments.only]
+    groups, marker = ([THOROUGH], "thorough") if arguments.thorough else (chosen, "not thorough")
+    finished: list[Result] = []
+    try:
+        for group in groups:
+            finished.append(run(group, marker))
+    except SetUpError as error:
+        finished.append(Result(group, 0, 1, 0, 0.0))
+        print(f"error: {group.name} cannot be run, nor what comes after it: {error}", file=sys.stderr)
+    except KeyboardInterrupt:
+        print(f"interrupted in {group.name}", file=sys.stderr)
+        return 130
+    print("\n" + table(finished), flush=True)
+    return 1 if any(one.failed or not one.passed for one in finished) else 0
 
 
 if __name__ == "__main__":

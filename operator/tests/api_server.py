@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import secrets
-import socket
 import subprocess
 import time
 from dataclasses import dataclass, field
@@ -12,22 +10,9 @@ from pathlib import Path
 
 import httpx
 import yaml
-
-from ci import toolchain
+from programs import free_port, program
 
 START_SECONDS_MAX = 60.0
-
-
-def binaries() -> Path:
-    """Folder of the tool chain's programs: ROBOTKUBE_TOOLCHAIN_BIN, else the built one."""
-    folder = os.environ.get("ROBOTKUBE_TOOLCHAIN_BIN")
-    return Path(folder) if folder else toolchain.ensure().binaries
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 @dataclass
@@ -86,9 +71,9 @@ class ApiServerProcess:
             self.etcd.kill()
             self.etcd.wait(10)
 
-    def _run(self, program: str, *arguments: str) -> subprocess.Popen[bytes]:
-        with (self.folder / f"{program}.log").open("ab") as log:
-            return subprocess.Popen([str(binaries() / program), *arguments], stdout=log, stderr=log)
+    def _run(self, name: str, *arguments: str) -> subprocess.Popen[bytes]:
+        with (self.folder / f"{name}.log").open("ab") as log:
+            return subprocess.Popen([program(name), *arguments], stdout=log, stderr=log)
 
     def _ready(self) -> bool:
         headers = {"Authorization": f"Bearer {self.token}"}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import socket
 import subprocess
 import threading
@@ -14,6 +13,7 @@ from typing import Any
 import paho.mqtt.client as mqtt
 import pytest
 from paho.mqtt.enums import CallbackAPIVersion
+from programs import free_port
 
 START_SECONDS_MAX = 10.0
 ANSWER_SECONDS_MAX = 5.0
@@ -81,17 +81,9 @@ class Connection:
         self._client.loop_stop()
 
 
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 @pytest.fixture(scope="module")
 def broker(official: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
     """Port of a mosquitto that runs on the rendered files, prepared by the init container's own command."""
-    if shutil.which("mosquitto", path="/usr/sbin:/usr/bin") is None:
-        pytest.skip("mosquitto is not installed: apt-get install --no-install-recommends mosquitto")
     folder = tmp_path_factory.mktemp("broker")
     folder.chmod(0o755)
     files = official.one("ConfigMap", "broker")["data"]
@@ -120,7 +112,7 @@ def broker(official: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
 def running(configuration: Path, port: int) -> Iterator[int]:
     log = configuration.with_suffix(".log")
     with log.open("wb") as sink:
-        process = subprocess.Popen(["/usr/sbin/mosquitto", "-c", str(configuration)], stdout=sink, stderr=sink)
+        process = subprocess.Popen(["mosquitto", "-c", str(configuration)], stdout=sink, stderr=sink)
     try:
         deadline = time.monotonic() + START_SECONDS_MAX
         while True:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import socket
 import subprocess
 import time
 from collections.abc import Iterator, Mapping
@@ -13,6 +12,7 @@ from typing import Any
 
 import httpx
 import pytest
+from programs import free_port
 
 from ci import toolchain
 
@@ -59,12 +59,6 @@ class Forge:
 
     def get(self, path: str, account: tuple[str, str] | None = None) -> httpx.Response:
         return httpx.get(f"http://127.0.0.1:{self.port}{path}", auth=account, timeout=5)
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 @pytest.fixture(scope="module")

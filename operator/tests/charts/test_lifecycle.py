@@ -8,8 +8,6 @@ from __future__ import annotations
 import base64
 import json
 import os
-import secrets
-import socket
 import subprocess
 import time
 from collections.abc import Iterator
@@ -19,10 +17,13 @@ from typing import Any
 
 import pytest
 import yaml
+from api_server import ApiServerProcess
+from programs import program
 
 from ci import toolchain
 
-START_SECONDS_MAX = 60.0
+SERVED_SECONDS_MAX = 60.0
+LOADER = yaml.CSafeLoader
 CALL_SECONDS_MAX = 120
 CHART = Path(__file__).resolve().parents[3] / "charts" / "robotkube"
 KEPT = [
@@ -39,12 +40,11 @@ KEPT = [
 class Cluster:
     """An API server, and the programs to talk to it."""
 
-    binaries: Path
     kubeconfig: Path
 
-    def run(self, program: str, *arguments: str, text: str | None = None) -> subprocess.CompletedProcess[str]:
+    def run(self, name: str, *arguments: str, text: str | None = None) -> subprocess.CompletedProcess[str]:
         environment = {**os.environ, "KUBECONFIG": str(self.kubeconfig), "HOME": str(self.kubeconfig.parent)}
-        command = [str(self.binaries / program), *arguments]
+        command = [program(name), *arguments]
         return subprocess.run(
             command, input=text, capture_output=True, text=True, timeout=CALL_SECONDS_MAX, check=False, env=environment
         )
@@ -64,71 +64,16 @@ class Cluster:
         return base64.b64decode(secret["data"]["password"]).decode()
 
 
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
-def start(folder: Path, binaries: Path) -> tuple[list[subprocess.Popen[bytes]], Path]:
-    """etcd and kube-apiserver in `folder`; the processes and a kubeconfig of the administrator."""
-    etcd, peer, port, token = free_port(), free_port(), free_port(), secrets.token_hex(16)
-    key = folder / "account.key"
-    subprocess.run(["openssl", "genrsa", "-out", str(key), "2048"], check=True, capture_output=True, timeout=30)
-    (folder / "tokens.csv").write_text(f"{token},administrator,administrator,system:masters\n")
-    commands = [
-        [
-            "etcd", f"--data-dir={folder}/etcd", "--unsafe-no-fsync", f"--listen-client-urls=http://127.0.0.1:{etcd}",
-            f"--advertise-client-urls=http://127.0.0.1:{etcd}", f"--listen-peer-urls=http://127.0.0.1:{peer}",
-            f"--initial-advertise-peer-urls=http://127.0.0.1:{peer}", f"--initial-cluster=default=http://127.0.0.1:{peer}",
-        ],
-        [
-            "kube-apiserver", f"--etcd-servers=http://127.0.0.1:{etcd}", "--bind-address=127.0.0.1",
-            f"--secure-port={port}", f"--cert-dir={folder}/certificates", "--authorization-mode=RBAC",
-            f"--token-auth-file={folder}/tokens.csv", "--service-cluster-ip-range=10.255.0.0/24",
-            "--service-account-issuer=https://kubernetes.default.svc", f"--service-account-key-file={key}",
-            f"--service-account-signing-key-file={key}", "--endpoint-reconciler-type=none",
-        ],
-    ]  # fmt: skip
-    processes = []
-    for command in commands:
-        with (folder / f"{command[0]}.log").open("wb") as log:
-            arguments = [str(binaries / command[0]), *command[1:]]
-            processes.append(subprocess.Popen(arguments, stdout=log, stderr=log))
-    server = {"server": f"https://127.0.0.1:{port}", "insecure-skip-tls-verify": True}
-    kubeconfig = folder / "kubeconfig"
-    kubeconfig.write_text(
-        yaml.safe_dump(
-            {
-                "apiVersion": "v1",
-                "kind": "Config",
-                "clusters": [{"name": "test", "cluster": server}],
-                "users": [{"name": "test", "user": {"token": token}}],
-                "contexts": [{"name": "test", "context": {"cluster": "test", "user": "test"}}],
-                "current-context": "test",
-            }
-        )
-    )
-    return processes, kubeconfig
-
-
 @pytest.fixture(scope="module")
-def cluster(helm: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
-    folder, binaries = tmp_path_factory.mktemp("api"), Path(helm.binary).parent
-    processes, kubeconfig = start(folder, binaries)
-    found = Cluster(binaries, kubeconfig)
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    server = ApiServerProcess(tmp_path_factory.mktemp("api"))
     try:
-        deadline = time.monotonic() + START_SECONDS_MAX
-        while found.run("kubectl", "get", "--raw", "/readyz").returncode:
-            assert all(process.poll() is None for process in processes), (folder / "kube-apiserver.log").read_text()
-            assert time.monotonic() < deadline, (folder / "kube-apiserver.log").read_text()[-2000:]
-            time.sleep(0.2)
+        server.start()
+        found = Cluster(server.kubeconfig)
         prepare(found)
         yield found
     finally:
-        for process in reversed(processes):  # killed: asked to end, the API server waits for its open watches
-            process.kill()
-            process.wait(10)
+        server.stop()
 
 
 def prepare(cluster: Cluster) -> None:
@@ -139,7 +84,7 @@ def prepare(cluster: Cluster) -> None:
     for namespace in ("robotkube", "argocd"):
         cluster.kubectl("create", "namespace", namespace)
     cluster.kubectl("apply", "--server-side", *files)
-    deadline = time.monotonic() + START_SECONDS_MAX
+    deadline = time.monotonic() + SERVED_SECONDS_MAX
     while cluster.run("kubectl", "get", "applications,applicationsets,appprojects").returncode:
         assert time.monotonic() < deadline, "Argo CD's definitions are not served"
         time.sleep(0.2)
@@ -180,7 +125,7 @@ def task(**spec: Any) -> str:
 
 def test_the_api_server_takes_every_object(installed: Cluster) -> None:
     listed = installed.helm("get", "manifest", "robotkube")
-    count = len([document for document in yaml.safe_load_all(listed) if document])
+    count = len([document for document in yaml.load_all(listed, Loader=LOADER) if document])
     assert count > 60
     assert "robotkube-apps" in installed.kubectl("get", "appprojects", "-n", "argocd", "-o", "name")
 

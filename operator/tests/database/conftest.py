@@ -13,8 +13,7 @@ from typing import Any
 
 import pymongo
 import pytest
-
-from ci.toolchain.ferretdb.build import build
+from programs import free_port, program
 
 START_SECONDS_MAX = 20.0
 STOP_SECONDS_MAX = 10.0
@@ -87,14 +86,8 @@ class DatabaseServer:
 
 
 @pytest.fixture(scope="session")
-def ferretdb_program(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The built command: from ROBOTKUBE_TOOLS if that folder has it, else built (seconds with a warm build cache)."""
-    given = Path(os.environ.get("ROBOTKUBE_TOOLS", "")) / "ferretdb"
-    if given.is_file():
-        return given
-    out = tmp_path_factory.mktemp("ferretdb-build")
-    build(out)
-    return out / "ferretdb"
+def ferretdb_program() -> Path:
+    return Path(program("ferretdb"))
 
 
 @pytest.fixture
@@ -102,10 +95,7 @@ def make_server(ferretdb_program: Path, tmp_path: Path) -> Iterator[Callable[[],
     servers: list[DatabaseServer] = []
 
     def make() -> DatabaseServer:
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            port = probe.getsockname()[1]
-        server = DatabaseServer(ferretdb_program, tmp_path / f"database-{len(servers)}", port)
+        server = DatabaseServer(ferretdb_program, tmp_path / f"database-{len(servers)}", free_port())
         server.start()
         servers.append(server)
         return server

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -16,14 +15,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from programs import free_port
 
 from robotkube.adapters.mongodb_pymongo import Account, PymongoRecordingReader, connect
 from robotkube.adapters.segments_mcap import McapSegmentReader
 from robotkube.domain.recordings import LedgerLine
 from robotkube.domain.texts import write_mapping
 from robotkube.services.recordings import first_stamps, read_ledger, stored_messages, verify
-
-pytest.importorskip("rclpy")
 
 DATABASE, RECORDING = "recordings_cloud_0", "task-1"
 PUBLISHER = Path(__file__).parents[1] / "publisher.py"
@@ -232,12 +230,6 @@ def test_readiness_names_what_is_missing(site: Site, server: Any) -> None:
     until(lambda: state(port)[0] == 200)
     process.send_signal(signal.SIGTERM)
     assert process.wait(8.0) == 0
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def state(port: int) -> tuple[int, str]:

@@ -20,8 +20,6 @@ import pytest
 
 from robotkube.domain.texts import write_mapping
 
-pytest.importorskip("rclpy")
-
 PUBLISHER = Path(__file__).parents[1] / "publisher.py"
 SECONDS_MAX = 30.0
 SETTINGS: dict[str, Any] = {

@@ -7,11 +7,12 @@ from typing import Any
 
 import yaml
 from api_server import ApiServerProcess
-from forge_process import REPOSITORY_ROOT
 from kubernetes import client, config
 
+from ci.folders import PROJECT
+
 SERVED_SECONDS_MAX = 30.0
-ROLE = REPOSITORY_ROOT / "charts" / "robotkube" / "templates" / "bootstrap" / "role.yaml"
+ROLE = PROJECT / "charts" / "robotkube" / "templates" / "bootstrap" / "role.yaml"
 NAMESPACE = "argocd"
 
 

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
 sys.path.insert(0, str(Path(__file__).parent))
 
-from forge_process import ForgeProcess, free_port
+from forge_process import ForgeProcess
 from installation import (
     ACCOUNTS,
     ApplicationSetController,
@@ -21,6 +20,7 @@ from installation import (
     start_gate,
     wait_until,
 )
+from programs import free_port
 
 from robotkube.adapters.gitea_administration import GiteaAdministration
 from robotkube.services.bootstrapping import Bootstrap

@@ -4,18 +4,18 @@ import os
 import secrets
 import shutil
 import signal
-import socket
 import subprocess
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import httpx
+from programs import free_port, program
+
+from ci import toolchain
 
 START_SECONDS_MAX = 60.0
 STOP_SECONDS_MAX = 10.0
-REPOSITORY_ROOT = Path(__file__).resolve().parents[3]
-FORGE_MODULE = REPOSITORY_ROOT / "ci" / "toolchain" / "gitea"
 
 APP_INI = """\
 APP_NAME = forge
@@ -35,6 +35,7 @@ PATH = {data}/forge.db
 SQLITE_JOURNAL_MODE = WAL
 [security]
 INSTALL_LOCK = true
+PASSWORD_HASH_ALGO = pbkdf2$1000$50
 SECRET_KEY = {secret}
 INTERNAL_TOKEN = {token}
 [service]
@@ -64,47 +65,8 @@ ALLOWED_HOST_LIST = loopback,private
 """
 
 
-class ForgeMissingError(RuntimeError):
-    """The forge program or its files are missing, or it did not start; the message says what to build."""
-
-
-def find_program() -> Path:
-    """The `gitea` of the tool chain: folder ROBOTKUBE_TOOLCHAIN_BIN, else the newest one in the user's cache."""
-    folder = os.environ.get("ROBOTKUBE_TOOLCHAIN_BIN")
-    if folder:
-        candidates = [Path(folder) / "gitea"]
-    else:
-        cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "robotkube"
-        candidates = sorted(cache.glob("toolchain/**/gitea"), key=lambda path: path.stat().st_mtime, reverse=True)
-    for candidate in candidates:
-        if candidate.is_file() and os.access(candidate, os.X_OK):
-            return candidate
-    raise ForgeMissingError(
-        "the forge program `gitea` was not found: set ROBOTKUBE_TOOLCHAIN_BIN to the folder of the built tool chain, "
-        "or build it with ci/toolchain/gitea/build.sh FOLDER"
-    )
-
-
-def find_static_files() -> Path:
-    """The folder with the forge's templates: ROBOTKUBE_FORGE_STATIC, else the Go module's source folder."""
-    folder = os.environ.get("ROBOTKUBE_FORGE_STATIC")
-    if not folder:
-        command = ["go", "list", "-mod=readonly", "-m", "-f", "{{.Dir}}", "code.gitea.io/gitea"]
-        answer = subprocess.run(command, cwd=FORGE_MODULE, capture_output=True, text=True, timeout=60, check=False)
-        folder = answer.stdout.strip()
-    if not folder or not (Path(folder) / "templates").is_dir():
-        raise ForgeMissingError(
-            "the forge's templates were not found: set ROBOTKUBE_FORGE_STATIC, "
-            f"or run `go mod download code.gitea.io/gitea` in {FORGE_MODULE}"
-        )
-    return Path(folder)
-
-
-def free_port() -> int:
-    """A loopback TCP port nobody listens on at this moment."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+class ForgeStartError(RuntimeError):
+    """The forge did not start; the message ends with its log."""
 
 
 @dataclass
@@ -123,12 +85,12 @@ class ForgeProcess:
         return f"http://127.0.0.1:{self.port}"
 
     def _run(self, *arguments: str) -> str:
-        command = [str(find_program()), "--config", str(self.data / "app.ini"), *arguments]
+        command = [program("gitea"), "--config", str(self.data / "app.ini"), *arguments]
         answer = subprocess.run(
             command, env=self._environment(), capture_output=True, text=True, timeout=120, check=False
         )
         if answer.returncode:
-            raise ForgeMissingError(f"gitea {' '.join(arguments[:3])}: {answer.stdout[-500:]}{answer.stderr[-500:]}")
+            raise ForgeStartError(f"gitea {' '.join(arguments[:3])}: {answer.stdout[-500:]}{answer.stderr[-500:]}")
         return answer.stdout.strip()
 
     def _environment(self) -> dict[str, str]:
@@ -140,7 +102,7 @@ class ForgeProcess:
         }
 
     def start(self) -> None:
-        """Raises ForgeMissingError when it does not answer within START_SECONDS_MAX."""
+        """Raises ForgeStartError when it does not answer within START_SECONDS_MAX."""
         self.data.mkdir(parents=True, exist_ok=True)
         if not (self.data / "app.ini").exists():
             self._write_configuration()
@@ -151,7 +113,7 @@ class ForgeProcess:
                 "--must-change-password=false",
             )
         log = (self.data / "forge.log").open("ab")
-        command = [str(find_program()), "--config", str(self.data / "app.ini"), "web"]
+        command = [program("gitea"), "--config", str(self.data / "app.ini"), "web"]
         self.process = subprocess.Popen(command, env=self._environment(), stdout=log, stderr=log)
         log.close()
         self._wait_until_it_answers()
@@ -159,11 +121,11 @@ class ForgeProcess:
     def _write_configuration(self) -> None:
         user = subprocess.run(["id", "-un"], capture_output=True, text=True, check=True).stdout.strip()
         token = subprocess.run(
-            [str(find_program()), "generate", "secret", "INTERNAL_TOKEN"],
+            [program("gitea"), "generate", "secret", "INTERNAL_TOKEN"],
             capture_output=True, text=True, check=True, env=self._environment(), timeout=60,
         ).stdout.strip()  # fmt: skip
         text = APP_INI.format(
-            user=user, data=self.data, port=self.port, url=self.url, static=find_static_files(),
+            user=user, data=self.data, port=self.port, url=self.url, static=toolchain.gitea_static("templates").parent,
             secret=secrets.token_hex(32), token=token,
         )  # fmt: skip
         (self.data / "app.ini").write_text(text)
@@ -180,7 +142,7 @@ class ForgeProcess:
                 time.sleep(0.1)
         log = (self.data / "forge.log").read_text(errors="replace")[-2000:]
         self.stop()
-        raise ForgeMissingError(f"the forge did not answer at {self.url} within {START_SECONDS_MAX:.0f} s:\n{log}")
+        raise ForgeStartError(f"the forge did not answer at {self.url} within {START_SECONDS_MAX:.0f} s:\n{log}")
 
     def stop(self) -> None:
         """SIGTERM, then SIGKILL after STOP_SECONDS_MAX; the data folder stays."""

@@ -7,7 +7,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from forge_process import ForgeProcess, free_port
+from forge_process import ForgeProcess
 from installation import (
     ACCOUNTS,
     ApplicationSetController,
@@ -18,6 +18,7 @@ from installation import (
     start_gate,
     wait_until,
 )
+from programs import free_port
 
 from robotkube.adapters.gitea_administration import GiteaAdministration
 from robotkube.services.bootstrapping import Bootstrap

@@ -16,11 +16,11 @@ import yaml
 from installation import CHARTS_URL, WEBHOOK_SECRET, Installation, RunningGate, wait_until
 from publisher_of_tests import publish_registry
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
 sys.path.insert(0, str(Path(__file__).parents[1] / "apiserver"))
 
 from api_calls import TASKS, Api, prepare
-from api_server import ApiServerProcess, free_port
+from api_server import ApiServerProcess
+from programs import free_port
 
 from robotkube.adapters.kubernetes_api import api_client, call
 from robotkube.adapters.webhooks import sign

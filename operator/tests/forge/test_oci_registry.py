@@ -11,7 +11,8 @@ from pathlib import Path
 
 import httpx
 import pytest
-from forge_process import ForgeProcess, find_program
+from forge_process import ForgeProcess
+from programs import program
 
 from robotkube.adapters.oci_registry import Registry
 from robotkube.domain.charts_packing import PackedChart, canonical_json, pack_chart, sha256
@@ -83,16 +84,14 @@ def test_a_version_is_never_replaced(registry: Registry, organisation: str) -> N
 def test_helm_reads_what_was_pushed(
     registry: Registry, forge_process: ForgeProcess, organisation: str, tmp_path: Path
 ) -> None:
-    helm = find_program().parent / "helm"
-    if not helm.exists():
-        pytest.skip("helm is not in the tool chain's folder")
+    helm = program("helm")
     packed = chart("kind: ConfigMap\nmetadata: {name: '{{ .Release.Name }}'}\n")
     registry.push_chart(organisation, packed)
     host = forge_process.url.removeprefix("http://")
     environment = {**os.environ, "HOME": str(tmp_path)}
     password = forge_process.administrator_password
     login = [
-        str(helm),
+        helm,
         "registry",
         "login",
         "--plain-http",
@@ -102,7 +101,7 @@ def test_helm_reads_what_was_pushed(
         "--password-stdin",
     ]
     subprocess.run(login, env=environment, input=password, text=True, check=True, capture_output=True, timeout=60)
-    command = [str(helm), "template", "r", f"oci://{host}/{organisation}/app@{packed.digest}", "--plain-http"]
+    command = [helm, "template", "r", f"oci://{host}/{organisation}/app@{packed.digest}", "--plain-http"]
     done = subprocess.run(command, env=environment, text=True, check=True, capture_output=True, timeout=60)
     assert "name: 'r'" in done.stdout
 

@@ -19,7 +19,7 @@ import pytest
 import yaml
 from api_server import ApiServerProcess
 from argocd_objects import NAMESPACE, bootstrap_kubeconfig, connect, install_argocd
-from forge_process import ForgeProcess, find_program, free_port
+from forge_process import ForgeProcess
 from installation import (
     CATALOGUE,
     CHARTS_URL,
@@ -33,6 +33,7 @@ from installation import (
     wait_until,
 )
 from kubernetes import client
+from programs import free_port, program
 from pymongo.errors import OperationFailure
 
 pytestmark = pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning")
@@ -164,7 +165,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
     (folder / "api").mkdir()
     forge, api = ForgeProcess(folder / "forge"), ApiServerProcess(folder / "api")
     command = [
-        str(find_program().parent / "ferretdb"), "--handler=sqlite", f"--sqlite-url=file:{folder}/database/",
+        program("ferretdb"), "--handler=sqlite", f"--sqlite-url=file:{folder}/database/",
         f"--state-dir={folder}/database", f"--listen-addr=127.0.0.1:{port}", "--debug-addr=-",
         "--telemetry=disable", "--setup-database=admin", "--log-level=ERROR",
     ]  # fmt: skip

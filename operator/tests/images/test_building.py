@@ -7,15 +7,13 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import programs
 import pytest
 
 from ci.images import buildah, machine
 from ci.images.building import BuiltImage, build_images
 from ci.images.catalogue import IMAGES
 
-needs_buildah = pytest.mark.skipif(
-    shutil.which("buildah") is None or os.geteuid() != 0, reason="needs root and the Debian package buildah"
-)
 ADDRESS = re.compile(rb"https?://([A-Za-z0-9.-]+)")
 PUBLIC = {b"deb.debian.org", b"security.debian.org", b"debian.org"}
 
@@ -28,7 +26,6 @@ def tools(tmp_path: Path) -> Path:
     return folder
 
 
-@needs_buildah
 def test_two_folders_give_one_digest_and_the_second_run_is_cached(tools: Path, tmp_path: Path) -> None:
     first = build_images(tools, tmp_path / "one", ["ferretdb"])["ferretdb"]
     os.utime(tools / "ferretdb", (1, 1))
@@ -42,7 +39,6 @@ def test_two_folders_give_one_digest_and_the_second_run_is_cached(tools: Path, t
     assert lock == {"ferretdb": {"reference": first.reference, "archive": str(first.archive), "size": first.size}}
 
 
-@needs_buildah
 def test_changed_contents_change_key_and_digest(tools: Path, tmp_path: Path) -> None:
     first = build_images(tools, tmp_path / "cache", ["ferretdb"])["ferretdb"]
     with (tools / "ferretdb").open("ab") as file:
@@ -52,7 +48,6 @@ def test_changed_contents_change_key_and_digest(tools: Path, tmp_path: Path) -> 
     assert first.archive != second.archive
 
 
-@needs_buildah
 def test_a_failing_build_shows_its_output_and_leaves_nothing(tools: Path, tmp_path: Path) -> None:
     cache = tmp_path / "cache"
     (tmp_path / "Dockerfile").write_text("FROM scratch\nCOPY absent /\n")
@@ -68,19 +63,11 @@ def test_a_failing_build_shows_its_output_and_leaves_nothing(tools: Path, tmp_pa
     assert left.stdout.strip() == ""
 
 
-def program_folder() -> Path:
-    folder = os.environ.get("ROBOTKUBE_TOOLCHAIN_BIN")
-    if not folder:
-        pytest.skip("set ROBOTKUBE_TOOLCHAIN_BIN to the folder of the built tool chain")
-    return Path(folder)
-
-
 @pytest.fixture(scope="module")
 def twice(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, BuiltImage]]:
-    return [build_images(program_folder(), tmp_path_factory.mktemp("images")) for _ in range(2)]
+    return [build_images(programs.folder(), tmp_path_factory.mktemp("images")) for _ in range(2)]
 
 
-@needs_buildah
 @pytest.mark.thorough
 def test_all_images_built_twice_from_nothing_have_the_same_digests(twice: list[dict[str, BuiltImage]]) -> None:
     keys = [{name: image.archive.parent.name for name, image in built.items()} for built in twice]
@@ -90,7 +77,6 @@ def test_all_images_built_twice_from_nothing_have_the_same_digests(twice: list[d
     assert set(references[0]) == {image.name for image in IMAGES}
 
 
-@needs_buildah
 @pytest.mark.thorough
 def test_images_share_the_base_layer_and_stay_small(twice: list[dict[str, BuiltImage]]) -> None:
     built = twice[0]
@@ -102,7 +88,6 @@ def test_images_share_the_base_layer_and_stay_small(twice: list[dict[str, BuiltI
     assert sum(layers.values()) < 700_000_000
 
 
-@needs_buildah
 @pytest.mark.thorough
 def test_no_address_of_the_machine_is_left_in_an_image(twice: list[dict[str, BuiltImage]]) -> None:
     sources = machine.debian_sources()

@@ -1,0 +1,66 @@
+"""A pytest plugin that writes each result as it comes, so that the counts of a run that dies are still known.
+
+One JSON line per fact in the file named by ROBOTKUBE_TEST_RESULTS: {"test": <node id>, "outcome": "started" | "passed"
+| "failed" | "skipped"}. A test's outcome is the worst of its lines; one that only started died with its run.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+VARIABLE = "ROBOTKUBE_TEST_RESULTS"
+WORST_LAST = ("started", "passed", "skipped", "failed")
+
+
+@dataclass(frozen=True)
+class Counts:
+    """How many tests ended how; `died` are those that started and never ended (they count as failed)."""
+
+    passed: int
+    failed: int
+    skipped: int
+    died: tuple[str, ...] = ()
+
+
+def read(path: Path) -> Counts:
+    """Counts of a results file; all zero when the run did not even begin."""
+    outcomes: dict[str, str] = {}
+    for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else []:
+        fact = json.loads(line)
+        known = outcomes.get(fact["test"], "started")
+        outcomes[fact["test"]] = max(known, fact["outcome"], key=WORST_LAST.index)
+    found = list(outcomes.values())
+    died = tuple(test for test, outcome in outcomes.items() if outcome == "started")
+    return Counts(found.count("passed"), found.count("failed") + len(died), found.count("skipped"), died)
+
+
+def note(test: str, outcome: str) -> None:
+    """One line, at once."""
+    with Path(os.environ[VARIABLE]).open("a", encoding="utf-8") as file:
+        file.write(json.dumps({"test": test, "outcome": outcome}) + "\n")
+
+
+def pytest_configure() -> None:
+    """Started in the background, a shell has interrupts ignored: then fixtures could not be taken down by one."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_runtest_logstart(nodeid: str) -> None:
+    note(nodeid, "started")
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    if report.when == "call" or report.outcome != "passed":
+        note(report.nodeid, report.outcome)
+
+
+def pytest_collectreport(report: pytest.CollectReport) -> None:
+    """A file that cannot be imported is a failure of its own."""
+    if report.outcome == "failed":
+        note(report.nodeid, "failed")
