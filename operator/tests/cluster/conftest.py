@@ -8,28 +8,22 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from running_platform import Platform
+from running_platform import NAME, SCENARIO, STEPS, VARIANT, Platform, spoken
 from story import Story, play
 
 from ci import demo
 from ci.cluster import cleaning
 from ci.cluster.embedded import Embedded
-from ci.folders import PROJECT
 from ci.steps import Steps
 from scenarios import definition
 from scenarios.runner.access import Access
 
-NAME = "test"
-VARIANT = "small"
-SCENARIO = PROJECT / "scenarios" / "pose-point-cloud-db-recording"
-STEPS = 6
 # The first starts and removes clusters itself; the last ones leave the platform changed.
 ORDER = (
     "test_embedded_provider",
@@ -53,13 +47,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for place, item in zip(places, ordered, strict=True):
         item.add_marker(pytest.mark.cluster)
         items[place] = item
-
-
-def spoken(config: pytest.Config) -> AbstractContextManager[None]:
-    """What is said inside is seen at once: bringing up takes minutes."""
-    capture = config.pluginmanager.getplugin("capturemanager")
-    quiet: AbstractContextManager[None] = capture.global_and_fixture_disabled()
-    return quiet
 
 
 @pytest.fixture(scope="session")

@@ -5,14 +5,17 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import httpx
+import pytest
 
 from ci.cluster.embedded import Embedded
 from ci.errors import SetUpError
+from ci.folders import PROJECT
 from ci.installation import Installer
 from robotkube.adapters.git_clones import GitClone
 from robotkube.adapters.git_deployment import ProposalWriter
@@ -20,9 +23,20 @@ from scenarios.definition import Scenario
 from scenarios.runner.access import Access
 from scenarios.runner.waiting import RunError
 
+NAME = "test"
+VARIANT = "small"
+SCENARIO = PROJECT / "scenarios" / "pose-point-cloud-db-recording"
+STEPS = 6
 DEPLOYMENT = "robotkube/deployment"
 WAIT_SECONDS_MAX = 60.0
 POLL_SECONDS = 0.5
+
+
+def spoken(config: pytest.Config) -> AbstractContextManager[None]:
+    """What is said inside is seen at once: bringing up takes minutes."""
+    capture = config.pluginmanager.getplugin("capturemanager")
+    quiet: AbstractContextManager[None] = capture.global_and_fixture_disabled()
+    return quiet
 
 
 def eventually(what: str, reached: Callable[[], Any], seconds: float = WAIT_SECONDS_MAX) -> Any:

@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
-from conftest import NAME, SCENARIO
+from running_platform import NAME, SCENARIO
 
 from ci.cluster import cleaning
 from ci.cluster.embedded import Embedded

@@ -19,8 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import NAME, SCENARIO, STEPS, VARIANT, spoken
-from running_platform import Platform, eventually
+from running_platform import NAME, SCENARIO, STEPS, VARIANT, Platform, eventually, spoken
 from story import play
 
 from ci import demo, preparing, publish
