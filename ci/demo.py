@@ -13,12 +13,15 @@ from pathlib import Path
 from ci import preparing, publish
 from ci.cluster import topology
 from ci.cluster.__main__ import overrides
+from ci.cluster.addresses import PLANS
 from ci.cluster.embedded import Embedded
 from ci.cluster.records import ClusterFolders
-from ci.errors import InputError, SetUpError
+from ci.errors import SetUpError
 from ci.installation import Installer
 from ci.steps import Steps
+from scenarios import definition
 from scenarios.definition import ScenarioError
+from scenarios.generator import routes
 from scenarios.runner import running
 
 STOPS = ("cluster", "platform", "scenario")
@@ -36,8 +39,13 @@ class Request:
 
 
 def bring_up(request: Request, steps: Steps) -> Installer:
-    """Tool chain, images, cluster, Argo CD, platform, catalogue. Returns the installer of the running cluster."""
-    counts = {name: value for name, value in request.settings.items() if name == "vehicles"}
+    """Tool chain, images, cluster, Argo CD, platform, catalogue. Returns the installer of the running cluster.
+
+    Scenario and settings are checked before anything is started; raises ScenarioError or SetUpError.
+    """
+    settled = definition.load(request.scenario, [f"{name}={value}" for name, value in request.settings.items()])
+    routes.duration_seconds(settled.parameters)
+    counts = {"vehicles": str(settled.parameters.vehicles)}
     wanted = topology.read(request.scenario / "scenario.yaml", counts)
     with steps.step("tool chain"):
         binaries = preparing.tool_chain()
@@ -61,8 +69,6 @@ def bring_up(request: Request, steps: Steps) -> Installer:
 
 def run(request: Request) -> int:
     """Exit code of the whole: the scenario's when it ran."""
-    if not (request.scenario / "scenario.yaml").is_file():
-        raise InputError(f"{request.scenario}: no scenario.yaml there; give a folder of scenarios/")
     steps = Steps(STEPS[request.until])
     installer = bring_up(request, steps)
     if request.until != "scenario":
@@ -78,7 +84,7 @@ def main() -> int:
     )
     parser.add_argument("scenario", type=Path)
     parser.add_argument("--set", action="append", default=[], metavar="PARAMETER=VALUE")
-    parser.add_argument("--name", default="demo")
+    parser.add_argument("--name", choices=sorted(PLANS), default="demo")
     parser.add_argument("--until", choices=STOPS, default="scenario")
     given = parser.parse_args()
     try:

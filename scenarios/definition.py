@@ -210,7 +210,10 @@ def _overrides(file: Path, overrides: Sequence[str]) -> dict[str, Any]:
         if key not in Parameters.__dataclass_fields__:
             known = ", ".join(Parameters.__dataclass_fields__)
             raise ScenarioError(f"--set {text}: {file} has no parameter {key!r}; it has: {known}")
-        result[key] = yaml.safe_load(value)
+        try:
+            result[key] = yaml.safe_load(value)
+        except yaml.YAMLError as error:
+            raise ScenarioError(f"--set {text}: {value} is no number") from error
     return result
 
 

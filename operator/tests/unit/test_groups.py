@@ -1,0 +1,109 @@
+"""`make test` itself: every folder is in a group, and its counts are right however a run ends."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from ci import results
+from ci import test as groups
+
+SECONDS_MAX = 60
+MIXED = """
+import pytest
+def test_passes(): pass
+def test_fails(): assert False
+@pytest.mark.skip(reason="for the count")
+def test_is_skipped(): pass
+@pytest.fixture
+def broken():
+    yield
+    raise RuntimeError("teardown")
+def test_fails_in_its_teardown(broken): pass
+"""
+DYING = """
+import os, signal
+def test_passes(): pass
+def test_kills_the_run(): os.kill(os.getpid(), signal.SIGKILL)
+def test_never_runs(): pass
+"""
+
+
+def counted(folder: Path, name: str, text: str, monkeypatch: pytest.MonkeyPatch) -> tuple[int, results.Counts]:
+    """Exit code and counts of a pytest run of one file."""
+    (folder / f"test_{name}.py").write_text(text)
+    monkeypatch.setenv(results.VARIABLE, str(folder / "results"))
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "ci.results", "-p", "no:cacheprovider", str(folder)]
+    done = subprocess.run(command, cwd=folder, capture_output=True, timeout=SECONDS_MAX, check=False)
+    return done.returncode, results.read(folder / "results")
+
+
+def test_every_folder_of_tests_is_in_one_group() -> None:
+    assert groups.ungrouped() == []
+    assert len(set(groups.THOROUGH.folders)) == len(groups.THOROUGH.folders)
+
+
+def test_a_folder_without_group_and_a_group_without_folder_are_found(tmp_path: Path) -> None:
+    (tmp_path / "new").mkdir()
+    (tmp_path / "new" / "test_something.py").touch()
+    assert groups.ungrouped(tmp_path) == sorted(["new", *groups.THOROUGH.folders])
+
+
+def test_each_test_counts_once_as_its_worst(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    code, counts = counted(tmp_path, "mixed", MIXED, monkeypatch)
+    assert (code, counts) == (1, results.Counts(1, 2, 1))
+
+
+def test_a_run_that_is_killed_keeps_its_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    code, counts = counted(tmp_path, "dying", DYING, monkeypatch)
+    assert code == -9
+    assert counts == results.Counts(1, 1, 0, ("test_dying.py::test_kills_the_run",))
+
+
+def test_a_file_that_cannot_be_imported_is_a_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    code, counts = counted(tmp_path, "broken", "import nothing_of_this_name\n", monkeypatch)
+    assert code != 0
+    assert counts == results.Counts(0, 1, 0)
+
+
+def test_no_run_at_all_counts_nothing(tmp_path: Path) -> None:
+    assert results.read(tmp_path / "results") == results.Counts(0, 0, 0)
+
+
+@pytest.mark.parametrize(("text", "passed"), [(MIXED, 1), ("", 0), (DYING, 1)])
+def test_a_group_with_a_failure_or_without_a_test_has_failed(
+    text: str, passed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "operator" / "tests" / "some").mkdir(parents=True)
+    (tmp_path / "operator" / "pyproject.toml").write_text("[tool.pytest.ini_options]\nmarkers = ['thorough: slow']\n")
+    (tmp_path / "operator" / "tests" / "some" / "test_some.py").write_text(text)
+    monkeypatch.setattr(groups, "TOP", tmp_path)
+    counts = groups.run_pytest(groups.Group("some", ("some",), 20, "nothing"), "not thorough")
+    assert counts.passed == passed
+    assert counts.failed >= 1
+    assert ("no test was run" in capsys.readouterr().out) == (not passed)
+
+
+def test_a_group_that_hangs_is_ended_and_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "operator" / "tests" / "some").mkdir(parents=True)
+    (tmp_path / "operator" / "pyproject.toml").touch()
+    text = "import time\ndef test_passes(): pass\ndef test_hangs(): time.sleep(600)\n"
+    (tmp_path / "operator" / "tests" / "some" / "test_some.py").write_text(text)
+    monkeypatch.setattr(groups, "TOP", tmp_path)
+    monkeypatch.setattr(groups.Group, "seconds_max", 3)
+    counts = groups.run_pytest(groups.Group("some", ("some",), 1, "nothing"), "")
+    assert (counts.passed, counts.failed) == (1, 1)
+
+
+def test_the_last_line_sums_all_groups() -> None:
+    finished = [
+        groups.Result(groups.GROUPS[0], 1, 0, 0, 2.0),
+        groups.Result(groups.GROUPS[1], 600, 2, 3, 301.0),
+    ]
+    lines = groups.table(finished).splitlines()
+    assert lines[-1] == "601 passed, 2 failed, 3 skipped"
+    assert lines[2].endswith("late")
+    assert not lines[1].endswith("late")
