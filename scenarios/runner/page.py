@@ -210,16 +210,16 @@ def _audit(entries: Sequence[Document]) -> str:
     rows = []
     for entry in entries:
         request = entry["pull_request"]
-        what = escape(str(entry["subject"])) + _trailers(entry["trailers"])
+        what = escape(str(entry["subject"])) + _trailers(entry["trailers"], complete=not entry["missing"])
         rows.append((_code(entry["commit"]), f"#{request}" if request else "none", what, _missing(entry["missing"])))
     kinds = ["bad" if entry["missing"] else "" for entry in entries]
     return _table(("commit", "pull request", "what and why", "complete"), rows, text={2}, kinds=kinds)
 
 
-def _trailers(trailers: Mapping[str, Sequence[str]]) -> str:
+def _trailers(trailers: Mapping[str, Sequence[str]], complete: bool) -> str:
     """Who asked, why, and what was deployed: the commit's trailers, folded."""
     if not trailers:
-        return ' <span class="quiet">(a person\'s change, no trailers needed)</span>'
+        return ' <span class="quiet">(a person\'s change, no trailers needed)</span>' if complete else ""
     lines = "".join(f"<div>{escape(name)}: {escape(text)}</div>" for name, texts in trailers.items() for text in texts)
     cause = " ".join(f"{word} {', '.join(trailers[key])}" for word, key in CAUSES if key in trailers)
     return f"<details><summary>{escape(cause) or 'trailers'}</summary>{lines}</details>"

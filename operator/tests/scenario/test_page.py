@@ -84,6 +84,7 @@ def test_the_audit_shows_causes_and_trailers_escaped() -> None:
     assert "RobotKube-Chart: a@1@sha256:1" in page
     assert '<tr class="bad"><td><code>8a5da5b408</code></td><td>none</td>' in page
     assert "missing: a plan" in page
+    assert "no trailers needed" not in page
 
 
 def test_a_failed_expectation_is_marked() -> None:
