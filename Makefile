@@ -22,8 +22,8 @@ test-thorough:  ## the slower proofs
 check:          ## layers, style and types
 	@$(PYTHON) -m ci.check
 
-bench:          ## what the way of a pose costs, 15 vehicles without a cluster (root, mosquitto)
-	@$(PYTHON) -m ci.benchmarks.data_path --clouds
+bench:          ## benchmarks: ratios against a baseline in the same run
+	@$(PYTHON) -m ci.benchmarks
 
 cluster:        ## only the embedded cluster with the platform installed
 	@$(PYTHON) -m ci.demo $(SCENARIO) --until platform $(addprefix --set ,$(SET))
