@@ -90,11 +90,9 @@ def _path() -> str | None:
 def _go() -> str | None:
     from ci.toolchain import go
 
-    try:
-        go.find()
-    except SetUpError as error:
-        return str(error)
-    return None
+    if go.find() is not None or shutil.which("apt-get") is not None:
+        return None
+    return f"Go is missing and there is no apt-get to install it: install {go.WANTED_NAME} or newer."
 
 
 def _packages() -> str | None:

@@ -85,7 +85,7 @@ def install_packages() -> None:
     """Debian packages that the build needs, Go itself only if the machine has none."""
     packages.ensure("toolchain")
     try:
-        go.find()
+        go.ensure()
     except SetUpError:
         packages.ensure("go")
 

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 
+from ci import packages
 from ci.errors import SetUpError
 
 WANTED = (1, 26, 8)
@@ -21,19 +22,27 @@ FETCH_TIMEOUT_SECONDS = 600
 COMMAND_TIMEOUT_SECONDS = 1800
 
 
-def find() -> Path:
-    """The newest Go of this machine (PATH and the usual places); raises SetUpError when there is none."""
+def find() -> Path | None:
+    """The newest Go of this machine (PATH and the usual places); None when there is none."""
     candidates = [shutil.which("go"), *PLACES]
     found = sorted((_version(path), path) for path in candidates if path and Path(path).exists())
-    if not found:
-        raise SetUpError("Go is missing: apt-get install golang-go (any version; it fetches Go 1.26.8 by itself).")
-    return Path(found[-1][1])
+    return Path(found[-1][1]) if found else None
+
+
+def ensure() -> Path:
+    """The newest Go of this machine; Debian's is installed when there is none (any version fetches the wanted one)."""
+    if find() is None:
+        packages.ensure("go")
+    go = find()
+    if go is None:
+        raise SetUpError(f"Go is missing: install {WANTED_NAME} or newer, or golang-go on Debian.")
+    return go
 
 
 @cache
 def program() -> tuple[str, dict[str, str]]:
     """The go command and the environment that make it at least WANTED; fetches that version if need be."""
-    go = find()
+    go = ensure()
     version = _version(str(go))
     environment = {name: value for name, value in os.environ.items() if name not in ("GOFLAGS", "GOROOT")}
     if version >= WANTED:
