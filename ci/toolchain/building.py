@@ -84,10 +84,7 @@ def ensure() -> Toolchain:
 def install_packages() -> None:
     """Debian packages that the build needs, Go itself only if the machine has none."""
     packages.ensure("toolchain")
-    try:
-        go.ensure()
-    except SetUpError:
-        packages.ensure("go")
+    go.ensure()
 
 
 def _build_all(target: Path) -> None:
