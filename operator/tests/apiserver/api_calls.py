@@ -1,28 +1,19 @@
 """What the tests with an API server share: waiting, the administrator's calls, the definitions they need."""
 
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import yaml
 from kubernetes import client
+from waiting import until
 
 from robotkube.adapters.kubernetes_api import call
 from robotkube.domain.errors import UnavailableError
 
 DEFINITION = Path(__file__).parents[3] / "charts/robotkube/templates/taskdescriptions/customresourcedefinition.yaml"
-WAIT_SECONDS_MAX = 20.0
 TASKS = "/apis/robotkube.io/v1alpha1/namespaces/cloud-0/taskdescriptions"
 ARGOCD = "/apis/argoproj.io/v1alpha1/namespaces/argocd/applications"
-
-
-def wait_until(condition: Callable[[], Any], what: str) -> None:
-    """Until it is true; fails with `what` after the bound."""
-    end = time.monotonic() + WAIT_SECONDS_MAX
-    while not condition():
-        assert time.monotonic() < end, f"not within {WAIT_SECONDS_MAX:.0f} s: {what}"
-        time.sleep(0.02)
 
 
 def applications_definition() -> dict[str, Any]:
@@ -73,7 +64,7 @@ def prepare(api: Api) -> None:
     for name in ("cloud-0", "argocd"):
         api.post("/api/v1/namespaces", {"apiVersion": "v1", "kind": "Namespace", "metadata": {"name": name}})
     for path in (TASKS, ARGOCD):
-        wait_until(lambda path=path: served(api, path), f"{path} served")
+        until(lambda path=path: served(api, path), f"{path} served")
 
 
 def served(api: Api, path: str) -> bool:

@@ -5,8 +5,9 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from api_calls import ARGOCD, TASKS, Api, wait_until
+from api_calls import ARGOCD, TASKS, Api
 from api_server import ApiServerProcess
+from waiting import until
 
 from robotkube.adapters.kubernetes_api import KubernetesWorld, api_client, call
 from robotkube.domain.errors import InputError, UnavailableError
@@ -53,7 +54,7 @@ def application(**status: Any) -> dict[str, Any]:
 
 def test_tasks_are_seen_and_their_statuses_written_without_waking_again(api: Api, seen: Seen) -> None:
     api.task("one")
-    wait_until(lambda: seen.task_names() == ["one"], "task seen")
+    until(lambda: seen.task_names() == ["one"], "task seen")
     assert read_task(seen.world.tasks()[0]).parameters == {"deep": {"x": 1}}
     assert "tasks" in seen.woken
     condition = {"type": "Accepted", "status": "True", "reason": "Accepted", "message": "m"}
@@ -61,12 +62,12 @@ def test_tasks_are_seen_and_their_statuses_written_without_waking_again(api: Api
     status = {"conditions": [condition], "plan": "p1", "releases": ["cloud-0/a"]}
     seen.woken.clear()
     assert seen.world.patch_status("cloud-0", "one", status)
-    wait_until(lambda: seen.world.tasks()[0].get("status") == status, "status seen")
+    until(lambda: seen.world.tasks()[0].get("status") == status, "status seen")
     assert seen.world.patch_status("cloud-0", "one", {"plan": None, "releases": None})
-    wait_until(lambda: seen.world.tasks()[0]["status"] == {"conditions": [condition]}, "fields removed")
+    until(lambda: seen.world.tasks()[0]["status"] == {"conditions": [condition]}, "fields removed")
     assert seen.woken == []
     api.delete(f"{TASKS}/one")
-    wait_until(lambda: seen.task_names() == [], "deletion seen")
+    until(lambda: seen.task_names() == [], "deletion seen")
     assert seen.woken == ["tasks"]
     assert not seen.world.patch_status("cloud-0", "one", status)
 
@@ -86,26 +87,26 @@ def test_nodes_of_agents(api: Api, seen: Seen) -> None:
     }
     api.post("/api/v1/nodes", {"apiVersion": "v1", "kind": "Node", "metadata": {"name": "n1", "labels": labels}})
     api.post("/api/v1/nodes", {"apiVersion": "v1", "kind": "Node", "metadata": {"name": "other"}})
-    wait_until(lambda: len(seen.world.nodes()) == 1, "node seen")
+    until(lambda: len(seen.world.nodes()) == 1, "node seen")
     [node] = seen.world.nodes()
     assert (node.agent, node.role, node.capabilities, node.ready) == ("cloud-0", "cloud", {"recording"}, False)
     ready = {"type": "Ready", "status": "True", "lastTransitionTime": "2026-11-21T10:00:00Z"}
     api.merge("/api/v1/nodes/n1/status", {"status": {"conditions": [ready]}})
-    wait_until(lambda: seen.world.nodes()[0].ready, "ready")
+    until(lambda: seen.world.nodes()[0].ready, "ready")
     seen.woken.clear()
     heartbeat = {**ready, "lastHeartbeatTime": "2026-11-21T10:05:00Z"}
     api.merge("/api/v1/nodes/n1/status", {"status": {"conditions": [heartbeat]}})
     api.merge("/api/v1/nodes/n1", {"spec": {"unschedulable": True}})
-    wait_until(lambda: seen.world.nodes()[0].cordoned, "cordoned")
+    until(lambda: seen.world.nodes()[0].cordoned, "cordoned")
     assert seen.woken == ["nodes"]
     for name in ("n1", "other"):
         api.delete(f"/api/v1/nodes/{name}")
-    wait_until(lambda: seen.world.nodes() == [], "gone")
+    until(lambda: seen.world.nodes() == [], "gone")
 
 
 def test_applications_and_pods_decide_what_is_observed(api: Api, seen: Seen) -> None:
     api.post(ARGOCD, application())
-    wait_until(lambda: seen.world.applications(), "application seen")
+    until(lambda: seen.world.applications(), "application seen")
     found = seen.world.applications()["cloud-0-mqtt-bridge"]
     assert judge_present(found, "p1").annotated
     assert not judge_present(found, "p1").synced
@@ -115,7 +116,7 @@ def test_applications_and_pods_decide_what_is_observed(api: Api, seen: Seen) -> 
         operationState={"phase": "Succeeded", "syncResult": {"source": SOURCE}},
     )
     api.merge(f"{ARGOCD}/cloud-0-mqtt-bridge", {"status": done["status"]})
-    wait_until(lambda: judge_present(seen.world.applications()["cloud-0-mqtt-bridge"], "p1").done, "observed")
+    until(lambda: judge_present(seen.world.applications()["cloud-0-mqtt-bridge"], "p1").done, "observed")
     assert not judge_present(seen.world.applications()["cloud-0-mqtt-bridge"], "p2").annotated
     labels = {"robotkube.io/agent": "cloud-0", "app.kubernetes.io/instance": "mqtt-bridge"}
     pod = {"apiVersion": "v1", "kind": "Pod", "metadata": {"name": "b-0", "labels": labels}}
@@ -123,25 +124,25 @@ def test_applications_and_pods_decide_what_is_observed(api: Api, seen: Seen) -> 
         "/api/v1/namespaces/cloud-0/pods",
         {**pod, "spec": {"nodeName": "n1", "containers": [{"name": "a", "image": "a:1"}]}},
     )
-    wait_until(lambda: [p.name for p in seen.world.pods("cloud-0/mqtt-bridge")] == ["b-0"], "pod seen")
+    until(lambda: [p.name for p in seen.world.pods("cloud-0/mqtt-bridge")] == ["b-0"], "pod seen")
     assert seen.world.pods("cloud-0/other") == []
     api.delete("/api/v1/namespaces/cloud-0/pods/b-0")
     api.delete(f"{ARGOCD}/cloud-0-mqtt-bridge")
-    wait_until(lambda: not seen.world.pods("cloud-0/mqtt-bridge") and not seen.world.applications(), "gone")
+    until(lambda: not seen.world.pods("cloud-0/mqtt-bridge") and not seen.world.applications(), "gone")
 
 
 def test_a_server_that_goes_away_and_comes_back(server: ApiServerProcess, api: Api, seen: Seen) -> None:
     api.task("before")
-    wait_until(lambda: seen.task_names() == ["before"], "seen")
+    until(lambda: seen.task_names() == ["before"], "seen")
     server.stop_server()
-    wait_until(lambda: len(seen.world.complaints()) == 4, "complaints")
+    until(lambda: len(seen.world.complaints()) == 4, "complaints")
     with pytest.raises(UnavailableError):
         seen.world.patch_status("cloud-0", "before", {"plan": "p"})
     assert seen.task_names() == ["before"]
     server.start_server()
     api.task("after")
-    wait_until(lambda: seen.task_names() == ["after", "before"], "both seen")
-    wait_until(lambda: seen.world.complaints() == [], "no complaints")
+    until(lambda: seen.task_names() == ["after", "before"], "both seen")
+    until(lambda: seen.world.complaints() == [], "no complaints")
     for name in ("before", "after"):
         api.delete(f"{TASKS}/{name}")
 

@@ -6,8 +6,6 @@ Loss, duplicates and equality are computed from the players' ledgers and what a 
 from __future__ import annotations
 
 import json
-import os
-import shutil
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -20,11 +18,6 @@ WAIT_SECONDS = 20.0
 LEAD_SECONDS = 1.5
 DRAIN_SECONDS = 1.5
 SECONDS = 8.0
-
-pytestmark = pytest.mark.skipif(
-    os.geteuid() != 0 or not all(map(shutil.which, ("ip", "nsenter", "mosquitto"))),
-    reason="needs root, ip, nsenter and mosquitto",
-)
 
 Received = dict[str, list[tuple[int, str]]]
 

@@ -10,12 +10,13 @@ import sys
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from programs import free_port
+from waiting import until
 
 from robotkube.adapters.mongodb_pymongo import Account, PymongoRecordingReader, connect
 from robotkube.adapters.segments_mcap import McapSegmentReader
@@ -119,13 +120,6 @@ class Site:
             process.kill()
             process.communicate(timeout=SECONDS_MAX)
         self.database.client.close()
-
-
-def until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + SECONDS_MAX
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
 
 
 def log_of(process: subprocess.Popen[str]) -> list[dict[str, Any]]:

@@ -9,6 +9,8 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
+from proximity import SETTINGS as DOCUMENT
+from waiting import until
 
 from robotkube.domain.demands import demand, event_of, time_ns, time_text
 from robotkube.domain.detection import START, Edge
@@ -20,24 +22,6 @@ from robotkube.services.operator_reactions import OperatorReactions
 
 MS = 1_000_000
 NOW = 1_795_250_000_000_000_000
-WAIT_SECONDS_MAX = 10.0
-DOCUMENT: dict[str, Any] = {
-    "name": "cloud-0/event-detector",
-    "topics": [{"name": "/vehicles/{agent}/pose", "type": "geometry_msgs/msg/PoseStamped"}],
-    "rules": [
-        {
-            "name": "near",
-            "kind": "proximity",
-            "agents": ["vehicle-00", "vehicle-01"],
-            "topic": "/vehicles/{agent}/pose",
-            "start_distance_m": 400,
-            "stop_distance_m": 500,
-        }
-    ],
-    "reactions": [
-        {"rule": "near", "kind": "operator", "application": "recording", "parameters": {"vehicles": "{agents}", "n": 1}}
-    ],
-}
 
 
 def pose(stamp: int, x: float, frame: bytes = b"map", order: str = "<") -> bytes:
@@ -160,13 +144,6 @@ def make_stage(tasks: MemoryTasks) -> Iterator[Callable[[], Stage]]:
 @pytest.fixture
 def stage(make_stage: Callable[[], Stage]) -> Stage:
     return make_stage()
-
-
-def until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + WAIT_SECONDS_MAX
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
 
 
 def test_an_event_becomes_a_task_and_goes_with_it(stage: Stage, tasks: MemoryTasks) -> None:

@@ -18,9 +18,9 @@ from installation import (
     RunningGate,
     forge_setup,
     start_gate,
-    wait_until,
 )
 from programs import free_port
+from waiting import until
 
 from robotkube.adapters.gitea_administration import GiteaAdministration
 from robotkube.services.bootstrapping import Bootstrap
@@ -70,6 +70,6 @@ def controller() -> Iterator[ApplicationSetController]:
 @pytest.fixture
 def gate(installation: Installation, controller: ApplicationSetController, tmp_path: Path) -> Iterator[RunningGate]:
     running = start_gate(installation, controller.url, tmp_path)
-    wait_until(lambda: not running.gate.reasons_not_ready(), "gate ready")
+    until(lambda: not running.gate.reasons_not_ready(), "gate ready")
     yield running
     running.stop()

@@ -5,7 +5,7 @@ import hmac
 import json
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -23,7 +23,7 @@ from robotkube.domain.releases import Cause, Release, Source, write_release, wri
 from robotkube.services.bootstrapping import Account, ForgeSetup, Organisation, Repository, Webhook
 from robotkube.services.gate import Gate, GateSettings, metrics_text
 
-WAIT_SECONDS_MAX = 20.0
+END_SECONDS_MAX = 20.0
 ACCOUNTS = ("manager", "gate", "argocd", "publisher", "operator-team")
 CHARTS_URL = "oci://forge.robotkube.svc.cluster.local:3000/staging"
 WEBHOOK_SECRET = "webhook secret"  # noqa: S105
@@ -32,14 +32,6 @@ DIGESTS = {
     name: "sha256:" + hashlib.sha256(name.encode()).hexdigest() for name in ("mqtt-bridge", "event-detector", "old")
 }
 CAUSE = Cause("cloud-0/pose-1", "e1", "proximity", "0" * 32, "pose-point-cloud-recording")
-
-
-def wait_until(condition: Callable[[], bool], what: str, seconds: float = WAIT_SECONDS_MAX) -> None:
-    """Until it is true; fails with `what` after the bound."""
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, f"not within {seconds:.0f} s: {what}"
-        time.sleep(0.01)
 
 
 def chart_file(chart: str, digest: str, state: str = "staged", version: str = "0.1.0") -> str:
@@ -279,7 +271,7 @@ class RunningGate:
 
     def stop(self) -> None:
         self.gate.stop(self.stopping)
-        self.thread.join(WAIT_SECONDS_MAX)
+        self.thread.join(END_SECONDS_MAX)
         self.server.stop()
         for connection in self.connections:
             connection.disconnect()

@@ -16,9 +16,9 @@ from installation import (
     message,
     release_files,
     start_gate,
-    wait_until,
 )
 from programs import free_port
+from waiting import until
 
 from robotkube.adapters.gitea_administration import GiteaAdministration
 from robotkube.services.bootstrapping import Bootstrap
@@ -39,7 +39,7 @@ def main(count: int) -> None:
         installation = Installation(process.url, passwords, port, folder, setup)
         gate = start_gate(installation, controller.url, folder / "gate")
         try:
-            wait_until(lambda: not gate.gate.reasons_not_ready(), "gate ready")
+            until(lambda: not gate.gate.reasons_not_ready(), "gate ready")
             report([cycle(installation, controller) for _ in range(count)])
         finally:
             gate.stop()
@@ -54,7 +54,7 @@ def cycle(installation: Installation, controller: ApplicationSetController) -> d
     started = time.monotonic()
     manager.push(commit, "refs/for/main", [f"topic={plan}", "title=a plan"])
     proposed = time.monotonic()
-    wait_until(lambda: controller.announced(commit), "announced")
+    until(lambda: controller.announced(commit), "announced")
     announced = next(at for at, event in controller.accepted if event["after"] == commit)
     assert manager.tip() == commit
     query = {"state": "all", "sort": "recentupdate", "limit": 5}
@@ -63,7 +63,7 @@ def cycle(installation: Installation, controller: ApplicationSetController) -> d
         found = installation.client("gate").get("/pulls", params=query).json()
         return any(item["head"]["sha"] == commit and item["merged"] for item in found)
 
-    wait_until(marked, "marked as merged")
+    until(marked, "marked as merged")
     return {
         "proposed": proposed - started,
         "opened to announced": announced - proposed,

@@ -15,8 +15,8 @@ from installation import (
     message,
     release_files,
     start_gate,
-    wait_until,
 )
+from waiting import until
 
 from robotkube.domain.proposals import ChartReference
 from robotkube.domain.releases import Cause
@@ -33,7 +33,7 @@ def merged(installation: Installation, number: int) -> bool:
 
 def wait_for_refusal(installation: Installation, number: int) -> str:
     """The comments of a pull request that the gate closed without merging."""
-    wait_until(lambda: installation.pull_request(number)["state"] == "closed", "closed")
+    until(lambda: installation.pull_request(number)["state"] == "closed", "closed")
     assert not merged(installation, number)
     return installation.comments(number)
 
@@ -44,12 +44,12 @@ def test_a_good_proposal_becomes_main_and_is_announced(
     plan, before = installation.plan(), manager.tip()
     commit = manager.commit(release_files(plan), message(plan), [before])
     number = installation.propose(manager, commit, plan)
-    wait_until(lambda: merged(installation, number), "merged")
+    until(lambda: merged(installation, number), "merged")
     found = installation.pull_request(number)
     assert manager.tip() == commit
     assert found["merge_commit_sha"] == commit
     assert found["merged_by"]["login"] == "gate"
-    wait_until(lambda: controller.announced(commit), "announced")
+    until(lambda: controller.announced(commit), "announced")
     event = next(event for _, event in controller.accepted if event["after"] == commit)
     assert event["before"] == before
     assert event["ref"] == "refs/heads/main"
@@ -67,7 +67,7 @@ def test_a_proposal_that_main_has_overtaken_is_closed_as_stale(
     one = manager.commit(release_files(first, "one"), message(first), [old])
     two = manager.commit(release_files(second, "two"), message(second), [old])
     number = installation.propose(manager, one, first)
-    wait_until(lambda: merged(installation, number), "first merged")
+    until(lambda: merged(installation, number), "first merged")
     stale = installation.propose(manager, two, second)
     text = wait_for_refusal(installation, stale)
     assert "main moved" in text
@@ -167,7 +167,7 @@ def test_another_accounts_proposal_of_releases_is_left_to_people(installation: I
     commit = person.commit(release_files(plan, "person"), message(plan), [person.tip()])
     number = installation.propose(person, commit, plan)
     rounds = gate.gate.statistics.rounds
-    wait_until(lambda: gate.gate.statistics.rounds > rounds + 1, "two rounds")
+    until(lambda: gate.gate.statistics.rounds > rounds + 1, "two rounds")
     assert installation.pull_request(number)["state"] == "open"
     installation.client("gate").patch(f"/pulls/{number}", json={"state": "closed"})
 
@@ -177,10 +177,10 @@ def test_removal_of_a_release_is_taken(installation: Installation, gate: Running
     files = release_files(made, "leaving", namespace="vehicle-01")
     first = manager.commit(files, message(made), [manager.tip()])
     wait_for = installation.propose(manager, first, made)
-    wait_until(lambda: merged(installation, wait_for), "made")
+    until(lambda: merged(installation, wait_for), "made")
     gone = manager.commit(dict.fromkeys(files), message(removed, verb="withdraw"), [manager.tip()])
     number = installation.propose(manager, gone, removed)
-    wait_until(lambda: merged(installation, number), "removed")
+    until(lambda: merged(installation, number), "removed")
 
 
 def test_a_new_gate_takes_what_waited_and_leaves_what_is_done(
@@ -193,8 +193,8 @@ def test_a_new_gate_takes_what_waited_and_leaves_what_is_done(
     for folder in ("first", "second"):
         running = start_gate(installation, controller.url, tmp_path / folder, webhooks=False)
         try:
-            wait_until(lambda: merged(installation, number), "merged")
-            wait_until(lambda: controller.announced(commit), "announced")
+            until(lambda: merged(installation, number), "merged")
+            until(lambda: controller.announced(commit), "announced")
         finally:
             running.stop()
         controller.accepted.clear()
@@ -206,7 +206,7 @@ def test_the_catalogue_is_read_again_before_a_refusal(
 ) -> None:
     running = start_gate(installation, controller.url, tmp_path, webhooks=False)
     try:
-        wait_until(lambda: not running.gate.reasons_not_ready(), "ready")
+        until(lambda: not running.gate.reasons_not_ready(), "ready")
         digest = "sha256:" + "c" * 64
         publisher = installation.clone("publisher", "robotkube/catalogue")
         file = {"charts/event-detector/0.3.0.yaml": chart_file("event-detector", digest, version="0.3.0")}
@@ -215,7 +215,7 @@ def test_the_catalogue_is_read_again_before_a_refusal(
         files = release_files(plan, "newer", version="0.3.0", digest=digest, namespace="vehicle-00")
         text = message(plan, charts=(ChartReference("event-detector", "0.3.0", digest),))
         number = installation.propose(manager, manager.commit(files, text, [manager.tip()]), plan)
-        wait_until(lambda: merged(installation, number), "merged")
+        until(lambda: merged(installation, number), "merged")
     finally:
         running.stop()
 
@@ -233,11 +233,11 @@ def test_a_persons_policy_is_merged_by_the_person_and_relayed(
         assert answer.status_code in (200, 405), answer.text  # 405: still checking for conflicts
         return answer.status_code == 200
 
-    wait_until(merge, "merged by the person")
+    until(merge, "merged by the person")
     tip = person.tip()
     assert tip == commit
     started = time.monotonic()
-    wait_until(lambda: controller.announced(tip), "relayed")
+    until(lambda: controller.announced(tip), "relayed")
     assert time.monotonic() - started < 5
     assert controller.refused == 0
 
@@ -248,7 +248,7 @@ def test_a_hook_that_nobody_took_is_sent_again(installation: Installation, tmp_p
     controller.stop()
     running = start_gate(installation, url, tmp_path)
     try:
-        wait_until(lambda: running.gate.statistics.hooks["lost"] >= 2, "sent again after a failure")
+        until(lambda: running.gate.statistics.hooks["lost"] >= 2, "sent again after a failure")
     finally:
         running.stop()
     assert running.gate.statistics.hooks["taken"] == 0

@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from installation import CHARTS_URL, ApplicationSetController, Installation, RunningGate, wait_until
+from installation import CHARTS_URL, ApplicationSetController, Installation, RunningGate
 from publisher_of_tests import publish_registry
+from waiting import until
 
 from robotkube.adapters.git_clones import GitClone
 from robotkube.adapters.git_deployment import ProposalWriter
@@ -103,10 +104,10 @@ def releases(installation: Installation) -> dict[str, Release]:
 def manager(installation: Installation, gate: RunningGate, tmp_path: Path) -> Iterator[RunningManager]:
     publish_registry(installation)
     found = start_manager(installation, tmp_path, MemoryTasks())
-    wait_until(lambda: found.manager.reasons_not_ready() == [], "ready")
+    until(lambda: found.manager.reasons_not_ready() == [], "ready")
     initial = {f"releases/{name}/mqtt-bridge.yaml" for name, _ in AGENTS}
-    wait_until(lambda: initial <= set(releases(installation)), "initial configuration merged")
-    wait_until(lambda: all(p["on_main"] or p["error"] for p in found.plans()), "initial configuration seen")
+    until(lambda: initial <= set(releases(installation)), "initial configuration merged")
+    until(lambda: all(p["on_main"] or p["error"] for p in found.plans()), "initial configuration seen")
     yield found
     found.stop()
 
@@ -129,26 +130,26 @@ def test_a_task_becomes_a_commit_on_main_and_its_withdrawal_another(
     ask(manager.tasks)
     begin = time.monotonic()
     manager.manager.wake(TASKS)
-    wait_until(lambda: len(installation.client("gate").get("/pulls").json()) > 0 or committed(manager), "proposed")
+    until(lambda: len(installation.client("gate").get("/pulls").json()) > 0 or committed(manager), "proposed")
     assert time.monotonic() - begin < PROPOSE_SECONDS_MAX
-    wait_until(lambda: committed(manager), "committed")
+    until(lambda: committed(manager), "committed")
     status = manager.tasks.objects[KEY]["status"]
     plan = manager.plans()[-1]
     number = status["pullRequest"]["number"]
-    wait_until(lambda: installation.pull_request(number)["merged"], "marked merged by the forge")
+    until(lambda: installation.pull_request(number)["merged"], "marked merged by the forge")
     pull = installation.pull_request(number)
     assert pull["merge_commit_sha"] == status["commit"] == plan["commit"]
     assert pull["title"] == "deploy(recording): vehicle-00, vehicle-01 within 400 m"
     assert pull["html_url"] == status["pullRequest"]["url"]
     assert "cloud-0/recorder-vehicle-00-vehicle-01" in pull["body"]
     assert "releases/cloud-0/recorder-vehicle-00-vehicle-01.yaml" in releases(installation)
-    wait_until(lambda: controller.announced(plan["commit"]), "announced")
+    until(lambda: controller.announced(plan["commit"]), "announced")
     manager.cluster.settle(releases(installation))
     manager.manager.wake(APPLICATIONS)
-    wait_until(lambda: manager.tasks.condition(KEY, "Ready") == ("True", "Observed"), "observed")
+    until(lambda: manager.tasks.condition(KEY, "Ready") == ("True", "Observed"), "observed")
     manager.tasks.delete(KEY)
     manager.manager.wake(TASKS)
-    wait_until(lambda: manager.plans()[-1]["cause"] == "withdrawal" and manager.last_plan_is("merged"), "withdrawn")
+    until(lambda: manager.plans()[-1]["cause"] == "withdrawal" and manager.last_plan_is("merged"), "withdrawn")
     commit = manager.deployment.commit(manager.plans()[-1]["commit"])
     assert commit.author == "robotkube-manager"
     assert [cause.task for cause in read_message(commit.message).causes] == [KEY]
@@ -164,12 +165,12 @@ def test_a_restarted_manager_finds_pull_request_and_commit_again(
 ) -> None:
     ask(manager.tasks)
     manager.manager.wake(TASKS)
-    wait_until(lambda: committed(manager), "committed")
+    until(lambda: committed(manager), "committed")
     status = manager.tasks.objects[KEY].pop("status")
     manager.stop()
     again = start_manager(installation, tmp_path / "again", manager.tasks)
     try:
-        wait_until(lambda: committed(again), "committed again")
+        until(lambda: committed(again), "committed again")
         found = again.tasks.objects[KEY]["status"]
         assert {k: found[k] for k in ("plan", "commit", "pullRequest")} == {
             k: status[k] for k in ("plan", "commit", "pullRequest")
@@ -177,7 +178,7 @@ def test_a_restarted_manager_finds_pull_request_and_commit_again(
         again.tasks.delete(KEY)
         again.manager.wake(DEPLOYMENT)
         again.manager.wake(TASKS)
-        wait_until(lambda: again.plans()[-1]["cause"] == "withdrawal" and again.last_plan_is("merged"), "withdrawn")
+        until(lambda: again.plans()[-1]["cause"] == "withdrawal" and again.last_plan_is("merged"), "withdrawn")
     finally:
         again.stop()
 
@@ -188,7 +189,7 @@ def test_without_webhooks_and_with_the_gate_away_the_plan_waits(
     gate.stop()
     ask(manager.tasks)
     manager.manager.wake(TASKS)
-    wait_until(lambda: manager.tasks.condition(KEY, "Committed") == ("False", "Proposed"), "proposed")
+    until(lambda: manager.tasks.condition(KEY, "Committed") == ("False", "Proposed"), "proposed")
     assert manager.last_plan_is("proposed")
     assert not manager.last_plan_is("merged")
     manager.tasks.delete(KEY)

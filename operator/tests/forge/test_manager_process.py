@@ -13,7 +13,7 @@ from typing import Any
 import httpx
 import pytest
 import yaml
-from installation import CHARTS_URL, WEBHOOK_SECRET, Installation, RunningGate, wait_until
+from installation import CHARTS_URL, WEBHOOK_SECRET, Installation, RunningGate
 from publisher_of_tests import publish_registry
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "apiserver"))
@@ -21,6 +21,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "apiserver"))
 from api_calls import TASKS, Api, prepare
 from api_server import ApiServerProcess
 from programs import free_port
+from waiting import until
 
 from robotkube.adapters.kubernetes_api import api_client, call
 from robotkube.adapters.webhooks import sign
@@ -134,11 +135,11 @@ def pod(installation: Installation, gate: RunningGate, api: Api, tmp_path: Path)
 
 
 def test_a_task_of_the_api_server_is_on_main_within_seconds(pod: Pod, api: Api) -> None:
-    wait_until(pod.ready, "ready", 30)
-    wait_until(lambda: all(p["on_main"] or p["error"] for p in pod.plans()), "initial configuration on main")
+    until(pod.ready, "ready", 30)
+    until(lambda: all(p["on_main"] or p["error"] for p in pod.plans()), "initial configuration on main")
     begin = time.monotonic()
     api.task("meeting", application="pose-point-cloud-recording", parameters={"vehicles": ["vehicle-00", "vehicle-01"]})
-    wait_until(lambda: status(api)[0].get("Committed") == "True", "committed")
+    until(lambda: status(api)[0].get("Committed") == "True", "committed")
     assert time.monotonic() - begin < 10
     assert status(api)[0]["Accepted"] == "True"
     assert len(status(api)[1]["commit"]) == 40
@@ -153,7 +154,7 @@ def test_a_task_of_the_api_server_is_on_main_within_seconds(pod: Pod, api: Api) 
     assert httpx.post(f"{pod.url}/webhook", content=body, headers={}).status_code == 401
     assert "robotkube_manager_plans_total" in httpx.get(f"{pod.url}/metrics").text
     api.delete(f"{TASKS}/meeting")
-    wait_until(lambda: pod.plans()[-1]["cause"] == "withdrawal" and pod.plans()[-1]["on_main"], "withdrawn")
+    until(lambda: pod.plans()[-1]["cause"] == "withdrawal" and pod.plans()[-1]["on_main"], "withdrawn")
     assert pod.end() == 0
 
 

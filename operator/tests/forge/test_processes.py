@@ -14,11 +14,11 @@ from typing import Any
 
 import bcrypt
 import httpx
-import pymongo
 import pytest
 import yaml
 from api_server import ApiServerProcess
 from argocd_objects import NAMESPACE, bootstrap_kubeconfig, connect, install_argocd
+from database_server import SETUP_PASSWORD, SETUP_USER, DatabaseServer
 from forge_process import ForgeProcess
 from installation import (
     CATALOGUE,
@@ -30,11 +30,10 @@ from installation import (
     Installation,
     message,
     release_files,
-    wait_until,
 )
 from kubernetes import client
-from programs import free_port, program
 from pymongo.errors import OperationFailure
+from waiting import until
 
 pytestmark = pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning")
 PROCESS_SECONDS_MAX = 60
@@ -95,12 +94,12 @@ def test_the_gate_process_takes_a_proposal_and_ends_when_asked(
         process = subprocess.Popen(command, env=environment, stderr=log)
     try:
         url = f"http://127.0.0.1:{installation.gate_port}"
-        wait_until(lambda: answers(f"{url}/readyz") == 200, "ready")
+        until(lambda: answers(f"{url}/readyz") == 200, "ready")
         manager, plan = installation.clone("manager"), installation.plan()
         commit = manager.commit(release_files(plan, "by-process"), message(plan), [manager.tip()])
         number = installation.propose(manager, commit, plan)
-        wait_until(lambda: bool(installation.pull_request(number)["merged"]), "merged")
-        wait_until(lambda: controller.announced(commit), "announced")
+        until(lambda: bool(installation.pull_request(number)["merged"]), "merged")
+        until(lambda: controller.announced(commit), "announced")
         assert 'robotkube_gate_proposals_total{verdict="accepted"} 1' in httpx.get(f"{url}/metrics").text
         started = time.monotonic()
         process.send_signal(signal.SIGTERM)
@@ -153,35 +152,27 @@ class World:
     """Forge, database and API server with nothing of ours on them yet."""
 
     forge: ForgeProcess
-    database: tuple[int, str]
+    database: DatabaseServer
     api: ApiServerProcess
     kubeconfig: Path
 
 
 @pytest.fixture(scope="module")
 def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
-    folder, port, password = tmp_path_factory.mktemp("world"), free_port(), "set up"
-    (folder / "database").mkdir()
+    folder = tmp_path_factory.mktemp("world")
     (folder / "api").mkdir()
     forge, api = ForgeProcess(folder / "forge"), ApiServerProcess(folder / "api")
-    command = [
-        program("ferretdb"), "--handler=sqlite", f"--sqlite-url=file:{folder}/database/",
-        f"--state-dir={folder}/database", f"--listen-addr=127.0.0.1:{port}", "--debug-addr=-",
-        "--telemetry=disable", "--setup-database=admin", "--log-level=ERROR",
-    ]  # fmt: skip
-    environment = {"FERRETDB_SETUP_USERNAME": "administrator", "FERRETDB_SETUP_PASSWORD": password}
-    with (folder / "database.log").open("wb") as log:
-        database = subprocess.Popen(command, env={**os.environ, **environment}, stdout=log, stderr=log)
+    database = DatabaseServer(folder / "database")
     try:
+        database.start()
         forge.start()
         api.start()
         install_argocd(api)
-        yield World(forge, (port, password), api, bootstrap_kubeconfig(api, folder))
+        yield World(forge, database, api, bootstrap_kubeconfig(api, folder))
     finally:
         api.stop()
         forge.remove()
-        database.kill()
-        database.wait(10)
+        database.close()
 
 
 def bootstrap_settings(world: World, folder: Path, passwords: dict[str, str]) -> dict[str, Any]:
@@ -192,7 +183,6 @@ def bootstrap_settings(world: World, folder: Path, passwords: dict[str, str]) ->
         for path, text in files.items():
             secret_file(folder, f"seed/{repository}/{path}", text)
     webhook = secret_file(folder, "webhook/secret", WEBHOOK_SECRET)
-    port, password = world.database
     return {
         "log_level": "info",
         "wait_seconds": 60,
@@ -236,8 +226,8 @@ def bootstrap_settings(world: World, folder: Path, passwords: dict[str, str]) ->
         "database": {
             "kind": "ferretdb",
             "host": "127.0.0.1",
-            "port": port,
-            "administrator": account_folder(folder, "database-administrator", "administrator", password),
+            "port": world.database.port,
+            "administrator": account_folder(folder, "database-administrator", SETUP_USER, SETUP_PASSWORD),
             "accounts": [
                 {
                     "username": name,
@@ -327,15 +317,12 @@ def decoded(value: str) -> str:
 
 
 def recorders_reach_their_own_database_only(world: World, passwords: dict[str, str]) -> None:
-    port, _ = world.database
     own, other = "recordings_cloud_0", "recordings_edge_0"
-    with pymongo.MongoClient[dict[str, Any]](
-        "127.0.0.1", port, username=own, password=passwords[own], authSource=own, serverSelectionTimeoutMS=5000
-    ) as recorder:
-        recorder[own]["samples"].insert_one({"x": 1})
-        for database in (other, "admin"):
-            with pytest.raises(OperationFailure):
-                recorder[database]["samples"].insert_one({"x": 1})
+    recorder = world.database.client(own, passwords[own], own)
+    recorder[own]["samples"].insert_one({"x": 1})
+    for database in (other, "admin"):
+        with pytest.raises(OperationFailure):
+            recorder[database]["samples"].insert_one({"x": 1})
 
 
 def test_the_bootstrap_says_what_is_wrong(world: World, tmp_path: Path) -> None:

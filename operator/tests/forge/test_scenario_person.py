@@ -5,7 +5,8 @@ from urllib.parse import urlparse
 
 import pytest
 import yaml
-from installation import CAUSE, Installation, RunningGate, message, release_files, wait_until
+from installation import CAUSE, Installation, RunningGate, message, release_files
+from waiting import until
 
 from scenarios.runner import audit
 from scenarios.runner.access import Endpoint
@@ -27,12 +28,12 @@ def test_a_person_s_pull_request_is_merged_as_it_was_proposed(installation: Inst
         before = deployment.fetch()
         topic = f"run-{time.time_ns()}"
         commit = deployment.propose(POLICY, TEXT, "policy(initial): play\n", topic)
-        wait_until(lambda: deployment.number_of(commit) is not None, "pull request open")
+        until(lambda: deployment.number_of(commit) is not None, "pull request open")
         number = deployment.number_of(commit)
         assert number
         assert not deployment.pull_request(number).merged
         assert deployment.merge(number) == ""
-        wait_until(lambda: deployment.pull_request(number).merged, "pull request merged")
+        until(lambda: deployment.pull_request(number).merged, "pull request merged")
         assert deployment.fetch() == commit == deployment.pull_request(number).commit
         assert yaml.safe_load(deployment.file(POLICY)) == yaml.safe_load(TEXT)
         newest = deployment.commits()[0]
@@ -49,18 +50,18 @@ def test_a_person_s_pull_request_is_merged_although_main_has_moved(
     with person(installation) as deployment:
         deployment.fetch()
         commit = deployment.propose(POLICY, "add: []\nremove: []\n# moved\n", "policy(initial): stop\n", f"run-{plan}")
-        wait_until(lambda: deployment.number_of(commit) is not None, "pull request open")
+        until(lambda: deployment.number_of(commit) is not None, "pull request open")
         number = deployment.number_of(commit)
         assert number
         theirs = manager.commit(release_files(plan, "meanwhile"), message(plan), [manager.tip()])
         other = installation.propose(manager, theirs, plan)
-        wait_until(lambda: deployment.pull_request(other).merged, "the manager's merged")
+        until(lambda: deployment.pull_request(other).merged, "the manager's merged")
 
         def merged() -> bool:
             return deployment.merge(number) == "" or deployment.pull_request(number).merged
 
-        wait_until(merged, "merged")
-        wait_until(lambda: deployment.pull_request(number).merged, "shown as merged")
+        until(merged, "merged")
+        until(lambda: deployment.pull_request(number).merged, "shown as merged")
         assert deployment.fetch() == deployment.pull_request(number).commit != commit
         newest = deployment.commits()[0]
         assert (newest.parents, newest.paths) == ((theirs,), (POLICY,))
@@ -75,7 +76,7 @@ def test_a_manager_s_commit_has_its_trailers_paths_and_pull_request(
     commit = manager.commit(release_files(plan, "scenario"), message(plan), [manager.tip()])
     number = installation.propose(manager, commit, plan)
     with person(installation) as deployment:
-        wait_until(lambda: deployment.pull_request(number).merged, "merged")
+        until(lambda: deployment.pull_request(number).merged, "merged")
         assert deployment.fetch() == commit
         newest = deployment.commits()[0]
         merged = {request.commit: request for request in deployment.pull_requests() if request.merged}

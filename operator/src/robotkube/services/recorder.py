@@ -184,6 +184,7 @@ class Recorder:
             self.failed = f"recording {self.reaction.recording}: {type(error).__name__}: {error}"
             log.exception("%s", self.failed)
         finally:
+            self._close_segment()  # rounds after the end may have begun another one
             if self._store is not None:
                 self._store.close()
 
@@ -196,11 +197,7 @@ class Recorder:
 
     def _finish(self, deadline: float) -> None:
         self._round()
-        try:
-            if self._segments is not None:
-                self._segments.close()
-        except OSError as error:
-            log.exception("recording %s: closing the segment failed: %s", self.reaction.recording, error)
+        self._close_segment()
         self._end()
         while (self._waiting or self._queue or self._batch) and self._place.monotonic() < deadline - 1.0:
             self._retry_at = 0.0
@@ -209,6 +206,13 @@ class Recorder:
                 self._wake.wait(RETRY_SECONDS_FIRST)
         self._spool_waiting()
         log.info("recording %s: ended %s", self.reaction.recording, self._summary())
+
+    def _close_segment(self) -> None:
+        try:
+            if self._segments is not None:
+                self._segments.close()
+        except OSError as error:
+            log.exception("recording %s: closing the segment failed: %s", self.reaction.recording, error)
 
     def _end(self) -> None:
         if self._store is None:
