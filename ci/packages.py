@@ -66,6 +66,7 @@ def unpacked(package: str) -> tuple[Path, ...]:
         return programs
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder.parent) as made:
+        _apt_get(["update"], "apt-get update")
         # fetched as root: the account apt uses otherwise may not write to this folder
         _apt_get(["-o", "APT::Sandbox::User=root", "download", package], f"apt-get download {package}", made)
         [archive] = Path(made).glob("*.deb")

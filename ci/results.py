@@ -40,27 +40,32 @@ def read(path: Path) -> Counts:
     return Counts(found.count("passed"), found.count("failed") + len(died), found.count("skipped"), died)
 
 
-def note(test: str, outcome: str) -> None:
-    """One line, at once."""
-    with Path(os.environ[VARIABLE]).open("a", encoding="utf-8") as file:
-        file.write(json.dumps({"test": test, "outcome": outcome}) + "\n")
-
-
-def pytest_configure() -> None:
-    """Started in the background, a shell has interrupts ignored: then fixtures could not be taken down by one."""
+def pytest_configure(config: pytest.Config) -> None:
+    """Take the file's name now: a test may run another pytest with a file of its own."""
+    config.pluginmanager.register(Recorder(Path(os.environ[VARIABLE])))
+    # Started in the background, a shell has interrupts ignored: then fixtures could not be taken down by one.
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-def pytest_runtest_logstart(nodeid: str) -> None:
-    note(nodeid, "started")
+@dataclass(frozen=True)
+class Recorder:
+    """Pytest's hooks; each appends a line at once."""
 
+    path: Path
 
-def pytest_runtest_logreport(report: pytest.TestReport) -> None:
-    if report.when == "call" or report.outcome != "passed":
-        note(report.nodeid, report.outcome)
+    def note(self, test: str, outcome: str) -> None:
+        """One line."""
+        with self.path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps({"test": test, "outcome": outcome}) + "\n")
 
+    def pytest_runtest_logstart(self, nodeid: str) -> None:
+        self.note(nodeid, "started")
 
-def pytest_collectreport(report: pytest.CollectReport) -> None:
-    """A file that cannot be imported is a failure of its own."""
-    if report.outcome == "failed":
-        note(report.nodeid, "failed")
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        if report.when == "call" or report.outcome != "passed":
+            self.note(report.nodeid, report.outcome)
+
+    def pytest_collectreport(self, report: pytest.CollectReport) -> None:
+        """A file that cannot be imported is a failure of its own."""
+        if report.outcome == "failed":
+            self.note(report.nodeid, "failed")

@@ -90,6 +90,7 @@ def run_pytest(group: Group, marker: str) -> results.Counts:
     if not counts.passed + counts.failed + counts.skipped:
         print(f"{group.name}: no test was run (pytest ended with {code})", flush=True)
     if code and not counts.failed:
+        print(f"{group.name}: no test failed, but pytest ended with {code}: counted as one failure", flush=True)
         return results.Counts(counts.passed, 1, counts.skipped)
     return counts
 

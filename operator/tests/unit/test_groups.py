@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -32,12 +33,12 @@ def test_never_runs(): pass
 """
 
 
-def counted(folder: Path, name: str, text: str, monkeypatch: pytest.MonkeyPatch) -> tuple[int, results.Counts]:
+def counted(folder: Path, name: str, text: str) -> tuple[int, results.Counts]:
     """Exit code and counts of a pytest run of one file."""
     (folder / f"test_{name}.py").write_text(text)
-    monkeypatch.setenv(results.VARIABLE, str(folder / "results"))
+    environment = {**os.environ, results.VARIABLE: str(folder / "results")}
     command = [sys.executable, "-m", "pytest", "-q", "-p", "ci.results", "-p", "no:cacheprovider", str(folder)]
-    done = subprocess.run(command, cwd=folder, capture_output=True, timeout=SECONDS_MAX, check=False)
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, timeout=SECONDS_MAX, check=False)
     return done.returncode, results.read(folder / "results")
 
 
@@ -52,19 +53,19 @@ def test_a_folder_without_group_and_a_group_without_folder_are_found(tmp_path: P
     assert groups.ungrouped(tmp_path) == sorted(["new", *groups.THOROUGH.folders])
 
 
-def test_each_test_counts_once_as_its_worst(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    code, counts = counted(tmp_path, "mixed", MIXED, monkeypatch)
+def test_each_test_counts_once_as_its_worst(tmp_path: Path) -> None:
+    code, counts = counted(tmp_path, "mixed", MIXED)
     assert (code, counts) == (1, results.Counts(1, 2, 1))
 
 
-def test_a_run_that_is_killed_keeps_its_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    code, counts = counted(tmp_path, "dying", DYING, monkeypatch)
+def test_a_run_that_is_killed_keeps_its_counts(tmp_path: Path) -> None:
+    code, counts = counted(tmp_path, "dying", DYING)
     assert code == -9
     assert counts == results.Counts(1, 1, 0, ("test_dying.py::test_kills_the_run",))
 
 
-def test_a_file_that_cannot_be_imported_is_a_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    code, counts = counted(tmp_path, "broken", "import nothing_of_this_name\n", monkeypatch)
+def test_a_file_that_cannot_be_imported_is_a_failure(tmp_path: Path) -> None:
+    code, counts = counted(tmp_path, "broken", "import nothing_of_this_name\n")
     assert code != 0
     assert counts == results.Counts(0, 1, 0)
 
