@@ -7,6 +7,6 @@ from hypothesis import HealthCheck, settings
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-# on a busy machine a limit per example fails for no reason; in CI (variable CI) Hypothesis draws the same examples always
+# a limit per example fails on a busy machine; in CI (variable CI) Hypothesis always draws the same examples
 settings.register_profile("project", settings(), deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("project")
