@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -419,6 +420,24 @@ def test_argo_cd_is_asked_again_until_it_knows_the_plan(stage: Stage) -> None:
     asked = len(stage.argocd.hooks)
     stage.go(20, seconds=1.0)
     assert len(stage.argocd.hooks) == asked
+
+
+def test_argo_cd_is_asked_to_compare_again_when_it_could_not(stage: Stage) -> None:
+    """As after an installation on a forge that starts later: all are known, none could be compared, in turns all are
+    asked for; the hook would not help. A manager that starts finds the plan on main."""
+    stage.cluster.states = {
+        name: replace(state, sync="Unknown", conditions=("connection refused",))
+        for name, state in stage.cluster.states.items()
+    }
+    stage.manager = stage.start()
+    stage.go(6, seconds=ASK_SECONDS)
+    assert set(stage.argocd.refreshes) == set(stage.cluster.states)
+    assert stage.argocd.hooks == []
+    stage.cluster.settle(stage.releases())
+    stage.go(wake=APPLICATIONS)
+    asked = len(stage.argocd.refreshes)
+    stage.go(20, seconds=1.0)
+    assert len(stage.argocd.refreshes) == asked
 
 
 def test_a_plan_that_is_never_observed_is_given_up(stage: Stage) -> None:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 NODE_SILENT_SECONDS_MAX = 40.0
+NOT_COMPARED = "Unknown"
 
 
 @dataclass(frozen=True)
@@ -47,12 +48,14 @@ class PodState:
 @dataclass(frozen=True)
 class Verdict:
     """`annotated`: Argo CD knows the plan. `synced`: it compared and applied it. `done`: observed. `message` says what
-    is still missing, or which pods are out of reach."""
+    is still missing, or which pods are out of reach. `stuck`: Argo CD could not compare (the forge was away, say) and
+    looks again by itself only after minutes."""
 
     annotated: bool
     synced: bool
     done: bool
     message: str
+    stuck: bool = False
 
 
 def judge_present(application: ApplicationState | None, plan: str) -> Verdict:
@@ -73,7 +76,8 @@ def judge_present(application: ApplicationState | None, plan: str) -> Verdict:
         if not holds
     ]
     if missing:
-        return Verdict(True, False, False, "; ".join([*missing, *application.conditions]))
+        stuck = application.sync == NOT_COMPARED
+        return Verdict(True, False, False, "; ".join([*missing, *application.conditions]), stuck)
     if application.health != "Healthy":
         return Verdict(
             True, True, False, "; ".join([f"health is {application.health or 'unknown'}", *application.conditions])

@@ -36,6 +36,7 @@ class PlanObserver:
         self._now_ns, self._monotonic = now_ns, monotonic
         self._watched: dict[str, tuple[PlanRecord, float]] = {}
         self._asked_at = 0.0
+        self._turn = 0
 
     @property
     def waiting(self) -> bool:
@@ -60,6 +61,7 @@ class PlanObserver:
         applications = self._cluster.applications()
         done: list[PlanRecord] = []
         unheard: list[str] = []
+        stuck: list[str] = []
         base = tip
         for record, since in list(self._watched.values()):
             verdicts = self._verdicts(record, present)
@@ -75,9 +77,10 @@ class PlanObserver:
             else:
                 missing = [application_name(*key.split("/")) for key, v in verdicts.items() if not v.annotated]
                 unheard += missing
+                stuck += [application_name(*key.split("/")) for key, v in verdicts.items() if v.stuck]
                 base = record.base if missing and base == tip else base
-        if unheard and self._due():
-            self._ask(base, tip, unheard, list(applications))
+        if (unheard or stuck) and self._due():
+            self._ask(base, tip, unheard, stuck, list(applications))
         return done
 
     def _verdicts(self, record: PlanRecord, present: Mapping[str, Release]) -> dict[str, Verdict]:
@@ -107,14 +110,19 @@ class PlanObserver:
         self._asked_at = self._monotonic()
         return True
 
-    def _ask(self, before: str, after: str, unheard: Sequence[str], known: Sequence[str]) -> None:
-        """The hook and a refresh: a waiting ApplicationSet is freed by the refresh of any Application it owns."""
-        existing = [name for name in unheard if name in known] or list(known[:1])
-        log.info("asking again applications=%d after=%s", len(unheard), after[:12])
+    def _ask(self, before: str, after: str, unheard: Sequence[str], stuck: Sequence[str], known: Sequence[str]) -> None:
+        """For those that do not know their plan the hook and a refresh: a waiting ApplicationSet is freed by the
+        refresh of any Application it owns. For those that could not be compared a refresh, in turns."""
+        existing = [name for name in (*unheard, *stuck) if name in known] or list(known[:1])
+        turn = self._turn % len(existing) if existing else 0
+        self._turn = turn + REFRESHES_MAX
+        chosen = [*existing[turn:], *existing[:turn]][:REFRESHES_MAX]
+        log.info("asking again applications=%d stuck=%d after=%s", len(unheard), len(stuck), after[:12])
 
         def ask() -> None:
-            self._argocd.hook(before, after)
-            for name in existing[:REFRESHES_MAX]:
+            if unheard:
+                self._argocd.hook(before, after)
+            for name in chosen:
                 self._argocd.refresh(name)
 
         self._aside(ask)
