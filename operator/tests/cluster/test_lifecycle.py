@@ -34,7 +34,7 @@ from scenarios.runner.deployment import Deployment, specification_digests
 
 pytestmark = pytest.mark.thorough
 
-CHART = "charts/robotkube"
+CHART, SEEDS = "charts/robotkube", "gitops"  # the chart links to the first files of the repositories
 UNINSTALL_SECONDS_MAX = 180
 PLAN_SECONDS_MAX = 120.0
 READY_COLUMN = "- {name: Ready,"
@@ -95,16 +95,14 @@ class Aged:
 
 
 def older_chart(folder: Path) -> Path:
-    """The chart as it was before its last change, with a definition of tasks that lacks a column."""
+    """The chart of the previous commit, with a definition of tasks that lacks a column."""
 
     def git(*arguments: str) -> bytes:
         return subprocess.run(["git", *arguments], cwd=PROJECT, capture_output=True, check=True, timeout=60).stdout
 
     if not (PROJECT / ".git").exists():
         pytest.skip("the chart before this one is in the Git history, which is not here")
-    uncommitted = git("status", "--porcelain", "--", CHART).strip()
-    commit = "HEAD" if uncommitted else git("log", "-1", "--format=%H^", "--", CHART).decode().strip()
-    with tarfile.open(fileobj=io.BytesIO(git("archive", commit, CHART))) as bundle:
+    with tarfile.open(fileobj=io.BytesIO(git("archive", "HEAD~1", CHART, SEEDS))) as bundle:
         bundle.extractall(folder, filter="data")
     definition_file = folder / CHART / "templates" / "taskdescriptions" / "customresourcedefinition.yaml"
     lines = definition_file.read_text().splitlines(keepends=True)

@@ -20,6 +20,7 @@ TIMED = {
     "event_to_first_point_cloud_seconds",
     "stop_to_removed_seconds",
 }
+TRAILERS = ("Task", "Event", "Rule", "Trace", "Plan", "Chart", "Evidence")
 ENFORCE = "pod-security.kubernetes.io/enforce"
 
 
@@ -45,7 +46,7 @@ def test_every_change_on_main_has_its_pull_request_and_trailers(story: Story) ->
     assert len(events) == 2
     for entry in events:
         assert entry["pull_request"]
-        assert {"Task", "Event", "Rule", "Trace", "Plan", "Chart", "Evidence"} <= set(entry["trailers"])
+        assert {f"RobotKube-{name}" for name in TRAILERS} <= set(entry["trailers"])
 
 
 def test_what_was_not_verified_is_said(story: Story) -> None:
