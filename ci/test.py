@@ -18,7 +18,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from ci import preparing, results
+from ci import preflight, preparing, results
 from ci.errors import SetUpError
 
 TOP = Path(__file__).resolve().parent.parent
@@ -146,7 +146,10 @@ def main() -> int:
     chosen = [group for group in GROUPS if not arguments.only or group.name in arguments.only]
     groups, marker = ([THOROUGH], "thorough") if arguments.thorough else (chosen, "not thorough")
     finished: list[Result] = []
+    group = groups[0]
     try:
+        if any(one.needs != "nothing" for one in groups):
+            preflight.require()
         for group in groups:
             finished.append(run(group, marker))
     except SetUpError as error:
