@@ -15,8 +15,8 @@ from ci.errors import SetUpError
 
 VEHICLES, SECONDS = 3, 14.0
 OURS = "robotkube.entrypoints.bridge"
-RATIO_MAX = 0.6
-COMPONENTS = {"vehicle bridges": "bridges of the vehicles", "broker": "broker"}
+# component -> its name in the table, and what our CPU / the baseline's may be
+COMPONENTS = {"vehicle bridges": ("bridges of the vehicles", 0.6), "broker": ("broker", 0.9)}
 
 
 class NaiveSetting(Setting):
@@ -49,6 +49,6 @@ def figures() -> list[Figure]:
     naive, ours = cpu_percent(NaiveSetting), cpu_percent(Setting)
     baseline = "executor, a message each"
     return [
-        Figure(f"{text}, {VEHICLES} x 100 Hz", "% CPU", ours[component], naive[component], RATIO_MAX, baseline)
-        for component, text in COMPONENTS.items()
+        Figure(f"{text}, {VEHICLES} x 100 Hz", "% CPU", ours[component], naive[component], ratio_max, baseline)
+        for component, (text, ratio_max) in COMPONENTS.items()
     ]
