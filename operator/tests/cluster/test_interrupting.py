@@ -23,12 +23,12 @@ ENDED_SECONDS_MAX = 60.0
 INTERRUPTED = 130
 # A line that is printed when the step has begun, and how long to let it work.
 MOMENTS = {
-    "tool chain": ("tool chain ...", 0.0),
-    "cluster": ("control plane and containerd ...", 0.5),
-    "Argo CD": ("Argo CD ...", 2.0),
-    "platform": ("platform ...", 5.0),
-    "catalogue": ("catalogue ...", 1.0),
-    "scenario": ("scenario ...", 15.0),
+    "tool chain": ("] tool chain ...", 0.0),
+    "cluster": ("] control plane and containerd ...", 0.5),
+    "Argo CD": ("] Argo CD ...", 2.0),
+    "platform": ("] platform ...", 5.0),
+    "catalogue": ("] catalogue ...", 1.0),
+    "scenario": ("] scenario ...", 15.0),
 }
 
 
