@@ -78,6 +78,7 @@ def ensure() -> Toolchain:
     finally:
         shutil.rmtree(partial, ignore_errors=True)
     _prune(wanted.folder.parent)
+    shutil.rmtree(go.build_cache(), ignore_errors=True)
     return wanted
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from ci import packages
 from ci.errors import SetUpError
+from ci.folders import user_cache
 
 WANTED = (1, 26, 8)
 WANTED_NAME = "go" + ".".join(map(str, WANTED))
@@ -39,12 +40,18 @@ def ensure() -> Path:
     return go
 
 
+def build_cache() -> Path:
+    """Compiled packages of a build under way: 6 GB that nobody needs once the programs are there."""
+    return user_cache() / "go-build"
+
+
 @cache
 def program() -> tuple[str, dict[str, str]]:
     """The go command and the environment that make it at least WANTED; fetches that version if need be."""
     go = ensure()
     version = _version(str(go))
     environment = {name: value for name, value in os.environ.items() if name not in ("GOFLAGS", "GOROOT")}
+    environment["GOCACHE"] = str(build_cache())
     if version >= WANTED:
         return str(go), environment | {"GOTOOLCHAIN": "local"}
     if version >= SELF_RAISING:
