@@ -25,7 +25,8 @@ SECONDS_MAX = 60
 
 def command(*words: str, home: Path | None = None) -> subprocess.CompletedProcess[str]:
     """Run in the project's folder; with `home` everything that would be cached is missing."""
-    environment = dict(os.environ)
+    made_by_make = ("MAKEFLAGS", "MAKELEVEL", "MFLAGS")  # a make inside a make says which folder it enters
+    environment = {name: value for name, value in os.environ.items() if name not in made_by_make}
     if home is not None:
         environment |= {"HOME": str(home), "XDG_CACHE_HOME": str(home)}
     return subprocess.run(
