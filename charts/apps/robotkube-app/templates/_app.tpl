@@ -6,6 +6,7 @@ Argument of both templates:
   config    the process's settings, a dictionary
   database  name of a Secret, or empty
   claims    list of {name, claim, path}
+  files     name -> text, beside config.yaml in /etc/robotkube; a changed one restarts the pod, changed settings do not
 */ -}}
 
 {{- define "robotkube-app.configmap" -}}
@@ -16,6 +17,9 @@ metadata:
 data:
   config.yaml: |
     {{- toYaml .config | nindent 4 }}
+  {{- range $name, $text := .files }}
+  {{ $name }}: {{ toJson $text }}
+  {{- end }}
 {{- end }}
 
 {{- /* The plan stands here and never in a pod template, where it would restart the pod with every plan. */ -}}
@@ -62,6 +66,9 @@ spec:
   template:
     metadata:
       labels: {{- include "robotkube-app.labels" .root | nindent 8 }}
+      {{- with .files }}
+      annotations: {robotkube.io/files: {{ toJson . | sha256sum | trunc 16 | quote }}}
+      {{- end }}
     spec: {{- include "robotkube-app.pod" . | nindent 6 }}
 {{- end }}
 

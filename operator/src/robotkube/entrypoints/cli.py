@@ -31,7 +31,7 @@ class Command:
 
 def commands() -> Sequence[Command]:
     """Every command; other modules of the command line add theirs here."""
-    from robotkube.entrypoints import cli_catalogue, cli_plans, cli_recordings, cli_tasks
+    from robotkube.entrypoints import cli_catalogue, cli_plans, cli_recordings, cli_registry_new, cli_tasks
 
     return [
         Command("task", "list", "tasks of all agents", cli_tasks.list_tasks, cli_tasks.listing),
@@ -47,6 +47,13 @@ def commands() -> Sequence[Command]:
             "compare a recording with the ledgers of its sources",
             cli_recordings.verify_one,
             cli_recordings.verifying,
+        ),
+        Command(
+            "registry",
+            "new",
+            "start an application: a chart and its entries",
+            cli_registry_new.new,
+            cli_registry_new.naming,
         ),
         Command("catalogue", "list", "applications and chart versions", cli_catalogue.list_catalogue),
     ]

@@ -1,0 +1,9 @@
+{{- define "__NAME__.app" -}}
+image: ros
+command: [python3, /etc/robotkube/node.py]
+serviceAccount: application
+files: {node.py: {{ .Files.Get "files/node.py" | toJson }}}
+config:
+  input: {{ .Values.relay.input }}
+  output: {{ .Values.relay.output }}
+{{- end }}
