@@ -1,0 +1,189 @@
+"""Suites: what the gate sees of the suite-runner, and what a suite sees of the chart and of the room it may use."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from robotkube.domain.evidence import Artefact, Check
+from robotkube.domain.suite_requests import Replaced, SuiteProgress, SuiteRequest
+
+__all__ = [
+    "Account",
+    "Object",
+    "PodEnd",
+    "PodRun",
+    "Render",
+    "Replaced",
+    "Room",
+    "Subject",
+    "Suite",
+    "SuiteProgress",
+    "SuiteRequest",
+    "SuiteRunner",
+]
+
+Object = Mapping[str, Any]
+"""A Kubernetes object."""
+
+Render = Callable[[Mapping[str, Any], str], list[dict[str, Any]]]
+"""Values and release name -> the chart's objects, as `helm template` gives them; InputError with helm's words."""
+
+
+class SuiteRunner(Protocol):
+    """The gate's view."""
+
+    def run(self, request: SuiteRequest) -> SuiteProgress:
+        """Ask for a run, or how it goes: the same key again starts nothing new. UnavailableError when the runner does
+        not answer or has no place in its queue, InputError when it refuses the request."""
+        ...
+
+
+@dataclass(frozen=True)
+class Subject:
+    """The chart under test. `files`: path inside the chart -> content; `archive`: the chart's tgz, byte for byte;
+    `images`: image name -> reference, from the chart's images.yaml; `entry`: the ChartVersion document."""
+
+    artefact: Artefact
+    entry: Mapping[str, Any]
+    files: Mapping[str, bytes]
+    archive: bytes
+    images: Mapping[str, str]
+    render: Render
+    replaced: Subject | None = None
+
+
+@dataclass(frozen=True)
+class Account:
+    """A throw-away account of a broker or database that was started in the room; also in the room's Secret
+    `broker-account` or `database-account`, which the chart may mount."""
+
+    username: str
+    password: str
+    host: str
+    port: int
+    database: str = ""
+
+
+@dataclass(frozen=True)
+class PodRun:
+    """A pod that ran to its end. `log` is its stdout and stderr (bounded: the end is kept); `exit_code` is None when
+    it did not end within its time; `found` says then, or when it never started, what was seen."""
+
+    log: str
+    exit_code: int | None
+    found: str = ""
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether it ended with 0."""
+        return self.exit_code == 0
+
+
+@dataclass(frozen=True)
+class PodEnd:
+    """How a pod of the chart went when it was deleted: after how many seconds, with which exit code of each container
+    (None = not seen), and the grace it had asked for. `gone` is False when it was still there at the end."""
+
+    name: str
+    seconds: float
+    grace_seconds: float
+    exit_codes: Mapping[str, int | None]
+    gone: bool = True
+
+
+class Room(Protocol):
+    """One emptied namespace of the pool; every method raises UnavailableError when the cluster does not answer, or
+    when the time of the whole run is over, and InputError when the API server refuses an object."""
+
+    @property
+    def namespace(self) -> str:
+        """The namespace."""
+        ...
+
+    @property
+    def agent(self) -> str:
+        """The agent on whose node everything in the room runs."""
+        ...
+
+    @property
+    def domain_id(self) -> int:
+        """ROS_DOMAIN_ID of everything in the room."""
+        ...
+
+    def apply(self, objects: Sequence[Object]) -> None:
+        """Make the objects, or replace those that are there; in the room, with its domain and label."""
+        ...
+
+    def delete(self, objects: Sequence[Object], seconds: float) -> Sequence[PodEnd]:
+        """Delete the objects and wait, at most `seconds`, until their pods are gone; how each pod went."""
+        ...
+
+    def wait_ready(self, kind: str, name: str, seconds: float) -> str:
+        """Wait until the Deployment's newest pods (kind Deployment) or the Pod are ready: empty when they are, else
+        what was seen in words: states, reasons, events and the last lines of the log."""
+        ...
+
+    def pods(self) -> Sequence[Object]:
+        """The pods of the chart under test (not those of the room's broker, database and helpers)."""
+        ...
+
+    def logs(self, pod: str) -> str:
+        """The last lines of a pod's log (bounded); empty when it has none."""
+        ...
+
+    def run_pod(
+        self,
+        name: str,
+        image: str,
+        command: Sequence[str],
+        files: Mapping[str, bytes],
+        seconds: float,
+        claims: bool = False,
+        accounts: bool = False,
+    ) -> PodRun:
+        """Run a pod on the room's node to its end: without a token, Pod Security restricted, `files` (flat names)
+        read-only in /suite, at most 900 KiB; an empty command is the image's own. `claims`: the claim `scratch` at
+        /var/lib/robotkube/scratch; `accounts`: the started broker's account in /var/run/secrets/robotkube/broker
+        (username, password, host, port)."""
+        ...
+
+    def start_broker(self) -> Account:
+        """Start an MQTT broker with one account that may do everything; Secret `broker-account`. Once per run."""
+        ...
+
+    def start_database(self) -> Account:
+        """Start a database with one account; Secret `database-account`. Once per run."""
+        ...
+
+    def broker_log(self) -> str:
+        """The broker's log, subscriptions and publications included (mosquitto, log_type all)."""
+        ...
+
+    def leftovers(self) -> list[str]:
+        """What of the chart under test is still in the room, as `Kind name`, sorted."""
+        ...
+
+
+class Suite(Protocol):
+    """One kind of verification."""
+
+    @property
+    def name(self) -> str:
+        """As the policy names it."""
+        ...
+
+    @property
+    def version(self) -> str:
+        """Changes whenever the suite may judge differently: a kept result counts for one version only."""
+        ...
+
+    @property
+    def needs_room(self) -> bool:
+        """Whether it installs or runs something."""
+        ...
+
+    def run(self, subject: Subject, room: Room | None) -> Sequence[Check]:
+        """Every check with its outcome, at least one. An exception makes the run `unfinished` with its message."""
+        ...
