@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from robotkube.adapters.chart_folders import pack
-from robotkube.domain.charts_packing import pack_chart, sha256
+from robotkube.domain.charts_packing import build_tag, entry_digest, pack_chart, sha256
 from robotkube.domain.errors import DocumentError
 
 IMAGES = {"ros": "host/ros@sha256:1", "platform": "host/platform@sha256:2"}
@@ -163,3 +163,15 @@ def test_a_path_too_long_for_the_archive_is_named() -> None:
 def test_the_tag_of_a_version_with_build_metadata() -> None:
     packed = pack_chart("app", {"name": "app", "version": "0.1.0+build.1"}, {"Chart.yaml": b"x"})
     assert packed.tag == "0.1.0_build.1"
+
+
+def test_the_digest_covers_the_catalogue_entry(chart: Path) -> None:
+    spec = {"version": "0.1.0", "guarantees": [{"name": "latency", "atMost": 20, "unit": "ms"}]}
+    packed = pack(chart, IMAGES, spec)
+    assert json.loads(packed.manifest)["annotations"]["robotkube.io/entry"] == entry_digest(spec)
+    assert packed == pack(chart, IMAGES, dict(reversed(spec.items())))
+    assert packed.digest != pack(chart, IMAGES, {**spec, "guarantees": []}).digest
+
+
+def test_a_build_has_a_tag_of_its_own() -> None:
+    assert build_tag("0.1.0+a", "sha256:" + "12ab" * 16) == "0.1.0_a_12ab12ab12ab"

@@ -23,9 +23,9 @@ LOCAL = "file://"
 IMAGES_ANNOTATION = "robotkube.io/images"  # in Chart.yaml: names of the images it runs, separated by spaces
 
 
-def pack(folder: Path, images: Mapping[str, str]) -> PackedChart:
+def pack(folder: Path, images: Mapping[str, str], spec: Mapping[str, Any] | None = None) -> PackedChart:
     """Pack the chart in `folder`; `images` maps image names to references (`repository@sha256:...`), empty to leave
-    images.yaml out.
+    images.yaml out; `spec` is that of its catalogue entry, without one the chart cannot be published.
 
     Raises DocumentError, naming the file, for hidden files, links, an unreadable Chart.yaml and missing library charts.
     """
@@ -40,7 +40,7 @@ def pack(folder: Path, images: Mapping[str, str]) -> PackedChart:
             )
         used = _used_images(folder, metadata, images)
         files[IMAGES_FILE] = "".join(f"{name}: {images[name]}\n" for name in used).encode()
-    return pack_chart(str(folder), metadata, files)
+    return pack_chart(str(folder), metadata, files, spec)
 
 
 def _used_images(folder: Path, metadata: Mapping[str, Any], images: Mapping[str, str]) -> list[str]:

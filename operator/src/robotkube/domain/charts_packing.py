@@ -21,6 +21,8 @@ from robotkube.domain.errors import DocumentError
 CHART_CONFIG_TYPE = "application/vnd.cncf.helm.config.v1+json"
 CHART_LAYER_TYPE = "application/vnd.cncf.helm.chart.content.v1.tar+gzip"
 MANIFEST_TYPE = "application/vnd.oci.image.manifest.v1+json"
+ENTRY_ANNOTATION = "robotkube.io/entry"  # of the manifest: digest of the catalogue entry's spec
+DIGEST_DIGITS = 12
 CHART_FILE = "Chart.yaml"
 IMAGES_FILE = "images.yaml"
 NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
@@ -59,9 +61,26 @@ def canonical_json(document: Any) -> bytes:
     return json.dumps(document, sort_keys=True, separators=(",", ":")).encode()
 
 
-def pack_chart(where: str, metadata: Mapping[str, Any], files: Mapping[str, bytes]) -> PackedChart:
+def build_tag(version: str, digest: str) -> str:
+    """The tag of a submitted build, `0.1.0_1a2b3c4d5e6f`: it follows from the content, so no tag is ever written again
+    with another one (docs/decisions/0002). A registry's tag cannot have `+`; Helm writes `_` for it."""
+    return f"{version.replace('+', '_')}_{digest.removeprefix('sha256:')[:DIGEST_DIGITS]}"
+
+
+def entry_digest(spec: Mapping[str, Any]) -> str:
+    """Digest of a ChartVersion's spec. It stands in the manifest, so that the chart's digest covers what the entry
+    claims and how it is tested: verified results are found by that digest alone."""
+    return sha256(canonical_json(spec))
+
+
+def pack_chart(
+    where: str,
+    metadata: Mapping[str, Any],
+    files: Mapping[str, bytes],
+    spec: Mapping[str, Any] | None = None,
+) -> PackedChart:
     """Pack `files` (path inside the chart -> content; Chart.yaml among them) of the chart that `metadata` (parsed
-    Chart.yaml) describes.
+    Chart.yaml) describes; `spec` is that of its catalogue entry.
 
     `where` names the chart's place in errors. Raises DocumentError for a name, version or path that cannot be packed.
     """
@@ -69,12 +88,15 @@ def pack_chart(where: str, metadata: Mapping[str, Any], files: Mapping[str, byte
     name, version = metadata["name"], metadata["version"]
     archive = gzip.compress(_tar(name, files), compresslevel=9, mtime=0)
     config = canonical_json(metadata)
+    annotations = {"org.opencontainers.image.title": name, "org.opencontainers.image.version": version}
+    if spec is not None:
+        annotations[ENTRY_ANNOTATION] = entry_digest(spec)
     manifest = {
         "schemaVersion": 2,
         "mediaType": MANIFEST_TYPE,
         "config": _descriptor(CHART_CONFIG_TYPE, config),
         "layers": [_descriptor(CHART_LAYER_TYPE, archive)],
-        "annotations": {"org.opencontainers.image.title": name, "org.opencontainers.image.version": version},
+        "annotations": annotations,
     }
     return PackedChart(name, version, archive, config, canonical_json(manifest))
 
