@@ -51,6 +51,21 @@ class PackedChart:
         return self.version.replace("+", "_")
 
 
+@dataclass(frozen=True)
+class PulledChart:
+    """A chart as it came from a registry: `metadata` is Chart.yaml, `files` path inside the chart -> content,
+    `manifest` the bytes whose digest names it."""
+
+    metadata: Mapping[str, Any]
+    files: Mapping[str, bytes]
+    manifest: bytes
+
+    @property
+    def digest(self) -> str:
+        """`sha256:<hex>` of the OCI manifest."""
+        return sha256(self.manifest)
+
+
 def sha256(data: bytes) -> str:
     """Digest in OCI form."""
     return "sha256:" + hashlib.sha256(data).hexdigest()
