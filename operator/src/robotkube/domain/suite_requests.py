@@ -29,7 +29,7 @@ DIGEST = re.compile(r"sha256:[0-9a-f]{64}")
 PLATFORM = re.compile(r"[a-z0-9]+/[a-z0-9]+(/[a-z0-9]+)?")
 SUITE_NAME = re.compile(r"[a-z]([a-z0-9-]{0,38}[a-z0-9])?")
 SUITE_VERSION = re.compile(r"[0-9A-Za-z][0-9A-Za-z._-]{0,31}")
-IMAGE = re.compile(r"[a-z0-9.-]+(:\d{1,5})?(/[a-z0-9][a-z0-9._-]*)+@sha256:[0-9a-f]{64}", re.ASCII)
+IMAGE = re.compile(r"[A-Za-z0-9][A-Za-z0-9./:_-]{0,254}@sha256:[0-9a-f]{64}", re.ASCII)
 CHART_REPOSITORY = re.compile(r"[a-z0-9][a-z0-9._-]*/[a-z0-9][a-z0-9._-]*")
 
 

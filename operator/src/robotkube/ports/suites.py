@@ -112,6 +112,15 @@ class Room(Protocol):
         """ROS_DOMAIN_ID of everything in the room."""
         ...
 
+    @property
+    def seconds_left(self) -> float:
+        """Until the run's time is over."""
+        ...
+
+    def provide(self, config_maps: Mapping[str, Mapping[str, str]]) -> None:
+        """ConfigMaps (name -> data) that the chart finds there; they are the room's, no leftovers."""
+        ...
+
     def apply(self, objects: Sequence[Object]) -> None:
         """Make the objects, or replace those that are there; in the room, with its domain and label."""
         ...
