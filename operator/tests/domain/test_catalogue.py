@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,6 @@ from robotkube.adapters.schemas_jsonschema import check_schema, validate
 from robotkube.adapters.templates_jinja2 import Jinja2Templates
 from robotkube.domain.catalogue import (
     ChartRequirement,
-    in_range,
     read_application,
     read_assurance,
     read_catalogue,
@@ -26,12 +26,21 @@ from robotkube.domain.initial import initial_demands, read_initial_policy
 from robotkube.domain.placement import Agent, NodeState, fleet
 from robotkube.domain.tasks import read_task
 from robotkube.domain.texts import write_mapping
+from robotkube.domain.versions import in_range
 
 ROOT = Path(__file__).parents[3]
 REGISTRY = ROOT / "registry"
 APPLICATIONS = sorted(REGISTRY.glob("applications/*.yaml"))
 CHARTS = sorted(REGISTRY.glob("charts/*/*.yaml"))
 STATUS = {"state": "staged", "digest": "sha256:" + "0" * 64, "images": []}
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """What was found about some evidence."""
+
+    assured: bool
+    problems: tuple[str, ...] = ()
 
 
 def schema(name: str) -> dict[str, Any]:
@@ -162,6 +171,15 @@ def test_the_highest_allowed_version_is_taken_and_every_candidate_has_its_reason
     taken, reasons = read_catalogue({**files, "policies/release.yaml": "assurance: none\n"}).select(wanted)
     assert taken.version == "0.1.1"
     assert len(reasons) == 4
-    assert read_catalogue(files).select(wanted)[0].version == "0.1.0"  # without a policy: verified only
+    strict = read_catalogue(files)  # without a policy: verified only, and only with evidence
+    with pytest.raises(RefusalError, match="no valid evidence: its evidence was not assessed"):
+        strict.select(wanted)
+    chart = CHARTS[0].parent.name
+    proven = strict.with_evidence(
+        {(chart, "0.1.0"): Assessment(True), (chart, "0.2.0"): Assessment(False, ("forged",))}
+    )
+    assert proven.select(wanted)[0].version == "0.1.0"
+    with pytest.raises(RefusalError, match="no valid evidence: forged"):
+        proven.select(replace(wanted, version=">=0.2.0"))
     with pytest.raises(RefusalError, match=r"not in >=3\.0\.0"):
         read_catalogue(files).select(ChartRequirement(CHARTS[0].parent.name, ">=3.0.0"))

@@ -10,7 +10,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
-from robotkube.domain.catalogue import Catalogue, ChartVersion, Link, Service
+from robotkube.domain.catalogue import Catalogue
+from robotkube.domain.catalogue_applications import Link, Service
+from robotkube.domain.catalogue_charts import ChartVersion
 from robotkube.domain.errors import DocumentError, RefusalError
 from robotkube.domain.loops import Render, fill, loop
 from robotkube.domain.placement import Agent, Fleet, place

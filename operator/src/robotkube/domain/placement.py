@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from robotkube.domain.catalogue import PlacementRule
+from robotkube.domain.catalogue_applications import PlacementRule
 from robotkube.domain.errors import RefusalError
 
 

@@ -8,11 +8,18 @@ from typing import Any
 
 from robotkube.domain.documents import Reader
 from robotkube.domain.errors import DocumentError
-from robotkube.domain.releases import NAME, TASK, TOKEN, Cause
+from robotkube.domain.releases import NAME, TASK, TOKEN, Cause, canonical
 from robotkube.domain.texts import json_problems
 
 GROUP, VERSION, PLURAL = "robotkube.io", "v1alpha1", "taskdescriptions"
-REFUSAL_REASONS = ("UnknownApplication", "InvalidParameters", "NoVerifiedVersion", "NoCapableNode", "CompositionFailed")
+REFUSAL_REASONS = (
+    "UnknownApplication",
+    "InvalidParameters",
+    "NoVerifiedVersion",
+    "GuaranteeNotMet",
+    "NoCapableNode",
+    "CompositionFailed",
+)
 CONDITIONS = ("Accepted", "Committed", "Synced", "Ready")
 
 
@@ -42,7 +49,7 @@ class TaskDescription:
     @property
     def cause(self) -> Cause:
         """As release files and commits name it."""
-        return Cause(self.key, self.event, self.rule, self.trace, self.application)
+        return Cause(self.key, self.event, self.rule, self.trace, self.application, canonical(self.parameters))
 
 
 def object_key(document: Mapping[str, Any]) -> str:
@@ -76,7 +83,7 @@ def read_task(document: Mapping[str, Any]) -> TaskDescription:
     if not isinstance(parameters, Mapping):
         reader.problems.append("spec.parameters: must be a mapping")
         parameters = {}
-    reader.problems += json_problems(parameters, "spec.parameters")
+    reader.problems += json_problems(parameters, "spec.parameters") or _too_long(parameters)
     reader.text(key, "metadata", TASK)
     task = TaskDescription(
         namespace=metadata.get("namespace", ""),
@@ -95,6 +102,11 @@ def read_task(document: Mapping[str, Any]) -> TaskDescription:
     )
     reader.finish()
     return task
+
+
+def _too_long(parameters: Mapping[str, Any]) -> list[str]:
+    size = len(canonical(parameters))
+    return [f"spec.parameters: {size} bytes, at most {PARAMETERS_BYTES_MAX}"] if size > PARAMETERS_BYTES_MAX else []
 
 
 def with_defaults(schema: Mapping[str, Any], parameters: Mapping[str, Any]) -> dict[str, Any]:

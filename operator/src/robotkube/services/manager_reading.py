@@ -8,11 +8,12 @@ from __future__ import annotations
 import logging
 from typing import Any
 
-from robotkube.domain.catalogue import FOLDERS, Catalogue, read_catalogue, version_key
+from robotkube.domain.catalogue import FOLDERS, Catalogue, read_catalogue
 from robotkube.domain.errors import InputError
 from robotkube.domain.initial import PATH as INITIAL_PATH
 from robotkube.domain.initial import InitialPolicy, read_initial_policy
 from robotkube.domain.releases import RELEASES, SOURCES, Tree, read_tree
+from robotkube.domain.versions import version_key
 from robotkube.ports.git import DeploymentRepository, RepositoryFiles
 
 POLICIES = "policies"

@@ -1,0 +1,120 @@
+"""The form of a chart version's interfaces and of the test values its suites install it with.
+
+Only the form is checked here; what the templates give is the business of the interface suite.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from robotkube.domain.catalogue_entries import read_for_each, read_one_of
+from robotkube.domain.documents import Reader
+from robotkube.domain.releases import NAME
+from robotkube.domain.texts import join
+
+MEDIA = ("ros", "mqtt", "database")
+DIRECTIONS = ("in", "out")
+RELIABILITIES = ("reliable", "best_effort")
+DURABILITIES = ("volatile", "transient_local")
+ENCODINGS = ("rkf1", "text")
+QOS_MAX = 2
+SETS_MIN = 2
+SETS_MAX = 8
+
+_TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Za-z0-9]+", re.ASCII)
+_RESERVED = frozenset({"values"})
+_KEYS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "ros": (("type", "qos"), ()),
+    "mqtt": (("qos",), ("type", "encoding")),
+    "database": ((), ()),
+}
+
+
+def read_interfaces(reader: Reader, value: Any, path: str) -> tuple[Mapping[str, Any], ...]:
+    """The interfaces as they are written; names distinct, `causes` names an interface of direction out."""
+    items = reader.sequence(value, path)
+    found = tuple(_interface(reader, item, f"{path}[{index}]") for index, item in enumerate(items))
+    names = [item.get("name") for item in found]
+    outputs = [item.get("name") for item in found if item.get("direction") == "out"]
+    for index, item in enumerate(found):
+        if item.get("name") in names[:index]:
+            reader.problems.append(f"{path}[{index}].name: {item.get('name')!r} stands twice; keep one of them")
+        if "causes" in item and item["causes"] not in outputs:
+            reader.problems.append(f"{path}[{index}].causes: {item['causes']!r:.40} is no interface of direction out")
+    return found
+
+
+def _interface(reader: Reader, item: Any, path: str) -> Mapping[str, Any]:
+    medium = item.get("medium") if isinstance(item, Mapping) else None
+    needed, possible = _KEYS.get(medium, ((), ())) if isinstance(medium, str) else ((), ())
+    known = ["forEach", "causes", *possible] if medium in MEDIA else ["forEach", "causes", "type", "qos", "encoding"]
+    found = reader.mapping(item, path, ["name", "medium", "direction", "topic", *needed], known)
+    if found:
+        reader.word(found.get("name"), f"{path}.name", NAME)
+        read_one_of(reader, medium, f"{path}.medium", MEDIA)
+        read_one_of(reader, found.get("direction"), f"{path}.direction", DIRECTIONS)
+        read_for_each(reader, found.get("forEach"), f"{path}.forEach", _RESERVED)
+        if not reader.prose(found.get("topic", ""), f"{path}.topic") and "topic" in found:
+            reader.problems.append(f"{path}.topic: must not be empty")
+        reader.text(found.get("type"), f"{path}.type", _TYPE)
+        if "encoding" in found:
+            read_one_of(reader, found["encoding"], f"{path}.encoding", ENCODINGS)
+        if "causes" in found and found.get("direction") == "out":
+            reader.problems.append(f"{path}.causes: only an interface of direction in causes something; remove it")
+        _qos(reader, found.get("qos"), f"{path}.qos", str(medium))
+    return found
+
+
+def _qos(reader: Reader, value: Any, path: str, medium: str) -> None:
+    if value is None:
+        return
+    if medium == "ros":
+        found = reader.mapping(value, path, ["reliability", "durability"])
+        read_one_of(reader, found.get("reliability"), f"{path}.reliability", RELIABILITIES)
+        read_one_of(reader, found.get("durability"), f"{path}.durability", DURABILITIES)
+    elif medium == "mqtt":
+        found = reader.mapping(value, path, ["qos", "retain"])
+        if isinstance(found.get("qos"), bool) or found.get("qos") not in range(QOS_MAX + 1):
+            reader.problems.append(f"{path}.qos: must be 0, 1 or 2")
+        if not isinstance(found.get("retain"), bool):
+            reader.problems.append(f"{path}.retain: must be true or false")
+
+
+def read_suites(reader: Reader, value: Any, path: str) -> Mapping[str, Any]:
+    """`{sets: [{name, values, prepare?, configMaps?}, ...]}`, at least two sets; nothing when `value` is None."""
+    if value is None:
+        return {}
+    found = reader.mapping(value, path, ["sets"])
+    sets = reader.sequence(found.get("sets"), f"{path}.sets")
+    if not SETS_MIN <= len(sets) <= SETS_MAX:
+        reader.problems.append(f"{path}.sets: needs {SETS_MIN} to {SETS_MAX} sets of test values, has {len(sets)}")
+    names = [_set(reader, item, f"{path}.sets[{index}]") for index, item in enumerate(sets)]
+    twice = sorted({name for name in names if name and names.count(name) > 1})
+    reader.problems += [f"{path}.sets: name {name!r} stands twice; rename one of them" for name in twice]
+    return found
+
+
+def _set(reader: Reader, value: Any, path: str) -> str:
+    found = reader.mapping(value, path, ["name", "values"], ["prepare", "configMaps"])
+    if not isinstance(found.get("values", {}), Mapping):
+        reader.problems.append(f"{path}.values: must be a mapping")
+    if "prepare" in found:
+        prepare = reader.mapping(found["prepare"], f"{path}.prepare", ["image", "command"])
+        reader.word(prepare.get("image"), f"{path}.prepare.image", NAME)
+        command = reader.sequence(prepare.get("command"), f"{path}.prepare.command")
+        if not command or not all(isinstance(word, str) for word in command):
+            reader.problems.append(f"{path}.prepare.command: must be a list of texts, at least one")
+    _config_maps(reader, found.get("configMaps", {}), f"{path}.configMaps")
+    return reader.word(found.get("name"), f"{path}.name", NAME) if found else ""
+
+
+def _config_maps(reader: Reader, value: Any, path: str) -> None:
+    if not isinstance(value, Mapping):
+        reader.problems.append(f"{path}: must be a mapping of names to data")
+        return
+    for name, data in value.items():
+        reader.text(name, path, NAME)
+        if not isinstance(data, Mapping) or not all(isinstance(text, str) for text in data.values()):
+            reader.problems.append(f"{join(path, name)}: must be a mapping of keys to texts")
