@@ -73,7 +73,8 @@ def shortfall(requirement: GuaranteeRequirement, guarantees: Sequence[Guarantee]
     if found.bound != requirement.bound or UNITS[found.unit][0] != UNITS[requirement.unit][0]:
         return f"guarantees {found}, which cannot be compared with {requirement}"
     given, wanted = (side.number * UNITS[side.unit][1] for side in (found, requirement))
-    if given > wanted if requirement.bound == "atMost" else given < wanted:
+    within = given <= wanted if requirement.bound == "atMost" else given >= wanted
+    if not (within or math.isclose(given, wanted)):
         return f"guarantees {found}, which is not enough for {requirement}"
     if requirement.verified:
         return f"guarantees {found}, and {requirement} asks for a verified one; no suite verifies guarantees yet"
@@ -82,7 +83,7 @@ def shortfall(requirement: GuaranteeRequirement, guarantees: Sequence[Guarantee]
 
 def read_guarantees(reader: Reader, value: Any, path: str) -> tuple[Guarantee, ...]:
     """`[{name, atMost | atLeast, unit, description?}]`, names distinct."""
-    found = []
+    found: list[Guarantee] = []
     for index, item in enumerate(reader.sequence(value, path)):
         where = f"{path}[{index}]"
         document = reader.mapping(item, where, ["name", "unit"], [*BOUNDS, "description"])
@@ -96,7 +97,7 @@ def read_guarantees(reader: Reader, value: Any, path: str) -> tuple[Guarantee, .
 
 def read_requirements(reader: Reader, value: Any, path: str) -> tuple[GuaranteeRequirement, ...]:
     """`[{guarantee, atMost | atLeast, unit, verified?}]`."""
-    found = []
+    found: list[GuaranteeRequirement] = []
     for index, item in enumerate(reader.sequence(value, path)):
         where = f"{path}[{index}]"
         document = reader.mapping(item, where, ["guarantee", "unit"], [*BOUNDS, "verified"])
@@ -120,7 +121,7 @@ def _quantity(reader: Reader, document: Mapping[str, Any], where: str) -> tuple[
     if not isinstance(unit, str) or unit not in UNITS:
         reader.problems.append(f"{where}.unit: {unit!r:.40} is no unit; use one of {' '.join(UNITS)}")
         unit = "count"
-    return bound, float(number), unit
+    return bound, number, unit
 
 
 def _sentence(side: Guarantee | GuaranteeRequirement) -> str:
