@@ -63,14 +63,16 @@ class ProposalWriter:
         self._account = (username, password)
         self._author, self._clock, self._branch = author, clock, branch
 
-    def commit(self, parent: str, changes: Mapping[str, str | None], message: str) -> str:
-        """Make a commit on `parent` and return its id; nothing outside the object store changes."""
+    def commit(self, parent: str, changes: Mapping[str, str | None], message: str, merged: str = "") -> str:
+        """Make a commit on `parent` and return its id; nothing outside the object store changes. `merged`: a second
+        parent, of which nothing is taken but its place in history."""
         base = self._lookup(parent)
         tree = self._edited(base.tree, _nested(changes))
         signature = pygit2.Signature(self._author, f"{self._author}@{EMAIL_DOMAIN}", int(self._clock()), 0)
         if tree is None:
             tree = self._repository.TreeBuilder().write()
-        return str(self._repository.create_commit(None, signature, signature, message, tree, [base.id]))
+        parents = [base.id, *([self._lookup(merged).id] if merged else [])]
+        return str(self._repository.create_commit(None, signature, signature, message, tree, parents))
 
     def _edited(self, tree: pygit2.Tree | None, changes: Mapping[str, Any]) -> pygit2.Oid | None:
         """`tree` with the nested changes applied; None when nothing is left of it."""

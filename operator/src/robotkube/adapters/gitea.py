@@ -49,11 +49,17 @@ class GiteaForge:
     def comments(self, number: int) -> Sequence[Comment]:
         """Comments of a pull request, oldest first, at most COMMENTS_MAX."""
         found = self._call("GET", f"/issues/{number}/comments", params={"limit": COMMENTS_MAX})
-        return [Comment((item.get("user") or {}).get("login", ""), item.get("body", "")) for item in found]
+        return [
+            Comment((item.get("user") or {}).get("login", ""), item.get("body", ""), int(item["id"])) for item in found
+        ]
 
     def comment(self, number: int, text: str) -> None:
         """Add a comment (Markdown)."""
         self._call("POST", f"/issues/{number}/comments", json={"body": text})
+
+    def edit_comment(self, identifier: int, text: str) -> None:
+        """Give a comment of this account another text."""
+        self._call("PATCH", f"/issues/comments/{identifier}", json={"body": text})
 
     def close(self, number: int) -> None:
         """Close a pull request without merging it."""

@@ -25,10 +25,11 @@ class PullRequest:
 
 @dataclass(frozen=True)
 class Comment:
-    """A comment on a pull request."""
+    """A comment on a pull request; `id` is the forge's."""
 
     author: str
     text: str
+    id: int = 0
 
 
 class Forge(Protocol):
@@ -48,6 +49,10 @@ class Forge(Protocol):
 
     def comment(self, number: int, text: str) -> None:
         """Add a comment (Markdown)."""
+        ...
+
+    def edit_comment(self, identifier: int, text: str) -> None:
+        """Give a comment of this account another text."""
         ...
 
     def close(self, number: int) -> None:

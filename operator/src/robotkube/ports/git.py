@@ -48,12 +48,17 @@ class DeploymentRepository(RepositoryFiles, Protocol):
         ...
 
 
-class Proposals(Protocol):
-    """What the manager may write: commits of its own, proposed as pull requests; never main."""
+class Commits(Protocol):
+    """Commits of one's own, made in memory."""
 
-    def commit(self, parent: str, changes: Mapping[str, str | None], message: str) -> str:
-        """Make a commit on `parent`, which was fetched (path -> text, None removes), in memory; its id."""
+    def commit(self, parent: str, changes: Mapping[str, str | None], message: str, merged: str = "") -> str:
+        """Make a commit on `parent`, which was fetched (path -> text, None removes), in memory; its id. `merged`: a
+        second parent, of which nothing is taken but its place in history."""
         ...
+
+
+class Proposals(Commits, Protocol):
+    """What the manager and publishers may write: commits proposed as pull requests; never main."""
 
     def propose(self, commit: str, topic: str, title: str, body: str) -> int | None:
         """Open a pull request for exactly that commit; its number when the forge's answer names it, else None.

@@ -45,13 +45,14 @@ class MemoryRepository:
             at = self.commits[at].parents[0] if self.commits[at].parents else ""
         return found[::-1]
 
-    def commit(self, parent: str, changes: Mapping[str, str | None], message: str) -> str:
-        """A commit that is not on main."""
+    def commit(self, parent: str, changes: Mapping[str, str | None], message: str, merged: str = "") -> str:
+        """A commit that is not on main; `merged` is its second parent."""
         if parent and parent not in self.commits:
             raise InputError(f"commit {parent!r} is not here")
         tree = {p: t for p, t in {**self.trees.get(parent, {}), **changes}.items() if t is not None}
-        identifier = hashlib.sha1(repr((parent, sorted(tree.items()), message)).encode()).hexdigest()  # noqa: S324
-        self.commits[identifier] = Commit(identifier, (parent,) if parent else (), message, "manager", dict(changes))
+        identifier = hashlib.sha1(repr((parent, merged, sorted(tree.items()), message)).encode()).hexdigest()  # noqa: S324
+        parents = tuple(one for one in (parent, merged) if one)
+        self.commits[identifier] = Commit(identifier, parents, message, "manager", dict(changes))
         self.trees[identifier] = tree
         return identifier
 
@@ -75,10 +76,11 @@ class MemoryForge:
         self.said: dict[int, list[Comment]] = {}
         self.decide: Callable[[PullRequest], None] = self.merge
         self.tell_numbers = True
+        self._comments = 0
 
-    def commit(self, parent: str, changes: Mapping[str, str | None], message: str) -> str:
+    def commit(self, parent: str, changes: Mapping[str, str | None], message: str, merged: str = "") -> str:
         """A commit that is not on main."""
-        return self.repository.commit(parent, changes, message)
+        return self.repository.commit(parent, changes, message, merged)
 
     def propose(self, commit: str, topic: str, title: str, body: str) -> int | None:
         """Open a pull request and let the gate look at it."""
@@ -106,7 +108,13 @@ class MemoryForge:
 
     def comment(self, number: int, text: str) -> None:
         """Say something."""
-        self.said[number].append(Comment("gate", text))
+        self._comments += 1
+        self.said[number].append(Comment("gate", text, self._comments))
+
+    def edit_comment(self, identifier: int, text: str) -> None:
+        """Say it otherwise."""
+        for said in self.said.values():
+            said[:] = [replace(one, text=text) if one.id == identifier else one for one in said]
 
     def close(self, number: int) -> None:
         """Close without merging."""
