@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from robotkube.domain.charts_packing import build_tag
 from robotkube.domain.verification import SUMMARY, SuiteRule, VerificationPolicy
 
 STATEMENT_TYPE = "https://in-toto.io/Statement/v1"
@@ -70,7 +71,7 @@ class Artefact:
     @property
     def folder(self) -> str:
         """Where its evidence stands in the catalogue repository."""
-        return f"{FOLDER}/{self.chart}/{self.version}_{hexadecimal(self.digest)[:12]}"
+        return f"{FOLDER}/{self.chart}/{build_tag(self.version, self.digest)}"
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,140 @@
+"""The catalogue with its evidence verified: what manager and gate select from and check against.
+
+The last good catalogue stays while a newer one is broken: a broken file must never look like a withdrawal. A piece of
+evidence that is broken makes its own chart version doubtful and nothing else.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import lru_cache
+
+from robotkube.domain.catalogue import FOLDERS, Catalogue, ChartVersion, read_catalogue
+from robotkube.domain.errors import DocumentError, InputError
+from robotkube.domain.evidence import Artefact, Assessment, VerifiedStatement, assess
+from robotkube.domain.verification import PATH as POLICY_PATH
+from robotkube.domain.verification import SUMMARY, VerificationPolicy, read_verification_policy
+from robotkube.ports.evidence import Verifier
+from robotkube.ports.git import RepositoryFiles
+
+PLATFORMS = ("linux/amd64",)
+ENVELOPES_KEPT_MAX = 8192
+
+_Known = tuple[ChartVersion, str, tuple[str | None, ...]]
+
+log = logging.getLogger(__name__)
+
+
+class EvidenceReader:
+    """Reads a catalogue out of files and says of each chart version whether its evidence holds.
+
+    `platforms` are those of the fleet: evidence is needed for each. What was verified once is known by its text until
+    the trusted keys change. Not for several threads at once."""
+
+    def __init__(self, verifier: Verifier, platforms: Sequence[str] = PLATFORMS) -> None:
+        self._verifier, self._platforms = verifier, tuple(platforms)
+        self._verify = lru_cache(ENVELOPES_KEPT_MAX)(self._outcome)
+        self._keys: frozenset[str] = frozenset()
+        self._assessments: dict[tuple[str, str], tuple[_Known, Assessment]] = {}
+
+    def trusted(self) -> frozenset[str]:
+        """The trusted keys now; forgets what was verified when they changed. InputError: a key cannot be read."""
+        keys = self._verifier.trusted()
+        if keys != self._keys:
+            self._verify.cache_clear()
+            self._assessments.clear()
+            self._keys = keys
+        return keys
+
+    def read(self, files: Mapping[str, str]) -> Catalogue:
+        """The catalogue in `files` (path -> text, the folders of `FOLDERS`), assessed. A policy that cannot be read is
+        one of its problems."""
+        self.trusted()
+        catalogue = read_catalogue(files)
+        policy, problems = read_policy(files)
+        found = {
+            (version.chart, version.version): self._assess(version, policy, files)
+            for versions in catalogue.charts.values()
+            for version in versions
+        }
+        self._assessments = found
+        assessments = {key: assessment for key, (_, assessment) in found.items()}
+        return replace(catalogue.with_evidence(assessments), problems=(*catalogue.problems, *problems))
+
+    def _assess(
+        self, version: ChartVersion, policy: VerificationPolicy | None, files: Mapping[str, str]
+    ) -> tuple[_Known, Assessment]:
+        """The assessment with what it depends on; the one known when that is unchanged."""
+        artefacts = [Artefact(version.chart, version.version, version.digest, name) for name in self._platforms]
+        names = (*(rule.name for rule in policy.suites), SUMMARY) if policy else ()
+        texts = tuple(files.get(f"{artefacts[0].folder}/{name}.json") for name in names)
+        known = (version, policy.digest if policy else "", texts)
+        before = self._assessments.get((version.chart, version.version))
+        if before and before[0] == known:
+            return before
+        if policy is None:
+            return known, Assessment(False, "", (f"the catalogue has no {POLICY_PATH} to assess its evidence by",))
+        statements = {name: self._verify(text) for name, text in zip(names, texts, strict=True) if text is not None}
+        found = [assess(artefact, policy, version.evidence, statements) for artefact in artefacts]
+        problems = tuple(dict.fromkeys(problem for one in found for problem in one.problems))
+        return known, Assessment(not problems, found[0].evidence, problems)
+
+    def _outcome(self, text: str) -> VerifiedStatement | str:
+        try:
+            return self._verifier.verify(text.encode("utf-8", "surrogatepass"))
+        except InputError as error:
+            return str(error)
+
+
+def read_policy(files: Mapping[str, str]) -> tuple[VerificationPolicy | None, Sequence[str]]:
+    """The verification policy in `files` (None when there is none or it is broken) and what is wrong with it."""
+    text = files.get(POLICY_PATH)
+    if text is None:
+        return None, ()
+    try:
+        return read_verification_policy(text, POLICY_PATH), ()
+    except DocumentError as error:
+        return None, [f"{error.where}: {problem}" for problem in error.problems]
+
+
+class AssuredCatalogue:
+    """The assessed catalogue at its last good commit, and that commit's files (path -> text)."""
+
+    def __init__(self, files: RepositoryFiles, verifier: Verifier, platforms: Sequence[str] = PLATFORMS) -> None:
+        self._files, self._reader = files, EvidenceReader(verifier, platforms)
+        self._seen: tuple[str, frozenset[str]] = ("", frozenset())
+        self.tip = ""
+        self.catalogue = Catalogue()
+        self.files: Mapping[str, str] = {}
+
+    def read(self) -> tuple[str, Catalogue]:
+        """Take the newest commit and the keys trusted now; the last good commit and its catalogue.
+
+        InputError when there is nothing good yet or a key cannot be read: then nothing may be planned or merged.
+        UnavailableError when the forge does not answer."""
+        newest = self._files.fetch()
+        if not newest:
+            raise InputError("the catalogue repository has no main branch yet; nothing is planned")
+        seen = (newest, self._reader.trusted())
+        if seen != self._seen:
+            self._take(newest)
+            self._seen = seen
+        return self.tip, self.catalogue
+
+    def _take(self, newest: str) -> None:
+        files = self._files.files(newest, FOLDERS)
+        found = self._reader.read(files)
+        for problem in found.problems:
+            log.error("catalogue unusable commit=%s problem=%r", newest[:12], problem)
+        if not found.problems:
+            self.tip, self.catalogue, self.files = newest, found, files
+        elif not self.tip:
+            raise InputError(f"catalogue {newest[:12]}: {found.problems[0]}; nothing is planned until it is repaired")
+        else:
+            self._assess_kept()
+
+    def _assess_kept(self) -> None:
+        """The commit that stays, under the keys trusted now."""
+        self.catalogue = self._reader.read(self._files.files(self.tip, FOLDERS))
