@@ -30,6 +30,7 @@ PLATFORM = re.compile(r"[a-z0-9]+/[a-z0-9]+(/[a-z0-9]+)?")
 SUITE_NAME = re.compile(r"[a-z]([a-z0-9-]{0,38}[a-z0-9])?")
 SUITE_VERSION = re.compile(r"[0-9A-Za-z][0-9A-Za-z._-]{0,31}")
 IMAGE = re.compile(r"[A-Za-z0-9][A-Za-z0-9./:_-]{0,254}@sha256:[0-9a-f]{64}", re.ASCII)
+ATTEMPT = re.compile(r"[0-9A-Za-z._-]{0,64}", re.ASCII)
 CHART_REPOSITORY = re.compile(r"[a-z0-9][a-z0-9._-]*/[a-z0-9][a-z0-9._-]*")
 
 
@@ -46,7 +47,8 @@ class Replaced:
 @dataclass(frozen=True)
 class SuiteRequest:
     """Run one suite on one artefact. `repository` is `staging/<chart>`, `entry` the ChartVersion document that was
-    submitted, `replaced` the version it replaces when that one is published."""
+    submitted, `replaced` the version it replaces when that one is published; `attempt` names the submission (its
+    commit): a finished run that did not pass is run again for another attempt, it is not part of the key."""
 
     artefact: Artefact
     repository: str
@@ -54,6 +56,7 @@ class SuiteRequest:
     rule: SuiteRule
     entry: Mapping[str, Any]
     replaced: Replaced | None = None
+    attempt: str = ""
 
     @property
     def key(self) -> str:
@@ -64,10 +67,12 @@ class SuiteRequest:
 
 @dataclass(frozen=True)
 class SuiteProgress:
-    """Where a run stands: `status` is queued, running or finished; `result` is there when it is finished."""
+    """Where a run stands: `status` is queued, running or finished; `result` is there when it is finished; `reason`
+    says what a queued one waits for."""
 
     status: str
     result: SuiteResult | None = None
+    reason: str = ""
 
     @property
     def finished(self) -> bool:
@@ -99,6 +104,7 @@ def request_document(request: SuiteRequest) -> dict[str, Any]:
         "rule": {**vars(request.rule), "command": list(request.rule.command)},
         "entry": request.entry,
         "replaced": _replaced_document(request.replaced),
+        "attempt": request.attempt,
     }
 
 
@@ -122,6 +128,7 @@ def progress_document(progress: SuiteProgress) -> dict[str, Any]:
     result = progress.result
     return {
         "status": progress.status,
+        "reason": progress.reason,
         "result": None if result is None else {**vars(result), "checks": [vars(check) for check in result.checks]},
     }
 
@@ -129,7 +136,7 @@ def progress_document(progress: SuiteProgress) -> dict[str, Any]:
 def read_request(document: Any) -> SuiteRequest:
     """The request in a decoded JSON body; DocumentError names every problem."""
     reader = Reader("suite request")
-    keys = ["artefact", "repository", "policy", "rule", "entry"]
+    keys = ["artefact", "repository", "policy", "rule", "entry", "attempt"]
     root = reader.mapping(document, "", keys, ["replaced"])
     found = SuiteRequest(
         artefact=_artefact(reader, root.get("artefact"), "artefact"),
@@ -138,6 +145,7 @@ def read_request(document: Any) -> SuiteRequest:
         rule=_rule(reader, root.get("rule")),
         entry=_free_mapping(reader, root.get("entry"), "entry"),
         replaced=_replaced(reader, root.get("replaced")),
+        attempt=reader.text(root.get("attempt"), "attempt", ATTEMPT),
     )
     reader.finish()
     return found
@@ -199,13 +207,14 @@ def _number(reader: Reader, value: Any, path: str) -> float:
 def read_progress(document: Any) -> SuiteProgress:
     """The progress in a decoded JSON answer; DocumentError names every problem."""
     reader = Reader("suite progress")
-    root = reader.mapping(document, "", ["status", "result"])
+    root = reader.mapping(document, "", ["status", "result", "reason"])
     status = _one_of(reader, root.get("status"), "status", STATUSES)
     result = None if root.get("result") is None else _result(reader, root["result"])
     if (status == "finished") != (result is not None):
         reader.problems.append("result: must be there when, and only when, the status is finished")
+    reason = _bounded(reader.prose(root.get("reason"), "reason"))
     reader.finish()
-    return SuiteProgress(status, result)
+    return SuiteProgress(status, result, reason)
 
 
 def _result(reader: Reader, value: Any) -> SuiteResult:

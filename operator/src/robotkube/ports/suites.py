@@ -159,15 +159,18 @@ class Room(Protocol):
         ...
 
     def start_broker(self) -> Account:
-        """Start an MQTT broker with one account that may do everything; Secret `broker-account`. Once per run."""
+        """Start an MQTT broker with one account that may do everything; Secret `broker-account`. It takes connections
+        when this returns; called again, it gives the same account."""
         ...
 
     def start_database(self) -> Account:
-        """Start a database with one account; Secret `database-account`. Once per run."""
+        """Start a database with one account; Secret `database-account`. It answers when this returns; called
+        again, it gives the same account."""
         ...
 
     def broker_log(self) -> str:
-        """The broker's log, subscriptions and publications included (mosquitto, log_type all)."""
+        """The broker's whole log since its start (bounded: the end is kept), subscriptions and publications included
+        (mosquitto, log_type all)."""
         ...
 
     def leftovers(self) -> list[str]:
