@@ -1,6 +1,7 @@
 {{- define "bag-player.app" -}}
 image: ros
 command: [python3, -m, robotkube.entrypoints.player]
+serviceAccount: bag-player
 claims: [{name: bags, claim: {{ .Values.bags.claim }}, path: /var/lib/robotkube/bags}]
 config:
   agent: {{ .Values.player.agent | default .Values.placement.agent }}

@@ -1,6 +1,7 @@
 {{- define "event-detector.app" -}}
 image: ros
 command: [python3, -m, robotkube.entrypoints.detector]
+serviceAccount: event-detector
 database: {{ .Values.database.existingSecret | quote }}
 {{- with .Values.recordings.claim }}
 claims: [{name: recordings, claim: {{ . }}, path: /var/lib/robotkube/recordings}]

@@ -1,6 +1,7 @@
 {{- define "mqtt-bridge.app" -}}
 image: ros
 command: [python3, -m, robotkube.entrypoints.bridge]
+serviceAccount: mqtt-bridge
 broker: {{ .Values.broker.existingSecret }}
 config:
   agent: {{ .Values.placement.agent }}

@@ -4,6 +4,7 @@ Argument of both templates:
   image     key in images.yaml, the file that packing adds
   command   list
   config    the process's settings, a dictionary
+  serviceAccount  one of the agent's accounts; empty: application
   database  name of a Secret, or empty
   claims    list of {name, claim, path}
   files     name -> text, beside config.yaml in /etc/robotkube; a changed one restarts the pod, changed settings do not
@@ -73,7 +74,7 @@ spec:
 {{- end }}
 
 {{- define "robotkube-app.pod" -}}
-serviceAccountName: {{ .root.Chart.Name }}
+serviceAccountName: {{ .serviceAccount | default "application" }}
 automountServiceAccountToken: false   # mounted below, as the one account this pod needs
 enableServiceLinks: false
 terminationGracePeriodSeconds: {{ .root.Values.terminationGracePeriodSeconds | int }}
