@@ -3,6 +3,54 @@
 robotkube.io/agent: {{ .agent.name }}
 {{- end }}
 
+{{- /* Service accounts that releases run as; `application` is that of charts without an account of their own. */ -}}
+{{- define "robotkube.applicationAccounts" -}}
+application mqtt-bridge event-detector bag-player
+{{- end }}
+
+{{- /* The accounts, and their right to read the settings of their own namespace. Arguments: {root, namespace, labels}. */ -}}
+{{- define "robotkube.applicationServiceAccounts" -}}
+{{- range splitList " " (include "robotkube.applicationAccounts" .root) }}
+---
+apiVersion: v1
+kind: ServiceAccount
+metadata:
+  name: {{ . }}
+  namespace: {{ $.namespace }}
+  labels: {{- $.labels | nindent 4 }}
+automountServiceAccountToken: false
+{{- end }}
+{{- end }}
+
+{{- define "robotkube.configurationReader" -}}
+---
+apiVersion: rbac.authorization.k8s.io/v1
+kind: Role
+metadata:
+  name: configuration-reader
+  namespace: {{ .namespace }}
+  labels: {{- .labels | nindent 4 }}
+rules:
+- apiGroups: [""]
+  resources: [configmaps]
+  verbs: [get, list, watch]
+{{- end }}
+
+{{- define "robotkube.configurationReaders" -}}
+---
+apiVersion: rbac.authorization.k8s.io/v1
+kind: RoleBinding
+metadata:
+  name: configuration-reader
+  namespace: {{ .namespace }}
+  labels: {{- .labels | nindent 4 }}
+roleRef: {apiGroup: rbac.authorization.k8s.io, kind: Role, name: configuration-reader}
+subjects:
+{{- range splitList " " (include "robotkube.applicationAccounts" .root) }}
+- {kind: ServiceAccount, name: {{ . }}, namespace: {{ $.namespace }}}
+{{- end }}
+{{- end }}
+
 {{- define "robotkube.databaseAccount" -}}
 username: {{ include "robotkube.database" .agent.name }}
 password: {{ include "robotkube.password" (dict "root" .root "purpose" "database" "account" .agent.name) }}

@@ -34,8 +34,14 @@ http://{{ include "robotkube.forgeHost" . }}
 {{- end -}}
 {{- end }}
 
+{{- /* An organisation of the registry. Argument: {root, organisation}. */ -}}
+{{- define "robotkube.packages" -}}
+oci://{{ include "robotkube.forgeHost" .root }}/{{ .organisation }}
+{{- end }}
+
+{{- /* The only charts that may run: what the gate published. */ -}}
 {{- define "robotkube.charts" -}}
-oci://{{ include "robotkube.forgeHost" . }}/staging
+{{ include "robotkube.packages" (dict "root" . "organisation" "verified") }}
 {{- end }}
 
 {{- define "robotkube.brokerHost" -}}

@@ -24,7 +24,7 @@ securityContext:
   capabilities: {drop: [ALL]}
 {{- end }}
 
-{{- /* Probes of manager and gate, which serve /livez and /readyz on port 8080. */ -}}
+{{- /* Probes of manager, gate and suite-runner, which serve /livez and /readyz on port 8080. */ -}}
 {{- define "robotkube.probes" -}}
 startupProbe: {httpGet: {path: /livez, port: http}, periodSeconds: 1, failureThreshold: 60}
 readinessProbe: {httpGet: {path: /readyz, port: http}, periodSeconds: 5, timeoutSeconds: 3, failureThreshold: 2}
@@ -38,6 +38,11 @@ livenessProbe: {httpGet: {path: /livez, port: http}, periodSeconds: 20, timeoutS
     items:
     - {key: username, path: {{ .folder }}/username}
     - {key: password, path: {{ .folder }}/password}
+{{- end }}
+
+{{- /* What the gate shows to the suite-runner. */ -}}
+{{- define "robotkube.suiteRunnerToken" -}}
+- secret: {name: suite-runner-token, items: [{key: token, path: suite-runner/token}]}
 {{- end }}
 
 {{- /* Argument: {name, folder}. */ -}}

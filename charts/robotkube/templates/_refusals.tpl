@@ -4,6 +4,7 @@
 {{- $problems := list }}
 {{- $roles := list "cloud" "edge" "roadside" "vehicle" }}
 {{- $taken := list .Release.Namespace .Values.argocd.namespace "default" "kube-system" "kube-public" "kube-node-lease" }}
+{{- if .Values.suites.enabled }}{{ range $i := until (int .Values.suites.pool) }}{{ $taken = append $taken (include "robotkube.room" $i) }}{{ end }}{{ end }}
 {{- $seen := list }}
 {{- range $i, $agent := .Values.agents }}
 {{- $at := printf "agents[%d] %q" $i $agent.name }}
@@ -75,6 +76,39 @@
 {{- $kept := lookup "v1" "Secret" .Release.Namespace "robotkube-seed" | dig "data" "seed" "" | b64dec }}
 {{- if and $seed $kept (ne $seed $kept) }}
 {{- $problems = append $problems "secrets.seed differs from the one kept in the Secret robotkube-seed: forge and database would refuse the new passwords. Leave secrets.seed out, or delete the Secret together with the claims forge and database." }}
+{{- end }}
+{{- if .Values.suites.enabled }}
+{{- $off := "or set suites.enabled: false (then charts are verified and published elsewhere)." }}
+{{- range $image, $use := dict "suites" "the suite-runner's image" "ros" "what looks at charts under test" }}
+{{- if not (index $.Values.images $image) }}
+{{- $problems = append $problems (printf "suites.enabled is true, but images.%s (%s) is empty. Give its reference, %s" $image $use $off) }}
+{{- end }}
+{{- end }}
+{{- if and (eq .Values.broker.kind "external") (not .Values.images.mosquitto) }}
+{{- $problems = append $problems (printf "suites.enabled is true, but images.mosquitto, the broker that suites start, is empty. Give its reference, %s" $off) }}
+{{- end }}
+{{- if and (eq .Values.database.kind "external") (not .Values.images.mongo) }}
+{{- $problems = append $problems (printf "suites.enabled is true, but images.mongo, the database that suites start, is empty. Give its reference, %s" $off) }}
+{{- end }}
+{{- if not (include "robotkube.suitesAgent" .) }}
+{{- $problems = append $problems (printf "suites.enabled is true, but no agent has role cloud and suites.agent is empty: suites need an agent to run on. Declare one, name one of agents in suites.agent, %s" $off) }}
+{{- else if and .Values.suites.agent (not (has .Values.suites.agent $seen)) }}
+{{- $problems = append $problems (printf "suites.agent: %q is none of agents. Use one of: %s." .Values.suites.agent (join ", " $seen)) }}
+{{- end }}
+{{- end }}
+{{- $evidence := .Values.evidence }}
+{{- if and $evidence.existingSecret (not $evidence.trustedKeys) }}
+{{- $problems = append $problems (printf "evidence.existingSecret is %q, but evidence.trustedKeys is empty: nobody would believe what that key signs. Put its public key there (openssl pkey -in key.pem -pubout)." $evidence.existingSecret) }}
+{{- end }}
+{{- range $name, $pem := $evidence.trustedKeys }}
+{{- if contains "PRIVATE KEY" $pem }}
+{{- $problems = append $problems (printf "evidence.trustedKeys.%s: is a private key; it would stand in a ConfigMap. Give the public one (openssl pkey -in key.pem -pubout), and use another key from now on." $name) }}
+{{- else if not (regexMatch "^\\s*-----BEGIN (PUBLIC KEY|CERTIFICATE)-----\\s" $pem) }}
+{{- $problems = append $problems (printf "evidence.trustedKeys.%s: must be PEM that begins with -----BEGIN PUBLIC KEY----- or -----BEGIN CERTIFICATE-----." $name) }}
+{{- end }}
+{{- if and (eq $name "gate") (not $evidence.existingSecret) }}
+{{- $problems = append $problems "evidence.trustedKeys.gate: this name belongs to the key that the chart makes. Use another name, or give that key's Secret in evidence.existingSecret." }}
+{{- end }}
 {{- end }}
 {{- if $problems }}
 {{- $text := printf "robotkube: %d problem(s) in the values, nothing was changed:" (len $problems) }}

@@ -20,6 +20,8 @@ hook:
   secret: /var/run/secrets/robotkube/hook/secret
 webhook:
   secret: /var/run/secrets/robotkube/webhook/secret
+evidence:
+  keys: /etc/robotkube/keys
 agents:
 {{- include "robotkube.agents" . }}
 {{- end }}
@@ -33,9 +35,22 @@ forge:
   deployment: robotkube/deployment
   catalogue: robotkube/catalogue
   branch: main
-  proposer: manager
+  proposers:
+  - {account: manager, namespaces: [{{ range $i, $agent := .Values.agents }}{{ if $i }}, {{ end }}{{ $agent.name }}{{ end }}]}
+  publishers: [publisher]
 registry:
   charts: {{ include "robotkube.charts" . }}
+  staging: {{ include "robotkube.packages" (dict "root" . "organisation" "staging") }}
+local_builds: {{ .Values.gate.localBuilds }}
+evidence:
+  key: /var/run/secrets/robotkube/key/key.pem
+  keys: /etc/robotkube/keys
+  verifier: robotkube-gate
+{{- if .Values.suites.enabled }}
+suites:
+  url: http://{{ include "robotkube.host" (dict "root" . "name" "suite-runner") }}:8080
+  token: /var/run/secrets/robotkube/suite-runner/token
+{{- end }}
 hook:
   url: {{ include "robotkube.hookUrl" . }}
   secret: /var/run/secrets/robotkube/hook/secret
@@ -54,12 +69,13 @@ forge:
   url: {{ include "robotkube.forgeUrl" . }}
   administrator: /var/run/secrets/robotkube/forge/administrator
   accounts:
-  {{- range list "manager" "gate" "argocd" "publisher" "operator-team" }}
+  {{- range splitList " " (include "robotkube.forgeAccounts" .) }}
   - {name: {{ . }}, credentials: /var/run/secrets/robotkube/forge/{{ . }}}
   {{- end }}
   organisations:
-  - {name: robotkube, packages: {publisher: write, argocd: read, manager: read, gate: read}}
-  - {name: staging, packages: {publisher: write, argocd: read, manager: read, gate: read}}
+  - {name: robotkube, packages: {publisher: write, gate: read, suite-runner: read}}
+  - {name: staging, packages: {publisher: write, gate: write, suite-runner: read}}
+  - {name: verified, packages: {gate: write, manager: read, argocd: read, suite-runner: read}}
   repositories:
   - name: robotkube/deployment
     description: What runs on the fleet, one file per release
@@ -71,13 +87,14 @@ forge:
     description: What may be deployed
     branch: main
     seed: /etc/robotkube/seed/catalogue
-    access: {manager: read, gate: read, publisher: write, operator-team: read}
-    main: [publisher]
+    access: {manager: read, gate: write, publisher: read, operator-team: write}
+    main: [gate]
   webhooks:
   {{- range $process := list "gate" "manager" }}
   {{- $url := printf "http://%s:8080/webhook" (include "robotkube.host" (dict "root" $ "name" $process)) }}
   - {repository: robotkube/deployment, url: {{ $url | quote }}, events: [push, pull_request], secret: {{ $webhook }}}
-  - {repository: robotkube/catalogue, url: {{ $url | quote }}, events: [push], secret: {{ $webhook }}}
+  {{- $events := eq $process "gate" | ternary "[push, pull_request]" "[push]" }}
+  - {repository: robotkube/catalogue, url: {{ $url | quote }}, events: {{ $events }}, secret: {{ $webhook }}}
   {{- end }}
 {{- end }}
 {{- if ne .Values.database.kind "external" }}
@@ -101,6 +118,33 @@ argocd:
   hook: {secret: /var/run/secrets/robotkube/hook/secret}
   closed_project: default
   hook_reader: argocd-applicationset-controller
+{{- end }}
+
+{{- define "robotkube.suiteRunnerSettings" -}}
+listen: {address: 0.0.0.0, port: 8080}
+log_level: {{ .Values.logLevel }}
+forge:
+  url: {{ include "robotkube.forgeUrl" . }}
+  credentials: /var/run/secrets/robotkube/forge
+registry:
+  {{- range list "staging" "verified" }}
+  {{ . }}: {{ include "robotkube.packages" (dict "root" $ "organisation" .) }}
+  {{- end }}
+  images: {{ include "robotkube.packages" (dict "root" . "organisation" "robotkube") }}
+token: /var/run/secrets/robotkube/suite-runner/token
+platform_namespace: {{ .Release.Namespace }}
+agent: {{ include "robotkube.suitesAgent" . }}
+rooms:
+{{- range $i := until (int .Values.suites.pool) }}
+- {namespace: {{ include "robotkube.room" $i }}, domain_id: {{ add 90 $i }}}
+{{- end }}
+images:
+  observer: {{ .Values.images.ros }}
+  broker: {{ .Values.images.mosquitto }}
+  database: {{ index .Values.images (include "robotkube.suitesDatabase" .) }}
+database:
+  kind: {{ include "robotkube.suitesDatabase" . }}
+  arguments: {{ eq .Values.database.kind "external" | ternary list .Values.database.arguments | toJson }}
 {{- end }}
 
 {{- define "robotkube.teardownSettings" -}}

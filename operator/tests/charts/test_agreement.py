@@ -15,12 +15,21 @@ from robotkube.domain.bridging import read_bridge_settings
 from robotkube.domain.catalogue import read_assurance
 from robotkube.domain.detector_settings import read_detector_settings
 from robotkube.domain.initial import InitialPolicy, read_initial_policy
-from robotkube.entrypoints import bootstrap, gate, manager, teardown
+from robotkube.domain.verification import read_verification_policy
+from robotkube.entrypoints import bootstrap, gate, manager, suite_runner, teardown
 from robotkube.entrypoints.settings import read_settings
 
 CHARTS = Path(__file__).resolve().parents[3] / "charts"
 PROFILES = Path(__file__).parent / "profiles"
-PROCESSES: dict[str, Any] = {"bootstrap": bootstrap, "gate": gate, "manager": manager, "teardown": teardown}
+PROCESSES: dict[str, Any] = {
+    "bootstrap": bootstrap,
+    "gate": gate,
+    "manager": manager,
+    "suite-runner": suite_runner,
+    "teardown": teardown,
+}
+KEY_BODY = "MC4CAQAwBQYDK2VwBCIEIAABAgMEBQYHCAkKCwwNDg8QERITFBUWFxgZGhscHR4f"
+KEY = f"-----BEGIN PRIVATE KEY-----\n{KEY_BODY}\n-----END PRIVATE KEY-----\n"
 APPS: dict[str, Callable[[Mapping[str, Any], str], Any]] = {
     "bag-player": read_player_settings,
     "event-detector": read_detector_settings,
@@ -33,15 +42,20 @@ def mounted(rendered: Any, process: str, folder: Path) -> Path:
     workload = "Job" if process in {"bootstrap", "teardown"} else "Deployment"
     for volume in dict(rendered.pods)[f"{workload}/{process}"]["volumes"]:
         for source in volume.get("projected", {}).get("sources", []):
-            data = rendered.one("Secret", source["secret"]["name"])["stringData"]
+            name = source["secret"]["name"]
+            data = {"key.pem": KEY} if name == "kept-gate-key" else rendered.one("Secret", name)["stringData"]
             for item in source["secret"]["items"]:
                 write(folder / "secrets" / item["path"], data[item["key"]])
+        if volume["name"] == "keys":
+            for name, data in rendered.one("ConfigMap", "evidence-keys")["data"].items():
+                write(folder / "keys" / name, data)
         if volume["name"] == "seed":
             data = rendered.one("ConfigMap", volume["configMap"]["name"])["data"]
             for item in volume["configMap"]["items"]:
                 write(folder / "seed" / item["path"], data[item["key"]])
     text = rendered.one("ConfigMap", process)["data"]["config.yaml"]
     text = text.replace("/var/run/secrets/robotkube", str(folder / "secrets"))
+    text = text.replace("/etc/robotkube/keys", str(folder / "keys"))
     return write(folder / "config.yaml", text.replace("/etc/robotkube/seed", str(folder / "seed")))
 
 
@@ -67,7 +81,9 @@ def test_the_bootstrap_gets_all_seeds_and_accounts(official: Any, tmp_path: Path
     deployment, catalogue = found.forge.setup.repositories
     assert {".gitkeep" in path for path in deployment.seed} == {True, False}
     assert {"README.md", "policies/initial.yaml", "bootstrap/applicationset.yaml"} <= set(deployment.seed)
-    assert read_assurance(catalogue.seed["policies/release.yaml"].decode(), "release.yaml") == "none"
+    assert read_assurance(catalogue.seed["policies/release.yaml"].decode(), "release.yaml") == "verified"
+    verification = catalogue.seed["policies/verification.yaml"].decode()
+    assert read_verification_policy(verification, "verification.yaml").suites
     initial = read_initial_policy(deployment.seed["policies/initial.yaml"].decode(), "initial.yaml")
     assert initial == InitialPolicy()
     assert [account.database for account in found.database.accounts] == ["recordings_cloud_0"]

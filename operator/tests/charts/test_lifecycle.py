@@ -28,6 +28,8 @@ CALL_SECONDS_MAX = 120
 CHART = Path(__file__).resolve().parents[3] / "charts" / "robotkube"
 KEPT = [
     ("Secret", "robotkube-seed"),
+    ("Secret", "gate-key"),
+    ("Namespace", "robotkube-suite-0"),
     ("CustomResourceDefinition", "taskdescriptions.robotkube.io"),
     ("PersistentVolumeClaim", "forge"),
     ("PersistentVolumeClaim", "database"),
@@ -166,8 +168,8 @@ def test_the_api_server_refuses_a_bad_task(installed: Cluster, spec: dict[str, A
 FORBIDDEN = [
     *(f"{verb} {kind}" for verb in ("create", "update", "patch", "delete") for kind in ("pods", "deployments.apps")),
     *(f"{verb} secrets" for verb in ("get", "list", "create", "update", "patch", "delete")),
-    "create pods/exec",
-    "create serviceaccounts/token",
+    "create pods --subresource=exec",
+    "create serviceaccounts --subresource=token",
     *(f"{verb} {kind}" for verb in ("create", "bind", "escalate") for kind in ("roles", "clusterroles")),
     "create rolebindings",
     "impersonate users",
@@ -187,6 +189,7 @@ ALLOWED = [
     "list nodes",
     "watch pods",
     "list applications.argoproj.io -n argocd",
+    "create events -n cloud-0",
 ]
 
 
@@ -226,11 +229,37 @@ def test_the_manager_may_read_and_report(installed: Cluster, question: str) -> N
         ("robotkube:teardown", "delete applicationsets.argoproj.io/releases -n argocd", "yes"),
         ("robotkube:teardown", "delete applications.argoproj.io -n argocd", "no"),
         ("robotkube:gate", "get configmaps -n robotkube", "no"),
+        ("cloud-0:application", "watch configmaps -n cloud-0", "yes"),
+        ("robotkube-suite-0:application", "watch configmaps -n robotkube-suite-0", "yes"),
+        ("robotkube-suite-0:application", "get secrets -n robotkube-suite-0", "no"),
+        ("robotkube:suite-runner", "create deployments.apps -n robotkube-suite-1", "yes"),
+        ("robotkube:suite-runner", "create secrets -n robotkube-suite-1", "yes"),
+        ("robotkube:suite-runner", "get secrets -n robotkube-suite-1", "no"),
+        ("robotkube:suite-runner", "create roles -n robotkube-suite-1", "no"),
+        ("robotkube:suite-runner", "create pods --subresource=exec -n robotkube-suite-1", "no"),
+        ("robotkube:suite-runner", "create serviceaccounts --subresource=token -n robotkube-suite-1", "no"),
+        ("robotkube:suite-runner", "create namespaces", "no"),
+        *(("robotkube:suite-runner", f"create pods -n {namespace}", "no") for namespace in ("robotkube", "cloud-0")),
     ],
 )
 def test_rights_of_the_other_accounts(installed: Cluster, account: str, question: str, answer: str) -> None:
     asked = installed.run("kubectl", "auth", "can-i", *question.split(), f"--as=system:serviceaccount:{account}")
     assert asked.stdout.strip() == answer
+
+
+ACCOUNTS = [
+    *(f"robotkube:{name}" for name in ("gate", "manager", "suite-runner", "bootstrap", "teardown", "default")),
+    *(f"robotkube-suite-0:{name}" for name in ("application", "mqtt-bridge", "default")),
+    *(f"cloud-0:{name}" for name in ("application", "event-detector")),
+    "argocd:argocd-application-controller",
+]
+
+
+@pytest.mark.parametrize("verb", ["get", "list", "watch"])
+@pytest.mark.parametrize("account", ACCOUNTS)
+def test_nobody_may_read_the_key_of_the_gate(installed: Cluster, account: str, verb: str) -> None:
+    question = (verb, "secrets/gate-key", "-n", "robotkube", f"--as=system:serviceaccount:{account}")
+    assert installed.run("kubectl", "auth", "can-i", *question).stdout.strip() == "no"
 
 
 def test_an_upgrade_keeps_every_password_and_task(installed: Cluster, values: Path) -> None:

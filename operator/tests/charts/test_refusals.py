@@ -13,34 +13,42 @@ CHARTS = Path(__file__).resolve().parents[3] / "charts"
 PROFILES = Path(__file__).parent / "profiles"
 PLATFORM = CHARTS / "robotkube"
 VEHICLE = {"name": "vehicle-00", "role": "vehicle"}
+CLOUD = {"name": "cloud-0", "role": "cloud"}
+PUBLIC_KEY = "-----BEGIN PUBLIC KEY-----\nMCowBQYDK2VwAyEA\n-----END PUBLIC KEY-----\n"
 
 REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
     "name that is no label": (
-        {"agents": [{**VEHICLE, "name": "Vehicle_1"}]},
-        'agents[0] "Vehicle_1": the name becomes a namespace and a ROS name. Use lower case letters',
+        {"agents": [CLOUD, {**VEHICLE, "name": "Vehicle_1"}]},
+        'agents[1] "Vehicle_1": the name becomes a namespace and a ROS name. Use lower case letters',
     ),
-    "name that starts with a digit": ({"agents": [{**VEHICLE, "name": "1-car"}]}, "a letter first, such as vehicle-00"),
+    "name that starts with a digit": (
+        {"agents": [CLOUD, {**VEHICLE, "name": "1-car"}]},
+        "a letter first, such as vehicle-00",
+    ),
     "name that is too long": (
-        {"agents": [{**VEHICLE, "name": "a-vehicle-with-long-name"}]},
+        {"agents": [CLOUD, {**VEHICLE, "name": "a-vehicle-with-long-name"}]},
         "24 characters; Argo CD's <namespace>-<release> has 53, of which a release needs up to 30. Use at most 22.",
     ),
-    "name declared twice": ({"agents": [VEHICLE, VEHICLE]}, 'agents[1] "vehicle-00": declared twice.'),
-    "namespace of the platform": ({"agents": [{**VEHICLE, "name": "robotkube"}]}, "Use another name."),
-    "namespace of Argo CD": ({"agents": [{**VEHICLE, "name": "argocd"}]}, "this namespace belongs to the cluster"),
+    "name declared twice": ({"agents": [CLOUD, VEHICLE, VEHICLE]}, 'agents[2] "vehicle-00": declared twice.'),
+    "namespace of the platform": ({"agents": [CLOUD, {**VEHICLE, "name": "robotkube"}]}, "Use another name."),
+    "namespace of Argo CD": (
+        {"agents": [CLOUD, {**VEHICLE, "name": "argocd"}]},
+        "this namespace belongs to the cluster",
+    ),
     "unknown role": (
-        {"agents": [{**VEHICLE, "role": "drone"}]},
-        'agents[0] "vehicle-00": unknown role "drone". Use one of: cloud, edge, roadside, vehicle.',
+        {"agents": [CLOUD, {**VEHICLE, "role": "drone"}]},
+        'agents[1] "vehicle-00": unknown role "drone". Use one of: cloud, edge, roadside, vehicle.',
     ),
     "claim recordings": (
-        {"agents": [{**VEHICLE, "claims": [{"name": "recordings", "size": "1Gi"}]}]},
+        {"agents": [CLOUD, {**VEHICLE, "claims": [{"name": "recordings", "size": "1Gi"}]}]},
         'claim "recordings" is made by records: true.',
     ),
     "claim declared twice": (
-        {"agents": [{**VEHICLE, "claims": [{"name": "bags", "size": "1Gi"}, {"name": "bags", "size": "1Gi"}]}]},
+        {"agents": [CLOUD, {**VEHICLE, "claims": [{"name": "bags", "size": "1Gi"}, {"name": "bags", "size": "1Gi"}]}]},
         'claim "bags" is declared twice. Remove one.',
     ),
     "claim that is no label": (
-        {"agents": [{**VEHICLE, "claims": [{"name": "My Bags", "size": "1Gi"}]}]},
+        {"agents": [CLOUD, {**VEHICLE, "claims": [{"name": "My Bags", "size": "1Gi"}]}]},
         'claim name "My Bags". Use lower case letters, digits and hyphens.',
     ),
     "no platform image": ({"images": {"platform": ""}}, "images.platform is empty. Give the reference"),
@@ -63,6 +71,44 @@ REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
         {"forge": {"external": {"url": "https://git.example"}}},
         "forge.external.url is given, but forge.kind is gitea.",
     ),
+    "no image of the suite-runner": (
+        {"images": {"suites": ""}},
+        "suites.enabled is true, but images.suites (the suite-runner's image) is empty. Give its reference, or set",
+    ),
+    "no image that looks at charts": ({"images": {"ros": ""}}, "images.ros (what looks at charts under test) is empty"),
+    "no broker image for suites": (
+        {"images": {"mosquitto": ""}, "broker": {"kind": "external", "external": {"host": "mqtt.example"}}},
+        "images.mosquitto, the broker that suites start, is empty.",
+    ),
+    "no database image for suites": (
+        {"images": {"mongo": ""}, "database": {"kind": "external", "external": {"host": "mongo.example"}}},
+        "images.mongo, the database that suites start, is empty.",
+    ),
+    "no agent for suites": (
+        {"agents": [VEHICLE]},
+        "no agent has role cloud and suites.agent is empty: suites need an agent to run on. Declare one, name one of",
+    ),
+    "suites on an unknown agent": (
+        {"suites": {"agent": "cloud-7"}},
+        'suites.agent: "cloud-7" is none of agents. Use one of: vehicle-00, vehicle-01, cloud-0.',
+    ),
+    "namespace of a suite": ({"agents": [CLOUD, {**VEHICLE, "name": "robotkube-suite-1"}]}, "Use another name."),
+    "key without its public key": (
+        {"evidence": {"existingSecret": "my-key"}},
+        'evidence.existingSecret is "my-key", but evidence.trustedKeys is empty: nobody would believe what that key',
+    ),
+    "private key among the public ones": (
+        {"evidence": {"trustedKeys": {"mine": "-----BEGIN PRIVATE KEY-----\nMC4C\n-----END PRIVATE KEY-----\n"}}},
+        "evidence.trustedKeys.mine: is a private key; it would stand in a ConfigMap. Give the public one",
+    ),
+    "trusted key that is no key": (
+        {"evidence": {"trustedKeys": {"mine": "MCowBQYDK2Vw"}}},
+        "evidence.trustedKeys.mine: must be PEM that begins with -----BEGIN PUBLIC KEY-----",
+    ),
+    "trusted key with the name of the made one": (
+        {"evidence": {"trustedKeys": {"gate": PUBLIC_KEY}}},
+        "evidence.trustedKeys.gate: this name belongs to the key that the chart makes.",
+    ),
     "short seed": ({"secrets": {"seed": "too short"}}, "secrets.seed is shorter than 32 characters."),
 }
 
@@ -76,7 +122,7 @@ def test_platform_refuses(helm: Any, case: str) -> None:
 
 
 def test_platform_says_all_problems_at_once(helm: Any) -> None:
-    agents = [{**VEHICLE, "role": "drone"}, {**VEHICLE, "name": "X", "role": "boat"}]
+    agents = [CLOUD, {**VEHICLE, "role": "drone"}, {**VEHICLE, "name": "X", "role": "boat"}]
     said = helm.refusal(PLATFORM, PROFILES / "official.yaml", agents=agents, images={"platform": ""})
     assert "4 problem(s)" in said
     assert [line.split(".")[0].strip() for line in said.splitlines() if line.startswith("  ")] == ["1", "2", "3", "4"]
@@ -86,7 +132,10 @@ def test_platform_says_all_problems_at_once(helm: Any) -> None:
     ("values", "at"),
     [
         ({"mangaer": {}}, "additional properties 'mangaer' not allowed"),
-        ({"agents": [{**VEHICLE, "recrods": True}]}, "at '/agents/0': additional properties 'recrods' not allowed"),
+        (
+            {"agents": [CLOUD, {**VEHICLE, "recrods": True}]},
+            "at '/agents/1': additional properties 'recrods' not allowed",
+        ),
         ({"agents": [{"name": "vehicle-00"}]}, "at '/agents/0': missing property 'role'"),
         ({"images": {"mongodb": "x"}}, "at '/images': additional properties 'mongodb' not allowed"),
         (
@@ -95,6 +144,10 @@ def test_platform_says_all_problems_at_once(helm: Any) -> None:
         ),
         ({"broker": {"limits": {"queuedMessages": 0}}}, "at '/broker/limits/queuedMessages': minimum"),
         ({"recordings": {"size": "much"}}, "at '/recordings/size': 'much' does not match pattern"),
+        ({"suites": {"pool": 0}}, "at '/suites/pool': minimum"),
+        ({"suites": {"pool": 13}}, "at '/suites/pool': maximum"),
+        ({"suites": {"room": {"cpu": "much"}}}, "at '/suites/room/cpu': 'much' does not match pattern"),
+        ({"evidence": {"trustedKeys": {"My Key": "x"}}}, "'My Key' does not match pattern"),
         ({"platform": {"tolerations": [{"kee": "x"}]}}, "at '/platform/tolerations/0': additional properties 'kee'"),
     ],
 )

@@ -16,7 +16,8 @@ APP_CHARTS = ("mqtt-bridge", "event-detector", "bag-player")
 PROFILES = ("official", "embedded")
 # Cores requested by everything that runs all the time, Argo CD included: two cores carry the fleet, too.
 PLATFORM_CPU_MAX = 1.2
-PLATFORM = Path(__file__).resolve().parents[3] / "charts" / "robotkube"
+CHARTS = Path(__file__).resolve().parents[3] / "charts"
+PLATFORM = CHARTS / "robotkube"
 PROFILE = Path(__file__).parent / "profiles" / "official.yaml"
 WRITE_VERBS = {"create", "update", "patch", "delete", "deletecollection", "*", "bind", "escalate", "impersonate"}
 
@@ -72,7 +73,7 @@ def container_problems(container: Object) -> list[str]:
 
 
 def test_every_pod_of_the_platform_runs_restricted(platform: Any) -> None:
-    assert len(platform.pods) == 7
+    assert len(platform.pods) == 8
     assert {name: found for name, pod in platform.pods if (found := restricted_problems(pod))} == {}
 
 
@@ -114,7 +115,7 @@ def test_embedded_pods_run_on_the_platform_nodes(embedded: Any) -> None:
         assert pod["tolerations"][0]["value"] == "platform", name
 
 
-def test_the_manager_may_write_nothing_but_the_status_of_tasks(platform: Any) -> None:
+def test_the_manager_may_write_nothing_but_the_status_of_tasks_and_events(platform: Any) -> None:
     written = [
         rule["resources"]
         for role in [
@@ -124,7 +125,7 @@ def test_the_manager_may_write_nothing_but_the_status_of_tasks(platform: Any) ->
         for rule in role["rules"]
         if WRITE_VERBS & set(rule["verbs"])
     ]
-    assert written == [["taskdescriptions/status"]]
+    assert written == [["taskdescriptions/status"], ["events"]]
 
 
 def test_only_the_manager_has_a_right_beyond_a_namespace(platform: Any) -> None:
@@ -138,10 +139,10 @@ def test_the_gate_has_no_right_and_no_token(platform: Any) -> None:
         for subject in binding["subjects"]
         if subject.get("namespace") == "robotkube"
     ]
-    assert {name for name, _ in subjects} == {"manager", "bootstrap", "teardown"}
+    assert {name for name, _ in subjects} == {"manager", "bootstrap", "teardown", "suite-runner"}
     pod = dict(platform.pods)["Deployment/gate"]
     assert pod["automountServiceAccountToken"] is False
-    assert "token" not in json.dumps(pod["volumes"])
+    assert "serviceAccountToken" not in json.dumps(pod["volumes"])
 
 
 def test_the_bootstrap_may_only_get_and_patch_named_objects(platform: Any) -> None:
@@ -152,11 +153,14 @@ def test_the_bootstrap_may_only_get_and_patch_named_objects(platform: Any) -> No
 
 def test_no_right_reaches_pods_for_writing_or_secrets_for_listing(platform: Any) -> None:
     for role in platform.of_kind("Role", "ClusterRole"):
+        in_a_room = role["metadata"].get("namespace", "").startswith("robotkube-suite-")
         for rule in role["rules"]:
             assert "*" not in [*rule["verbs"], *rule["resources"], *rule["apiGroups"]]
-            if "pods" in rule["resources"]:
+            if "pods" in rule["resources"] and not in_a_room:
                 assert not WRITE_VERBS & set(rule["verbs"])
-            if "secrets" in rule["resources"]:
+            if "secrets" in rule["resources"] and in_a_room:
+                assert rule["verbs"] == ["create", "delete"]
+            elif "secrets" in rule["resources"]:
                 assert rule["resourceNames"] == ["argocd-secret"]
 
 
@@ -189,7 +193,7 @@ def test_application_pods_wait_for_nothing(apps: Mapping[str, Any], chart: str) 
     assert all("initialDelaySeconds" not in probe for key, probe in pod["containers"][0].items() if "Probe" in key)
 
 
-@pytest.mark.parametrize("chart", APP_CHARTS)
+@pytest.mark.parametrize("chart", [*APP_CHARTS, "application"])
 def test_the_service_accounts_that_application_charts_name_are_made_for_every_agent(official: Any, chart: str) -> None:
     for agent in ("vehicle-00", "vehicle-01", "cloud-0"):
         assert official.one("ServiceAccount", chart, agent)["automountServiceAccountToken"] is False
@@ -202,7 +206,8 @@ def test_the_app_project_allows_what_the_application_charts_use_and_nothing_else
     used = {(o["apiVersion"].rpartition("/")[0], o["kind"]) for rendered in apps.values() for o in rendered.objects}
     assert {(kind["group"], kind["kind"]) for kind in spec["namespaceResourceWhitelist"]} == used
     assert spec["clusterResourceWhitelist"] == []
-    assert spec["sourceRepos"] == ["oci://forge.robotkube.svc.cluster.local:3000/staging/*"]
+    assert spec["sourceRepos"] == ["oci://forge.robotkube.svc.cluster.local:3000/verified/*"]
+    assert official.one("Secret", "robotkube-charts", "argocd")["stringData"]["url"] + "/*" == spec["sourceRepos"][0]
     assert [place["namespace"] for place in spec["destinations"]] == ["vehicle-00", "vehicle-01", "cloud-0"]
 
 
@@ -212,7 +217,8 @@ def test_the_seed_commit_holds_the_wiring_as_installed(official: Any) -> None:
         copied = yaml.safe_load(data[f"deployment--bootstrap--{kind.lower()}.yaml"])
         assert copied == official.one(kind, name, "argocd")
     assert yaml.safe_load(data["deployment--policies--initial.yaml"]) == {"add": [], "remove": []}
-    assert yaml.safe_load(data["catalogue--policies--release.yaml"]) == {"assurance": "none"}
+    for source in sorted((CHARTS.parent / "registry" / "policies").glob("*.yaml")):
+        assert data[f"catalogue--policies--{source.name}"] == source.read_text()
 
 
 def test_the_seed_is_mounted_as_the_folders_that_the_settings_name(official: Any) -> None:
@@ -228,15 +234,16 @@ def test_the_seed_is_mounted_as_the_folders_that_the_settings_name(official: Any
         assert any(path.startswith(f"{folder}/") for path in items.values())
 
 
-@pytest.mark.parametrize("process", ["manager", "gate", "bootstrap", "teardown"])
+@pytest.mark.parametrize("process", ["manager", "gate", "suite-runner", "bootstrap", "teardown"])
 def test_every_secret_that_settings_name_is_mounted(platform: Any, process: str) -> None:
     workload = "Job" if process in {"bootstrap", "teardown"} else "Deployment"
     pod = dict(platform.pods)[f"{workload}/{process}"]
     mounted = set()
     for volume in pod["volumes"]:
         for source in volume.get("projected", {}).get("sources", []):
-            secret = platform.one("Secret", source["secret"]["name"])
-            assert {item["key"] for item in source["secret"]["items"]} <= set(secret["stringData"])
+            if source["secret"]["name"] != "kept-gate-key":  # made by a person
+                secret = platform.one("Secret", source["secret"]["name"])
+                assert {item["key"] for item in source["secret"]["items"]} <= set(secret["stringData"])
             mounted |= {f"/var/run/secrets/robotkube/{item['path']}" for item in source["secret"]["items"]}
     settings = yaml.safe_load(platform.one("ConfigMap", process)["data"]["config.yaml"])
     for path in named_paths(settings):
@@ -260,6 +267,11 @@ def test_what_must_stay_is_kept(official: Any) -> None:
     assert kept == {
         ("CustomResourceDefinition", None, "taskdescriptions.robotkube.io"),
         ("Secret", None, "robotkube-seed"),
+        ("Secret", None, "gate-key"),
+        ("PersistentVolumeClaim", "robotkube-suite-0", "scratch"),
+        ("PersistentVolumeClaim", "robotkube-suite-1", "scratch"),
+        ("Namespace", None, "robotkube-suite-0"),
+        ("Namespace", None, "robotkube-suite-1"),
         ("PersistentVolumeClaim", None, "database"),
         ("PersistentVolumeClaim", None, "forge"),
         ("PersistentVolumeClaim", "vehicle-00", "bags"),

@@ -1,0 +1,152 @@
+"""Who holds the key of the gate, what the suite-runner may do and where, and a platform that publishes nothing."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.serialization import load_pem_private_key
+from cryptography.x509 import load_pem_x509_certificate
+
+PLATFORM = Path(__file__).resolve().parents[3] / "charts" / "robotkube"
+PROFILE = Path(__file__).parent / "profiles" / "official.yaml"
+ROOMS = ("robotkube-suite-0", "robotkube-suite-1")
+GATE_KEYS = {"official": "gate-key", "embedded": "kept-gate-key"}
+
+Object = dict[str, Any]
+
+
+@pytest.fixture(params=sorted(GATE_KEYS))
+def profile(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+@pytest.fixture
+def platform(request: pytest.FixtureRequest, profile: str) -> Any:
+    return request.getfixturevalue(profile)
+
+
+def test_only_the_gate_mounts_the_key(platform: Any, profile: str) -> None:
+    name = GATE_KEYS[profile]
+    assert [where for where, pod in platform.pods if name in json.dumps(pod)] == ["Deployment/gate"]
+    assert len(platform.pods) == 8
+
+
+def test_no_account_may_read_secrets_where_the_key_is(platform: Any) -> None:
+    for role in platform.of_kind("Role", "ClusterRole"):
+        if role["kind"] == "ClusterRole" or role["metadata"].get("namespace") in (None, "robotkube"):
+            assert not [rule for rule in role["rules"] if "secrets" in rule["resources"]]
+    known = {(role["kind"], role["metadata"]["name"]) for role in platform.of_kind("Role", "ClusterRole")}
+    for binding in platform.of_kind("RoleBinding", "ClusterRoleBinding"):
+        assert (binding["roleRef"]["kind"], binding["roleRef"]["name"]) in known
+
+
+def test_the_made_key_stands_nowhere_but_in_its_secret(official: Any) -> None:
+    pair = official.one("Secret", "gate-key")["stringData"]
+    key = load_pem_private_key(pair["key.pem"].encode(), None)
+    assert isinstance(key, Ed25519PrivateKey)
+    body = pair["key.pem"].splitlines()[1]
+    assert official.text.count(body) == 1
+    assert official.text.count("PRIVATE KEY-----") == 2
+    keys = official.one("ConfigMap", "evidence-keys")["data"]
+    assert list(keys) == ["gate.pem"]
+    assert keys["gate.pem"] == pair["certificate.pem"]
+    assert load_pem_x509_certificate(keys["gate.pem"].encode()).public_key() == key.public_key()
+
+
+def test_a_given_key_is_named_and_its_public_half_trusted(embedded: Any) -> None:
+    assert "PRIVATE KEY" not in embedded.text
+    assert [o for o in embedded.of_kind("Secret") if o["metadata"]["name"] == "gate-key"] == []
+    keys = embedded.one("ConfigMap", "evidence-keys")["data"]
+    assert list(keys) == ["embedded.pem"]
+    assert keys["embedded.pem"].startswith("-----BEGIN PUBLIC KEY-----\n")
+
+
+def test_gate_and_manager_take_keys_from_the_same_place(platform: Any) -> None:
+    pods = dict(platform.pods)
+    mounting = {
+        where
+        for where, pod in pods.items()
+        if {"name": "keys", "configMap": {"name": "evidence-keys"}} in pod["volumes"]
+    }
+    assert mounting == {"Deployment/gate", "Deployment/manager"}
+    for process in ("gate", "manager"):
+        settings = yaml.safe_load(platform.one("ConfigMap", process)["data"]["config.yaml"])
+        assert settings["evidence"]["keys"] == "/etc/robotkube/keys"
+        mounts = pods[f"Deployment/{process}"]["containers"][0]["volumeMounts"]
+        assert {"name": "keys", "mountPath": "/etc/robotkube/keys", "readOnly": True} in mounts
+
+
+def test_a_second_trusted_key_restarts_who_reads_it(helm: Any, embedded: Any) -> None:
+    [pem] = embedded.one("ConfigMap", "evidence-keys")["data"].values()
+    files = (PLATFORM / "values-embedded.yaml", PROFILE.with_name("embedded.yaml"))
+    after = helm.template(PLATFORM, *files, evidence={"trustedKeys": {"next": pem}})
+    assert list(after.one("ConfigMap", "evidence-keys")["data"]) == ["embedded.pem", "next.pem"]
+    for name in ("gate", "manager"):
+        old, new = (found.one("Deployment", name)["spec"]["template"] for found in (embedded, after))
+        assert old["metadata"]["annotations"] != new["metadata"]["annotations"]
+        assert old["spec"] == new["spec"]
+
+
+def test_the_suite_runner_may_do_its_work_in_its_rooms_and_nothing_elsewhere(platform: Any) -> None:
+    bound = [
+        (binding["metadata"].get("namespace"), binding["roleRef"]["name"])
+        for binding in platform.of_kind("RoleBinding", "ClusterRoleBinding")
+        if any(s["name"] == "suite-runner" for s in binding["subjects"])
+    ]
+    assert bound == [(room, "suite-runner") for room in ROOMS]
+    for room in ROOMS:
+        rules = platform.one("Role", "suite-runner", room)["rules"]
+        granted = {resource: set(rule["verbs"]) for rule in rules for resource in rule["resources"]}
+        assert set(granted) == {"deployments", "configmaps", "pods", "pods/log", "services", "secrets", "events"}
+        assert granted["secrets"] == {"create", "delete"}
+        assert granted["pods/log"] == {"get"}
+        assert granted["events"] == {"list"}
+
+
+def test_a_room_takes_restricted_pods_and_holds_no_secret(platform: Any) -> None:
+    for room in ROOMS:
+        labels = platform.one("Namespace", room)["metadata"]["labels"]
+        assert labels["pod-security.kubernetes.io/enforce"] == "restricted"
+        there = [o for o in platform.objects if o["metadata"].get("namespace") == room]
+        assert sorted({o["kind"] for o in there}) == [
+            "LimitRange",
+            "PersistentVolumeClaim",
+            "ResourceQuota",
+            "Role",
+            "RoleBinding",
+            "ServiceAccount",
+        ]
+        accounts = [o for o in there if o["kind"] == "ServiceAccount"]
+        names = {account["metadata"]["name"] for account in accounts}
+        assert names == {"application", "mqtt-bridge", "event-detector", "bag-player"}
+        assert not any(account["automountServiceAccountToken"] for account in accounts)
+
+
+def test_the_suite_runner_gets_a_token_of_the_cluster_and_no_key(platform: Any) -> None:
+    pod = dict(platform.pods)["Deployment/suite-runner"]
+    assert pod["automountServiceAccountToken"] is True
+    assert pod["serviceAccountName"] == "suite-runner"
+    [volume] = [volume for volume in pod["volumes"] if "projected" in volume]
+    mounted = {source["secret"]["name"] for source in volume["projected"]["sources"]}
+    assert mounted == {"forge-account-suite-runner", "suite-runner-token"}
+
+
+def test_rooms_have_a_ros_domain_each(helm: Any) -> None:
+    rendered = helm.template(PLATFORM, PROFILE, suites={"pool": 3})
+    settings = yaml.safe_load(rendered.one("ConfigMap", "suite-runner")["data"]["config.yaml"])
+    assert settings["rooms"] == [{"namespace": f"robotkube-suite-{i}", "domain_id": 90 + i} for i in range(3)]
+    assert settings["agent"] == "cloud-0"
+
+
+def test_without_suites_nothing_runs_charts_and_the_gate_knows(helm: Any) -> None:
+    rendered = helm.template(PLATFORM, PROFILE, suites={"enabled": False}, images={"suites": "", "ros": ""})
+    assert "suite-runner" not in {where.partition("/")[2] for where, _ in rendered.pods}
+    named = {o["metadata"]["name"] for o in rendered.objects if o["kind"] not in ("Secret", "ConfigMap")}
+    assert not [name for name in named if "suite" in name]
+    assert "suites" not in yaml.safe_load(rendered.one("ConfigMap", "gate")["data"]["config.yaml"])
+    assert "suite-runner-token" not in json.dumps(dict(rendered.pods)["Deployment/gate"])
