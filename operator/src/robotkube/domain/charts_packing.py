@@ -54,11 +54,12 @@ class PackedChart:
 @dataclass(frozen=True)
 class PulledChart:
     """A chart as it came from a registry: `metadata` is Chart.yaml, `files` path inside the chart -> content,
-    `manifest` the bytes whose digest names it."""
+    `manifest` the bytes whose digest names it, `archive` the tgz that it was unpacked from."""
 
     metadata: Mapping[str, Any]
     files: Mapping[str, bytes]
     manifest: bytes
+    archive: bytes
 
     @property
     def digest(self) -> str:

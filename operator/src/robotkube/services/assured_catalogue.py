@@ -103,18 +103,18 @@ class AssuredCatalogue:
     """The assessed catalogue at its last good commit, and that commit's files (path -> text)."""
 
     def __init__(self, files: RepositoryFiles, verifier: Verifier, platforms: Sequence[str] = PLATFORMS) -> None:
-        self._files, self._reader = files, EvidenceReader(verifier, platforms)
+        self._repository, self._reader = files, EvidenceReader(verifier, platforms)
         self._seen: tuple[str, frozenset[str]] = ("", frozenset())
         self.tip = ""
+        self.files: Mapping[str, str] = {}  # path -> text of the last good commit
         self.catalogue = Catalogue()
-        self.files: Mapping[str, str] = {}
 
     def read(self) -> tuple[str, Catalogue]:
         """Take the newest commit and the keys trusted now; the last good commit and its catalogue.
 
         InputError when there is nothing good yet or a key cannot be read: then nothing may be planned or merged.
         UnavailableError when the forge does not answer."""
-        newest = self._files.fetch()
+        newest = self._repository.fetch()
         if not newest:
             raise InputError("the catalogue repository has no main branch yet; nothing is planned")
         seen = (newest, self._reader.trusted())
@@ -124,17 +124,13 @@ class AssuredCatalogue:
         return self.tip, self.catalogue
 
     def _take(self, newest: str) -> None:
-        files = self._files.files(newest, FOLDERS)
+        files = self._repository.files(newest, FOLDERS)
         found = self._reader.read(files)
         for problem in found.problems:
             log.error("catalogue unusable commit=%s problem=%r", newest[:12], problem)
         if not found.problems:
-            self.tip, self.catalogue, self.files = newest, found, files
+            self.tip, self.files, self.catalogue = newest, files, found
         elif not self.tip:
             raise InputError(f"catalogue {newest[:12]}: {found.problems[0]}; nothing is planned until it is repaired")
-        else:
-            self._assess_kept()
-
-    def _assess_kept(self) -> None:
-        """The commit that stays, under the keys trusted now."""
-        self.catalogue = self._reader.read(self._files.files(self.tip, FOLDERS))
+        else:  # the commit that stays, under the keys trusted now
+            self.catalogue = self._reader.read(self.files)
