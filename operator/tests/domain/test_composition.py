@@ -101,8 +101,9 @@ def plan(tasks: Sequence[TaskDescription], tree: Tree, **options: Any) -> tuple[
     if not changes:
         return None, desired
     named = {t.key: t for t in tasks}
-    made = make_plan(changes, tree, desired, named, options.get("catalogue", CATALOGUE), CHARTS, "b" * 40, NOW)
-    assert describe(made, desired, named, "none")
+    catalogue = options.get("catalogue", CATALOGUE)
+    made = make_plan(changes, tree, desired, named, catalogue, CHARTS, "b" * 40, NOW)
+    assert describe(made, desired, named, catalogue, ("static",))
     return made, desired
 
 

@@ -94,6 +94,10 @@ class Catalogue:
             return f"no valid evidence: {candidate.doubt}"
         return ""
 
+    def evidence_of(self, version: ChartVersion) -> str:
+        """What a release of `version` names as its evidence: the digest of the summary, or `none`."""
+        return version.evidence if self.assurance != "none" and version.evidence else "none"
+
     def candidates(self, requirement: ChartRequirement) -> list[ChartVersion]:
         """Every version of the named chart, or that provides what is asked for: newest first, then by chart."""
         if requirement.name:
@@ -111,7 +115,7 @@ class Catalogue:
         chosen: ChartVersion | None = None
         refusal = "NoVerifiedVersion"
         for candidate in self.candidates(requirement):
-            obstacle, weak = self.allows(candidate) or _outside(candidate, requirement), ""
+            obstacle, weak = _outside(candidate, requirement) or self.allows(candidate), ""
             if not obstacle:
                 weak = _weakness(candidate, requirement)
             if weak:

@@ -15,6 +15,7 @@ from robotkube.domain.catalogue_entries import (
     read_one_of,
     read_words,
 )
+from robotkube.domain.catalogue_interfaces import DURABILITIES, RELIABILITIES, ROS_TYPE
 from robotkube.domain.documents import Reader
 from robotkube.domain.guarantees import GuaranteeRequirement, read_requirements
 from robotkube.domain.releases import FILES_KEPT_MAX, NAME
@@ -22,6 +23,8 @@ from robotkube.domain.versions import is_range
 
 LINK_KINDS = ("mqtt", "ros")
 TOPIC_KEYS = ("name", "type", "channel", "reliability", "durability", "depth")
+CHANNELS = ("telemetry", "bulk")
+DEPTH_MAX = 100_000
 SET_BY_MANAGER = ("placement", "global")
 RESERVED = frozenset({"parameters", "agent", "task", "placement", "topics"})
 
@@ -206,11 +209,15 @@ def _link(reader: Reader, value: Any, index: int) -> Link:
     if kind == "mqtt" and not topics:
         reader.problems.append(f"{path}.topics: needs at least one topic")
     for number, topic in enumerate(topics):
-        reader.mapping(topic, f"{path}.topics[{number}]", TOPIC_KEYS)
+        _topic(reader, topic, f"{path}.topics[{number}]")
+    source = _end(reader, found.get("from"), f"{path}.from", ros)
+    target = _end(reader, found.get("to"), f"{path}.to", ros)
+    if ros and source == target:
+        reader.problems.append(f"{path}: both ends are the same service; remove the link")
     return Link(
         kind=kind,
-        source=_end(reader, found.get("from"), f"{path}.from", ros),
-        target=_end(reader, found.get("to"), f"{path}.to", ros),
+        source=source,
+        target=target,
         topics=tuple(topic for topic in topics if isinstance(topic, Mapping)),
         for_each=read_for_each(reader, found.get("forEach"), f"{path}.forEach", RESERVED),
     )
@@ -223,3 +230,17 @@ def _end(reader: Reader, value: Any, path: str, ros: bool) -> Mapping[str, str]:
         reader.problems.append(f"{path}: needs exactly one of {', '.join(keys)}")
         return {"agent": ""}
     return {key: reader.prose(text, f"{path}.{key}") for key, text in found.items()}
+
+
+def _topic(reader: Reader, value: Any, path: str) -> None:
+    found = reader.mapping(value, path, TOPIC_KEYS)
+    if not found:
+        return
+    reader.prose(found.get("name", ""), f"{path}.name")
+    reader.text(found.get("type"), f"{path}.type", ROS_TYPE)
+    for key, words in (("channel", CHANNELS), ("reliability", RELIABILITIES), ("durability", DURABILITIES)):
+        if key in found:
+            read_one_of(reader, found[key], f"{path}.{key}", words)
+    depth = found.get("depth", 1)
+    if isinstance(depth, bool) or not isinstance(depth, int) or not 1 <= depth <= DEPTH_MAX:
+        reader.problems.append(f"{path}.depth: must be a whole number from 1 to {DEPTH_MAX}")

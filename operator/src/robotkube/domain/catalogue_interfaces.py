@@ -18,12 +18,12 @@ MEDIA = ("ros", "mqtt", "database")
 DIRECTIONS = ("in", "out")
 RELIABILITIES = ("reliable", "best_effort")
 DURABILITIES = ("volatile", "transient_local")
+ROS_TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Za-z0-9]+", re.ASCII)
 ENCODINGS = ("rkf1", "text")
 QOS_MAX = 2
 SETS_MIN = 2
 SETS_MAX = 8
 
-_TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Za-z0-9]+", re.ASCII)
 _RESERVED = frozenset({"values"})
 _KEYS: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "ros": (("type", "qos"), ()),
@@ -58,7 +58,7 @@ def _interface(reader: Reader, item: Any, path: str) -> Mapping[str, Any]:
         read_for_each(reader, found.get("forEach"), f"{path}.forEach", _RESERVED)
         if not reader.prose(found.get("topic", ""), f"{path}.topic") and "topic" in found:
             reader.problems.append(f"{path}.topic: must not be empty")
-        reader.text(found.get("type"), f"{path}.type", _TYPE)
+        reader.text(found.get("type"), f"{path}.type", ROS_TYPE)
         if "encoding" in found:
             read_one_of(reader, found["encoding"], f"{path}.encoding", ENCODINGS)
         if "causes" in found and found.get("direction") == "out":

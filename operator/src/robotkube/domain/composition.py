@@ -1,31 +1,30 @@
 """Demands -> the releases that should exist, with reasons; a demand that cannot be met is refused and leaves no trace.
 
-Services become releases; links of kind mqtt become topics of the bridge release at both ends, as the union over all
-demands, so that no message crosses twice. The result does not depend on the order in which tasks are listed.
+Services become releases; services with links of kind ros share a node; links of kind mqtt become topics of the bridge
+release at both ends, as the union over all demands, so that no message crosses twice. The result does not depend on the
+order in which tasks are listed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeVar
+from typing import Any
 
 from robotkube.domain.catalogue import Catalogue
-from robotkube.domain.catalogue_applications import Link, Service
+from robotkube.domain.catalogue_applications import TOPIC_KEYS, Application, Link, Service
 from robotkube.domain.catalogue_charts import ChartVersion
 from robotkube.domain.errors import DocumentError, RefusalError
+from robotkube.domain.grouping import Instance, groups, instances
 from robotkube.domain.loops import Render, fill, loop
-from robotkube.domain.placement import Agent, Fleet, place
+from robotkube.domain.placement import Agent, Fleet, Placement, Seat, place
 from robotkube.domain.releases import NAME, Cause, Release, application_name
 from robotkube.domain.tasks import TaskDescription, with_defaults
 from robotkube.domain.texts import json_problems
+from robotkube.domain.topic_unions import IN, OUT, TopicUnion
 
 Validate = Callable[[Mapping[str, Any], Any], Sequence[str]]
 """Problems of a value under a JSON Schema."""
-
-_Item = TypeVar("_Item", Service, Link)
-OUT, IN = "out", "in"
-TOPIC_KEYS = ("name", "type", "channel", "reliability", "durability", "depth")
 
 
 @dataclass(frozen=True)
@@ -87,12 +86,11 @@ class World:
 
 @dataclass
 class _Draft:
-    """What one demand (or all so far) asks for: releases by key, topics by (kind, agent, direction) and name."""
+    """What one demand (or all so far) asks for: releases by key, and topics of the bridges."""
 
     releases: dict[str, Release] = field(default_factory=dict)
     owners: dict[str, list[Demand]] = field(default_factory=dict)
-    topics: dict[tuple[str, str, str], dict[str, Mapping[str, Any]]] = field(default_factory=dict)
-    topic_owners: dict[tuple[str, str], list[Demand]] = field(default_factory=dict)
+    topics: TopicUnion[Demand] = field(default_factory=TopicUnion)
     choices: list[str] = field(default_factory=list)
 
 
@@ -125,9 +123,8 @@ def _order(demand: Demand) -> tuple[bool, str, str]:
 
 def _joined(demand: Demand, owner: Demand, draft: _Draft) -> _Draft:
     """The releases of an equal earlier demand, shared."""
-    owners = {key: [demand] for key in draft.owners}
-    topic_owners = {key: [demand] for key in draft.topic_owners}
-    return replace(draft, owners=owners, topic_owners=topic_owners, choices=[f"shares the releases of {owner.key}"])
+    owners, topics = {key: [demand] for key in draft.owners}, draft.topics.owned_by(demand)
+    return replace(draft, owners=owners, topics=topics, choices=[f"shares the releases of {owner.key}"])
 
 
 def _draft(demand: Demand, world: World, total: _Draft) -> _Draft:
@@ -143,12 +140,12 @@ def _draft(demand: Demand, world: World, total: _Draft) -> _Draft:
         raise RefusalError("InvalidParameters", "; ".join(problems))
     draft = _Draft()
     names = _names(demand, parameters)
-    placed: dict[str, list[Agent]] = {}
-    for service, scope in _instances(application.services, names, world.render):
-        _add_service(service, scope, demand, world, total, draft, placed)
-    for link, scope in _instances(application.links, names, world.render):
-        world.catalogue.select(_bridge_service(link.kind, world).chart)
-        _add_link(link, scope, demand, world, draft, placed)
+    placed = _add_services(application, names, demand, world, total, draft)
+    for link in application.links:
+        if link.kind != "ros":
+            world.catalogue.select(_bridge_service(link.kind, world).chart)
+            for scope in loop(link.for_each, names, world.render):
+                _add_link(link, scope, demand, world, draft, placed)
     return draft
 
 
@@ -170,30 +167,39 @@ def _names(demand: Demand, parameters: Mapping[str, Any]) -> dict[str, Any]:
     return names
 
 
-def _instances(
-    items: Iterable[_Item], names: Mapping[str, Any], render: Render
-) -> Iterator[tuple[_Item, dict[str, Any]]]:
-    for item in items:
-        for scope in loop(item.for_each, names, render):
-            yield item, scope
+def _add_services(
+    application: Application, names: Mapping[str, Any], demand: Demand, world: World, total: _Draft, draft: _Draft
+) -> dict[str, list[Agent]]:
+    """Draft every service; the agents on which each of them was placed."""
+    found = instances(application, names, world.render)
+    together = groups(found, application.links)
+    placements: dict[int, Placement] = {}
+    placed: dict[str, list[Agent]] = {}
+    for index, instance in enumerate(found):
+        if index not in placements:
+            group = [found[member] for member in together[index]]
+            placement = place([_seat(i, demand, world) for i in group], world.fleet, _load(world.fleet, total, draft))
+            placements.update(dict.fromkeys(together[index], placement))
+            for member in group:
+                member.scope["placement"].setdefault(member.service.name, placement.agent.name)
+        _add_service(instance, placements[index], demand, world, draft)
+        placed.setdefault(instance.service.name, []).append(placements[index].agent)
+    return placed
 
 
-def _add_service(
-    service: Service,
-    scope: dict[str, Any],
-    demand: Demand,
-    world: World,
-    total: _Draft,
-    draft: _Draft,
-    placed: dict[str, list[Agent]],
-) -> None:
+def _seat(instance: Instance, demand: Demand, world: World) -> Seat:
+    service, scope = instance.service, instance.scope
+    kept = _kept(world.render(service.release, scope), demand, world)
+    agent = world.render(service.placement.agent, scope) if service.placement.agent else None
+    return Seat(service.name, service.placement, agent, kept)
+
+
+def _add_service(instance: Instance, placement: Placement, demand: Demand, world: World, draft: _Draft) -> None:
+    service, scope = instance.service, instance.scope
     chart, chart_reasons = world.catalogue.select(service.chart)
-    name = world.render(service.release, scope)
-    rule = replace(service.placement, agent=world.render(service.placement.agent, scope))
-    placement = place(rule, world.fleet, _kept(name, demand, world), _load(world.fleet, total, draft))
     scope["placement"][service.name] = placement.agent.name
-    placed.setdefault(service.name, []).append(placement.agent)
-    release = _release(placement.agent, name, chart, fill(service.values, scope, world.render))
+    name = world.render(service.release, scope)
+    release = _release(placement.agent, name, chart, fill(service.values, scope, world.render), world)
     if release.key in draft.releases:
         raise RefusalError("CompositionFailed", f"two services of {demand.application} make the release {release.key}")
     draft.releases[release.key] = release
@@ -214,7 +220,7 @@ def _load(fleet: Fleet, *drafts: _Draft) -> dict[str, int]:
     return {agent.name: namespaces.count(agent.namespace) for agent in fleet.agents.values()}
 
 
-def _release(agent: Agent, name: Any, chart: ChartVersion, values: Mapping[str, Any]) -> Release:
+def _release(agent: Agent, name: Any, chart: ChartVersion, values: Mapping[str, Any], world: World) -> Release:
     if not isinstance(name, str) or not NAME.fullmatch(name):
         raise RefusalError("CompositionFailed", f"release name {name!r} must match {NAME.pattern}")
     application_name(agent.namespace, name)
@@ -222,7 +228,8 @@ def _release(agent: Agent, name: Any, chart: ChartVersion, values: Mapping[str, 
     problems = json_problems(full, "values")
     if problems:
         raise RefusalError("CompositionFailed", "; ".join(problems))
-    return Release(agent.namespace, name, chart.chart, chart.version, chart.digest, full)
+    evidence = world.catalogue.evidence_of(chart)
+    return Release(agent.namespace, name, chart.chart, chart.version, chart.digest, full, evidence=evidence)
 
 
 def _add_link(
@@ -236,8 +243,8 @@ def _add_link(
             if source == target:
                 continue  # both ends on one node: ROS itself carries the topic
             for topic in topics:
-                _add_topic(draft, (link.kind, source.name, OUT), topic, demand)
-                _add_topic(draft, (link.kind, target.name, IN), topic, demand)
+                draft.topics.add(link.kind, source.name, OUT, topic, demand)
+                draft.topics.add(link.kind, target.name, IN, topic, demand)
 
 
 def _ends(
@@ -255,42 +262,13 @@ def _topic(value: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value[key] for key in TOPIC_KEYS}
 
 
-def _add_topic(draft: _Draft, end: tuple[str, str, str], topic: Mapping[str, Any], demand: Demand) -> None:
-    topics = draft.topics.setdefault(end, {})
-    _same_topic(end, topics.get(topic["name"]), topic)
-    kind, agent, direction = end
-    if topic["name"] in draft.topics.get((kind, agent, IN if direction == OUT else OUT), {}):
-        raise RefusalError(
-            "CompositionFailed", f"topic {topic['name']} would leave and enter {agent} by its bridge: a loop"
-        )
-    topics[topic["name"]] = topic
-    owners = draft.topic_owners.setdefault((kind, agent), [])
-    if demand not in owners:
-        owners.append(demand)
-
-
-def _same_topic(end: tuple[str, str, str], present: Mapping[str, Any] | None, topic: Mapping[str, Any]) -> None:
-    if present is None or present == topic:
-        return
-    differences = ", ".join(f"{k} {present[k]!r} and {topic[k]!r}" for k in TOPIC_KEYS if present[k] != topic[k])
-    raise RefusalError(
-        "CompositionFailed", f"topic {topic['name']} at the bridge of {end[1]} is asked for with {differences}"
-    )
-
-
 def _merge(total: _Draft, draft: _Draft) -> None:
     """Take `draft` into `total`, or raise and leave `total` as it was."""
     for key, release in draft.releases.items():
         if key in total.releases and total.releases[key] != release:
             names = ", ".join(owner.key for owner in total.owners[key])
             raise RefusalError("CompositionFailed", f"release {key} is made by {names} with other content")
-    trial = {end: dict(topics) for end, topics in total.topics.items()}
-    merged = _Draft(topics=trial, topic_owners={key: list(owners) for key, owners in total.topic_owners.items()})
-    for end, topics in draft.topics.items():
-        for topic in topics.values():
-            for owner in draft.topic_owners[end[0], end[1]]:
-                _add_topic(merged, end, topic, owner)
-    total.topics, total.topic_owners = merged.topics, merged.topic_owners
+    total.topics = total.topics.merged(draft.topics)
     total.releases.update(draft.releases)
     for key, owners in draft.owners.items():
         total.owners.setdefault(key, []).extend(owners)
@@ -300,7 +278,7 @@ def _finish(total: _Draft, outcomes: Mapping[str, Any], world: World) -> Desired
     """Add the bridges, write every release's causes, and name each demand's releases."""
     releases, owners = dict(total.releases), dict(total.owners)
     bridge_keys: dict[tuple[str, str], str] = {}
-    for (kind, agent), bridge_owners in sorted(total.topic_owners.items()):
+    for (kind, agent), bridge_owners in sorted(total.topics.owners.items()):
         release = _bridge(kind, agent, total, world)
         bridge_keys[kind, agent] = release.key
         releases[release.key], owners[release.key] = release, bridge_owners
@@ -313,7 +291,7 @@ def _finish(total: _Draft, outcomes: Mapping[str, Any], world: World) -> Desired
 def _outcome(outcome: _Draft | Refused, bridge_keys: Mapping[tuple[str, str], str]) -> Met | Refused:
     if isinstance(outcome, Refused):
         return outcome
-    keys = {*outcome.owners, *(bridge_keys[end] for end in outcome.topic_owners)}
+    keys = {*outcome.owners, *(bridge_keys[end] for end in outcome.topics.owners)}
     return Met(tuple(sorted(keys)), tuple(outcome.choices))
 
 
@@ -324,9 +302,9 @@ def _causes(owners: Iterable[Demand]) -> tuple[Cause, ...]:
 def _bridge(kind: str, agent: str, total: _Draft, world: World) -> Release:
     service = _bridge_service(kind, world)
     chart, _ = world.catalogue.select(service.chart)
-    names = {"agent": agent, "topics": {d: _sorted(total.topics.get((kind, agent, d), {})) for d in (OUT, IN)}}
+    names = {"agent": agent, "topics": total.topics.at(kind, agent)}
     name = world.render(service.release, names)
-    return _release(world.fleet.agent(agent), name, chart, fill(service.values, names, world.render))
+    return _release(world.fleet.agent(agent), name, chart, fill(service.values, names, world.render), world)
 
 
 def _bridge_service(kind: str, world: World) -> Service:
@@ -334,7 +312,3 @@ def _bridge_service(kind: str, world: World) -> Service:
     if len(application.services) != 1:
         raise RefusalError("CompositionFailed", f"bridge application {application.name} must have exactly one service")
     return application.services[0]
-
-
-def _sorted(topics: Mapping[str, Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    return [topics[name] for name in sorted(topics)]

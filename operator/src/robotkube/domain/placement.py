@@ -31,6 +31,17 @@ class NodeState:
 
 
 @dataclass(frozen=True)
+class Seat:
+    """An instance of a service that needs a place: its rule, the agent it names (rendered; None when it names none),
+    and the agents that run its release already."""
+
+    service: str
+    rule: PlacementRule
+    agent: object = None
+    kept: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True)
 class Placement:
     """The agent chosen, and one sentence per candidate."""
 
@@ -66,43 +77,79 @@ def fleet(agents: Sequence[Agent], nodes: Sequence[NodeState]) -> Fleet:
     return Fleet({a.name: a for a in agents}, {name: tuple(found) for name, found in by_agent.items()})
 
 
-def place(rule: PlacementRule, fleet: Fleet, kept: frozenset[str], load: Mapping[str, int]) -> Placement:
-    """The agent for a service.
+def place(seats: Sequence[Seat], fleet: Fleet, load: Mapping[str, int]) -> Placement:
+    """The one agent for services that share a node.
 
-    `rule.agent` (already rendered) names it; else the agents of `rule.role` are candidates. `kept` are agents that run
-    the release already: one of them stays, even when it is not ready at the moment. Else the one with the least `load`
-    (releases placed so far), then the first by name. RefusalError(NoCapableNode) gives every candidate's reason.
+    A named agent is taken; else the agents of the role that is asked for, or all, are candidates. One that runs most of
+    the releases already stays, even when it is not ready at the moment. Else the one with the least `load` (releases
+    placed so far), then the first by name. RefusalError(NoCapableNode) gives every candidate's reason.
     """
-    if rule.agent:
-        agent = fleet.agent(rule.agent)
-        return Placement(agent, (f"{agent.name}: named by the application",))
-    candidates = [agent for _, agent in sorted(fleet.agents.items()) if agent.role == rule.role]
-    obstacles = {
-        agent.name: _obstacle(rule, fleet.nodes.get(agent.name, ()), agent.name in kept) for agent in candidates
-    }
+    named = _named(seats, fleet)
+    if named and len(seats) == 1:
+        return Placement(named, (f"{named.name}: named by the application",))
+    role = _one_role(seats)
+    candidates = [named] if named else [a for _, a in sorted(fleet.agents.items()) if role in ("", a.role)]
+    kept = {agent.name: sum(agent.name in seat.kept for seat in seats) for agent in candidates}
+    present = {agent.name for agent in candidates if kept[agent.name] or agent == named}
+    obstacles = {a.name: _obstacle(seats, a, fleet.nodes.get(a.name, ()), a.name in present) for a in candidates}
     free = [agent for agent in candidates if not obstacles[agent.name]]
     if not free:
         detail = "; ".join(f"{name}: {text}" for name, text in obstacles.items()) or "no agent of that role is declared"
-        wanted = " ".join([f"role {rule.role}", *(f"capability {c}" for c in rule.capabilities)])
-        raise RefusalError("NoCapableNode", f"no agent for {wanted}: {detail}")
-    chosen = min(free, key=lambda a: (a.name not in kept, load.get(a.name, 0), a.name))
-    return Placement(chosen, tuple(_reason(a.name, obstacles[a.name], chosen.name, kept, load) for a in candidates))
+        raise RefusalError("NoCapableNode", f"no agent for {_wanted(seats)}: {detail}")
+    chosen = min(free, key=lambda a: (-kept[a.name], load.get(a.name, 0), a.name))
+    reasons = [_reason(a, obstacles[a.name], chosen, kept[a.name], load.get(a.name, 0)) for a in candidates]
+    return Placement(chosen, (*_together(seats), *reasons))
 
 
-def _obstacle(rule: PlacementRule, nodes: Sequence[NodeState], kept: bool) -> str:
+def _named(seats: Sequence[Seat], fleet: Fleet) -> Agent | None:
+    agents = {seat.service: fleet.agent(seat.agent) for seat in seats if seat.agent is not None}
+    if len(set(agents.values())) > 1:
+        text = ", ".join(f"{service} names {agent.name}" for service, agent in agents.items())
+        raise RefusalError("NoCapableNode", f"services with ros links must share a node: {text}")
+    return next(iter(agents.values()), None)
+
+
+def _one_role(seats: Sequence[Seat]) -> str:
+    roles = {seat.service: seat.rule.role for seat in seats if seat.rule.role}
+    if len(set(roles.values())) > 1:
+        text = ", ".join(f"{service} wants role {role}" for service, role in roles.items())
+        raise RefusalError("NoCapableNode", f"services with ros links must share a node: {text}")
+    return next(iter(roles.values()), "")
+
+
+def _wanted(seats: Sequence[Seat]) -> str:
+    role = _one_role(seats)
+    words = [f"role {role}"] if role else []
+    words += [f"capability {c}" for c in _capabilities(seats)]
+    return " ".join([*(words or ["any role"]), *(f"({text})" for text in _together(seats))])
+
+
+def _capabilities(seats: Sequence[Seat]) -> Sequence[str]:
+    return list(dict.fromkeys(c for seat in seats for c in seat.rule.capabilities))
+
+
+def _together(seats: Sequence[Seat]) -> Sequence[str]:
+    names = dict.fromkeys(seat.service for seat in seats)
+    return [f"{', '.join(names)}: on one node, linked by ros"] if len(seats) > 1 else []
+
+
+def _obstacle(seats: Sequence[Seat], agent: Agent, nodes: Sequence[NodeState], stays: bool) -> str:
+    role = _one_role(seats)
+    if role not in ("", agent.role):
+        return f"has role {agent.role}, not {role}"
     if not nodes:
         return "has no Node"
-    missing = [c for c in rule.capabilities if not any(c in node.capabilities for node in nodes)]
+    missing = [c for c in _capabilities(seats) if not any(c in node.capabilities for node in nodes)]
     if missing:
         return f"lacks capability {', '.join(missing)}"
-    if kept or any(node.ready and not node.cordoned for node in nodes):
+    if stays or any(node.ready and not node.cordoned for node in nodes):
         return ""
     return "no Node is Ready and schedulable"
 
 
-def _reason(name: str, obstacle: str, chosen: str, kept: frozenset[str], load: Mapping[str, int]) -> str:
+def _reason(agent: Agent, obstacle: str, chosen: Agent, kept: int, load: int) -> str:
     if obstacle:
-        return f"{name}: {obstacle}"
-    if name == chosen:
-        return f"{name}: taken, {'it runs there already' if name in kept else f'{load.get(name, 0)} releases placed'}"
-    return f"{name}: possible, {load.get(name, 0)} releases placed"
+        return f"{agent.name}: {obstacle}"
+    if agent == chosen:
+        return f"{agent.name}: taken, {'it runs there already' if kept else f'{load} releases placed'}"
+    return f"{agent.name}: possible, {load} releases placed"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-_COMPARATOR = re.compile(r"(>=|<=|>|<|=)(\d{1,9}\.\d{1,9}\.\d{1,9}(?:-[0-9A-Za-z.-]+)?)", re.ASCII)
+_COMPARATOR = re.compile(r"(>=|<=|>|<|=)(\d{1,9}\.\d{1,9}\.\d{1,9}(?:-[0-9A-Za-z.-]{1,64})?)", re.ASCII)
 
 
 def version_key(version: str) -> tuple[int, int, int, bool, str]:
