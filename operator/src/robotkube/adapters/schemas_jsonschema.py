@@ -1,34 +1,63 @@
-"""JSON Schema (draft 2020-12) by jsonschema: problems as sentences that name the key; nothing is loaded."""
+"""JSON Schema by jsonschema: problems as sentences that name the key; nothing is loaded.
+
+A schema without `$schema` is read as draft 2020-12. Compiled schemas are kept: the gate asks for the same ones again
+and again.
+"""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from itertools import islice
 from typing import Any
 
 import jsonschema
 from jsonschema import Draft202012Validator
+from jsonschema.validators import validator_for
+from referencing import Registry
 
 PROBLEMS_MAX = 20
+SCHEMAS_KEPT_MAX = 512
 
 
 def check_schema(schema: Mapping[str, Any]) -> Sequence[str]:
     """What is wrong with the schema itself."""
     try:
-        Draft202012Validator.check_schema(schema)
+        validator_for(schema, default=Draft202012Validator).check_schema(dict(schema))
     except jsonschema.SchemaError as error:
         return [f"schema: {error.json_path}: {error.message}"]
     return []
 
 
-def validate(schema: Mapping[str, Any], value: Any) -> Sequence[str]:
-    """Problems of `value` under `schema`, at most PROBLEMS_MAX; a broken schema is one problem."""
-    broken = check_schema(schema)
+@lru_cache(SCHEMAS_KEPT_MAX)
+def _compiled(text: str) -> tuple[Any, Sequence[str]]:
+    """The validator of a schema's JSON text, and what is wrong with the schema."""
+    schema = json.loads(text)
+    return validator_for(schema, default=Draft202012Validator)(schema, registry=Registry()), check_schema(schema)
+
+
+def validate(schema: Mapping[str, Any], value: Any, name: str = "parameters") -> Sequence[str]:
+    """Problems of `value`, which is called `name` in them, under `schema`, at most PROBLEMS_MAX; a broken schema is one
+    problem."""
+    validator, broken = _compiled(json.dumps(schema, sort_keys=True))
     if broken:
         return broken
     try:
-        errors = sorted(
-            Draft202012Validator(schema).iter_errors(value), key=lambda e: (list(map(str, e.path)), e.message)
-        )
+        errors = sorted(validator.iter_errors(value), key=lambda e: (list(map(str, e.path)), e.message))
     except Exception as error:  # an unresolvable reference raises types of another library
         return [f"schema: {error}"]
-    return [f"{e.json_path.replace('$', 'parameters', 1)}: {e.message}" for e in errors[:PROBLEMS_MAX]]
+    return [f"{e.json_path.replace('$', name, 1)}: {e.message}" for e in errors[:PROBLEMS_MAX]]
+
+
+def violations(schema: Mapping[str, Any], value: Any) -> Sequence[tuple[tuple[str | int, ...], str]]:
+    """Path and message of every place where `value` breaks `schema`, at most PROBLEMS_MAX; a broken schema is one
+    violation at the empty path."""
+    validator, broken = _compiled(json.dumps(schema, sort_keys=True))
+    if broken:
+        return [((), message) for message in broken]
+    try:
+        errors = list(islice(validator.iter_errors(value), PROBLEMS_MAX))
+    except Exception as error:  # an unresolvable reference raises types of another library
+        return [((), f"schema: {error}")]
+    return sorted(((tuple(e.absolute_path), e.message) for e in errors), key=lambda found: (str(found[0]), found[1]))

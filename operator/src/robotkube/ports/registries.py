@@ -53,3 +53,19 @@ class ChartRegistry(Protocol):
         The same again changes nothing. InputError when `tag` is there with another digest (a tag is never overwritten)
         or when a named attachment is not attached."""
         ...
+
+
+class ImageRegistry(Protocol):
+    """Container images as the images suite reads them; errors as those of ChartRegistry."""
+
+    def manifest(self, repository: str, digest: str) -> bytes:
+        """The image manifest or index of that digest."""
+        ...
+
+    def blob(self, repository: str, digest: str, bytes_max: int) -> bytes:
+        """A blob of at most `bytes_max` bytes."""
+        ...
+
+    def attachments(self, repository: str, subject: str) -> Sequence[Attachment]:
+        """Everything attached to the manifest `subject`; empty when there is nothing."""
+        ...
