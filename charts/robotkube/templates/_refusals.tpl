@@ -87,9 +87,6 @@
 {{- if and (eq .Values.broker.kind "external") (not .Values.images.mosquitto) }}
 {{- $problems = append $problems (printf "suites.enabled is true, but images.mosquitto, the broker that suites start, is empty. Give its reference, %s" $off) }}
 {{- end }}
-{{- if and (eq .Values.database.kind "external") (not .Values.images.mongo) }}
-{{- $problems = append $problems (printf "suites.enabled is true, but images.mongo, the database that suites start, is empty. Give its reference, %s" $off) }}
-{{- end }}
 {{- if not (include "robotkube.suitesAgent" .) }}
 {{- $problems = append $problems (printf "suites.enabled is true, but no agent has role cloud and suites.agent is empty: suites need an agent to run on. Declare one, name one of agents in suites.agent, %s" $off) }}
 {{- else if and .Values.suites.agent (not (has .Values.suites.agent $seen)) }}

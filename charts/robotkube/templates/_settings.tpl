@@ -141,10 +141,15 @@ rooms:
 images:
   observer: {{ .Values.images.ros }}
   broker: {{ .Values.images.mosquitto }}
-  database: {{ index .Values.images (include "robotkube.suitesDatabase" .) }}
+{{- if eq .Values.database.kind "external" }}
+  database: ""
+database: {kind: "", arguments: []}         # none: charts that name a database account are refused
+{{- else }}
+  database: {{ index .Values.images .Values.database.kind }}
 database:
-  kind: {{ include "robotkube.suitesDatabase" . }}
-  arguments: {{ eq .Values.database.kind "external" | ternary list .Values.database.arguments | toJson }}
+  kind: {{ .Values.database.kind }}
+  arguments: {{ toJson .Values.database.arguments }}
+{{- end }}
 {{- end }}
 
 {{- define "robotkube.teardownSettings" -}}

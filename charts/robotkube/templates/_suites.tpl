@@ -9,8 +9,3 @@ robotkube-suite-{{ . }}
 {{- range .Values.agents }}{{ if and (not $found) (eq .role "cloud") }}{{ $found = .name }}{{ end }}{{ end -}}
 {{- $found -}}
 {{- end }}
-
-{{- /* Kind of the databases that suites start: the platform's own, and the official one when that is external. */ -}}
-{{- define "robotkube.suitesDatabase" -}}
-{{ eq .Values.database.kind "external" | ternary "mongo" .Values.database.kind }}
-{{- end }}

@@ -102,7 +102,7 @@ def test_the_suite_runner_may_do_its_work_in_its_rooms_and_nothing_elsewhere(pla
     for room in ROOMS:
         rules = platform.one("Role", "suite-runner", room)["rules"]
         granted = {resource: set(rule["verbs"]) for rule in rules for resource in rule["resources"]}
-        assert set(granted) == {"deployments", "configmaps", "pods", "pods/log", "services", "secrets", "events"}
+        assert set(granted) == {"deployments", "configmaps", "pods", "pods/log", "secrets", "events"}
         assert granted["secrets"] == {"create", "delete"}
         assert granted["pods/log"] == {"get"}
         assert granted["events"] == {"list"}
@@ -141,6 +141,23 @@ def test_rooms_have_a_ros_domain_each(helm: Any) -> None:
     settings = yaml.safe_load(rendered.one("ConfigMap", "suite-runner")["data"]["config.yaml"])
     assert settings["rooms"] == [{"namespace": f"robotkube-suite-{i}", "domain_id": 90 + i} for i in range(3)]
     assert settings["agent"] == "cloud-0"
+
+
+def test_suites_start_a_database_of_the_platforms_kind_or_none(helm: Any, embedded: Any) -> None:
+    settings = yaml.safe_load(embedded.one("ConfigMap", "suite-runner")["data"]["config.yaml"])
+    assert settings["database"]["kind"] == "ferretdb"
+    assert "--handler=sqlite" in settings["database"]["arguments"]
+    database = {"kind": "external", "external": {"host": "mongo.example"}}
+    rendered = helm.template(PLATFORM, PROFILE, database=database)
+    settings = yaml.safe_load(rendered.one("ConfigMap", "suite-runner")["data"]["config.yaml"])
+    assert settings["database"] == {"kind": "", "arguments": []}
+    assert settings["images"]["database"] == ""
+
+
+def test_images_can_be_looked_up_by_name(embedded: Any) -> None:
+    images = yaml.safe_load(embedded.one("ConfigMap", "platform-images")["data"]["images.yaml"])
+    assert {"platform", "ros", "suites", "mosquitto", "gitea", "ferretdb"} <= set(images)
+    assert all(images.values())
 
 
 def test_without_suites_nothing_runs_charts_and_the_gate_knows(helm: Any) -> None:

@@ -189,7 +189,7 @@ ALLOWED = [
     "list nodes",
     "watch pods",
     "list applications.argoproj.io -n argocd",
-    "create events -n cloud-0",
+    "create events.events.k8s.io -n cloud-0",
 ]
 
 

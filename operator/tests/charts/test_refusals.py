@@ -80,10 +80,6 @@ REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
         {"images": {"mosquitto": ""}, "broker": {"kind": "external", "external": {"host": "mqtt.example"}}},
         "images.mosquitto, the broker that suites start, is empty.",
     ),
-    "no database image for suites": (
-        {"images": {"mongo": ""}, "database": {"kind": "external", "external": {"host": "mongo.example"}}},
-        "images.mongo, the database that suites start, is empty.",
-    ),
     "no agent for suites": (
         {"agents": [VEHICLE]},
         "no agent has role cloud and suites.agent is empty: suites need an agent to run on. Declare one, name one of",
