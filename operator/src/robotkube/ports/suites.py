@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from robotkube.domain.evidence import Artefact, Check
+from robotkube.domain.evidence import Artefact, Check, SuiteResult
 from robotkube.domain.suite_requests import Replaced, SuiteProgress, SuiteRequest
 
 __all__ = [
     "Account",
+    "Executor",
     "Object",
     "PodEnd",
     "PodRun",
     "Render",
     "Replaced",
     "Room",
+    "RoomKeeper",
+    "RoomObjects",
     "Subject",
     "Suite",
     "SuiteProgress",
@@ -83,8 +86,8 @@ class PodRun:
 
 @dataclass(frozen=True)
 class PodEnd:
-    """How a pod of the chart went when it was deleted: after how many seconds, with which exit code of each container
-    (None = not seen), and the grace it had asked for. `gone` is False when it was still there at the end."""
+    """How a pod of the chart went when it was deleted: after how many seconds its containers had ended, with which exit
+    codes (None = not seen), and the grace it had asked for. `gone` is False when it was still there at the end."""
 
     name: str
     seconds: float
@@ -175,6 +178,70 @@ class Room(Protocol):
 
     def leftovers(self) -> list[str]:
         """What of the chart under test is still in the room, as `Kind name`, sorted."""
+        ...
+
+
+class RoomObjects(Protocol):
+    """Kubernetes objects of one namespace of the pool. Kinds: Deployment, ConfigMap, Pod, Secret (no reading).
+    UnavailableError when the API server does not answer, InputError when it refuses."""
+
+    def list(self, kind: str) -> tuple[Sequence[Object], str]:
+        """The objects, and the position from which changes can be followed."""
+        ...
+
+    def get(self, kind: str, name: str) -> Object | None:
+        """One object."""
+        ...
+
+    def create(self, kind: str, body: Object) -> None:
+        """A new object."""
+        ...
+
+    def apply(self, body: Object) -> None:
+        """Make the object, or make it so; fields that an earlier one of ours had and this has not go."""
+        ...
+
+    def delete(self, kind: str, name: str, grace_seconds: int | None = None) -> None:
+        """Delete it and what it owns; one that is not there is success."""
+        ...
+
+    def log(self, pod: str, container: str, bytes_max: int, lines_max: int = 0, previous: bool = False) -> str:
+        """The end of a container's log (`previous`: of its last but one start); empty when there is none."""
+        ...
+
+    def events(self, kind: str, name: str) -> Sequence[Object]:
+        """What was said of an object, oldest first."""
+        ...
+
+    def changes(self, kind: str, version: str, seconds: float) -> Iterator[tuple[str, Object]]:
+        """ADDED, MODIFIED or DELETED with the object, from `version` on; ends after `seconds` or sooner."""
+        ...
+
+
+class RoomKeeper(Protocol):
+    """Empties one room."""
+
+    @property
+    def name(self) -> str:
+        """The room's namespace."""
+        ...
+
+    def empty(self, seconds: float) -> None:
+        """Returns when nothing of any run is left in the room. UnavailableError when that takes longer, or the cluster
+        does not answer."""
+        ...
+
+
+class Executor(Protocol):
+    """Runs suites, each so that neither its crash nor its hanging is ours."""
+
+    def execute(self, request: SuiteRequest, room: str) -> SuiteResult:
+        """Run the request's suite, in the room of that name (empty: it needs none); what came of it. Ended when its
+        rule's time is over, and then `unfinished`."""
+        ...
+
+    def stop(self) -> None:
+        """End what runs."""
         ...
 
 
