@@ -1,0 +1,418 @@
+"""The gate's publication loop: submissions to the catalogue repository are checked, verified, and published or refused.
+
+Level-triggered: a round looks at the open pull requests of publishers, does for each what can be done now, and never
+waits for a suite. The order is: sign, attach to the chart's digest, copy chart and evidence to `verified`, push the
+publication commit to main. That push is the publication: whatever was done before it is found again or does no harm, so
+a gate that was killed anywhere goes on in its next start.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from robotkube.domain.charts_packing import PulledChart
+from robotkube.domain.errors import DocumentError, InputError, RobotKubeError, UnavailableError
+from robotkube.domain.evidence import Artefact, SuiteResult
+from robotkube.domain.publication_report import (
+    CHECKING,
+    MARKER,
+    REFUSED,
+    UNCHANGED,
+    VERIFIED,
+    WAITING,
+    Report,
+    report_text,
+)
+from robotkube.domain.submissions import (
+    KEYS,
+    READ_FOLDERS,
+    Proposed,
+    Submission,
+    SubmittedChart,
+    artefact_problems,
+    publication_files,
+    publication_message,
+    read_submission,
+    schema_text,
+)
+from robotkube.domain.suite_requests import Replaced
+from robotkube.domain.texts import read_mapping
+from robotkube.domain.verification import PATH as POLICY_PATH
+from robotkube.domain.verification import VerificationPolicy, read_verification_policy
+from robotkube.ports.evidence import Signer
+from robotkube.ports.forges import Forge, PullRequest
+from robotkube.ports.git import Commit, Commits, MainBranch
+from robotkube.ports.registries import ChartRegistry
+from robotkube.services.verifying import ChartUnderway, Verifying
+
+POLL_SECONDS = 2.0  # open submissions, when no webhook came
+BUSY_SECONDS = 0.5  # while suites run
+SILENT_SECONDS_MAX = 30.0  # not ready when the forge was not seen for longer
+VERDICTS = ("published", "refused", "unchanged", "failed")
+WAKING_ACTIONS = frozenset({"opened", "reopened", "synchronized"})
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class PublicationSettings:
+    """`catalogue`: `<organisation>/<name>`; `publishers`: accounts whose submissions are taken; `account`: the gate's
+    own; `staging`, `verified`: organisations of the registry; `charts_url`: of the latter, oci://host/organisation;
+    `local_builds`: a version may be published again with another digest."""
+
+    catalogue: str
+    publishers: tuple[str, ...]
+    account: str
+    staging: str
+    verified: str
+    charts_url: str
+    local_builds: bool = False
+
+
+@dataclass
+class PublicationStatistics:
+    """Counted since the start; suites that ran (not kept results): their seconds and how often, by suite."""
+
+    verdicts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(VERDICTS, 0))
+    suite_seconds: dict[str, float] = field(default_factory=dict)
+    suite_runs: dict[str, int] = field(default_factory=dict)
+
+    def count(self, result: SuiteResult) -> None:
+        """A suite came to its end."""
+        self.suite_seconds[result.suite] = self.suite_seconds.get(result.suite, 0.0) + result.seconds
+        self.suite_runs[result.suite] = self.suite_runs.get(result.suite, 0) + 1
+
+
+@dataclass
+class _Underway:
+    """A submission at one head, as it stood against main's tip `tip`."""
+
+    number: int
+    commit: Commit
+    started: float
+    tip: str = ""
+    submission: Submission = field(default_factory=Submission)
+    policy: VerificationPolicy | None = None
+    charts: list[ChartUnderway] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+    waiting_for: str = ""
+
+
+class Publication:
+    """One loop for one catalogue repository; `run` on one thread, `wake` from any.
+
+    `published` is called after every push to main; `monotonic` is a clock in seconds that never goes back."""
+
+    def __init__(
+        self,
+        forge: Forge,
+        main: MainBranch,
+        commits: Commits,
+        registry: ChartRegistry,
+        verifying: Verifying,
+        signer: Signer,
+        settings: PublicationSettings,
+        monotonic: Callable[[], float],
+        published: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._forge, self._main, self._commits, self._registry = forge, main, commits, registry
+        self._verifying, self._signer, self._settings = verifying, signer, settings
+        self._monotonic, self._published = monotonic, published
+        self.statistics = PublicationStatistics()
+        self._underway: dict[int, _Underway] = {}
+        self._settled: dict[int, str] = {}
+        self._comments: dict[int, tuple[int, str]] = {}
+        self._failed: dict[int, str] = {}
+        self._key_written = False
+        self._woken = threading.Event()
+        self._seen_at = monotonic() - SILENT_SECONDS_MAX - 1
+
+    # -- waking ---------------------------------------------------------------------------------------------------
+
+    def wake(self, event: str, payload: Mapping[str, Any]) -> None:
+        """A signed delivery of the forge; only decides whether the next round comes now."""
+        repository = (payload.get("repository") or {}).get("full_name")
+        proposed = event.startswith("pull_request") and payload.get("action") in WAKING_ACTIONS
+        if repository == self._settings.catalogue and proposed:
+            self._woken.set()
+
+    def stop(self, stopping: threading.Event) -> None:
+        """End `run` after the round that is under way."""
+        stopping.set()
+        self._woken.set()
+
+    def reasons_not_ready(self) -> list[str]:
+        """Empty when the catalogue's pull requests were seen lately."""
+        silent = self._monotonic() - self._seen_at
+        return [f"the catalogue was not seen for {silent:.0f} s"] if silent > SILENT_SECONDS_MAX else []
+
+    def run(self, stopping: threading.Event) -> None:
+        """Rounds until `stopping` is set; errors of the world are logged and met again in the next round."""
+        while not stopping.is_set():
+            self._woken.clear()
+            try:
+                self.round()
+            except RobotKubeError as error:
+                log.error("publication round failed reason=%s", error)
+            busy = any(not underway.waiting_for for underway in self._underway.values())
+            self._woken.wait(BUSY_SECONDS if busy else POLL_SECONDS)
+
+    # -- one round ------------------------------------------------------------------------------------------------
+
+    def round(self) -> None:
+        """Do for every open submission, oldest first, what can be done now."""
+        self._write_key()
+        found = [pull for account in self._settings.publishers for pull in self._forge.pull_requests("open", account)]
+        self._seen_at = self._monotonic()
+        pulls = {pull.number: pull for pull in found if pull.author in self._settings.publishers}
+        for known in (self._underway, self._settled, self._comments, self._failed):
+            for number in set(known) - set(pulls):
+                del known[number]
+        for number in sorted(pulls):
+            if self._settled.get(number) != pulls[number].head:
+                self._try(pulls[number])
+
+    def _try(self, pull: PullRequest) -> None:
+        try:
+            self._advance(pull)
+        except UnavailableError as error:
+            log.warning("submission waits number=%d reason=%s", pull.number, error)
+            self._wait(pull.number, str(error))
+        except RobotKubeError as error:
+            if self._failed.get(pull.number) != str(error):  # tried again every round, said once
+                self._failed[pull.number] = str(error)
+                self.statistics.verdicts["failed"] += 1
+                log.error("submission failed number=%d reason=%s", pull.number, error)
+            self._wait(pull.number, f"{error}; somebody who runs the platform has to look at this")
+
+    def _wait(self, number: int, reason: str) -> None:
+        underway = self._underway.get(number)
+        if underway is None:
+            return
+        underway.waiting_for = reason
+        try:
+            self._tell(underway, WAITING)
+        except RobotKubeError as error:
+            log.warning("submission cannot be told number=%d reason=%s", number, error)
+
+    def _advance(self, pull: PullRequest) -> None:
+        underway = self._underway.get(pull.number)
+        if underway is None or underway.commit.id != pull.head:
+            commit = self._main.proposal(pull.number)
+            if self._main.contains(commit.id):
+                self._settled[pull.number] = commit.id
+                return
+            underway = self._underway[pull.number] = _Underway(pull.number, commit, self._monotonic())
+        if underway.policy is None:  # a person may have repaired it meanwhile
+            self._main.fetch()
+        if underway.tip != self._main.tip or underway.policy is None:
+            self._look(underway)
+        if underway.policy is not None and not underway.problems:
+            for chart in underway.charts:
+                for result in self._verifying.ask(chart):
+                    self.statistics.count(result)
+                    log.info(
+                        "suite finished number=%d chart=%s suite=%s outcome=%s seconds=%.1f",
+                        *(underway.number, chart.chart.chart, result.suite, result.outcome, result.seconds),
+                    )
+        underway.waiting_for = self._policy_doubt(underway)
+        self._decide(underway)
+
+    @staticmethod
+    def _policy_doubt(underway: _Underway) -> str:
+        return "" if underway.policy else f"{POLICY_PATH} on main of the catalogue cannot be read; a person repairs it"
+
+    def _decide(self, underway: _Underway) -> None:
+        if underway.waiting_for:
+            self._tell(underway, WAITING)
+        elif underway.problems:
+            self._refuse(underway)
+        elif any(chart.missing for chart in underway.charts):
+            self._tell(underway, CHECKING)
+        elif not all(chart.passed for chart in underway.charts):
+            self._refuse(underway)
+        else:
+            self._publish(underway)
+
+    # -- looking at a submission ----------------------------------------------------------------------------------
+
+    def _look(self, underway: _Underway) -> None:
+        """Check the commit against main's tip; results that still count are kept."""
+        tip, commit = self._main.tip, underway.commit
+        files = self._main.files(tip, READ_FOLDERS)
+        on_main = len(commit.parents) == 1 and self._main.contains(commit.parents[0])
+        base = self._main.files(commit.parents[0], READ_FOLDERS) if on_main else {}
+        proposed = Proposed(commit.parents, commit.changes, commit.irregular, on_main, base, files)
+        submission = read_submission(proposed, self._settings.local_builds)
+        policy = self._read_policy(files)
+        before = {chart.chart.path: chart for chart in underway.charts if chart.policy == policy}
+        charts: list[ChartUnderway] = []
+        problems = list(submission.problems)
+        for chart in submission.charts if policy and not problems else ():
+            known = before.get(chart.path)
+            found, wrong = (known, []) if known else self._begin(chart, policy, underway.commit.id, submission, files)
+            problems += wrong
+            charts += [found] if found else []
+        underway.submission, underway.policy, underway.charts = submission, policy, charts
+        underway.problems, underway.tip = problems, tip
+
+    def _read_policy(self, files: Mapping[str, str]) -> VerificationPolicy | None:
+        try:
+            return read_verification_policy(files.get(POLICY_PATH, ""), POLICY_PATH)
+        except DocumentError as error:
+            log.error("verification policy unusable reason=%s", error)
+            return None
+
+    def _begin(
+        self,
+        chart: SubmittedChart,
+        policy: VerificationPolicy | None,
+        attempt: str,
+        submission: Submission,
+        files: Mapping[str, str],
+    ) -> tuple[ChartUnderway | None, list[str]]:
+        assert policy is not None
+        pulled, problems = self._pull(chart)
+        if pulled is None or problems:
+            return None, problems
+        underway = ChartUnderway(chart, schema_text(pulled.files), policy, attempt, self._replaced(chart, files))
+        folder = chart.artefact.folder
+        carried = [text.encode() for path, text in submission.evidence.items() if path.startswith(f"{folder}/")]
+        self._verifying.begin(underway, carried)
+        return underway, []
+
+    def _pull(self, chart: SubmittedChart) -> tuple[PulledChart | None, list[str]]:
+        repository = f"{self._settings.staging}/{chart.chart}"
+        if self._registry.manifest_digest(repository, chart.digest) is None:
+            fix = "push it first (`robotkube registry submit` does)"
+            return None, [f"{chart.path}: {repository} has no digest {chart.digest}; {fix}"]
+        try:
+            pulled = self._registry.pull_chart(repository, chart.digest)
+        except InputError as error:
+            return None, [f"{chart.path}: {chart.digest} is not a chart that can be read: {error}"]
+        return pulled, artefact_problems(chart, pulled)
+
+    def _replaced(self, chart: SubmittedChart, files: Mapping[str, str]) -> Replaced | None:
+        """The published version that this one says it replaces."""
+        version = chart.spec.get("replaces")
+        path = f"charts/{chart.chart}/{version}.yaml"
+        if not version or path not in files:
+            return None
+        document = read_mapping(files[path], path)
+        status = document.get("status") or {}
+        if status.get("state") != "verified":
+            return None
+        artefact = Artefact(chart.chart, str(version), str(status.get("digest")), chart.artefact.platform)
+        return Replaced(artefact, f"{self._settings.verified}/{chart.chart}", document)
+
+    # -- verdicts -------------------------------------------------------------------------------------------------
+
+    def _publish(self, underway: _Underway) -> None:
+        self._main.fetch()
+        if self._main.tip != underway.tip:
+            return  # main moved: the next round looks at the submission again
+        verified = [self._verifying.publish(chart) for chart in underway.charts]
+        files = publication_files(underway.submission, verified)
+        present = self._main.files(underway.tip, tuple({path.split("/", 1)[0] for path in files}))
+        changes: dict[str, str | None] = {path: text for path, text in files.items() if present.get(path) != text}
+        if not changes:
+            self._end(underway, UNCHANGED)
+            return
+        self._tell(underway, VERIFIED)
+        message = publication_message(underway.submission, verified)
+        commit = self._commits.commit(underway.tip, changes, message, underway.commit.id)
+        if not self._main.push_main(commit):
+            self._main.fetch()
+            return
+        self._record(underway, "published")
+        self._published()
+
+    def _refuse(self, underway: _Underway) -> None:
+        for chart in underway.charts:
+            self._verifying.attach_results(chart)
+        self._end(underway, REFUSED)
+
+    def _end(self, underway: _Underway, verdict: str) -> None:
+        self._tell(underway, verdict)
+        self._forge.close(underway.number)
+        self._record(underway, verdict)
+
+    def _record(self, underway: _Underway, verdict: str) -> None:
+        self._settled[underway.number] = underway.commit.id
+        self._underway.pop(underway.number, None)
+        self.statistics.verdicts[verdict] += 1
+        charts = underway.charts
+        log.info(
+            "submission number=%d commit=%s verdict=%s charts=%d kept=%d run=%d problems=%d seconds=%.2f subject=%r",
+            *(underway.number, underway.commit.id[:12], verdict, len(charts)),
+            *(sum(len(chart.kept) for chart in charts), sum(len(chart.results) for chart in charts)),
+            *(len(underway.problems), self._monotonic() - underway.started, underway.submission.names),
+        )
+
+    def _tell(self, underway: _Underway, verdict: str) -> None:
+        """Write the report into the pull request: one comment, edited when its text changes."""
+        report = Report(
+            verdict,
+            underway.submission.names,
+            underway.commit.id,
+            charts_url=self._settings.charts_url,
+            policy=underway.policy.digest if underway.policy else "",
+            charts=tuple(chart.report() for chart in underway.charts),
+            problems=tuple(underway.problems),
+            waiting_for=underway.waiting_for,
+            applications=tuple(underway.submission.applications),
+        )
+        self._say(underway.number, report_text(report))
+
+    def _say(self, number: int, text: str) -> None:
+        identifier, said = self._comments.get(number) or self._own_comment(number)
+        if said == text:
+            return
+        if identifier:
+            self._forge.edit_comment(identifier, text)
+        else:
+            self._forge.comment(number, text)
+            identifier, _ = self._own_comment(number)
+        self._comments[number] = (identifier, text)
+
+    def _own_comment(self, number: int) -> tuple[int, str]:
+        for comment in self._forge.comments(number):
+            if comment.author == self._settings.account and comment.text.startswith(MARKER):
+                return comment.id, comment.text
+        return 0, ""
+
+    # -- the key --------------------------------------------------------------------------------------------------
+
+    def _write_key(self) -> None:
+        """The public key into the catalogue, for people and other installations; once."""
+        if self._key_written:
+            return
+        tip = self._main.fetch()
+        path = f"{KEYS}/{self._signer.key_id}.pem"
+        if tip and self._main.files(tip, (KEYS,)).get(path) != self._signer.public_key:
+            message = f"publish: key {self._signer.key_id}\n"
+            commit = self._commits.commit(tip, {path: self._signer.public_key}, message)
+            self._key_written = self._main.push_main(commit)
+            log.info("key published key=%s commit=%s", self._signer.key_id, commit[:12])
+        else:
+            self._key_written = bool(tip)
+
+
+def publication_metrics(statistics: PublicationStatistics) -> str:
+    """The statistics as Prometheus text."""
+    lines = [
+        "# TYPE robotkube_gate_publications_total counter",
+        *(f'robotkube_gate_publications_total{{verdict="{k}"}} {v}' for k, v in statistics.verdicts.items()),
+        "# TYPE robotkube_gate_suite_runs_total counter",
+        *(f'robotkube_gate_suite_runs_total{{suite="{k}"}} {v}' for k, v in sorted(statistics.suite_runs.items())),
+        "# TYPE robotkube_gate_suite_seconds_total counter",
+        *(
+            f'robotkube_gate_suite_seconds_total{{suite="{k}"}} {v:.3f}'
+            for k, v in sorted(statistics.suite_seconds.items())
+        ),
+    ]
+    return "\n".join(lines) + "\n"

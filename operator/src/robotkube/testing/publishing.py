@@ -1,0 +1,174 @@
+"""What publication needs, in memory: a catalogue repository that publishers propose to, a registry of charts, and a
+suite-runner whose results a test decides. Every one can be told to fail at its next calls."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from robotkube.domain.charts_packing import PackedChart, PulledChart, canonical_json, sha256
+from robotkube.domain.charts_unpacking import unpack_chart
+from robotkube.domain.errors import InputError
+from robotkube.domain.evidence import Check, SuiteResult
+from robotkube.domain.suite_requests import SuiteProgress, SuiteRequest
+from robotkube.ports.forges import PullRequest
+from robotkube.ports.git import Commit
+from robotkube.ports.registries import Attachment
+from robotkube.testing.forges import MemoryForge, MemoryRepository
+
+
+class MemoryCatalogue(MemoryRepository):
+    """The catalogue repository with its pull requests' heads, as the gate sees it."""
+
+    def __init__(self, files: Mapping[str, str]) -> None:
+        super().__init__()
+        self.heads: dict[int, str] = {}
+        self.before_push: Callable[[], None] = lambda: None
+        self.push(dict(files), "seed")
+
+    def proposal(self, number: int) -> Commit:
+        """Head of a pull request."""
+        self.fetch()
+        return self.commits[self.heads[number]]
+
+    def contains(self, commit: str) -> bool:
+        """Whether `commit` is main's tip or an ancestor, by any parent."""
+        found, left = set(), [self.tip]
+        while left:
+            at = left.pop()
+            if at and at not in found:
+                found.add(at)
+                left += self.commits[at].parents
+        return commit in found
+
+    def push_main(self, commit: str) -> bool:
+        """Fast-forward only."""
+        self._reach()
+        self.before_push()
+        if self.commits[commit].parents[0] != self.tip:
+            return False
+        self.tip = commit
+        return True
+
+
+class MemoryCatalogueForge(MemoryForge):
+    """Pull requests of the catalogue: nobody decides but the gate under test; what main contains shows as merged."""
+
+    def __init__(self, repository: MemoryCatalogue) -> None:
+        super().__init__(repository)
+        self.catalogue = repository
+        self.decide = self.leave
+
+    def open(self, commit: str, author: str = "publisher") -> int:
+        """A pull request as an AGit push opens it."""
+        number = self.propose(commit, f"submit-{len(self.pulls)}", "submission", "")
+        assert number is not None
+        self.pulls[number] = replace(self.pulls[number], author=author)
+        self.catalogue.heads[number] = commit
+        return number
+
+    def update(self, number: int, commit: str) -> None:
+        """Another commit for the same pull request."""
+        self.pulls[number] = replace(self.pulls[number], head=commit)
+        self.catalogue.heads[number] = commit
+
+    def pull_requests(self, state: str = "open", author: str = "") -> Sequence[PullRequest]:
+        """As the forge shows them once it has seen main."""
+        for number, pull in self.pulls.items():
+            if pull.state == "open" and self.catalogue.contains(pull.head):
+                merged = replace(pull, state="closed", merged=True, merge_commit=self.catalogue.tip)
+                self.pulls[number] = merged
+        return super().pull_requests(state, author)
+
+
+@dataclass
+class MemoryChartRegistry:
+    """Charts, tags and attachments by repository; `before` is called with the name of every method that writes."""
+
+    charts: dict[str, dict[str, PackedChart]] = field(default_factory=dict)
+    tags: dict[str, dict[str, str]] = field(default_factory=dict)
+    attached: dict[tuple[str, str], list[Attachment]] = field(default_factory=dict)
+    before: Callable[[str], None] = lambda method: None
+
+    def push_chart(self, organisation: str, chart: PackedChart, tag: str = "") -> str:
+        """As a publisher does."""
+        repository = f"{organisation}/{chart.name}"
+        self._tag(repository, tag or chart.tag, chart.digest)
+        self.charts.setdefault(repository, {})[chart.digest] = chart
+        return chart.digest
+
+    def manifest_digest(self, repository: str, reference: str) -> str | None:
+        """By tag or digest."""
+        digest = self.tags.get(repository, {}).get(reference, reference)
+        return digest if digest in self.charts.get(repository, {}) else None
+
+    def pull_chart(self, repository: str, digest: str) -> PulledChart:
+        """Unpacked."""
+        if digest not in self.charts.get(repository, {}):
+            raise InputError(f"{repository}: no {digest}")
+        chart = self.charts[repository][digest]
+        return unpack_chart(repository, chart.manifest, chart.config, chart.archive)
+
+    def attach(
+        self, repository: str, subject: str, artifact_type: str, data: bytes, annotations: Mapping[str, str]
+    ) -> str:
+        """Once, whatever it is called with twice."""
+        self.before("attach")
+        digest = sha256(canonical_json([subject, artifact_type, sha256(data), dict(annotations)]))
+        found = self.attached.setdefault((repository, subject), [])
+        if all(one.digest != digest for one in found):
+            found.append(Attachment(digest, artifact_type, data, dict(annotations)))
+        return digest
+
+    def attachments(self, repository: str, subject: str) -> Sequence[Attachment]:
+        """Oldest first."""
+        return tuple(self.attached.get((repository, subject), ()))
+
+    def copy_chart(self, source: str, target: str, digest: str, tag: str, attachments: Collection[str]) -> None:
+        """The chart with the named attachments."""
+        self.before("copy_chart")
+        self._tag(target, tag, digest)
+        self.charts.setdefault(target, {})[digest] = self.charts[source][digest]
+        known = {one.digest: one for one in self.attachments(source, digest)}
+        there = self.attached.setdefault((target, digest), [])
+        there += [known[name] for name in attachments if known[name] not in there]
+
+    def _tag(self, repository: str, tag: str, digest: str) -> None:
+        present = self.tags.setdefault(repository, {}).setdefault(tag, digest)
+        if present != digest:
+            raise InputError(f"{repository}:{tag} is {present}; a tag is never overwritten")
+
+
+@dataclass
+class ScriptedRunner:
+    """A suite-runner: every suite passes, but for those in `checks` (suite -> checks) and in `progress` (suite -> what
+    is answered until a test takes it out). `requests` holds all that was asked, `runs` the keys that ran."""
+
+    checks: dict[str, tuple[Check, ...]] = field(default_factory=dict)
+    progress: dict[str, SuiteProgress] = field(default_factory=dict)
+    requests: list[SuiteRequest] = field(default_factory=list)
+    runs: list[tuple[str, str]] = field(default_factory=list)
+    fail: Exception | None = None
+    results: dict[str, tuple[str, SuiteResult]] = field(default_factory=dict)
+
+    def run(self, request: SuiteRequest) -> SuiteProgress:
+        """The scripted answer."""
+        if self.fail is not None:
+            raise self.fail
+        self.requests.append(request)
+        name = request.rule.name
+        if name in self.progress:
+            return self.progress[name]
+        attempt, known = self.results.get(request.key, ("", None))
+        if known is None or (known.outcome != "passed" and attempt != request.attempt):
+            known = self._result(request)
+            self.runs.append((request.artefact.chart, name))
+            self.results[request.key] = (request.attempt, known)
+        return SuiteProgress("finished", known)
+
+    def _result(self, request: SuiteRequest) -> SuiteResult:
+        name = request.rule.name
+        checks = self.checks.get(name, (Check(f"{name} looked at it", True),))
+        outcome: Any = "passed" if all(check.passed for check in checks) else "failed"
+        return SuiteResult(name, request.rule.version, outcome, checks, 1.5)
