@@ -190,6 +190,30 @@ class PymongoRecordingReader:
             yield from self._database[SEGMENTS].find({"recording": recording}, batch_size=1000)
 
 
+class PymongoCollections:
+    """A whole database, whatever is in it: for who looks at what others write."""
+
+    def __init__(self, database: Database[dict[str, Any]]) -> None:
+        self._database = database
+
+    def counts(self) -> dict[str, int]:
+        """Collection -> number of its documents; those of the server itself are left out."""
+        with _translated("counting documents"):
+            names = [name for name in self._database.list_collection_names() if not name.startswith("system.")]
+            return {name: self._database[name].count_documents({}) for name in names}
+
+    def put(self, collection: str) -> None:
+        """Write a document without content."""
+        with _translated(f"writing to {collection}"):
+            self._database[collection].insert_one({})
+
+    def clear(self) -> None:
+        """Take all collections away."""
+        with _translated("clearing"):
+            for name in self.counts():
+                self._database.drop_collection(name)
+
+
 class BsonSpool:
     """Writes that the database has not taken, as BSON files `spool/<ns>-<recording>.bson` on the claim."""
 

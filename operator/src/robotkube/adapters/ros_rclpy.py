@@ -21,13 +21,16 @@ import importlib.util
 import os
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from importlib.machinery import ModuleSpec
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from robotkube.domain.errors import InputError, RobotKubeError, UnavailableError
+
+if TYPE_CHECKING:  # only who looks at the graph needs it
+    from robotkube.domain.interface_checks import Endpoint
 
 PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 _TYPE_NAME = re.compile(r"([a-z][a-z0-9_]*)/msg/([A-Z][A-Za-z0-9]*)")
@@ -106,6 +109,22 @@ class RosNode:
         with self._node:
             return dict(self._bindings.rclpy_get_topic_names_and_types(self._node, False))
 
+    def endpoints(self) -> list[Endpoint]:
+        """Publishers and subscriptions of all other nodes that are known now; those of ROS alone, not of services."""
+        ends = (
+            ("out", self._bindings.rclpy_get_publishers_info_by_topic),
+            ("in", self._bindings.rclpy_get_subscriptions_info_by_topic),
+        )
+        with self._node:
+            own = (self._node.get_node_name(), self._node.get_namespace())
+            return [
+                _endpoint(topic, direction, entry)
+                for topic in dict(self._bindings.rclpy_get_topic_names_and_types(self._node, False))
+                for direction, ask in ends
+                for entry in ask(self._node, topic, False)
+                if (entry["node_name"], entry["node_namespace"]) != own
+            ]
+
     def close(self) -> None:
         """Leave the network. May hang in the middleware: a process calls it only under its shutdown deadline."""
         self._node.destroy_when_not_in_use()
@@ -127,6 +146,17 @@ class RosNode:
             reliability=qos.ReliabilityPolicy[reliability.upper()],
             durability=qos.DurabilityPolicy[durability.upper()],
         ).get_c_qos_profile()
+
+
+def _endpoint(topic: str, direction: str, entry: Mapping[str, Any]) -> Endpoint:
+    from rclpy import qos
+
+    from robotkube.domain.interface_checks import Endpoint
+
+    profile, node = entry["qos_profile"], f"{entry['node_namespace'].rstrip('/')}/{entry['node_name']}"
+    reliability = qos.ReliabilityPolicy(profile["reliability"]).name.lower()
+    durability = qos.DurabilityPolicy(profile["durability"]).name.lower()
+    return Endpoint(topic, direction, entry["topic_type"], reliability, durability, node)
 
 
 class RosSubscription:

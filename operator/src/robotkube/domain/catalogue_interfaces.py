@@ -58,8 +58,9 @@ def _interface(reader: Reader, item: Any, path: str) -> Mapping[str, Any]:
         read_for_each(reader, found.get("forEach"), f"{path}.forEach", _RESERVED)
         if not reader.prose(found.get("topic", ""), f"{path}.topic") and "topic" in found:
             reader.problems.append(f"{path}.topic: must not be empty")
-        reader.text(found.get("type"), f"{path}.type", ROS_TYPE)
-        if "encoding" in found:
+        if not is_template(found.get("type")):
+            reader.text(found.get("type"), f"{path}.type", ROS_TYPE)
+        if "encoding" in found and not is_template(found["encoding"]):
             read_one_of(reader, found["encoding"], f"{path}.encoding", ENCODINGS)
         if "causes" in found and found.get("direction") == "out":
             reader.problems.append(f"{path}.causes: only an interface of direction in causes something; remove it")
@@ -67,19 +68,24 @@ def _interface(reader: Reader, item: Any, path: str) -> Mapping[str, Any]:
     return found
 
 
+def is_template(value: Any) -> bool:
+    """Whether the interface suite fills this for a set of values; what it gives is judged there."""
+    return isinstance(value, str) and "{{" in value
+
+
 def _qos(reader: Reader, value: Any, path: str, medium: str) -> None:
-    if value is None:
+    if value is None or medium not in ("ros", "mqtt"):
         return
-    if medium == "ros":
-        found = reader.mapping(value, path, ["reliability", "durability"])
-        read_one_of(reader, found.get("reliability"), f"{path}.reliability", RELIABILITIES)
-        read_one_of(reader, found.get("durability"), f"{path}.durability", DURABILITIES)
-    elif medium == "mqtt":
-        found = reader.mapping(value, path, ["qos", "retain"])
-        if isinstance(found.get("qos"), bool) or found.get("qos") not in range(QOS_MAX + 1):
-            reader.problems.append(f"{path}.qos: must be 0, 1 or 2")
-        if not isinstance(found.get("retain"), bool):
-            reader.problems.append(f"{path}.retain: must be true or false")
+    keys = ["reliability", "durability"] if medium == "ros" else ["qos", "retain"]
+    found = reader.mapping(value, path, keys)
+    given = {key: found[key] for key in keys if key in found and not is_template(found[key])}
+    for key, words in (("reliability", RELIABILITIES), ("durability", DURABILITIES)):
+        if key in given:
+            read_one_of(reader, given[key], f"{path}.{key}", words)
+    if "qos" in given and (isinstance(given["qos"], bool) or given["qos"] not in range(QOS_MAX + 1)):
+        reader.problems.append(f"{path}.qos: must be 0, 1 or 2")
+    if "retain" in given and not isinstance(given["retain"], bool):
+        reader.problems.append(f"{path}.retain: must be true or false")
 
 
 def read_suites(reader: Reader, value: Any, path: str) -> Mapping[str, Any]:

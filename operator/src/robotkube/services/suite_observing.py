@@ -1,0 +1,225 @@
+"""Looks at a running chart from beside: opens what its inputs need, sends each a message, notes everything it does.
+
+Everything happens in `turn`s on one thread; every wait has a bound and ends early when nothing more is expected.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+from robotkube.domain.errors import InputError
+from robotkube.domain.frames import MAGIC, FrameError, decode_frame
+from robotkube.domain.interface_checks import Answer, Endpoint, Observation, Publication
+from robotkube.domain.interfaces import COMMON_TOPICS, DATABASE, IN, MQTT, OUT, ROS, ExpectedTopic, outputs_of
+from robotkube.ports.interfaces import BrokerMessage, Messages, ObservedBroker, ObservedDatabase, ObservedNetwork
+from robotkube.ports.robots import MessageSink, MessageSource
+
+TURN_SECONDS = 0.02
+LOOK_SECONDS = 0.2
+SETTLE_SECONDS_MAX = 6.0
+ANSWER_SECONDS_MAX = 8.0
+RESEND_SECONDS = 0.3
+QUIET_SECONDS, QUIET_SECONDS_MAX = 0.6, 3.0
+WATCH_SECONDS_MIN, WATCH_SECONDS_MAX = 3.0, 10.0
+KEPT_MAX = 500
+DEPTH = 20
+
+Item = TypeVar("Item")
+
+
+@dataclass(frozen=True)
+class World:
+    """What the observer looks at; without broker or database nothing is seen of them. `monotonic` in seconds."""
+
+    network: ObservedNetwork
+    messages: Messages
+    monotonic: Callable[[], float]
+    sleep: Callable[[float], None]
+    stopped: Callable[[], bool]
+    broker: ObservedBroker | None = None
+    database: ObservedDatabase | None = None
+
+
+@dataclass
+class InterfaceObserver:
+    """One look at one set of values; `run` once. `seconds_max` bounds the whole of it."""
+
+    expected: Sequence[ExpectedTopic]
+    world: World
+    seconds_max: float
+    _endpoints: dict[Endpoint, None] = field(default_factory=dict)
+    _publications: dict[Publication, None] = field(default_factory=dict)
+    _documents: dict[str, int] = field(default_factory=dict)
+    _sinks: dict[int, MessageSink] = field(default_factory=dict)
+    _sources: dict[str, MessageSource | None] = field(default_factory=dict)
+    _heard: Counter[tuple[str, str]] = field(default_factory=Counter)
+    _looked_at: float = float("-inf")
+
+    def run(self) -> Observation:
+        """Open, send, watch. InputError when a message type of an input is not installed here."""
+        began = self.world.monotonic()
+        self._deadline = began + self.seconds_max
+        for place, topic in self._inputs():
+            if topic.medium == ROS:
+                # reliable and kept: what every subscription accepts, whatever it asks for
+                sink = self.world.network.advertise(topic.example, topic.type, "reliable", "transient_local", DEPTH)
+                self._sinks[place] = sink
+        self._until(self._settled, SETTLE_SECONDS_MAX)
+        answers = tuple(self._ask(place, topic) for place, topic in self._inputs())
+        self._until(lambda: self.world.monotonic() >= began + WATCH_SECONDS_MIN, WATCH_SECONDS_MIN)
+        self._until(self._complete, max(0.0, began + WATCH_SECONDS_MAX - self.world.monotonic()))
+        self._look()
+        return Observation(
+            endpoints=tuple(self._endpoints),
+            publications=tuple(self._publications),
+            collections=tuple(sorted(self._documents)),
+            answers=answers,
+            seconds=round(self.world.monotonic() - began, 1),
+        )
+
+    def _inputs(self) -> Iterator[tuple[int, ExpectedTopic]]:
+        return ((place, topic) for place, topic in enumerate(self.expected) if topic.direction == IN)
+
+    def _until(self, reached: Callable[[], bool], seconds: float) -> bool:
+        """Turn until that holds; False when the time was over before."""
+        end = min(self.world.monotonic() + seconds, self._deadline)
+        while not reached():
+            if self.world.monotonic() >= end or self.world.stopped():
+                return False
+            self._turn()
+            self.world.sleep(TURN_SECONDS)
+        return True
+
+    def _turn(self) -> None:
+        for topic, source in self._sources.items():
+            if source is not None:
+                self._heard[ROS, topic] += len(source.take())
+        for message in self.world.broker.take() if self.world.broker else ():
+            self._heard[MQTT, message.topic] += 1
+            self._keep(self._publications, self._publication(message))
+        if self.world.monotonic() - self._looked_at >= LOOK_SECONDS:
+            self._look()
+
+    def _look(self) -> None:
+        """At what is asked for: graph and database."""
+        self._looked_at = self.world.monotonic()
+        for endpoint in self.world.network.endpoints():
+            self._keep(self._endpoints, endpoint)
+            if endpoint.direction == OUT and endpoint.topic not in self._sources:
+                self._listen(endpoint)
+        if self.world.database is not None:
+            self._documents = dict(self.world.database.counts())
+
+    def _keep(self, kept: dict[Item, None], item: Item) -> None:
+        if len(kept) < KEPT_MAX:
+            kept[item] = None
+
+    def _listen(self, endpoint: Endpoint) -> None:
+        """Best effort and volatile: what every publisher serves."""
+        self._sources[endpoint.topic] = None
+        if (endpoint.topic, OUT) in COMMON_TOPICS or len(self._sources) > KEPT_MAX:
+            return
+        try:
+            source = self.world.network.subscribe(endpoint.topic, endpoint.type, "best_effort", "volatile", DEPTH)
+        except InputError:
+            return  # a type that is not installed here: the graph shows it all the same
+        self._sources[endpoint.topic] = source
+
+    def _publication(self, message: BrokerMessage) -> Publication:
+        encoding, doubt = "", ""
+        if message.payload.startswith(MAGIC):
+            encoding, doubt = "rkf1", self._frame_doubt(message)
+        elif message.payload:
+            encoding = "text" if _is_text(message.payload) else "binary"
+        return Publication(message.topic, message.qos, message.retain, encoding, doubt)
+
+    def _frame_doubt(self, message: BrokerMessage) -> str:
+        try:
+            frame = decode_frame(message.payload)
+        except FrameError as error:
+            return str(error)
+        types = [t.type for t in self.expected if (t.medium, t.direction) == (MQTT, OUT) and t.matches(message.topic)]
+        if not types or not types[0] or not frame.messages:
+            return ""
+        return self.world.messages.misfit(types[0], frame.messages[0])
+
+    def _settled(self) -> bool:
+        """Whether the inputs are connected and the outputs are listened to."""
+        outputs = [topic for topic in self.expected if (topic.medium, topic.direction) == (ROS, OUT)]
+        heard = [name for name, source in self._sources.items() if source is not None and source.matched]
+        return all(sink.matched for sink in self._sinks.values()) and all(
+            any(topic.matches(name) for name in heard) for topic in outputs
+        )
+
+    def _complete(self) -> bool:
+        """Whether everything was seen that can be seen from here."""
+        return all(self._seen(topic) for topic in self.expected)
+
+    def _seen(self, topic: ExpectedTopic) -> bool:
+        if topic.medium == ROS:
+            return any(topic.matches(e.topic) for e in self._endpoints if e.direction == topic.direction)
+        return topic.direction == IN or (topic.medium == MQTT and self._shown(topic) > 0) or self._stored(topic)
+
+    def _stored(self, topic: ExpectedTopic) -> bool:
+        return topic.medium == DATABASE and any(topic.matches(name) for name in self._documents)
+
+    def _shown(self, topic: ExpectedTopic) -> int:
+        """How much was seen on an output so far."""
+        if topic.medium == DATABASE:
+            return sum(count for name, count in self._documents.items() if topic.matches(name))
+        return sum(n for (medium, name), n in self._heard.items() if medium == topic.medium and topic.matches(name))
+
+    def _ask(self, place: int, topic: ExpectedTopic) -> Answer:
+        """Send messages to one input until an output shows something."""
+        outputs = outputs_of(self.expected, topic)
+        self._quiet(outputs)
+        before = {output: self._shown(self.expected[output]) for output in outputs}
+        began, sent_at = self.world.monotonic(), float("-inf")
+
+        def answered() -> bool:
+            nonlocal sent_at
+            if self.world.monotonic() - sent_at >= RESEND_SECONDS:
+                self._send(place, topic)
+                sent_at = self.world.monotonic()
+            return any(self._shown(self.expected[output]) > before[output] for output in outputs)
+
+        if outputs:
+            self._until(answered, ANSWER_SECONDS_MAX)
+        else:
+            self._send(place, topic)
+        shown = next((output for output in outputs if self._shown(self.expected[output]) > before[output]), None)
+        return Answer(place, shown, round(self.world.monotonic() - began, 1))
+
+    def _quiet(self, outputs: Sequence[int]) -> None:
+        """Wait until the outputs have said all that the inputs before this one led to. One that is never quiet, such
+        as a clock's, is taken as it is."""
+        state, since = [-1], self.world.monotonic()
+
+        def quiet() -> bool:
+            nonlocal state, since
+            now = [self._shown(self.expected[output]) for output in outputs]
+            if now != state:
+                state, since = now, self.world.monotonic()
+            return self.world.monotonic() - since >= QUIET_SECONDS
+
+        self._until(quiet, QUIET_SECONDS_MAX)
+
+    def _send(self, place: int, topic: ExpectedTopic) -> None:
+        if topic.medium == ROS:
+            self._sinks[place].publish(self.world.messages.payload(topic))
+        elif topic.medium == MQTT and self.world.broker is not None:
+            payload = self.world.messages.payload(topic)
+            self.world.broker.publish(BrokerMessage(topic.example, payload, topic.qos, topic.retain))
+        elif topic.medium == DATABASE and self.world.database is not None:
+            self.world.database.put(topic.example)
+
+
+def _is_text(payload: bytes) -> bool:
+    try:
+        payload.decode("utf-8")
+    except UnicodeDecodeError:
+        return False
+    return True
