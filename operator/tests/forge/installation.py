@@ -24,8 +24,13 @@ from robotkube.services.bootstrapping import Account, ForgeSetup, Organisation, 
 from robotkube.services.gate import Gate, GateSettings, metrics_text
 
 END_SECONDS_MAX = 20.0
-ACCOUNTS = ("manager", "gate", "argocd", "publisher", "operator-team")
-CHARTS_URL = "oci://forge.robotkube.svc.cluster.local:3000/staging"
+ACCOUNTS = ("manager", "gate", "argocd", "publisher", "suite-runner", "operator-team")
+PACKAGES: Mapping[str, Mapping[str, str]] = {
+    "robotkube": {"publisher": "write", "gate": "read", "suite-runner": "read"},
+    "staging": {"publisher": "write", "gate": "write", "suite-runner": "read"},
+    "verified": {"gate": "write", "manager": "read", "argocd": "read", "suite-runner": "read"},
+}
+CHARTS_URL = "oci://forge.robotkube.svc.cluster.local:3000/verified"
 WEBHOOK_SECRET = "webhook secret"  # noqa: S105
 HOOK_SECRET = "hook secret"  # noqa: S105
 DIGESTS = {
@@ -56,10 +61,9 @@ DEPLOYMENT = {"README.md": "deployment\n", "policies/initial.yaml": "add: []\nre
 def forge_setup(passwords: Mapping[str, str], gate_url: str, webhook_secret: str = WEBHOOK_SECRET) -> ForgeSetup:
     """The installation as the platform chart declares it."""
     events = ("push", "pull_request")
-    packages = {"publisher": "write", "argocd": "read", "manager": "read", "gate": "read"}
     return ForgeSetup(
         accounts=tuple(Account(name, passwords[name]) for name in ACCOUNTS),
-        organisations=(Organisation("robotkube", packages), Organisation("staging", packages)),
+        organisations=tuple(Organisation(name, packages) for name, packages in PACKAGES.items()),
         repositories=(
             Repository(
                 "robotkube/deployment",
@@ -74,13 +78,13 @@ def forge_setup(passwords: Mapping[str, str], gate_url: str, webhook_secret: str
                 "What may be deployed",
                 "main",
                 {path: text.encode() for path, text in CATALOGUE.items()},
-                {"manager": "read", "gate": "read", "publisher": "write", "operator-team": "read"},
-                ("publisher",),
+                {"manager": "read", "gate": "write", "publisher": "read", "operator-team": "write"},
+                ("gate",),
             ),
         ),
         webhooks=(
             Webhook("robotkube/deployment", gate_url, events, webhook_secret),
-            Webhook("robotkube/catalogue", gate_url, ("push",), webhook_secret),
+            Webhook("robotkube/catalogue", gate_url, events, webhook_secret),
         ),
     )
 
@@ -256,7 +260,8 @@ def message(plan: str, **changes: Any) -> str:
         "causes": (CAUSE,),
         "charts": (chart,),
     }
-    return write_message(CommitMessage(**{**fields, **changes}))
+    evidence = ("none",) * len(changes.get("charts", fields["charts"]))
+    return write_message(CommitMessage(**{**fields, "evidence": evidence, **changes}))
 
 
 @dataclass

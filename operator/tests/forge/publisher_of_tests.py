@@ -9,12 +9,12 @@ REGISTRY = Path(__file__).parents[3] / "registry"
 
 def publish_registry(installation: Installation) -> None:
     """Push every application that is not there yet."""
-    publisher = installation.clone("publisher", "robotkube/catalogue")
-    tip = publisher.tip()
+    gate = installation.clone("gate", "robotkube/catalogue")
+    tip = gate.tip()
     files: dict[str, str | None] = {
         str(path.relative_to(REGISTRY)): path.read_text() for path in REGISTRY.glob("applications/*.yaml")
     }
-    if "applications" in publisher.repository[tip].tree:
+    if "applications" in gate.repository[tip].tree:
         return
-    commit = publisher.commit(files, "publish applications", [tip])
-    assert publisher.push(commit, "refs/heads/main") == ""
+    commit = gate.commit(files, "publish applications", [tip])
+    assert gate.push(commit, "refs/heads/main") == ""

@@ -39,7 +39,7 @@ def test_a_changed_password_is_set(installation: Installation, administration: G
 
 def test_access_that_is_taken_back_is_gone(installation: Installation, administration: GiteaAdministration) -> None:
     deployment, catalogue = installation.setup.repositories
-    access = {**catalogue.access, "operator-team": "write"}
+    access = {**catalogue.access, "argocd": "read", "publisher": "write"}
     wider = replace(installation.setup, repositories=(deployment, replace(catalogue, access=access)))
     given, taken = bootstrap(), bootstrap()
     given.forge(wider, administration)
@@ -123,6 +123,10 @@ def test_teams_give_the_fewest_rights(installation: Installation) -> None:
     teams = {f"{team.organisation}/{team.name}": team for team in plan_teams(installation.setup)}
     assert teams["robotkube/deployment-read"].members == {"manager", "argocd"}
     assert teams["robotkube/deployment-write"].members == {"gate", "operator-team"}
-    assert teams["robotkube/catalogue-write"].members == {"publisher"}
-    assert teams["staging/packages-write"].members == {"publisher"}
+    assert teams["robotkube/catalogue-read"].members == {"manager", "publisher"}
+    assert teams["robotkube/catalogue-write"].members == {"gate", "operator-team"}
+    assert teams["robotkube/packages-write"].members == {"publisher"}
+    assert teams["staging/packages-write"].members == {"publisher", "gate"}
     assert teams["staging/packages-write"].units == {"repo.packages": "write"}
+    assert teams["verified/packages-write"].members == {"gate"}
+    assert teams["verified/packages-read"].members == {"manager", "argocd", "suite-runner"}

@@ -208,7 +208,7 @@ def test_the_catalogue_is_read_again_before_a_refusal(
     try:
         until(lambda: not running.gate.reasons_not_ready(), "ready")
         digest = "sha256:" + "c" * 64
-        publisher = installation.clone("publisher", "robotkube/catalogue")
+        publisher = installation.clone("gate", "robotkube/catalogue")
         file = {"charts/event-detector/0.3.0.yaml": chart_file("event-detector", digest, version="0.3.0")}
         assert publisher.push(publisher.commit(file, "publish\n", [publisher.tip()]), "refs/heads/main") == ""
         plan = installation.plan()

@@ -1,5 +1,6 @@
 """What the forge itself refuses: the manager proposes and nothing else, nobody passes the gate by."""
 
+import httpx
 import pytest
 from installation import Installation, message, release_files
 
@@ -74,8 +75,39 @@ def test_only_the_gate_pushes_main_of_the_deployment_repository(installation: In
     assert gate.tip() == tip
 
 
-def test_only_the_publisher_pushes_the_catalogue(installation: Installation) -> None:
-    for account in ("manager", "gate", "operator-team"):
-        clone = installation.clone(account, "robotkube/catalogue")
-        commit = clone.commit({"policies/release.yaml": "assurance: none\n"}, "mine\n", [clone.tip()])
-        assert clone.push(commit, "refs/heads/main") != ""
+@pytest.mark.parametrize("account", ["manager", "publisher", "operator-team"])
+@pytest.mark.parametrize("force", [False, True])
+def test_only_the_gate_pushes_main_of_the_catalogue(installation: Installation, account: str, force: bool) -> None:
+    clone = installation.clone(account, "robotkube/catalogue")
+    tip = clone.tip()
+    commit = clone.commit({"policies/release.yaml": "assurance: none\n"}, "mine\n", [tip])
+    assert clone.push(commit, "refs/heads/main", force=force) != ""
+    assert clone.tip() == tip
+
+
+def test_the_publisher_proposes_to_the_catalogue_and_does_not_merge(installation: Installation) -> None:
+    publisher = installation.clone("publisher", "robotkube/catalogue")
+    commit = publisher.commit({"applications/mine.yaml": "mine\n"}, "submit\n", [publisher.tip()])
+    assert publisher.push(commit, "refs/for/main", ["topic=submit-mine", "title=mine"]) == ""
+    catalogue = f"{installation.url}/api/v1/repos/robotkube/catalogue"
+    gate, own = (httpx.Client(base_url=catalogue, auth=(n, installation.passwords[n])) for n in ("gate", "publisher"))
+    with gate, own:
+        number = next(p["number"] for p in gate.get("/pulls").json() if p["head"]["sha"] == commit)
+        for way in ("rebase", "fast-forward-only", "manually-merged"):
+            body = {"Do": way, "MergeCommitID": commit}
+            assert own.post(f"/pulls/{number}/merge", json=body).status_code == 405
+        for method, path in (("PATCH", "/branch_protections/main"), ("POST", f"/statuses/{commit}")):
+            assert own.request(method, path, json={"state": "success"}).status_code in (403, 404)
+        gate.patch(f"/pulls/{number}", json={"state": "closed"}).raise_for_status()
+        assert not gate.get(f"/pulls/{number}").json()["merged"]
+
+
+def test_the_gate_does_not_force_main_of_the_catalogue(installation: Installation) -> None:
+    gate = installation.clone("gate", "robotkube/catalogue")
+    tip = gate.tip()
+    other = gate.commit({"README.md": "another history\n"}, "anew\n", [tip])
+    tree = gate.repository[other].tree.id
+    who = gate.repository[tip].author
+    root = str(gate.repository.create_commit(None, who, who, "anew\n", tree, []))
+    assert gate.push(root, "refs/heads/main", force=True) != ""
+    assert gate.tip() == tip
