@@ -22,6 +22,7 @@ DEPTH_MAX = 32
 INTEGER_MAX = 2**53  # the ApplicationSet controller reads numbers as doubles
 
 _PLAIN = re.compile(r"[A-Za-z_/][A-Za-z0-9_./@-]*( [A-Za-z0-9_./@-]+)*", re.ASCII)
+_HALF_CHARACTER = re.compile("[\ud800-\udfff]")
 _YAML_1_1_WORDS = frozenset(["y", "n", "yes", "no", "on", "off", "true", "false", "null"])
 
 
@@ -75,12 +76,10 @@ def read_mapping(text: str, where: str) -> dict[str, Any]:
     if len(text.encode()) > TEXT_BYTES_MAX:
         raise DocumentError(where, [f"longer than {TEXT_BYTES_MAX} bytes; split it"])
     try:
-        _refuse_anchors(text, where)
+        _refuse_structure(text, where)
         documents = list(yaml.load_all(text, Loader=_Loader))
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, ValueError) as error:  # a number that is none, or with thousands of digits
         raise DocumentError(where, [f"not readable as YAML: {' '.join(str(error).split())}"]) from error
-    except RecursionError as error:
-        raise DocumentError(where, [f"nested deeper than {DEPTH_MAX}"]) from error
     if len(documents) != 1 or not isinstance(documents[0], dict):
         raise DocumentError(where, ["must hold exactly one YAML document, a mapping"])
     problems = json_problems(documents[0], "")
@@ -89,10 +88,18 @@ def read_mapping(text: str, where: str) -> dict[str, Any]:
     return documents[0]
 
 
-def _refuse_anchors(text: str, where: str) -> None:
+def _refuse_structure(text: str, where: str) -> None:
+    """Refuse by events, before anything is built: building recurses, and aliases grow."""
+    depth = 0
     for event in yaml.parse(text, Loader=_Loader):
         if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
             raise DocumentError(where, ["anchors and aliases are not allowed; write the value out"])
+        if getattr(event, "tag", None):
+            line = event.start_mark.line + 1
+            raise DocumentError(where, [f"line {line}: tag {event.tag!r:.60} is not allowed; write a plain value"])
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > DEPTH_MAX + 1:
+            raise DocumentError(where, [f"nested deeper than {DEPTH_MAX}; write it flatter"])
 
 
 def write_mapping(document: Mapping[str, Any]) -> str:
@@ -106,8 +113,11 @@ def json_problems(value: Any, path: str, depth: int = 0) -> list[str]:
     """What in `value` JSON and a Go reader would not carry unchanged; `path` is the key so far (`spec.values.x`)."""
     if depth > DEPTH_MAX:
         return [f"{path}: nested deeper than {DEPTH_MAX}"]
-    if value is None or isinstance(value, (str, bool)):
+    if value is None or isinstance(value, bool):
         return []
+    if isinstance(value, str):
+        broken = not value.isascii() and _HALF_CHARACTER.search(value)
+        return [f"{path}: text with half a character (a lone surrogate), which UTF-8 has not"] if broken else []
     if isinstance(value, int):
         return (
             []
