@@ -1,7 +1,6 @@
-"""The gate's publication loop with everything in memory but the keys: verdicts, kept results, kill points, moved heads."""
+"""The publication loop with all but the keys in memory: verdicts, kept results, kill points, moved heads."""
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -44,7 +43,7 @@ class World:
         self.now = 100.0
         self.published = 0
         self.local_builds = False
-        self.gate = self.start()
+        self.start().round()  # writes the key
 
     def start(self, signer: KeyFile | None = None, verifier: TrustedKeys | None = None) -> Publication:
         settings = VerifyingSettings("staging", "verified", CHARTS_URL, "http://forge/robotkube/catalogue", "the-gate")
@@ -77,12 +76,13 @@ class World:
         self.published += 1
 
     def submit(self, *charts: tuple[PackedChart, dict], push: bool = True, **files: str) -> int:
-        """A pull request with these charts and other files (path with / written as __)."""
+        """A pull request with these charts and other files."""
         changes: dict[str, str | None] = {entry_path(packed): entry(packed, spec) for packed, spec in charts}
-        changes |= {path.replace("__", "/"): text for path, text in files.items()}
+        changes |= files
         for packed, _ in charts if push else ():
             self.registry.push_chart("staging", packed, f"{packed.version}_{packed.digest[7:19]}")
-        return self.forge.open(self.catalogue.commit(self.catalogue.tip, changes, "submit"))
+        message = f"submit {len(self.forge.pulls)}"
+        return self.forge.open(self.catalogue.commit(self.catalogue.tip, changes, message))
 
     def settle(self, number: int) -> str:
         """Rounds until the pull request is closed; the one comment."""
@@ -106,8 +106,8 @@ class World:
 
 
 @pytest.fixture
-def world(tmp_path: Path) -> Iterator[World]:
-    yield World(tmp_path)
+def world(tmp_path: Path) -> World:
+    return World(tmp_path)
 
 
 def status_of(world: World, packed: PackedChart) -> dict:
@@ -149,3 +149,429 @@ def test_a_submission_that_passes_is_published_with_its_evidence(world: World) -
         sha256(text.encode()) for path, text in world.main().items() if path.startswith(folder)
     }
     assert world.published == 1
+
+
+def test_a_chart_that_replaces_one_is_tested_against_it(world: World) -> None:
+    first, second = chart(), chart(version="0.2.0", replaces="0.1.0")
+    world.settle(world.submit(first))
+    world.settle(world.submit(second))
+    assert status_of(world, second[0])["state"] == "verified"
+    replaced = world.runner.requests[-1].replaced
+    assert replaced is not None
+    assert (replaced.artefact.digest, replaced.repository) == (first[0].digest, "verified/relay")
+
+
+def test_applications_alone_are_published(world: World) -> None:
+    world.settle(world.submit(chart()))
+    runs = list(world.runner.runs)
+    number = world.submit(**{"applications/relaying.yaml": application()})
+    assert "## Verified: application relaying" in world.settle(number)
+    assert world.merged(number)
+    assert world.main()["applications/relaying.yaml"] == application()
+    assert world.runner.runs == runs
+
+
+def test_the_same_submission_twice_is_published_once(world: World) -> None:
+    first, second = world.submit(chart()), world.submit(chart())
+    world.settle(first)
+    tip = world.catalogue.tip
+    assert "## Already published: relay 0.1.0" in world.settle(second)
+    assert not world.merged(second)
+    assert world.catalogue.tip == tip
+    assert len(world.runner.runs) == len(SUITES)
+    assert world.gate.statistics.verdicts == {"published": 1, "refused": 0, "unchanged": 1, "failed": 0}
+
+
+def test_two_submissions_at_once_are_both_published(world: World) -> None:
+    one, other = chart(), chart("other")
+    numbers = [world.submit(one), world.submit(other)]
+    for number in numbers:
+        world.settle(number)
+    assert all(map(world.merged, numbers))
+    assert assured(world, one[0])
+    assert assured(world, other[0])
+
+
+# -- refused ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("suite", SUITES)
+def test_a_failed_suite_refuses_with_check_finding_and_fix(world: World, suite: str) -> None:
+    packed, spec = chart()
+    world.runner.checks[suite] = (
+        Check("it is there", True),
+        Check("container relay is not privileged", False, "privileged: true | `x` <b>@all</b>", "remove `privileged`"),
+    )
+    number = world.submit((packed, spec))
+    text = world.settle(number)
+    assert not world.merged(number)
+    assert "## Refused: relay 0.1.0" in text
+    assert f"Nothing was published. {suite} of relay failed." in text
+    assert "- container relay is not privileged\n  - found: `privileged: true | 'x' <b>@all</b>`" in text
+    assert "do: remove \\`privileged\\`" in text
+    assert entry_path(packed) not in world.main()
+    assert "verified/relay" not in world.registry.charts
+    attached = {
+        one.annotations["robotkube.io/suite"]: one for one in world.registry.attachments("staging/relay", packed.digest)
+    }
+    assert set(attached) == set(SUITES)
+    predicate = world.verifier.verify(attached[suite].data).statement["predicate"]
+    assert (predicate["result"], predicate["failedTests"]) == ("FAILED", ["container relay is not privileged"])
+
+
+def test_a_failed_suite_runs_again_in_the_next_submission_and_only_that(world: World) -> None:
+    packed = chart()
+    world.runner.checks["interface"] = (Check("topics", False, "none", "declare them"),)
+    world.settle(world.submit(packed))
+    del world.runner.checks["interface"]
+    world.start()
+    number = world.submit(packed)
+    text = world.settle(number)
+    assert world.merged(number)
+    assert world.runner.runs.count(("relay", "interface")) == 2
+    assert world.runner.runs.count(("relay", "static")) == 1
+    assert "| static 1 | passed | 1.5 s | kept result |" in text
+    assert "| interface 1 | passed | 1.5 s |  |" in text
+    assert assured(world, packed[0])
+
+
+def test_an_unfinished_suite_is_not_a_passed_one(world: World) -> None:
+    result = SuiteResult("install", "1", "unfinished", (Check("became ready", True),), 60.0)
+    world.runner.progress["install"] = SuiteProgress("finished", result)
+    number = world.submit(chart())
+    text = world.settle(number)
+    assert not world.merged(number)
+    assert "install of relay did not finish" in text
+
+
+@pytest.mark.parametrize(
+    "result",
+    [
+        SuiteResult("install", "1", "passed", (), 1.0),
+        SuiteResult("install", "2", "passed", (Check("a", True),), 1.0),
+        SuiteResult("static", "1", "passed", (Check("a", True),), 1.0),
+        SuiteResult("install", "1", "passed", (Check("a", True), Check("b", False, "found", "fix")), 1.0),
+    ],
+)
+def test_a_result_that_proves_nothing_refuses(world: World, result: SuiteResult) -> None:
+    world.runner.progress["install"] = SuiteProgress("finished", result)
+    number = world.submit(chart())
+    assert "## Refused" in world.settle(number)
+    assert not world.merged(number)
+
+
+def test_a_suite_that_does_not_end_is_unfinished_after_its_time(world: World) -> None:
+    world.runner.progress["install"] = SuiteProgress("running")
+    number = world.submit(chart())
+    world.gate.round()
+    world.now += 60 + MARGIN_SECONDS
+    world.gate.round()
+    assert "| install 1 | running |" in world.text(number)
+    world.now += 1
+    assert "still running after 120 s" in world.settle(number)
+
+
+def test_while_suites_run_the_comment_says_so(world: World) -> None:
+    world.runner.progress["install"] = SuiteProgress("queued", reason="all rooms are taken")
+    number = world.submit(chart())
+    world.gate.round()
+    text = world.text(number)
+    assert "## Checking: relay 0.1.0" in text
+    assert "3 of 4 suites passed so far." in text
+    assert "| install 1 | queued |  | all rooms are taken |" in text
+    del world.runner.progress["install"]
+    world.settle(number)
+    assert world.merged(number)
+
+
+def test_a_runner_that_is_away_decides_nothing(world: World) -> None:
+    world.runner.fail = UnavailableError("suite-runner http://runner: refused")
+    number = world.submit(chart())
+    for _ in range(5):
+        world.now += 10_000
+        world.gate.round()
+    assert "## Waiting: relay 0.1.0" in world.text(number)
+    assert "It waits: suite-runner http://runner: refused" in world.text(number)
+    world.runner.fail = None
+    world.settle(number)
+    assert world.merged(number)
+
+
+def test_a_request_that_the_runner_refuses_is_told(world: World) -> None:
+    world.runner.fail = InputError("suite-runner: 400 entry: must be a mapping")
+    assert "found: `suite-runner: 400 entry: must be a mapping`" in world.settle(world.submit(chart()))
+
+
+# -- kept results ----------------------------------------------------------------------------------------------------
+
+
+def kept_files(world: World) -> dict[str, str]:
+    """The evidence as `registry submit --kept` puts it into a submission."""
+    return {path: text for path, text in world.main().items() if path.startswith("evidence/")}
+
+
+def other_world(world: World, folder: Path) -> World:
+    """A new cluster with the same key."""
+    fresh = World(folder)
+    fresh.signer, fresh.verifier = world.signer, world.verifier
+    fresh.start()
+    return fresh
+
+
+def test_kept_evidence_is_used_in_another_cluster_with_the_same_key(world: World, tmp_path: Path) -> None:
+    packed = chart()
+    world.settle(world.submit(packed))
+    fresh = other_world(world, tmp_path / "fresh")
+    number = fresh.submit(packed, **kept_files(world))
+    text = fresh.settle(number)
+    assert fresh.merged(number)
+    assert fresh.runner.runs == []
+    assert text.count("kept result") == len(SUITES)
+    assert kept_files(fresh) == kept_files(world)
+    assert status_of(fresh, packed[0]) == status_of(world, packed[0])
+    assert assured(fresh, packed[0])
+
+
+def test_one_changed_byte_is_verified_again(world: World) -> None:
+    packed, changed = chart(), chart(text="kind: ConfigMap \n")
+    world.settle(world.submit(packed))
+    world.local_builds = True
+    world.start()
+    number = world.submit(changed)
+    world.settle(number)
+    assert world.merged(number)
+    assert len(world.runner.runs) == 2 * len(SUITES)
+    assert assured(world, changed[0])
+
+
+def test_a_changed_entry_is_verified_again(world: World) -> None:
+    """The digest covers the entry: what it claims cannot be changed under results that were found for another."""
+    first, second = chart(), chart(description="Claims something else")
+    assert first[0].digest != second[0].digest
+    world.settle(world.submit(first))
+    world.local_builds = True
+    world.start()
+    number = world.submit((first[0], second[1]))
+    assert "is published with another spec" in world.settle(number)
+    assert not world.merged(number)
+
+
+def test_a_changed_policy_makes_everything_new(world: World) -> None:
+    packed = chart()
+    world.settle(world.submit(packed))
+    policy = {**submitted.POLICY, "spec": {"suites": [{"name": "static", "version": "2", "seconds": 60}]}}
+    world.catalogue.push({POLICY_PATH: write_mapping(policy)})
+    other = chart("other")
+    number = world.submit(other)
+    world.settle(number)
+    assert world.merged(number)
+    assert world.runner.runs[-1] == ("other", "static")
+    assert world.runner.requests[-1].rule.version == "2"
+
+
+def forged_statement(world: World, packed: PackedChart, signer: KeyFile) -> str:
+    artefact = Artefact(packed.name, packed.version, packed.digest, "linux/amd64")
+    result = SuiteResult("install", "1", "passed", (Check("installs", True),), 1.0)
+    return signer.sign(suite_statement(artefact, POLICY.digest, result)).decode()
+
+
+def test_evidence_that_a_publisher_forged_is_not_used(world: World, tmp_path: Path) -> None:
+    packed, spec = chart()
+    forged = forged_statement(world, packed, key(tmp_path / "forger", "forger"))
+    path = f"evidence/relay/0.1.0_{packed.digest[7:19]}/install.json"
+    world.runner.checks["install"] = (Check("installs", False, "never ready", "fix the probe"),)
+    number = world.submit((packed, spec), **{path: forged})
+    assert "install of relay failed" in world.settle(number)
+    assert not world.merged(number)
+
+
+def test_evidence_that_was_edited_or_is_of_another_digest_is_not_used(world: World, tmp_path: Path) -> None:
+    first, second = chart(), chart("relay", "0.2.0")
+    world.settle(world.submit(first))
+    folder = f"evidence/relay/0.2.0_{second[0].digest[7:19]}"
+    other = {f"{folder}/{path.rpartition('/')[2]}": text for path, text in kept_files(world).items()}
+    other[f"{folder}/static.json"] = other[f"{folder}/static.json"].replace("relay", "relax")
+    number = world.submit(second, **other)
+    world.settle(number)
+    assert world.merged(number)
+    assert len(world.runner.runs) == 2 * len(SUITES)
+
+
+def test_a_second_key_keeps_what_the_first_signed(world: World, tmp_path: Path) -> None:
+    first, second = chart(), chart("other")
+    world.settle(world.submit(first))
+    new = key(tmp_path / "second", "second")
+    both = trusted(world.keys, new)
+    world.start(new, both)
+    again = world.submit(first)
+    world.settle(again)
+    number = world.submit(second)
+    world.settle(number)
+    assert world.merged(number)
+    assert len(world.runner.runs) == 2 * len(SUITES)
+    assert {f"keys/{one.key_id}.pem" for one in (new, world.signer)} <= set(world.main())
+
+
+def test_a_gate_whose_own_key_is_not_trusted_publishes_nothing(world: World, tmp_path: Path) -> None:
+    world.start(key(tmp_path / "stranger", "stranger"))
+    number = world.submit(chart())
+    for _ in range(3):
+        world.gate.round()
+    assert not world.merged(number)
+    assert "not trusted here" in world.text(number)
+    assert world.gate.statistics.verdicts["failed"] == 1
+
+
+# -- what moves meanwhile, what is killed ----------------------------------------------------------------------------
+
+
+def test_a_pull_request_that_changes_while_suites_run_is_decided_anew(world: World) -> None:
+    first, second = chart(), chart(text="kind: Secret\n")
+    world.runner.progress["install"] = SuiteProgress("running")
+    number = world.submit(first)
+    world.gate.round()
+    commit = world.catalogue.commit(world.catalogue.tip, {entry_path(second[0]): entry(*second)}, "other")
+    world.registry.push_chart("staging", second[0], "other")
+    world.forge.update(number, commit)
+    del world.runner.progress["install"]
+    world.runner.checks["install"] = (Check("installs", False, "no", "yes"),)
+    world.settle(number)
+    assert not world.merged(number)
+    assert entry_path(second[0]) not in world.main()
+
+
+def test_a_head_that_changes_at_the_last_moment_is_not_on_main_unchecked(world: World) -> None:
+    first = chart()
+    number = world.submit(first)
+    evil = world.catalogue.commit(world.catalogue.tip, {"charts/evil/0.1.0.yaml": "x"}, "evil")
+
+    def swap() -> None:
+        world.catalogue.before_push = lambda: None
+        world.forge.update(number, evil)
+
+    world.catalogue.before_push = swap
+    text = world.settle(number)
+    assert status_of(world, first[0])["state"] == "verified"
+    assert "charts/evil/0.1.0.yaml" not in world.main()
+    assert not world.merged(number)
+    assert "## Refused" in text
+
+
+def test_main_that_moves_before_the_push_is_looked_at_again(world: World) -> None:
+    number = world.submit(chart())
+
+    def move() -> None:
+        world.catalogue.before_push = lambda: None
+        world.catalogue.push({"README.md": "a person was here\n"})
+
+    world.catalogue.before_push = move
+    world.settle(number)
+    assert world.merged(number)
+    assert world.main()["README.md"] == "a person was here\n"
+    assert len(world.runner.runs) == len(SUITES)
+
+
+def test_a_version_published_meanwhile_with_another_digest_is_not_replaced(world: World) -> None:
+    first, second = chart(), chart(text="kind: Secret\n")
+    one, two = world.submit(first), world.submit(second)
+    world.settle(one)
+    assert "a version is never replaced: raise" in world.settle(two)
+    assert status_of(world, first[0])["digest"] == first[0].digest
+
+
+@pytest.mark.parametrize(("method", "call"), [("attach", 1), ("attach", 2), ("attach", 5), ("copy_chart", 1)])
+def test_a_gate_killed_between_sign_attach_and_copy_is_finished_by_the_next(
+    world: World, method: str, call: int
+) -> None:
+    packed = chart()
+    number = world.submit(packed)
+    calls = {"attach": 0, "copy_chart": 0}
+
+    def kill(name: str) -> None:
+        calls[name] += 1
+        if name == method and calls[name] == call:
+            raise KilledError
+
+    world.registry.before = kill
+    with pytest.raises(KilledError):
+        world.settle(number)
+    assert entry_path(packed[0]) not in world.main()
+    world.registry.before = lambda name: None
+    world.start()
+    world.settle(number)
+    assert world.merged(number)
+    assert assured(world, packed[0])
+
+
+def test_a_gate_killed_before_the_merge_is_finished_by_the_next(world: World) -> None:
+    packed = chart()
+    number = world.submit(packed)
+
+    def kill() -> None:
+        raise KilledError
+
+    world.catalogue.before_push = kill
+    with pytest.raises(KilledError):
+        world.settle(number)
+    assert entry_path(packed[0]) not in world.main()
+    copied = list(world.registry.attachments("verified/relay", packed[0].digest))
+    assert len(copied) == len(SUITES) + 1
+    world.catalogue.before_push = lambda: None
+    world.start()
+    world.settle(number)
+    assert world.merged(number)
+    assert list(world.registry.attachments("verified/relay", packed[0].digest)) == copied
+    assert len(world.forge.said[number]) == 1
+
+
+def test_a_gate_killed_after_the_merge_leaves_it(world: World) -> None:
+    number = world.submit(chart())
+    world.settle(number)
+    tip = world.catalogue.tip
+    world.forge.pulls[number] = world.forge.pulls[number].__class__(
+        **{**vars(world.forge.pulls[number]), "state": "open", "merged": False}
+    )
+    world.start().round()
+    assert world.catalogue.tip == tip
+    assert len(world.forge.said[number]) == 1
+
+
+def test_the_runner_may_answer_late_for_each_of_two_charts(world: World) -> None:
+    world.runner.progress["static"] = SuiteProgress("running")
+    number = world.submit(chart(), chart("other"))
+    world.gate.round()
+    assert "6 of 8 suites passed so far." in world.text(number)
+    del world.runner.progress["static"]
+    text = world.settle(number)
+    assert "### relay 0.1.0" in text
+    assert "### other 0.1.0" in text
+    message = world.catalogue.commits[world.catalogue.tip].message
+    assert message.startswith("publish: other 0.1.0, relay 0.1.0\n\nRobotKube-Chart: other@0.1.0@sha256:")
+    assert message.count("RobotKube-Evidence: sha256:") == 2
+    assert message.rstrip().endswith(f"RobotKube-Policy: {POLICY.digest}")
+
+
+def test_a_broken_policy_waits_for_a_person(world: World) -> None:
+    world.catalogue.push({POLICY_PATH: "kind: Nothing\n"})
+    number = world.submit(chart())
+    world.gate.round()
+    assert "It waits: policies/verification.yaml on main" in world.text(number)
+    world.catalogue.push({POLICY_PATH: CATALOGUE[POLICY_PATH]})
+    world.settle(number)
+    assert world.merged(number)
+
+
+def test_pull_requests_of_others_are_left_alone(world: World) -> None:
+    commit = world.catalogue.commit(world.catalogue.tip, {"policies/release.yaml": "assurance: none\n"}, "by hand")
+    number = world.forge.open(commit, "operator-team")
+    for _ in range(3):
+        world.gate.round()
+    assert world.forge.pulls[number].state == "open"
+    assert world.text(number) == ""
+
+
+def test_metrics_count_verdicts_and_suites(world: World) -> None:
+    world.settle(world.submit(chart()))
+    text = publication_metrics(world.gate.statistics)
+    assert 'robotkube_gate_publications_total{verdict="published"} 1' in text
+    assert 'robotkube_gate_suite_seconds_total{suite="install"} 1.500' in text
