@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -239,6 +239,18 @@ def read_checks(reader: Reader, value: Any, path: str) -> tuple[Check, ...]:
     doubled = sorted({name for name in names if name and names.count(name) > 1})
     reader.problems += [f"{path}: two checks named {name!r}; name each once" for name in doubled]
     return checks
+
+
+def tidy(checks: Sequence[Check]) -> tuple[Check, ...]:
+    """The checks as a result may hold them: names once (a second one is numbered), texts within their bounds."""
+    seen: dict[str, int] = {}
+    found = []
+    for check in checks[:CHECKS_MAX]:
+        name = " ".join(check.name.split())[: NAME_CHARACTERS_MAX - 8] or "check"
+        seen[name] = seen.get(name, 0) + 1
+        name = name if seen[name] == 1 else f"{name} ({seen[name]})"
+        found.append(Check(name, check.passed, _bounded(check.found), _bounded(check.fix)))
+    return tuple(found)
 
 
 def _check(reader: Reader, value: Any, path: str) -> Check:

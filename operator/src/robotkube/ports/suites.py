@@ -11,6 +11,7 @@ from robotkube.domain.suite_requests import Replaced, SuiteProgress, SuiteReques
 
 __all__ = [
     "Account",
+    "ChartProgram",
     "Executor",
     "Object",
     "PodEnd",
@@ -32,6 +33,17 @@ Object = Mapping[str, Any]
 
 Render = Callable[[Mapping[str, Any], str], list[dict[str, Any]]]
 """Values and release name -> the chart's objects, as `helm template` gives them; InputError with helm's words."""
+
+
+class ChartProgram(Protocol):
+    """Renders charts that nobody trusts yet."""
+
+    def render(
+        self, files: Mapping[str, bytes], values: Mapping[str, Any], release: str, namespace: str
+    ) -> list[dict[str, Any]]:
+        """The objects of the chart in `files`, without network, bounded in time and size. InputError with the program's
+        words when the chart cannot be rendered, UnavailableError when the program cannot be run."""
+        ...
 
 
 class SuiteRunner(Protocol):

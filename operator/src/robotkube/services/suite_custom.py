@@ -1,0 +1,100 @@
+"""Suites of a user's own: a container image that looks at one chart and prints what it found.
+
+/suite/request.json   chart, version, digest, platform, sets, room, ...: docs/how-to/write-a-suite.md
+/suite/chart.tgz      the chart, as it is in the registry
+last line of stdout   {"checks": [{"name", "passed", "found", "fix"}]}
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from robotkube.domain.charts_packing import canonical_json
+from robotkube.domain.documents import Reader
+from robotkube.domain.errors import DocumentError, InputError
+from robotkube.domain.evidence import Check
+from robotkube.domain.loops import Render
+from robotkube.domain.suite_requests import TestSet, read_checks
+from robotkube.domain.verification import SuiteRule
+from robotkube.ports.suites import PodRun, Room, Subject
+from robotkube.services.suite_sets import filled_sets, install
+
+INSTALLED = "installed-for-the-suite"
+MARGIN_SECONDS = 5.0  # kept for saying what happened
+LAST_LINES_MAX = 12
+
+
+class CustomSuite:
+    """The port Suite for a rule that names an image."""
+
+    needs_room = True
+
+    def __init__(self, rule: SuiteRule, render: Render, now_ns: Callable[[], int]) -> None:
+        self._rule, self._render, self._now_ns = rule, render, now_ns
+
+    @property
+    def name(self) -> str:
+        """As the policy names it."""
+        return self._rule.name
+
+    @property
+    def version(self) -> str:
+        """As the policy says: the image is a part of the policy, and by that of its digest."""
+        return self._rule.version
+
+    def run(self, subject: Subject, room: Room | None) -> Sequence[Check]:
+        """The image's checks. InputError, which makes the run unfinished, when it gives no proper result."""
+        if room is None:
+            raise InputError("a suite of one's own needs a room")
+        sets = filled_sets(subject.entry, room.agent, self._now_ns(), self._render)
+        if self._rule.installs:
+            found = self._install(subject, room, sets[0])
+            if found:
+                fix = "let the chart get ready with the first set of spec.suites.sets; see the suite install"
+                return [Check(INSTALLED, False, found, fix)]
+        files = {"request.json": canonical_json(self._request(subject, room, sets)), "chart.tgz": subject.archive}
+        seconds = max(room.seconds_left - MARGIN_SECONDS, 1.0)
+        return read_result(
+            room.run_pod(self._rule.name, self._rule.image, self._rule.command, files, seconds, accounts=True)
+        )
+
+    def _install(self, subject: Subject, room: Room, test_set: TestSet) -> str:
+        try:
+            return install(subject, room, test_set).found
+        except InputError as error:
+            return str(error)
+
+    def _request(self, subject: Subject, room: Room, sets: Sequence[TestSet]) -> Mapping[str, Any]:
+        artefact = subject.artefact
+        return {
+            "chart": artefact.chart,
+            "version": artefact.version,
+            "digest": artefact.digest,
+            "platform": artefact.platform,
+            "sets": [{"name": found.name, "values": found.values} for found in sets],
+            "room": {"namespace": room.namespace, "agent": room.agent, "domain_id": room.domain_id},
+            "namespace": room.namespace,
+            "release": artefact.chart if self._rule.installs else "",
+        }
+
+
+def read_result(run: PodRun) -> tuple[Check, ...]:
+    """The checks in the last line of a pod's stdout; InputError when there are none or the pod failed."""
+    tail = "\n".join(run.log.splitlines()[-LAST_LINES_MAX:])
+    if run.exit_code != 0:
+        ended = run.found if run.exit_code is None else f"it ended with {run.exit_code}"
+        raise InputError(f"the suite's pod did not end with 0: {ended}\nlast lines of its log:\n{tail}")
+    lines = [line for line in run.log.splitlines() if line.strip()]
+    try:
+        document = json.loads(lines[-1]) if lines else None
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"the last line of the suite's stdout is no JSON ({error}):\n{tail}") from error
+    reader = Reader("result of the suite")
+    root = reader.mapping(document, "", ["checks"])
+    checks = read_checks(reader, root.get("checks"), "checks")
+    reader.finish()
+    if not checks:
+        raise DocumentError("result of the suite", ["checks: empty; say at least one"])
+    return checks
