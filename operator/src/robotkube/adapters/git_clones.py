@@ -14,7 +14,7 @@ from typing import Any
 import pygit2
 from pygit2.enums import DeltaStatus, FileMode
 
-from robotkube.domain.errors import InputError, UnavailableError
+from robotkube.domain.errors import DocumentError, InputError, UnavailableError
 from robotkube.ports.git import Commit
 
 TEXTS_KEPT_MAX = 4096
@@ -49,7 +49,7 @@ class GitClone:
     """Ports MainBranch and Catalogue for one repository `<url>/<organisation>/<name>`; the clone stands in `folder`.
 
     Not for several threads at once. UnavailableError: the forge does not answer or refuses the account; a loop may try
-    again. InputError: what was asked for is not there.
+    again. InputError: what was asked for is not there; DocumentError: the commit is not one that can be judged.
     """
 
     def __init__(
@@ -106,31 +106,42 @@ class GitClone:
     def commit(self, commit: str) -> Commit:
         """A commit that is here, with its changes to its first parent (all its files when it has none)."""
         found = self._lookup(commit)
+        parents = tuple(str(parent) for parent in found.parent_ids)
+        return self._with_changes(found, parents, self._lookup(parents[0]).tree if parents else None)
+
+    def brought(self, commit: str) -> Commit:
+        """A commit that is here, with everything it brings since it left the branch, as if that were its parent."""
+        found = self._lookup(commit)
+        base = self._repository.merge_base(found.id, self._lookup(self.tip).id) if self.tip else None
+        if base is None:
+            problem = f"has no history in common with {self._branch}; start from its tip"
+            raise DocumentError(f"commit {commit}", [problem])
+        return self._with_changes(found, (str(base),), self._lookup(str(base)).tree)
+
+    def _with_changes(self, found: pygit2.Commit, parents: tuple[str, ...], before: pygit2.Tree | None) -> Commit:
         changes: dict[str, str | None] = {}
         irregular: list[str] = []
-        for path, blob, mode in self._changes(found):
+        for path, blob, mode in self._changes(found, before):
             text = None if blob is None else self._ordinary_text(blob, mode)
             if blob is not None and text is None:
                 irregular.append(path)
             else:
                 changes[path] = text
         return Commit(
-            id=commit,
-            parents=tuple(str(parent) for parent in found.parent_ids),
+            id=str(found.id),
+            parents=parents,
             message=found.message,
             author=found.author.name,
             changes=changes,
             irregular=tuple(irregular),
         )
 
-    def _changes(self, commit: pygit2.Commit) -> list[tuple[str, pygit2.Oid | None, int]]:
-        if commit.parent_ids:
-            difference = commit.parents[0].tree.diff_to_tree(commit.tree)
-        else:
-            difference = commit.tree.diff_to_tree(swap=True)
+    def _changes(self, commit: pygit2.Commit, before: pygit2.Tree | None) -> list[tuple[str, pygit2.Oid | None, int]]:
+        difference = before.diff_to_tree(commit.tree) if before else commit.tree.diff_to_tree(swap=True)
         deltas = list(difference.deltas)
         if len(deltas) > CHANGED_FILES_MAX:
-            raise InputError(f"{self._where}: {commit.id} changes {len(deltas)} files, at most {CHANGED_FILES_MAX}")
+            problem = f"changes {len(deltas)} files, at most {CHANGED_FILES_MAX} are allowed; split it"
+            raise DocumentError(f"commit {commit.id}", [problem])
         return [
             (delta.old_file.path, None, 0)
             if delta.status == DeltaStatus.DELETED

@@ -8,11 +8,13 @@ from typing import Any
 import httpx
 
 from robotkube.domain.errors import InputError, UnavailableError
+from robotkube.domain.merging import Review
 from robotkube.ports.forges import Comment, PullRequest
 
 TIMEOUT_SECONDS = 10.0
 PULL_REQUESTS_MAX = 50
 COMMENTS_MAX = 100
+REVIEWS_MAX = 50
 
 
 class GiteaForge:
@@ -56,6 +58,20 @@ class GiteaForge:
     def comment(self, number: int, text: str) -> None:
         """Add a comment (Markdown)."""
         self._call("POST", f"/issues/{number}/comments", json={"body": text})
+
+    def reviews(self, number: int) -> Sequence[Review]:
+        """Approvals and requests for changes that were not dismissed, oldest first, at most REVIEWS_MAX."""
+        found = self._call("GET", f"/pulls/{number}/reviews", params={"limit": REVIEWS_MAX})
+        return [
+            Review(
+                author=str((item.get("user") or {}).get("login", "")),
+                commit=str(item.get("commit_id", "")),
+                approved=item["state"] == "APPROVED",
+                official=item.get("official") is True,
+            )
+            for item in found
+            if item.get("state") in ("APPROVED", "REQUEST_CHANGES") and not item.get("dismissed")
+        ]
 
     def edit_comment(self, identifier: int, text: str) -> None:
         """Give a comment of this account another text."""

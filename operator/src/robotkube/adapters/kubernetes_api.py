@@ -7,6 +7,7 @@ nothing may be decided: see `wait_until_synced`.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import logging
 import threading
@@ -28,7 +29,11 @@ WATCH_SECONDS = 240
 SILENCE_SECONDS_MAX = WATCH_SECONDS + 20
 BACKOFF_SECONDS_MIN, BACKOFF_SECONDS_MAX = 0.25, 10.0
 PAGE_OBJECTS = 500
+PAGES_MAX = 200
+EVENT_NOTE_BYTES_MAX = 1024
+EVENTS_PATH = "/apis/events.k8s.io/v1/namespaces/{namespace}/events"
 CONDITIONS_MAX = 5
+CONFLICT = 409
 CONDITION_CHARACTERS_MAX = 500
 TASKS_PATH = f"/apis/{GROUP}/{VERSION}/{PLURAL}"
 AGENT_LABEL, ROLE_LABEL = f"{GROUP}/agent", f"{GROUP}/role"
@@ -153,12 +158,14 @@ class ResourceWatch:
         found: dict[str, Any] = {}
         query, version = [("limit", str(PAGE_OBJECTS)), ("labelSelector", self._selector)], ""
         token = ""
-        while True:
+        for _ in range(PAGES_MAX):
             answer = json.loads(call(self._api, "GET", self._path, [*query, ("continue", token)]).data)
             found |= {object_key(item): self._reduce(item) for item in answer.get("items", [])}
             version, token = answer["metadata"]["resourceVersion"], answer["metadata"].get("continue", "")
             if not token:
                 break
+        else:
+            raise InputError(f"more than {PAGES_MAX * PAGE_OBJECTS} objects; remove old ones")
         before = self.values()
         for key in sorted({*before, *found}):
             self._set(key, found.get(key))
@@ -267,6 +274,17 @@ class KubernetesWorld:
             return False
         return True
 
+    def tell(self, task: Object, reason: str, text: str) -> None:
+        """A warning on the task. Its name is made from task, reason and text: saying it again is a conflict, and the
+        Event that is there says it already."""
+        event = task_event(task, reason, text, datetime.fromtimestamp(self._now(), UTC))
+        path = EVENTS_PATH.format(namespace=event["metadata"]["namespace"])
+        try:
+            call(self._api, "POST", path, body=event)
+        except UnavailableError as error:
+            if not (isinstance(error.__cause__, client.ApiException) and error.__cause__.status == CONFLICT):
+                raise
+
     def nodes(self) -> Sequence[NodeState]:
         """Nodes of agents."""
         return [state for state, _ in self._nodes.values().values()]
@@ -286,6 +304,31 @@ class KubernetesWorld:
 
     def _silence(self, since: float | None) -> float:
         return 0.0 if since is None else max(self._now() - since, 0.0)
+
+
+def task_event(task: Object, reason: str, text: str, at: datetime) -> dict[str, Any]:
+    """The Event (events.k8s.io/v1) that puts a warning on a task."""
+    metadata = task["metadata"]
+    said = hashlib.sha256("\0".join([metadata.get("uid", ""), reason, text]).encode()).hexdigest()
+    return {
+        "apiVersion": "events.k8s.io/v1",
+        "kind": "Event",
+        "metadata": {"namespace": metadata["namespace"], "name": f"{metadata['name'][:200]}.{said[:16]}"},
+        "eventTime": at.strftime("%Y-%m-%dT%H:%M:%S.%fZ"),
+        "reportingController": f"{GROUP}/manager",
+        "reportingInstance": "manager",
+        "action": "Deciding",
+        "reason": reason,
+        "regarding": {
+            "apiVersion": f"{GROUP}/{VERSION}",
+            "kind": "TaskDescription",
+            "namespace": metadata["namespace"],
+            "name": metadata["name"],
+            "uid": metadata.get("uid", ""),
+        },
+        "note": text.encode()[:EVENT_NOTE_BYTES_MAX].decode(errors="ignore"),
+        "type": "Warning",
+    }
 
 
 def _demand(task: Object | None) -> Any:

@@ -1,7 +1,9 @@
-"""What the gate asks of a proposal before it becomes main: pure, all problems at once, each a sentence for its author.
+"""What the gate asks of a pull request before it becomes main: pure, all problems at once, each in words for people.
 
-A proposal is one commit on main's tip that touches release and source files only. What main had wrong before does
-not count against it, only what the proposal brings, so a proposal can repair a broken file.
+A proposal of a manager is one commit on main's tip that touches release and source files of its namespaces only. A
+person's pull request may touch anything; what it brings is checked in the same way where it touches releases and
+sources, and read where it touches policies. What main had wrong before does not count against either, only what is
+new, so a broken file can be repaired.
 """
 
 from __future__ import annotations
@@ -9,29 +11,34 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from robotkube.domain.catalogue import ASSURANCES, Catalogue
+from robotkube.domain.checks_releases import Rules, release_problems, source_problems
 from robotkube.domain.errors import DocumentError
+from robotkube.domain.initial import PATH as INITIAL_PATH
+from robotkube.domain.initial import read_initial_policy
+from robotkube.domain.merging import PATH as MERGE_PATH
+from robotkube.domain.merging import read_merge_policy
 from robotkube.domain.proposals import ChartReference, CommitMessage, read_message
 from robotkube.domain.releases import RELEASES, SOURCES, Cause, Release, Tree
+from robotkube.domain.tasks import with_defaults
+from robotkube.domain.texts import read_mapping
 
-PROBLEMS_SHOWN_MAX = 50
-STALE = "main moved"
+POLICIES, BOOTSTRAP = "policies", "bootstrap"
+CI_FOLDERS = frozenset({".gitea", ".github", ".gitlab", ".forgejo", ".circleci", ".woodpecker", "ci"})
+CI_FILES = frozenset({".gitlab-ci.yml", ".gitlab-ci.yaml", ".drone.yml", ".woodpecker.yml", "Jenkinsfile"})
 
 
 @dataclass(frozen=True)
-class Rules:
-    """What holds in this installation: namespaces of the declared agents, where charts come from
-    (`oci://host/organisation`), what the catalogue knows and allows."""
+class Proposer:
+    """An account whose proposals of releases are taken, and the namespaces that it may touch."""
 
+    account: str
     namespaces: frozenset[str]
-    charts_url: str
-    catalogue: Catalogue
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """One proposed commit: `changes` path -> new text (None = removed) against its parent, `irregular` paths that are
-    not ordinary text files; `before` and `after` are main's tip and the tree that the commit leaves."""
+    """What a pull request brings: `changes` path -> new text (None = removed) against its (only) parent, `irregular`
+    paths that are not ordinary text files; `before` and `after` are main's tip without and with the changes."""
 
     parents: tuple[str, ...]
     message: str
@@ -39,6 +46,11 @@ class Proposal:
     irregular: tuple[str, ...]
     before: Tree
     after: Tree
+
+    @property
+    def paths(self) -> tuple[str, ...]:
+        """Every path it touches."""
+        return tuple(sorted({*self.changes, *self.irregular}))
 
 
 @dataclass(frozen=True)
@@ -66,20 +78,28 @@ def apply_changes(files: Mapping[str, str], changes: Mapping[str, str | None]) -
 
 
 def judge(proposal: Proposal, tip: str, rules: Rules) -> Verdict:
-    """The decision about a proposal while main stands at `tip`."""
+    """The decision about a manager's proposal while main stands at `tip`."""
     if len(proposal.parents) != 1:
         count = len(proposal.parents)
         return Verdict(problems=(f"the commit has {count} parents; it must have exactly one, main's tip",))
     if proposal.parents[0] != tip:
         return Verdict(stale=True)
-    problems = [*_paths(proposal), *_new_problems(proposal)]
-    changed = changed_releases(proposal)
-    problems += [*_foreign_namespaces(proposal, rules), *_orphans(proposal), *_charts(proposal, changed, rules)]
+    problems = [*_paths(proposal, rules), *_files(proposal, rules)]
     try:
-        problems += _message(read_message(proposal.message), proposal, changed, rules)
+        problems += _message(read_message(proposal.message), changed_releases(proposal))
     except DocumentError as error:
         problems += [f"{error.where}: {problem}" for problem in error.problems]
     return Verdict(problems=tuple(problems))
+
+
+def judge_person(proposal: Proposal, tip: str, rules: Rules) -> Verdict:
+    """The verdict about what a person proposes: files as `judge` asks of them, policies that can be read. The commit's
+    words are the person's; `stale` does not keep the other problems from being named."""
+    problems = [_irregular(path) for path in proposal.irregular]
+    problems += _nothing(proposal)
+    problems += [problem for path in sorted(proposal.changes) for problem in _place(path)]
+    problems += [*_files(proposal, rules), *_policies(proposal, rules)]
+    return Verdict(stale=proposal.parents != (tip,), problems=tuple(problems))
 
 
 @dataclass(frozen=True)
@@ -89,6 +109,12 @@ class ChangedRelease:
     path: str
     before: Release | None
     after: Release | None
+
+    @property
+    def evidence(self) -> str:
+        """As the release file says it, or said it before it went."""
+        found = self.after or self.before
+        return found.evidence if found else ""
 
 
 def changed_releases(proposal: Proposal) -> tuple[ChangedRelease, ...]:
@@ -100,18 +126,54 @@ def changed_releases(proposal: Proposal) -> tuple[ChangedRelease, ...]:
     return tuple(pair for pair in pairs if pair.before or pair.after)
 
 
-def _paths(proposal: Proposal) -> Iterable[str]:
-    if not proposal.changes and not proposal.irregular:
+def _files(proposal: Proposal, rules: Rules) -> Iterable[str]:
+    """What a change brings to releases/ and sources/, whoever brings it."""
+    yield from _new_problems(proposal)
+    yield from _foreign_namespaces(proposal, rules)
+    yield from _orphans(proposal)
+    for path in sorted(proposal.changes):
+        if path in proposal.after.sources:
+            yield from source_problems(path, proposal.after.sources[path], rules)
+        if path in proposal.after.releases:
+            yield from release_problems(path, proposal.after.releases[path], rules)
+
+
+def _nothing(proposal: Proposal) -> Iterable[str]:
+    if not proposal.paths:
         yield "the commit changes nothing"
-    for path in proposal.irregular:
-        yield f"{path}: not an ordinary text file (a link, a program, binary or too long)"
-    for path in proposal.changes:
-        parts = path.split("/")
-        if len(parts) != 3 or parts[0] not in (RELEASES, SOURCES) or not parts[2].endswith(".yaml"):
-            yield (
-                f"{path}: a plan may only touch {RELEASES}/<namespace>/<release>.yaml and "
-                f"{SOURCES}/<namespace>/<chart>-<digest12>.yaml"
-            )
+
+
+def _irregular(path: str) -> str:
+    return f"{path}: not an ordinary text file (a link, a program, binary or too long)"
+
+
+def _paths(proposal: Proposal, rules: Rules) -> Iterable[str]:
+    yield from _nothing(proposal)
+    yield from (_irregular(path) for path in proposal.irregular)
+    for path in proposal.paths:
+        top = path.split("/", 1)[0]
+        if top == POLICIES:
+            yield f"{path}: policies are made by people; account {rules.account} may not change them"
+        elif top == BOOTSTRAP:
+            yield f"{path}: what installs the platform is changed by people; account {rules.account} may not touch it"
+        elif top in CI_FOLDERS or path in CI_FILES:
+            yield f"{path}: this file can make a forge run programs; account {rules.account} may not touch it"
+        elif top not in (RELEASES, SOURCES):
+            yield f"{path}: a plan may only touch {RELEASES}/<namespace>/ and {SOURCES}/<namespace>/"
+        elif path not in proposal.irregular:
+            yield from _place(path)
+
+
+def _place(path: str) -> Iterable[str]:
+    """Files of releases/ and sources/ stand at the one depth that Argo CD's generator reads."""
+    parts = path.split("/")
+    if parts[0] not in (RELEASES, SOURCES) or parts[-1] == ".gitkeep":
+        return
+    if len(parts) != 3 or not parts[2].endswith(".yaml"):
+        yield (
+            f"{path}: a plan may only touch {RELEASES}/<namespace>/<release>.yaml and "
+            f"{SOURCES}/<namespace>/<chart>-<digest12>.yaml"
+        )
 
 
 def _new_problems(proposal: Proposal) -> Iterable[str]:
@@ -120,11 +182,14 @@ def _new_problems(proposal: Proposal) -> Iterable[str]:
 
 
 def _foreign_namespaces(proposal: Proposal, rules: Rules) -> Iterable[str]:
+    """A file that goes may stand where nobody is responsible any more, never where another account is."""
     for path, text in sorted(proposal.changes.items()):
         parts = path.split("/")
-        if text is not None and len(parts) == 3 and parts[1] not in rules.namespaces:
-            declared = ", ".join(sorted(rules.namespaces)) or "none"
-            yield f"{path}: {parts[1]!r} is not the namespace of a declared agent (declared: {declared})"
+        if len(parts) != 3 or parts[0] not in (RELEASES, SOURCES) or parts[1] in rules.namespaces:
+            continue
+        if text is not None or parts[1] in rules.others:
+            allowed = ", ".join(sorted(rules.namespaces)) or "none"
+            yield f"{path}: {parts[1]!r} is not a namespace that account {rules.account} may touch (it has {allowed})"
 
 
 def _orphans(proposal: Proposal) -> Iterable[str]:
@@ -137,40 +202,46 @@ def _unused_sources(tree: Tree) -> set[str]:
     return set(tree.sources) - used
 
 
-def _charts(proposal: Proposal, changed: Sequence[ChangedRelease], rules: Rules) -> Iterable[str]:
-    for path in sorted(proposal.changes):
-        source = proposal.after.sources.get(path)
-        if source and source.url != f"{rules.charts_url}/{source.chart}":
-            yield f"{path}: spec.url {source.url!r} must be {rules.charts_url}/{source.chart}"
-    for pair in changed:
-        if pair.after:
-            yield from _chart(pair.path, pair.after, rules)
+def _policies(proposal: Proposal, rules: Rules) -> Iterable[str]:
+    for path, text in sorted(proposal.changes.items()):
+        if path.split("/", 1)[0] != POLICIES or not path.endswith(".yaml"):
+            continue
+        try:
+            yield from _policy(path, text, rules)
+        except DocumentError as error:
+            yield from (f"{error.where}: {problem}" for problem in error.problems)
 
 
-def _chart(path: str, release: Release, rules: Rules) -> Iterable[str]:
-    wanted = ChartReference(release.chart, release.version, release.digest)
-    known = {version.reference: version for version in rules.catalogue.charts.get(release.chart, ())}
-    if wanted not in known:
-        has = ", ".join(sorted(str(reference) for reference in known)) or "no version of it"
-        yield f"{path}: chart {wanted} is not in the catalogue, which has {has}"
-        return
-    state, assurance = known[wanted].state, rules.catalogue.assurance
-    if state not in ASSURANCES[assurance]:
-        allowed = ", ".join(sorted(ASSURANCES[assurance]))
-        yield f"{path}: chart {wanted} is {state}; the release policy (assurance: {assurance}) allows {allowed}"
-    if assurance == "none" and release.evidence != "none":
-        yield f"{path}: evidence {release.evidence!r} cannot be checked here; it must be `none`"
+def _policy(path: str, text: str | None, rules: Rules) -> Iterable[str]:
+    if text is None:
+        if path == MERGE_PATH:
+            yield f"{path}: must stay; without it the gate merges nothing"
+    elif path == MERGE_PATH:
+        read_merge_policy(text, path)
+    elif path == INITIAL_PATH:
+        yield from _initial(path, text, rules)
+    else:
+        read_mapping(text, path)
 
 
-def _message(
-    message: CommitMessage, proposal: Proposal, changed: Sequence[ChangedRelease], rules: Rules
-) -> Iterable[str]:
+def _initial(path: str, text: str, rules: Rules) -> Iterable[str]:
+    for index, addition in enumerate(read_initial_policy(text, path).add):
+        application = rules.catalogue.applications.get(addition.application)
+        if application is None:
+            known = ", ".join(sorted(rules.catalogue.applications)) or "none"
+            yield f"{path}: add[{index}].application: the catalogue has no {addition.application!r}; it has {known}"
+            continue
+        parameters = with_defaults(application.parameters, addition.parameters)
+        problems = rules.validate(application.parameters, parameters, f"add[{index}].parameters")
+        yield from (f"{path}: {problem}" for problem in problems)
+
+
+def _message(message: CommitMessage, changed: Sequence[ChangedRelease]) -> Iterable[str]:
     for pair in changed:
         if pair.after and pair.after.plan != message.plan:
             yield f"{pair.path}: plan {pair.after.plan!r} differs from the commit's RobotKube-Plan {message.plan!r}"
-        if pair.after and pair.after.evidence != message.evidence:
-            yield f"{pair.path}: evidence {pair.after.evidence!r} differs from RobotKube-Evidence {message.evidence!r}"
     yield from _named_charts(message, changed)
+    yield from _named_evidence(message, changed)
     yield from _named_tasks(message, changed)
 
 
@@ -180,6 +251,18 @@ def _named_charts(message: CommitMessage, changed: Sequence[ChangedRelease]) -> 
     named = set(message.charts)
     yield from (f"RobotKube-Chart: {chart} is missing; a changed release uses it" for chart in sorted(needed - named))
     yield from (f"RobotKube-Chart: no changed release has {chart}" for chart in sorted(named - allowed))
+    twice = sorted({chart for chart in message.charts if message.charts.count(chart) > 1})
+    yield from (f"RobotKube-Chart: {chart} stands twice; keep one of them" for chart in twice)
+
+
+def _named_evidence(message: CommitMessage, changed: Sequence[ChangedRelease]) -> Iterable[str]:
+    """Per chart the evidence that its changed releases name; a release that stays counts before one that goes."""
+    named = dict(zip(message.charts, message.evidence, strict=True))
+    staying = {_reference(pair.after): pair for pair in changed if pair.after}
+    going = {_reference(pair.before): pair for pair in changed if pair.before and not pair.after}
+    for chart, pair in sorted((going | staying).items(), key=lambda item: item[0]):
+        if chart in named and named[chart] != pair.evidence:
+            yield f"RobotKube-Evidence of {chart} is {named[chart]}, {pair.path} has {pair.evidence}"
 
 
 def _reference(release: Release) -> ChartReference:
@@ -202,19 +285,5 @@ def _named_tasks(message: CommitMessage, changed: Sequence[ChangedRelease]) -> I
 
 
 def _causes(release: Release | None) -> tuple[Cause, ...]:
-    """Causes as a commit names them: without the application."""
+    """Causes as a commit names them: without application and parameters."""
     return tuple(Cause(c.task, c.event, c.rule, c.trace, "") for c in release.causes) if release else ()
-
-
-def refusal_text(problems: Sequence[str]) -> str:
-    """The comment (Markdown) that tells the author of a proposal why it was refused."""
-    shown = [f"- {' '.join(problem.split())}" for problem in problems[:PROBLEMS_SHOWN_MAX]]
-    rest = len(problems) - len(shown)
-    more = [f"- and {rest} more"] if rest > 0 else []
-    return "\n".join(["Refused: the gate does not take this commit to main.", "", *shown, *more, ""])
-
-
-def stale_text(parent: str, tip: str) -> str:
-    """The comment that tells the author of a proposal that it has to be built again."""
-    where = f"this commit was built on {parent[:12]}, main is at {tip[:12]}"
-    return f"Closed, {STALE}: {where}. Build it again on main's tip.\n"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
 
@@ -142,9 +142,27 @@ def _message(
             causes |= after
         initial |= not (before | after) or (before == after and change.path in desired.initial)
     area, reason = _reason(changes, come, go, tasks, catalogue)
-    charts = {ChartReference(c.release.chart, c.release.version, c.release.digest) for c in changes}
+    evidence = _evidence(changes)
     verb = "withdraw" if go and not come and not initial else "deploy"
-    return CommitMessage(verb, area, reason, plan, tuple(sorted(causes)), initial or not causes, tuple(sorted(charts)))
+    return CommitMessage(
+        verb=verb,
+        area=area,
+        reason=reason,
+        plan=plan,
+        causes=tuple(sorted(causes)),
+        initial=initial or not causes,
+        charts=tuple(sorted(evidence)),
+        evidence=tuple(evidence[chart] for chart in sorted(evidence)),
+    )
+
+
+def _evidence(changes: Iterable[Change]) -> dict[ChartReference, str]:
+    """The evidence of every chart of the changed releases; of releases that stay rather than of those that go."""
+    found: dict[ChartReference, str] = {}
+    for change in sorted(changes, key=lambda c: c.kind != REMOVE):
+        release = change.release
+        found[ChartReference(release.chart, release.version, release.digest)] = release.evidence
+    return found
 
 
 def _reason(
@@ -165,8 +183,11 @@ def _reason(
     return (application.area if application else first.application), f"{reason or first.task}{more}"
 
 
-def describe(plan: Plan, desired: Desired, tasks: Mapping[str, TaskDescription], assurance: str) -> str:
-    """The pull request's body (Markdown): what was asked, every choice with its reason, what changes, the evidence."""
+def describe(
+    plan: Plan, desired: Desired, tasks: Mapping[str, TaskDescription], catalogue: Catalogue, suites: Sequence[str]
+) -> str:
+    """The pull request's body (Markdown): what was asked, every choice with its reason, what changes, the evidence.
+    `suites` are those of the verification policy."""
     lines = [f"Plan `{plan.id}` on `{plan.base[:12]}`.", "", "## Asked", ""]
     come, go = come_and_go(plan.changes)
     for cause in sorted(come):
@@ -188,8 +209,24 @@ def describe(plan: Plan, desired: Desired, tasks: Mapping[str, TaskDescription],
         lines.append(
             f"- {change.kind} `{change.release.key}` ({change.release.chart} {change.release.version}){_delta(change)}"
         )
-    lines += ["", "## Evidence", "", f"Assurance of the release policy: **{assurance}**."]
-    return "\n".join(lines) + "\n"
+    return "\n".join([*lines, "", *_evidence_lines(plan.message, catalogue, suites)]) + "\n"
+
+
+def _evidence_lines(message: CommitMessage, catalogue: Catalogue, suites: Sequence[str]) -> list[str]:
+    """The section about evidence: per chart what proves it, and its guarantees, which nothing proves yet."""
+    lines = ["## Evidence", "", f"Assurance of the release policy: **{catalogue.assurance}**.", ""]
+    for chart, evidence in zip(message.charts, message.evidence, strict=True):
+        version = catalogue.version(chart.name, chart.version)
+        if evidence == "none" or version is None:
+            lines.append(f"- {chart.name} {chart.version}: none")
+        else:
+            lines.append(
+                f"- {chart.name} {chart.version}: passed {', '.join(suites)} under policy `{version.policy[:19]}`; "
+                f"summary `{evidence}`"
+            )
+        claimed = [str(guarantee) for guarantee in version.guarantees] if version else []
+        lines += [f"  - guarantees: {', '.join(claimed)}"] if claimed else []
+    return lines
 
 
 def _quoted(text: str) -> str:
@@ -205,6 +242,8 @@ def _delta(change: Change) -> str:
     parts = [f"values {', '.join(keys)}"] if keys else []
     if change.before.digest != change.after.digest:
         parts.append(f"chart from {change.before.version} ({change.before.digest[7:19]})")
+    if change.before.evidence != change.after.evidence:
+        parts.append(f"evidence from {change.before.evidence[:19]}")
     if change.before.causes != change.after.causes:
         parts.append(f"tasks {len(change.before.causes)} -> {len(change.after.causes)}")
     return f": {'; '.join(parts)}"

@@ -8,10 +8,11 @@
     RobotKube-Trace: <32 hex>
     RobotKube-Plan: 20261121-100000-1a2b3c
     RobotKube-Chart: event-detector@0.1.0@sha256:...
-    RobotKube-Evidence: none
+    RobotKube-Evidence: sha256:...
 
-Task, Event, Rule and Trace come once per task, in this order. A change of the initial configuration has
-`RobotKube-Cause: initial` and the plan's id as its trace; a plan can have both.
+Task, Event, Rule and Trace come once per task, in this order; Evidence once per Chart, in the same order: the digest of
+the chart's verification summary, or `none`. A change of the initial configuration has `RobotKube-Cause: initial` and
+the plan's id as its trace; a plan can have both.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from robotkube.domain.errors import DocumentError
-from robotkube.domain.releases import DIGEST, NAME, PLAN, TASK, TOKEN, VERSION, Cause
+from robotkube.domain.releases import DIGEST, EVIDENCE, NAME, PLAN, TASK, TOKEN, VERSION, Cause
 
 SUBJECT_CHARACTERS_MAX = 100
 VERBS = ("deploy", "withdraw")
@@ -47,8 +48,9 @@ class ChartReference:
 
 @dataclass(frozen=True)
 class CommitMessage:
-    """What a plan's commit says. `causes` are the tasks (their `application` is not part of the text); `initial` is
-    true when the initial configuration changes as well or alone; `charts` are those of the changed releases, sorted."""
+    """What a plan's commit says. `causes` are the tasks (their `application` and `parameters` are not part of the
+    text); `initial` is true when the initial configuration changes as well or alone; `charts` are those of the changed
+    releases, sorted, and `evidence` goes with them, one word per chart."""
 
     verb: str
     area: str
@@ -57,7 +59,7 @@ class CommitMessage:
     causes: tuple[Cause, ...] = ()
     initial: bool = False
     charts: tuple[ChartReference, ...] = ()
-    evidence: str = "none"
+    evidence: tuple[str, ...] = ()
 
     @property
     def subject(self) -> str:
@@ -87,11 +89,9 @@ def write_message(message: CommitMessage) -> str:
         lines += [("Task", cause.task), ("Event", cause.event), ("Rule", cause.rule), ("Trace", cause.trace)]
     if message.initial:
         lines += [("Cause", INITIAL), ("Trace", message.plan)]
-    lines += [
-        ("Plan", message.plan),
-        *(("Chart", str(chart)) for chart in message.charts),
-        ("Evidence", message.evidence),
-    ]
+    lines.append(("Plan", message.plan))
+    for chart, evidence in zip(message.charts, message.evidence, strict=True):
+        lines += [("Chart", str(chart)), ("Evidence", evidence)]
     return "\n".join([message.subject, "", *(f"RobotKube-{key}: {value}" for key, value in lines)]) + "\n"
 
 
@@ -111,7 +111,7 @@ def read_message(text: str, where: str = "commit message") -> CommitMessage:
         causes=_causes(trailers, problems),
         initial=_initial(trailers, problems),
         charts=_charts(trailers["Chart"], problems),
-        evidence=_one(trailers, "Evidence", TOKEN, problems),
+        evidence=_evidence(trailers, problems),
     )
     problems += _completeness(message, trailers)
     if problems:
@@ -177,6 +177,18 @@ def _charts(values: Sequence[str], problems: list[str]) -> tuple[ChartReference,
         else:
             problems.append(f"RobotKube-Chart: {value!r} must be name@version@sha256:<64 hex>")
     return tuple(charts)
+
+
+def _evidence(trailers: dict[str, list[str]], problems: list[str]) -> tuple[str, ...]:
+    found, charts = trailers["Evidence"], trailers["Chart"]
+    if len(found) != len(charts):
+        problems.append(f"RobotKube-Evidence must stand once per RobotKube-Chart, found {len(found)} of {len(charts)}")
+    problems += [
+        f"RobotKube-Evidence: {word!r} must be `none` or sha256:<64 hex>"
+        for word in found
+        if not EVIDENCE.fullmatch(word)
+    ]
+    return tuple(found)
 
 
 def _completeness(message: CommitMessage, trailers: dict[str, list[str]]) -> Iterable[str]:

@@ -9,6 +9,7 @@ reads back equal, byte for byte.
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -27,31 +28,36 @@ FILES_KEPT_MAX = 4096  # files read once stay read: a plan looks at all of them
 
 NAME = re.compile(r"[a-z0-9]([a-z0-9-]{0,61}[a-z0-9])?", re.ASCII)
 DIGEST = re.compile(r"sha256:[0-9a-f]{64}", re.ASCII)
-VERSION = re.compile(r"\d+\.\d+\.\d+(-[0-9A-Za-z.-]+)?", re.ASCII)
+EVIDENCE = re.compile(r"none|sha256:[0-9a-f]{64}", re.ASCII)
+VERSION = re.compile(r"\d{1,9}\.\d{1,9}\.\d{1,9}(-[0-9A-Za-z.-]{1,64})?", re.ASCII)
 PLAN = re.compile(r"\d{8}-\d{6}-[0-9a-f]{6}", re.ASCII)
 TOKEN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._:-]{0,127}", re.ASCII)
 TASK = re.compile(r"[a-z0-9]([a-z0-9-]{0,61}[a-z0-9])?/[a-z0-9]([a-z0-9.-]{0,251}[a-z0-9])?", re.ASCII)
 URL = re.compile(r"oci://[A-Za-z0-9.-]+(:\d{1,5})?(/[a-z0-9][a-z0-9._-]*)+", re.ASCII)
 
 _LISTS = {"tasks": TASK, "events": TOKEN, "rules": TOKEN, "traces": TOKEN, "applications": NAME}
-_SINGLE = {"chart": NAME, "chart-version": VERSION, "chart-digest": DIGEST, "plan": PLAN, "evidence": TOKEN}
+_PARAMETERS = "parameters"
+_SINGLE = {"chart": NAME, "chart-version": VERSION, "chart-digest": DIGEST, "plan": PLAN, "evidence": EVIDENCE}
 
 
 @dataclass(frozen=True, order=True)
 class Cause:
-    """A task that a release or a commit answers: `task` is `<namespace>/<name>`, `application` the one it asked for."""
+    """A task that a release or a commit answers: `task` is `<namespace>/<name>`, `application` the one it asked for,
+    `parameters` the canonical JSON of the object it asked with."""
 
     task: str
     event: str
     rule: str
     trace: str
     application: str
+    parameters: str = "{}"
 
 
 @dataclass(frozen=True)
 class Release:
     """One release file. `values` are the chart's values (JSON values); `causes` is empty when only the initial
-    configuration asks for it; `plan` is the plan that last changed it."""
+    configuration asks for it; `plan` is the plan that last changed it; `evidence` the digest of the verification
+    summary of its chart, or `none`."""
 
     namespace: str
     name: str
@@ -134,6 +140,7 @@ def write_release(release: Release) -> str:
             "rules": " ".join(c.rule for c in release.causes),
             "traces": " ".join(c.trace for c in release.causes),
             "applications": " ".join(c.application for c in release.causes),
+            _PARAMETERS: "[" + ",".join(c.parameters for c in release.causes) + "]",
         }
     return write_mapping(
         {
@@ -206,7 +213,10 @@ def _outer(
 def _annotations(reader: Reader, value: Any) -> tuple[dict[str, str], tuple[Cause, ...]]:
     prefix, path = "robotkube.io/", "metadata.annotations"
     found = reader.mapping(
-        value if value is not None else {}, path, [prefix + k for k in _SINGLE], [prefix + k for k in _LISTS]
+        value if value is not None else {},
+        path,
+        [prefix + k for k in _SINGLE],
+        [prefix + k for k in (*_LISTS, _PARAMETERS)],
     )
     single = {
         key: reader.text(found.get(prefix + key), f"{path}.{prefix}{key}", pattern) for key, pattern in _SINGLE.items()
@@ -215,14 +225,15 @@ def _annotations(reader: Reader, value: Any) -> tuple[dict[str, str], tuple[Caus
         key: _words(reader, found.get(prefix + key), f"{path}.{prefix}{key}", pattern)
         for key, pattern in _LISTS.items()
     }
+    lists[_PARAMETERS] = _objects(reader, found.get(prefix + _PARAMETERS), f"{path}.{prefix}{_PARAMETERS}")
     if len({len(words) for words in lists.values()}) > 1:
         counts = ", ".join(f"{key} {len(words)}" for key, words in lists.items())
         reader.problems.append(
-            f"{path}: tasks, events, rules, traces and applications must be equally many, found {counts}"
+            f"{path}: tasks, events, rules, traces, applications and parameters must be equally many, found {counts}"
         )
         return single, ()
-    rows = zip(*(lists[key] for key in ("tasks", "events", "rules", "traces", "applications")), strict=True)
-    return single, tuple(Cause(*row) for row in rows)
+    order = ("tasks", "events", "rules", "traces", "applications", _PARAMETERS)
+    return single, tuple(Cause(*row) for row in zip(*(lists[key] for key in order), strict=True))
 
 
 def _words(reader: Reader, value: Any, path: str, pattern: re.Pattern[str]) -> list[str]:
@@ -232,6 +243,26 @@ def _words(reader: Reader, value: Any, path: str, pattern: re.Pattern[str]) -> l
         reader.problems.append(f"{path}: must be words separated by single spaces")
         return []
     return [reader.text(word, path, pattern) for word in value.split(" ")]
+
+
+def canonical(value: Mapping[str, Any]) -> str:
+    """The one JSON text of a mapping: keys sorted, no spaces, ASCII only."""
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def _objects(reader: Reader, value: Any, path: str) -> list[str]:
+    """A JSON list of objects, each as its canonical text; the whole must be written canonically itself."""
+    if value is None:
+        return []
+    try:
+        found = json.loads(value) if isinstance(value, str) else None
+        objects = [canonical(item) for item in found] if isinstance(found, list) else []
+    except (ValueError, TypeError, RecursionError):
+        objects = []
+    if not objects or not all(text.startswith("{") for text in objects) or value != "[" + ",".join(objects) + "]":
+        reader.problems.append(f"{path}: must be a JSON list of objects, keys sorted, without spaces")
+        return []
+    return objects
 
 
 @lru_cache(FILES_KEPT_MAX)

@@ -20,7 +20,20 @@ REFUSAL_REASONS = (
     "NoCapableNode",
     "CompositionFailed",
 )
-CONDITIONS = ("Accepted", "Committed", "Synced", "Ready")
+MERGED, PROPOSED, WAITING = "Merged", "Proposed", "Waiting"
+PROPOSAL_REFUSED, WAITS_FOR_APPROVAL = "ProposalRefused", "WaitsForApproval"
+GATE_UNAVAILABLE, FORGE_UNAVAILABLE = "GateUnavailable", "ForgeUnavailable"
+REASONS: Mapping[str, tuple[str, ...]] = {
+    "Accepted": ("Accepted", *REFUSAL_REASONS, FORGE_UNAVAILABLE),
+    "Committed": (
+        *(MERGED, PROPOSED, WAITING),
+        *(PROPOSAL_REFUSED, WAITS_FOR_APPROVAL, GATE_UNAVAILABLE, FORGE_UNAVAILABLE),
+    ),
+    "Synced": ("Applied", "Progressing"),
+    "Ready": ("Observed", "Progressing"),
+}
+CONDITIONS = tuple(REASONS)
+PARAMETERS_BYTES_MAX = 16 * 1024  # they stand in every release file that answers the task
 
 
 @dataclass(frozen=True)

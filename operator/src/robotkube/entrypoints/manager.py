@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from robotkube.adapters.argocd import ArgoCDServer, PushHook
+from robotkube.adapters.evidence_dsse import TrustedKeys
 from robotkube.adapters.git_clones import GitClone
 from robotkube.adapters.git_deployment import ProposalWriter
 from robotkube.adapters.gitea import GiteaForge
@@ -35,9 +36,10 @@ from robotkube.services.application_manager import (
     World,
     metrics_text,
 )
+from robotkube.services.assured_catalogue import AssuredCatalogue
 from robotkube.services.manager_observing import PlanObserver
 from robotkube.services.manager_planning import ManagerSettings, Planner
-from robotkube.services.manager_reading import CatalogueReader, MainReader
+from robotkube.services.manager_reading import MainReader
 
 GRACE_SECONDS = 5.0
 SYNC_SECONDS_MAX = 60.0
@@ -62,12 +64,13 @@ class ManagerConfiguration:
     hook_url: str
     hook_secret: str
     webhook_secret: str
+    evidence_keys: Path
     manager: ManagerSettings
 
 
 def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ManagerConfiguration:
     """The settings document of the manager."""
-    keys = ["listen", "log_level", "forge", "registry", "argocd", "hook", "webhook", "agents"]
+    keys = ["listen", "log_level", "forge", "registry", "evidence", "argocd", "hook", "webhook", "agents"]
     root = reader.mapping(document, "", keys)
     forge_keys = ["url", "credentials", "deployment", "catalogue", "branch"]
     forge = reader.mapping(root.get("forge") or {}, "forge", forge_keys)
@@ -75,6 +78,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ManagerCo
     argocd = reader.mapping(root.get("argocd") or {}, "argocd", ["url", "credentials", "namespace", "project"])
     hook = reader.mapping(root.get("hook") or {}, "hook", ["url", "secret"])
     webhook = reader.mapping(root.get("webhook") or {}, "webhook", ["secret"])
+    evidence = reader.mapping(root.get("evidence") or {}, "evidence", ["keys"])
     return ManagerConfiguration(
         listen=files.listen(reader, root.get("listen")),
         log_level=files.log_level(reader, root.get("log_level")),
@@ -90,6 +94,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ManagerCo
         hook_url=reader.word(hook.get("url"), "hook.url", files.HTTP_URL),
         hook_secret=files.secret(reader, hook.get("secret"), "hook.secret"),
         webhook_secret=files.secret(reader, webhook.get("secret"), "webhook.secret"),
+        evidence_keys=Path(reader.word(evidence.get("keys"), "evidence.keys", files.PATH)),
         manager=ManagerSettings(
             agents=_agents(reader, root.get("agents")),
             charts_url=reader.word(registry.get("charts"), "registry.charts", files.CHARTS_URL),
@@ -131,7 +136,8 @@ def build_manager(found: ManagerConfiguration, cluster: KubernetesWorld, work: P
     work.mkdir(parents=True, exist_ok=True)
     deployment = GitClone(url, found.deployment, *account, work / "deployment", branch=found.branch)
     proposals = ProposalWriter(work / "deployment", *account, COMMIT_AUTHOR, time.time, branch=found.branch)
-    catalogue = CatalogueReader(GitClone(url, found.catalogue, *account, work / "catalogue", branch=found.branch))
+    clone = GitClone(url, found.catalogue, *account, work / "catalogue", branch=found.branch)
+    catalogue = AssuredCatalogue(clone, TrustedKeys(found.evidence_keys))
     main = MainReader(deployment)
     hook = PushHook(found.hook_url, found.hook_secret.encode(), f"{url}/{found.deployment}", branch=found.branch)
     argocd_account = (found.argocd_account.username, found.argocd_account.password)

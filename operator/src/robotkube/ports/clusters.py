@@ -20,6 +20,10 @@ class TaskStore(Protocol):
         """Replace the given fields of the status; False when the task is gone."""
         ...
 
+    def tell(self, task: Mapping[str, Any], reason: str, text: str) -> None:
+        """Put a warning on the task (a Kubernetes Event); the same text on the same task once."""
+        ...
+
 
 class Cluster(Protocol):
     """What the manager sees of the cluster; values are snapshots kept up to date by watches."""

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+from robotkube.domain.merging import Review
+
 
 @dataclass(frozen=True)
 class PullRequest:
@@ -49,6 +51,10 @@ class Forge(Protocol):
 
     def comment(self, number: int, text: str) -> None:
         """Add a comment (Markdown)."""
+        ...
+
+    def reviews(self, number: int) -> Sequence[Review]:
+        """Approvals and requests for changes of a pull request that still stand, oldest first, at most 50."""
         ...
 
     def edit_comment(self, identifier: int, text: str) -> None:

@@ -83,6 +83,10 @@ class MainBranch(RepositoryFiles, Protocol):
         """Whether `commit` is main's tip or one of its ancestors."""
         ...
 
+    def brought(self, commit: str) -> Commit:
+        """`commit`, which is here, with everything it brings since it left main: as if that were its only parent."""
+        ...
+
     def push_main(self, commit: str) -> bool:
         """Move main to `commit` (its parent must be main's tip); False when main has moved meanwhile."""
         ...

@@ -11,31 +11,32 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
-from robotkube.domain.checks import STALE
-from robotkube.domain.errors import RobotKubeError
+from robotkube.domain.errors import RefusalError, RobotKubeError, UnavailableError
 from robotkube.domain.planning import Plan, describe
 from robotkube.ports.clusters import Cluster, TaskStore
-from robotkube.ports.forges import Forge, PullRequest
+from robotkube.ports.forges import Forge
 from robotkube.ports.git import DeploymentRepository, Proposals
+from robotkube.services.assured_catalogue import AssuredCatalogue, read_policy
+from robotkube.services.manager_decisions import Decisions, Proposal
 from robotkube.services.manager_observing import PlanObserver
 from robotkube.services.manager_planning import Planner
-from robotkube.services.manager_reading import CatalogueReader, MainReader, catalogue_page
+from robotkube.services.manager_reading import MainReader, catalogue_page
 from robotkube.services.manager_records import PlanRecord, PlanRecords, record_of, records_of
 from robotkube.services.manager_statuses import Situation, StatusWriter
 
 DECISION_POLL_SECONDS = 0.5  # the forge's webhook is the normal way; asking costs the forge what the gate needs
 DECISION_EAGER_SECONDS = 5.0
 DECISION_POLL_SECONDS_LATER = 2.0
-DECISION_SECONDS_MAX = 60.0
 ATTEMPTS_MAX = 10
 PAUSE_SECONDS = 5.0
 LOOK_SECONDS = 10.0
 OBSERVE_POLL_SECONDS = 1.0
 FAILURE_SECONDS = 1.0
 SILENT_SECONDS_MAX = 30.0
+SAID_SECONDS = 15.0  # after so long without the forge the tasks are told
 COMMITS_READ_MAX = 200
 TASKS, NODES, APPLICATIONS, DEPLOYMENT, CATALOGUE = "tasks", "nodes", "applications", "deployment", "catalogue"
 PLANNED_FOR = frozenset({TASKS, NODES, DEPLOYMENT, CATALOGUE})
@@ -52,15 +53,6 @@ class World:
     deployment: DeploymentRepository
     proposals: Proposals
     forge: Forge
-
-
-@dataclass
-class _Proposal:
-    """A plan that waits for the gate; `since` in monotonic seconds."""
-
-    plan: Plan
-    record: PlanRecord
-    since: float
 
 
 @dataclass
@@ -83,7 +75,7 @@ class ApplicationManager:
     def __init__(
         self,
         world: World,
-        catalogue: CatalogueReader,
+        catalogue: AssuredCatalogue,
         main: MainReader,
         planner: Planner,
         observer: PlanObserver,
@@ -98,7 +90,8 @@ class ApplicationManager:
         self._flags = {TASKS, DEPLOYMENT, CATALOGUE}
         self._lock, self._woken = threading.Lock(), threading.Event()
         self._demand_seen: int | None = None
-        self._proposal: _Proposal | None = None
+        self._decisions = Decisions(world.deployment, world.forge, monotonic)
+        self._proposal: Proposal | None = None
         self._undecided: list[PlanRecord] = []
         self._attempts = 0
         self._not_before = self._looked_at = self._seen_at = float("-inf")
@@ -148,6 +141,16 @@ class ApplicationManager:
             log.error("step failed reason=%r", str(error))
         self._problem = str(error)
         self._again(DEPLOYMENT, CATALOGUE)
+        if isinstance(error, UnavailableError) and self._monotonic() - self._seen_at > SAID_SECONDS:
+            self._say_forge_unavailable()
+
+    def _say_forge_unavailable(self) -> None:
+        """The statuses are in the cluster, which may well answer while the forge does not."""
+        text = "the forge does not answer; the task waits, and goes on when the forge is back"
+        try:
+            self._statuses.write(replace(self._situation(), forge_unavailable=text))
+        except RobotKubeError as error:
+            log.error("statuses not written reason=%r", str(error))
 
     def _again(self, *what: str) -> None:
         """The next step plans again, whatever was seen before."""
@@ -201,7 +204,7 @@ class ApplicationManager:
         unknown = [r for r in records_of(commits) if r.id != mine and not self.records.has_merged(r.id)]
         pulls = {pull.head: pull for pull in self._world.forge.pull_requests("all")} if unknown else {}
         for record in unknown:
-            self._name(record, pulls.get(record.commit))
+            self._decisions.name(record, pulls.get(record.commit))
             self.records.add(record)
             self._observer.watch(record)
         if unknown:
@@ -209,44 +212,25 @@ class ApplicationManager:
 
     # -- following a proposal ---------------------------------------------------------------------------------------
 
-    def _follow(self, proposal: _Proposal) -> None:
-        """Merged, outdated, refused, or no decision yet."""
-        if self._world.deployment.contains(proposal.record.commit):
+    def _follow(self, proposal: Proposal) -> None:
+        """Merged, outdated, refused, or no decision yet: then it waits as long as it takes, since the gate decides what
+        it finds open whenever it comes back."""
+        outcome, text = self._decisions.look(proposal, self._main.tip)
+        if outcome == "merged":
             self._merged(proposal.record)
             self._proposal, self._attempts = None, 0
             self._planner.accepted()
             self._again()
-        elif self._main.tip != proposal.plan.base:
+        elif outcome == "outdated":
             self._outdated(proposal)
-        elif (pull := self._pull_request(proposal.record)) is not None and pull.state == "closed" and not pull.merged:
-            self._closed(proposal, self._last_comment(pull.number))
-        elif self._monotonic() - proposal.since > DECISION_SECONDS_MAX:
-            proposal.record.error = f"no decision of the gate within {DECISION_SECONDS_MAX:.0f} s"
-            log.error("plan undecided plan=%s pull_request=%s", proposal.plan.id, proposal.record.pull_request)
-            self._put_aside(proposal, PAUSE_SECONDS)
-
-    def _pull_request(self, record: PlanRecord) -> PullRequest | None:
-        if record.pull_request is not None:
-            found: PullRequest | None = self._world.forge.pull_request(record.pull_request)
-        else:
-            found = next((p for p in self._world.forge.pull_requests("all") if p.head == record.commit), None)
-        self._name(record, found)
-        return found
-
-    @staticmethod
-    def _name(record: PlanRecord, pull: PullRequest | None) -> None:
-        if pull is not None:
-            record.pull_request, record.url = pull.number, pull.url
-
-    def _last_comment(self, number: int) -> str:
-        comments = self._world.forge.comments(number)
-        return comments[-1].text.strip() if comments else "closed without a comment"
+        elif outcome == "refused":
+            self._refused(proposal, text)
 
     def _merged(self, record: PlanRecord) -> None:
         record.times.setdefault("merged", self._now_ns())
         record.error, record.on_main = None, True
         if not record.url:
-            self._pull_request(record)
+            self._decisions.pull_request(record)
         self.statistics.plans["merged"] += 1
         self._observer.watch(record)
         log.info("plan merged plan=%s commit=%s pull_request=%s", record.id, record.commit[:12], record.pull_request)
@@ -257,7 +241,7 @@ class ApplicationManager:
             self._undecided.remove(record)
             self._merged(record)
 
-    def _outdated(self, proposal: _Proposal) -> None:
+    def _outdated(self, proposal: Proposal) -> None:
         self.statistics.plans["outdated"] += 1
         self._attempts += 1
         proposal.record.error = "main moved before the gate decided; built again"
@@ -266,21 +250,17 @@ class ApplicationManager:
         self._put_aside(proposal, PAUSE_SECONDS if exhausted else 0.0)
         self._attempts = 0 if exhausted else self._attempts
 
-    def _put_aside(self, proposal: _Proposal, pause: float) -> None:
+    def _put_aside(self, proposal: Proposal, pause: float) -> None:
         self._proposal = None
         self._undecided = [*self._undecided[1 - ATTEMPTS_MAX :], proposal.record]
         self._not_before = self._monotonic() + pause
         self._again(DEPLOYMENT)
 
-    def _closed(self, proposal: _Proposal, text: str) -> None:
-        if STALE in text.partition("\n")[0]:
-            self._outdated(proposal)
-            return
+    def _refused(self, proposal: Proposal, text: str) -> None:
         self.statistics.plans["refused"] += 1
         proposal.record.error = text
-        log.error(
-            "plan refused plan=%s pull_request=%s reason=%r", proposal.plan.id, proposal.record.pull_request, text
-        )
+        number = proposal.record.pull_request
+        log.error("plan refused plan=%s pull_request=%s reason=%r", proposal.plan.id, number, text)
         self._planner.refused(proposal.plan, proposal.record)
         self._proposal = None
         self._again()
@@ -303,12 +283,19 @@ class ApplicationManager:
 
     def _propose(self, plan: Plan, record: PlanRecord) -> None:
         record.commit = self._world.proposals.commit(plan.base, plan.files, plan.text)
-        body = describe(plan, self._planner.desired, self._planner.tasks, self._catalogue.catalogue.assurance)
-        record.pull_request = self._world.proposals.propose(record.commit, plan.id, plan.title, body)
-        record.times["proposed"] = self._now_ns()
+        policy, _ = read_policy(self._catalogue.files)
+        suites = [rule.name for rule in policy.suites] if policy else []
+        body = describe(plan, self._planner.desired, self._planner.tasks, self._catalogue.catalogue, suites)
+        proposal = Proposal(plan, record, self._monotonic())
         self.records.add(record)
+        try:
+            record.pull_request = self._world.proposals.propose(record.commit, plan.id, plan.title, body)
+        except RefusalError as error:
+            self._refused(proposal, error.message)
+            return
+        record.times["proposed"] = self._now_ns()
         self.statistics.plans["proposed"] += 1
-        self._proposal = _Proposal(plan, record, self._monotonic())
+        self._proposal = proposal
         log.info(
             "plan proposed plan=%s pull_request=%s created=%d changed=%d removed=%d milliseconds=%.0f subject=%r",
             *(plan.id, record.pull_request, len(record.created), len(record.changed), len(record.removed)),

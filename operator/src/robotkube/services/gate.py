@@ -1,8 +1,10 @@
-"""The gate: checks what the manager proposes, moves main to exactly the checked commit, and tells Argo CD.
+"""The gate of the deployment repository: checks pull requests, moves main to exactly the checked commit, tells Argo CD.
 
-Level-triggered: a round looks at the open proposals and at main's tip, decides and acts; a webhook only brings the next
-round forward. So lost webhooks, restarts and half-finished rounds are repaired by the next round. A proposal whose
-commit is in main already is left to the forge, which marks it merged by itself.
+Level-triggered: a round looks at the open pull requests and at main's tip, decides and acts; a webhook only brings the
+next round forward, and names the pull request to look at first. So lost webhooks, restarts and half-finished rounds are
+repaired by the next round. A pull request whose commit is in main already is left to the forge, which marks it merged
+by itself. Nobody's word about a commit counts (statuses, labels): what is judged is read from Git, by whom it was
+proposed from the forge.
 """
 
 from __future__ import annotations
@@ -13,34 +15,26 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from robotkube.domain import checks
-from robotkube.domain.catalogue import FOLDERS as CATALOGUE_FOLDERS
-from robotkube.domain.catalogue import Catalogue, read_catalogue
-from robotkube.domain.errors import RobotKubeError
-from robotkube.domain.releases import RELEASES, SOURCES, read_tree
+from robotkube.domain import verdict_texts
+from robotkube.domain.checks import Proposal, Verdict
+from robotkube.domain.checks_releases import Validate
+from robotkube.domain.errors import DocumentError, RobotKubeError
+from robotkube.domain.merging import APPROVAL, AUTOMATIC, Way, is_approved
 from robotkube.ports.forges import Forge, PullRequest, PushHook
-from robotkube.ports.git import Commit, MainBranch, RepositoryFiles
+from robotkube.ports.git import Commit, MainBranch
+from robotkube.services.assured_catalogue import AssuredCatalogue
+from robotkube.services.gate_rules import GateSettings, RuleBook
 
-POLL_SECONDS = 2.0  # open proposals, when no webhook came
-LOOK_SECONDS = 10.0  # main's tip and the catalogue, when no webhook came
+POLL_SECONDS = 2.0  # open pull requests, when no webhook came
+LOOK_SECONDS = 10.0  # main's tip, the catalogue and approvals, when no webhook came
 SILENT_SECONDS_MAX = 30.0  # not ready when the forge was not seen for longer
-VERDICTS = ("accepted", "refused", "stale", "failed")
+HINTS_MAX = 100
+VERDICTS = ("accepted", "refused", "stale", "checked", "failed")
 HOOKS = ("taken", "lost")
 WAKING_ACTIONS = frozenset({"opened", "reopened", "synchronized"})
+REVIEWED = "reviewed"
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class GateSettings:
-    """`deployment`, `catalogue`: `<organisation>/<name>` of the repositories; `proposer`: the only account whose
-    proposals are taken; `namespaces`: of the declared agents; `charts_url`: oci://host/organisation."""
-
-    deployment: str
-    catalogue: str
-    proposer: str
-    namespaces: frozenset[str]
-    charts_url: str
 
 
 @dataclass
@@ -54,6 +48,22 @@ class GateStatistics:
     rounds: int = 0
 
 
+@dataclass(frozen=True)
+class _Case:
+    """One pull request under decision."""
+
+    pull: PullRequest
+    commit: Commit
+    proposal: Proposal
+    verdict: Verdict
+    way: Way
+    approved: bool
+
+    @property
+    def mergeable(self) -> bool:
+        return self.verdict.accepted and (self.way == AUTOMATIC or self.approved)
+
+
 class Gate:
     """One gate for one deployment repository; `run` on one thread, `wake` from any.
 
@@ -64,34 +74,52 @@ class Gate:
         self,
         forge: Forge,
         main: MainBranch,
-        catalogue: RepositoryFiles,
+        catalogue: AssuredCatalogue,
         push_hook: PushHook,
         settings: GateSettings,
+        validate: Validate,
         monotonic: Callable[[], float],
     ) -> None:
-        self._forge, self._main, self._catalogue_files, self._push_hook = forge, main, catalogue, push_hook
+        self._forge, self._main, self._push_hook = forge, main, push_hook
         self._settings, self._monotonic = settings, monotonic
+        self._rules = RuleBook(settings, main, catalogue, validate)
         self.statistics = GateStatistics()
-        self._catalogue: tuple[str, Catalogue] = ("", Catalogue())
         self._announced = ""
         self._settled: dict[int, str] = {}
-        self._told: dict[int, str] = {}
-        self._woken = threading.Event()
+        self._waiting: set[int] = set()
+        self._said: dict[int, set[str]] = {}
+        self._hints: dict[int, PullRequest] = {}
+        self._lock, self._woken = threading.Lock(), threading.Event()
         self._look_due = True
         self._seen_at = monotonic() - SILENT_SECONDS_MAX - 1
 
     # -- waking ---------------------------------------------------------------------------------------------------
 
     def wake(self, event: str, payload: Mapping[str, Any]) -> None:
-        """A signed delivery of the forge; only decides whether the next round comes now."""
+        """A signed delivery of the forge; only decides what the next round looks at, and that it comes now."""
         repository = (payload.get("repository") or {}).get("full_name")
+        action = payload.get("action") if event.startswith("pull_request") else ""
         moved_main = event == "push" and payload.get("after") not in (self._main.tip, self._announced)
-        proposed = event.startswith("pull_request") and payload.get("action") in WAKING_ACTIONS
-        if repository == self._settings.catalogue or moved_main:
+        if repository == self._settings.catalogue or moved_main or action == REVIEWED:
             self._look_due = True
             self._woken.set()
-        elif proposed:
+        elif action in WAKING_ACTIONS:
+            self._hint(payload.get("pull_request") or {})
             self._woken.set()
+
+    def _hint(self, found: Mapping[str, Any]) -> None:
+        """Remember what was proposed: the round need not ask the forge for all that is open first."""
+        author, head = (found.get("user") or {}).get("login"), (found.get("head") or {}).get("sha")
+        if not (isinstance(found.get("number"), int) and isinstance(author, str) and isinstance(head, str)):
+            return
+        with self._lock:
+            if len(self._hints) < HINTS_MAX:
+                self._hints[found["number"]] = PullRequest(found["number"], "", "", author, "open", head, False)
+
+    def _take_hints(self) -> list[PullRequest]:
+        with self._lock:
+            hints, self._hints = self._hints, {}
+        return [pull for _, pull in sorted(hints.items())]
 
     def stop(self, stopping: threading.Event) -> None:
         """End `run` after the round that is under way."""
@@ -105,104 +133,143 @@ class Gate:
 
     def run(self, stopping: threading.Event) -> None:
         """Rounds until `stopping` is set; errors of the world are logged and met again in the next round."""
-        looked_at = self._monotonic() - LOOK_SECONDS
+        looked_at = listed_at = self._monotonic() - LOOK_SECONDS
         while not stopping.is_set():
             self._woken.clear()
             look = self._look_due or self._monotonic() - looked_at >= LOOK_SECONDS
-            if look:
-                self._look_due, looked_at = False, self._monotonic()
             try:
-                self.round(look)
+                self.answer_hints()
+                if look or self._monotonic() - listed_at >= POLL_SECONDS:
+                    self._look_due, listed_at = False, self._monotonic()
+                    looked_at = listed_at if look else looked_at
+                    self.round(look)
             except RobotKubeError as error:
                 log.error("round failed reason=%s", error)
             self._woken.wait(POLL_SECONDS)
 
     # -- one round ------------------------------------------------------------------------------------------------
 
+    def answer_hints(self) -> None:
+        """Decide what webhooks named; whatever goes wrong with it, the next round finds it open."""
+        for pull in self._take_hints():
+            if self._settled.get(pull.number) != pull.head:
+                self._try_to_decide(pull)
+
     def round(self, look_at_main: bool = True) -> None:
-        """Decide all open proposals, oldest first; then, when asked, see whether main moved; announce it if so."""
+        """Decide all open pull requests, oldest first; then, when asked, see whether main moved; announce it if so."""
         self.statistics.rounds += 1
-        proposals = self._forge.pull_requests("open", self._settings.proposer)
+        pulls = self._forge.pull_requests("open")
         self._seen_at = self._monotonic()
-        open_numbers = {proposal.number for proposal in proposals}
-        for known in (self._settled, self._told):
-            for number in known.keys() - open_numbers:
-                del known[number]
-        for proposal in sorted(proposals, key=lambda found: found.number):
-            if proposal.author == self._settings.proposer and self._settled.get(proposal.number) != proposal.head:
-                self._try_to_decide(proposal)
+        self._forget_all_but({pull.number for pull in pulls})
         if look_at_main:
             self._main.fetch()
-            self._read_catalogue(fresh=True)
+            self._rules.refresh()
+        for pull in sorted(pulls, key=lambda found: found.number):
+            waits = pull.number in self._waiting
+            if self._settled.get(pull.number) != pull.head or (waits and look_at_main):
+                self._try_to_decide(pull)
         if self._main.tip != self._announced:
             self._announce(self._announced, self._main.tip)
 
-    def _try_to_decide(self, pull_request: PullRequest) -> None:
+    def _forget_all_but(self, numbers: set[int]) -> None:
+        self._waiting &= numbers
+        for known in (self._settled, self._said):
+            for number in known.keys() - numbers:
+                del known[number]
+
+    def _try_to_decide(self, pull: PullRequest) -> None:
         try:
-            self._decide(pull_request)
+            self._decide(pull)
         except RobotKubeError as error:
             self.statistics.verdicts["failed"] += 1
-            log.error("proposal failed number=%d reason=%s", pull_request.number, error)
+            log.error("proposal failed number=%d reason=%s", pull.number, error)
 
-    def _decide(self, pull_request: PullRequest) -> None:
+    def _decide(self, pull: PullRequest) -> None:
         started = self._monotonic()
-        commit = self._main.proposal(pull_request.number)
-        if self._main.contains(commit.id):
-            self._settled[pull_request.number] = commit.id
+        try:
+            commit = self._main.proposal(pull.number)
+            if self._main.contains(commit.id):
+                self._settled[pull.number] = commit.id
+                return
+            fetched = self._monotonic()
+            case = self._case(pull, commit)
+        except DocumentError as error:
+            self._unreadable(pull, str(error))
             return
-        fetched = self._monotonic()
-        verdict = self._judge(commit)
         judged = self._monotonic()
         before = self._main.tip
-        if verdict.accepted and not self._main.push_main(commit.id):
+        merged = case.mergeable and self._main.push_main(commit.id)
+        verdict = case.verdict
+        if case.mergeable and not merged:
             self._main.fetch()
-            verdict = checks.Verdict(stale=True)
-        if not verdict.accepted:
-            self._turn_down(pull_request.number, commit, verdict)
+            verdict = Verdict(stale=True)
+        if not merged:
+            self._answer(case, verdict)
         decided = self._monotonic()
-        self._settled[pull_request.number] = commit.id
-        if verdict.accepted:
+        news = merged or self._settled.get(pull.number) != commit.id
+        self._settled[pull.number] = commit.id
+        if merged:
             self._announce(before, commit.id)
-        self._record(pull_request.number, commit, verdict, (started, fetched, judged, decided, self._monotonic()))
+        if news:
+            self._record(case, verdict, merged, (started, fetched, judged, decided, self._monotonic()))
 
-    def _judge(self, commit: Commit) -> checks.Verdict:
-        verdict = self._judge_with(commit, self._read_catalogue(fresh=False))
-        if verdict.problems:  # the catalogue may have moved without its webhook reaching this gate
-            known = self._catalogue[0]
-            self._read_catalogue(fresh=True)
-            if self._catalogue[0] != known:
-                return self._judge_with(commit, self._catalogue[1])
-        return verdict
+    def _unreadable(self, pull: PullRequest, problem: str) -> None:
+        """What cannot even be read is refused as it stands."""
+        self.statistics.verdicts["refused"] += 1
+        log.error("proposal unreadable number=%d problem=%r", pull.number, problem)
+        self._say(pull.number, verdict_texts.refusal_text(pull.head, [problem]))
+        if self._settings.proposer(pull.author) is not None:
+            self._forge.close(pull.number)
+        self._settled[pull.number] = pull.head
 
-    def _judge_with(self, commit: Commit, catalogue: Catalogue) -> checks.Verdict:
-        files = self._main.files(self._main.tip, (RELEASES, SOURCES))
-        after = checks.folders_of(checks.apply_changes(files, commit.changes))
-        proposal = checks.Proposal(
-            commit.parents, commit.message, commit.changes, commit.irregular, read_tree(files), read_tree(after)
+    def _case(self, pull: PullRequest, commit: Commit) -> _Case:
+        """Everything that decides, read from Git, the catalogue and main; a refusal only after the catalogue was read
+        again, since its webhook may have been lost."""
+        plans = self._settings.proposer(pull.author) is not None
+        commit = commit if plans else self._main.brought(commit.id)
+        proposal = self._rules.proposal(commit)
+        verdict = self._rules.judge(pull.author, proposal)
+        if verdict.problems and self._rules.refresh():
+            verdict = self._rules.judge(pull.author, proposal)
+        way = self._rules.merge_policy().way(pull.author, proposal.paths)
+        asks = way == APPROVAL and not (plans and not verdict.accepted)
+        approved = asks and is_approved(
+            self._forge.reviews(pull.number), commit.id, pull.author, self._settings.accounts
         )
-        rules = checks.Rules(self._settings.namespaces, self._settings.charts_url, catalogue)
-        return checks.judge(proposal, self._main.tip, rules)
+        return _Case(pull, commit, proposal, verdict, way, approved)
 
-    def _read_catalogue(self, fresh: bool) -> Catalogue:
-        known, catalogue = self._catalogue
-        if fresh or not known:
-            tip = self._catalogue_files.fetch()
-            if tip != known:
-                catalogue = read_catalogue(self._catalogue_files.files(tip, CATALOGUE_FOLDERS))
-                self._catalogue = (tip, catalogue)
-                for problem in catalogue.problems:
-                    log.warning("catalogue entry unusable commit=%s problem=%s", tip[:12], problem)
-        return catalogue
+    # -- what is said ---------------------------------------------------------------------------------------------
 
-    def _turn_down(self, number: int, commit: Commit, verdict: checks.Verdict) -> None:
-        if verdict.stale:
-            text = checks.stale_text(commit.parents[0] if commit.parents else "", self._main.tip)
+    def _answer(self, case: _Case, verdict: Verdict) -> None:
+        """Say why a pull request did not become main. A manager's is closed with that, unless it waits for people; a
+        person's stays open."""
+        number, commit = case.pull.number, case.commit
+        self._waiting.discard(number)
+        if self._settings.proposer(case.pull.author) is None:
+            self._say(number, verdict_texts.checked_text(commit.id, case.verdict, case.way))
+            if case.approved:
+                self._say(number, verdict_texts.held_text(commit.id, verdict))
+            if case.way == APPROVAL:
+                self._waiting.add(number)
+        elif verdict.accepted:
+            self._say(number, verdict_texts.waiting_text(commit.id, case.way))
+            self._waiting.add(number)
         else:
-            text = checks.refusal_text(verdict.problems)
-        if self._told.get(number) != commit.id:  # said once, also when closing has to be tried again
+            parent = commit.parents[0] if commit.parents else ""
+            stale = verdict_texts.stale_text(parent, self._main.tip)
+            self._say(number, stale if verdict.stale else verdict_texts.refusal_text(commit.id, verdict.problems))
+            self._forge.close(number)
+
+    def _say(self, number: int, text: str) -> None:
+        """Once per pull request and first line, also across restarts."""
+        first = text.partition("\n")[0]
+        if number not in self._said:
+            comments = self._forge.comments(number)
+            own = (comment.text for comment in comments if comment.author == self._settings.account)
+            self._said[number] = {said.partition("\n")[0] for said in own}
+        if first not in self._said[number]:
             self._forge.comment(number, text)
-            self._told[number] = commit.id
-        self._forge.close(number)
+            self._said[number].add(first)
 
     def _announce(self, before: str, after: str) -> None:
         """Tell Argo CD; what was not taken is told again in the next round."""
@@ -213,19 +280,21 @@ class Gate:
         else:
             self.statistics.hooks["lost"] += 1
 
-    def _record(self, number: int, commit: Commit, verdict: checks.Verdict, at: tuple[float, ...]) -> None:
+    def _record(self, case: _Case, verdict: Verdict, merged: bool, at: tuple[float, ...]) -> None:
         started, fetched, judged, decided, announced = at
-        name = "accepted" if verdict.accepted else "stale" if verdict.stale else "refused"
+        plans = self._settings.proposer(case.pull.author) is not None
+        refusal = "stale" if verdict.stale else "refused" if verdict.problems else "checked"
+        name = "accepted" if merged else refusal if plans else "checked"
         self.statistics.verdicts[name] += 1
         self.statistics.decision_seconds += decided - started
         log.info(
-            "proposal number=%d commit=%s verdict=%s problems=%d "
+            "proposal number=%d author=%s commit=%s verdict=%s way=%s problems=%d "
             "fetch_ms=%.0f check_ms=%.0f decide_ms=%.0f hook_ms=%.0f subject=%r",
-            *(number, commit.id[:12], name, len(verdict.problems)),
+            *(case.pull.number, case.pull.author, case.commit.id[:12], name, case.way, len(verdict.problems)),
             *(1000 * (fetched - started), 1000 * (judged - fetched), 1000 * (decided - judged)),
             1000 * (announced - decided),
-            commit.message.partition("\n")[0],
-        )  # fmt: skip
+            case.commit.message.partition("\n")[0],
+        )
 
 
 def metrics_text(statistics: GateStatistics) -> str:

@@ -16,7 +16,8 @@ from robotkube.domain.planning import Plan, differences, fingerprint, make_plan
 from robotkube.domain.releases import Release
 from robotkube.domain.tasks import TaskDescription, is_withdrawn, object_key, read_task
 from robotkube.ports.clusters import Cluster, TaskStore
-from robotkube.services.manager_reading import CatalogueReader, MainReader
+from robotkube.services.assured_catalogue import AssuredCatalogue
+from robotkube.services.manager_reading import MainReader
 from robotkube.services.manager_records import PlanRecord
 
 TASKS_PER_PLAN_MAX = 100
@@ -41,7 +42,7 @@ class Planner:
         settings: ManagerSettings,
         tasks: TaskStore,
         cluster: Cluster,
-        catalogue: CatalogueReader,
+        catalogue: AssuredCatalogue,
         main: MainReader,
         render: Render,
         validate: Validate,
@@ -101,6 +102,7 @@ class Planner:
         return sorted((t for t in self.tasks.values() if t.key not in answered), key=lambda t: (t.created, t.key))
 
     def _inputs(self, task: TaskDescription) -> str:
+        """What a refusal depended on: it stands until one of these changes."""
         return f"{task.identity} {task.generation} {self._catalogue.tip} {self._main.policy_text}"
 
     def _compose(self, tasks: list[TaskDescription]) -> Desired:

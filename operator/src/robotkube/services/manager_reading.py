@@ -1,6 +1,6 @@
-"""What the manager has read: the catalogue, main's files as values, people's policy.
+"""What the manager has read of main: its files as values, people's policy; and the catalogue as a page.
 
-The last good version of each stays while a newer one is broken: a broken file must never look like a withdrawal.
+The last good version stays while a newer one is broken: a broken file must never look like a withdrawal.
 """
 
 from __future__ import annotations
@@ -8,43 +8,17 @@ from __future__ import annotations
 import logging
 from typing import Any
 
-from robotkube.domain.catalogue import FOLDERS, Catalogue, read_catalogue
+from robotkube.domain.catalogue import Catalogue
 from robotkube.domain.errors import InputError
 from robotkube.domain.initial import PATH as INITIAL_PATH
 from robotkube.domain.initial import InitialPolicy, read_initial_policy
 from robotkube.domain.releases import RELEASES, SOURCES, Tree, read_tree
 from robotkube.domain.versions import version_key
-from robotkube.ports.git import DeploymentRepository, RepositoryFiles
+from robotkube.ports.git import DeploymentRepository
 
 POLICIES = "policies"
 
 log = logging.getLogger(__name__)
-
-
-class CatalogueReader:
-    """The catalogue at its last good commit."""
-
-    def __init__(self, files: RepositoryFiles) -> None:
-        self._files = files
-        self._seen = ""
-        self.tip = ""
-        self.catalogue = Catalogue()
-
-    def read(self) -> None:
-        """Take the newest commit. InputError when there is nothing good yet: then nothing may be planned."""
-        newest = self._files.fetch()
-        if newest and newest == self._seen:
-            return
-        if not newest:
-            raise InputError("the catalogue repository has no main branch yet; nothing is planned")
-        found = read_catalogue(self._files.files(newest, FOLDERS))
-        for problem in found.problems:
-            log.error("catalogue unusable commit=%s problem=%r", newest[:12], problem)
-        if found.problems and not self.tip:
-            raise InputError(f"catalogue {newest[:12]}: {found.problems[0]}; nothing is planned until it is repaired")
-        self._seen = newest
-        if not found.problems:
-            self.tip, self.catalogue = newest, found
 
 
 def catalogue_page(catalogue: Catalogue, tip: str) -> dict[str, Any]:
@@ -54,7 +28,15 @@ def catalogue_page(catalogue: Catalogue, tip: str) -> dict[str, Any]:
         for _, a in sorted(catalogue.applications.items())
     ]
     charts = [
-        {"kind": "chart", "name": c.chart, "version": c.version, "state": c.state, "digest": c.digest}
+        {
+            "kind": "chart",
+            "name": c.chart,
+            "version": c.version,
+            "state": c.state,
+            "digest": c.digest,
+            "evidence": catalogue.evidence_of(c),
+            "doubt": c.doubt if catalogue.assurance != "none" else "",
+        }
         for _, versions in sorted(catalogue.charts.items())
         for c in sorted(versions, key=lambda c: version_key(c.version))
     ]

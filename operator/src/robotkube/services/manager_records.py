@@ -19,7 +19,8 @@ TIMES = ("demand_seen", "started", "proposed", "merged", "synced", "observed")
 
 @dataclass
 class PlanRecord:
-    """One plan. `times` are ns since 1970, by the names in TIMES; `created`, `changed`, `removed` are release keys."""
+    """One plan. `times` are ns since 1970, by the names in TIMES; `created`, `changed`, `removed` are release keys;
+    `waits` is reason and message for the tasks of a proposal that waits longer than usual."""
 
     id: str
     subject: str
@@ -35,6 +36,7 @@ class PlanRecord:
     url: str = ""
     error: str | None = None
     on_main: bool = False
+    waits: tuple[str, str] | None = None
     times: dict[str, int] = field(default_factory=dict)
 
     def as_json(self) -> dict[str, Any]:

@@ -3,20 +3,36 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 
 from robotkube.domain.composition import Met, Refused
-from robotkube.domain.errors import InputError
+from robotkube.domain.errors import InputError, RobotKubeError
 from robotkube.domain.observation import ApplicationState, Verdict, judge_present
 from robotkube.domain.releases import RELEASES, Release, application_name
-from robotkube.domain.tasks import Condition, is_withdrawn, object_identity, object_key, write_conditions
+from robotkube.domain.tasks import (
+    FORGE_UNAVAILABLE,
+    GATE_UNAVAILABLE,
+    MERGED,
+    PROPOSAL_REFUSED,
+    PROPOSED,
+    REFUSAL_REASONS,
+    WAITING,
+    WAITS_FOR_APPROVAL,
+    Condition,
+    is_withdrawn,
+    object_identity,
+    object_key,
+    write_conditions,
+)
 from robotkube.ports.clusters import TaskStore
 from robotkube.services.manager_records import PlanRecord
 
 MESSAGE_CHARACTERS_MAX = 4096
+UNSEEN = {"Accepted": "Unknown", "Committed": "False"}  # conditions of a task that could not be looked at yet
+TOLD = frozenset({*REFUSAL_REASONS, PROPOSAL_REFUSED, WAITS_FOR_APPROVAL, GATE_UNAVAILABLE, FORGE_UNAVAILABLE})
 
 log = logging.getLogger(__name__)
 
@@ -24,7 +40,8 @@ log = logging.getLogger(__name__)
 @dataclass(frozen=True)
 class Situation:
     """Everything a status is derived from. `outcomes` by task key; `held` are refusals of the gate by task key;
-    `proposed` is the plan under decision; `committed` finds the newest plan on main that names a task."""
+    `proposed` is the plan under decision; `committed` finds the newest plan on main that names a task;
+    `forge_unavailable` says that nothing can be proposed or merged now (else empty)."""
 
     outcomes: Mapping[str, Met | Refused] = field(default_factory=dict)
     held: Mapping[str, PlanRecord] = field(default_factory=dict)
@@ -32,6 +49,7 @@ class Situation:
     applications: Mapping[str, ApplicationState] = field(default_factory=dict)
     proposed: PlanRecord | None = None
     committed: Callable[[str], PlanRecord | None] = lambda task: None
+    forge_unavailable: str = ""
 
 
 class StatusWriter:
@@ -66,6 +84,20 @@ class StatusWriter:
         if self._patch(key, status):
             self._written[key] = (object_identity(document), status)
             log.info("task %s", " ".join([f"task={key}", *(f"{c.type}={c.status}/{c.reason}" for c in conditions)]))
+            self._tell(document, conditions, before.get("conditions", []))
+
+    def _tell(
+        self, document: Mapping[str, Any], conditions: Sequence[Condition], before: Sequence[Mapping[str, Any]]
+    ) -> None:
+        """What stands in a task's way, when it is new, as an Event as well; the status does not depend on that."""
+        known = {(c.get("type"), c.get("reason"), c.get("message")) for c in before}
+        for condition in conditions:
+            if condition.reason not in TOLD or (condition.type, condition.reason, condition.message) in known:
+                continue
+            try:
+                self._tasks.tell(document, condition.reason, condition.message)
+            except RobotKubeError as error:
+                log.error("event not written task=%s reason=%s", object_key(document), error)
 
     def _patch(self, key: str, status: Mapping[str, Any]) -> bool:
         """One status that the API server refuses must not hold the others."""
@@ -84,6 +116,9 @@ def _identity(document: Mapping[str, Any] | None) -> str | None:
 def derive(key: str, situation: Situation) -> tuple[list[Condition], dict[str, Any]]:
     """Conditions and the other fields of a task's status; nothing when the task was not looked at yet."""
     outcome = situation.outcomes.get(key)
+    if outcome is None and situation.forge_unavailable:
+        text = situation.forge_unavailable
+        return [Condition(kind, status, FORGE_UNAVAILABLE, text) for kind, status in UNSEEN.items()], {}
     if outcome is None:
         return [], {}
     if isinstance(outcome, Refused):
@@ -119,15 +154,26 @@ def _committed(key: str, outcome: Met, situation: Situation) -> tuple[Condition,
         record = situation.committed(key)
         number = f" by pull request {record.pull_request}" if record and record.pull_request is not None else ""
         commit = f"commit {record.commit[:12]}" if record and record.commit else "its releases are"
-        return Condition("Committed", "True", "Merged", f"{commit} on main{number}"), record
+        return Condition("Committed", "True", MERGED, f"{commit} on main{number}"), record
     held = situation.held.get(key)
     if held is not None:
-        return Condition("Committed", "False", "ProposalRefused", _bounded(held.error or "")), held
+        return Condition("Committed", "False", PROPOSAL_REFUSED, _bounded(held.error or "")), held
+    return _waiting(key, situation)
+
+
+def _waiting(key: str, situation: Situation) -> tuple[Condition, PlanRecord | None]:
+    """What a task waits for whose plan is not on main: forge, gate, a person, or the plan before it."""
     proposed = situation.proposed
-    if proposed is not None and key in proposed.tasks:
-        number = f"pull request {proposed.pull_request}" if proposed.pull_request is not None else "its pull request"
-        return Condition("Committed", "False", "Proposed", f"{number} waits for the gate"), proposed
-    return Condition("Committed", "False", "Waiting", "waits for the plan before it"), None
+    own = proposed if proposed is not None and key in proposed.tasks else None
+    if situation.forge_unavailable:
+        return Condition("Committed", "False", FORGE_UNAVAILABLE, situation.forge_unavailable), own
+    if proposed is not None and proposed.waits is not None:
+        reason, text = proposed.waits
+        return Condition("Committed", "False", reason, _bounded(text)), own
+    if own is not None:
+        number = f"pull request {own.pull_request}" if own.pull_request is not None else "its pull request"
+        return Condition("Committed", "False", PROPOSED, f"{number} waits for the gate"), own
+    return Condition("Committed", "False", WAITING, "waits for the plan before it"), None
 
 
 def _verdicts(outcome: Met, situation: Situation) -> dict[str, Verdict]:

@@ -18,6 +18,7 @@ class MemoryTasks:
 
     objects: dict[str, dict[str, Any]] = field(default_factory=dict)
     patches: int = 0
+    told: list[tuple[str, str, str]] = field(default_factory=list)
 
     def tasks(self) -> Sequence[Mapping[str, Any]]:
         """The objects as they are."""
@@ -32,6 +33,12 @@ class MemoryTasks:
         merged = {**found.get("status", {}), **copy.deepcopy(dict(status))}
         found["status"] = {key: value for key, value in merged.items() if value is not None}
         return True
+
+    def tell(self, task: Mapping[str, Any], reason: str, text: str) -> None:
+        """Remember task, reason and text, once."""
+        said = (f"{task['metadata']['namespace']}/{task['metadata']['name']}", reason, text)
+        if said not in self.told:
+            self.told.append(said)
 
     def create(self, namespace: str, name: str, spec: Mapping[str, Any], created: str = "2026-11-21T10:00:00Z") -> None:
         """A new task."""

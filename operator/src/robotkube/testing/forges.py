@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from robotkube.domain.errors import InputError, UnavailableError
+from robotkube.domain.merging import Review
 from robotkube.ports.forges import Comment, PullRequest
 from robotkube.ports.git import Commit
 
@@ -74,6 +75,7 @@ class MemoryForge:
         self.pulls: dict[int, PullRequest] = {}
         self.bodies: dict[int, str] = {}
         self.said: dict[int, list[Comment]] = {}
+        self.reviewed: dict[int, list[Review]] = {}
         self.decide: Callable[[PullRequest], None] = self.merge
         self.tell_numbers = True
         self._comments = 0
@@ -115,6 +117,10 @@ class MemoryForge:
         """Say it otherwise."""
         for said in self.said.values():
             said[:] = [replace(one, text=text) if one.id == identifier else one for one in said]
+
+    def reviews(self, number: int) -> Sequence[Review]:
+        """Who approved, and who is against it."""
+        return self.reviewed.get(number, [])
 
     def close(self, number: int) -> None:
         """Close without merging."""

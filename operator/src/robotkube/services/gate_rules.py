@@ -1,0 +1,124 @@
+"""What the gate checks by: its own settings, the catalogue assessed with its own keys, and policies read from main.
+
+Nothing here comes from the branch that is judged.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+from robotkube.domain import checks
+from robotkube.domain.checks_releases import Rules, Validate
+from robotkube.domain.errors import DocumentError
+from robotkube.domain.merging import PATH as MERGE_PATH
+from robotkube.domain.merging import MergePolicy, read_merge_policy
+from robotkube.domain.releases import RELEASES, SOURCES, read_tree
+from robotkube.ports.git import Commit, MainBranch
+from robotkube.services.assured_catalogue import AssuredCatalogue
+
+SCHEMAS_KEPT_MAX = 512
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class GateSettings:
+    """`account`: the gate's own; `deployment`, `catalogue`: `<organisation>/<name>` of the repositories; `proposers`:
+    whose proposals of releases are taken, and where; `charts_url`: oci://host/organisation."""
+
+    account: str
+    deployment: str
+    catalogue: str
+    proposers: tuple[checks.Proposer, ...]
+    charts_url: str
+
+    def proposer(self, account: str) -> checks.Proposer | None:
+        """The proposer of that name; None when it is none."""
+        return next((found for found in self.proposers if found.account == account), None)
+
+    @property
+    def accounts(self) -> Sequence[str]:
+        """Names of the proposers."""
+        return [proposer.account for proposer in self.proposers]
+
+
+class RuleBook:
+    """Rules for whoever proposes, while main stands where `main` has it."""
+
+    def __init__(
+        self, settings: GateSettings, main: MainBranch, catalogue: AssuredCatalogue, validate: Validate
+    ) -> None:
+        self._settings, self._main, self._catalogue, self._validate = settings, main, catalogue, validate
+
+    def refresh(self) -> bool:
+        """Read the catalogue and the keys again; whether anything changed."""
+        before = self._catalogue.catalogue
+        self._catalogue.read()
+        return self._catalogue.catalogue is not before
+
+    def _rules(self, account: str, namespaces: frozenset[str], others: frozenset[str]) -> Rules:
+        if not self._catalogue.tip:
+            self._catalogue.read()
+        return Rules(
+            account=account,
+            namespaces=namespaces,
+            charts_url=self._settings.charts_url,
+            catalogue=self._catalogue.catalogue,
+            schema=self._schema,
+            validate=self._validate,
+            others=others,
+        )
+
+    def _schema(self, chart: str, version: str) -> Mapping[str, Any] | None:
+        text = self._catalogue.files.get(f"charts/{chart}/{version}.schema.json")
+        return None if text is None else _read_schema(text)
+
+    def proposal(self, commit: Commit) -> checks.Proposal:
+        """What a commit brings to main."""
+        files = self._main.files(self._main.tip, (RELEASES, SOURCES))
+        after = checks.folders_of(checks.apply_changes(files, commit.changes))
+        return checks.Proposal(
+            commit.parents, commit.message, commit.changes, commit.irregular, read_tree(files), read_tree(after)
+        )
+
+    def judge(self, account: str, proposal: checks.Proposal) -> checks.Verdict:
+        """What the rules for `account` say about a proposal."""
+        everywhere = {name for proposer in self._settings.proposers for name in proposer.namespaces}
+        proposer = self._settings.proposer(account)
+        if proposer is None:
+            rules = self._rules(account, frozenset(everywhere), frozenset())
+            return checks.judge_person(proposal, self._main.tip, rules)
+        rules = self._rules(account, proposer.namespaces, frozenset(everywhere) - proposer.namespaces)
+        return checks.judge(proposal, self._main.tip, rules)
+
+    def merge_policy(self) -> MergePolicy:
+        """policies/merge.yaml on main; nothing merges by itself while it is missing or cannot be read."""
+        text = self._main.files(self._main.tip, (MERGE_PATH.split("/", 1)[0],)).get(MERGE_PATH)
+        if text is None:
+            log.error("merge policy missing commit=%s path=%s", self._main.tip[:12], MERGE_PATH)
+            return MergePolicy({}, ())
+        try:
+            return _read_policy(text)
+        except DocumentError as error:
+            log.error("merge policy unusable commit=%s problem=%r", self._main.tip[:12], str(error))
+            return MergePolicy({}, ())
+
+
+@lru_cache(16)
+def _read_policy(text: str) -> MergePolicy:
+    return read_merge_policy(text)
+
+
+@lru_cache(SCHEMAS_KEPT_MAX)
+def _read_schema(text: str) -> Mapping[str, Any] | None:
+    """A schema of the catalogue; None when it is no JSON object."""
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError):
+        return None
+    return found if isinstance(found, dict) else None

@@ -1,0 +1,84 @@
+"""What became of a proposal, read from Git and from the forge; why it still waits, in words for the task's status."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+from robotkube.domain.planning import Plan
+from robotkube.domain.tasks import GATE_UNAVAILABLE, WAITS_FOR_APPROVAL
+from robotkube.domain.verdict_texts import FIRST_WORDS, STALE, WAITS
+from robotkube.ports.forges import Forge, PullRequest
+from robotkube.ports.git import DeploymentRepository
+from robotkube.services.manager_records import PlanRecord
+
+VERDICT_SECONDS_MAX = 15.0  # without a verdict for longer, the gate is said to be unavailable
+COMMENTS_SECONDS = 10.0  # how often the comments of a proposal that waits longer are read
+
+Outcome = Literal["merged", "outdated", "refused", "waiting"]
+
+
+@dataclass
+class Proposal:
+    """A plan that waits for the gate; `since` and `asked` (when its comments were read) in monotonic seconds."""
+
+    plan: Plan
+    record: PlanRecord
+    since: float
+    asked: float = float("-inf")
+
+
+class Decisions:
+    """`monotonic` is a clock in seconds that never goes back."""
+
+    def __init__(self, deployment: DeploymentRepository, forge: Forge, monotonic: Callable[[], float]) -> None:
+        self._deployment, self._forge, self._monotonic = deployment, forge, monotonic
+
+    def look(self, proposal: Proposal, tip: str) -> tuple[Outcome, str]:
+        """The outcome while main stands at `tip`, and the gate's words when it refused. A proposal that waits for
+        longer than VERDICT_SECONDS_MAX gets into its record what it waits for."""
+        record = proposal.record
+        if self._deployment.contains(record.commit):
+            return "merged", ""
+        if tip != proposal.plan.base:
+            return "outdated", ""
+        pull = self.pull_request(record)
+        if pull is not None and pull.state == "closed" and not pull.merged:
+            text = self._last_word(pull.number) or "closed without a comment"
+            return ("outdated", "") if STALE in text.partition("\n")[0] else ("refused", text)
+        if self._monotonic() - proposal.since > VERDICT_SECONDS_MAX:
+            self._say_what_it_waits_for(proposal)
+        return "waiting", ""
+
+    def pull_request(self, record: PlanRecord) -> PullRequest | None:
+        """The pull request of a record, which learns its number and address."""
+        if record.pull_request is not None:
+            found: PullRequest | None = self._forge.pull_request(record.pull_request)
+        else:
+            found = next((p for p in self._forge.pull_requests("all") if p.head == record.commit), None)
+        self.name(record, found)
+        return found
+
+    @staticmethod
+    def name(record: PlanRecord, pull: PullRequest | None) -> None:
+        """Give a record the number and address of its pull request."""
+        if pull is not None:
+            record.pull_request, record.url = pull.number, pull.url
+
+    def _last_word(self, number: int) -> str:
+        """The gate's last comment, else anybody's."""
+        texts = [comment.text.strip() for comment in self._forge.comments(number)]
+        return next((text for text in reversed(texts) if text.startswith(FIRST_WORDS)), texts[-1] if texts else "")
+
+    def _say_what_it_waits_for(self, proposal: Proposal) -> None:
+        number = proposal.record.pull_request
+        if number is None or self._monotonic() - proposal.asked < COMMENTS_SECONDS:
+            return
+        proposal.asked = self._monotonic()
+        text = self._last_word(number)
+        if text.startswith(WAITS):
+            proposal.record.waits = (WAITS_FOR_APPROVAL, f"pull request {number}: {text}")
+        else:
+            words = f"no verdict of the gate about pull request {number} within {VERDICT_SECONDS_MAX:.0f} s"
+            proposal.record.waits = (GATE_UNAVAILABLE, f"{words}; it waits, and goes on when the gate answers")
