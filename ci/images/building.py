@@ -12,12 +12,13 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from ci.images import debian, machine, normalising
+from ci.images import bills, debian, machine, normalising
 from ci.images.buildah import Buildah, BuildError, require_programs
 from ci.images.catalogue import BASE, BY_NAME, IMAGES, Image, Sources, go_module
 from ci.images.contexts import Copied, assemble, check, key_of
@@ -29,11 +30,13 @@ KEPT_VERSIONS = 3
 
 @dataclass(frozen=True)
 class BuiltImage:
-    """An image archive on this machine: `reference` is repository@digest, `size` the bytes of its layers."""
+    """An image archive on this machine: `reference` is repository@digest, `size` the bytes of its layers, `bill` its
+    software bill of materials."""
 
     name: str
     reference: str
     archive: Path
+    bill: Path
     size: int
     layers: dict[str, int]
 
@@ -90,23 +93,27 @@ def _choose(names: Sequence[str]) -> tuple[Image, ...]:
     if unknown:
         raise BuildError(f"no such image: {', '.join(unknown)}; there are {', '.join(BY_NAME)}")
     wanted = {image.name for image in IMAGES if not names or image.name in names}
-    if any(BY_NAME[name].on_base for name in wanted):
-        wanted.add(BASE.name)
+    for image in reversed(IMAGES):
+        if image.name in wanted and image.stands_on:
+            wanted.add(image.stands_on)
     return tuple(image for image in IMAGES if image.name in wanted)
 
 
-def key_of_image(image: Image, contents: tuple[Copied, ...], base_key: str) -> str:
-    """The key of what the image is made of; `base_key` counts for images that stand on the base."""
-    stands_on = debian.key() if image is BASE else base_key if image.on_base else ""
-    return key_of(contents, normalising.FORMAT, stands_on, image.dockerfile.read_text(encoding="utf-8"))
+def key_of_image(image: Image, contents: tuple[Copied, ...], keys: Mapping[str, str]) -> str:
+    """The key of what the image is made of, the image it stands on included, whose key is in `keys`."""
+    ground = debian.key() if image is BASE else keys[image.stands_on] if image.stands_on else ""
+    return key_of(contents, normalising.FORMAT, ground, image.dockerfile.read_text(encoding="utf-8"))
 
 
 def _build_all(
     shop: Workshop, images: Sequence[Image], contents: dict[str, tuple[Copied, ...]], steps: Steps
 ) -> dict[str, BuiltImage]:
-    base_key = key_of_image(BASE, BASE.contents(shop.sources), "")
+    keys = {BASE.name: key_of_image(BASE, BASE.contents(shop.sources), {})}
+    for image in images:
+        keys[image.name] = key_of_image(image, contents[image.name], keys)
+    base_key = keys[BASE.name]
     buildah = Buildah(shop.folder / ".buildah" / base_key, shop.folder / "build.log")
-    bench = Bench(shop, buildah, shop.folder / ".work", base_key)
+    bench = Bench(shop, buildah, shop.folder / ".work", keys)
     _clear(bench.work)
     places: dict[str, Path] = {}
     try:
@@ -114,6 +121,7 @@ def _build_all(
             with steps.step(f"image {image.name}") as step:
                 place, cached = _provide(bench, image, contents[image.name])
                 places[image.name] = place
+                bills.ensure_bill(place / "image.tar", image.name, _record(place)["digest"])
                 step.note = "cached" if cached else ""
     finally:
         if bench.work.exists():
@@ -125,22 +133,25 @@ def _build_all(
 
 @dataclass(frozen=True)
 class Bench:
-    """What one run works with: the builder, a folder that is gone afterwards, the key of the base image."""
+    """What one run works with: the builder, a folder that is gone afterwards, the images' keys."""
 
     shop: Workshop
     buildah: Buildah
     work: Path
-    base_key: str
+    keys: Mapping[str, str]
 
-    @property
-    def base_tag(self) -> str:
-        return f"localhost/robotkube/base:{self.base_key}"
+    def tag(self, name: str) -> str:
+        """The finished image in the builder's storage."""
+        return f"localhost/robotkube/{name}:{self.keys[name]}"
+
+    def place(self, name: str) -> Path:
+        """The folder of the image's archive, whether it is there or not."""
+        return self.shop.folder / f"{name}-{self.keys[name]}"
 
 
 def _provide(bench: Bench, image: Image, contents: tuple[Copied, ...]) -> tuple[Path, bool]:
     """The folder of the image's archive, and whether it was there already."""
-    key = key_of_image(image, contents, bench.base_key)
-    place = bench.shop.folder / f"{image.name}-{key}"
+    place = bench.place(image.name)
     if (place / "image.json").is_file() and not bench.shop.fresh:
         return place, True
     if not bench.work.exists():
@@ -152,9 +163,9 @@ def _provide(bench: Bench, image: Image, contents: tuple[Copied, ...]) -> tuple[
     for folder in (context, result):
         _clear(folder)
     assemble(contents, context)
-    if key_of_image(image, contents, bench.base_key) != key:
+    if key_of_image(image, contents, bench.keys) != bench.keys[image.name]:
         raise BuildError(f"image {image.name}: its files changed while they were copied; run again")
-    _build(bench, image, f"localhost/robotkube/{image.name}:{key}-raw", context, result)
+    _build(bench, image, f"{bench.tag(image.name)}-raw", context, result)
     _clear(place)
     result.rename(place)
     return place, False
@@ -182,11 +193,12 @@ def _build(bench: Bench, image: Image, tag: str, context: Path, result: Path) ->
 
 
 def _known_layers(bench: Bench, image: Image, treatment: str) -> dict[str, normalising.KnownLayer]:
-    """Layers that archives of the base and of earlier versions of this image hold, by the builder's digests of them."""
+    """Layers that archives of what it stands on and of earlier versions of this image hold, by the builder's digests of
+    them."""
     known: dict[str, normalising.KnownLayer] = {}
-    folders = [*bench.shop.folder.glob(f"{image.name}-*"), bench.shop.folder / f"{BASE.name}-{bench.base_key}"]
+    folders = [*bench.shop.folder.glob(f"{image.name}-*"), bench.place(image.stands_on or BASE.name)]
     for folder in folders:
-        record = json.loads((folder / "image.json").read_bytes()) if (folder / "image.json").is_file() else {}
+        record = _record(folder) if (folder / "image.json").is_file() else {}
         if record.get("treatment") != treatment:
             continue
         normal_forms = {digest: digest for digest in record["layers"]}  # a normal form is its own normal form
@@ -199,24 +211,35 @@ def _known_layers(bench: Bench, image: Image, treatment: str) -> dict[str, norma
 def _provide_base(bench: Bench, image: Image, sources: Path | None) -> dict[str, str]:
     """Make sure that what the Dockerfile stands on is in the storage; returns its build arguments.
 
-    Images stand on the base in its normal form, so that they share its layer byte by byte.
+    Images stand on others in their normal form, so that they share its layers byte by byte.
     """
     if image is BASE:
         if bench.shop.fresh or not bench.buildah.has(debian.TAG):
             bench.buildah.storage.mkdir(parents=True, exist_ok=True)
             debian.make(bench.buildah, sources)
         return {"DEBIAN": debian.TAG}
-    if not image.on_base:
+    if not image.stands_on:
         return {}
-    if not bench.buildah.has(bench.base_tag):
-        bench.buildah.load(bench.shop.folder / f"{BASE.name}-{bench.base_key}" / "image.tar", bench.base_tag)
-    return {"BASE": bench.base_tag}
+    ground = bench.tag(image.stands_on)
+    if not bench.buildah.has(ground):
+        bench.buildah.load(bench.place(image.stands_on) / "image.tar", ground)
+    return {"BASE": ground}
+
+
+def _record(place: Path) -> dict[str, Any]:
+    record: dict[str, Any] = json.loads((place / "image.json").read_bytes())
+    return record
 
 
 def _read(name: str, place: Path) -> BuiltImage:
-    record = json.loads((place / "image.json").read_bytes())
+    record = _record(place)
     return BuiltImage(
-        name, f"{REPOSITORY}/{name}@{record['digest']}", place / "image.tar", record["size"], record["layers"]
+        name=name,
+        reference=f"{REPOSITORY}/{name}@{record['digest']}",
+        archive=place / "image.tar",
+        bill=place / bills.FILE,
+        size=record["size"],
+        layers=record["layers"],
     )
 
 
@@ -224,10 +247,15 @@ def _write_lock(shop: Workshop, built: dict[str, BuiltImage]) -> None:
     """images.json names every image that is built, also those of earlier runs that this one did not touch."""
     known = json.loads(shop.lock.read_bytes()) if shop.lock.is_file() else {}
     kept = {name: entry for name, entry in known.items() if name in BY_NAME and Path(entry["archive"]).is_file()}
-    new = {name: {"reference": i.reference, "archive": str(i.archive), "size": i.size} for name, i in built.items()}
+    new = {name: _lock_entry(image) for name, image in built.items()}
     part = shop.lock.with_suffix(".part")
     part.write_text(json.dumps(kept | new, indent=1, sort_keys=True) + "\n", encoding="utf-8")
     part.replace(shop.lock)
+
+
+def _lock_entry(image: BuiltImage) -> dict[str, Any]:
+    files = {"archive": str(image.archive), "bill": str(image.bill)}
+    return {"reference": image.reference, **files, "size": image.size}
 
 
 @contextmanager

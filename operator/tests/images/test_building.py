@@ -36,7 +36,9 @@ def test_two_folders_give_one_digest_and_the_second_run_is_cached(tools: Path, t
     again = build_images(tools, tmp_path / "one", ["ferretdb"])["ferretdb"]
     assert again.archive.stat().st_ino == inode
     lock = json.loads((tmp_path / "one" / "images.json").read_text())
-    assert lock == {"ferretdb": {"reference": first.reference, "archive": str(first.archive), "size": first.size}}
+    files = {"archive": str(first.archive), "bill": str(first.bill)}
+    assert lock == {"ferretdb": {"reference": first.reference, **files, "size": first.size}}
+    assert first.bill.read_bytes() == second.bill.read_bytes()
 
 
 def test_changed_contents_change_key_and_digest(tools: Path, tmp_path: Path) -> None:
@@ -82,7 +84,7 @@ def test_images_share_the_base_layer_and_stay_small(twice: list[dict[str, BuiltI
     built = twice[0]
     base = next(iter(built["base"].layers))
     for image in IMAGES:
-        if image.on_base and image.name != "pause":
+        if image.stands_on and image.name != "pause":
             assert next(iter(built[image.name].layers)) == base
     layers = {digest: size for image in built.values() for digest, size in image.layers.items()}
     assert sum(layers.values()) < 700_000_000

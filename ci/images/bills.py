@@ -1,0 +1,277 @@
+"""Software bills of materials (CycloneDX, JSON): what is inside an image, attached to its digest in the registry.
+
+An image's files are looked through for what its packages leave behind: dpkg's status (debsbom reads it), metadata of
+Python distributions (cyclonedx-py reads it), and programs in `/`, `/usr/local/bin` and `/opt/*/bin`, of which Go's say
+by `go version -m` what they were built from. A program that says nothing stands in the bill by its name and hash. The
+same image gives the same bytes: no times, no random numbers.
+"""
+
+from __future__ import annotations
+
+import json
+import mmap
+import os
+import re
+import subprocess
+import sys
+import tarfile
+import tempfile
+import uuid
+import venv
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from hashlib import sha256
+from pathlib import Path
+from typing import IO, Any, Protocol
+
+from ci.errors import InputError
+from ci.images.buildah import BuildError
+from ci.images.normalising import EPOCH_TEXT, canonical_json
+from robotkube.domain.suite_images import BILL_TYPE
+
+FORMAT = "1"  # part of the file's name: raise it when other bytes are written for the same image
+FILE = f"bill-{FORMAT}.json"
+SPECIFICATION = "1.6"
+TOOL_SECONDS_MAX = 120
+KEPT_MAX = 16  # parsed lists of packages: images on the same base share theirs
+DPKG = "var/lib/dpkg/status"
+DPKG_FILES = frozenset({DPKG, "var/lib/dpkg/arch-native", "var/lib/apt/extended_states"})
+DISTRIBUTION = re.compile(r".*/site-packages/([^/]+\.dist-info)/(METADATA|direct_url\.json)")
+PROGRAM = re.compile(r"[^/]+|usr/local/bin/[^/]+|opt/[^/]+/bin/[^/]+")
+ELF, GO_BUILD = b"\x7fELF", b"\xff Go buildinf:"
+WHITEOUT, OPAQUE = ".wh.", ".wh..wh..opq"
+VERSION_LABEL = "org.opencontainers.image.version"
+NO_SERIAL_NUMBER = str(uuid.UUID(int=0))
+
+Component = dict[str, Any]
+
+
+class Attaching(Protocol):
+    """The registry, as far as bills need it."""
+
+    def attach(
+        self, repository: str, subject: str, artifact_type: str, data: bytes, annotations: Mapping[str, str]
+    ) -> str:
+        """Attach `data` to the manifest `subject`."""
+        ...
+
+
+def attach_bill(registry: Attaching, repository: str, digest: str, archive: Path) -> str:
+    """Attach the bill that lies beside `archive` to the image `digest`, which is in the registry; the same again
+    changes nothing. Returns the digest of the attached artefact."""
+    path = archive.with_name(FILE)
+    if not path.is_file():
+        raise InputError(f"{path}: missing; build the images again: make images")
+    title = {"org.opencontainers.image.title": f"bill of materials of {repository.rpartition('/')[2]}"}
+    return registry.attach(repository, digest, BILL_TYPE, path.read_bytes(), title)
+
+
+def ensure_bill(archive: Path, name: str, digest: str) -> Path:
+    """The bill beside `archive`, made when it is not there."""
+    path = archive.with_name(FILE)
+    if not path.is_file():
+        part = path.with_suffix(".part")
+        part.write_bytes(make_bill(archive, name, digest))
+        part.replace(path)
+    return path
+
+
+def make_bill(archive: Path, name: str, digest: str) -> bytes:
+    """The bill of the image `digest`, called `name`, that `archive` (an OCI layout in a tar) holds."""
+    with tempfile.TemporaryDirectory(prefix="robotkube-bill-") as folder, tarfile.open(archive, "r:") as layout:
+        image = _Image(layout, digest)
+        found = image.extract(Path(folder))
+        lists = [_debian(found), _python(found), _programs(found, image.version)]
+    return canonical_json(_document(name, image.version, digest, [one for one in lists if one]))
+
+
+@dataclass(frozen=True)
+class _Found:
+    """Files of an image below `root`: their paths inside it."""
+
+    root: Path
+    paths: frozenset[str]
+
+    def read(self, path: str) -> bytes:
+        return (self.root / path).read_bytes() if path in self.paths else b""
+
+
+class _Image:
+    """An image inside an OCI layout; `version` is that of its label."""
+
+    def __init__(self, layout: tarfile.TarFile, digest: str) -> None:
+        self._layout = layout
+        self._manifest = json.loads(self._blob(digest).read())
+        labels = json.loads(self._blob(self._manifest["config"]["digest"]).read())["config"].get("Labels") or {}
+        self.version = labels.get(VERSION_LABEL, "")
+
+    def _blob(self, digest: str) -> IO[bytes]:
+        content = self._layout.extractfile("blobs/" + digest.replace(":", "/"))
+        if content is None:
+            raise BuildError(f"{self._layout.name!r}: no blob {digest}; build the image again")
+        return content
+
+    def extract(self, root: Path) -> _Found:
+        """Write the files that bills are made of, as the image's layers leave them."""
+        present: set[str] = set()
+        for layer in self._manifest["layers"]:
+            with tarfile.open(fileobj=self._blob(layer["digest"]), mode="r:") as tar:
+                for member in tar:
+                    _apply(tar, member, root, present)
+        return _Found(root, frozenset(present))
+
+
+def _apply(tar: tarfile.TarFile, member: tarfile.TarInfo, root: Path, present: set[str]) -> None:
+    """One entry of a layer: a removal, or a file of interest, which replaces what lower layers had there."""
+    folder, _, base = member.name.rpartition("/")
+    if base.startswith(WHITEOUT):
+        gone = folder if base == OPAQUE else f"{folder}/{base.removeprefix(WHITEOUT)}".lstrip("/")
+        present -= {path for path in present if path == gone or path.startswith(f"{gone}/")}
+        return
+    present.discard(member.name)
+    if not member.isreg() or ".." in member.name.split("/"):
+        return
+    packaged = member.name in DPKG_FILES or DISTRIBUTION.fullmatch(member.name)
+    if not packaged and not (member.mode & 0o111 and PROGRAM.fullmatch(member.name)):
+        return
+    content = tar.extractfile(member)
+    if content is None or (not packaged and content.read(len(ELF)) != ELF):
+        return
+    content.seek(0)
+    _write(root / member.name, content)
+    present.add(member.name)
+
+
+def _write(target: Path, content: IO[bytes]) -> None:
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with target.open("wb") as out:
+        while data := content.read(1 << 20):
+            out.write(data)
+
+
+@dataclass(frozen=True)
+class _Listed:
+    """What one tool found."""
+
+    components: tuple[Component, ...]
+    dependencies: tuple[Component, ...] = ()
+    tools: tuple[Component, ...] = ()
+
+
+def _debian(found: _Found) -> _Listed | None:
+    if DPKG not in found.paths:
+        return None
+    return _debian_of(tuple((path, found.read(path)) for path in sorted(DPKG_FILES & found.paths)))
+
+
+@lru_cache(KEPT_MAX)
+def _debian_of(files: tuple[tuple[str, bytes], ...]) -> _Listed:
+    with tempfile.TemporaryDirectory(prefix="robotkube-bill-") as folder:
+        for path, data in files:
+            (Path(folder) / path).parent.mkdir(parents=True, exist_ok=True)
+            (Path(folder) / path).write_bytes(data)
+        fixed = ["--timestamp", EPOCH_TEXT.removesuffix("Z"), "--cdx-serialnumber", NO_SERIAL_NUMBER]
+        words = ["-m", "debsbom.cli", "generate", "--sbom-type", "cdx", "--root", folder, "--out", "-", *fixed]
+        return _listed(_run([sys.executable, *words, "--cdx-schema-version", SPECIFICATION]))
+
+
+def _python(found: _Found) -> _Listed | None:
+    """cyclonedx-py reads an environment, so the metadata are put into an empty one."""
+    metadata = [(path, match) for path in sorted(found.paths) if (match := DISTRIBUTION.fullmatch(path))]
+    if not metadata:
+        return None
+    with tempfile.TemporaryDirectory(prefix="robotkube-bill-") as folder:
+        venv.create(folder, symlinks=True, with_pip=False)
+        packages = next(Path(folder).glob("lib/python*/site-packages"))
+        for path, match in metadata:
+            (packages / match[1]).mkdir(exist_ok=True)
+            (packages / match[1] / match[2]).write_bytes(found.read(path))
+        words = ["-m", "cyclonedx_py", "environment", "--output-reproducible", "--no-validate", "--sv", SPECIFICATION]
+        return _listed(_run([sys.executable, *words, "--of", "JSON", "-o", "-", f"{folder}/bin/python"]))
+
+
+def _listed(text: str) -> _Listed:
+    bill = json.loads(text)
+    system = [bill["metadata"]["component"]] if "component" in bill["metadata"] else []
+    return _Listed(
+        tuple(system + bill.get("components", [])),
+        tuple(bill.get("dependencies", [])),
+        tuple(bill["metadata"].get("tools", {}).get("components", [])),
+    )
+
+
+def _programs(found: _Found, version: str) -> _Listed | None:
+    programs = sorted(path for path in found.paths if PROGRAM.fullmatch(path) and path not in DPKG_FILES)
+    if not programs:
+        return None
+    components = [component for path in programs for component in _program(found.root / path, path, version)]
+    return _Listed(tuple({one["bom-ref"]: one for one in components}.values()))
+
+
+def _program(file: Path, path: str, version: str) -> Iterator[Component]:
+    """The program itself, and the Go modules it was built from."""
+    with file.open("rb") as content, mmap.mmap(content.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        digest, of_go = sha256(data).hexdigest(), data.find(GO_BUILD) >= 0
+    yield {
+        "type": "application",
+        "bom-ref": f"program:/{path}",
+        "name": file.name,
+        "version": version,
+        "hashes": [{"alg": "SHA-256", "content": digest}],
+    }
+    for module, release in _modules(file) if of_go else ():
+        purl = f"pkg:golang/{module}@{release}"
+        yield {"type": "library", "bom-ref": purl, "name": module, "version": release, "purl": purl}
+
+
+def _modules(file: Path) -> Iterator[tuple[str, str]]:
+    """Go modules in a program with their versions, after replacements."""
+    found: list[tuple[str, str]] = []
+    for line in _run(["go", "version", "-m", str(file)]).splitlines():
+        words = line.split("\t")
+        if len(words) < 4 or words[1] not in ("mod", "dep", "=>"):
+            continue
+        if words[1] == "=>":
+            found.pop()
+        found.append((words[2], words[3]))
+    yield from sorted(set(found))
+
+
+def _run(command: Sequence[str]) -> str:
+    """Standard output of a tool, run without this process's search path, which would count as the image's."""
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    environment |= {"GOTOOLCHAIN": "local"}
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=TOOL_SECONDS_MAX, check=False, env=environment
+    )
+    if done.returncode:
+        raise BuildError(f"{' '.join(command[:4])} ended with code {done.returncode}: {done.stderr.strip()[-800:]}")
+    return done.stdout
+
+
+def _document(name: str, version: str, digest: str, lists: Sequence[_Listed]) -> dict[str, Any]:
+    number = digest.removeprefix("sha256:")
+    image = {
+        "type": "container",
+        "bom-ref": f"pkg:oci/{name}@sha256%3A{number}",
+        "name": name,
+        "version": version,
+        "purl": f"pkg:oci/{name}@sha256%3A{number}",
+        "hashes": [{"alg": "SHA-256", "content": number}],
+    }
+    return {
+        "$schema": f"http://cyclonedx.org/schema/bom-{SPECIFICATION}.schema.json",
+        "bomFormat": "CycloneDX",
+        "specVersion": SPECIFICATION,
+        "serialNumber": f"urn:uuid:{uuid.uuid5(uuid.NAMESPACE_URL, digest)}",
+        "version": 1,
+        "metadata": {"component": image, "tools": {"components": _sorted(one.tools for one in lists)}},
+        "components": _sorted(one.components for one in lists),
+        "dependencies": _sorted(one.dependencies for one in lists),
+    }
+
+
+def _sorted(lists: Iterable[Sequence[Component]]) -> list[Component]:
+    """All of them, in an order that depends on nothing but their contents."""
+    return sorted((one for each in lists for one in each), key=canonical_json)
