@@ -27,7 +27,7 @@ INSTALL_TIMEOUT_SECONDS = 420
 ROLLOUT_TIMEOUT_SECONDS = 240
 RESTRICTED = {"pod-security.kubernetes.io/enforce": "restricted"}
 BAGS_SIZE = "2Gi"
-PLATFORM_IMAGES = ("platform", "mosquitto", "gitea", "ferretdb")
+PLATFORM_IMAGES = ("platform", "suites", "ros", "mosquitto", "gitea", "ferretdb")
 LOG_LINES = 15
 
 

@@ -40,12 +40,12 @@ def go_module(path: str, folder: str) -> Path:
 
 @dataclass(frozen=True)
 class Image:
-    """An image to build: `name` is also the folder of its Dockerfile; `on_base`: it stands on (or is built in) the
-    image `base`."""
+    """An image to build: `name` is also the folder of its Dockerfile; `stands_on`: the image it begins with (or is
+    built in), empty: none."""
 
     name: str
     contents: Callable[[Sources], tuple[Copied, ...]]
-    on_base: bool = True
+    stands_on: str = "base"
 
     @property
     def dockerfile(self) -> Path:
@@ -81,6 +81,10 @@ def _platform(_: Sources) -> tuple[Copied, ...]:
     )
 
 
+def _suites(sources: Sources) -> tuple[Copied, ...]:
+    return (_program(sources, "helm"),)
+
+
 def _gitea(sources: Sources) -> tuple[Copied, ...]:
     module = sources.module("code.gitea.io/gitea", "toolchain/gitea")
     data = [Copied(module / name, f"share/gitea/{name}") for name in ("options", "templates", "public")]
@@ -100,16 +104,17 @@ def _base(_: Sources) -> tuple[Copied, ...]:
     )
 
 
-BASE = Image("base", _base, on_base=False)
-IMAGES: tuple[Image, ...] = (
+BASE = Image("base", _base, stands_on="")
+IMAGES: tuple[Image, ...] = (  # each after the one it stands on
     BASE,
     Image("pause", lambda _: (_repository("operator/images/pause/pause.c"),)),
     Image("mosquitto", lambda _: ()),
     Image("redis", lambda _: ()),
     Image("gitea", _gitea),
     Image("argocd", _argocd),
-    Image("ferretdb", lambda sources: (_program(sources, "ferretdb"),), on_base=False),
+    Image("ferretdb", lambda sources: (_program(sources, "ferretdb"),), stands_on=""),
     Image("platform", _platform),
+    Image("suites", _suites, stands_on="platform"),
     Image("ros", _ros),
 )
 BY_NAME = {image.name: image for image in IMAGES}
