@@ -30,7 +30,7 @@ class Chance:
         self.random = random.Random(seed)  # noqa: S311 - the same cases every time
         self.good, self.foreign = good, foreign
 
-    def bytes(self, count: int) -> bytes:
+    def some(self, count: int) -> bytes:
         return self.random.randbytes(count)
 
     def value(self, depth: int = 0) -> Any:
@@ -67,10 +67,10 @@ class Chance:
 
     def not_utf8(self) -> bytes:
         place = self.random.randrange(len(self.good))
-        return self.good[:place] + self.bytes(self.random.randrange(1, 9)) + self.good[place:]
+        return self.good[:place] + self.some(self.random.randrange(1, 9)) + self.good[place:]
 
     def noise(self) -> bytes:
-        return self.bytes(self.random.randrange(300))
+        return self.some(self.random.randrange(300))
 
     def edited_after_signing(self) -> bytes:
         document = json.loads(self.good)
@@ -96,7 +96,7 @@ class Chance:
     def swapped_subject(self) -> bytes:
         document = json.loads(self.good)
         statement = json.loads(base64.b64decode(document["payload"]))
-        statement["subject"][0]["digest"]["sha256"] = self.bytes(32).hex()
+        statement["subject"][0]["digest"]["sha256"] = self.some(32).hex()
         document["payload"] = base64.b64encode(canonical_json(statement)).decode()
         return canonical_json(document)
 

@@ -135,7 +135,7 @@ def _members(where: str, chart: str, data: bytes) -> dict[str, bytes]:
             raise DocumentError(where, [f"{path} stands twice, or there are more than {FILES_MAX} files"])
         files[path] = data[offset : offset + member.size]
         offset += member.size + -member.size % block
-    if data[offset:].strip(b"\0"):
+    if len(data) - offset < 2 * block or data[offset:].strip(b"\0"):  # an archive ends with two empty blocks
         raise DocumentError(where, ["the archive is cut off or has something behind its end"])
     _refuse_clashes(where, files)
     return files

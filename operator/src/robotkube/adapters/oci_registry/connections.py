@@ -43,12 +43,12 @@ class Connection:
             raise InputError(f"registry {self.url}: {repository}@{reference} is {sha256(data)}; it cannot be trusted")
         return data
 
-    def blob(self, repository: str, digest: str, size: int) -> bytes:
-        """The bytes of a blob. InputError when there is none, or other bytes."""
-        data = self._fetch(f"{repository}/blobs/{digest}", f"blob {digest} of {repository}", size)
+    def blob(self, repository: str, digest: str, bytes_max: int) -> bytes:
+        """The bytes of a blob. InputError when there is none, other bytes, or more than `bytes_max`."""
+        data = self._fetch(f"{repository}/blobs/{digest}", f"blob {digest} of {repository}", bytes_max)
         if data is None:
             raise InputError(f"registry {self.url}: {repository} has no blob {digest}; push it again")
-        if len(data) != size or sha256(data) != digest:
+        if sha256(data) != digest:
             raise InputError(f"registry {self.url}: blob {digest} of {repository} has other bytes than it should")
         return data
 

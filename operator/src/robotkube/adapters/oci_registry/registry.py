@@ -77,6 +77,17 @@ class Registry:
         manifest = self._connection.manifest(repository, reference)
         return None if manifest is None else sha256(manifest)
 
+    def manifest(self, repository: str, digest: str) -> bytes:
+        """The bytes of the manifest or index of that digest; InputError when it is not there."""
+        manifest = self._connection.manifest(repository, digest)
+        if manifest is None:
+            raise InputError(f"registry {self._connection.url}: {repository} has no manifest {digest}; push it again")
+        return manifest
+
+    def blob(self, repository: str, digest: str, bytes_max: int) -> bytes:
+        """The bytes of the blob of that digest; InputError when it is not there or has more than `bytes_max`."""
+        return self._connection.blob(repository, digest, bytes_max)
+
     def list(self, repository: str) -> tuple[str, ...]:
         """The tags of a repository, sorted; empty if there is no such repository."""
         return self._connection.tags(repository)
