@@ -37,6 +37,8 @@ DISABLE_REGISTRATION = true
 REQUIRE_SIGNIN_VIEW = true
 [repository]
 ROOT = /data/repositories
+# Hooks start with every push, several at once: sh starts faster than bash.
+SCRIPT_TYPE = sh
 DEFAULT_BRANCH = main
 [packages]
 ENABLED = true
