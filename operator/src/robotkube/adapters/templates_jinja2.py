@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from functools import lru_cache
 from itertools import chain, islice
 from typing import Any
@@ -87,6 +88,19 @@ def _make_environment() -> _Environment:
     return environment
 
 
+@contextmanager
+def _refusals(text: str) -> Iterator[None]:
+    """Everything that a template can do wrong becomes a DocumentError that names it."""
+    if len(text) > TEMPLATE_CHARACTERS_MAX:
+        raise DocumentError("template", [f"longer than {TEMPLATE_CHARACTERS_MAX} characters: {text[:40]!r}..."])
+    try:
+        yield
+    except (RecursionError, SyntaxError, MemoryError) as error:  # of Python, which compiles what Jinja2 wrote
+        raise DocumentError(f"template {text[:80]!r}...", ["nested too deeply; write it flatter"]) from error
+    except (jinja2.TemplateError, TypeError, ValueError, ArithmeticError, LookupError, AttributeError) as error:
+        raise DocumentError(f"template {text!r}", [str(error) or type(error).__name__]) from error
+
+
 class Jinja2Templates:
     """`render` fills every text of a JSON value; keys are not templates. DocumentError names the template."""
 
@@ -98,6 +112,20 @@ class Jinja2Templates:
         """`value` with all templates filled from `names`."""
         budget = [ITEMS_MAX]
         return self._render(value, names, budget, 0)
+
+    def references(self, text: str) -> frozenset[tuple[str, ...]]:
+        """The names that a template refers to, each with its first key when that is written out: `("agent",)`,
+        `("parameters", "vehicles")`. DocumentError when it is no template that could be rendered."""
+        if "{" not in text:
+            return frozenset()
+        with _refusals(text):
+            tree = self._parsed(text)
+        found: set[tuple[str, ...]] = {(node.name,) for node in tree.find_all(nodes.Name)}
+        for node in tree.find_all((nodes.Getattr, nodes.Getitem)):
+            key = node.attr if isinstance(node, nodes.Getattr) else getattr(node.arg, "value", None)
+            if isinstance(node.node, nodes.Name) and isinstance(key, str):
+                found.add((node.node.name, key))
+        return frozenset(found)
 
     def _render(self, value: Any, names: Mapping[str, Any], budget: list[int], depth: int) -> Any:
         budget[0] -= 1
@@ -112,19 +140,20 @@ class Jinja2Templates:
         return value
 
     def _fill(self, text: str, names: Mapping[str, Any]) -> Any:
-        if len(text) > TEMPLATE_CHARACTERS_MAX:
-            raise DocumentError("template", [f"longer than {TEMPLATE_CHARACTERS_MAX} characters: {text[:40]!r}..."])
-        try:
+        with _refusals(text):
             result = self._compiled(text).render(**names)
             if isinstance(result, jinja2.Undefined):
                 str(result)
-        except (jinja2.TemplateError, TypeError, ValueError, ArithmeticError, LookupError, AttributeError) as error:
-            raise DocumentError(f"template {text!r}", [str(error) or type(error).__name__]) from error
         return result
 
     def _compile(self, text: str) -> Any:
+        self._parsed(text)
+        return self._environment.from_string(text)
+
+    def _parsed(self, text: str) -> nodes.Template:
+        """The template's tree; only expressions are in it."""
         tree = self._environment.parse(text)
         for node in tree.find_all((nodes.Stmt, nodes.Call)):
             if not isinstance(node, (nodes.Output, nodes.If)):
                 raise jinja2.TemplateSyntaxError(f"{type(node).__name__} is not allowed; use expressions", node.lineno)
-        return self._environment.from_string(text)
+        return tree
