@@ -31,7 +31,14 @@ class Command:
 
 def commands() -> Sequence[Command]:
     """Every command; other modules of the command line add theirs here."""
-    from robotkube.entrypoints import cli_catalogue, cli_plans, cli_recordings, cli_registry_new, cli_tasks
+    from robotkube.entrypoints import (
+        cli_catalogue,
+        cli_plans,
+        cli_recordings,
+        cli_registry_new,
+        cli_registry_submit,
+        cli_tasks,
+    )
 
     return [
         Command("task", "list", "tasks of all agents", cli_tasks.list_tasks, cli_tasks.listing),
@@ -54,6 +61,13 @@ def commands() -> Sequence[Command]:
             "start an application: a chart and its entries",
             cli_registry_new.new,
             cli_registry_new.naming,
+        ),
+        Command(
+            "registry",
+            "submit",
+            "have charts and applications verified and published",
+            cli_registry_submit.submit,
+            cli_registry_submit.submitting,
         ),
         Command("catalogue", "list", "applications and chart versions", cli_catalogue.list_catalogue),
     ]

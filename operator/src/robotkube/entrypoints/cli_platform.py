@@ -11,8 +11,10 @@ from typing import Any
 from robotkube.adapters import kubernetes_api
 from robotkube.domain.errors import InputError, RefusalError
 from robotkube.domain.tasks import GROUP, PLURAL, VERSION
+from robotkube.domain.texts import read_mapping
 
 OBJECTS_MAX = 5000
+FORGE, IMAGES, IMAGES_KEY = "forge", "platform-images", "images.yaml"
 DATABASE_ACCOUNT, AGENT_LABEL = "database-account", "robotkube.io/agent"
 
 
@@ -75,6 +77,28 @@ class Platform:
                 f"no Service {service} in namespace {self._namespace}; see --platform-namespace"
             ) from error
         return str(found["spec"]["clusterIP"]), int(found["spec"]["ports"][0]["port"])
+
+    def forge_account(self, account: str) -> tuple[str, str, str]:
+        """URL of the platform's forge at its Service's address, and username and password of one of its accounts."""
+        host, port = self.address(FORGE)
+        try:
+            secret = self._read("GET", f"/api/v1/namespaces/{self._namespace}/secrets/forge-account-{account}")
+        except KeyError as error:
+            raise InputError(
+                f"no Secret forge-account-{account} in namespace {self._namespace}; for a forge outside the cluster "
+                "give --forge-url and --password-file"
+            ) from error
+        found = _texts(secret)
+        return f"http://{host}:{port}", found["username"], found["password"]
+
+    def images(self) -> Mapping[str, str]:
+        """Image name -> reference by digest, as the platform runs them."""
+        where = f"/api/v1/namespaces/{self._namespace}/configmaps/{IMAGES}"
+        try:
+            data = self._read("GET", where).get("data") or {}
+        except KeyError:
+            return {}
+        return read_mapping(data.get(IMAGES_KEY, "{}"), f"configmap {self._namespace}/{IMAGES}")
 
     def _one(self, method: str, key: str, query: Sequence[tuple[str, str]] = ()) -> Mapping[str, Any]:
         namespace, separator, name = key.partition("/")

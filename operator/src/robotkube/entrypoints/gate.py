@@ -1,4 +1,4 @@
-"""`python3 -m robotkube.entrypoints.gate`: the gate of the deployment repository.
+"""`python3 -m robotkube.entrypoints.gate`: the gate of the deployment repository, and publication to the catalogue.
 
 Settings: docs/reference/settings.md. Ends with 0 on SIGTERM, 2 when the settings are wrong. The clones stand below
 ROBOTKUBE_WORK (default /tmp/gate); they can be lost at any time.
@@ -11,17 +11,31 @@ import threading
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from robotkube.adapters.argocd import PushHook
+from robotkube.adapters.evidence_dsse import KeyFile, TrustedKeys
 from robotkube.adapters.git_clones import GitClone
+from robotkube.adapters.git_deployment import ProposalWriter
 from robotkube.adapters.gitea import GiteaForge
-from robotkube.adapters.webhooks import WebServer
+from robotkube.adapters.oci_registry import Registry
+from robotkube.adapters.schemas_jsonschema import validate
+from robotkube.adapters.suite_runner_http import SuiteRunnerClient
+from robotkube.adapters.webhooks import Delivery, WebServer
+from robotkube.domain.checks import Proposer
 from robotkube.domain.documents import Reader
+from robotkube.domain.errors import UnavailableError
+from robotkube.domain.suite_requests import SuiteProgress, SuiteRequest
 from robotkube.entrypoints import settings as files
 from robotkube.entrypoints.processes import Process, run
-from robotkube.services.gate import Gate, GateSettings, metrics_text
+from robotkube.ports.suites import SuiteRunner
+from robotkube.services.assured_catalogue import AssuredCatalogue
+from robotkube.services.gate import Gate, metrics_text
+from robotkube.services.gate_rules import GateSettings
+from robotkube.services.publication import Publication, PublicationSettings, publication_metrics
+from robotkube.services.verifying import Verifying, VerifyingSettings
 
 GRACE_SECONDS = 5.0
 STOP_LOOK_SECONDS = 0.2
@@ -29,7 +43,7 @@ STOP_LOOK_SECONDS = 0.2
 
 @dataclass(frozen=True)
 class GateConfiguration:
-    """Everything the process needs, secrets included."""
+    """Everything the process needs, secrets included. `suites_url` is empty when there is no suite-runner."""
 
     listen: files.Listen
     log_level: str
@@ -39,73 +53,180 @@ class GateConfiguration:
     hook_url: str
     hook_secret: str
     webhook_secret: str
+    key: Path
+    keys: Path
+    verifier: str
+    suites_url: str
+    suites_token: str
     gate: GateSettings
+    publication: PublicationSettings
 
 
 def read_configuration(reader: Reader, document: Mapping[str, Any]) -> GateConfiguration:
     """The settings document of the gate."""
-    keys = ["listen", "log_level", "forge", "registry", "hook", "webhook", "agents"]
-    root = reader.mapping(document, "", keys)
-    forge_keys = ["url", "credentials", "deployment", "catalogue", "branch", "proposer"]
+    keys = ["listen", "log_level", "forge", "registry", "local_builds", "evidence", "hook", "webhook"]
+    root = reader.mapping(document, "", keys, ["suites"])
+    forge_keys = ["url", "credentials", "deployment", "catalogue", "branch", "proposers", "publishers"]
     forge = reader.mapping(root.get("forge") or {}, "forge", forge_keys)
-    registry = reader.mapping(root.get("registry") or {}, "registry", ["charts"])
+    registry = reader.mapping(root.get("registry") or {}, "registry", ["charts", "staging"])
+    evidence = reader.mapping(root.get("evidence") or {}, "evidence", ["key", "keys", "verifier"])
     hook = reader.mapping(root.get("hook") or {}, "hook", ["url", "secret"])
     webhook = reader.mapping(root.get("webhook") or {}, "webhook", ["secret"])
+    account = files.credentials(reader, forge.get("credentials"), "forge.credentials")
+    charts_url = reader.word(registry.get("charts"), "registry.charts", files.CHARTS_URL)
+    catalogue = reader.word(forge.get("catalogue"), "forge.catalogue", files.REPOSITORY)
+    suites_url, suites_token = _suites(reader, root.get("suites"))
     return GateConfiguration(
         listen=files.listen(reader, root.get("listen")),
         log_level=files.log_level(reader, root.get("log_level")),
         forge_url=reader.word(forge.get("url"), "forge.url", files.HTTP_URL),
-        account=files.credentials(reader, forge.get("credentials"), "forge.credentials"),
+        account=account,
         branch=reader.word(forge.get("branch"), "forge.branch", files.WORD),
         hook_url=reader.word(hook.get("url"), "hook.url", files.HTTP_URL),
         hook_secret=files.secret(reader, hook.get("secret"), "hook.secret"),
         webhook_secret=files.secret(reader, webhook.get("secret"), "webhook.secret"),
+        key=Path(reader.word(evidence.get("key"), "evidence.key", files.PATH)),
+        keys=Path(reader.word(evidence.get("keys"), "evidence.keys", files.PATH)),
+        verifier=reader.word(evidence.get("verifier"), "evidence.verifier", files.WORD),
+        suites_url=suites_url,
+        suites_token=suites_token,
         gate=GateSettings(
+            account=account.username,
             deployment=reader.word(forge.get("deployment"), "forge.deployment", files.REPOSITORY),
-            catalogue=reader.word(forge.get("catalogue"), "forge.catalogue", files.REPOSITORY),
-            proposer=reader.word(forge.get("proposer"), "forge.proposer", files.WORD),
-            namespaces=files.agent_namespaces(reader, root.get("agents")),
-            charts_url=reader.word(registry.get("charts"), "registry.charts", files.CHARTS_URL),
+            catalogue=catalogue,
+            proposers=_proposers(reader, forge.get("proposers")),
+            charts_url=charts_url,
+        ),
+        publication=PublicationSettings(
+            catalogue=catalogue,
+            publishers=tuple(_words(reader, forge.get("publishers"), "forge.publishers")),
+            account=account.username,
+            staging=_organisation(reader.word(registry.get("staging"), "registry.staging", files.CHARTS_URL)),
+            verified=_organisation(charts_url),
+            charts_url=charts_url,
+            local_builds=_yes_or_no(reader, root.get("local_builds"), "local_builds"),
         ),
     )
 
 
+def _suites(reader: Reader, value: Any) -> tuple[str, str]:
+    """Address and token of the suite-runner; both empty when there is none."""
+    if value is None:
+        return "", ""
+    suites = reader.mapping(value, "suites", ["url", "token"])
+    url = reader.word(suites.get("url"), "suites.url", files.HTTP_URL)
+    return url, files.secret(reader, suites.get("token"), "suites.token")
+
+
+def _proposers(reader: Reader, value: Any) -> tuple[Proposer, ...]:
+    found = []
+    for index, item in enumerate(reader.sequence(value, "forge.proposers")):
+        path = f"forge.proposers[{index}]"
+        proposer = reader.mapping(item, path, ["account", "namespaces"])
+        account = reader.word(proposer.get("account"), f"{path}.account", files.WORD)
+        found.append(Proposer(account, frozenset(_words(reader, proposer.get("namespaces"), f"{path}.namespaces"))))
+    return tuple(found)
+
+
+def _words(reader: Reader, value: Any, path: str) -> list[str]:
+    items = enumerate(reader.sequence(value, path))
+    return [reader.word(item, f"{path}[{index}]", files.WORD) for index, item in items]
+
+
+def _organisation(url: str) -> str:
+    return url.rpartition("/")[2]
+
+
+def _yes_or_no(reader: Reader, value: Any, path: str) -> bool:
+    if not isinstance(value, bool):
+        reader.problems.append(f"{path}: must be true or false")
+    return value is True
+
+
+class _NoRunner:
+    """Where suites are switched off nothing new can be verified."""
+
+    def run(self, request: SuiteRequest) -> SuiteProgress:
+        """Says so."""
+        raise UnavailableError("this installation has no suite-runner (charts/robotkube, values suites.enabled)")
+
+
 def build_gate(found: GateConfiguration, work: Path) -> Gate:
-    """The gate on its adapters; nothing is asked of the world yet."""
+    """The gate of the deployment repository on its adapters; nothing is asked of the world yet."""
     url, account = found.forge_url, (found.account.username, found.account.password)
     work.mkdir(parents=True, exist_ok=True)
+    catalogue = GitClone(url, found.gate.catalogue, *account, work / "catalogue", branch=found.branch)
     return Gate(
         GiteaForge(url, found.gate.deployment, *account, branch=found.branch),
         GitClone(url, found.gate.deployment, *account, work / "deployment", branch=found.branch),
-        GitClone(url, found.gate.catalogue, *account, work / "catalogue", branch=found.branch),
+        AssuredCatalogue(catalogue, TrustedKeys(found.keys)),
         PushHook(found.hook_url, found.hook_secret.encode(), f"{url}/{found.gate.deployment}", branch=found.branch),
         found.gate,
+        validate,
         time.monotonic,
     )
 
 
+def build_publication(found: GateConfiguration, work: Path, gate: Gate) -> Publication:
+    """Publication on adapters of its own, since it runs on a thread of its own; the gate hears of what is new."""
+    url, account = found.forge_url, (found.account.username, found.account.password)
+    settings, folder = found.publication, work / "publication"
+    work.mkdir(parents=True, exist_ok=True)
+    clone = GitClone(url, settings.catalogue, *account, folder, branch=found.branch)
+    signer, registry = KeyFile(found.key), Registry(url, *account, lock=threading.Lock())
+    runner: SuiteRunner = SuiteRunnerClient(found.suites_url, found.suites_token) if found.suites_url else _NoRunner()
+    names = VerifyingSettings(
+        settings.staging, settings.verified, settings.charts_url, f"{url}/{settings.catalogue}", found.verifier
+    )
+    return Publication(
+        GiteaForge(url, settings.catalogue, *account, branch=found.branch),
+        clone,
+        ProposalWriter(folder, *account, found.account.username, time.time, branch=found.branch),
+        registry,
+        Verifying(registry, signer, TrustedKeys(found.keys), runner, names, time.monotonic, _now),
+        signer,
+        settings,
+        time.monotonic,
+        lambda: gate.wake("push", {"repository": {"full_name": settings.catalogue}}),
+    )
+
+
+def _now() -> str:
+    return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
 def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
-    """Serve webhooks, health and metrics; run the gate's rounds on the main thread until the process shall end."""
+    """Serve webhooks, health and metrics; run both loops on threads until the process shall end."""
     found = files.read_settings(files.settings_path(environment), read_configuration)
     files.send_logs(process, found.log_level)
-    gate = build_gate(found, Path(environment.get("ROBOTKUBE_WORK", "/tmp/gate")))  # noqa: S108 - the pod's own volume
+    work = Path(environment.get("ROBOTKUBE_WORK", "/tmp/gate"))  # noqa: S108 - the pod's own volume
+    gate = build_gate(found, work)
+    publication = build_publication(found, work, gate)
+
+    def wake(delivery: Delivery) -> None:
+        gate.wake(delivery.event, delivery.payload)
+        publication.wake(delivery.event, delivery.payload)
+
     server = WebServer(
         found.listen.address,
         found.listen.port,
-        gate.reasons_not_ready,
-        lambda: metrics_text(gate.statistics),
+        lambda: [*gate.reasons_not_ready(), *publication.reasons_not_ready()],
+        lambda: metrics_text(gate.statistics) + publication_metrics(publication.statistics),
         found.webhook_secret.encode(),
-        lambda delivery: gate.wake(delivery.event, delivery.payload),
+        wake,
     )
     server.start()
-    process.log("started", port=server.port, namespaces=len(found.gate.namespaces))
+    process.log("started", port=server.port, proposers=len(found.gate.proposers))
     stopping = threading.Event()
-    rounds = threading.Thread(target=gate.run, args=(stopping,), daemon=True)
-    rounds.start()
-    while rounds.is_alive() and not process.stopping.wait(STOP_LOOK_SECONDS):
+    loops = [threading.Thread(target=loop.run, args=(stopping,), daemon=True) for loop in (gate, publication)]
+    for thread in loops:
+        thread.start()
+    while all(thread.is_alive() for thread in loops) and not process.stopping.wait(STOP_LOOK_SECONDS):
         pass
     gate.stop(stopping)
-    rounds.join(GRACE_SECONDS)
+    publication.stop(stopping)
+    for thread in loops:
+        thread.join(GRACE_SECONDS)
     server.stop()
 
 

@@ -1,0 +1,225 @@
+"""Submitting charts and applications: push to `staging`, propose to the catalogue, follow what the gate says.
+
+Everything is content-addressed: what the catalogue has already is not submitted again, and the same submission made
+twice is one pull request.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol, TypeVar
+
+from robotkube.domain.charts_packing import PackedChart, build_tag, canonical_json, sha256
+from robotkube.domain.errors import InputError, UnavailableError
+from robotkube.domain.evidence import FOLDER as EVIDENCE
+from robotkube.domain.publication_report import MARKER, readable_text
+from robotkube.domain.submissions import READ_FOLDERS, TOPIC, SubmittedChart, is_published, read_entry
+from robotkube.domain.texts import write_mapping
+from robotkube.ports.forges import Forge, PullRequest
+from robotkube.ports.git import Proposals, RepositoryFiles
+
+STAGING = "staging"
+PUBLISHED, UNCHANGED, REFUSED, PLANNED = "published", "unchanged", "refused", "planned"
+LOOK_SECONDS = 0.5  # at the pull request
+AWAY_SECONDS_MAX = 60.0  # the forge may be silent this long
+TOPIC_DIGITS = 16
+
+T = TypeVar("T")
+
+
+class ChartPushing(Protocol):
+    """The part of a registry that a publisher uses."""
+
+    def push_chart(self, organisation: str, chart: PackedChart, tag: str = "") -> str:
+        """Push to `<organisation>/<chart name>`; the same again changes nothing."""
+        ...
+
+
+@dataclass(frozen=True)
+class ChartSource:
+    """A chart as it is submitted: `document` is its entry without a status, `images` the references it runs."""
+
+    document: Mapping[str, Any]
+    packed: PackedChart
+    images: tuple[str, ...]
+
+    @property
+    def entry(self) -> str:
+        """The entry's text as submitted."""
+        status = {"state": "staged", "digest": self.packed.digest, "images": sorted(self.images)}
+        return write_mapping({**self.document, "status": status})
+
+    @property
+    def submitted(self) -> SubmittedChart:
+        """As the gate reads it; DocumentError when it is not one that it takes."""
+        return read_entry(self.entry, f"charts/{self.packed.name}/{self.packed.version}.yaml")
+
+
+@dataclass(frozen=True)
+class Sources:
+    """What to submit: `applications` and `kept` are path in the catalogue -> text; of `kept` (evidence of earlier
+    publications) only what belongs to these charts' digests is used."""
+
+    charts: tuple[ChartSource, ...] = ()
+    applications: Mapping[str, str] = field(default_factory=dict)
+    kept: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How it went. `verdict` is published, unchanged, refused or planned (nothing was written); `text` the gate's
+    report for a terminal; `evidence` path in the catalogue -> text of all these charts' evidence."""
+
+    verdict: str
+    charts: tuple[SubmittedChart, ...] = ()
+    applications: tuple[str, ...] = ()
+    unchanged: tuple[str, ...] = ()
+    text: str = ""
+    number: int = 0
+    url: str = ""
+    evidence: Mapping[str, str] = field(default_factory=dict)
+
+
+class Submitting:
+    """One publisher at one forge. `account` is the publisher's; `monotonic` and `sleep` are in seconds; `say` takes
+    progress, a line at a time."""
+
+    def __init__(
+        self,
+        catalogue: RepositoryFiles,
+        proposals: Proposals,
+        forge: Forge,
+        registry: ChartPushing,
+        account: str,
+        monotonic: Callable[[], float],
+        sleep: Callable[[float], None],
+        say: Callable[[str], None] = lambda line: None,
+    ) -> None:
+        self._catalogue, self._proposals, self._forge, self._registry = catalogue, proposals, forge, registry
+        self._account, self._monotonic, self._sleep, self._say = account, monotonic, sleep, say
+
+    def submit(self, sources: Sources, wait_seconds: float, dry_run: bool = False) -> Outcome:
+        """Submit what the catalogue has not, and wait for the gate's verdict.
+
+        UnavailableError when the forge is away, or nothing was decided within `wait_seconds`: the submission stands,
+        the same call follows it again."""
+        tip = self._patiently(self._catalogue.fetch)
+        main = self._catalogue.files(tip, READ_FOLDERS)
+        new, unchanged = self._sort(sources, main)
+        applications = {path: text for path, text in sources.applications.items() if main.get(path) != text}
+        about = Outcome(
+            PLANNED,
+            tuple(chart.submitted for chart in new),
+            tuple(sorted(applications)),
+            tuple(chart.submitted.name for chart in unchanged),
+        )
+        for name in about.unchanged:
+            self._say(f"{name}: published already with this digest")
+        changes = _changes(new, applications, sources.kept)
+        if dry_run or not changes:
+            verdict = PLANNED if changes else UNCHANGED
+            return _told(about, verdict, evidence=self._evidence(tip, sources))
+        for chart in new:
+            self._push(chart)
+        pull = self._open(tip, changes, about)
+        return self._follow(pull, about, sources, self._monotonic() + wait_seconds)
+
+    @staticmethod
+    def _sort(sources: Sources, main: Mapping[str, str]) -> tuple[list[ChartSource], list[ChartSource]]:
+        """Charts that are new to the catalogue, and those that are not."""
+        published = [chart for chart in sources.charts if is_published(chart.submitted, main)]
+        return [chart for chart in sources.charts if chart not in published], published
+
+    def _push(self, chart: ChartSource) -> None:
+        packed = chart.packed
+        tag = build_tag(packed.version, packed.digest)
+        self._patiently(lambda: self._registry.push_chart(STAGING, packed, tag))
+        self._say(f"{packed.name} {packed.version}: pushed to {STAGING} as {packed.digest}")
+
+    def _open(self, tip: str, changes: Mapping[str, str], about: Outcome) -> PullRequest:
+        """The pull request of exactly these changes: the open one, or a new one."""
+        topic = TOPIC + sha256(canonical_json(dict(changes))).removeprefix("sha256:")[:TOPIC_DIGITS]
+        found = self._find(topic)
+        if found is None:
+            title = f"submit: {_names(about)}"
+            commit = self._proposals.commit(tip, changes, f"{title}\n")
+            number = self._proposals.propose(commit, topic, title, "The gate answers below.\n")
+            found = self._patiently(lambda: self._forge.pull_request(number)) if number else self._find(topic)
+        if found is None:
+            raise UnavailableError(f"the forge took submission {topic}, but shows no pull request for it; try again")
+        self._say(f"pull request {found.url}")
+        return found
+
+    def _find(self, topic: str) -> PullRequest | None:
+        pulls = self._patiently(lambda: self._forge.pull_requests("open", self._account))
+        return next((pull for pull in pulls if pull.topic == topic and pull.author == self._account), None)
+
+    def _follow(self, opened: PullRequest, about: Outcome, sources: Sources, end: float) -> Outcome:
+        said: set[str] = set()
+        while True:
+            pull = self._patiently(lambda: self._forge.pull_request(opened.number))
+            text = self._report(opened.number)
+            self._progress(text, said)
+            if pull.merged or pull.state == "closed":
+                break
+            if self._monotonic() >= end:
+                raise UnavailableError(
+                    f"{pull.url}: not decided within the given time; the gate goes on, the same command follows it"
+                )
+            self._sleep(LOOK_SECONDS)
+        verdict = PUBLISHED if pull.merged or self._is_on_main(sources) else REFUSED
+        evidence = self._evidence(self._patiently(self._catalogue.fetch), sources) if verdict == PUBLISHED else {}
+        text = readable_text(text) if text else "the pull request was closed without a report of the gate\n"
+        return _told(about, verdict, text=text, number=pull.number, url=pull.url, evidence=evidence)
+
+    def _progress(self, text: str, said: set[str]) -> None:
+        for line in readable_text(text).splitlines():
+            if line.startswith(("## ", "| ")) and line not in said and not line.startswith(("| suite", "| ---")):
+                said.add(line)
+                self._say(line.strip("#| ").replace(" | ", "  "))
+
+    def _report(self, number: int) -> str:
+        comments = self._patiently(lambda: self._forge.comments(number))
+        return next((one.text for one in comments if one.text.startswith(MARKER) and one.author != self._account), "")
+
+    def _is_on_main(self, sources: Sources) -> bool:
+        main = self._catalogue.files(self._patiently(self._catalogue.fetch), READ_FOLDERS)
+        charts = all(is_published(chart.submitted, main) for chart in sources.charts)
+        return charts and all(main.get(path) == text for path, text in sources.applications.items())
+
+    def _evidence(self, tip: str, sources: Sources) -> dict[str, str]:
+        folders = tuple(f"{chart.submitted.artefact.folder}/" for chart in sources.charts)
+        files = self._catalogue.files(tip, (EVIDENCE,)) if folders else {}
+        return {path: text for path, text in files.items() if path.startswith(folders)}
+
+    def _patiently(self, call: Callable[[], T]) -> T:
+        """The call's answer; a forge that does not answer is asked again within AWAY_SECONDS_MAX."""
+        end = self._monotonic() + AWAY_SECONDS_MAX
+        while True:
+            try:
+                return call()
+            except UnavailableError:
+                if self._monotonic() >= end:
+                    raise
+                self._sleep(LOOK_SECONDS)
+
+
+def _told(about: Outcome, verdict: str, **more: Any) -> Outcome:
+    return Outcome(**{**vars(about), "verdict": verdict, **more})
+
+
+def _names(about: Outcome) -> str:
+    names = [chart.name for chart in about.charts]
+    names += [f"application {path.removesuffix('.yaml').rpartition('/')[2]}" for path in about.applications]
+    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
+
+
+def _changes(new: Sequence[ChartSource], applications: Mapping[str, str], kept: Mapping[str, str]) -> dict[str, str]:
+    """Path -> text of the submission."""
+    folders = tuple(f"{chart.submitted.artefact.folder}/" for chart in new)
+    changes = {f"charts/{chart.packed.name}/{chart.packed.version}.yaml": chart.entry for chart in new}
+    if len(changes) != len(new):
+        raise InputError("the same chart version was given twice; name each chart once")
+    evidence = {path: text for path, text in kept.items() if folders and path.startswith(folders)}
+    return {**changes, **applications, **evidence}
