@@ -56,8 +56,6 @@ hook:
   secret: /var/run/secrets/robotkube/hook/secret
 webhook:
   secret: /var/run/secrets/robotkube/webhook/secret
-agents:
-{{- include "robotkube.agents" . }}
 {{- end }}
 
 {{- define "robotkube.bootstrapSettings" -}}
