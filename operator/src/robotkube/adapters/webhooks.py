@@ -5,6 +5,7 @@
     GET  /readyz    200, or 503 with one reason per line
     GET  /metrics   Prometheus text
     GET  <page>     a JSON document of the process, where it offers one
+    PUT  <path>     what `put` answers, where a process takes requests
 
 A delivery only wakes its receiver: what happened is read from the forge afterwards, so a lost, doubled or replayed
 delivery does no harm.
@@ -30,6 +31,9 @@ CONNECTION_SECONDS_MAX = 30.0
 SHUTDOWN_SECONDS_MAX = 5.0
 
 log = logging.getLogger(__name__)
+
+Put = Callable[[str, Mapping[str, str], bytes], tuple[int, Mapping[str, Any]]]
+"""Path, headers and body -> status and JSON document."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +80,8 @@ class WebServer:
 
     `deliver` must return at once (it wakes a loop); `ready` gives the reasons why the process is not ready (empty = it
     is); `metrics` gives Prometheus text; `pages` are JSON documents by path. Port 0 takes a free one, see `port`.
-    Without a secret there is no /webhook.
+    Without a secret there is no /webhook. `put` gets path, headers (lower-case names) and body of a PUT, and gives
+    status and JSON.
     """
 
     def __init__(
@@ -88,11 +93,12 @@ class WebServer:
         secret: bytes = b"",
         deliver: Callable[[Delivery], None] | None = None,
         pages: Mapping[str, Callable[[], Mapping[str, Any]]] | None = None,
+        put: Put | None = None,
     ) -> None:
         self._server = _Server((address, port), _Handler)
         self._server.ready, self._server.metrics = ready, metrics
         self._server.secret, self._server.deliver = secret, deliver
-        self._server.pages = pages or {}
+        self._server.pages, self._server.put = pages or {}, put
         self._thread = threading.Thread(target=self._server.serve_forever, kwargs={"poll_interval": 0.2}, daemon=True)
 
     @property
@@ -122,6 +128,7 @@ class _Server(ThreadingHTTPServer):
     secret: bytes
     deliver: Callable[[Delivery], None] | None
     pages: Mapping[str, Callable[[], Mapping[str, Any]]]
+    put: Put | None
 
     def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
         super().__init__(address, handler)
@@ -189,6 +196,21 @@ class _Handler(BaseHTTPRequestHandler):
         log.debug("delivery event=%s action=%s", delivery.event, delivery.payload.get("action", ""))
         self.server.deliver(delivery)
         self._answer(204, "")
+
+    def do_PUT(self) -> None:
+        """A request, where the process takes any."""
+        if self.server.put is None:
+            self._refuse(404, "not found")
+            return
+        try:
+            body = self._body()
+        except _DeliveryError as error:
+            self._refuse(error.status, str(error))
+            return
+        status, document = self.server.put(
+            self.path, {name.lower(): value for name, value in self.headers.items()}, body
+        )
+        self._answer(status, json.dumps(document) + "\n", "application/json")
 
     def _body(self) -> bytes:
         length = self.headers.get("Content-Length") or ""

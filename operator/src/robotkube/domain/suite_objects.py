@@ -197,7 +197,7 @@ allow_anonymous false
 password_file /tmp/passwords
 persistence false
 message_size_limit 16777216
-log_dest stdout
+log_dest stderr
 log_type all
 """
 

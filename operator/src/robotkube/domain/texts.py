@@ -73,19 +73,36 @@ _Dumper.add_representer(str, _text)
 
 def read_mapping(text: str, where: str) -> dict[str, Any]:
     """The one mapping in `text`; DocumentError names `where` and the problem when it is anything else."""
-    if len(text.encode()) > TEXT_BYTES_MAX:
-        raise DocumentError(where, [f"longer than {TEXT_BYTES_MAX} bytes; split it"])
-    try:
-        _refuse_structure(text, where)
-        documents = list(yaml.load_all(text, Loader=_Loader))
-    except (yaml.YAMLError, ValueError) as error:  # a number that is none, or with thousands of digits
-        raise DocumentError(where, [f"not readable as YAML: {' '.join(str(error).split())}"]) from error
+    documents = _read(text, where, TEXT_BYTES_MAX)
     if len(documents) != 1 or not isinstance(documents[0], dict):
         raise DocumentError(where, ["must hold exactly one YAML document, a mapping"])
-    problems = json_problems(documents[0], "")
+    _refuse_values(documents, where)
+    return documents[0]
+
+
+def read_mappings(text: str, where: str, bytes_max: int) -> list[dict[str, Any]]:
+    """Every mapping in `text`, one per document, empty documents left out; DocumentError as for one."""
+    documents = [found for found in _read(text, where, bytes_max) if found is not None]
+    if not all(isinstance(found, dict) for found in documents):
+        raise DocumentError(where, ["every YAML document must be a mapping"])
+    _refuse_values(documents, where)
+    return documents
+
+
+def _read(text: str, where: str, bytes_max: int) -> list[Any]:
+    if len(text.encode()) > bytes_max:
+        raise DocumentError(where, [f"longer than {bytes_max} bytes; split it"])
+    try:
+        _refuse_structure(text, where)
+        return list(yaml.load_all(text, Loader=_Loader))
+    except (yaml.YAMLError, ValueError) as error:  # a number that is none, or with thousands of digits
+        raise DocumentError(where, [f"not readable as YAML: {' '.join(str(error).split())}"]) from error
+
+
+def _refuse_values(documents: Sequence[Any], where: str) -> None:
+    problems = [problem for found in documents for problem in json_problems(found, "")]
     if problems:
         raise DocumentError(where, problems)
-    return documents[0]
 
 
 def _refuse_structure(text: str, where: str) -> None:
