@@ -1,0 +1,167 @@
+"""The static suite over charts that the real helm renders: the packaged ones, a new one, and wrong ones."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+import wrong_interfaces
+from charts_under_test import subject_of
+from wrong_charts import MISTAKES, wrong_chart
+
+from robotkube.adapters.schemas_jsonschema import violations
+from robotkube.adapters.templates_jinja2 import Jinja2Templates
+from robotkube.domain.evidence import Check
+from robotkube.ports.suites import Subject
+from robotkube.services.suite_static import StaticSuite
+
+REPOSITORY = Path(__file__).resolve().parents[3]
+PACKAGED = ("mqtt-bridge", "event-detector", "bag-player")
+STATIC = [name for name, mistake in MISTAKES.items() if mistake.suite == "static"]
+OTHERS = [name for name, mistake in MISTAKES.items() if mistake.suite != "static"]
+
+Read = Callable[[Path, Path], Subject]
+
+
+@pytest.fixture
+def read(helm: Any, tmp_path: Path) -> Read:
+    return lambda chart, entry: subject_of(helm, chart, entry, tmp_path)
+
+
+def checks_of(subject: Subject) -> dict[str, Check]:
+    checks = StaticSuite(violations, Jinja2Templates().render).run(subject)
+    assert len({check.name for check in checks}) == len(checks)
+    return {check.name: check for check in checks}
+
+
+def failed(subject: Subject) -> dict[str, str]:
+    return {name: check.found for name, check in checks_of(subject).items() if not check.passed}
+
+
+@pytest.mark.parametrize("chart", PACKAGED)
+def test_the_packaged_charts_pass(read: Read, chart: str) -> None:
+    folder = REPOSITORY / "charts" / "apps" / chart
+    assert failed(read(folder, REPOSITORY / "registry" / "charts" / chart / "0.1.0.yaml")) == {}
+
+
+def test_a_new_application_passes_as_it_is(read: Read, tmp_path: Path) -> None:
+    checks = checks_of(read(*wrong_interfaces.write_chart("text-relay", {}, tmp_path / "new")))
+    assert [check for check in checks.values() if not check.passed] == []
+    assert len(checks) >= 35
+    assert checks["strategy"].found == ""
+
+
+@pytest.mark.parametrize("name", STATIC)
+def test_a_wrong_chart_fails_in_words(read: Read, name: str, tmp_path: Path) -> None:
+    mistake = MISTAKES[name]
+    checks = checks_of(read(*wrong_chart(name, tmp_path / "wrong")))
+    assert [one for one, check in checks.items() if not check.passed] == [mistake.check]
+    assert mistake.found in checks[mistake.check].found
+    assert mistake.fix in checks[mistake.check].fix
+
+
+@pytest.mark.parametrize("name", [*OTHERS, *wrong_interfaces.MISTAKES])
+def test_what_other_suites_must_find_passes_this_one(read: Read, name: str, tmp_path: Path) -> None:
+    write = wrong_chart if name in MISTAKES else wrong_interfaces.wrong_chart
+    assert failed(read(*write(name, tmp_path / "wrong"))) == {}
+
+
+def changed(subject: Subject, path: str, change: Callable[[Any], Any]) -> Subject:
+    """The subject with another entry: `change` gets and gives the value at `spec.<path>`."""
+    spec: dict[str, Any] = json.loads(json.dumps(subject.entry["spec"]))
+    spec[path] = change(spec.get(path))
+    return dataclasses.replace(subject, entry={**subject.entry, "spec": spec})
+
+
+@pytest.fixture
+def relay(read: Read, tmp_path: Path) -> Subject:
+    return read(*wrong_interfaces.write_chart("text-relay", {}, tmp_path / "new"))
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "check", "found"),
+    [
+        ("version", "0.2.0", "identity", "Chart.yaml has version 0.1.0, the entry has spec.version 0.2.0"),
+        ("resources", {"cpu": "30m", "memory": "32Mi"}, "entry-resources", "64Mi of memory, the entry has"),
+        ("resources", None, "entry-resources", "requests 30m of cpu, the entry has spec.resources.cpu None"),
+        (
+            "images",
+            ["platform"],
+            "entry-images",
+            "packed with the images ['ros'], the entry has spec.images ['platform']",
+        ),
+    ],
+)
+def test_an_entry_that_differs_from_its_chart(relay: Subject, key: str, value: Any, check: str, found: str) -> None:
+    problems = failed(changed(relay, key, lambda _: value))
+    assert list(problems) == [check]
+    assert found in problems[check]
+
+
+def test_equal_quantities_may_be_written_differently(relay: Subject) -> None:
+    assert failed(changed(relay, "resources", lambda _: {"cpu": 0.03, "memory": 64 * 1024 * 1024})) == {}
+
+
+def sets_with(**values: Any) -> Callable[[Any], Mapping[str, Any]]:
+    sets = [{"name": name, "values": {"placement": {"agent": "{{ agent }}"}, **values}} for name in ("one", "two")]
+    return lambda _: {"sets": sets}
+
+
+def test_test_values_that_the_schema_refuses(relay: Subject) -> None:
+    problems = failed(changed(relay, "suites", sets_with(relay={"input": "no topic"})))
+    assert "set one: values.relay.input: 'no topic' does not match" in problems["test-sets"]
+    assert "set two" in problems["renders"]
+    assert "input" in problems["renders"]
+
+
+@pytest.mark.parametrize(
+    ("suites", "found"),
+    [
+        (None, "the entry has no test values; write spec.suites.sets with two sets"),
+        ({"sets": [{"name": "a", "values": {"placement": {"agent": "x"}}}]}, "one test set, two are needed"),
+        ({"sets": [{"name": "a", "values": {"placement": {"agent": "{{ nobody }}"}}}]}, "nobody"),
+    ],
+)
+def test_sets_that_cannot_be_used(relay: Subject, suites: Any, found: str) -> None:
+    assert found in failed(changed(relay, "suites", lambda _: suites))["test-sets"]
+
+
+def template(text: str) -> tuple[str, str]:
+    """A change of the Deployment's template: more text behind it."""
+    return '(dict "root" .)) }}', '(dict "root" .)) }}' + text
+
+
+MORE = "\n---\napiVersion: v1\nkind: Secret\nmetadata: {name: account}\n"
+TIME = '(dict "root" .)) | replace "replicas: 1" (printf "replicas: %s" (randNumeric 9)) }}'
+PLAN = '(dict "root" .)) | replace "replicas: 1" (printf "replicas: %v" (.Values.global | default dict | len)) }}'
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "check", "found"),
+    [
+        ("templates/deployment.yaml", template(MORE), "kinds", "Secret account (v1): Secrets are made per agent"),
+        ("templates/deployment.yaml", template(MORE), "names", "is not named as the release"),
+        ("templates/deployment.yaml", ('(dict "root" .)) }}', TIME), "renders-the-same-twice", "set first: two"),
+        ("templates/deployment.yaml", ('(dict "root" .)) }}', PLAN), "plan", "every plan would restart pods"),
+        ("templates/_app.tpl", ("serviceAccount: application", "serviceAccount: admin"), "service-account", "is admin"),
+        ("templates/_app.tpl", ("image: ros", "image: rose"), "renders", "no image. Pack the chart with images.yaml"),
+        ("values.yaml", ("limits: {memory: 256Mi}", "limits: {}"), "resources", "resources.limits.memory is missing"),
+        ("values.yaml", ("terminationGracePeriodSeconds: 5", "grace: 5"), "values-documented", "values.grace: is in"),
+        ("values.yaml", ("PeriodSeconds: 5", "PeriodSeconds: 90"), "values-valid", "90 is"),
+        ("values.yaml", ("terminationGracePeriodSeconds: 5", "- x"), "files", "values.yaml: not readable as YAML"),
+        ("values.schema.json", ('"description": "The topics.",', ""), "values-documented", "values.relay: no"),
+        ("values.schema.json", ("draft-07/schema#", "draft-03/schema#"), "schema-strict", "$schema: "),
+        ("values.schema.json", ('"maximum": 60', '"$ref": "http://x.invalid/x"'), "schema-strict", "not in this file"),
+        ("values.schema.json", ('"title"', "'title'"), "files", "values.schema.json: not readable"),
+    ],
+)  # fmt: skip
+def test_other_mistakes_in_a_chart(
+    read: Read, tmp_path: Path, file: str, change: tuple[str, str], check: str, found: str
+) -> None:
+    changes = {f"charts/{{name}}/{file}": [change]}
+    problems = failed(read(*wrong_interfaces.write_chart("text-relay", changes, tmp_path / "new")))
+    assert found in problems[check]
