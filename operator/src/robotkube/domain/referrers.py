@@ -18,7 +18,7 @@ EMPTY_TYPE = "application/vnd.oci.empty.v1+json"
 EMPTY = b"{}"  # the configuration of an artefact without one
 ARTEFACT_BYTES_MAX = 16 * 1024 * 1024
 ARTEFACT_MANIFEST_BYTES_MAX = 64 * 1024
-ARTEFACTS_MAX = 64  # of one subject
+ARTEFACTS_MAX = 256  # of one subject: a set per policy it was verified under
 
 Entry = Mapping[str, Any]
 """A descriptor of an artefact in the index: mediaType, digest, size, artifactType, annotations."""
