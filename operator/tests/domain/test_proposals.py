@@ -15,7 +15,10 @@ from robotkube.domain.releases import Cause
 PLAN = "20261121-100000-1a2b3c"
 CAUSES = (Cause("cloud-0/a", "e1", "near", "1" * 32, ""), Cause("cloud-0/b", "e2", "near", "2" * 32, ""))
 CHART = ChartReference("mqtt-bridge", "0.1.0", "sha256:" + "a" * 64)
-MESSAGE = CommitMessage("deploy", "recording", "vehicle-00, vehicle-01 within 400 m", PLAN, CAUSES, False, (CHART,))
+OTHER = ChartReference("event-detector", "0.2.0", "sha256:" + "b" * 64)
+SUMMARY = "sha256:" + "c" * 64
+REASON = "vehicle-00, vehicle-01 within 400 m"
+MESSAGE = CommitMessage("deploy", "recording", REASON, PLAN, CAUSES, False, (CHART,), (SUMMARY,))
 
 
 @pytest.mark.parametrize(
@@ -25,6 +28,7 @@ MESSAGE = CommitMessage("deploy", "recording", "vehicle-00, vehicle-01 within 40
         replace(MESSAGE, initial=True),
         replace(MESSAGE, causes=(), initial=True, area="initial"),
         replace(MESSAGE, verb="withdraw"),
+        replace(MESSAGE, charts=(OTHER, CHART), evidence=("none", SUMMARY)),
     ],
 )
 def test_message_reads_back_equal(message: CommitMessage) -> None:
@@ -49,7 +53,13 @@ def test_one_line() -> None:
         (("deploy(recording)", "feat(recording)"), "subject"),
         ((f"RobotKube-Plan: {PLAN}\n", ""), "RobotKube-Plan must stand exactly once, found 0"),
         (("RobotKube-Event: e2\n", ""), "every task needs one"),
-        (("RobotKube-Evidence: none", "RobotKube-Evidence: none\nRobotKube-Evidence: none"), "exactly once"),
+        (
+            (f"RobotKube-Evidence: {SUMMARY}", f"RobotKube-Evidence: {SUMMARY}\nRobotKube-Evidence: none"),
+            "RobotKube-Evidence must stand once per RobotKube-Chart, found 2 of 1",
+        ),
+        ((f"RobotKube-Evidence: {SUMMARY}\n", ""), "found 0 of 1"),
+        ((f"RobotKube-Evidence: {SUMMARY}", "RobotKube-Evidence: signed"), "must be `none` or sha256:<64 hex>"),
+        (("RobotKube-Event: e1", f"RobotKube-Plan: {PLAN}\nRobotKube-Event: e1"), "exactly once, found 2"),
         (("@0.1.0@", "@"), "name@version@"),
         ((f"RobotKube-Chart: {CHART}\n", ""), "RobotKube-Chart is missing"),
         (("RobotKube-Task: cloud-0/a", "RobotKube-Task: a"), "RobotKube-Task: 'a' must match"),

@@ -24,7 +24,14 @@ from robotkube.domain.releases import (
 from robotkube.domain.texts import read_mapping, write_mapping
 
 DIGEST = "sha256:" + "12e4567890ab" + "0" * 52
-CAUSE = Cause("cloud-0/meeting-3f2a9c", "3f2a9c", "lidar-proximity", "1" * 32, "pose-point-cloud-recording")
+CAUSE = Cause(
+    "cloud-0/meeting-3f2a9c",
+    "3f2a9c",
+    "lidar-proximity",
+    "1" * 32,
+    "pose-point-cloud-recording",
+    '{"a":[1.5],"b":"\\u00e9"}',
+)
 RELEASE = Release(
     "vehicle-00",
     "mqtt-bridge",
@@ -88,6 +95,14 @@ def test_text_that_looks_like_something_else_is_quoted(value: str) -> None:
         (("name: mqtt-bridge\n  namespace", "name: other\n  namespace"), "path: "),
         (("robotkube.io/rules: lidar-proximity", "robotkube.io/rules: lidar-proximity b"), "must be equally many"),
         (("robotkube.io/evidence: none", "x: y"), "robotkube.io/evidence: missing"),
+        (
+            ("robotkube.io/evidence: none", "robotkube.io/evidence: signed"),
+            "robotkube.io/evidence: 'signed' must match",
+        ),
+        (("robotkube.io/parameters: ", "x: "), "tasks 1, events 1, rules 1, traces 1, applications 1, parameters 0"),
+        (("[{", "[1,{"), "robotkube.io/parameters: must be a JSON list of objects"),
+        (("[{", "[ {"), "robotkube.io/parameters: must be a JSON list of objects, keys sorted, without spaces"),
+        (("[{", "[[{"), "robotkube.io/parameters: must be a JSON list of objects"),
         (("name: mqtt-bridge-12e4567890ab", "name: mqtt-bridge-000000000000"), "spec.chartRef"),
         (("namespace: vehicle-00", "namespace: Vehicle_00"), "metadata.namespace"),
         (("apiVersion", "---\n---\napiVersion"), "exactly one YAML document"),

@@ -13,18 +13,24 @@ from typing import Any
 
 import httpx
 import pygit2
+import yaml
+from evidence_of_tests import PROJECT, applications, policies, published_chart, trusted_keys, unproved_chart
 
 from robotkube.adapters.argocd import PushHook
 from robotkube.adapters.git_clones import GitClone
 from robotkube.adapters.gitea import GiteaForge
+from robotkube.adapters.schemas_jsonschema import validate
 from robotkube.adapters.webhooks import WebServer
+from robotkube.domain.checks import Proposer
 from robotkube.domain.proposals import ChartReference, CommitMessage, write_message
 from robotkube.domain.releases import Cause, Release, Source, write_release, write_source
+from robotkube.services.assured_catalogue import AssuredCatalogue
 from robotkube.services.bootstrapping import Account, ForgeSetup, Organisation, Repository, Webhook
-from robotkube.services.gate import Gate, GateSettings, metrics_text
+from robotkube.services.gate import Gate, metrics_text
+from robotkube.services.gate_rules import GateSettings
 
 END_SECONDS_MAX = 20.0
-ACCOUNTS = ("manager", "gate", "argocd", "publisher", "suite-runner", "operator-team")
+ACCOUNTS = ("manager", "gate", "argocd", "publisher", "suite-runner", "operator-team", "reviewer")
 PACKAGES: Mapping[str, Mapping[str, str]] = {
     "robotkube": {"publisher": "write", "gate": "read", "suite-runner": "read"},
     "staging": {"publisher": "write", "gate": "write", "suite-runner": "read"},
@@ -36,26 +42,29 @@ HOOK_SECRET = "hook secret"  # noqa: S105
 DIGESTS = {
     name: "sha256:" + hashlib.sha256(name.encode()).hexdigest() for name in ("mqtt-bridge", "event-detector", "old")
 }
-CAUSE = Cause("cloud-0/pose-1", "e1", "proximity", "0" * 32, "pose-point-cloud-recording")
-
-
-def chart_file(chart: str, digest: str, state: str = "staged", version: str = "0.1.0") -> str:
-    """A published chart version of the catalogue repository."""
-    return (
-        "apiVersion: registry.robotkube.io/v1alpha1\nkind: ChartVersion\n"
-        f"metadata: {{name: {chart}}}\nspec: {{version: {version}}}\n"
-        f"status: {{state: {state}, digest: '{digest}', images: []}}\n"
-    )
-
-
+PARAMETERS = '{"vehicles":["vehicle-00","vehicle-01"]}'
+CAUSE = Cause("cloud-0/pose-1", "e1", "proximity", "0" * 32, "pose-point-cloud-recording", PARAMETERS)
 CATALOGUE = {
     "README.md": "catalogue\n",
-    "policies/release.yaml": "assurance: none\n",
-    "charts/mqtt-bridge/0.1.0.yaml": chart_file("mqtt-bridge", DIGESTS["mqtt-bridge"]),
-    "charts/event-detector/0.1.0.yaml": chart_file("event-detector", DIGESTS["event-detector"]),
-    "charts/event-detector/0.0.9.yaml": chart_file("event-detector", DIGESTS["old"], "withdrawn", "0.0.9"),
+    **policies(),
+    **applications(),
+    **published_chart("mqtt-bridge", "0.1.0", DIGESTS["mqtt-bridge"]),
+    **published_chart("event-detector", "0.1.0", DIGESTS["event-detector"]),
+    **unproved_chart("event-detector", "0.0.9", DIGESTS["old"], "withdrawn"),
 }
-DEPLOYMENT = {"README.md": "deployment\n", "policies/initial.yaml": "add: []\nremove: []\n", "releases/.gitkeep": ""}
+EVIDENCE = {
+    entry["status"]["digest"]: entry["status"].get("evidence", "none")
+    for path, text in CATALOGUE.items()
+    if path.startswith("charts/") and path.endswith(".yaml") and (entry := yaml.safe_load(text))
+}
+MERGE_POLICY = (PROJECT / "gitops" / "deployment" / "policies" / "merge.yaml").read_text()
+DEPLOYMENT = {
+    "README.md": "deployment\n",
+    "policies/initial.yaml": "add: []\nremove: []\n",
+    "policies/merge.yaml": MERGE_POLICY,
+    "releases/.gitkeep": "",
+}
+PROPOSERS = (Proposer("manager", frozenset({"cloud-0", "vehicle-00", "vehicle-01"})),)
 
 
 def forge_setup(passwords: Mapping[str, str], gate_url: str, webhook_secret: str = WEBHOOK_SECRET) -> ForgeSetup:
@@ -70,7 +79,7 @@ def forge_setup(passwords: Mapping[str, str], gate_url: str, webhook_secret: str
                 "What runs on the fleet",
                 "main",
                 {path: text.encode() for path, text in DEPLOYMENT.items()},
-                {"manager": "read", "gate": "write", "argocd": "read", "operator-team": "write"},
+                {"manager": "read", "gate": "write", "argocd": "read", "operator-team": "write", "reviewer": "write"},
                 ("gate",),
             ),
             Repository(
@@ -239,9 +248,10 @@ def release_files(made_by: str, name: str = "recorder", **changes: Any) -> dict[
             "chart": "event-detector",
             "version": "0.1.0",
             "digest": DIGESTS["event-detector"],
-            "values": {"global": {}},
+            "values": {"placement": {"agent": "cloud-0"}},
             "causes": (CAUSE,),
             "plan": made_by,
+            "evidence": EVIDENCE.get(changes.get("digest", DIGESTS["event-detector"]), "none"),
             **changes,
         }
     )
@@ -260,7 +270,7 @@ def message(plan: str, **changes: Any) -> str:
         "causes": (CAUSE,),
         "charts": (chart,),
     }
-    evidence = ("none",) * len(changes.get("charts", fields["charts"]))
+    evidence = tuple(EVIDENCE.get(one.digest, "none") for one in changes.get("charts", (chart,)))
     return write_message(CommitMessage(**{**fields, "evidence": evidence, **changes}))
 
 
@@ -290,15 +300,12 @@ def start_gate(installation: Installation, hook_url: str, folder: Path, webhooks
     gate = Gate(
         forge,
         GitClone(installation.url, "robotkube/deployment", *account, folder / "deployment"),
-        GitClone(installation.url, "robotkube/catalogue", *account, folder / "catalogue"),
-        hook,
-        GateSettings(
-            "robotkube/deployment",
-            "robotkube/catalogue",
-            "manager",
-            frozenset({"cloud-0", "vehicle-00", "vehicle-01"}),
-            CHARTS_URL,
+        AssuredCatalogue(
+            GitClone(installation.url, "robotkube/catalogue", *account, folder / "catalogue"), trusted_keys()
         ),
+        hook,
+        GateSettings("gate", "robotkube/deployment", "robotkube/catalogue", PROPOSERS, CHARTS_URL),
+        validate,
         time.monotonic,
     )
     server = WebServer(

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from evidence_of_tests import trusted_keys
 from installation import CHARTS_URL, ApplicationSetController, Installation, RunningGate
-from publisher_of_tests import publish_registry
 from waiting import until
 
 from robotkube.adapters.git_clones import GitClone
@@ -24,9 +24,10 @@ from robotkube.domain.placement import Agent, NodeState
 from robotkube.domain.proposals import read_message
 from robotkube.domain.releases import Release, read_tree
 from robotkube.services.application_manager import APPLICATIONS, DEPLOYMENT, TASKS, ApplicationManager, World
+from robotkube.services.assured_catalogue import AssuredCatalogue
 from robotkube.services.manager_observing import PlanObserver
 from robotkube.services.manager_planning import ManagerSettings, Planner
-from robotkube.services.manager_reading import CatalogueReader, MainReader
+from robotkube.services.manager_reading import MainReader
 from robotkube.testing.clusters import MemoryArgoCD, MemoryCluster, MemoryTasks
 
 AGENTS = (("cloud-0", "cloud"), ("vehicle-00", "vehicle"), ("vehicle-01", "vehicle"))
@@ -45,7 +46,7 @@ class RunningManager:
     cluster: MemoryCluster
     deployment: GitClone
     forge: GiteaForge
-    catalogue: CatalogueReader
+    catalogue: AssuredCatalogue
 
     def stop(self) -> None:
         self.manager.stop(self.stopping)
@@ -65,7 +66,7 @@ def start_manager(installation: Installation, folder: Path, tasks: MemoryTasks) 
     url, account = installation.url, ("manager", installation.passwords["manager"])
     deployment = GitClone(url, "robotkube/deployment", *account, folder / "deployment")
     proposals = ProposalWriter(folder / "deployment", *account, "robotkube-manager", time.time)
-    catalogue = CatalogueReader(GitClone(url, "robotkube/catalogue", *account, folder / "catalogue"))
+    catalogue = AssuredCatalogue(GitClone(url, "robotkube/catalogue", *account, folder / "catalogue"), trusted_keys())
     nodes = [NodeState(name, name, role, frozenset({"recording"}), True) for name, role in AGENTS]
     cluster, main = MemoryCluster(nodes), MainReader(deployment)
     settings = ManagerSettings(tuple(Agent(name, role, name) for name, role in AGENTS), CHARTS_URL)
@@ -102,7 +103,6 @@ def releases(installation: Installation) -> dict[str, Release]:
 
 @pytest.fixture
 def manager(installation: Installation, gate: RunningGate, tmp_path: Path) -> Iterator[RunningManager]:
-    publish_registry(installation)
     found = start_manager(installation, tmp_path, MemoryTasks())
     until(lambda: found.manager.reasons_not_ready() == [], "ready")
     initial = {f"releases/{name}/mqtt-bridge.yaml" for name, _ in AGENTS}

@@ -13,8 +13,8 @@ from typing import Any
 import httpx
 import pytest
 import yaml
+from evidence_of_tests import key_folder
 from installation import CHARTS_URL, WEBHOOK_SECRET, Installation, RunningGate
-from publisher_of_tests import publish_registry
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "apiserver"))
 
@@ -74,6 +74,7 @@ def settings(installation: Installation, folder: Path, port: int) -> Path:
             "catalogue": "robotkube/catalogue", "branch": "main",
         },
         "registry": {"charts": CHARTS_URL},
+        "evidence": {"keys": str(key_folder())},
         "argocd": {
             "url": nowhere, "credentials": f"{folder}/argocd", "namespace": "argocd", "project": "robotkube-apps",
         },
@@ -125,7 +126,6 @@ class Pod:
 
 @pytest.fixture
 def pod(installation: Installation, gate: RunningGate, api: Api, tmp_path: Path) -> Iterator[Pod]:
-    publish_registry(installation)
     port = free_port()
     config = settings(installation, tmp_path, port)
     found = Pod(config, api.kubeconfig, tmp_path, port)  # type: ignore[attr-defined]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -9,48 +10,63 @@ from typing import Any
 
 import pytest
 import yaml
+from signed_evidence import PLATFORM, POLICY_TEXT, Signing, signing_key, trusting
 
 from robotkube.adapters.schemas_jsonschema import validate
 from robotkube.adapters.templates_jinja2 import Jinja2Templates
-from robotkube.domain.errors import InputError, UnavailableError
+from robotkube.domain.catalogue import read_catalogue
+from robotkube.domain.charts_packing import sha256
+from robotkube.domain.errors import InputError, RefusalError, UnavailableError
+from robotkube.domain.evidence import Artefact
 from robotkube.domain.placement import Agent, NodeState
 from robotkube.domain.proposals import read_message
 from robotkube.domain.releases import Release, read_tree
+from robotkube.domain.verdict_texts import refusal_text, waiting_text
 from robotkube.services.application_manager import (
     APPLICATIONS,
     ATTEMPTS_MAX,
     CATALOGUE,
-    DECISION_SECONDS_MAX,
     DEPLOYMENT,
+    SAID_SECONDS,
     TASKS,
     ApplicationManager,
     World,
 )
+from robotkube.services.assured_catalogue import AssuredCatalogue
+from robotkube.services.manager_decisions import VERDICT_SECONDS_MAX
 from robotkube.services.manager_observing import ASK_SECONDS, OBSERVE_SECONDS_MAX, PlanObserver
 from robotkube.services.manager_planning import ManagerSettings, Planner
-from robotkube.services.manager_reading import CatalogueReader, MainReader
+from robotkube.services.manager_reading import MainReader
 from robotkube.testing.clusters import MemoryArgoCD, MemoryCluster, MemoryTasks
 from robotkube.testing.forges import MemoryForge, MemoryRepository
 
 REGISTRY = Path(__file__).parents[3] / "registry"
-CHARTS = "oci://forge.robotkube.svc.cluster.local:3000/staging"
+CHARTS = "oci://forge.robotkube.svc.cluster.local:3000/verified"
 MEETING = "cloud-0/meeting"
 START_NS = 1795250000_000000000
 
 
-def catalogue_files() -> dict[str, str]:
+def catalogue_files(signing: Signing) -> dict[str, str]:
+    """The project's own catalogue, published with evidence."""
     files = {str(p.relative_to(REGISTRY)): p.read_text() for p in REGISTRY.glob("applications/*.yaml")}
     for index, path in enumerate(sorted(REGISTRY.glob("charts/*/*.yaml"))):
         document = yaml.safe_load(path.read_text())
-        document["status"] = {"state": "staged", "digest": f"sha256:{index:064x}", "images": []}
+        about = Artefact(path.parent.name, document["spec"]["version"], f"sha256:{index:064x}", PLATFORM)
+        envelopes = signing.sign(about)
+        files |= {f"{about.folder}/{name}.json": data.decode() for name, data in envelopes.items()}
+        evidence = sha256(envelopes["summary"])
+        status = {"state": "verified", "digest": about.digest, "images": [], "evidence": evidence}
+        document["status"] = {**status, "policy": signing.policy.digest}
         files[str(path.relative_to(REGISTRY))] = yaml.safe_dump(document)
-    return {**files, "policies/release.yaml": "assurance: none\n"}
+    return {**files, "policies/release.yaml": "assurance: verified\n", "policies/verification.yaml": POLICY_TEXT}
 
 
 class Stage:
     """Everything around one manager; the clock moves only when a test moves it."""
 
-    def __init__(self, vehicles: int = 3) -> None:
+    def __init__(self, folder: Path, vehicles: int = 3) -> None:
+        key = signing_key(folder / "key")
+        self.verifier = trusting(folder / "trusted", key)
         names = [(f"vehicle-{i:02d}", "vehicle") for i in range(vehicles)] + [("cloud-0", "cloud")]
         self.settings = ManagerSettings(tuple(Agent(name, role, name) for name, role in names), CHARTS)
         capabilities = {"cloud": frozenset({"recording"})}
@@ -59,7 +75,7 @@ class Stage:
         )
         self.repository, self.catalogue = MemoryRepository(), MemoryRepository()
         self.repository.push({"policies/initial.yaml": "add: []\nremove: []\n"}, "seed")
-        self.catalogue.push(catalogue_files(), "seed")
+        self.catalogue.push(catalogue_files(Signing(key)), "seed")
         self.forge = MemoryForge(self.repository)
         self.tasks, self.argocd = MemoryTasks(), MemoryArgoCD()
         self.seconds = 0.0
@@ -77,7 +93,7 @@ class Stage:
         def aside(call: Callable[[], None]) -> None:
             call()
 
-        catalogue, main = CatalogueReader(self.catalogue), MainReader(self.repository)
+        catalogue, main = AssuredCatalogue(self.catalogue, self.verifier), MainReader(self.repository)
         render = Jinja2Templates().render
         planner = Planner(self.settings, self.tasks, self.cluster, catalogue, main, render, validate)
         observer = PlanObserver(self.cluster, self.argocd, aside, now_ns, monotonic)
@@ -89,6 +105,13 @@ class Stage:
         for _ in range(steps):
             self.manager.step()
             self.seconds += seconds
+
+    def fail(self) -> None:
+        """One turn of the loop in which the world does not answer."""
+        stopping = threading.Event()
+        threading.Timer(0.2, stopping.set).start()
+        self.manager.wake(TASKS)
+        self.manager.run(stopping)
 
     def settle(self) -> None:
         """Propose, merge, let Argo CD finish, observe."""
@@ -119,9 +142,9 @@ class Stage:
 
 
 @pytest.fixture
-def stage() -> Stage:
+def stage(tmp_path: Path) -> Stage:
     """After the initial configuration is observed."""
-    found = Stage()
+    found = Stage(tmp_path)
     found.settle()
     return found
 
@@ -264,16 +287,137 @@ def test_a_refused_withdrawal_is_not_repeated(stage: Stage) -> None:
     assert len(stage.forge.pulls) == 3
 
 
-def test_a_gate_that_does_not_decide_is_not_waited_for_for_ever(stage: Stage) -> None:
+def test_a_task_waits_for_a_gate_that_is_down_and_goes_on_when_it_is_back(stage: Stage) -> None:
     stage.forge.decide = stage.forge.leave
-    stage.ask()
+    first = stage.ask()
     stage.go(2)
-    stage.go(2, seconds=DECISION_SECONDS_MAX)
-    assert "no decision" in str(stage.plans()[1]["error"])
+    assert stage.tasks.condition(first, "Committed") == ("False", "Proposed")
+    stage.go(3, seconds=VERDICT_SECONDS_MAX)
+    later = stage.ask("later", ("vehicle-01", "vehicle-02"))
+    stage.go(50, seconds=60.0)
+    for key in (first, later):
+        assert stage.tasks.condition(key, "Committed") == ("False", "GateUnavailable")
+        message = stage.tasks.objects[key]["status"]["conditions"][1]["message"]
+        assert message.startswith("no verdict of the gate about pull request 2 within 15 s; it waits")
+        assert [told for told in stage.tasks.told if told[0] == key] == [(key, "GateUnavailable", message)]
+    assert len(stage.forge.pulls) == 2
+    stage.forge.decide = stage.forge.merge
     stage.forge.merge(stage.forge.pulls[2])
-    stage.go(8, seconds=3.0)
-    assert stage.plans()[1]["merged"] is not None
-    assert stage.tasks.condition(MEETING, "Committed") == ("True", "Merged")
+    stage.go(6)
+    assert [stage.tasks.condition(key, "Committed") for key in (first, later)] == [("True", "Merged")] * 2
+    assert len(stage.forge.pulls) == 3
+    log = stage.repository.log(None, 100)
+    assert len({read_message(commit.message).plan for commit in log[1:]}) == len(log) - 1 == 3
+
+
+def test_a_plan_that_waits_for_a_persons_approval_says_so(stage: Stage) -> None:
+    stage.forge.decide = lambda pull: stage.forge.comment(pull.number, waiting_text(pull.head, "approval"))
+    key = stage.ask()
+    stage.go(4, seconds=VERDICT_SECONDS_MAX)
+    assert stage.tasks.condition(key, "Committed") == ("False", "WaitsForApproval")
+    assert "when another person" in stage.tasks.objects[key]["status"]["conditions"][1]["message"]
+    stage.forge.merge(stage.forge.pulls[2])
+    stage.go(4)
+    assert stage.tasks.condition(key, "Committed") == ("True", "Merged")
+
+
+def test_what_the_gate_refuses_is_in_the_status_and_told_once(stage: Stage) -> None:
+    text = refusal_text("c" * 40, ["releases/cloud-0/x.yaml: no"])
+    stage.forge.decide = lambda pull: stage.forge.refuse(pull, text)
+    key = stage.ask()
+    stage.go(20)
+    assert stage.tasks.told == [(key, "ProposalRefused", text.strip())]
+    stage.manager = stage.start()
+    stage.go(20)
+    assert stage.tasks.told == [(key, "ProposalRefused", text.strip())]
+
+
+def test_an_event_that_is_refused_holds_nothing(stage: Stage) -> None:
+    def refuse(task: Any, reason: str, text: str) -> None:
+        raise InputError("events are forbidden")
+
+    stage.tasks.tell = refuse  # type: ignore[method-assign]
+    stage.forge.decide = lambda pull: stage.forge.refuse(pull, "no")
+    key = stage.ask()
+    stage.go(8)
+    assert stage.tasks.condition(key, "Committed") == ("False", "ProposalRefused")
+
+
+def test_a_proposal_that_the_forge_itself_refuses_is_said(stage: Stage) -> None:
+    def refuse(commit: str, topic: str, title: str, body: str) -> int | None:
+        raise RefusalError("ProposalRefused", "the forge refused proposal: you may not")
+
+    stage.forge.propose = refuse  # type: ignore[method-assign]
+    key = stage.ask()
+    stage.go(8)
+    assert stage.tasks.condition(key, "Committed") == ("False", "ProposalRefused")
+    assert stage.tasks.told == [(key, "ProposalRefused", "the forge refused proposal: you may not")]
+
+
+# -- evidence ---------------------------------------------------------------------------------------------------------
+
+
+def edit(stage: Stage, path: str, **status: Any) -> None:
+    """What somebody who may write the catalogue repository does by hand."""
+    document = yaml.safe_load(stage.catalogue.trees[stage.catalogue.tip][path])
+    document["status"] |= status
+    stage.catalogue.push({path: yaml.safe_dump(document)})
+
+
+DETECTOR = "charts/event-detector/0.1.0.yaml"
+
+
+def test_every_commit_names_the_evidence_of_its_charts(stage: Stage) -> None:
+    key = stage.ask()
+    stage.go()
+    message = read_message(stage.repository.commits[stage.repository.tip].message)
+    catalogue = read_catalogue(stage.catalogue.trees[stage.catalogue.tip])
+    assert [chart.name for chart in message.charts] == ["event-detector", "mqtt-bridge"]
+    assert list(message.evidence) == [catalogue.charts[chart.name][0].evidence for chart in message.charts]
+    release = stage.releases()["releases/cloud-0/recorder-vehicle-00-vehicle-01.yaml"]
+    assert release.evidence == message.evidence[0]
+    assert release.causes[0].parameters == '{"vehicles":["vehicle-00","vehicle-01"]}'
+    body = stage.forge.bodies[2]
+    assert "Assurance of the release policy: **verified**." in body
+    assert "- event-detector 0.1.0: passed static, images, install under policy" in body
+    assert f"summary `{message.evidence[0]}`" in body
+    assert stage.tasks.condition(key, "Committed") == ("True", "Merged")
+
+
+def test_an_entry_edited_to_verified_without_evidence_is_no_verified_version(stage: Stage) -> None:
+    files = stage.catalogue.trees[stage.catalogue.tip]
+    stage.catalogue.push({path: None for path in files if path.startswith("evidence/event-detector/")})
+    edit(stage, DETECTOR, digest="sha256:" + "f" * 64)
+    key = stage.ask()
+    stage.go(wake=CATALOGUE)
+    assert stage.tasks.condition(key, "Accepted") == ("False", "NoVerifiedVersion")
+    message = stage.tasks.objects[key]["status"]["conditions"][0]["message"]
+    assert "event-detector 0.1.0 (verified): no valid evidence: suite static: there is no evidence" in message
+    assert stage.tasks.told == [(key, "NoVerifiedVersion", message)]
+
+
+def test_what_runs_stays_when_its_evidence_is_in_doubt(stage: Stage) -> None:
+    key = stage.ask()
+    stage.settle()
+    before = stage.releases()
+    files = stage.catalogue.trees[stage.catalogue.tip]
+    stage.catalogue.push({path: None for path in files if path.startswith("evidence/")})
+    stage.go(20, wake=CATALOGUE)
+    assert stage.tasks.condition(key, "Accepted") == ("False", "NoVerifiedVersion")
+    assert stage.releases() == before
+    stage.tasks.delete(key)
+    stage.go(20)
+    assert "releases/cloud-0/recorder-vehicle-00-vehicle-01.yaml" not in stage.releases()
+
+
+def test_without_assurance_the_evidence_is_none(stage: Stage) -> None:
+    stage.catalogue.push({"policies/release.yaml": "assurance: none\n"})
+    stage.ask()
+    stage.go(wake=CATALOGUE)
+    message = read_message(stage.repository.commits[stage.repository.tip].message)
+    assert set(message.evidence) == {"none"}
+    assert {release.evidence for release in stage.releases().values()} == {"none"}
+    assert "- event-detector 0.1.0: none" in stage.forge.bodies[2]
 
 
 @pytest.mark.parametrize("moment", ["before the decision", "after the merge", "after all"])
@@ -314,6 +458,27 @@ def test_the_forge_may_be_away(stage: Stage) -> None:
     stage.repository.away = False
     stage.go(6)
     assert stage.tasks.condition(MEETING, "Committed") == ("True", "Merged")
+
+
+def test_tasks_are_told_when_the_forge_is_away_for_long(stage: Stage) -> None:
+    stage.repository.away = True
+    key = stage.ask()
+    stage.manager.wake(TASKS)
+    stage.fail()
+    assert "status" not in stage.tasks.objects[key]
+    stage.seconds += SAID_SECONDS + 1
+    stage.fail()
+    assert stage.tasks.condition(key, "Accepted") == ("True", "Accepted")
+    assert stage.tasks.condition(key, "Committed") == ("False", "ForgeUnavailable")
+    stage.manager = stage.start()
+    unseen = stage.ask("unseen")
+    stage.fail()
+    assert stage.tasks.condition(unseen, "Accepted") == ("Unknown", "ForgeUnavailable")
+    assert stage.tasks.condition(unseen, "Committed") == ("False", "ForgeUnavailable")
+    assert [told[:2] for told in stage.tasks.told] == [(key, "ForgeUnavailable"), (unseen, "ForgeUnavailable")]
+    stage.repository.away = False
+    stage.go(6)
+    assert stage.tasks.condition(key, "Committed") == ("True", "Merged")
 
 
 def test_a_pull_request_whose_number_was_not_told_is_found(stage: Stage) -> None:
@@ -397,8 +562,8 @@ def test_people_change_the_initial_configuration(stage: Stage) -> None:
     assert stage.plans()[-1]["cause"] == "initial"
 
 
-def test_a_new_agent_gets_its_initial_configuration() -> None:
-    stage = Stage()
+def test_a_new_agent_gets_its_initial_configuration(tmp_path: Path) -> None:
+    stage = Stage(tmp_path)
     node = stage.cluster.machines.pop(0)
     stage.settle()
     assert "releases/vehicle-00/mqtt-bridge.yaml" not in stage.releases()

@@ -23,12 +23,10 @@ REFUSAL_REASONS = (
 MERGED, PROPOSED, WAITING = "Merged", "Proposed", "Waiting"
 PROPOSAL_REFUSED, WAITS_FOR_APPROVAL = "ProposalRefused", "WaitsForApproval"
 GATE_UNAVAILABLE, FORGE_UNAVAILABLE = "GateUnavailable", "ForgeUnavailable"
+OBSTACLES = (WAITS_FOR_APPROVAL, GATE_UNAVAILABLE, FORGE_UNAVAILABLE)
 REASONS: Mapping[str, tuple[str, ...]] = {
-    "Accepted": ("Accepted", *REFUSAL_REASONS, FORGE_UNAVAILABLE),
-    "Committed": (
-        *(MERGED, PROPOSED, WAITING),
-        *(PROPOSAL_REFUSED, WAITS_FOR_APPROVAL, GATE_UNAVAILABLE, FORGE_UNAVAILABLE),
-    ),
+    "Accepted": ("Accepted", *REFUSAL_REASONS, *OBSTACLES),
+    "Committed": (MERGED, PROPOSED, WAITING, PROPOSAL_REFUSED, *OBSTACLES),
     "Synced": ("Applied", "Progressing"),
     "Ready": ("Observed", "Progressing"),
 }

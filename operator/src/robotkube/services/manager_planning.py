@@ -22,6 +22,7 @@ from robotkube.services.manager_records import PlanRecord
 
 TASKS_PER_PLAN_MAX = 100
 HELD_MAX = 1000
+DOUBTS = frozenset({"NoVerifiedVersion", "GuaranteeNotMet"})
 
 log = logging.getLogger(__name__)
 
@@ -68,7 +69,7 @@ class Planner:
         held = {key: Met((), ("accepted, but the gate refused the plan",)) for key in self._held}
         self.desired = replace(desired, outcomes={**desired.outcomes, **held, **unreadable})
         self._say_refusals()
-        changes = differences(desired.releases, self._main.tree.releases)
+        changes = differences({**self._in_doubt(desired), **desired.releases}, self._main.tree.releases)
         if not changes or fingerprint(changes) in self._held_differences:
             return None
         stamp = datetime.fromtimestamp(started_ns / 1e9, UTC).strftime("%Y%m%d-%H%M%S")
@@ -112,6 +113,19 @@ class Planner:
         demands = initial_demands(self._catalogue.catalogue, self._main.policy, machines)
         demands += [Demand(task.key, task.application, task.parameters, task=task) for task in tasks]
         return compose(demands, world)
+
+    def _in_doubt(self, desired: Desired) -> dict[str, Release]:
+        """Releases on main of demands that are refused for want of evidence only: what runs is not taken away because
+        a policy, a key or an envelope changed, but it is not changed either."""
+        refused = {k for k, o in desired.outcomes.items() if isinstance(o, Refused) and o.reason in DOUBTS}
+        agents = {k.split("/")[2] for k in refused if k.startswith("initial/")}
+        namespaces = {agent.namespace for agent in self._settings.agents if agent.name in agents}
+        return {
+            path: release
+            for path, release in self._main.tree.releases.items()
+            if any(c.task in refused for c in release.causes)
+            or (not release.causes and release.namespace in namespaces)
+        }
 
     def _say_refusals(self) -> None:
         """Refusals of the initial configuration have no task whose status could say them."""

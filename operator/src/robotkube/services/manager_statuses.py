@@ -14,13 +14,12 @@ from robotkube.domain.observation import ApplicationState, Verdict, judge_presen
 from robotkube.domain.releases import RELEASES, Release, application_name
 from robotkube.domain.tasks import (
     FORGE_UNAVAILABLE,
-    GATE_UNAVAILABLE,
     MERGED,
+    OBSTACLES,
     PROPOSAL_REFUSED,
     PROPOSED,
     REFUSAL_REASONS,
     WAITING,
-    WAITS_FOR_APPROVAL,
     Condition,
     is_withdrawn,
     object_identity,
@@ -32,7 +31,7 @@ from robotkube.services.manager_records import PlanRecord
 
 MESSAGE_CHARACTERS_MAX = 4096
 UNSEEN = {"Accepted": "Unknown", "Committed": "False"}  # conditions of a task that could not be looked at yet
-TOLD = frozenset({*REFUSAL_REASONS, PROPOSAL_REFUSED, WAITS_FOR_APPROVAL, GATE_UNAVAILABLE, FORGE_UNAVAILABLE})
+TOLD = frozenset({*REFUSAL_REASONS, PROPOSAL_REFUSED, *OBSTACLES})
 
 log = logging.getLogger(__name__)
 
@@ -116,11 +115,9 @@ def _identity(document: Mapping[str, Any] | None) -> str | None:
 def derive(key: str, situation: Situation) -> tuple[list[Condition], dict[str, Any]]:
     """Conditions and the other fields of a task's status; nothing when the task was not looked at yet."""
     outcome = situation.outcomes.get(key)
-    if outcome is None and situation.forge_unavailable:
-        text = situation.forge_unavailable
-        return [Condition(kind, status, FORGE_UNAVAILABLE, text) for kind, status in UNSEEN.items()], {}
     if outcome is None:
-        return [], {}
+        obstacle = _obstacle(situation)
+        return [Condition(kind, status, *obstacle) for kind, status in UNSEEN.items() if obstacle], {}
     if isinstance(outcome, Refused):
         refusal = Condition("Accepted", "False", outcome.reason, outcome.message[:MESSAGE_CHARACTERS_MAX])
         return [refusal], {"plan": None, "pullRequest": None, "commit": None, "releases": None}
@@ -161,15 +158,21 @@ def _committed(key: str, outcome: Met, situation: Situation) -> tuple[Condition,
     return _waiting(key, situation)
 
 
+def _obstacle(situation: Situation) -> tuple[str, str] | None:
+    """Reason and message of what holds every plan; None when nothing does."""
+    if situation.forge_unavailable:
+        return FORGE_UNAVAILABLE, situation.forge_unavailable
+    proposed = situation.proposed
+    return (proposed.waits[0], _bounded(proposed.waits[1])) if proposed is not None and proposed.waits else None
+
+
 def _waiting(key: str, situation: Situation) -> tuple[Condition, PlanRecord | None]:
     """What a task waits for whose plan is not on main: forge, gate, a person, or the plan before it."""
     proposed = situation.proposed
     own = proposed if proposed is not None and key in proposed.tasks else None
-    if situation.forge_unavailable:
-        return Condition("Committed", "False", FORGE_UNAVAILABLE, situation.forge_unavailable), own
-    if proposed is not None and proposed.waits is not None:
-        reason, text = proposed.waits
-        return Condition("Committed", "False", reason, _bounded(text)), own
+    obstacle = _obstacle(situation)
+    if obstacle:
+        return Condition("Committed", "False", *obstacle), own
     if own is not None:
         number = f"pull request {own.pull_request}" if own.pull_request is not None else "its pull request"
         return Condition("Committed", "False", PROPOSED, f"{number} waits for the gate"), own
