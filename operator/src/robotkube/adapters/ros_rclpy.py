@@ -33,6 +33,7 @@ if TYPE_CHECKING:  # only who looks at the graph needs it
     from robotkube.domain.interface_checks import Endpoint
 
 PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"  # the middleware's word until a node has said its name
 _TYPE_NAME = re.compile(r"([a-z][a-z0-9_]*)/msg/([A-Z][A-Za-z0-9]*)")
 _WORD_START = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 
@@ -154,6 +155,8 @@ def _endpoint(topic: str, direction: str, entry: Mapping[str, Any]) -> Endpoint:
     from robotkube.domain.interface_checks import Endpoint
 
     profile, node = entry["qos_profile"], f"{entry['node_namespace'].rstrip('/')}/{entry['node_name']}"
+    if UNKNOWN_NODE in node:
+        node = ""
     reliability = qos.ReliabilityPolicy(profile["reliability"]).name.lower()
     durability = qos.DurabilityPolicy(profile["durability"]).name.lower()
     return Endpoint(topic, direction, entry["topic_type"], reliability, durability, node)

@@ -26,7 +26,8 @@ _SUBSCRIBED = re.compile(r"(?:\S+: )?(\S+) ([012]) (\S+)")
 
 @dataclass(frozen=True)
 class Endpoint:
-    """A publisher (`out`) or subscription (`in`) of the chart in the ROS graph."""
+    """A publisher (`out`) or subscription (`in`) of the chart in the ROS graph; `node` is empty while its name is not
+    known."""
 
     topic: str
     direction: str
@@ -246,8 +247,10 @@ def _undeclared(expected: Sequence[ExpectedTopic], seen: Observation) -> Iterato
         if COMMON_TOPICS.get((topic, direction)) == kind or _declared(expected, ROS, direction, topic):
             continue
         doing = "publishes" if direction == OUT else "subscribes to"
-        nodes = sorted({e.node for e in seen.endpoints if (e.topic, e.direction, e.type) == endpoint})
-        found = f"node {', '.join(nodes)} {doing} {topic} ({kind}), which no interface declares"
+        nodes = {e.node for e in seen.endpoints if (e.topic, e.direction, e.type) == endpoint} - {""}
+        found = (
+            f"node {', '.join(sorted(nodes)) or 'without a name'} {doing} {topic} ({kind}), which no interface declares"
+        )
         yield Check(f"undeclared topic {ROS} {direction} {topic}", False, found, fix)
     yield from _undeclared_elsewhere(expected, seen, fix)
 

@@ -27,7 +27,7 @@ from robotkube.domain.interface_checks import Observation
 from robotkube.domain.interfaces import MQTT, TEXT, ExpectedTopic
 from robotkube.domain.messages import STAMPED_TYPES
 from robotkube.entrypoints.processes import PodSettings, Process, read_secret, read_text, run
-from robotkube.services.suite_observing import InterfaceObserver, World
+from robotkube.services.suite_observing import Bounds, InterfaceObserver, World
 
 GRACE_SECONDS = 2.0
 CONFIG_FILE = "/suite/config.json"
@@ -78,14 +78,15 @@ def body(process: Process) -> None:
         database=database,
     )
     expected = [ExpectedTopic(**topic) for topic in config["topics"]]
-    write(InterfaceObserver(expected, world, float(config["seconds_max"])).run())
+    bounds = Bounds(**config["bounds"])
+    write(InterfaceObserver(expected, world, float(config["seconds_max"]), bounds).run())
 
 
 def read_config(text: str, where: str) -> Mapping[str, Any]:
     """The settings as `services.suite_interface` writes them; InputError when they are not."""
     try:
         config = json.loads(text)
-        for key in ("topics", "node", "client", "broker", "database", "clear", "seconds_max"):
+        for key in ("topics", "node", "client", "broker", "database", "clear", "seconds_max", "bounds"):
             config[key]
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(f"{where}: is no configuration of an observer: {error!r}") from error

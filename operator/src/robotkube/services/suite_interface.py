@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from robotkube.domain.errors import DocumentError, InputError
@@ -27,12 +27,13 @@ from robotkube.domain.loops import Render
 from robotkube.domain.suite_requests import TestSet
 from robotkube.domain.texts import read_mapping
 from robotkube.ports.suites import Account, Room, Subject
+from robotkube.services.suite_observing import Bounds
 from robotkube.services.suite_sets import BROKER_SECRET, DATABASE_SECRET, filled_sets, install, named_secrets
 
 OBSERVER = ("python3", "-m", "robotkube.entrypoints.suite_observer")
 CONFIG = "config.json"
-LOOK_SECONDS, INPUT_SECONDS = 25.0, 11.0
 POD_SECONDS = 30.0
+LOOK_SECONDS_MIN = 15.0
 REMOVE_SECONDS_MAX = 60.0
 LEAD_NS = 5_000_000_000
 WORDS_MAX = 1_500
@@ -47,6 +48,7 @@ class InterfaceSuite:
     render: Render
     now_ns: Callable[[], int]
     token: Callable[[], str]
+    bounds: Bounds = field(default_factory=Bounds)
     name: str = "interface"
     version: str = "1"
     needs_room: bool = True
@@ -124,8 +126,8 @@ class _Look:
         return with_broker_log(observation, self.room.broker_log()[said_before:], f"suite-{token}")
 
     def _observe(self, expected: Sequence[ExpectedTopic], clear: bool, token: str) -> Observation:
-        seconds = LOOK_SECONDS + INPUT_SECONDS * sum(topic.direction == IN for topic in expected)
-        seconds = max(LOOK_SECONDS, min(seconds, self.room.seconds_left / 2 - POD_SECONDS))
+        wanted = self.suite.bounds.whole(sum(topic.direction == IN for topic in expected))
+        seconds = max(LOOK_SECONDS_MIN, min(wanted, self.room.seconds_left / 2 - POD_SECONDS))
         config = {
             "topics": [asdict(topic) for topic in expected],
             "node": f"suite_{token}",
@@ -134,6 +136,7 @@ class _Look:
             "database": _database(self.database),
             "clear": clear,
             "seconds_max": seconds,
+            "bounds": asdict(self.suite.bounds),
         }
         files = {CONFIG: json.dumps(config).encode()}
         run = self.room.run_pod(

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
-from typing import TypeVar
+from dataclasses import dataclass, field, replace
 
 from robotkube.domain.errors import InputError
 from robotkube.domain.frames import MAGIC, FrameError, decode_frame
@@ -19,15 +18,25 @@ from robotkube.ports.robots import MessageSink, MessageSource
 
 TURN_SECONDS = 0.02
 LOOK_SECONDS = 0.2
-SETTLE_SECONDS_MAX = 6.0
-ANSWER_SECONDS_MAX = 8.0
 RESEND_SECONDS = 0.3
 QUIET_SECONDS, QUIET_SECONDS_MAX = 0.6, 3.0
-WATCH_SECONDS_MIN, WATCH_SECONDS_MAX = 3.0, 10.0
+WATCH_SECONDS_MIN = 3.0
 KEPT_MAX = 500
 DEPTH = 20
 
-Item = TypeVar("Item")
+
+@dataclass(frozen=True)
+class Bounds:
+    """In seconds: until everything is connected, until an input's output must have shown something, and how long at
+    least to wait for what comes by itself. What is there in time costs no more than it takes."""
+
+    settle: float = 6.0
+    answer: float = 8.0
+    watch: float = 10.0
+
+    def whole(self, inputs: int) -> float:
+        """All waits together, at the most."""
+        return self.settle + inputs * (self.answer + QUIET_SECONDS_MAX) + self.watch
 
 
 @dataclass(frozen=True)
@@ -45,12 +54,13 @@ class World:
 
 @dataclass
 class InterfaceObserver:
-    """One look at one set of values; `run` once. `seconds_max` bounds the whole of it."""
+    """One look at one set of values; `run` once, which takes at most `seconds_max`."""
 
     expected: Sequence[ExpectedTopic]
     world: World
     seconds_max: float
-    _endpoints: dict[Endpoint, None] = field(default_factory=dict)
+    bounds: Bounds = field(default_factory=Bounds)
+    _endpoints: dict[Endpoint, set[str]] = field(default_factory=dict)
     _publications: dict[Publication, None] = field(default_factory=dict)
     _documents: dict[str, int] = field(default_factory=dict)
     _sinks: dict[int, MessageSink] = field(default_factory=dict)
@@ -67,13 +77,13 @@ class InterfaceObserver:
                 # reliable and kept: what every subscription accepts, whatever it asks for
                 sink = self.world.network.advertise(topic.example, topic.type, "reliable", "transient_local", DEPTH)
                 self._sinks[place] = sink
-        self._until(self._settled, SETTLE_SECONDS_MAX)
+        self._until(self._settled, self.bounds.settle)
         answers = tuple(self._ask(place, topic) for place, topic in self._inputs())
         self._until(lambda: self.world.monotonic() >= began + WATCH_SECONDS_MIN, WATCH_SECONDS_MIN)
-        self._until(self._complete, max(0.0, began + WATCH_SECONDS_MAX - self.world.monotonic()))
+        self._until(self._complete, max(0.0, began + self.bounds.watch - self.world.monotonic()))
         self._look()
         return Observation(
-            endpoints=tuple(self._endpoints),
+            endpoints=tuple(replace(end, node=", ".join(sorted(nodes))) for end, nodes in self._endpoints.items()),
             publications=tuple(self._publications),
             collections=tuple(sorted(self._documents)),
             answers=answers,
@@ -99,7 +109,8 @@ class InterfaceObserver:
                 self._heard[ROS, topic] += len(source.take())
         for message in self.world.broker.take() if self.world.broker else ():
             self._heard[MQTT, message.topic] += 1
-            self._keep(self._publications, self._publication(message))
+            if len(self._publications) < KEPT_MAX:
+                self._publications[self._publication(message)] = None
         if self.world.monotonic() - self._looked_at >= LOOK_SECONDS:
             self._look()
 
@@ -107,15 +118,17 @@ class InterfaceObserver:
         """At what is asked for: graph and database."""
         self._looked_at = self.world.monotonic()
         for endpoint in self.world.network.endpoints():
-            self._keep(self._endpoints, endpoint)
+            self._note(endpoint)
             if endpoint.direction == OUT and endpoint.topic not in self._sources:
                 self._listen(endpoint)
         if self.world.database is not None:
             self._documents = dict(self.world.database.counts())
 
-    def _keep(self, kept: dict[Item, None], item: Item) -> None:
-        if len(kept) < KEPT_MAX:
-            kept[item] = None
+    def _note(self, endpoint: Endpoint) -> None:
+        """An endpoint is known a moment before the name of its node."""
+        unnamed = replace(endpoint, node="")
+        if len(self._endpoints) < KEPT_MAX or unnamed in self._endpoints:
+            self._endpoints.setdefault(unnamed, set()).update([endpoint.node] if endpoint.node else [])
 
     def _listen(self, endpoint: Endpoint) -> None:
         """Best effort and volatile: what every publisher serves."""
@@ -187,7 +200,7 @@ class InterfaceObserver:
             return any(self._shown(self.expected[output]) > before[output] for output in outputs)
 
         if outputs:
-            self._until(answered, ANSWER_SECONDS_MAX)
+            self._until(answered, self.bounds.answer)
         else:
             self._send(place, topic)
         shown = next((output for output in outputs if self._shown(self.expected[output]) > before[output]), None)

@@ -1,0 +1,150 @@
+"""The interface suite on real processes: the bridge over a real broker, charts as `registry new` writes them, and the
+same ones with a mistake each."""
+
+from __future__ import annotations
+
+import secrets
+import time
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from local_room import LocalRoom, deployment
+from wrong_interfaces import LIBRARY, MISTAKES, wrong_chart
+
+from robotkube.adapters.skeleton_files import new_application
+from robotkube.adapters.templates_jinja2 import Jinja2Templates
+from robotkube.domain.catalogue_charts import read_chart_version
+from robotkube.domain.evidence import Artefact, Check
+from robotkube.domain.interfaces import merged_values
+from robotkube.ports.suites import Subject
+from robotkube.services.suite_interface import InterfaceSuite
+from robotkube.services.suite_observing import Bounds
+
+TOP = LIBRARY.parents[2]
+HEALTH_PORT = '"", 8081'
+
+Render = Callable[[Mapping[str, Any], str], list[dict[str, Any]]]
+
+
+@pytest.fixture
+def room(tmp_path: Path) -> Iterator[LocalRoom]:
+    made = LocalRoom(tmp_path)
+    yield made
+    made.close()
+
+
+def suite() -> InterfaceSuite:
+    bounds = Bounds(settle=3.0, answer=3.0, watch=4.0)
+    return InterfaceSuite("observer", Jinja2Templates().render, time.time_ns, lambda: secrets.token_hex(8), bounds)
+
+
+def subject(chart: Path, entry: Mapping[str, Any], render: Render) -> Subject:
+    artefact = Artefact(chart.name, "0.1.0", "sha256:" + "0" * 64, "linux/amd64")
+    values = (chart / "values.yaml").read_bytes()
+    return Subject(artefact, entry, {"values.yaml": values}, b"", {"ros": "ros@sha256:0"}, render)
+
+
+def bridge_objects(values: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
+    settings = {"agent": values["placement"]["agent"], "out": values["bridge"]["out"], "in": values["bridge"]["in"]}
+    command = ["python3", "-m", "robotkube.entrypoints.bridge"]
+    return deployment(name, command, {"config.yaml": yaml.safe_dump(settings)}, "broker-account")
+
+
+def relay(chart: Path) -> Render:
+    """The objects of a chart that `registry new` wrote. Its health port is moved: many run on this machine."""
+    defaults = yaml.safe_load((chart / "values.yaml").read_text())
+    node = (chart / "files" / "node.py").read_text()
+    assert HEALTH_PORT in node
+    node = "import os\n" + node.replace(HEALTH_PORT, '"", int(os.environ["ROBOTKUBE_HEALTH_PORT"])')
+
+    def objects(values: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
+        settings = yaml.safe_dump(merged_values(defaults, values)["relay"])
+        return deployment(name, ["python3", "/etc/robotkube/node.py"], {"config.yaml": settings, "node.py": node})
+
+    return objects
+
+
+def said(checks: list[Check]) -> str:
+    return "\n".join(f"{check.name}: {check.found} -> {check.fix}" for check in checks)
+
+
+def test_the_bridge_is_what_its_entry_declares(room: LocalRoom) -> None:
+    chart = TOP / "charts" / "apps" / "mqtt-bridge"
+    entry = yaml.safe_load((TOP / "registry/charts/mqtt-bridge/0.1.0.yaml").read_text())
+    checks = list(suite().run(subject(chart, entry, bridge_objects), room))
+    assert said([check for check in checks if not check.passed]) == ""
+    names = {check.name for check in checks}
+    assert "set vehicle: ros in /vehicles/suite_a/transform leads to an output" in names
+    assert "set cloud: mqtt in mqtt/vehicles/suite_b/pointcloud leads to an output" in names
+    assert {f"set {name}: no undeclared topics" for name in ("vehicle", "cloud")} <= names
+    assert (room.leftovers(), room.deleted) == ([], ["mqtt-bridge", "mqtt-bridge"])
+
+
+def test_a_bridge_with_another_entry_is_refused(room: LocalRoom) -> None:
+    """Qualities, the type inside the frames, a topic that is not declared, at the broker."""
+    chart = TOP / "charts" / "apps" / "mqtt-bridge"
+    entry = yaml.safe_load((TOP / "registry/charts/mqtt-bridge/0.1.0.yaml").read_text())
+    interfaces = {item["name"]: item for item in entry["spec"]["interfaces"]}
+    interfaces["mqtt-out"] |= {"type": "nav_msgs/msg/Odometry", "qos": {"qos": 0, "retain": True}}
+    interfaces["mqtt-in"] |= {"topic": "other{{ topic.name }}", "qos": {"qos": 2, "retain": False}}
+    entry["spec"]["suites"]["sets"].pop()
+    failed = [check for check in suite().run(subject(chart, entry, bridge_objects), room) if not check.passed]
+    text = said(failed)
+    pose, route = "mqtt/vehicles/suite_a/pose", "mqtt/vehicles/suite_a/route"
+    for part in (
+        f"mqtt out {pose}: wrong QoS: it is published with QoS 1, declared is 0 -> publish with QoS 0",
+        f"mqtt out {pose}: wrong retain flag: it is published without the retain flag, declared is with it",
+        f"mqtt out {pose}: wrong type: its messages are no nav_msgs/msg/Odometry: 76 bytes cannot be read as one",
+        "mqtt in other/vehicles/suite_a/route: declared but absent: the broker saw no subscription of",
+        f"it subscribed to {route}",
+        f"undeclared topic mqtt in {route}: topic {route} was subscribed, which no interface declares",
+        "mqtt in other/vehicles/suite_a/route leads to an output: after messages (nav_msgs/msg/Path) were sent to",
+    ):
+        assert part in text, f"{part}\n--- is not in\n{text}"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for place in ("charts", "registry/applications", "registry/charts"):
+        (tmp_path / "source" / place).mkdir(parents=True)
+    (tmp_path / "source/charts/robotkube-app").symlink_to(LIBRARY, target_is_directory=True)
+    return tmp_path / "source"
+
+
+def test_what_registry_new_writes_passes(room: LocalRoom, folder: Path) -> None:
+    new_application("relay", "relay/text", folder / "charts", folder / "registry")
+    chart = folder / "charts" / "relay"
+    entry = yaml.safe_load((folder / "registry/charts/relay/0.1.0.yaml").read_text())
+    checks = list(suite().run(subject(chart, entry, relay(chart)), room))
+    assert said([check for check in checks if not check.passed]) == ""
+    assert len(checks) > 8
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_each_mistake_fails_with_words_that_say_it(room: LocalRoom, folder: Path, name: str) -> None:
+    mistake = MISTAKES[name]
+    chart, path = wrong_chart(name, folder)
+    read_chart_version(path.read_text(), f"charts/{name}/{path.name}", published=False)
+    entry = yaml.safe_load(path.read_text())
+    if mistake.per_set:
+        del entry["spec"]["suites"]["sets"][1:]  # the others say the same, in ten seconds more
+    failed = [check for check in suite().run(subject(chart, entry, relay(chart)), room) if not check.passed]
+    wanted = f"set first: {mistake.check}" if mistake.per_set else mistake.check
+    [check] = [check for check in failed if check.name == wanted] or pytest.fail(said(failed))
+    assert mistake.found in check.found
+    assert mistake.fix in check.fix
+    assert not mistake.alone or len(failed) == 1, said(failed)
+
+
+def test_a_chart_that_never_gets_ready_is_said_so(room: LocalRoom, folder: Path) -> None:
+    new_application("relay", "relay/text", folder / "charts", folder / "registry")
+    chart = folder / "charts" / "relay"
+    (chart / "files" / "node.py").write_text(f"print('no settings', {HEALTH_PORT!r})\n")
+    entry = yaml.safe_load((folder / "registry/charts/relay/0.1.0.yaml").read_text())
+    failed = [check for check in suite().run(subject(chart, entry, relay(chart)), room) if not check.passed]
+    assert [check.name for check in failed] == ["set first: runs", "set second: runs"]
+    assert "was not ready: no settings" in failed[0].found
+    assert room.leftovers() == []
