@@ -276,3 +276,22 @@ def test_a_signing_key_of_another_kind_is_refused_without_showing_it(tmp_path: P
     path.write_bytes(elliptic.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
     with pytest.raises(InputError, match="must be an ed25519 key"):
         KeyFile(path)
+
+
+def test_the_reference_shows_how_to_verify_by_hand(tmp_path: Path, key: KeyFile) -> None:
+    page = Path(__file__).resolve().parents[3] / "docs" / "reference" / "evidence.md"
+    commands = page.read_text(encoding="utf-8").partition("```sh\n")[2].partition("```")[0]
+    data = Signing(key).sign(APP)["summary"]
+    (tmp_path / "envelope.json").write_bytes(data)
+    (tmp_path / "key.pem").write_text(key.public_key)
+
+    def run() -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            ["sh", "-c", commands], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False
+        )
+
+    good = run()
+    assert "Signature Verified Successfully" in good.stdout
+    assert sha256(data).removeprefix("sha256:") in good.stdout
+    (tmp_path / "key.pem").write_text(signing_key(tmp_path / "other").public_key)
+    assert "Signature Verification Failure" in run().stdout
