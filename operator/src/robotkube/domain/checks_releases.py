@@ -15,6 +15,7 @@ from robotkube.domain.catalogue import Catalogue
 from robotkube.domain.proposals import ChartReference
 from robotkube.domain.releases import Cause, Release, Source
 from robotkube.domain.tasks import with_defaults
+from robotkube.domain.values_schemas import overlay
 
 
 class Validate(Protocol):
@@ -81,14 +82,6 @@ def _values(release: Release, rules: Rules) -> Iterable[str]:
         return
     given = overlay(release.values, {"global": {"plan": release.plan}})
     yield from rules.validate(schema, overlay(schema.get("default", {}), given), "spec.values")
-
-
-def overlay(base: Any, over: Any) -> Any:
-    """`over` laid on `base` as Helm lays a release's values on a chart's: mappings are merged, null removes a key."""
-    if not isinstance(base, Mapping) or not isinstance(over, Mapping):
-        return over
-    merged = {**base, **{key: overlay(base.get(key), value) for key, value in over.items()}}
-    return {key: value for key, value in merged.items() if value is not None or key not in over}
 
 
 def _parameters(release: Release, rules: Rules) -> Iterable[str]:

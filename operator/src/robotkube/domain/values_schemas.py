@@ -139,9 +139,9 @@ def must_be_given(schema: Mapping[str, Any], path: tuple[str | int, ...], defaul
     return path[-1] in (_mapping(_resolved(schema, node)).get("required") or ())
 
 
-def merged(defaults: Any, given: Any) -> Any:
-    """`given` laid over `defaults` as Helm does it: mappings are joined, null removes, all else replaces."""
-    if not isinstance(defaults, Mapping) or not isinstance(given, Mapping):
-        return given
-    joined = {**defaults, **{key: merged(defaults.get(key), value) for key, value in given.items()}}
-    return {key: value for key, value in joined.items() if not (key in given and given[key] is None)}
+def overlay(base: Any, over: Any) -> Any:
+    """`over` laid on `base` as Helm lays given values on a chart's: mappings are merged, null removes a key."""
+    if not isinstance(base, Mapping) or not isinstance(over, Mapping):
+        return over
+    merged = {**base, **{key: overlay(base.get(key), value) for key, value in over.items()}}
+    return {key: value for key, value in merged.items() if value is not None or key not in over}

@@ -107,7 +107,7 @@ class StaticSuite:
         if sets and len(sets) < 2:
             problems.append("the entry has one test set, two are needed")
         for one in sets:
-            values = values_schemas.merged(chart.values, one.values)
+            values = values_schemas.overlay(chart.values, one.values)
             found = self._violations(chart.schema, values)
             problems += [f"set {one.name}: {_path(path)}: {message}" for path, message in found]
         return check("test-sets", problems, "correct spec.suites.sets of the entry")
@@ -184,7 +184,7 @@ def read_chart(files: Mapping[str, bytes]) -> Chart:
 
 
 def _render(subject: Subject, test_set: TestSet, more: Mapping[str, Any]) -> Rendering:
-    values = values_schemas.merged(test_set.values, {"global": more} if more else {})
+    values = values_schemas.overlay(test_set.values, {"global": more} if more else {})
     objects = subject.render(values, RELEASE)
     agent = mapping(test_set.values.get("placement")).get("agent", "")
     return Rendering(test_set.name, subject.artefact.chart, RELEASE, str(agent), objects)
