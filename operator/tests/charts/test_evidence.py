@@ -11,6 +11,9 @@ import yaml
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 from cryptography.x509 import load_pem_x509_certificate
+from signed_evidence import Signing, artefact
+
+from robotkube.adapters.evidence_dsse import KeyFile, TrustedKeys
 
 PLATFORM = Path(__file__).resolve().parents[3] / "charts" / "robotkube"
 PROFILE = Path(__file__).parent / "profiles" / "official.yaml"
@@ -56,6 +59,14 @@ def test_the_made_key_stands_nowhere_but_in_its_secret(official: Any) -> None:
     assert list(keys) == ["gate.pem"]
     assert keys["gate.pem"] == pair["certificate.pem"]
     assert load_pem_x509_certificate(keys["gate.pem"].encode()).public_key() == key.public_key()
+
+
+def test_the_made_key_signs_what_its_certificate_verifies(official: Any, tmp_path: Path) -> None:
+    (tmp_path / "key").write_text(official.one("Secret", "gate-key")["stringData"]["key.pem"])
+    (tmp_path / "gate.pem").write_text(official.one("ConfigMap", "evidence-keys")["data"]["gate.pem"])
+    key, trusted = KeyFile(tmp_path / "key"), TrustedKeys(tmp_path)
+    envelopes = Signing(key).sign(artefact())
+    assert {trusted.verify(data).key_id for data in envelopes.values()} == {key.key_id}
 
 
 def test_a_given_key_is_named_and_its_public_half_trusted(embedded: Any) -> None:
