@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -20,7 +21,7 @@ BILL_TYPE = "application/vnd.cyclonedx+json"
 PACKAGES = ("pkg:deb/", "pkg:pypi/", "pkg:golang/")
 SHELLS = frozenset({"sh", "ash", "bash", "dash", "ksh", "zsh"})
 STARTERS = frozenset({"env", "busybox"})  # begin another program in their own place
-SEPARATORS = re.compile(r"\n|;|&&|\|\|")
+SEPARATOR = re.compile(r"[();|&\n]+")
 
 
 @dataclass(frozen=True)
@@ -121,10 +122,20 @@ def _program(word: str) -> str:
 
 
 def hands_over(script: str) -> bool:
-    """Whether the script's last command takes the shell's place (`exec program`)."""
-    commands = [part.strip() for part in SEPARATORS.split(script)]
-    commands = [part for part in commands if part and not part.startswith("#")]
-    return bool(commands) and commands[-1].startswith("exec ") and not commands[-1].endswith("&")
+    """Whether the script's last command takes the shell's place (`exec program`), not in the background."""
+    words = shlex.shlex(script, posix=True, punctuation_chars="();<>|&\n")
+    words.whitespace, words.whitespace_split = " \t\r", True
+    commands: list[list[str]] = [[]]
+    try:
+        for word in words:
+            if not SEPARATOR.fullmatch(word):
+                commands[-1].append(word)
+            else:
+                commands.append([])
+    except ValueError:  # a quotation that does not end
+        return False
+    last = next((command for command in reversed(commands) if command), [])
+    return last[:1] == ["exec"] and len(last) > 1 and not script.rstrip().endswith("&")
 
 
 def bill_problems(data: bytes, digest: str) -> Iterator[str]:
