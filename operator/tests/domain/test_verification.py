@@ -59,6 +59,7 @@ def test_the_digest_is_that_of_the_meaning() -> None:
             "spec.suites[0].image: 'own:latest' must match",
         ),
         ("{name: static, version: '1', seconds: 60, retries: 3}", "spec.suites[0].retries: unknown key; remove it"),
+        (f"{{name: {'x' * 41}, version: '1', seconds: 1, image: '{IMAGE}'}}", "spec.suites[0].name: 'xxx"),
         ("text", "spec.suites[0]: must be a mapping"),
     ],
 )

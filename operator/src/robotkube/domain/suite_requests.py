@@ -14,7 +14,7 @@ from typing import Any
 from robotkube.domain.charts_packing import NAME, VERSION, canonical_json
 from robotkube.domain.documents import Reader
 from robotkube.domain.evidence import Artefact, Check, SuiteResult
-from robotkube.domain.verification import SuiteRule
+from robotkube.domain.verification import IMAGE, SUITE_NAME, SUITE_VERSION, SuiteRule
 
 KEY_CHARACTERS = 32
 CHECKS_MAX = 200
@@ -27,9 +27,6 @@ OUTCOMES = ("passed", "failed", "unfinished")
 KEY = re.compile(r"[0-9a-f]{32}")
 DIGEST = re.compile(r"sha256:[0-9a-f]{64}")
 PLATFORM = re.compile(r"[a-z0-9]+/[a-z0-9]+(/[a-z0-9]+)?")
-SUITE_NAME = re.compile(r"[a-z]([a-z0-9-]{0,38}[a-z0-9])?")
-SUITE_VERSION = re.compile(r"[0-9A-Za-z][0-9A-Za-z._-]{0,31}")
-IMAGE = re.compile(r"[A-Za-z0-9][A-Za-z0-9./:_-]{0,254}@sha256:[0-9a-f]{64}", re.ASCII)
 ATTEMPT = re.compile(r"[0-9A-Za-z._-]{0,64}", re.ASCII)
 CHART_REPOSITORY = re.compile(r"[a-z0-9][a-z0-9._-]*/[a-z0-9][a-z0-9._-]*")
 

@@ -28,8 +28,9 @@ SECONDS_MAX = 3600
 COMMAND_WORDS_MAX = 32
 COMMAND_CHARACTERS_MAX = 1024
 
-_SUITE_VERSION = re.compile(r"[0-9A-Za-z][0-9A-Za-z._-]{0,31}", re.ASCII)
-_IMAGE = re.compile(r"[A-Za-z0-9][A-Za-z0-9./:_-]{0,254}@sha256:[0-9a-f]{64}", re.ASCII)
+SUITE_NAME = re.compile(r"[a-z]([a-z0-9-]{0,38}[a-z0-9])?", re.ASCII)
+SUITE_VERSION = re.compile(r"[0-9A-Za-z][0-9A-Za-z._-]{0,31}", re.ASCII)
+IMAGE = re.compile(r"[A-Za-z0-9][A-Za-z0-9./:_-]{0,254}@sha256:[0-9a-f]{64}", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -80,14 +81,14 @@ def read_verification_policy(text: str, path: str = PATH) -> VerificationPolicy:
 
 def _rule(reader: Reader, value: Any, path: str) -> SuiteRule:
     found = reader.mapping(value, path, ["name", "version", "seconds"], ["image", "command", "installs"])
-    name = reader.word(found.get("name"), f"{path}.name", NAME)
+    name = reader.word(found.get("name"), f"{path}.name", SUITE_NAME)
     if name == SUMMARY:
         reader.problems.append(f"{path}.name: {SUMMARY!r} is taken; choose another")
     if found.get("version") is not None and not isinstance(found["version"], str):
         reader.problems.append(f"{path}.version: must be text; put it in quotes")
     return SuiteRule(
         name=name,
-        version=reader.word(str(found.get("version", "")), f"{path}.version", _SUITE_VERSION),
+        version=reader.word(str(found.get("version", "")), f"{path}.version", SUITE_VERSION),
         seconds=_seconds(reader, found.get("seconds"), f"{path}.seconds"),
         image=_image(reader, name, found, path),
         command=_command(reader, found.get("command"), f"{path}.command"),
@@ -112,7 +113,7 @@ def _image(reader: Reader, name: str, found: Mapping[str, Any], path: str) -> st
             f"{path}.image: missing; {name!r} is not one of {', '.join(PLATFORM_SUITES)}, so it names its own image"
         )
         return ""
-    return reader.word(found["image"], f"{path}.image", _IMAGE)
+    return reader.word(found["image"], f"{path}.image", IMAGE)
 
 
 def _command(reader: Reader, value: Any, path: str) -> tuple[str, ...]:
