@@ -1,9 +1,11 @@
 """The gate against a real forge: what it takes, what it refuses and in which words, and what survives restarts."""
 
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from evidence_of_tests import published_chart
 from installation import (
     CAUSE,
     DIGESTS,
@@ -11,7 +13,6 @@ from installation import (
     Clone,
     Installation,
     RunningGate,
-    chart_file,
     message,
     release_files,
     start_gate,
@@ -78,7 +79,9 @@ def test_a_proposal_that_main_has_overtaken_is_closed_as_stale(
 
 WRONG_FILES = {
     "a file that is not a release": ({"README.md": "mine\n"}, "README.md: a plan may only touch releases/"),
-    "a policy": ({"policies/initial.yaml": "add: [{}]\n"}, "policies/initial.yaml: a plan may only touch"),
+    "a policy": ({"policies/initial.yaml": "add: [{}]\n"}, "policies/initial.yaml: policies are made by people"),
+    "what installs": ({"bootstrap/appproject.yaml": "a: 1\n"}, "what installs the platform is changed by people"),
+    "a workflow": ({".gitea/workflows/x.yaml": "on: push\n"}, "this file can make a forge run programs"),
     "text that is not YAML": ({"releases/cloud-0/broken.yaml": "a: [\n"}, "releases/cloud-0/broken.yaml: not readable"),
     "two documents": ({"releases/cloud-0/two.yaml": "a: 1\n---\nb: 2\n"}, "exactly one YAML document"),
     "an unused source": (
@@ -98,15 +101,23 @@ def test_wrong_files_are_refused(installation: Installation, gate: RunningGate, 
 
 
 WRONG_RELEASES = {
-    "foreign namespace": ({"namespace": "kube-system"}, "'kube-system' is not the namespace of a declared agent"),
+    "foreign namespace": ({"namespace": "kube-system"}, "'kube-system' is not a namespace that account manager may"),
     "unknown digest": ({"digest": "sha256:" + "a" * 64}, "is not in the catalogue"),
-    "withdrawn chart": ({"digest": DIGESTS["old"], "version": "0.0.9"}, "is withdrawn; the release policy"),
+    "withdrawn chart": (
+        {"digest": DIGESTS["old"], "version": "0.0.9"},
+        "state withdrawn is not allowed (release policy:",
+    ),
     "another version": ({"version": "0.2.0"}, "is not in the catalogue, which has"),
     "another plan": ({"plan": "20261121-100000-ffffff"}, "differs from the commit's RobotKube-Plan"),
-    "evidence": ({"evidence": "signed"}, "evidence 'signed' cannot be checked here"),
+    "evidence": ({"evidence": "none"}, "robotkube.io/evidence is none, the evidence of chart event-detector@0.1.0@"),
+    "values": ({"values": {"placement": {"agent": "cloud-0"}, "x": 1}}, "spec.values: Additional properties are not"),
+    "parameters": (
+        {"causes": (replace(CAUSE, parameters='{"vehicles":[]}'),)},
+        "task cloud-0/pose-1: parameters.vehicles: [] ",
+    ),
     "long name": ({"name": "r" * 50}, "at most 53 are allowed"),
     "other trace": (
-        {"causes": (Cause(CAUSE.task, CAUSE.event, CAUSE.rule, "f" * 32, "x"),)},
+        {"causes": (Cause(CAUSE.task, CAUSE.event, CAUSE.rule, "f" * 32, CAUSE.application, CAUSE.parameters),)},
         "event, rule or trace of",
     ),
 }
@@ -123,7 +134,7 @@ def test_wrong_releases_are_refused(installation: Installation, gate: RunningGat
     commit = manager.commit(files, message(plan, charts=(chart,)), [manager.tip()])
     text = wait_for_refusal(installation, installation.propose(manager, commit, plan))
     assert expected in text
-    assert text.startswith("Refused: the gate does not take this commit to main.")
+    assert text.startswith(f"Refused {commit[:12]}: the gate does not take this commit to main.")
 
 
 def test_all_problems_are_named_at_once(installation: Installation, gate: RunningGate, manager: Clone) -> None:
@@ -133,8 +144,7 @@ def test_all_problems_are_named_at_once(installation: Installation, gate: Runnin
     text = wait_for_refusal(installation, installation.propose(manager, commit, plan))
     for part in ("x: a plan may only touch", "kube-system", "not in the catalogue", "subject 'deploy everything'"):
         assert part in text
-    for trailer in ("RobotKube-Plan must stand exactly once", "RobotKube-Evidence must stand exactly once"):
-        assert trailer in text
+    assert "RobotKube-Plan must stand exactly once" in text
 
 
 def test_a_link_is_refused(installation: Installation, gate: RunningGate, manager: Clone) -> None:
@@ -162,14 +172,58 @@ def test_a_foreign_registry_is_refused(installation: Installation, gate: Running
     assert "must be oci://forge" in wait_for_refusal(installation, installation.propose(manager, commit, plan))
 
 
-def test_another_accounts_proposal_of_releases_is_left_to_people(installation: Installation, gate: RunningGate) -> None:
-    person, plan = installation.clone("operator-team"), installation.plan()
-    commit = person.commit(release_files(plan, "person"), message(plan), [person.tip()])
-    number = installation.propose(person, commit, plan)
-    rounds = gate.gate.statistics.rounds
-    until(lambda: gate.gate.statistics.rounds > rounds + 1, "two rounds")
-    assert installation.pull_request(number)["state"] == "open"
-    installation.client("gate").patch(f"/pulls/{number}", json={"state": "closed"})
+def test_only_what_was_checked_becomes_main(
+    installation: Installation, controller: ApplicationSetController, tmp_path: Path, manager: Clone
+) -> None:
+    """The author proposes anew, under the same topic, after the gate has checked and before it pushes."""
+    plan, tip = installation.plan(), manager.tip()
+    good = manager.commit(release_files(plan, "checked"), message(plan), [tip])
+    bad = manager.commit({"policies/merge.yaml": "automatic: []\n"}, "mine\n", [tip])
+    running = start_gate(installation, controller.url, tmp_path, webhooks=False)
+    pushed: list[str] = []
+
+    def propose_anew(commit: str) -> bool:
+        if commit == good:
+            options = [f"topic={plan}", "title=another", "force-push=true"]
+            assert manager.push(bad, "refs/for/main", options) == ""
+        pushed.append(commit)
+        return push(commit)
+
+    push, running.gate._main.push_main = running.gate._main.push_main, propose_anew  # type: ignore[method-assign]
+    try:
+        number = installation.propose(manager, good, plan)
+        until(lambda: pushed == [good], "checked and pushed")
+        text = until_said(installation, number, "Closed, main moved")
+        assert manager.tip() == good
+        assert "policies/merge.yaml" not in text
+    finally:
+        running.stop()
+
+
+def until_said(installation: Installation, number: int, words: str) -> str:
+    """The comments of a pull request as soon as they hold `words`."""
+    until(lambda: words in installation.comments(number), f"said: {words}")
+    return installation.comments(number)
+
+
+def test_a_forged_status_changes_nothing(
+    installation: Installation, controller: ApplicationSetController, tmp_path: Path, manager: Clone
+) -> None:
+    """Statuses of an account that may write them: that a bad commit passed, and that a good one did not."""
+    plans, tip = [installation.plan(), installation.plan()], manager.tip()
+    bad = manager.commit({"README.md": "mine\n"}, message(plans[0]), [tip])
+    good = manager.commit(release_files(plans[1], "in-spite"), message(plans[1]), [tip])
+    numbers = [installation.propose(manager, commit, plan) for commit, plan in zip((bad, good), plans, strict=True)]
+    for commit, state in ((bad, "success"), (good, "failure")):
+        body = {"state": state, "context": "gate", "description": "checked"}
+        assert installation.client("operator-team").post(f"/statuses/{commit}", json=body).status_code == 201
+        assert installation.client("manager").post(f"/statuses/{commit}", json=body).status_code == 403
+    running = start_gate(installation, controller.url, tmp_path)
+    try:
+        assert "README.md: a plan may only touch" in wait_for_refusal(installation, numbers[0])
+        until(lambda: merged(installation, numbers[1]), "merged in spite of a forged failure")
+    finally:
+        running.stop()
 
 
 def test_removal_of_a_release_is_taken(installation: Installation, gate: RunningGate, manager: Clone) -> None:
@@ -208,12 +262,11 @@ def test_the_catalogue_is_read_again_before_a_refusal(
     try:
         until(lambda: not running.gate.reasons_not_ready(), "ready")
         digest = "sha256:" + "c" * 64
-        publisher = installation.clone("gate", "robotkube/catalogue")
-        file = {"charts/event-detector/0.3.0.yaml": chart_file("event-detector", digest, version="0.3.0")}
-        assert publisher.push(publisher.commit(file, "publish\n", [publisher.tip()]), "refs/heads/main") == ""
+        evidence = installation.publish(published_chart("event-detector", "0.3.0", digest))
         plan = installation.plan()
-        files = release_files(plan, "newer", version="0.3.0", digest=digest, namespace="vehicle-00")
-        text = message(plan, charts=(ChartReference("event-detector", "0.3.0", digest),))
+        changes = {"version": "0.3.0", "digest": digest, "namespace": "vehicle-00", "evidence": evidence}
+        files = release_files(plan, "newer", **changes)
+        text = message(plan, charts=(ChartReference("event-detector", "0.3.0", digest),), evidence=(evidence,))
         number = installation.propose(manager, manager.commit(files, text, [manager.tip()]), plan)
         until(lambda: merged(installation, number), "merged")
     finally:

@@ -1,0 +1,124 @@
+"""Evidence that does not hold, as somebody with write rights could put it into the catalogue: each refused in words."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from evidence_of_tests import OTHER_SEED, artefact, gate_key, published_chart, schema_file, signing, unproved_chart
+from installation import ApplicationSetController, Installation, message, release_files, start_gate
+from signed_evidence import POLICY, Signing, entry
+from waiting import until
+
+from robotkube.domain.charts_packing import sha256
+from robotkube.domain.evidence import Artefact
+from robotkube.domain.proposals import ChartReference
+
+CHART = "event-detector"
+
+
+def files_of(about: Artefact, envelopes: dict[str, bytes]) -> dict[str, str]:
+    """The catalogue's files of a chart version with these envelopes."""
+    files = {f"{about.folder}/{name}.json": data.decode() for name, data in envelopes.items()}
+    return {**files, **entry(about, evidence=sha256(envelopes["summary"])), **schema_file(about.chart, about.version)}
+
+
+def of_another_digest(about: Artefact) -> dict[str, str]:
+    other = artefact(about.chart, about.version, "sha256:" + "e" * 64)
+    return files_of(about, dict(signing().sign(other)))
+
+
+def of_another_key(about: Artefact) -> dict[str, str]:
+    return files_of(about, dict(Signing(gate_key(OTHER_SEED)).sign(about)))
+
+
+def with_a_suite_missing(about: Artefact) -> dict[str, str]:
+    files = published_chart(about.chart, about.version, about.digest)
+    del files[f"{about.folder}/install.json"]
+    return files
+
+
+def edited_after_signing(about: Artefact) -> dict[str, str]:
+    files = published_chart(about.chart, about.version, about.digest)
+    path = f"{about.folder}/static.json"
+    envelope = json.loads(files[path])
+    payload = envelope["payload"]
+    envelope["payload"] = ("B" if payload[40] == "A" else "A").join([payload[:40], payload[41:]])
+    files[path] = json.dumps(envelope, sort_keys=True, separators=(",", ":"))
+    return files
+
+
+def with_another_summary(about: Artefact) -> dict[str, str]:
+    own = signing()
+    envelopes = dict(own.sign(about))
+    own.envelopes["static"] = envelopes["images"]
+    return files_of(about, {**envelopes, "summary": own.summarise(about)})
+
+
+def without_any(about: Artefact) -> dict[str, str]:
+    return unproved_chart(about.chart, about.version, about.digest)
+
+
+def only_staged(about: Artefact) -> dict[str, str]:
+    return published_chart(about.chart, about.version, about.digest) | entry(about, "staged")
+
+
+WRONG: dict[str, tuple[Callable[[Artefact], dict[str, str]], str]] = {
+    "0.10.1": (of_another_digest, "the evidence is about another digest (sha256:" + "e" * 64),
+    "0.10.2": (of_another_key, "no valid evidence: suite static: "),
+    "0.10.3": (with_a_suite_missing, "suite install: there is no evidence; a missing suite is not a passed one"),
+    "0.10.4": (edited_after_signing, "no valid evidence: suite static: "),
+    "0.10.5": (with_another_summary, "it lists another envelope of suite static"),
+    "0.10.6": (without_any, "suite static: there is no evidence; a missing suite is not a passed one"),
+    "0.10.7": (only_staged, "state staged is not allowed (release policy: assurance verified)"),
+}
+
+
+@pytest.mark.parametrize("version", WRONG)
+def test_evidence_that_does_not_hold_is_refused(
+    installation: Installation, controller: ApplicationSetController, tmp_path: Path, version: str
+) -> None:
+    make, expected = WRONG[version]
+    about = artefact(CHART, version, sha256(version.encode()))
+    evidence = installation.publish(dict(make(about)))
+    manager, plan = installation.clone("manager"), installation.plan()
+    changes = {"version": version, "digest": about.digest, "evidence": evidence}
+    text = message(plan, charts=(ChartReference(CHART, version, about.digest),), evidence=(evidence,))
+    commit = manager.commit(release_files(plan, "doubtful", **changes), text, [manager.tip()])
+    running = start_gate(installation, controller.url, tmp_path)
+    try:
+        number = installation.propose(manager, commit, plan)
+        until(lambda: installation.pull_request(number)["state"] == "closed", "closed")
+        said = installation.comments(number)
+        print(said)
+        assert expected in said
+        assert not installation.pull_request(number)["merged"]
+        assert manager.tip() != commit
+    finally:
+        running.stop()
+        installation.publish(dict.fromkeys(make(about)))
+
+
+def test_a_changed_policy_makes_all_evidence_doubtful_and_its_return_good_again(
+    installation: Installation, controller: ApplicationSetController, tmp_path: Path
+) -> None:
+    path = "policies/verification.yaml"
+    clone = installation.clone("gate", "robotkube/catalogue")
+    before = clone.repository[clone.tip()].tree[path].data.decode()
+    running = start_gate(installation, controller.url, tmp_path)
+    manager = installation.clone("manager")
+    try:
+        installation.publish({path: before.replace("seconds: 240", "seconds: 241")})
+        plan = installation.plan()
+        commit = manager.commit(release_files(plan, "later"), message(plan), [manager.tip()])
+        number = installation.propose(manager, commit, plan)
+        until(lambda: installation.pull_request(number)["state"] == "closed", "closed")
+        assert f"the evidence was made under another policy ({POLICY.digest}" in installation.comments(number)
+        installation.publish({path: before})
+        again = installation.plan()
+        commit = manager.commit(release_files(again, "later"), message(again), [manager.tip()])
+        number = installation.propose(manager, commit, again)
+        until(lambda: installation.pull_request(number)["merged"], "merged")
+    finally:
+        installation.publish({path: before + "\n"})
+        running.stop()
