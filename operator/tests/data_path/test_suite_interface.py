@@ -106,6 +106,22 @@ def test_a_bridge_with_another_entry_is_refused(room: LocalRoom) -> None:
         assert part in text, f"{part}\n--- is not in\n{text}"
 
 
+def player_objects(values: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
+    command = ["python3", "-m", "robotkube.entrypoints.player"]
+    return deployment(name, command, {"config.yaml": yaml.safe_dump(values["player"])})
+
+
+def test_the_player_opens_the_topics_of_a_bag_of_its_own_image(room: LocalRoom) -> None:
+    chart = TOP / "charts" / "apps" / "bag-player"
+    entry = yaml.safe_load((TOP / "registry/charts/bag-player/0.1.0.yaml").read_text())
+    checks = list(suite().run(subject(chart, entry, player_objects), room))
+    assert said([check for check in checks if not check.passed]) == ""
+    names = {check.name for check in checks}
+    assert "set second: ros out /vehicles/suite_b/lidar_center/transform" in names
+    ledgers = sorted(path.parent.name for path in room.folder.glob("scratch/ledger/*/*pose.jsonl"))
+    assert ledgers == ["suite-first", "suite-second"], "the ordered runs were not played"
+
+
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     for place in ("charts", "registry/applications", "registry/charts"):

@@ -1,4 +1,4 @@
-"""A room on this machine: charts' processes, broker and observer run for real, without a cluster."""
+"""A room on this machine: charts' processes, broker, database and observer run for real, without a cluster."""
 
 from __future__ import annotations
 
@@ -14,10 +14,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from database_server import DatabaseServer
+
 from ci.benchmarks import pods
 from robotkube.ports.suites import Account, Object, PodEnd, PodRun
+from robotkube.testing.api_server import ApiServerInMemory
 
-SOURCE = Path(__file__).resolve().parents[2] / "src"
+SOURCE = Path(__file__).resolve().parents[1] / "src"
+CLAIMS = ("/var/lib/robotkube/bags", "/var/lib/robotkube/recordings", "/var/lib/robotkube/scratch")
+DATABASE = "suite"
 STOP_SECONDS_MAX = 5.0
 SETTINGS = """
 listener {port} 127.0.0.1
@@ -32,45 +37,64 @@ user root
 
 class LocalRoom:
     """The port Room. A Deployment's pod is one process with its ConfigMap as a folder; `/etc/robotkube` in its files
-    is that folder."""
+    is that folder, and the places of claims are one other. `server` is a running database."""
 
     namespace, agent = "room", "cloud-0"
     seconds_left = 600.0
 
-    def __init__(self, folder: Path, broker: bool = True) -> None:
+    def __init__(self, folder: Path, server: DatabaseServer | None = None) -> None:
         self.folder, self.domain_id = folder, 100 + os.getpid() % 100
+        self.api = ApiServerInMemory()
+        self.api.__enter__()
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
         self.ports: dict[str, int] = {}
         self.deleted: list[str] = []
-        self._maps: dict[str, Mapping[str, str]] = {}
         self._broker: Account | None = None
-        self._has_broker, self._runs = broker, 0
+        self._database: Account | None = None
+        self._server, self._runs = server, 0
+        (folder / "scratch").mkdir(parents=True)
 
     def close(self) -> None:
         """End everything."""
         for process in self.processes.values():
             process.kill()
             process.wait(STOP_SECONDS_MAX)
+        self.api.__exit__(None, None, None)
 
     def provide(self, config_maps: Mapping[str, Mapping[str, str]]) -> None:
-        self._maps.update(config_maps)
+        for name, data in config_maps.items():
+            self.api.put_config_map(self.namespace, name, dict(data))
 
     def apply(self, objects: Sequence[Object]) -> None:
         for item in objects:
             if item["kind"] == "ConfigMap":
                 place = self.folder / item["metadata"]["name"]
                 place.mkdir(exist_ok=True)
-                for name, text in item["data"].items():
-                    (place / name).write_text(text.replace("/etc/robotkube", str(place)))
+                data = {name: self._placed(text, place) for name, text in item["data"].items()}
+                self.api.put_config_map(self.namespace, item["metadata"]["name"], data)
+                for name, text in data.items():
+                    (place / name).write_text(text)
         for item in objects:
             if item["kind"] == "Deployment":
                 self._start(item["metadata"]["name"], item["spec"]["template"]["spec"]["containers"][0]["command"])
 
     def _start(self, name: str, command: Sequence[str]) -> None:
         place, self.ports[name] = self.folder / name, pods.free_port()
-        words = [sys.executable, *(word.replace("/etc/robotkube", str(place)) for word in command[1:])]
-        environment = self._environment(ROBOTKUBE_CONFIG=str(place / "config.yaml"))
-        self._run(name, words, {**environment, "ROBOTKUBE_HEALTH_PORT": str(self.ports[name])})
+        words = [sys.executable, *(self._placed(word, place) for word in command[1:])]
+        environment = self._environment(
+            ROBOTKUBE_CONFIG=str(place / "config.yaml"),
+            ROBOTKUBE_CONFIGMAP=f"{self.namespace}/{name}",
+            ROBOTKUBE_API_SERVER=self.api.url,
+            ROBOTKUBE_HEALTH_PORT=str(self.ports[name]),
+            ROBOTKUBE_RECORDINGS=str(self.folder / "scratch"),
+            NODE_NAME=self.agent,
+        )
+        self._run(name, words, environment)
+
+    def _placed(self, text: str, place: Path) -> str:
+        for claim in CLAIMS:
+            text = text.replace(claim, str(self.folder / "scratch"))
+        return text.replace("/etc/robotkube", str(place))
 
     def _run(self, name: str, command: Sequence[str], environment: Mapping[str, str]) -> None:
         with (self.folder / f"{name}.log").open("ab") as log:
@@ -139,20 +163,21 @@ class LocalRoom:
         environment = self._environment(ROBOTKUBE_SUITE_CONFIG=str(place / "config.json"))
         try:
             done = subprocess.run(
-                [sys.executable, *command[1:]], env=environment, capture_output=True, timeout=seconds, check=False
+                [sys.executable, *(self._placed(word, place) for word in command[1:])],
+                env=environment,
+                capture_output=True,
+                timeout=seconds,
+                check=False,
             )
         except subprocess.TimeoutExpired as error:
             return PodRun(str(error.stdout), None, "it did not end in its time")
         return PodRun((done.stdout + done.stderr).decode(), done.returncode)
 
     def start_broker(self) -> Account:
-        assert self._has_broker
         if self._broker is None:
-            place, port = self.folder / "secrets" / "broker", pods.free_port()
-            place.mkdir(parents=True)
+            port = pods.free_port()
             self._broker = Account("suite", "a password", "127.0.0.1", port)
-            for key in ("username", "password", "host", "port"):
-                (place / key).write_text(str(getattr(self._broker, key)))
+            self._secret("broker", self._broker)
             (self.folder / "mosquitto.conf").write_text(SETTINGS.format(port=port, folder=self.folder))
             (self.folder / "passwords").touch(mode=0o600)
             words = ["mosquitto_passwd", "-b", str(self.folder / "passwords"), "suite", "a password"]
@@ -173,7 +198,18 @@ class LocalRoom:
         raise AssertionError(f"no broker: {self.logs('broker')}")
 
     def start_database(self) -> Account:
-        raise AssertionError("no chart here has a database")
+        assert self._server is not None, "this room has no database"
+        if self._database is None:
+            self._server.create_account(DATABASE, "a password", DATABASE)
+            self._database = Account(DATABASE, "a password", "127.0.0.1", self._server.port, DATABASE)
+            self._secret("database", self._database, authenticationDatabase=DATABASE)
+        return self._database
+
+    def _secret(self, name: str, account: Account, **more: str) -> None:
+        place = self.folder / "secrets" / name
+        place.mkdir(parents=True)
+        for key, value in {**vars(account), **more}.items():
+            (place / key).write_text(str(value))
 
     def broker_log(self) -> str:
         return self.logs("broker") if self._broker else ""

@@ -1,0 +1,51 @@
+"""The test values in the catalogue's sources fit the charts they are for, and lead to topics."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from robotkube.adapters.schemas_jsonschema import validate
+from robotkube.adapters.templates_jinja2 import Jinja2Templates
+from robotkube.domain.catalogue_charts import read_chart_version
+from robotkube.domain.interfaces import declaration_checks, expected_topics, merged_values
+from robotkube.services.suite_sets import filled_sets
+
+TOP = Path(__file__).resolve().parents[3]
+ENTRIES = sorted((TOP / "registry" / "charts").glob("*/*.yaml"))
+render = Jinja2Templates().render
+
+
+def loaded(path: Path) -> dict[str, Any]:
+    return dict(yaml.safe_load(path.read_text(encoding="utf-8")))
+
+
+@pytest.mark.parametrize("path", ENTRIES, ids=lambda path: path.parent.name)
+def test_sets_fit_the_charts_schema_and_give_different_topics(path: Path) -> None:
+    chart = TOP / "charts" / "apps" / path.parent.name
+    version = read_chart_version(path.read_text(), f"charts/{path.parent.name}/{path.name}", published=False)
+    schema = json.loads((chart / "values.schema.json").read_text())
+    sets = filled_sets(loaded(path), "cloud-0", 1_763_750_000_000_000_000, render)
+    assert len(sets) == 2
+    topics = {}
+    for found in sets:
+        values = merged_values(loaded(chart / "values.yaml"), found.values)
+        assert list(validate(schema, values)) == [], found.name
+        assert values["placement"]["agent"] == "cloud-0"
+        topics[found.name] = expected_topics(version.interfaces, values, render)
+        assert topics[found.name], found.name
+    assert [check for check in declaration_checks(version.interfaces, topics) if not check.passed] == []
+
+
+def test_the_player_is_ordered_a_run_as_it_reads_one() -> None:
+    (first, second) = filled_sets(loaded(TOP / "registry/charts/bag-player/0.1.0.yaml"), "cloud-0", 42, render)
+    assert (first.config_maps, second.config_maps) == (
+        {"simulation": {"run": "suite-first", "start": "42"}},
+        {"simulation": {"run": "suite-second", "start": "42"}},
+    )
+    assert first.prepare_command[-1].removeprefix("/var/lib/robotkube/scratch") == "/suite-a"
+    assert first.values["player"]["bag"].removeprefix("/var/lib/robotkube/bags") == "/suite-a"
