@@ -1,4 +1,4 @@
-"""The deployment repository as the run sees it: its releases and commits by Git, its pull requests by the forge's API.
+"""The forge's repositories as the run sees them: releases, commits and files by Git, pull requests by the forge's API.
 
 A person's change goes the person's way: a commit proposed by AGit (refs/for/main), merged by the forge.
 """
@@ -10,7 +10,6 @@ import json
 import re
 import tempfile
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
@@ -22,7 +21,7 @@ from scenarios.runner.access import Endpoint
 from scenarios.runner.inputs import NANOSECONDS, Commit, PullRequest
 from scenarios.runner.waiting import RunError
 
-REPOSITORY, BRANCH = "robotkube/deployment", "main"
+REPOSITORY, CATALOGUE, BRANCH = "robotkube/deployment", "robotkube/catalogue", "main"
 TRAILER = re.compile(r"^RobotKube-([A-Za-z]+): (.*)$", re.MULTILINE)
 MERGE_STYLES = ("fast-forward-only", "rebase")
 ANSWER_SECONDS_MAX = 15.0
@@ -44,18 +43,18 @@ class _Account(pygit2.RemoteCallbacks):
 
 
 class Deployment:
-    """A bare clone in a temporary folder and a connection to the forge, as one person's account."""
+    """A bare clone of `name` in a temporary folder and a connection to the forge, as one person's account."""
 
-    def __init__(self, forge: Endpoint, username: str, password: str) -> None:
-        self._user = username
+    def __init__(self, forge: Endpoint, username: str, password: str, name: str = REPOSITORY) -> None:
+        self._user, self._name = username, name
         self._url = f"http://{forge.host}:{forge.port}"
         self._client = httpx.Client(
-            base_url=f"{self._url}/api/v1/repos/{REPOSITORY}", auth=(username, password), timeout=ANSWER_SECONDS_MAX
+            base_url=f"{self._url}/api/v1/repos/{name}", auth=(username, password), timeout=ANSWER_SECONDS_MAX
         )
         self._callbacks = _Account(username, password)
         self._folder = tempfile.TemporaryDirectory(prefix="deployment-")
         self._repository = pygit2.init_repository(self._folder.name, bare=True)
-        self._remote = self._repository.remotes.create("origin", f"{self._url}/{REPOSITORY}.git")
+        self._remote = self._repository.remotes.create("origin", f"{self._url}/{name}.git")
 
     def __enter__(self) -> Self:
         return self
@@ -71,7 +70,7 @@ class Deployment:
         try:
             self._remote.fetch([f"+refs/heads/{BRANCH}:refs/heads/{BRANCH}"], callbacks=self._callbacks)
         except pygit2.GitError as error:
-            raise RunError(f"{self._url}/{REPOSITORY}.git: cannot be fetched as {self._user}: {error}") from error
+            raise RunError(f"{self._url}/{self._name}.git: cannot be fetched as {self._user}: {error}") from error
         return str(self._tip().id)
 
     def file(self, path: str) -> str:
@@ -79,18 +78,29 @@ class Deployment:
         found = self._entry(path)
         return found.data.decode() if isinstance(found, pygit2.Blob) else ""
 
+    def files(self, folder: str) -> dict[str, bytes]:
+        """All files of main below a folder, by path."""
+        found = self._entry(folder)
+        if not isinstance(found, pygit2.Tree):
+            return {}
+        return {f"{folder}/{path}": blob.data for path, blob in _blobs(found)}
+
     def releases(self) -> dict[str, Mapping[str, Any]]:
         """The release files of main by <namespace>/<release>."""
-        folder = self._entry("releases")
-        if not isinstance(folder, pygit2.Tree):
-            return {}
-        return {
-            f"{namespace.name}/{Path(str(file.name)).stem}": yaml.safe_load(file.data)
-            for namespace in folder
-            if isinstance(namespace, pygit2.Tree)
-            for file in namespace
-            if isinstance(file, pygit2.Blob)
-        }
+        return {name: yaml.safe_load(blob.data) for name, blob in _releases(self._tip())}
+
+    def releases_since(self, commit: str) -> Iterator[tuple[str, Any]]:
+        """Every release file of main as it stood at `commit` or at a later one: <namespace>/<release> and its content;
+        None for one that is not YAML."""
+        seen: set[tuple[str, str]] = set()
+        walk = self._repository.walk(self._tip().id, pygit2.enums.SortMode.TOPOLOGICAL)
+        for at, _ in zip(walk, range(COMMITS_MAX), strict=False):
+            for name, blob in _releases(at):
+                if (name, str(blob.id)) not in seen:
+                    seen.add((name, str(blob.id)))
+                    yield name, _document(blob.data)
+            if str(at.id) == commit:
+                return
 
     def commits(self) -> tuple[Commit, ...]:
         """All commits of main, newest first."""
@@ -200,6 +210,28 @@ class Deployment:
             difference = commit.tree.diff_to_tree(swap=True)
         for delta in difference.deltas:
             yield delta.new_file.path
+
+
+def _blobs(tree: pygit2.Tree) -> Iterator[tuple[str, pygit2.Blob]]:
+    """Files of a tree with their paths in it."""
+    for entry in tree:
+        if isinstance(entry, pygit2.Tree):
+            yield from ((f"{entry.name}/{path}", blob) for path, blob in _blobs(entry))
+        elif isinstance(entry, pygit2.Blob):
+            yield str(entry.name), entry
+
+
+def _releases(commit: pygit2.Commit) -> Iterator[tuple[str, pygit2.Blob]]:
+    """<namespace>/<release> and file of every release of a commit."""
+    if "releases" in commit.tree and isinstance(folder := commit.tree["releases"], pygit2.Tree):
+        yield from ((path.removesuffix(".yaml"), blob) for path, blob in _blobs(folder) if path.count("/") == 1)
+
+
+def _document(data: bytes) -> Any:
+    try:
+        return yaml.safe_load(data)
+    except (yaml.YAMLError, UnicodeDecodeError):
+        return None
 
 
 def specification_digests(releases: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:

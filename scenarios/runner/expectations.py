@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from scenarios.definition import Bound, Scenario
-from scenarios.runner import audit, measures
+from scenarios.runner import audit, evidence, measures
 from scenarios.runner.encounters import Encounter
 from scenarios.runner.inputs import RunInputs
 
@@ -81,4 +81,5 @@ MEASURES: dict[str, Measure] = {
     "point_clouds_at_broker_after_removal": lambda _, inputs, met: measures.clouds_after_removal(inputs, met),
     "releases_after_equal_before": _releases_equal,
     "audit_complete": lambda _, inputs, __: audit.complete(inputs, audit.entries(inputs)),
+    "releases_had_evidence": lambda _, inputs, __: evidence.complete(inputs),
 }

@@ -107,6 +107,17 @@ class Commit:
     paths: tuple[str, ...]
 
 
+@dataclass(frozen=True, order=True)
+class ReleasedChart:
+    """A chart that a release on main named during the run: by digest, with the evidence that the release named."""
+
+    chart: str
+    version: str
+    digest: str
+    evidence: str
+    release: str
+
+
 @dataclass(frozen=True)
 class TopicCount:
     """Counters of one topic at the event detector's input: per unix second of arrival, and per age in whole ms."""
@@ -159,7 +170,8 @@ class Pod:
 
 @dataclass(frozen=True)
 class RunInputs:
-    """Everything the report is computed from. `releases_*` map a release to a digest of its specification."""
+    """Everything the report is computed from. `releases_*` map a release to a digest of its specification; `summaries`
+    maps the digest of each verification summary in the catalogue to the digest of the chart that it is about."""
 
     run: str
     provider: str
@@ -178,6 +190,8 @@ class RunInputs:
     pods: tuple[Pod, ...]
     releases_before: Mapping[str, str]
     releases_after: Mapping[str, str]
+    released: tuple[ReleasedChart, ...] = ()
+    summaries: Mapping[str, str] = field(default_factory=dict)
     cpu_core_seconds: Mapping[str, float] = field(default_factory=dict)
     set_up_seconds: Mapping[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()

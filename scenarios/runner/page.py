@@ -51,7 +51,7 @@ Document = Mapping[str, Any]
 
 
 def page(done: Report) -> str:
-    """The report as HTML: verdict, key figures, timeline, expectations, latencies, CPU, audit, set-up."""
+    """The report as HTML: verdict, key figures, timeline, expectations, latencies, CPU, audit, evidence, set-up."""
     return page_of(done.document)
 
 
@@ -67,6 +67,7 @@ def page_of(document: Document) -> str:
         ),
         ("CPU", "core seconds from before the start to the end of the observation", _cpu(document["cpu_core_seconds"])),
         ("Audit", "every commit of the deployment repository's main, except its seed", _audit(document["audit"])),
+        ("Evidence", "every chart that a release on main named during the run", _evidence(document["evidence"])),
         ("Set-up", "seconds before the run", _set_up(document["set_up_seconds"])),
     )
     body = _heading(document) + "".join(f'<p class="warning">{escape(t)}</p>' for t in document["warnings"])
@@ -223,6 +224,26 @@ def _trailers(trailers: Mapping[str, Sequence[str]], complete: bool) -> str:
     lines = "".join(f"<div>{escape(name)}: {escape(text)}</div>" for name, texts in trailers.items() for text in texts)
     cause = " ".join(f"{word} {', '.join(trailers[key])}" for word, key in CAUSES if key in trailers)
     return f"<details><summary>{escape(cause) or 'trailers'}</summary>{lines}</details>"
+
+
+def _evidence(entries: Sequence[Document]) -> str:
+    rows = [
+        (
+            escape(f"{entry['chart']} {entry['version']}"),
+            _short(entry["digest"]),
+            _short(entry["evidence"]),
+            escape(", ".join(entry["releases"])),
+            _yes(entry["found"]),
+        )
+        for entry in entries
+    ]
+    kinds = ["" if entry["found"] else "bad" for entry in entries]
+    heads = ("chart", "digest", "evidence named", "releases", "in the catalogue, for this digest")
+    return _table(heads, rows, text={3}, kinds=kinds)
+
+
+def _short(digest: object) -> str:
+    return f"<code>{escape(str(digest).removeprefix('sha256:')[:12])}</code>"
 
 
 def _set_up(seconds: Mapping[str, float]) -> str:

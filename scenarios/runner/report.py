@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from scenarios.definition import Scenario
-from scenarios.runner import audit, expectations, measures, timeline
+from scenarios.runner import audit, evidence, expectations, measures, timeline
 from scenarios.runner.encounters import Encounter, encounters
 from scenarios.runner.inputs import NANOSECONDS, RunInputs
 
@@ -86,6 +86,7 @@ def _document(
         "cpu_core_seconds": dict(sorted(inputs.cpu_core_seconds.items())),
         "set_up_seconds": dict(inputs.set_up_seconds),
         "audit": [entry.row() for entry in audit.entries(inputs)],
+        "evidence": [entry.row() for entry in evidence.entries(inputs)],
         "warnings": _warnings(inputs),
         "expectations": [asdict(row) for row in table],
         "timeline": [_moment(inputs, moment) for moment in moments],

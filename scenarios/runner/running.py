@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,10 +15,10 @@ from ci.folders import PROJECT
 from scenarios import definition
 from scenarios.definition import Scenario, cloud_topic, pose_topic
 from scenarios.generator import bags, checking, routes
-from scenarios.runner import collecting, looking_around, policy, report, timeline
+from scenarios.runner import collecting, evidence, looking_around, policy, report, timeline
 from scenarios.runner.access import Access
 from scenarios.runner.cpu import CpuSampler
-from scenarios.runner.deployment import Deployment, specification_digests
+from scenarios.runner.deployment import CATALOGUE, Deployment, specification_digests
 from scenarios.runner.inputs import NANOSECONDS, InputCounters, RunInputs
 from scenarios.runner.observing import BrokerObserver, PodWatch
 from scenarios.runner.page import page, value
@@ -28,6 +28,7 @@ from scenarios.runner.waiting import RunError, wait_for
 
 PROVIDER = "embedded"
 REPORTS = PROJECT / "build" / "reports"
+EVIDENCE_FOLDER = "evidence"
 START_DELAY_SECONDS = 3
 MERGE_SECONDS_MAX = 60.0
 READY_SECONDS_MAX = 600.0
@@ -44,6 +45,7 @@ class Run:
     access: Access
     volumes: Volumes
     deployment: Deployment
+    catalogue: Deployment
     observer: BrokerObserver
     pods: PodWatch
     sampler: CpuSampler
@@ -52,6 +54,7 @@ class Run:
     set_up_seconds: dict[str, float]
     claims: Mapping[str, Path] = field(default_factory=dict)
     releases_before: Mapping[str, str] = field(default_factory=dict)
+    main_before: str = ""
     input_before: InputCounters | None = None
     started: int = 0
     warnings: list[str] = field(default_factory=list)
@@ -104,12 +107,17 @@ def _run(scenario: Scenario, cluster: str, made: Mapping[str, Path], seconds: di
     _check_nodes(scenario, provider)
     person, broker = access.secret("robotkube", f"forge-account-{scenario.story.person}"), access.endpoint("broker")
     account = access.secret("robotkube", "broker-account-observer")
-    with Deployment(access.endpoint("forge"), person["username"], person["password"]) as deployment:
+    forge, account_of_person = access.endpoint("forge"), (person["username"], person["password"])
+    with (
+        Deployment(forge, *account_of_person) as deployment,
+        Deployment(forge, *account_of_person, CATALOGUE) as catalogue,
+    ):
         going = Run(
             scenario=scenario,
             access=access,
             volumes=provider,
             deployment=deployment,
+            catalogue=catalogue,
             observer=BrokerObserver(broker.host, broker.port, account["username"], account["password"]),
             pods=PodWatch(access, [node.agent for node in scenario.nodes], _say),
             sampler=CpuSampler(cpu_root(cluster)),
@@ -173,7 +181,7 @@ def prepare(going: Run, made: Mapping[str, Path]) -> None:
         say=going.say,
     )
     going.set_up_seconds["players and releases ready"] = round(time.monotonic() - began, 2)
-    going.deployment.fetch()
+    going.main_before = going.deployment.fetch()
     going.releases_before = specification_digests(going.deployment.releases())
 
 
@@ -307,10 +315,21 @@ def collect(going: Run) -> RunInputs:
         pods=going.pods.pods(),
         releases_before=going.releases_before,
         releases_after=read("releases", lambda: specification_digests(going.deployment.releases()), {}),
+        released=read("releases of the run", lambda: evidence.released(_releases_of_the_run(going)), ()),
+        summaries=read("evidence in the catalogue", lambda: _summaries(going), {}),
         cpu_core_seconds=cpu,
         set_up_seconds=going.set_up_seconds,
         warnings=tuple(going.warnings),
     )
+
+
+def _releases_of_the_run(going: Run) -> Iterator[tuple[str, Any]]:
+    return going.deployment.releases_since(going.main_before)
+
+
+def _summaries(going: Run) -> dict[str, str]:
+    going.catalogue.fetch()
+    return evidence.summaries(going.catalogue.files(EVIDENCE_FOLDER))
 
 
 def show(going: Run, done: report.Report, reports: Path) -> None:

@@ -5,22 +5,22 @@ from urllib.parse import urlparse
 
 import pytest
 import yaml
-from installation import CAUSE, Installation, RunningGate, message, release_files
+from installation import CAUSE, DIGESTS, Installation, RunningGate, message, release_files
 from waiting import until
 
-from scenarios.runner import audit
+from scenarios.runner import audit, evidence
 from scenarios.runner.access import Endpoint
-from scenarios.runner.deployment import Deployment, specification_digests
+from scenarios.runner.deployment import CATALOGUE, REPOSITORY, Deployment, specification_digests
 from scenarios.runner.waiting import RunError
 
 POLICY = "policies/initial.yaml"
 TEXT = "add: [{application: bag-player, forRole: vehicle}]\nremove: []\n"
 
 
-def person(installation: Installation) -> Deployment:
+def person(installation: Installation, repository: str = REPOSITORY) -> Deployment:
     address = urlparse(installation.url)
     endpoint = Endpoint(address.hostname or "", address.port or 0)
-    return Deployment(endpoint, "operator-team", installation.passwords["operator-team"])
+    return Deployment(endpoint, "operator-team", installation.passwords["operator-team"], repository)
 
 
 def test_a_person_s_pull_request_is_merged_as_it_was_proposed(installation: Installation, gate: RunningGate) -> None:
@@ -84,6 +84,24 @@ def test_a_manager_s_commit_has_its_trailers_paths_and_pull_request(
         assert newest.trailers["Event"] == (CAUSE.event,)
         assert "releases/cloud-0/scenario.yaml" in newest.paths
         assert "cloud-0/scenario" in specification_digests(deployment.releases())
+
+
+def test_what_a_release_named_is_found_in_the_catalogue_also_when_it_is_gone_again(installation: Installation) -> None:
+    gate, plan = installation.clone("gate"), installation.plan()
+    there = release_files(plan, "passing")
+    with person(installation) as deployment, person(installation, CATALOGUE) as catalogue:
+        before = deployment.fetch()
+        release = next(path for path in there if path.startswith("releases/"))
+        for files in ({release: there[release]}, {release: None}):
+            commit = gate.commit(files, message(plan), [gate.tip()])
+            assert gate.push(commit, "refs/heads/main") == ""
+        deployment.fetch()
+        assert "cloud-0/passing" not in deployment.releases()
+        released = evidence.released(deployment.releases_since(before))
+        [mine] = [one for one in released if one.release == "cloud-0/passing"]
+        assert (mine.chart, mine.digest) == ("event-detector", DIGESTS["event-detector"])
+        catalogue.fetch()
+        assert evidence.summaries(catalogue.files("evidence"))[mine.evidence] == mine.digest
 
 
 def test_main_cannot_be_pushed_and_a_wrong_password_is_named(installation: Installation) -> None:

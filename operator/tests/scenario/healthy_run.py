@@ -25,7 +25,7 @@ START = 1_795_250_000 * SECOND
 DELAY = 12_000_000  # from a message's stamp to its reception
 VOLUME = "cloud-0/recordings"
 RECORDER = "cloud-0/recorder-vehicle-00-vehicle-01"
-DIGEST = "sha256:" + "a" * 64
+DIGEST, SUMMARY_DIGEST = "sha256:" + "a" * 64, "sha256:" + "b" * 64
 
 
 def payload(topic: str, stamp: int) -> bytes:
@@ -171,6 +171,8 @@ def _known(scenario: definition.Scenario) -> inputs.RunInputs:
         input_after=_counters(scenario, seconds),
         broker=inputs.BrokerLog(START - SECOND, ended + SECOND, 0, tuple(seen)),
         pods=tuple(pods),
+        released=(inputs.ReleasedChart("event-detector", "0.1.0", DIGEST, SUMMARY_DIGEST, RECORDER),),
+        summaries={SUMMARY_DIGEST: DIGEST},
         releases_before={"vehicle-00/mqtt-bridge": "1"},
         releases_after={"vehicle-00/mqtt-bridge": "1"},
         cpu_core_seconds={"etcd": 1.5},
@@ -220,7 +222,7 @@ def _seed() -> inputs.Commit:
 
 
 def _commit(plan: inputs.Plan) -> inputs.Commit:
-    trailers = {"Plan": (plan.plan,), "Chart": (f"event-detector@0.1.0@{DIGEST}",), "Evidence": ("none",)}
+    trailers = {"Plan": (plan.plan,), "Chart": (f"event-detector@0.1.0@{DIGEST}",), "Evidence": (SUMMARY_DIGEST,)}
     if plan.events:
         trailers |= {"Task": plan.tasks, "Event": plan.events, "Rule": ("lidar-proximity",), "Trace": plan.events}
     else:

@@ -30,6 +30,7 @@ KEYS = [
     "cpu_core_seconds",
     "set_up_seconds",
     "audit",
+    "evidence",
     "warnings",
     "expectations",
     "passed",
@@ -63,7 +64,17 @@ def test_a_healthy_run_passes_with_every_key_of_the_report(run: Any) -> None:
     assert document["recorded"]["poses"] == pytest.approx(2 * 20 * 37, abs=25)
     assert len(document["audit"]) == 5
     assert document["audit"][1]["task"] == "cloud-0/task-0"
+    assert [(row["chart"], row["found"]) for row in document["evidence"]] == [("event-detector", True)]
+    assert document["warnings"] == []
+
+
+def test_a_policy_that_asks_for_no_evidence_is_a_warning_and_no_pass(run: Any) -> None:
+    first, *others = run.known.commits
+    bare = [replace(commit, trailers={**commit.trailers, "Evidence": ("none",)}) for commit in others]
+    run.change(commits=(first, *bare), released=tuple(replace(one, evidence="none") for one in run.known.released))
+    document = run.judge().document
     assert document["warnings"][0].startswith("the release policy is `assurance: none`")
+    assert run.failed() == {"releases_had_evidence"}
 
 
 def test_the_parts_of_the_first_cloud_s_way_add_up(run: Any) -> None:
@@ -262,6 +273,23 @@ def change_a_release_for_good(run: Any) -> None:
     run.change(releases_after={"vehicle-00/mqtt-bridge": "2"})
 
 
+def name_no_evidence(run: Any) -> None:
+    [one] = run.known.released
+    run.change(released=(one, replace(one, release="cloud-0/other", evidence="none")))
+
+
+def name_evidence_of_another_digest(run: Any) -> None:
+    run.change(summaries=dict.fromkeys(run.known.summaries, "sha256:" + "c" * 64))
+
+
+def lose_the_summary(run: Any) -> None:
+    run.change(summaries={})
+
+
+def see_no_release(run: Any) -> None:
+    run.change(released=())
+
+
 def miss_an_encounter(run: Any) -> None:
     run.change(edges=run.known.edges[:2])
 
@@ -313,6 +341,10 @@ RECORDED = {"poses_recorded_share", "point_clouds_recorded_share"}
         (silence_a_vehicle, {"pose_hz_min", "pose_age_p99_seconds"}),
         (leave_a_release_behind, {"releases_after_equal_before"}),
         (change_a_release_for_good, {"releases_after_equal_before"}),
+        *(
+            (broken, {"releases_had_evidence"})
+            for broken in (name_no_evidence, name_evidence_of_another_digest, lose_the_summary, see_no_release)
+        ),
         (miss_an_encounter, {"encounters", "stop_to_removed_seconds"}),
         (never_stop, {"lost", "stop_to_removed_seconds", *RECORDED}),
     ],
@@ -366,7 +398,7 @@ def test_warnings_name_what_went_wrong_on_the_way(run: Any) -> None:
     interrupt_the_observer(run)
     run.change(plans=(*run.known.plans[:-1], replace(run.known.plans[-1], error="refused once")))
     warnings = run.judge().document["warnings"]
-    assert [w.split()[1] for w in warnings[1:]] == ["event", "observer", run.known.plans[-1].plan + ":"]
+    assert [w.split()[1] for w in warnings] == ["event", "observer", run.known.plans[-1].plan + ":"]
 
 
 def test_the_timeline_names_every_step_with_pull_request_and_commit(run: Any) -> None:
@@ -427,6 +459,7 @@ def test_a_run_that_measured_nothing_fails_everything(run: Any) -> None:
         input_after=None,
         broker=None,
         pods=(),
+        released=(),
         releases_before={},
         releases_after={},
     )

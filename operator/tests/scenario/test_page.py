@@ -26,6 +26,17 @@ DOCUMENT: dict[str, Any] = {
         {"commit": "f0b6c1999" * 4, "subject": "deploy <x>", "pull_request": 4, "trailers": TRAILERS, "missing": []},
         {"commit": "8a5da5b40" * 4, "subject": "policy", "pull_request": None, "trailers": {}, "missing": ["a plan"]},
     ],
+    "evidence": [
+        {
+            "chart": "event-detector",
+            "version": "0.1.0",
+            "digest": "sha256:" + "d" * 64,
+            "evidence": "sha256:" + "e" * 64,
+            "releases": ["cloud-0/recorder", "cloud-0/event-detector"],
+            "found": True,
+        },
+        {"chart": "<x>", "version": "", "digest": "", "evidence": "none", "releases": ["a/x"], "found": False},
+    ],
     "warnings": ["nothing was verified"],
     "expectations": [{"name": "lost", "expected": "= 0", "measured": 0, "passed": True}],
     "timeline": [
@@ -93,3 +104,11 @@ def test_a_failed_expectation_is_marked() -> None:
     assert '<span class="badge no">failed</span>' in page
     assert '<tr class="bad"><td>lost</td>' in page
     assert "0 of 1" in page
+
+
+def test_the_evidence_of_each_chart_is_shown() -> None:
+    section = changed().partition("<h2>Evidence</h2>")[2].partition("<h2>")[0]
+    for text in ("event-detector 0.1.0", "d" * 12, "e" * 12, "cloud-0/recorder, cloud-0/event-detector"):
+        assert text in section
+    assert "&lt;x&gt;" in section
+    assert section.count('<tr class="bad">') == 1
