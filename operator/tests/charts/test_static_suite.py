@@ -28,8 +28,8 @@ Read = Callable[[Path, Path], Subject]
 
 
 @pytest.fixture
-def read(helm: Any, tmp_path: Path) -> Read:
-    return lambda chart, entry: subject_of(helm, chart, entry, tmp_path)
+def read(tmp_path: Path) -> Read:
+    return lambda chart, entry: subject_of(chart, entry, tmp_path)
 
 
 def checks_of(subject: Subject) -> dict[str, Check]:

@@ -231,6 +231,17 @@ def plan_problems(without: Rendering, planned: Rendering, plan: str) -> list[str
     return problems
 
 
+def same_but_plan(one: Rendering, other: Rendering) -> bool:
+    """Whether two renderings differ in nothing but the plan's annotation."""
+    return [_unplanned(object_) for object_ in one.objects] == [_unplanned(object_) for object_ in other.objects]
+
+
+def _unplanned(one: Object) -> Object:
+    annotations = mapping(mapping(one.get("metadata")).get("annotations"))
+    kept = {key: value for key, value in annotations.items() if key != PLAN_ANNOTATION}
+    return {**_bare(one), "annotations": kept}
+
+
 def _bare(one: Object) -> Object:
     metadata = {key: value for key, value in mapping(one.get("metadata")).items() if key != "annotations"}
     return {**one, "metadata": metadata}

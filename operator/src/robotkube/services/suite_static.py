@@ -122,15 +122,15 @@ class StaticSuite:
         return renderings, problems
 
     def _repeated(self, subject: Subject, sets: Sequence[TestSet], first: Sequence[Rendering]) -> list[Check]:
-        """The same values again, and with a plan."""
+        """The same values with a plan; and once more as they are, when more than the plan came out differently."""
         known = {one.test_set: one for one in first}
         changing, planned = [], []
         for one in [one for one in sets if one.name in known]:
             try:
-                if _render(subject, one, {}).objects != known[one.name].objects:
-                    changing.append(f"set {one.name}: two renderings with the same values differ")
                 with_plan = _render(subject, one, {"plan": PLAN})
                 planned += rules.plan_problems(known[one.name], with_plan, PLAN)
+                if not rules.same_but_plan(known[one.name], with_plan):
+                    changing += _changing(known[one.name], _render(subject, one, {}))
             except InputError as error:
                 planned.append(f"set {one.name}: with global.plan: {_short(error)}")
         return [
@@ -188,6 +188,11 @@ def _render(subject: Subject, test_set: TestSet, more: Mapping[str, Any]) -> Ren
     objects = subject.render(values, RELEASE)
     agent = mapping(test_set.values.get("placement")).get("agent", "")
     return Rendering(test_set.name, subject.artefact.chart, RELEASE, str(agent), objects)
+
+
+def _changing(first: Rendering, second: Rendering) -> list[str]:
+    differs = first.objects != second.objects
+    return [f"set {first.test_set}: two renderings with the same values differ"] if differs else []
 
 
 def _at(value: Any, path: Sequence[str | int]) -> Any:
