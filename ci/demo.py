@@ -62,8 +62,8 @@ def bring_up(request: Request, steps: Steps) -> Installer:
         installer.argocd(prepared.references())
     with steps.step("platform"):
         installer.platform(prepared.references(), wanted)
-    with steps.step("catalogue"):
-        publish.publish(folders.kubeconfig)
+    with steps.step("catalogue") as step:
+        step.note = publish.publish(folders.kubeconfig, step.say).outcome.verdict
     return installer
 
 

@@ -16,7 +16,8 @@ from typing import Any
 
 import yaml
 
-from ci import toolchain
+from ci import evidence, toolchain
+from ci.cluster.objects import SUITE_ROOMS
 from ci.cluster.topology import Topology
 from ci.errors import SetUpError
 from ci.folders import PROJECT
@@ -28,6 +29,7 @@ ROLLOUT_TIMEOUT_SECONDS = 240
 RESTRICTED = {"pod-security.kubernetes.io/enforce": "restricted"}
 BAGS_SIZE = "2Gi"
 PLATFORM_IMAGES = ("platform", "suites", "ros", "mosquitto", "gitea", "ferretdb")
+KEY_SECRET = "evidence-key"  # noqa: S105
 LOG_LINES = 15
 
 
@@ -81,8 +83,9 @@ class Installer:
         """
         values = self.work / "values.yaml"
         self.work.mkdir(parents=True, exist_ok=True)
-        values.write_text(yaml.safe_dump(platform_values(references, topology)), encoding="utf-8")
         self.namespace(NAMESPACE, RESTRICTED)
+        given = platform_values(references, topology) | {"evidence": self.signing_key()}
+        values.write_text(yaml.safe_dump(given), encoding="utf-8")
         options = ["-n", NAMESPACE, "-f", str(chart / "values-embedded.yaml"), "-f", str(values)]
         try:
             self.helm(
@@ -92,6 +95,18 @@ class Installer:
             raise SetUpError(f"{error}\n{self.state(NAMESPACE)}\n{self.state(ARGOCD)}") from error
         for namespace in (NAMESPACE, ARGOCD):
             self.rollout(namespace)
+
+    def signing_key(self) -> dict[str, Any]:
+        """The Secret with this user's signing key; returns what the chart has to know of it."""
+        key = evidence.signing_key()
+        secret = {
+            "apiVersion": "v1",
+            "kind": "Secret",
+            "metadata": {"name": KEY_SECRET, "namespace": NAMESPACE},
+            "stringData": {"key.pem": evidence.key_file().read_text(encoding="utf-8")},
+        }
+        self.kubectl("apply", "--server-side", "--force-conflicts", "-f", "-", text=yaml.safe_dump(secret))
+        return {"existingSecret": KEY_SECRET, "trustedKeys": {f"key-{key.key_id}": key.public_key}}
 
     def rollout(self, namespace: str) -> None:
         """Wait until every Deployment and StatefulSet of a namespace is rolled out."""
@@ -141,4 +156,5 @@ def platform_values(references: Mapping[str, str], topology: Topology) -> dict[s
         if node.role == "vehicle":
             agent["claims"] = [{"name": "bags", "size": BAGS_SIZE}]
         agents.setdefault(node.agent, agent)
-    return {"images": {name: references[name] for name in PLATFORM_IMAGES}, "agents": list(agents.values())}
+    images = {name: references[name] for name in PLATFORM_IMAGES}
+    return {"images": images, "agents": list(agents.values()), "suites": {"pool": SUITE_ROOMS}}

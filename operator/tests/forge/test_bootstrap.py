@@ -122,7 +122,7 @@ def test_an_empty_seed_is_refused(installation: Installation, administration: Gi
 def test_teams_give_the_fewest_rights(installation: Installation) -> None:
     teams = {f"{team.organisation}/{team.name}": team for team in plan_teams(installation.setup)}
     assert teams["robotkube/deployment-read"].members == {"manager", "argocd"}
-    assert teams["robotkube/deployment-write"].members == {"gate", "operator-team"}
+    assert teams["robotkube/deployment-write"].members == {"gate", "operator-team", "reviewer"}
     assert teams["robotkube/catalogue-read"].members == {"manager", "publisher"}
     assert teams["robotkube/catalogue-write"].members == {"gate", "operator-team"}
     assert teams["robotkube/packages-write"].members == {"publisher"}

@@ -12,8 +12,6 @@ from installation import ACCOUNTS, PACKAGES, Installation
 PACKAGE = "rights"
 MANIFEST = "application/vnd.oci.image.manifest.v1+json"
 EMPTY = b"{}"
-# Gitea shows an organisation's packages to everybody who is in one of its teams, here those of the repositories.
-MEMBERS_OF_ROBOTKUBE = {"manager", "argocd", "operator-team"}
 LEVELS = {
     (account, organisation): PACKAGES[organisation].get(account) for account in ACCOUNTS for organisation in PACKAGES
 }
@@ -52,7 +50,9 @@ def _a_package_in_every_organisation(installation: Installation, forge_process: 
 def test_reading(installation: Installation, account: str, organisation: str) -> None:
     who = (account, installation.passwords[account])
     path = f"{installation.url}/v2/{organisation}/{PACKAGE}"
-    member = organisation == "robotkube" and account in MEMBERS_OF_ROBOTKUBE
+    # Gitea shows an organisation's packages to everybody who is in one of its teams, so also in those of a repository.
+    repositories = [one for one in installation.setup.repositories if one.organisation == organisation]
+    member = any(account in repository.access for repository in repositories)
     allowed = LEVELS[account, organisation] is not None or member
     for what in ("manifests/1", f"manifests/{digest_of(manifest())}", f"blobs/{digest_of(EMPTY)}", "tags/list"):
         answer = httpx.get(f"{path}/{what}", auth=who, headers={"Accept": MANIFEST}, timeout=30)
