@@ -53,7 +53,7 @@ def test_releases_without_any(line: Line) -> None:
     [
         (("task", "show", "one"), 2, "must be <namespace>/<name>"),
         (("plan", "list"), 2, "no Service manager in namespace robotkube"),
-        (("catalogue", "list", "--platform-namespace", "elsewhere"), 2, "in namespace elsewhere"),
+        (("registry", "search", "--platform", "--platform-namespace", "elsewhere"), 2, "in namespace elsewhere"),
     ],
 )
 def test_wrong_usage(line: Line, words: tuple[str, ...], code: int, text: str) -> None:

@@ -73,7 +73,7 @@ def test_chart_versions_are_valid_with_and_without_a_status(path: Path) -> None:
 def test_the_release_policy_is_valid() -> None:
     path = REGISTRY / "policies" / "release.yaml"
     assert validate(schema("release-policy"), load(path)) == []
-    assert read_assurance(path.read_text(), "policies/release.yaml") == "none"
+    assert read_assurance(path.read_text(), "policies/release.yaml") == "verified"
     with pytest.raises(DocumentError, match="must be one of none, verified"):
         read_assurance("assurance: some\n", "policies/release.yaml")
 

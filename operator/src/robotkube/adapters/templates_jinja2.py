@@ -121,10 +121,12 @@ class Jinja2Templates:
         with _refusals(text):
             tree = self._parsed(text)
         found: set[tuple[str, ...]] = {(node.name,) for node in tree.find_all(nodes.Name)}
-        for node in tree.find_all((nodes.Getattr, nodes.Getitem)):
-            key = node.attr if isinstance(node, nodes.Getattr) else getattr(node.arg, "value", None)
-            if isinstance(node.node, nodes.Name) and isinstance(key, str):
-                found.add((node.node.name, key))
+        for by_name in tree.find_all(nodes.Getattr):
+            if isinstance(by_name.node, nodes.Name):
+                found.add((by_name.node.name, by_name.attr))
+        for by_key in tree.find_all(nodes.Getitem):
+            if isinstance(by_key.node, nodes.Name) and isinstance(by_key.arg, nodes.Const):
+                found.add((by_key.node.name, str(by_key.arg.value)))
         return frozenset(found)
 
     def _render(self, value: Any, names: Mapping[str, Any], budget: list[int], depth: int) -> Any:

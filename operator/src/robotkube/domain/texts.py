@@ -112,8 +112,9 @@ def _refuse_structure(text: str, where: str) -> None:
         if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
             raise DocumentError(where, ["anchors and aliases are not allowed; write the value out"])
         if getattr(event, "tag", None):
-            line = event.start_mark.line + 1
-            raise DocumentError(where, [f"line {line}: tag {event.tag!r:.60} is not allowed; write a plain value"])
+            mark, tag = event.start_mark, getattr(event, "tag", "")
+            line = mark.line + 1 if mark else 0
+            raise DocumentError(where, [f"line {line}: tag {tag!r:.60} is not allowed; write a plain value"])
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
         if depth > DEPTH_MAX + 1:
             raise DocumentError(where, [f"nested deeper than {DEPTH_MAX}; write it flatter"])

@@ -32,9 +32,9 @@ class Command:
 def commands() -> Sequence[Command]:
     """Every command; other modules of the command line add theirs here."""
     from robotkube.entrypoints import (
-        cli_catalogue,
         cli_plans,
         cli_recordings,
+        cli_registry,
         cli_registry_new,
         cli_registry_submit,
         cli_tasks,
@@ -55,6 +55,16 @@ def commands() -> Sequence[Command]:
             cli_recordings.verify_one,
             cli_recordings.verifying,
         ),
+        Command("registry", "search", "applications and charts", cli_registry.search_entries, cli_registry.searching),
+        Command("registry", "show", "everything about one entry", cli_registry.show_entry, cli_registry.naming),
+        Command("registry", "graph", "versions and their upgrades", cli_registry.show_graph, cli_registry.drawing),
+        Command(
+            "registry",
+            "validate",
+            "every mistake in the catalogue's sources",
+            cli_registry.validate_registry,
+            cli_registry.validating,
+        ),
         Command(
             "registry",
             "new",
@@ -69,7 +79,6 @@ def commands() -> Sequence[Command]:
             cli_registry_submit.submit,
             cli_registry_submit.submitting,
         ),
-        Command("catalogue", "list", "applications and chart versions", cli_catalogue.list_catalogue),
     ]
 
 

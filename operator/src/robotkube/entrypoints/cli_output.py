@@ -17,7 +17,8 @@ CELL_CHARACTERS_MAX = 80
 class Table:
     """`columns` of every row for people; `rows` whole, for programs. With `single` the one row is the document.
 
-    `refusal`: why the command ends as refused although it has data to show; empty when it does not.
+    `text` is what people get in place of the table. `refusal`: why the command ends as refused although it has data to
+    show; empty when it does not.
     """
 
     name: str
@@ -25,6 +26,7 @@ class Table:
     rows: Sequence[Mapping[str, Any]]
     single: bool = False
     refusal: str = ""
+    text: str = ""
 
 
 def write(table: Table, form: str, stream: TextIO) -> None:
@@ -32,6 +34,8 @@ def write(table: Table, form: str, stream: TextIO) -> None:
     document = dict(table.rows[0]) if table.single else {table.name: [dict(row) for row in table.rows]}
     if form == "json":
         stream.write(json.dumps(document, indent=2, sort_keys=True) + "\n")
+    elif form == "table" and table.text:
+        stream.write(table.text)
     elif form == "yaml" or table.single:
         stream.write(write_mapping(document))
     else:

@@ -9,11 +9,11 @@ import logging
 from typing import Any
 
 from robotkube.domain.catalogue import Catalogue
+from robotkube.domain.catalogue_documents import entry_documents
 from robotkube.domain.errors import InputError
 from robotkube.domain.initial import PATH as INITIAL_PATH
 from robotkube.domain.initial import InitialPolicy, read_initial_policy
 from robotkube.domain.releases import RELEASES, SOURCES, Tree, read_tree
-from robotkube.domain.versions import version_key
 from robotkube.ports.git import DeploymentRepository
 
 POLICIES = "policies"
@@ -23,24 +23,7 @@ log = logging.getLogger(__name__)
 
 def catalogue_page(catalogue: Catalogue, tip: str) -> dict[str, Any]:
     """The document of GET /catalogue."""
-    applications = [
-        {"kind": "application", "name": a.name, "description": a.description, "provides": list(a.provides)}
-        for _, a in sorted(catalogue.applications.items())
-    ]
-    charts = [
-        {
-            "kind": "chart",
-            "name": c.chart,
-            "version": c.version,
-            "state": c.state,
-            "digest": c.digest,
-            "evidence": catalogue.evidence_of(c),
-            "doubt": c.doubt if catalogue.assurance != "none" else "",
-        }
-        for _, versions in sorted(catalogue.charts.items())
-        for c in sorted(versions, key=lambda c: version_key(c.version))
-    ]
-    return {"commit": tip, "assurance": catalogue.assurance, "entries": applications + charts}
+    return {"commit": tip, "assurance": catalogue.assurance, "entries": entry_documents(catalogue)}
 
 
 class MainReader:

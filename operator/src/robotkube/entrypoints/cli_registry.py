@@ -1,0 +1,130 @@
+"""`robotkube registry search|show|graph|validate`: what the catalogue offers, and what is wrong with its sources.
+
+Entries come from a folder of sources (`--registry`, by default `registry` when it is there) or from the platform.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from robotkube.adapters.registry_folders import read_sources
+from robotkube.adapters.schemas_jsonschema import check_schema, validate, violations
+from robotkube.adapters.templates_jinja2 import Jinja2Templates
+from robotkube.domain.catalogue import read_catalogue
+from robotkube.domain.catalogue_charts import CHANNELS, STATES
+from robotkube.domain.catalogue_documents import SOURCE, entry_documents
+from robotkube.domain.registry_search import Criteria, Entry, dot, find, read_guarantee, search, upgrade_rows
+from robotkube.domain.registry_sources import Tools
+from robotkube.domain.registry_validation import validate_sources
+from robotkube.entrypoints.cli_output import Table
+from robotkube.entrypoints.cli_platform import Platform
+
+REGISTRY, CHARTS = Path("registry"), Path("charts/apps")
+PROBLEMS_SAID_MAX = 10
+COLUMNS = ("kind", "name", "version", "channel", "state", "provides", "claimed", "description")
+
+
+def looking(parser: argparse.ArgumentParser) -> None:
+    """Where the entries come from."""
+    places = parser.add_mutually_exclusive_group()
+    places.add_argument("--registry", type=Path, metavar="FOLDER", help="sources (default: registry, when it is there)")
+    places.add_argument("--platform", action="store_true", help="the catalogue that the platform's manager reads")
+
+
+def searching(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `search`: all that are given must hold."""
+    looking(parser)
+    parser.add_argument("text", nargs="?", default="", metavar="TEXT", help="part of a name or description")
+    parser.add_argument("--provides", default="", metavar="CAPABILITY", help="such as recording or recording/pose")
+    parser.add_argument(
+        "--needs", default="", metavar="WORD", help="a chart, capability, bridge, medium or type of topic"
+    )
+    parser.add_argument("--guarantee", default="", metavar="GUARANTEE", help="such as stop-time or 'stop-time<=3s'")
+    parser.add_argument("--channel", default="", choices=CHANNELS)
+    parser.add_argument("--state", default="", choices=(*STATES, SOURCE))
+
+
+def naming(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `show`."""
+    looking(parser)
+    parser.add_argument("name", metavar="NAME[@VERSION]", help="an application or a chart")
+
+
+def drawing(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `graph`."""
+    looking(parser)
+    parser.add_argument("charts", nargs="*", metavar="CHART", help="only these charts")
+    parser.add_argument("--dot", action="store_true", help="as a graph for Graphviz instead of a table")
+
+
+def validating(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `validate`."""
+    parser.add_argument("registry", nargs="?", type=Path, default=REGISTRY, metavar="FOLDER", help="default: registry")
+    parser.add_argument(
+        "--charts", type=Path, default=None, help="folder of the charts (default: charts/apps beside it)"
+    )
+
+
+def search_entries(options: argparse.Namespace) -> Table:
+    """The entries that meet all criteria."""
+    guarantee = read_guarantee(options.guarantee) if options.guarantee else ""
+    criteria = Criteria(options.text, options.provides, options.needs, guarantee, options.channel, options.state)
+    found = search(_entries(options), criteria)
+    return Table("entries", COLUMNS, [{**entry, "claimed": _claimed(entry)} for entry in found])
+
+
+def _claimed(entry: Entry) -> list[str]:
+    """The guarantees in short; the table's heading says what they are worth."""
+    bounds = {"atMost": "<=", "atLeast": ">="}
+    return [
+        f"{g['name']}{bounds[bound]}{g[bound]:g}{g['unit']}"
+        for g in entry.get("guarantees", ())
+        for bound in bounds
+        if bound in g
+    ]
+
+
+def show_entry(options: argparse.Namespace) -> Table:
+    """One entry whole; when an application and a chart have the name, both."""
+    found = find(_entries(options), options.name)
+    return Table("entries", COLUMNS, found, single=len(found) == 1)
+
+
+def show_graph(options: argparse.Namespace) -> Table:
+    """Versions of charts and the ways between them."""
+    rows = [row for row in upgrade_rows(_entries(options)) if not options.charts or row["chart"] in options.charts]
+    columns = ("chart", "version", "channel", "state", "replaces", "skips", "upgrades_to")
+    return Table("versions", columns, rows, text=dot(rows) if options.dot else "")
+
+
+def _entries(options: argparse.Namespace) -> Sequence[Entry]:
+    folder = options.registry or (REGISTRY if REGISTRY.is_dir() and not options.platform else None)
+    if folder is None:
+        entries: Sequence[Entry] = Platform(options).page("/catalogue")["entries"]
+        return entries
+    sources = read_sources(folder)
+    catalogue = read_catalogue(sources.files, published=False)
+    problems = [*map(str, sources.findings), *(f"{folder}/{problem}" for problem in catalogue.problems)]
+    for problem in problems[:PROBLEMS_SAID_MAX]:
+        print(f"robotkube: left out: {problem}", file=sys.stderr)
+    return entry_documents(catalogue)
+
+
+def validate_registry(options: argparse.Namespace) -> Table:
+    """Every mistake in the sources; refused when there is one."""
+    templates = Jinja2Templates()
+    tools = Tools(templates.render, templates.references, check_schema, validate, violations)
+    charts = options.charts or options.registry.parent / CHARTS
+    sources = read_sources(options.registry, charts)
+    found = validate_sources(sources, tools)
+    rows = [{"file": finding.file, "key": finding.key, "problem": finding.text} for finding in found]
+    files, mistakes = len(sources.files), "mistake" if len(found) == 1 else "mistakes"
+    print(
+        f"robotkube: {files} files, {len(sources.folders)} charts beside them, {len(found)} {mistakes}", file=sys.stderr
+    )
+    refusal = f"{options.registry}: {len(found)} {mistakes}" if found else ""
+    text = "".join(f"{finding}\n" for finding in found) or "no mistakes\n"
+    return Table("mistakes", ("file", "key", "problem"), rows, refusal=refusal, text=text)
