@@ -139,21 +139,22 @@ class Submitting:
 
     def _open(self, tip: str, changes: Mapping[str, str], about: Outcome) -> PullRequest:
         """The pull request of exactly these changes: the open one, or a new one."""
-        topic = TOPIC + sha256(canonical_json(dict(changes))).removeprefix("sha256:")[:TOPIC_DIGITS]
-        found = self._find(topic)
+        identifier = sha256(canonical_json(dict(changes))).removeprefix("sha256:")[:TOPIC_DIGITS]
+        topic = TOPIC + identifier
+        title = f"submit: {_names(about)} ({identifier})"  # forges do not show the topic of an open pull request
+        found = self._find(title)
         if found is None:
-            title = f"submit: {_names(about)}"
             commit = self._proposals.commit(tip, changes, f"{title}\n")
             number = self._proposals.propose(commit, topic, title, "The gate answers below.\n")
-            found = self._patiently(lambda: self._forge.pull_request(number)) if number else self._find(topic)
+            found = self._patiently(lambda: self._forge.pull_request(number)) if number else self._find(title)
         if found is None:
             raise UnavailableError(f"the forge took submission {topic}, but shows no pull request for it; try again")
         self._say(f"pull request {found.url}")
         return found
 
-    def _find(self, topic: str) -> PullRequest | None:
+    def _find(self, title: str) -> PullRequest | None:
         pulls = self._patiently(lambda: self._forge.pull_requests("open", self._account))
-        return next((pull for pull in pulls if pull.topic == topic and pull.author == self._account), None)
+        return next((pull for pull in pulls if pull.title == title and pull.author == self._account), None)
 
     def _follow(self, opened: PullRequest, about: Outcome, sources: Sources, end: float) -> Outcome:
         said: set[str] = set()
