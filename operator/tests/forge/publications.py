@@ -1,0 +1,113 @@
+"""The gate's publication on the tests' forge, and submissions to it as the command makes them."""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from evidence_of_tests import gate_key, trusted_keys
+from installation import CHARTS_URL, Installation
+from submitted import IMAGE
+
+from robotkube.adapters.git_clones import GitClone
+from robotkube.adapters.git_deployment import ProposalWriter
+from robotkube.adapters.gitea import GiteaForge
+from robotkube.adapters.oci_registry import Registry
+from robotkube.entrypoints.cli_registry_submit import CATALOGUE, ForgeAccess, submit_sources
+from robotkube.services.publication import Publication, PublicationSettings
+from robotkube.services.submitting import ChartSource, Outcome, Sources
+from robotkube.services.verifying import Verifying, VerifyingSettings
+from robotkube.testing.publishing import ScriptedRunner
+
+WAIT_SECONDS = 60.0
+END_SECONDS_MAX = 20.0
+
+
+@dataclass
+class Publishing:
+    """A gate's publication on the forge, and what it talks to; `start` and `stop` as often as wanted."""
+
+    installation: Installation
+    folder: Path
+    runner: ScriptedRunner = field(default_factory=ScriptedRunner)
+    local_builds: bool = False
+    lines: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self._running: tuple[Publication, threading.Thread, threading.Event] | None = None
+        self._made = 0
+
+    def make(self) -> Publication:
+        """A gate that was just started, on clones of its own; nothing runs yet."""
+        self._made += 1
+        url, account = self.installation.url, ("gate", self.installation.passwords["gate"])
+        folder = self.folder / f"gate-{self._made}"
+        clone = GitClone(url, CATALOGUE, *account, folder)
+        self.registry = Registry(url, *account)
+        names = VerifyingSettings("staging", "verified", CHARTS_URL, f"{url}/{CATALOGUE}", "gate-of-tests")
+        verifying = Verifying(
+            self.registry,
+            gate_key(),
+            trusted_keys(),
+            self.runner,
+            names,
+            time.monotonic,
+            lambda: "2026-11-21T10:00:00Z",
+        )
+        return Publication(
+            GiteaForge(url, CATALOGUE, *account),
+            clone,
+            ProposalWriter(folder, *account, "gate", time.time),
+            self.registry,
+            verifying,
+            gate_key(),
+            PublicationSettings(
+                CATALOGUE, ("publisher",), "gate", "staging", "verified", CHARTS_URL, self.local_builds
+            ),
+            time.monotonic,
+        )
+
+    def start(self) -> None:
+        publication, stopping = self.make(), threading.Event()
+        thread = threading.Thread(target=publication.run, args=(stopping,), daemon=True)
+        thread.start()
+        self._running = (publication, thread, stopping)
+
+    def stop(self) -> None:
+        if self._running is not None:
+            publication, thread, stopping = self._running
+            publication.stop(stopping)
+            thread.join(END_SECONDS_MAX)
+            assert not thread.is_alive()
+            publication._forge.disconnect()
+            self.registry.disconnect()
+            self._running = None
+
+    def submit(self, *charts: tuple[Any, Any], dry_run: bool = False, **more: Any) -> Outcome:
+        """As the command does it, with these charts."""
+        document = {"apiVersion": "registry.robotkube.io/v1alpha1", "kind": "ChartVersion"}
+        sources = tuple(
+            ChartSource({**document, "metadata": {"name": packed.name}, "spec": spec}, packed, (IMAGE,))
+            for packed, spec in charts
+        )
+        access = ForgeAccess(self.installation.url, "publisher", self.installation.passwords["publisher"])
+        return submit_sources(access, Sources(sources, **more), self.lines.append, WAIT_SECONDS, dry_run)
+
+    def main(self) -> dict[str, str]:
+        """The catalogue's files."""
+        clone = self.installation.clone("operator-team", CATALOGUE)
+        tree = clone.repository[clone.tip()].tree
+        index: dict[str, str] = {}
+        _collect(clone.repository, tree, "", index)
+        return index
+
+
+def _collect(repository: Any, tree: Any, prefix: str, found: dict[str, str]) -> None:
+    for entry in tree:
+        if entry.type_str == "tree":
+            _collect(repository, repository[entry.id], f"{prefix}{entry.name}/", found)
+        else:
+            found[prefix + entry.name] = repository[entry.id].data.decode()
