@@ -3,22 +3,29 @@ same ones with a mistake each."""
 
 from __future__ import annotations
 
+import json
+import os
 import secrets
+import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
-from local_room import LocalRoom, deployment
+from local_room import SOURCE, LocalRoom, deployment
 from wrong_interfaces import LIBRARY, MISTAKES, wrong_chart
 
 from robotkube.adapters.skeleton_files import new_application
 from robotkube.adapters.templates_jinja2 import Jinja2Templates
 from robotkube.domain.catalogue_charts import read_chart_version
 from robotkube.domain.evidence import Artefact, Check
-from robotkube.domain.interfaces import merged_values
+from robotkube.domain.interface_checks import read_observation
+from robotkube.domain.interfaces import ExpectedTopic, merged_values
 from robotkube.ports.suites import Subject
 from robotkube.services.suite_interface import InterfaceSuite
 from robotkube.services.suite_observing import Bounds
@@ -164,3 +171,43 @@ def test_a_chart_that_never_gets_ready_is_said_so(room: LocalRoom, folder: Path)
     assert [check.name for check in failed] == ["set first: runs", "set second: runs"]
     assert "was not ready: no settings" in failed[0].found
     assert room.leftovers() == []
+
+
+def test_a_type_that_is_not_installed_is_said_so(room: LocalRoom, folder: Path) -> None:
+    new_application("relay", "relay/text", folder / "charts", folder / "registry")
+    chart = folder / "charts" / "relay"
+    text = (folder / "registry/charts/relay/0.1.0.yaml").read_text()
+    entry = yaml.safe_load(text.replace("std_msgs/msg/String", "nowhere_msgs/msg/Thing"))
+    del entry["spec"]["suites"]["sets"][1:]
+    (check,) = (c for c in suite().run(subject(chart, entry, relay(chart)), room) if not c.passed)
+    assert check.name == "set first: runs"
+    assert "the observer could not look at the chart: exit code 2" in check.found
+    assert "message package nowhere_msgs is not installed in this image" in check.found
+    assert room.leftovers() == []
+
+
+def test_the_observer_ends_on_sigterm_with_what_it_saw(tmp_path: Path) -> None:
+    topic = ExpectedTopic("input", "ros", "in", "/suite/never", "std_msgs/msg/String", "reliable", "volatile")
+    config = {
+        "topics": [asdict(topic)], "node": "suite_observer_test", "client": "", "broker": False, "database": None,
+        "clear": False, "seconds_max": 60.0, "bounds": asdict(Bounds(settle=60.0)),
+    }  # fmt: skip
+    (tmp_path / "config.json").write_text(json.dumps(config))
+    environment = {
+        **os.environ,
+        "ROBOTKUBE_SUITE_CONFIG": str(tmp_path / "config.json"),
+        "ROS_DOMAIN_ID": str(100 + os.getpid() % 100),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "ROS_LOG_DIR": str(tmp_path / "ros"),
+        "PYTHONPATH": str(SOURCE),
+    }
+    command = [sys.executable, "-m", "robotkube.entrypoints.suite_observer"]
+    process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stderr is not None
+    assert '"looking"' in process.stderr.readline()
+    process.send_signal(signal.SIGTERM)
+    output, errors = process.communicate(timeout=10)
+    assert process.returncode == 0, errors
+    seen = read_observation(json.loads(output.splitlines()[-1])["observation"], "observer")
+    assert [(answer.input, answer.output) for answer in seen.answers] == [(0, None)]
+    assert seen.endpoints == ()

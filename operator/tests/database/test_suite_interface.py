@@ -17,8 +17,10 @@ from robotkube.adapters.templates_jinja2 import Jinja2Templates
 from robotkube.domain.evidence import Artefact, Check
 from robotkube.ports.suites import Subject
 from robotkube.services.suite_interface import InterfaceSuite
+from robotkube.services.suite_observing import Bounds
 
 TOP = Path(__file__).resolve().parents[3]
+WHOLE, SHORT = Bounds(), Bounds(settle=3.0, answer=4.0, watch=4.0)
 CHART = TOP / "charts" / "apps" / "event-detector"
 
 
@@ -35,12 +37,12 @@ def objects(values: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
     return deployment(name, command, {"config.yaml": yaml.safe_dump(settings)}, "database-account")
 
 
-def checks_of(entry: Mapping[str, Any], room: LocalRoom) -> list[Check]:
+def checks_of(entry: Mapping[str, Any], room: LocalRoom, bounds: Bounds = WHOLE) -> list[Check]:
     artefact = Artefact("event-detector", "0.1.0", "sha256:" + "0" * 64, "linux/amd64")
     files = {"values.yaml": (CHART / "values.yaml").read_bytes()}
     subject = Subject(artefact, entry, files, b"", {"ros": "ros@sha256:0"}, objects)
     render = Jinja2Templates().render
-    suite = InterfaceSuite("observer", render, time.time_ns, lambda: secrets.token_hex(8))
+    suite = InterfaceSuite("observer", render, time.time_ns, lambda: secrets.token_hex(8), bounds)
     return list(suite.run(subject, room))
 
 
@@ -61,7 +63,7 @@ def test_a_collection_that_is_not_declared_is_found(room: LocalRoom) -> None:
     """In the second set, too: what the first one wrote is taken away before."""
     other = entry()
     other["spec"]["interfaces"][1]["forEach"] = {"collection": ["recordings", "samples", "no_such"]}
-    failed = [check.name for check in checks_of(other, room) if not check.passed]
+    failed = [check.name for check in checks_of(other, room, SHORT) if not check.passed]
     lost = {"named": "/vehicles/suite_a/pointcloud", "patterns": "/vehicles/{agent}/pose"}
     assert failed == [
         f"set {name}: {what}"

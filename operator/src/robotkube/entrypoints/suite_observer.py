@@ -79,6 +79,7 @@ def body(process: Process) -> None:
     )
     expected = [ExpectedTopic(**topic) for topic in config["topics"]]
     bounds = Bounds(**config["bounds"])
+    process.log("looking", topics=len(expected), broker=config["broker"], database=database is not None)
     write(InterfaceObserver(expected, world, float(config["seconds_max"]), bounds).run())
 
 
