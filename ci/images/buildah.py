@@ -14,6 +14,7 @@ COMMAND_SECONDS_MAX = 600
 STOP_SECONDS_MAX = 10
 LOG_LINES_SHOWN = 25
 FREE_BYTES_MIN = 6_000_000_000
+SAME_EVERYWHERE = {"LC_ALL": "C.UTF-8", "TZ": "UTC"}  # sorting and dates in what builds write
 
 
 class BuildError(Exception):
@@ -106,7 +107,11 @@ def run_logged(command: list[str], log: Path, seconds: int, environment: dict[st
     with log.open("a", encoding="utf-8") as out:
         start = out.tell()
         process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.STDOUT, env={**os.environ, **environment}
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=out,
+            stderr=subprocess.STDOUT,
+            env={**os.environ, **SAME_EVERYWHERE, **environment},
         )
         try:
             code = process.wait(timeout=seconds)

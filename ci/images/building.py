@@ -26,6 +26,7 @@ from ci.steps import Steps
 
 REPOSITORY = "forge.robotkube.svc.cluster.local:3000/robotkube"
 KEPT_VERSIONS = 3
+UMASK = 0o022
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ def build_images(
     contents = {image.name: image.contents(shop.sources) for image in chosen}
     for name, copied in contents.items():
         check(name, copied)
-    with _alone(shop.folder):
+    with _alone(shop.folder), _umask():
         built = _build_all(shop, chosen, contents, steps or Steps(len(chosen)))
         _write_lock(shop, built)
     return built
@@ -256,6 +257,16 @@ def _write_lock(shop: Workshop, built: dict[str, BuiltImage]) -> None:
 def _lock_entry(image: BuiltImage) -> dict[str, Any]:
     files = {"archive": str(image.archive), "bill": str(image.bill)}
     return {"reference": image.reference, **files, "size": image.size}
+
+
+@contextmanager
+def _umask() -> Iterator[None]:
+    """Modes of new files and folders end up in images: they must not depend on who builds."""
+    before = os.umask(UMASK)
+    try:
+        yield
+    finally:
+        os.umask(before)
 
 
 @contextmanager

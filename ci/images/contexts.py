@@ -84,7 +84,7 @@ def _hash(path: Path) -> str:
 
 
 def assemble(contents: tuple[Copied, ...], folder: Path) -> None:
-    """Make the context in `folder` (made, must be empty)."""
+    """Make the context in `folder` (made, must be empty); modes do not depend on the umask."""
     folder.mkdir(parents=True, exist_ok=True)
     for copied in contents:
         if copied.optional or copied.source.is_dir():
@@ -94,3 +94,5 @@ def assemble(contents: tuple[Copied, ...], folder: Path) -> None:
             place.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(path, place)
             place.chmod(0o755 if executable else 0o644)
+    for made, _, _ in os.walk(folder):
+        Path(made).chmod(0o755)  # Dockerfiles copy folders with their modes

@@ -5,6 +5,8 @@ import os
 import re
 import shutil
 import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import programs
@@ -26,10 +28,27 @@ def tools(tmp_path: Path) -> Path:
     return folder
 
 
+@contextmanager
+def elsewhere(tools: Path, folder: Path) -> Iterator[Path]:
+    """The same programs in another folder, with other times and modes, built with another user's settings."""
+    shutil.copytree(tools, folder)
+    for program in folder.iterdir():
+        program.chmod(0o700)
+        os.utime(program, (1, 1))
+    before = os.umask(0o077)
+    with pytest.MonkeyPatch.context() as changed:
+        changed.setenv("LC_ALL", "POSIX")
+        changed.setenv("TZ", "Asia/Tokyo")
+        try:
+            yield folder
+        finally:
+            os.umask(before)
+
+
 def test_two_folders_give_one_digest_and_the_second_run_is_cached(tools: Path, tmp_path: Path) -> None:
     first = build_images(tools, tmp_path / "one", ["ferretdb"])["ferretdb"]
-    os.utime(tools / "ferretdb", (1, 1))
-    second = build_images(tools, tmp_path / "two", ["ferretdb"])["ferretdb"]
+    with elsewhere(tools, tmp_path / "other") as programs_there:
+        second = build_images(programs_there, tmp_path / "two", ["ferretdb"])["ferretdb"]
     assert first.reference == second.reference
     assert first.archive.read_bytes() == second.archive.read_bytes()
     inode = first.archive.stat().st_ino

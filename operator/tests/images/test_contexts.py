@@ -47,6 +47,17 @@ def test_context_mirrors_the_sources_without_caches(source: Path, tmp_path: Path
     assert (tmp_path / "context" / "empty" / "folder").is_dir()
 
 
+def test_modes_depend_on_the_program_bit_alone(source: Path, tmp_path: Path) -> None:
+    (source / "deep" / "file").chmod(0o600)
+    before = os.umask(0o077)
+    try:
+        assemble((Copied(source, "a/b"),), tmp_path / "context")
+    finally:
+        os.umask(before)
+    modes = {path.name: path.stat().st_mode & 0o777 for path in (tmp_path / "context").rglob("*")}
+    assert modes == {"a": 0o755, "b": 0o755, "deep": 0o755, "file": 0o644, "program": 0o755}
+
+
 def test_a_missing_program_is_named_with_what_makes_it(tmp_path: Path) -> None:
     sources = Sources(tmp_path, lambda path, folder: tmp_path)
     with pytest.raises(ContextError, match=r"image ferretdb: .*/ferretdb is missing .*python -m ci\.toolchain"):
