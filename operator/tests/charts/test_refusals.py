@@ -158,7 +158,7 @@ TOPIC = {"name": "/a", "type": "std_msgs/msg/String"}
     ("chart", "values", "at"),
     [
         ("mqtt-bridge", {"bridge": {"out": [{**TOPIC, "qos": 1}]}}, "additional properties 'qos' not allowed"),
-        ("mqtt-bridge", {"bridge": {"in": [TOPIC]}}, "at '/bridge/in/0': missing properties"),
+        ("mqtt-bridge", {"bridge": {"in": [{"name": "/a"}]}}, "at '/bridge/in/0': missing property 'type'"),
         ("mqtt-bridge", {"serviceAccount": "admin"}, "additional properties 'serviceAccount' not allowed"),
         ("mqtt-bridge", {"placement": {"node": "x"}}, "at '/placement': additional properties 'node' not allowed"),
         ("mqtt-bridge", {"placement": {"agent": "Vehicle 1"}}, "at '/placement/agent': 'Vehicle 1' does not match"),
