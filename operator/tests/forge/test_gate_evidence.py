@@ -1,13 +1,13 @@
 """Evidence that does not hold, as somebody with write rights could put it into the catalogue: each refused in words."""
 
 import json
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Callable, Iterator
 
 import pytest
+import yaml
 from evidence_of_tests import OTHER_SEED, artefact, gate_key, published_chart, schema_file, signing, unproved_chart
-from installation import ApplicationSetController, Installation, message, release_files, start_gate
-from signed_evidence import POLICY, Signing, entry
+from installation import ApplicationSetController, Installation, RunningGate, message, release_files, start_gate
+from signed_evidence import POLICY, POLICY_TEXT, Signing, entry
 from waiting import until
 
 from robotkube.domain.charts_packing import sha256
@@ -65,60 +65,79 @@ def only_staged(about: Artefact) -> dict[str, str]:
 
 WRONG: dict[str, tuple[Callable[[Artefact], dict[str, str]], str]] = {
     "0.10.1": (of_another_digest, "the evidence is about another digest (sha256:" + "e" * 64),
-    "0.10.2": (of_another_key, "no valid evidence: suite static: "),
+    "0.10.2": (of_another_key, "which is not trusted here (trusted: "),
     "0.10.3": (with_a_suite_missing, "suite install: there is no evidence; a missing suite is not a passed one"),
-    "0.10.4": (edited_after_signing, "no valid evidence: suite static: "),
+    "0.10.4": (edited_after_signing, "does not fit: it was changed after signing"),
     "0.10.5": (with_another_summary, "it lists another envelope of suite static"),
     "0.10.6": (without_any, "suite static: there is no evidence; a missing suite is not a passed one"),
     "0.10.7": (only_staged, "state staged is not allowed (release policy: assurance verified)"),
 }
 
 
+@pytest.fixture(scope="module")
+def evidence(installation: Installation) -> Iterator[dict[str, str]]:
+    """Every wrong version in the catalogue; version -> the evidence that its entry names."""
+    files = {version: dict(make(about(version))) for version, (make, _) in WRONG.items()}
+    installation.publish({path: text for found in files.values() for path, text in found.items()})
+    yield {
+        version: yaml.safe_load(found[entry_path(version)])["status"].get("evidence", "none")
+        for version, found in files.items()
+    }
+    installation.publish({path: None for found in files.values() for path in found})
+
+
+@pytest.fixture(scope="module")
+def running(installation: Installation, tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningGate]:
+    """One gate for all of them."""
+    controller = ApplicationSetController()
+    found = start_gate(installation, controller.url, tmp_path_factory.mktemp("gate"))
+    yield found
+    found.stop()
+    controller.stop()
+
+
+def about(version: str) -> Artefact:
+    return artefact(CHART, version, sha256(version.encode()))
+
+
+def entry_path(version: str) -> str:
+    return f"charts/{CHART}/{version}.yaml"
+
+
 @pytest.mark.parametrize("version", WRONG)
 def test_evidence_that_does_not_hold_is_refused(
-    installation: Installation, controller: ApplicationSetController, tmp_path: Path, version: str
+    installation: Installation, evidence: dict[str, str], running: RunningGate, version: str
 ) -> None:
-    make, expected = WRONG[version]
-    about = artefact(CHART, version, sha256(version.encode()))
-    evidence = installation.publish(dict(make(about)))
+    _, expected = WRONG[version]
+    digest, named = about(version).digest, evidence[version]
     manager, plan = installation.clone("manager"), installation.plan()
-    changes = {"version": version, "digest": about.digest, "evidence": evidence}
-    text = message(plan, charts=(ChartReference(CHART, version, about.digest),), evidence=(evidence,))
-    commit = manager.commit(release_files(plan, "doubtful", **changes), text, [manager.tip()])
-    running = start_gate(installation, controller.url, tmp_path)
-    try:
-        number = installation.propose(manager, commit, plan)
-        until(lambda: installation.pull_request(number)["state"] == "closed", "closed")
-        said = installation.comments(number)
-        print(said)
-        assert expected in said
-        assert not installation.pull_request(number)["merged"]
-        assert manager.tip() != commit
-    finally:
-        running.stop()
-        installation.publish(dict.fromkeys(make(about)))
+    text = message(plan, charts=(ChartReference(CHART, version, digest),), evidence=(named,))
+    files = release_files(plan, "doubtful", version=version, digest=digest, evidence=named)
+    commit = manager.commit(files, text, [manager.tip()])
+    number = installation.propose(manager, commit, plan)
+    until(lambda: installation.pull_request(number)["state"] == "closed", "closed")
+    assert expected in installation.comments(number)
+    assert not installation.pull_request(number)["merged"]
+    assert manager.tip() != commit
 
 
 def test_a_changed_policy_makes_all_evidence_doubtful_and_its_return_good_again(
-    installation: Installation, controller: ApplicationSetController, tmp_path: Path
+    installation: Installation, running: RunningGate
 ) -> None:
     path = "policies/verification.yaml"
-    clone = installation.clone("gate", "robotkube/catalogue")
-    before = clone.repository[clone.tip()].tree[path].data.decode()
-    running = start_gate(installation, controller.url, tmp_path)
     manager = installation.clone("manager")
-    try:
-        installation.publish({path: before.replace("seconds: 240", "seconds: 241")})
+
+    def propose() -> int:
         plan = installation.plan()
         commit = manager.commit(release_files(plan, "later"), message(plan), [manager.tip()])
-        number = installation.propose(manager, commit, plan)
-        until(lambda: installation.pull_request(number)["state"] == "closed", "closed")
-        assert f"the evidence was made under another policy ({POLICY.digest}" in installation.comments(number)
-        installation.publish({path: before})
-        again = installation.plan()
-        commit = manager.commit(release_files(again, "later"), message(again), [manager.tip()])
-        number = installation.propose(manager, commit, again)
-        until(lambda: installation.pull_request(number)["merged"], "merged")
+        return installation.propose(manager, commit, plan)
+
+    installation.publish({path: POLICY_TEXT.replace("seconds: 240", "seconds: 241")})
+    try:
+        refused = propose()
+        until(lambda: installation.pull_request(refused)["state"] == "closed", "closed")
+        assert f"the evidence was made under another policy ({POLICY.digest}" in installation.comments(refused)
     finally:
-        installation.publish({path: before + "\n"})
-        running.stop()
+        installation.publish({path: POLICY_TEXT})
+    taken = propose()
+    until(lambda: installation.pull_request(taken)["merged"], "merged")

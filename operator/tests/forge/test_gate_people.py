@@ -37,8 +37,10 @@ def review(installation: Installation, account: str, number: int, commit: str, e
 def settled(installation: Installation, gate: RunningGate, number: int) -> bool:
     """Whether the pull request is still open after two more rounds in which approvals are looked at."""
     rounds = gate.gate.statistics.rounds
-    gate.gate._look_due = True
-    until(lambda: gate.gate.statistics.rounds > rounds + 1, "two rounds")
+    for more in (1, 2):
+        gate.gate._look_due = True
+        gate.gate._woken.set()
+        until(lambda more=more: gate.gate.statistics.rounds >= rounds + more, "two rounds")
     return installation.pull_request(number)["state"] == "open"
 
 

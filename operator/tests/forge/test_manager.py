@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from evidence_of_tests import trusted_keys
-from installation import CHARTS_URL, ApplicationSetController, Installation, RunningGate
+from evidence_of_tests import trusted_keys, unproved_chart
+from installation import CATALOGUE, CHARTS_URL, ApplicationSetController, Installation, RunningGate, start_gate
 from waiting import until
 
 from robotkube.adapters.git_clones import GitClone
@@ -24,6 +24,7 @@ from robotkube.domain.placement import Agent, NodeState
 from robotkube.domain.proposals import read_message
 from robotkube.domain.releases import Release, read_tree
 from robotkube.services.application_manager import APPLICATIONS, DEPLOYMENT, TASKS, ApplicationManager, World
+from robotkube.services.application_manager import CATALOGUE as CATALOGUE_MOVED
 from robotkube.services.assured_catalogue import AssuredCatalogue
 from robotkube.services.manager_observing import PlanObserver
 from robotkube.services.manager_planning import ManagerSettings, Planner
@@ -183,8 +184,12 @@ def test_a_restarted_manager_finds_pull_request_and_commit_again(
         again.stop()
 
 
-def test_without_webhooks_and_with_the_gate_away_the_plan_waits(
-    installation: Installation, manager: RunningManager, gate: RunningGate
+def test_with_the_gate_away_the_plan_waits_and_goes_on_when_it_is_back(
+    installation: Installation,
+    manager: RunningManager,
+    gate: RunningGate,
+    controller: ApplicationSetController,
+    tmp_path: Path,
 ) -> None:
     gate.stop()
     ask(manager.tasks)
@@ -192,6 +197,45 @@ def test_without_webhooks_and_with_the_gate_away_the_plan_waits(
     until(lambda: manager.tasks.condition(KEY, "Committed") == ("False", "Proposed"), "proposed")
     assert manager.last_plan_is("proposed")
     assert not manager.last_plan_is("merged")
-    manager.tasks.delete(KEY)
-    number = manager.plans()[-1]["pull_request"]
-    installation.client("gate").patch(f"/pulls/{number}", json={"state": "closed"}).raise_for_status()
+    plan = manager.plans()[-1]
+    again = start_gate(installation, controller.url, tmp_path / "gate-again")
+    try:
+        until(lambda: committed(manager), "committed")
+        log = manager.deployment.log(None, 1000)
+        assert [c.id for c in log if f"RobotKube-Plan: {plan['plan']}" in c.message] == [plan["commit"]]
+        manager.tasks.delete(KEY)
+        manager.manager.wake(TASKS)
+        until(lambda: manager.plans()[-1]["cause"] == "withdrawal" and manager.last_plan_is("merged"), "withdrawn")
+    finally:
+        again.stop()
+
+
+def test_an_entry_edited_to_verified_without_evidence_is_no_verified_version(
+    installation: Installation, manager: RunningManager
+) -> None:
+    """Somebody who may write the catalogue writes a newer version of the detector by hand, and withdraws the proved."""
+    digest, version = "sha256:" + "d" * 64, "0.1.9"
+    proved = CATALOGUE["charts/event-detector/0.1.0.yaml"]
+    edited = unproved_chart("event-detector", version, digest)
+    edited["charts/event-detector/0.1.0.yaml"] = proved.replace("state: verified", "state: withdrawn")
+    installation.publish(edited)
+    try:
+        manager.manager.wake(CATALOGUE_MOVED)
+        until(lambda: "0.1.9" in str(manager.manager.catalogue_page()), "catalogue read")
+        ask(manager.tasks)
+        manager.manager.wake(TASKS)
+        until(lambda: manager.tasks.condition(KEY, "Accepted")[0] == "False", "refused")
+        assert manager.tasks.condition(KEY, "Accepted") == ("False", "NoVerifiedVersion")
+        text = manager.tasks.objects[KEY]["status"]["conditions"][0]["message"]
+        assert "event-detector 0.1.9 (verified): no valid evidence: suite static: there is no evidence" in text
+        assert "event-detector 0.1.0 (withdrawn): state withdrawn is not allowed" in text
+        assert manager.tasks.told == [(KEY, "NoVerifiedVersion", text)]
+    finally:
+        manager.tasks.delete(KEY)
+        installation.publish(
+            {
+                **dict.fromkeys(edited),
+                "charts/event-detector/0.1.0.yaml": proved,
+                "charts/event-detector/0.1.0.schema.json": CATALOGUE["charts/event-detector/0.1.0.schema.json"],
+            }
+        )
