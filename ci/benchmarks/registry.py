@@ -6,6 +6,9 @@ Besides the ratios, the figures in seconds go to build/bench/registry.json; `rec
 from __future__ import annotations
 
 import json
+import shutil
+import subprocess
+import sys
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -29,6 +32,9 @@ PLATFORM = "linux/amd64"
 CHECKS = tuple(Check(f"check-{number}", True) for number in range(20))
 REPETITIONS = 20
 WARM_RATIO_MAX = 0.1  # of verifying everything
+VALIDATIONS = 3
+VALIDATE_SECONDS_MAX = 60
+VALIDATE_RATIO_MAX = 1.5
 POLICY = {
     "apiVersion": "registry.robotkube.io/v1alpha1",
     "kind": "VerificationPolicy",
@@ -114,6 +120,41 @@ def verifying() -> Figure:
     return Figure(name, "ms", ours * 1000, cold * 1000, WARM_RATIO_MAX, "verify all of it")
 
 
+def sources(folder: Path) -> list[Path]:
+    """The project's registry with 500 more chart versions, each as long as that of the bridge and replacing the one
+    before; the files of charts."""
+    shutil.copytree(PROJECT / "registry", folder)
+    model = yaml.safe_load((folder / "charts" / "mqtt-bridge" / "0.1.0.yaml").read_text(encoding="utf-8"))
+    for number in range(CHARTS):
+        chart = folder / "charts" / f"chart-{number}"
+        chart.mkdir()
+        for minor in range(VERSIONS):
+            before = {"replaces": f"0.{minor - 1}.0"} if minor else {}
+            spec = {**model["spec"], **before, "version": f"0.{minor}.0", "provides": [f"benchmark/{number}"]}
+            document = {**model, "metadata": {"name": chart.name}, "spec": spec}
+            (chart / f"0.{minor}.0.yaml").write_text(write_mapping(document), encoding="utf-8")
+    return sorted(folder.glob("charts/*/*.yaml"))
+
+
+def validating() -> Figure:
+    """The command `registry validate` on them, from its start to its end."""
+    with tempfile.TemporaryDirectory() as place:
+        paths = sources(Path(place) / "registry")
+        command = [sys.executable, "-m", "robotkube.entrypoints.cli", "registry", "validate"]
+
+        def ours() -> None:
+            subprocess.run(command, cwd=place, check=True, capture_output=True, timeout=VALIDATE_SECONDS_MAX)
+
+        def baseline() -> None:
+            for path in paths:
+                yaml.safe_load(path.read_text(encoding="utf-8"))
+
+        found, theirs = seconds(ours, VALIDATIONS), seconds(baseline, VALIDATIONS)
+    record({"validate_500_s": round(found, 2)})
+    name = f"validate {CHARTS * VERSIONS} chart versions"
+    return Figure(name, "s", found, theirs, VALIDATE_RATIO_MAX, "read them with PyYAML")
+
+
 def figures() -> list[Figure]:
     """All."""
-    return [verifying()]
+    return [verifying(), validating()]
