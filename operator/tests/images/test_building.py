@@ -95,6 +95,8 @@ def test_all_images_built_twice_from_nothing_have_the_same_digests(twice: list[d
     assert keys[0] == keys[1], "the sources were edited while this test was building; run it on a quiet tree"
     references = [{name: image.reference for name, image in built.items()} for built in twice]
     assert references[0] == references[1]
+    bills = [{name: image.bill.read_bytes() for name, image in built.items()} for built in twice]
+    assert bills[0] == bills[1]
     assert set(references[0]) == {image.name for image in IMAGES}
 
 

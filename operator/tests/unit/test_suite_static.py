@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable
 from decimal import Decimal
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -67,6 +68,12 @@ def test_objects_in_order_pass_every_rule() -> None:
     checks = suite_static.object_checks([rendering()])
     assert [check for check in checks if not check.passed or check.found] == []
     assert len(checks) == len(suite_static.RULES) + len(pod_security.RULES) + 1
+
+
+def test_every_check_is_explained() -> None:
+    page = (Path(__file__).resolve().parents[3] / "docs" / "reference" / "suites-static.md").read_text(encoding="utf-8")
+    names = [check.name.removeprefix("pod-security/") for check in suite_static.object_checks([rendering()])]
+    assert [name for name in names if f"| `{name}` |" not in page] == []
 
 
 def context(**values: Any) -> Change:
