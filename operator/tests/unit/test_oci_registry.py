@@ -15,7 +15,7 @@ import pytest
 from robotkube.adapters.oci_registry import Registry
 from robotkube.domain.charts_packing import PackedChart, canonical_json, pack_chart, sha256
 from robotkube.domain.errors import InputError, UnavailableError
-from robotkube.domain.referrers import ARTEFACTS_MAX, fallback_tag
+from robotkube.domain.referrers import ARTEFACT_BYTES_MAX, ARTEFACTS_MAX, ATTACHED_BYTES_MAX, fallback_tag
 
 METADATA = {"apiVersion": "v2", "name": "app", "version": "0.1.0"}
 CHART = pack_chart("app", METADATA, {"Chart.yaml": json.dumps(METADATA).encode()})
@@ -237,6 +237,16 @@ def test_a_subject_has_at_most_so_many(fake: FakeRegistry, registry: Registry) -
     fake.content[INDEX] = canonical_json(index | {"manifests": [line, *others]})
     with pytest.raises(InputError, match=f"more than {ARTEFACTS_MAX} artefacts would be attached"):
         attach(registry, "one more")
+
+
+def test_attachments_are_bounded_together(registry: Registry) -> None:
+    for number in range(ATTACHED_BYTES_MAX // ARTEFACT_BYTES_MAX):
+        data = bytes([number]) * ARTEFACT_BYTES_MAX
+        registry.attach(STAGING, CHART.digest, KIND, data, {"name": str(number)})
+    assert len(registry.attachments(STAGING, CHART.digest)) == ATTACHED_BYTES_MAX // ARTEFACT_BYTES_MAX
+    attach(registry, "one more")
+    with pytest.raises(InputError, match=f"more than {ATTACHED_BYTES_MAX} bytes are attached"):
+        registry.attachments(STAGING, CHART.digest)
 
 
 def test_evidence_is_there_before_the_chart(fake: FakeRegistry, registry: Registry) -> None:

@@ -16,7 +16,8 @@ from robotkube.domain.errors import DocumentError
 INDEX_TYPE = "application/vnd.oci.image.index.v1+json"
 EMPTY_TYPE = "application/vnd.oci.empty.v1+json"
 EMPTY = b"{}"  # the configuration of an artefact without one
-ARTEFACT_BYTES_MAX = 16 * 1024 * 1024
+ARTEFACT_BYTES_MAX = 8 * 1024 * 1024
+ATTACHED_BYTES_MAX = 32 * 1024 * 1024  # read at once: whoever may push could fill the reader's memory
 ARTEFACT_MANIFEST_BYTES_MAX = 64 * 1024
 ARTEFACTS_MAX = 256  # of one subject: a set per policy it was verified under
 

@@ -14,7 +14,7 @@ from robotkube.adapters.oci_registry.connections import MANIFEST_BYTES_MAX, Conn
 from robotkube.domain import referrers
 from robotkube.domain.charts_packing import sha256
 from robotkube.domain.errors import InputError, UnavailableError
-from robotkube.domain.referrers import ARTEFACT_BYTES_MAX, ARTEFACT_MANIFEST_BYTES_MAX, EMPTY
+from robotkube.domain.referrers import ARTEFACT_BYTES_MAX, ARTEFACT_MANIFEST_BYTES_MAX, ATTACHED_BYTES_MAX, EMPTY
 from robotkube.ports.registries import Attachment
 
 INDEX_TRIES_MAX = 5
@@ -43,11 +43,15 @@ class Attachments:
 
     def attachments(self, repository: str, subject: str) -> Sequence[Attachment]:
         """Everything attached to `subject`."""
-        found = []
+        found: list[Attachment] = []
+        left = ATTACHED_BYTES_MAX
         for entry in self._entries(repository, subject):
             manifest = self._manifest(repository, entry["digest"])
             where = f"artefact {repository}@{entry['digest']}"
             digest, size, kind, annotations = referrers.read_artefact(manifest, subject, where)
+            left -= size
+            if left < 0:
+                raise InputError(f"{repository}@{subject}: more than {ATTACHED_BYTES_MAX} bytes are attached")
             data = self._connection.blob(repository, digest, size)
             found.append(Attachment(entry["digest"], kind, data, annotations))
         return found
