@@ -17,6 +17,7 @@ from robotkube.adapters.git_deployment import ProposalWriter
 from robotkube.adapters.gitea import GiteaForge
 from robotkube.adapters.oci_registry import Registry
 from robotkube.entrypoints.cli_registry_submit import CATALOGUE, ForgeAccess, submit_sources
+from robotkube.entrypoints.submission_sources import validation_tools
 from robotkube.services.publication import Publication, PublicationSettings
 from robotkube.services.submitting import ChartSource, Outcome, Sources
 from robotkube.services.verifying import Verifying, VerifyingSettings
@@ -67,6 +68,7 @@ class Publishing:
             PublicationSettings(
                 CATALOGUE, ("publisher",), "gate", "staging", "verified", CHARTS_URL, self.local_builds
             ),
+            validation_tools(),
             time.monotonic,
         )
 

@@ -16,6 +16,7 @@ from robotkube.domain.suite_requests import SuiteProgress
 from robotkube.domain.texts import read_mapping, write_mapping
 from robotkube.domain.verification import PATH as POLICY_PATH
 from robotkube.domain.verification import read_verification_policy
+from robotkube.entrypoints.submission_sources import validation_tools
 from robotkube.services.publication import Publication, PublicationSettings, publication_metrics
 from robotkube.services.verifying import MARGIN_SECONDS, Verifying, VerifyingSettings
 from robotkube.testing.publishing import MemoryCatalogue, MemoryCatalogueForge, MemoryChartRegistry, ScriptedRunner
@@ -67,6 +68,7 @@ class World:
             PublicationSettings(
                 "robotkube/catalogue", ("publisher",), "gate", "staging", "verified", CHARTS_URL, self.local_builds
             ),
+            validation_tools(),
             lambda: self.now,
             self._count,
         )
@@ -386,7 +388,7 @@ def test_evidence_that_a_publisher_forged_is_not_used(world: World, tmp_path: Pa
 
 
 def test_evidence_that_was_edited_or_is_of_another_digest_is_not_used(world: World, tmp_path: Path) -> None:
-    first, second = chart(), chart("relay", "0.2.0")
+    first, second = chart(), chart("relay", "0.2.0", replaces="0.1.0")
     world.settle(world.submit(first))
     folder = f"evidence/relay/0.2.0_{second[0].digest[7:19]}"
     other = {f"{folder}/{path.rpartition('/')[2]}": text for path, text in kept_files(world).items()}

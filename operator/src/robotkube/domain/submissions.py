@@ -18,11 +18,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from robotkube.domain.catalogue import read_catalogue, read_chart_version
+from robotkube.domain.catalogue import read_chart_version
 from robotkube.domain.charts_packing import ENTRY_ANNOTATION, IMAGES_FILE, PulledChart, build_tag, entry_digest
 from robotkube.domain.documents import Reader
 from robotkube.domain.errors import DocumentError
 from robotkube.domain.evidence import Artefact
+from robotkube.domain.registry_sources import Finding, Sources, Tools
+from robotkube.domain.registry_validation import validate_sources
 from robotkube.domain.texts import read_mapping, write_mapping
 
 APPLICATIONS, CHARTS, EVIDENCE, POLICIES, KEYS = "applications", "charts", "evidence", "policies", "keys"
@@ -106,8 +108,9 @@ class Submission:
         return ", ".join(names) or "nothing"
 
 
-def read_submission(proposed: Proposed, local_builds: bool) -> Submission:
-    """The submission with every problem that the catalogue shows; `local_builds` lets a version have a new digest."""
+def read_submission(proposed: Proposed, local_builds: bool, tools: Tools) -> Submission:
+    """The submission with every problem that the catalogue shows; `local_builds` lets a version have a new digest;
+    `tools` are what validation needs."""
     problems = [*_commit_problems(proposed), *_path_problems(proposed)]
     charts: list[SubmittedChart] = []
     for path, text in sorted(_below(proposed.changes, CHARTS).items()):
@@ -119,7 +122,7 @@ def read_submission(proposed: Proposed, local_builds: bool) -> Submission:
     published = tuple(chart for chart in charts if is_published(chart, proposed.main))
     new = tuple(chart for chart in charts if chart not in published)
     problems += _version_problems(new, proposed.main, local_builds)
-    problems += _consistency_problems(proposed, problems)
+    problems += _consistency_problems(proposed, problems, tools)
     if len(charts) > CHARTS_MAX:
         problems.append(f"{len(charts)} chart versions; at most {CHARTS_MAX} in one submission, submit the rest next")
     applications, evidence = _below(proposed.changes, APPLICATIONS), _below(proposed.changes, EVIDENCE)
@@ -223,14 +226,36 @@ def _evidence_problems(proposed: Proposed, charts: Sequence[SubmittedChart]) -> 
             yield f"{path}: belongs to no chart digest of this submission; leave it out"
 
 
-def _consistency_problems(proposed: Proposed, known: Sequence[str]) -> Iterable[str]:
+def _consistency_problems(proposed: Proposed, known: Sequence[str], tools: Tools) -> Iterable[str]:
     """What is wrong with the catalogue after the submission and was not before."""
     for path, text in sorted(_below(proposed.changes, APPLICATIONS).items()):
         if proposed.main.get(path) not in (proposed.base.get(path), text):
             yield f"{path}: changed on main since the commit's parent; submit again on main's tip"
-    after = {**proposed.main, **_below(proposed.changes, CHARTS), **_below(proposed.changes, APPLICATIONS)}
-    before = set(read_catalogue(proposed.main).problems)
-    yield from (problem for problem in read_catalogue(after).problems if problem not in before | set(known))
+    changed = {**_below(proposed.changes, CHARTS), **_below(proposed.changes, APPLICATIONS)}
+    told = tuple(path for path in changed if any(problem.startswith(f"{path}: ") for problem in known))
+    before = {(found.file, found.key) for found in _findings(proposed.main, tools)}
+    for found in _findings({**proposed.main, **changed}, tools):
+        path = found.file.removeprefix("/")
+        if path not in told and (path in changed or (found.file, found.key) not in before):
+            yield f"{path}: {found.key}: {found.text}"
+
+
+def _findings(files: Mapping[str, str], tools: Tools) -> Sequence[Finding]:
+    """Mistakes in the catalogue as if it were sources."""
+    folders = tuple(f"{folder}/" for folder in READ_FOLDERS)
+    sources = {p: _source(t, p) for p, t in files.items() if p.startswith(folders) and p.endswith(".yaml")}
+    return validate_sources(Sources("", sources), tools)
+
+
+def _source(text: str, path: str) -> str:
+    """An entry without its status; a text that cannot be read as it is."""
+    if not path.startswith(f"{CHARTS}/"):
+        return text
+    try:
+        document = read_mapping(text, path)
+    except DocumentError:
+        return text
+    return write_mapping({key: value for key, value in document.items() if key != "status"})
 
 
 def artefact_problems(chart: SubmittedChart, pulled: PulledChart) -> list[str]:

@@ -67,6 +67,7 @@ def submit(options: argparse.Namespace) -> Table:
     access, images = _access(options)
     names = folders.all_charts(options.charts_folder) if options.all else options.charts
     applications = folders.all_applications(options.registry) if options.all else options.application
+    folders.check_sources(names, applications, options.charts_folder, options.registry)
     sources = folders.read_sources(names, applications, options.charts_folder, options.registry, images, options.kept)
     outcome = submit_sources(access, sources, _say, options.wait, options.dry_run)
     if options.kept:

@@ -30,6 +30,7 @@ from robotkube.domain.errors import UnavailableError
 from robotkube.domain.suite_requests import SuiteProgress, SuiteRequest
 from robotkube.entrypoints import settings as files
 from robotkube.entrypoints.processes import Process, run
+from robotkube.entrypoints.submission_sources import validation_tools
 from robotkube.ports.suites import SuiteRunner
 from robotkube.services.assured_catalogue import AssuredCatalogue
 from robotkube.services.gate import Gate, metrics_text
@@ -186,6 +187,7 @@ def build_publication(found: GateConfiguration, work: Path, gate: Gate) -> Publi
         Verifying(registry, signer, TrustedKeys(found.keys), runner, names, time.monotonic, _now),
         signer,
         settings,
+        validation_tools(),
         time.monotonic,
         lambda: gate.wake("push", {"repository": {"full_name": settings.catalogue}}),
     )

@@ -7,10 +7,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from robotkube.adapters import registry_folders
 from robotkube.adapters.chart_folders import pack
+from robotkube.adapters.schemas_jsonschema import check_schema, validate, violations
+from robotkube.adapters.templates_jinja2 import Jinja2Templates
 from robotkube.domain.catalogue import read_application, read_chart_version
 from robotkube.domain.charts_packing import CHART_FILE
 from robotkube.domain.errors import DocumentError, InputError
+from robotkube.domain.registry_sources import Tools
+from robotkube.domain.registry_validation import validate_sources
 from robotkube.domain.texts import read_mapping
 from robotkube.services.submitting import ChartSource, Sources
 
@@ -29,6 +34,24 @@ def read_images(path: Path) -> dict[str, str]:
     if problems:
         raise DocumentError(str(path), problems)
     return found
+
+
+def validation_tools() -> Tools:
+    """The libraries that validation needs."""
+    templates = Jinja2Templates()
+    return Tools(templates.render, templates.references, check_schema, validate, violations)
+
+
+def check_sources(names: Sequence[str], applications: Sequence[str], charts: Path, registry: Path) -> None:
+    """InputError names every mistake in what is about to be submitted (`robotkube registry validate` names those of
+    everything else too)."""
+    found = validate_sources(registry_folders.read_sources(registry, charts), validation_tools())
+    places = [f"{registry}/charts/{name}/" for name in names] + [f"{charts / name}/" for name in names]
+    places += [f"{registry}/applications/{name}.yaml/" for name in applications]
+    problems = [str(finding) for finding in found if f"{finding.file}/".startswith(tuple(places))]
+    if places and problems:
+        mistakes = "1 mistake" if len(problems) == 1 else f"{len(problems)} mistakes"
+        raise InputError("\n".join([f"{mistakes} in the sources, nothing was submitted:", *problems]))
 
 
 def all_charts(charts: Path) -> list[str]:

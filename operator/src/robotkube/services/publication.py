@@ -27,6 +27,7 @@ from robotkube.domain.publication_report import (
     Report,
     report_text,
 )
+from robotkube.domain.registry_sources import Tools
 from robotkube.domain.submissions import (
     KEYS,
     READ_FOLDERS,
@@ -105,7 +106,8 @@ class _Underway:
 class Publication:
     """One loop for one catalogue repository; `run` on one thread, `wake` from any.
 
-    `published` is called after every push to main; `monotonic` is a clock in seconds that never goes back."""
+    `tools` are what validation needs; `published` is called after every push to main; `monotonic` is a clock in seconds
+    that never goes back."""
 
     def __init__(
         self,
@@ -116,12 +118,13 @@ class Publication:
         verifying: Verifying,
         signer: Signer,
         settings: PublicationSettings,
+        tools: Tools,
         monotonic: Callable[[], float],
         published: Callable[[], None] = lambda: None,
     ) -> None:
         self._forge, self._main, self._commits, self._registry = forge, main, commits, registry
         self._verifying, self._signer, self._settings = verifying, signer, settings
-        self._monotonic, self._published = monotonic, published
+        self._tools, self._monotonic, self._published = tools, monotonic, published
         self.statistics = PublicationStatistics()
         self._underway: dict[int, _Underway] = {}
         self._settled: dict[int, str] = {}
@@ -247,7 +250,7 @@ class Publication:
         on_main = len(commit.parents) == 1 and self._main.contains(commit.parents[0])
         base = self._main.files(commit.parents[0], READ_FOLDERS) if on_main else {}
         proposed = Proposed(commit.parents, commit.changes, commit.irregular, on_main, base, files)
-        submission = read_submission(proposed, self._settings.local_builds)
+        submission = read_submission(proposed, self._settings.local_builds, self._tools)
         policy = self._read_policy(files)
         before = {chart.chart.path: chart for chart in underway.charts if chart.policy == policy}
         charts: list[ChartUnderway] = []
