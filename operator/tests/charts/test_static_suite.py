@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from wrong_charts import MISTAKES, wrong_chart
 from robotkube.adapters.schemas_jsonschema import violations
 from robotkube.adapters.templates_jinja2 import Jinja2Templates
 from robotkube.domain.evidence import Check
+from robotkube.entrypoints import cli
 from robotkube.ports.suites import Subject
 from robotkube.services.suite_static import StaticSuite
 
@@ -68,6 +70,14 @@ def test_a_wrong_chart_fails_in_words(read: Read, name: str, tmp_path: Path) -> 
 def test_what_other_suites_must_find_passes_this_one(read: Read, name: str, tmp_path: Path) -> None:
     write = wrong_chart if name in MISTAKES else wrong_interfaces.wrong_chart
     assert failed(read(*write(name, tmp_path / "wrong"))) == {}
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_only_a_suite_sees_the_mistake(name: str, tmp_path: Path) -> None:
+    chart, entry = wrong_chart(name, tmp_path)
+    shutil.copytree(REPOSITORY / "registry" / "policies", entry.parents[2] / "policies")
+    folders = ["--registry", str(entry.parents[2]), "--charts", str(chart.parent)]
+    assert cli.main(["registry", "validate", *folders]) == 0
 
 
 def changed(subject: Subject, path: str, change: Callable[[Any], Any]) -> Subject:
