@@ -228,12 +228,13 @@ class _NotFoundError(InputError):
 
 
 def _hook_events(events: Sequence[str]) -> tuple[set[str], set[str]]:
-    """Gitea's names when asking and when showing: `pull_request` asked for would mean comments, labels and reviews too;
-    new commits of a pull request are an event of their own."""
+    """Gitea's names when asking and when showing: `pull_request` asked for would mean comments and labels too; new
+    commits of a pull request and reviews are events of their own."""
     if "pull_request" not in events:
         return set(events), set(events)
     others = set(events) - {"pull_request"}
-    return others | {"pull_request_only", "pull_request_sync"}, others | {"pull_request", "pull_request_sync"}
+    both = others | {"pull_request_sync", "pull_request_review"}
+    return both | {"pull_request_only"}, both | {"pull_request"}
 
 
 def _differences(found: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:
