@@ -78,9 +78,10 @@ def publish_to(
     """Images, then the submission, which names only what is already there. `kept`: evidence of earlier publications,
     taken from and written to this folder."""
     try:
+        names, applications = sources.all_charts(CHARTS), sources.all_applications(REGISTRY)
+        sources.check_sources(names, applications, CHARTS, REGISTRY)
         push_images(forge, images, say)
         references = {image.name: image.reference for image in images}
-        names, applications = sources.all_charts(CHARTS), sources.all_applications(REGISTRY)
         found = sources.read_sources(names, applications, CHARTS, REGISTRY, references, kept)
         outcome = submit_sources(forge, found, say, VERDICT_SECONDS_MAX)
         sources.write_kept(kept, outcome.evidence)

@@ -1,4 +1,4 @@
-"""Publishing to a real forge: images and charts by digest, the catalogue that names them, twice, and after a change."""
+"""Publishing what was built to a real forge: images with their bills, charts by a submission that a gate verifies."""
 
 import hashlib
 import io
@@ -7,18 +7,27 @@ import tarfile
 from collections.abc import Iterator
 from pathlib import Path
 
-import httpx
 import pygit2
 import pytest
 from installation import Installation
+from publications import Publishing
+from signed_evidence import POLICY_TEXT
 
-from ci import publish
+from ci import evidence, publish
 from ci.cluster.images import Image
 from ci.errors import SetUpError
-from robotkube.adapters.git_clones import GitClone
+from ci.images import bills
 from robotkube.adapters.oci_registry import Registry
 from robotkube.domain.catalogue import FOLDERS, read_catalogue
+from robotkube.domain.charts_packing import build_tag
+from robotkube.domain.evidence import Check
+from robotkube.domain.suite_images import BILL_TYPE
+from robotkube.domain.verification import read_verification_policy
+from robotkube.entrypoints.submission_sources import all_charts
+from robotkube.services.submitting import PUBLISHED, UNCHANGED
 
+SUITES = read_verification_policy(POLICY_TEXT).suites
+BILL = b'{"bomFormat": "CycloneDX"}'
 REPOSITORY = "forge.robotkube.svc.cluster.local:3000/robotkube"
 
 
@@ -37,7 +46,9 @@ def image(folder: Path, name: str, content: bytes) -> Image:
     entry = descriptor("application/vnd.oci.image.manifest.v1+json", manifest)
     files = {f"blobs/sha256/{hashlib.sha256(data).hexdigest()}": data for data in (layer, config, manifest)}
     files["index.json"] = json.dumps({"schemaVersion": 2, "manifests": [entry]}).encode()
-    archive = folder / f"{name}-{hashlib.sha256(content).hexdigest()[:8]}.tar"
+    archive = folder / f"{name}-{hashlib.sha256(content).hexdigest()[:8]}" / "image.tar"
+    archive.parent.mkdir(exist_ok=True)
+    archive.with_name(bills.FILE).write_bytes(BILL)
     with tarfile.open(archive, "w") as tar:
         for path, data in files.items():
             info = tarfile.TarInfo(path)
@@ -53,10 +64,10 @@ def descriptor(kind: str, data: bytes) -> dict[str, object]:
 @pytest.fixture(scope="module", autouse=True)
 def _catalogue_as_before(installation: Installation) -> Iterator[None]:
     """The other tests of the session have a catalogue of their own, with charts that were never packed."""
-    clone = installation.clone("publisher", "robotkube/catalogue")
+    clone = installation.clone("gate", "robotkube/catalogue")
     before = clone.repository[clone.tip()].tree
     yield
-    who = pygit2.Signature("publisher", "publisher@forge.invalid")
+    who = pygit2.Signature("gate", "gate@forge.invalid")
     tip = clone.tip()
     commit = clone.repository.create_commit(None, who, who, "as before\n", before.id, [tip])
     assert clone.push(str(commit), "refs/heads/main") == ""
@@ -64,79 +75,96 @@ def _catalogue_as_before(installation: Installation) -> Iterator[None]:
 
 @pytest.fixture
 def access(installation: Installation) -> publish.ForgeAccess:
-    return publish.ForgeAccess(installation.url, installation.passwords["publisher"])
+    return publish.ForgeAccess(installation.url, publish.ACCOUNT, installation.passwords[publish.ACCOUNT])
 
 
-def catalogue_of(installation: Installation, folder: Path) -> GitClone:
-    account = ("manager", installation.passwords["manager"])
-    clone = GitClone(installation.url, "robotkube/catalogue", *account, folder)
-    clone.fetch()
-    return clone
+@pytest.fixture
+def publishing(installation: Installation, tmp_path: Path) -> Iterator[Publishing]:
+    """A gate that publishes, as that of the embedded cluster: local builds may replace each other."""
+    found = Publishing(installation, tmp_path / "gate", local_builds=True)
+    found.start()
+    yield found
+    found.stop()
 
 
-def test_publishing_twice_changes_nothing_and_a_new_image_gives_new_digests(
-    installation: Installation, access: publish.ForgeAccess, tmp_path: Path
+def test_what_was_built_is_published_once_and_its_evidence_kept(
+    installation: Installation, publishing: Publishing, access: publish.ForgeAccess, tmp_path: Path
 ) -> None:
-    first = publish.publish_to(access, [image(tmp_path, "ros", b"one")])
-    assert first.changed
-    again = publish.publish_to(access, [image(tmp_path, "ros", b"one")])
-    assert not again.changed
-    assert again.commit == first.commit
-    second = publish.publish_to(access, [image(tmp_path, "ros", b"two")])
-    assert second.changed
-    assert {chart.version for chart in second.charts} == {chart.version for chart in first.charts}
-    old, new = ({chart.digest for chart in found.charts} for found in (first, second))
+    ros, said, kept = image(tmp_path, "ros", b"one"), list[str](), tmp_path / "kept"
+    first = publish.publish_to(access, [ros], kept, said.append)
+    assert first.outcome.verdict == PUBLISHED
+    assert {chart.name.split()[0] for chart in first.outcome.charts} == set(all_charts(publish.CHARTS))
+    assert len(publishing.runner.runs) == len(SUITES) * len(first.outcome.charts)
+    assert any(line.startswith("static 1  passed") for line in said)
+    with Registry(installation.url, "argocd", installation.passwords["argocd"]) as registry:
+        for chart in first.outcome.charts:
+            digest = registry.manifest_digest(f"verified/{chart.artefact.chart}", chart.digest)
+            assert digest == chart.digest
+    with Registry(installation.url, "suite-runner", installation.passwords["suite-runner"]) as registry:
+        [bill] = registry.attachments("robotkube/ros", ros.reference.partition("@")[2])
+        assert (bill.artifact_type, bill.data) == (BILL_TYPE, BILL)
+    files = {path.relative_to(kept).as_posix(): path.read_text() for path in kept.rglob("*.json")}
+    assert files == first.outcome.evidence
+    again = publish.publish_to(access, [ros], kept)
+    assert again.outcome.verdict == UNCHANGED
+    assert len(publishing.runner.runs) == len(SUITES) * len(first.outcome.charts)
+
+
+def test_another_image_gives_other_charts_and_the_old_ones_stay(
+    installation: Installation, publishing: Publishing, access: publish.ForgeAccess, tmp_path: Path
+) -> None:
+    published = [
+        publish.publish_to(access, [image(tmp_path, "ros", content)], tmp_path / "kept") for content in (b"a", b"b")
+    ]
+    old, new = ({chart.digest for chart in one.outcome.charts} for one in published)
     assert not old & new
     with Registry(installation.url, "argocd", installation.passwords["argocd"]) as registry:
-        for chart in (*first.charts, *second.charts):  # what runs stays there
-            repository = f"staging/{chart.name}"
-            assert registry.manifest_digest(repository, chart.digest) == chart.digest
-            tag = publish.local_tag(chart.version, chart.digest)
+        for chart in (chart for one in published for chart in one.outcome.charts):  # what runs stays there
+            repository, tag = f"verified/{chart.artefact.chart}", build_tag(chart.artefact.version, chart.digest)
             assert registry.manifest_digest(repository, tag) == chart.digest
-        for reference in second.images:
-            assert registry.manifest_digest("robotkube/ros", reference.partition("@")[2])
+    found = read_catalogue({path: text for path, text in publishing.main().items() if path.startswith(FOLDERS)})
+    assert found.assurance == "verified"
+    for chart in published[1].outcome.charts:
+        version = next(v for v in found.charts[chart.artefact.chart] if v.version == chart.artefact.version)
+        assert (version.state, version.digest) == ("verified", chart.digest)
 
 
-def test_the_catalogue_holds_what_the_manager_reads(
-    installation: Installation, access: publish.ForgeAccess, tmp_path: Path
+def test_a_refusal_says_what_the_gate_found(
+    publishing: Publishing, access: publish.ForgeAccess, tmp_path: Path
 ) -> None:
-    published = publish.publish_to(access, [image(tmp_path, "ros", b"three")])
-    clone = catalogue_of(installation, tmp_path / "catalogue")
-    found = read_catalogue(clone.files(published.commit, FOLDERS))
-    sources = {path.name for path in (publish.REGISTRY / "applications").glob("*.yaml")}
-    assert {f"{name}.yaml" for name in found.applications} == sources
-    assert found.assurance == "none"
-    assert [problem for problem in found.problems if "event-detector/0" not in problem] == []
-    for chart in published.charts:
-        version = next(v for v in found.charts[chart.name] if v.version == chart.version)
-        assert (version.state, version.digest) == ("staged", chart.digest)
-    commit = clone.commit(published.commit)
-    assert commit.author == "publisher"
-    assert all(f"RobotKube-Chart: {c.name}@{c.version}@{c.digest}" in commit.message for c in published.charts)
+    publishing.runner.checks["static"] = (Check("pods are restricted", False, "a privileged pod", "take it out"),)
+    with pytest.raises(SetUpError, match=r"the gate refused to publish, see http(?s:.*)pods are restricted") as refusal:
+        publish.publish_to(access, [image(tmp_path, "ros", b"refused")], tmp_path / "kept")
+    assert "take it out" in str(refusal.value)
+    assert not (tmp_path / "kept").exists()
 
 
-def test_a_state_stays_with_its_digest() -> None:
-    chart = publish.PublishedChart("bridge", "0.1.0", "sha256:" + "1" * 64, ("image",))
-    known = f"status: {{state: withdrawn, digest: '{chart.digest}', images: [image]}}\n"
-    assert publish.chart_status(chart, known)["state"] == "withdrawn"
-    other = publish.PublishedChart("bridge", "0.1.0", "sha256:" + "2" * 64, ("image",))
-    assert publish.chart_status(other, known)["state"] == "staged"
+def test_an_image_that_no_one_built_is_named(access: publish.ForgeAccess, tmp_path: Path) -> None:
+    with pytest.raises(SetUpError, match=r"spec.images: no reference of ros"):
+        publish.publish_to(access, [image(tmp_path, "other", b"x")], tmp_path / "kept")
 
 
-def test_a_missing_image_is_named(access: publish.ForgeAccess, tmp_path: Path) -> None:
-    with pytest.raises(SetUpError, match=r"spec.images: no image 'ros'; there are other"):
-        publish.publish_to(access, [image(tmp_path, "other", b"x")])
+def test_an_image_without_its_bill_is_refused(access: publish.ForgeAccess, tmp_path: Path) -> None:
+    ros = image(tmp_path, "ros", b"no bill")
+    ros.archive.with_name(bills.FILE).unlink()
+    with pytest.raises(SetUpError, match=r"bill-.*: missing; build the images again: make images"):
+        publish.publish_to(access, [ros], tmp_path / "kept")
 
 
 def test_a_wrong_password_is_named(installation: Installation, tmp_path: Path) -> None:
+    wrong = publish.ForgeAccess(installation.url, publish.ACCOUNT, "wrong")
     with pytest.raises(SetUpError, match="publisher"):
-        publish.publish_to(publish.ForgeAccess(installation.url, "wrong"), [image(tmp_path, "ros", b"x")])
+        publish.publish_to(wrong, [image(tmp_path, "ros", b"x")], tmp_path / "kept")
 
 
-def test_manager_and_gate_write_no_charts(installation: Installation) -> None:
-    for account in ("manager", "gate", "argocd", "operator-team"):
-        answer = httpx.post(
-            f"{installation.url}/v2/staging/app/blobs/uploads/", auth=(account, installation.passwords[account])
-        )
-        assert answer.status_code == 401
-    assert httpx.get(f"{installation.url}/v2/staging/mqtt-bridge/tags/list").status_code == 401
+def test_the_key_is_made_once_for_its_user_alone(tmp_path: Path) -> None:
+    path = evidence.key_file(tmp_path)
+    text = path.read_bytes()
+    assert path.stat().st_mode & 0o777 == 0o600
+    assert [file.name for file in tmp_path.iterdir()] == ["key.pem"]
+    key = evidence.signing_key(tmp_path)
+    assert evidence.key_file(tmp_path).read_bytes() == text
+    assert evidence.kept_folder(tmp_path) == tmp_path / key.key_id
+    path.write_text("broken")
+    with pytest.raises(SetUpError, match=r"no PEM private key.*; remove the file to get a new key"):
+        evidence.signing_key(tmp_path)
