@@ -15,6 +15,7 @@ import struct
 import sys
 
 OPEN_FILES_MAX = 128
+NOT_STARTED = 126  # exit code when the program could not be confined or started
 PR_SET_NO_NEW_PRIVS, PR_SET_SECCOMP, SECCOMP_MODE_FILTER = 38, 22, 2
 LOAD_WORD, JUMP_EQUAL, JUMP_GREATER_EQUAL, RETURN = 0x20, 0x15, 0x35, 0x06
 ALLOW, REFUSE = 0x7FFF0000, 0x00050000 | 1  # EPERM
@@ -74,8 +75,12 @@ def main() -> None:
     bound(resource.RLIMIT_FSIZE, file_bytes)
     bound(resource.RLIMIT_NOFILE, OPEN_FILES_MAX)
     bound(resource.RLIMIT_CORE, 0)
-    refuse_sockets()
-    os.execve(sys.argv[4], sys.argv[4:], dict(os.environ))  # noqa: S606 - the caller names the program by its path
+    try:
+        refuse_sockets()
+        os.execve(sys.argv[4], sys.argv[4:], dict(os.environ))  # noqa: S606 - the caller names the program by its path
+    except OSError as error:
+        sys.stderr.write(f"{sys.argv[4]} cannot be started: {error}\n")
+        sys.exit(NOT_STARTED)
 
 
 if __name__ == "__main__":

@@ -28,6 +28,7 @@ SCHEMA_FILE = "values.schema.json"
 SCHEMA_DEPTH_MAX = 64
 REFERENCES = ("$ref", "$dynamicRef", "$recursiveRef")
 DIALECTS = "json-schema.org/"
+NOT_STARTED = 126  # as helm_confinement.py says it
 CONFINEMENT = Path(__file__).with_name("helm_confinement.py")
 
 
@@ -64,8 +65,8 @@ class HelmProgram:
                 raise InputError(
                     f"the chart was not rendered within {SECONDS_MAX} s; make its templates simpler"
                 ) from error
-            except OSError as error:
-                raise UnavailableError(f"{self._path} cannot be started: {error}") from error
+        if done.returncode == NOT_STARTED:
+            raise UnavailableError(_words(place, done.returncode))
         if (place / "objects").stat().st_size >= OUTPUT_BYTES_MAX:
             raise InputError(f"the chart renders to more than {OUTPUT_BYTES_MAX} bytes; make fewer or smaller objects")
         if done.returncode != 0:
