@@ -1,5 +1,6 @@
 """The manager's eyes on a real API server: what it sees, what wakes it, and what happens when the server goes away."""
 
+import json
 import time
 from collections.abc import Iterator
 from typing import Any
@@ -9,6 +10,7 @@ from api_calls import ARGOCD, TASKS, Api
 from api_server import ApiServerProcess
 from waiting import until
 
+from robotkube.adapters import kubernetes_api
 from robotkube.adapters.kubernetes_api import KubernetesWorld, api_client, call
 from robotkube.domain.errors import InputError, UnavailableError
 from robotkube.domain.observation import judge_present
@@ -145,6 +147,42 @@ def test_a_server_that_goes_away_and_comes_back(server: ApiServerProcess, api: A
     until(lambda: seen.world.complaints() == [], "no complaints")
     for name in ("before", "after"):
         api.delete(f"{TASKS}/{name}")
+
+
+def test_what_stands_in_a_tasks_way_is_an_event_once(api: Api, seen: Seen) -> None:
+    api.task("held")
+    until(lambda: seen.task_names() == ["held"], "task seen")
+    task, text = seen.world.tasks()[0], "the gate does not take this: é" + "x" * 2000
+    seen.world.tell(task, "ProposalRefused", text)
+    seen.world.tell(task, "ProposalRefused", text)
+    seen.world.tell(task, "GateUnavailable", "no verdict")
+    path = "/apis/events.k8s.io/v1/namespaces/cloud-0/events"
+    found = json.loads(call(api.client, "GET", path).data)["items"]
+    about = [event for event in found if event["regarding"]["uid"] == task["metadata"]["uid"]]
+    assert sorted(event["reason"] for event in about) == ["GateUnavailable", "ProposalRefused"]
+    refused = next(event for event in about if event["reason"] == "ProposalRefused")
+    assert refused["regarding"]["kind"] == "TaskDescription"
+    assert refused["type"] == "Warning"
+    assert text.startswith(refused["note"])
+    assert len(refused["note"].encode()) <= 1024
+    api.delete(f"{TASKS}/held")
+
+
+def test_a_list_without_end_is_given_up(api: Api, server: ApiServerProcess, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("a", "b", "c"):
+        api.task(name)
+    monkeypatch.setattr(kubernetes_api, "PAGE_OBJECTS", 1)
+    monkeypatch.setattr(kubernetes_api, "PAGES_MAX", 2)
+    client = api_client(str(server.kubeconfig))
+    world = KubernetesWorld(client, "argocd", lambda what: None, time.time)
+    world.start()
+    try:
+        until(lambda: any("more than 2 objects; remove old ones" in text for text in world.complaints()), "given up")
+    finally:
+        world.stop()
+        client.rest_client.pool_manager.clear()
+        for name in ("a", "b", "c"):
+            api.delete(f"{TASKS}/{name}")
 
 
 def test_errors_of_calls(api: Api) -> None:
