@@ -34,6 +34,7 @@ ORDER = (
     "test_story",
     "test_bridges",
     "test_restoring",
+    "test_how_to",
     "test_refusals",
     "test_lifecycle",
     "test_interrupting",

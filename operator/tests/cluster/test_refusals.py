@@ -12,14 +12,15 @@ from typing import Any
 import pytest
 from running_platform import Platform, Writer, eventually
 
-from ci import publish
 from robotkube.adapters.chart_folders import pack
 from robotkube.adapters.oci_registry import Registry
+from robotkube.domain.errors import InputError
 from robotkube.domain.proposals import ChartReference, CommitMessage, write_message
 from robotkube.domain.releases import Release, Source, write_release, write_source
 
 AGENT, PLAN = "vehicle-02", "20261121-100000-abcdef"
-CHARTS = "oci://forge.robotkube.svc.cluster.local:3000/staging"
+CHARTS = "oci://forge.robotkube.svc.cluster.local:3000/verified"
+WRITERS = {"staging": "publisher", "verified": "gate"}  # organisation -> the account that writes it
 REFUSED_SECONDS_MAX = 90.0
 VERSION = "0.1.0"
 CONFIGMAP = """
@@ -37,16 +38,16 @@ rules: [{apiGroups: ["*"], resources: ["*"], verbs: ["*"]}]
 UNKNOWN_DIGEST = "sha256:" + "d" * 64
 
 
-def push_chart(platform: Platform, folder: Path, name: str) -> str:
-    """A chart with a ConfigMap and a ClusterRole, in staging; returns its digest."""
+def push_chart(platform: Platform, folder: Path, name: str, organisation: str) -> str:
+    """A chart with a ConfigMap and a ClusterRole that no gate has seen; returns its digest."""
     (folder / "templates").mkdir(parents=True)
     (folder / "Chart.yaml").write_text(f"apiVersion: v2\nname: {name}\nversion: {VERSION}\n")
     (folder / "values.yaml").write_text("{}\n")
     (folder / "templates" / "configmap.yaml").write_text(CONFIGMAP)
     (folder / "templates" / "clusterrole.yaml").write_text(CLUSTER_ROLE)
-    forge = publish.find_forge(platform.installer.kubeconfig)
-    with Registry(forge.url, publish.ACCOUNT, forge.password) as registry:
-        return registry.push_chart(publish.STAGING, pack(folder, {}))
+    account = WRITERS[organisation]
+    with Registry(platform.forge_url(), account, platform.password(account)) as registry:
+        return registry.push_chart(organisation, pack(folder, {}))
 
 
 def files(name: str, chart: str, digest: str, annotation: str = "") -> dict[str, str | None]:
@@ -75,10 +76,11 @@ def asleep(platform: Platform) -> Iterator[None]:
 @pytest.fixture(scope="module")
 def refused(platform: Platform, asleep: None, tmp_path_factory: pytest.TempPathFactory) -> Writer:
     """Three releases on main that the gate has not seen, by the one account that may push there."""
-    digest = push_chart(platform, tmp_path_factory.mktemp("chart") / "everything", "everything")
+    digest = push_chart(platform, tmp_path_factory.mktemp("chart") / "everything", "everything", "verified")
+    staged = push_chart(platform, tmp_path_factory.mktemp("staged") / "staged", "staged", "staging")
     gate = platform.writer("gate", tmp_path_factory.mktemp("gate"))
     changes = files("everything", "everything", digest)
-    changes |= files("foreign", "elsewhere", digest, annotation="../robotkube/everything")
+    changes |= files("foreign", "elsewhere", staged, annotation="../staging/staged")
     changes |= files("unknown", "mqtt-bridge", UNKNOWN_DIGEST)
     gate.push(changes, "test: releases that no gate has seen\n")
     return gate
@@ -128,6 +130,31 @@ def test_a_digest_that_the_registry_does_not_have_changes_nothing(platform: Plat
     assert application(platform, "unknown")["status"]["sync"]["status"] == "Unknown"
 
 
+def test_a_staged_digest_that_a_person_merged_is_refused(platform: Platform, refused: Writer, tmp_path: Path) -> None:
+    """The forge lets people merge what the gate speaks against; Argo CD's account cannot read staging."""
+    digest = push_chart(platform, tmp_path / "staged", "staged", "staging")
+    name = platform.scenario.story.person
+    person = platform.writer(name, tmp_path / "person")
+    commit = person.commit(files("staged", "staged", digest), "test: a staged chart\n")
+    number = person.proposals.propose(commit, "staged-by-a-person", "a staged chart", "a test")
+    with platform.forge(name) as forge:
+
+        def merged() -> bool:
+            forge.post(f"/pulls/{number}/merge", json={"Do": "rebase"})
+            return bool(forge.get(f"/pulls/{number}").json()["merged"])
+
+        eventually("the person's pull request is merged", merged)
+
+    def said() -> bool:
+        return "ComparisonError" in conditions(application(platform, "staged"))
+
+    eventually("the staged digest is not fetched", said, REFUSED_SECONDS_MAX)
+    assert application(platform, "staged")["status"]["sync"]["status"] == "Unknown"
+    assert platform.kubectl("-n", AGENT, "get", "configmap", "staged", "--ignore-not-found") == ""
+    with Registry(platform.forge_url(), "argocd", platform.password("argocd")) as registry, pytest.raises(InputError):
+        registry.manifest_digest("staging/staged", digest)
+
+
 def test_the_other_releases_go_on(platform: Platform, refused: Writer) -> None:
     assert platform.available(AGENT, "mqtt-bridge")
 
@@ -146,10 +173,10 @@ def test_the_manager_takes_away_what_nobody_asked_for(platform: Platform, refuse
 
     def clean() -> bool:
         left = [name for name in refused.clone.files(refused.clone.fetch(), ("releases",)) if AGENT in name]
-        return not any(name.endswith(("everything.yaml", "unknown.yaml")) for name in left)
+        return not any(name.endswith(("everything.yaml", "unknown.yaml", "staged.yaml")) for name in left)
 
     eventually("main is as the catalogue and the tasks want it", clean, REFUSED_SECONDS_MAX)
-    gone = ("everything", "unknown")
+    gone = ("everything", "unknown", "staged")
     eventually(
         "the Applications are gone", lambda: not any(application(platform, n) for n in gone), REFUSED_SECONDS_MAX
     )
@@ -174,7 +201,7 @@ def test_a_broken_proposal_is_refused_with_file_and_key(platform: Platform, tmp_
     text = str(changes[path]).replace(PLAN, plan)
     assert old in text
     chart = ChartReference("mqtt-bridge", VERSION, UNKNOWN_DIGEST)
-    words = CommitMessage("deploy", "initial", "test", plan, initial=True, charts=(chart,))
+    words = CommitMessage("deploy", "initial", "test", plan, initial=True, charts=(chart,), evidence=("none",))
     commit = manager.commit({**changes, path: text.replace(old, new)}, write_message(words))
     number = manager.proposals.propose(commit, plan, words.subject, "a test")
     with platform.forge("gate") as forge:

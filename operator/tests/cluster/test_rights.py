@@ -9,8 +9,12 @@ import pytest
 from kubernetes import client, config
 from running_platform import Platform
 
-MANAGER, GATE = "robotkube/manager", "robotkube/gate"
-ACCOUNTS = (MANAGER, GATE, "cloud-0/event-detector", "vehicle-00/mqtt-bridge")
+from ci.installation import KEY_SECRET
+
+MANAGER, GATE, RUNNER = "robotkube/manager", "robotkube/gate", "robotkube/suite-runner"
+CHART_UNDER_TEST = "robotkube-suite-0/application"
+KEY = f"secrets/{KEY_SECRET}"
+ACCOUNTS = (MANAGER, GATE, RUNNER, CHART_UNDER_TEST, "cloud-0/event-detector", "vehicle-00/mqtt-bridge")
 NAMESPACES = ("robotkube", "argocd", "cloud-0", "vehicle-00", "default")
 WRITE = ("create", "update", "patch", "delete", "deletecollection")
 EVERYWHERE = ""
@@ -56,6 +60,15 @@ ASKED = (
     (MANAGER, "list applications.argoproj.io -n argocd", "yes"),
     (MANAGER, "patch taskdescriptions.robotkube.io --subresource=status -n cloud-0", "yes"),
     (GATE, "get pods", "no"),
+    *((account, f"get {KEY} -n robotkube", "no") for account in (MANAGER, GATE, RUNNER, CHART_UNDER_TEST)),
+    (RUNNER, "create deployments.apps -n robotkube-suite-0", "yes"),
+    (RUNNER, "create pods -n robotkube-suite-1", "yes"),
+    (RUNNER, "create secrets -n robotkube-suite-0", "yes"),
+    (RUNNER, "get secrets -n robotkube-suite-0", "no"),
+    (RUNNER, "create roles.rbac.authorization.k8s.io -n robotkube-suite-0", "no"),
+    (CHART_UNDER_TEST, "get configmaps -n robotkube-suite-0", "yes"),
+    (CHART_UNDER_TEST, "get secrets -n robotkube-suite-0", "no"),
+    (CHART_UNDER_TEST, "create pods -n robotkube-suite-0", "no"),
     ("cloud-0/event-detector", "create taskdescriptions.robotkube.io -n cloud-0", "yes"),
     ("cloud-0/event-detector", "create taskdescriptions.robotkube.io -n vehicle-00", "no"),
     ("cloud-0/event-detector", "patch taskdescriptions.robotkube.io --subresource=status -n cloud-0", "no"),
@@ -115,7 +128,7 @@ def test_kubectl_says_the_same(platform: Platform, account: str, question: str, 
 
 def test_robots_pods_hold_no_token_but_the_mounted_one(platform: Platform) -> None:
     """A service account's token is mounted only where the process needs it."""
-    for namespace in ("robotkube", "cloud-0", "vehicle-00"):
+    for namespace in ("robotkube", "cloud-0", "vehicle-00", "robotkube-suite-0", "robotkube-suite-1"):
         for account in platform.get("-n", namespace, "serviceaccounts")["items"]:
             if account["metadata"]["name"] != "default":
                 assert account.get("automountServiceAccountToken") is False, (namespace, account["metadata"]["name"])
