@@ -77,5 +77,8 @@ def _released(name: str, document: object) -> ReleasedChart:
     metadata = document.get("metadata") if isinstance(document, Mapping) else None
     found = metadata.get("annotations") if isinstance(metadata, Mapping) else None
     annotations = found if isinstance(found, Mapping) else {}
-    keys = ("chart", "chart-version", "chart-digest", "evidence")
-    return ReleasedChart(*(str(annotations.get(f"robotkube.io/{key}", "")) for key in keys), name)
+
+    def said(key: str) -> str:
+        return str(annotations.get(f"robotkube.io/{key}", ""))
+
+    return ReleasedChart(said("chart"), said("chart-version"), said("chart-digest"), said("evidence"), name)
