@@ -7,15 +7,20 @@ and again.
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from itertools import islice
 from typing import Any
 
-import jsonschema
-from jsonschema import Draft202012Validator
-from jsonschema.validators import validator_for
-from referencing import Registry
+# jsonschema would use this package where it is installed, for formats that are not checked here, and the package spends
+# seconds of every start on a grammar.
+sys.modules.setdefault("rfc3987_syntax", None)  # type: ignore[arg-type]  # None makes its import fail, as documented
+
+import jsonschema  # noqa: E402
+from jsonschema import Draft202012Validator  # noqa: E402
+from jsonschema.validators import validator_for  # noqa: E402
+from referencing import Registry  # noqa: E402
 
 PROBLEMS_MAX = 20
 SCHEMAS_KEPT_MAX = 512
@@ -26,15 +31,18 @@ def check_schema(schema: Mapping[str, Any]) -> Sequence[str]:
     try:
         validator_for(schema, default=Draft202012Validator).check_schema(dict(schema))
     except jsonschema.SchemaError as error:
-        return [f"schema: {error.json_path}: {error.message}"]
+        return [f"schema: {error.json_path}: {error.message:.300}"]
+    except Exception as error:  # `$schema` that is no text, a pattern that is no regular expression, ...
+        return [f"schema: {type(error).__name__}: {error}"]
     return []
 
 
 @lru_cache(SCHEMAS_KEPT_MAX)
 def _compiled(text: str) -> tuple[Any, Sequence[str]]:
-    """The validator of a schema's JSON text, and what is wrong with the schema."""
+    """The validator of a schema's JSON text, None when something is wrong with the schema, and what."""
     schema = json.loads(text)
-    return validator_for(schema, default=Draft202012Validator)(schema, registry=Registry()), check_schema(schema)
+    broken = check_schema(schema)
+    return None if broken else validator_for(schema, default=Draft202012Validator)(schema, registry=Registry()), broken
 
 
 def validate(schema: Mapping[str, Any], value: Any, name: str = "parameters") -> Sequence[str]:

@@ -107,6 +107,7 @@ class Jinja2Templates:
     def __init__(self) -> None:
         self._environment = _make_environment()
         self._compiled = lru_cache(TEMPLATES_KEPT_MAX)(self._compile)
+        self._referred = lru_cache(TEMPLATES_KEPT_MAX)(self._refer)
 
     def render(self, value: Any, names: Mapping[str, Any]) -> Any:
         """`value` with all templates filled from `names`."""
@@ -116,8 +117,9 @@ class Jinja2Templates:
     def references(self, text: str) -> frozenset[tuple[str, ...]]:
         """The names that a template refers to, each with its first key when that is written out: `("agent",)`,
         `("parameters", "vehicles")`. DocumentError when it is no template that could be rendered."""
-        if "{" not in text:
-            return frozenset()
+        return self._referred(text) if "{" in text else frozenset()
+
+    def _refer(self, text: str) -> frozenset[tuple[str, ...]]:
         with _refusals(text):
             tree = self._parsed(text)
         found: set[tuple[str, ...]] = {(node.name,) for node in tree.find_all(nodes.Name)}

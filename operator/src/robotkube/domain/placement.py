@@ -102,11 +102,11 @@ def place(seats: Sequence[Seat], fleet: Fleet, load: Mapping[str, int]) -> Place
 
 
 def _named(seats: Sequence[Seat], fleet: Fleet) -> Agent | None:
-    agents = {seat.service: fleet.agent(seat.agent) for seat in seats if seat.agent is not None}
-    if len(set(agents.values())) > 1:
-        text = ", ".join(f"{service} names {agent.name}" for service, agent in agents.items())
+    agents = [(seat.service, fleet.agent(seat.agent)) for seat in seats if seat.agent is not None]
+    if len({agent for _, agent in agents}) > 1:
+        text = ", ".join(f"{service} names {agent.name}" for service, agent in agents)
         raise RefusalError("NoCapableNode", f"services with ros links must share a node: {text}")
-    return next(iter(agents.values()), None)
+    return agents[0][1] if agents else None
 
 
 def _one_role(seats: Sequence[Seat]) -> str:

@@ -62,7 +62,7 @@ def drawing(parser: argparse.ArgumentParser) -> None:
 
 def validating(parser: argparse.ArgumentParser) -> None:
     """Arguments of `validate`."""
-    parser.add_argument("registry", nargs="?", type=Path, default=REGISTRY, metavar="FOLDER", help="default: registry")
+    parser.add_argument("--registry", type=Path, default=REGISTRY, metavar="FOLDER", help="sources (default: registry)")
     parser.add_argument(
         "--charts", type=Path, default=None, help="folder of the charts (default: charts/apps beside it)"
     )

@@ -1,0 +1,134 @@
+"""`registry validate`: the project's registry has no mistake, and every mistake is named with file, key and fix."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from pathlib import Path
+
+import pytest
+from registry_mistakes import (
+    BRIDGE,
+    CHARTS,
+    FILES,
+    REACTION,
+    RECORDING,
+    REFERENCES,
+    RELEASE,
+    TEMPLATES,
+    Mistake,
+    both,
+    put,
+    write,
+)
+
+from robotkube.adapters.registry_folders import read_sources
+from robotkube.adapters.schemas_jsonschema import check_schema, validate, violations
+from robotkube.adapters.skeleton_files import new_application
+from robotkube.adapters.templates_jinja2 import Jinja2Templates
+from robotkube.domain.errors import InputError
+from robotkube.domain.guarantees import UNITS
+from robotkube.domain.registry_sources import Finding, Tools
+from robotkube.domain.registry_validation import validate_sources
+
+ROOT = Path(__file__).parents[3]
+SECONDS_MAX = 20.0  # for 500 versions, on a machine that does other things as well; alone it takes 2 s
+
+
+def tools() -> Tools:
+    templates = Jinja2Templates()
+    return Tools(templates.render, templates.references, check_schema, validate, violations)
+
+
+TOOLS = tools()
+
+
+def findings(folder: Path, charts: bool = False) -> list[Finding]:
+    sources = read_sources(folder / "registry", folder / "charts" if charts else None)
+    return validate_sources(sources, TOOLS)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A copy of the project's registry and charts."""
+    shutil.copytree(ROOT / "registry", tmp_path / "registry")
+    shutil.copytree(ROOT / "charts" / "apps", tmp_path / "charts")
+    return tmp_path
+
+
+def test_the_project_has_no_mistakes() -> None:
+    sources = read_sources(ROOT / "registry", ROOT / "charts" / "apps")
+    assert set(sources.folders) >= {"bag-player", "event-detector", "mqtt-bridge"}
+    assert validate_sources(sources, TOOLS) == []
+
+
+def test_what_registry_new_writes_has_no_mistakes(folder: Path) -> None:
+    new_application("text-relay", "text/relay", folder / "charts", folder / "registry")
+    assert findings(folder, charts=True) == []
+
+
+@pytest.mark.parametrize("mistake", [*FILES, *REFERENCES, *TEMPLATES], ids=lambda m: m.name)
+def test_a_mistake_is_named(folder: Path, mistake: Mistake) -> None:
+    assert findings(folder) == []
+    mistake.make(folder)
+    found = findings(folder)
+    assert any(_names(f, mistake) for f in found), "\n".join(map(str, found))
+    assert all(";" in f.text for f in found), "no fix: " + "\n".join(map(str, found))
+
+
+@pytest.mark.parametrize("mistake", CHARTS, ids=lambda m: m.name)
+def test_a_difference_from_the_chart_is_named(folder: Path, mistake: Mistake) -> None:
+    assert findings(folder, charts=True) == []
+    mistake.make(folder)
+    found = findings(folder, charts=True)
+    assert any(_names(f, mistake) for f in found), "\n".join(map(str, found))
+
+
+def _names(finding: Finding, mistake: Mistake) -> bool:
+    return finding.file.endswith(mistake.file) and finding.key == mistake.key and mistake.text in finding.text
+
+
+def test_all_mistakes_come_at_once(folder: Path) -> None:
+    put(RECORDING, "spec.services[0].chart.name", "gone")(folder)
+    put(RECORDING, f"{REACTION}.recording", "{{ nothing }}")(folder)
+    both(put(BRIDGE, "spec.a", 1), put(BRIDGE, "spec.b", 2), write(RELEASE, b"["))(folder)
+    found = [str(f) for f in findings(folder)]
+    for wanted in (
+        "chart.name",
+        "unknown name 'nothing'",
+        "spec.a: unknown",
+        "spec.b: unknown",
+        "release.yaml: document",
+    ):
+        assert sum(wanted in text for text in found) == 1, found
+
+
+def test_a_broken_file_does_not_make_others_dangle(folder: Path) -> None:
+    (folder / BRIDGE).write_text("a: b\n")
+    (folder / "registry" / "applications" / "mqtt-bridge.yaml").write_text("a: b\n")
+    assert {Path(f.file).name for f in findings(folder)} == {"0.1.0.yaml", "mqtt-bridge.yaml"}
+
+
+def test_a_folder_that_is_none(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no folder; name the one"):
+        read_sources(tmp_path / "nothing")
+
+
+def test_five_hundred_versions(folder: Path) -> None:
+    text = (folder / BRIDGE).read_text()
+    for chart in range(50):
+        place = folder / "registry" / "charts" / f"chart-{chart:02d}"
+        place.mkdir()
+        for number in range(10):
+            before = f"\n  replaces: 0.{number - 1}.0" if number else ""
+            named = text.replace("name: mqtt-bridge", f"name: {place.name}")
+            changed = named.replace("version: 0.1.0", f"version: 0.{number}.0{before}")
+            (place / f"0.{number}.0.yaml").write_text(changed)
+    began = time.monotonic()
+    assert findings(folder) == []
+    assert time.monotonic() - began < SECONDS_MAX
+
+
+def test_the_manual_names_every_unit() -> None:
+    text = (ROOT / "docs" / "reference" / "contracts.md").read_text()
+    assert f"`{' '.join(UNITS)}`" in text
