@@ -9,6 +9,7 @@ from typing import Any
 
 from robotkube.domain.catalogue_entries import (
     PROVIDES,
+    EntryReader,
     read_description,
     read_for_each,
     read_head,
@@ -109,7 +110,7 @@ class Application:
 @lru_cache(FILES_KEPT_MAX)
 def read_application(text: str, path: str) -> Application:
     """An application of the catalogue; its name is the file's name. DocumentError names every problem."""
-    reader = Reader(path)
+    reader = EntryReader(path)
     document, name = read_head(reader, text, "Application")
     spec = reader.mapping(
         document.get("spec") or {},

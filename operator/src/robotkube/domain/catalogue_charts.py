@@ -8,7 +8,14 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 
-from robotkube.domain.catalogue_entries import PROVIDES, read_description, read_head, read_one_of, read_words
+from robotkube.domain.catalogue_entries import (
+    PROVIDES,
+    EntryReader,
+    read_description,
+    read_head,
+    read_one_of,
+    read_words,
+)
 from robotkube.domain.catalogue_interfaces import read_interfaces, read_suites
 from robotkube.domain.documents import Reader
 from robotkube.domain.guarantees import Guarantee, read_guarantees
@@ -71,7 +78,7 @@ def read_chart_version(text: str, path: str, published: bool = True) -> ChartVer
     """The chart version in `text`; its path says chart and version. DocumentError names every problem.
 
     `published`: it comes from the catalogue repository and must have a status; a source must not have one."""
-    reader = Reader(path)
+    reader = EntryReader(path)
     document, chart = read_head(reader, text, "ChartVersion", ["status"])
     spec = reader.mapping(
         document.get("spec") or {}, "spec", ["version", "description", "channel", "platforms", "images"], _OPTIONAL

@@ -8,13 +8,28 @@ from typing import Any
 
 from robotkube.domain.documents import Reader
 from robotkube.domain.releases import NAME
-from robotkube.domain.texts import read_mapping
+from robotkube.domain.texts import join, read_mapping
 
 API = "registry.robotkube.io/v1alpha1"
 PROVIDES = re.compile(r"[a-z0-9-]+(/[a-z0-9-]+)*", re.ASCII)
 DESCRIPTION_CHARACTERS_MAX = 1000
 
 _VARIABLE = re.compile(r"[a-z][a-z0-9_]*", re.ASCII)
+
+
+class EntryReader(Reader):
+    """Reads entries of the catalogue, in which a key is left out and never null."""
+
+    def mapping(
+        self, value: Any, path: str, required: Iterable[str], optional: Iterable[str] = ()
+    ) -> Mapping[str, Any]:
+        """As `Reader.mapping`."""
+        required = set(required)
+        known = required | set(optional)
+        found = super().mapping(value, path, required, known)
+        empty = sorted(key for key in known if key in found and found[key] is None)
+        self.problems += [f"{join(path, key)}: is null; write a value or remove the key" for key in empty]
+        return found
 
 
 def read_head(reader: Reader, text: str, kind: str, parts: Iterable[str] = ()) -> tuple[Mapping[str, Any], str]:

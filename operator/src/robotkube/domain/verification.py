@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
+from robotkube.domain.catalogue_entries import EntryReader
 from robotkube.domain.charts_packing import canonical_json, sha256
 from robotkube.domain.documents import Reader
 from robotkube.domain.releases import NAME
@@ -62,7 +63,7 @@ class VerificationPolicy:
 @lru_cache(16)
 def read_verification_policy(text: str, path: str = PATH) -> VerificationPolicy:
     """The policy in `text`; DocumentError names every problem with its key."""
-    reader = Reader(path)
+    reader = EntryReader(path)
     document = reader.mapping(read_mapping(text, path), "", ["apiVersion", "kind", "metadata", "spec"])
     reader.equal(document.get("apiVersion"), "apiVersion", API)
     reader.equal(document.get("kind"), "kind", KIND)
