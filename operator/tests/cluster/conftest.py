@@ -30,6 +30,7 @@ ORDER = (
     "test_images",
     "test_database",
     "test_rights",
+    "test_suites",
     "test_suite_interface",
     "test_story",
     "test_bridges",
