@@ -15,7 +15,8 @@ import argparse
 import base64
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -29,7 +30,7 @@ from robotkube.adapters.oci_registry import Registry
 from robotkube.domain.errors import RobotKubeError, UnavailableError
 from robotkube.entrypoints import submission_sources as sources
 from robotkube.entrypoints.cli_registry_submit import ACCOUNT, ForgeAccess, submit_sources
-from robotkube.services.submitting import REFUSED, Outcome
+from robotkube.services.submitting import REFUSED, Outcome, Sources
 
 NAMESPACE, SERVICE, PORT = "robotkube", "forge", 3000
 ACCOUNT_SECRET = f"forge-account-{ACCOUNT}"
@@ -37,6 +38,7 @@ CHARTS, REGISTRY = PROJECT / "charts" / "apps", PROJECT / "registry"
 WAIT_SECONDS_MAX = 60.0  # for a forge that does not answer
 VERDICT_SECONDS_MAX = 900.0  # for the gate's suites
 RETRY_SECONDS = 1.0
+LANES = 2  # images on their way at once: the registry hashes each on one core
 
 T = TypeVar("T")
 
@@ -75,15 +77,20 @@ def find_forge(kubeconfig: Path) -> ForgeAccess:
 def publish_to(
     forge: ForgeAccess, images: Sequence[Image], kept: Path, say: Callable[[str], None] = lambda text: None
 ) -> Published:
-    """Images, then the submission, which names only what is already there. `kept`: evidence of earlier publications,
-    taken from and written to this folder."""
+    """The images that charts run, then the submission, which names only what is already there; all other images go
+    beside it. `kept`: evidence of earlier publications, taken from and written to this folder."""
     try:
-        names, applications = sources.all_charts(CHARTS), sources.all_applications(REGISTRY)
-        sources.check_sources(names, applications, CHARTS, REGISTRY)
-        push_images(forge, images, say)
         references = {image.name: image.reference for image in images}
-        found = sources.read_sources(names, applications, CHARTS, REGISTRY, references, kept)
-        outcome = submit_sources(forge, found, say, VERDICT_SECONDS_MAX)
+        found = read_all(references, kept)
+        with Registry(forge.url, forge.username, forge.password) as registry, ThreadPoolExecutor(LANES) as lanes:
+            first, others = _needed_first(images, found)
+            for image in first:
+                push_image(registry, image)
+            pushed = [lanes.submit(push_image, registry, image) for image in others]
+            outcome = submit_sources(forge, found, say, VERDICT_SECONDS_MAX)
+            for push in pushed:
+                push.result()
+        say(f"{len(images)} images with their bills of materials")
         sources.write_kept(kept, outcome.evidence)
     except RobotKubeError as error:
         raise SetUpError(f"publishing to {forge.url}: {error}") from error
@@ -92,21 +99,27 @@ def publish_to(
     return Published(tuple(references.values()), outcome)
 
 
-def push_images(forge: ForgeAccess, images: Sequence[Image], say: Callable[[str], None]) -> None:
-    """Every image by digest, its bill of materials attached."""
-    with Registry(forge.url, forge.username, forge.password) as registry:
-        for image in images:
-            _patiently(lambda image=image: push_image(registry, image))  # type: ignore[misc]
-    say(f"{len(images)} images with their bills of materials")
+def read_all(references: Mapping[str, str], kept: Path) -> Sources:
+    """All charts and applications of the sources, and the evidence that is kept; InputError names every mistake."""
+    names, applications = sources.all_charts(CHARTS), sources.all_applications(REGISTRY)
+    sources.check_sources(names, applications, CHARTS, REGISTRY)
+    return sources.read_sources(names, applications, CHARTS, REGISTRY, references, kept)
+
+
+def _needed_first(images: Sequence[Image], found: Sources) -> tuple[list[Image], list[Image]]:
+    """The images that charts run, and all others."""
+    needed = {reference for chart in found.charts for reference in chart.images}
+    return [i for i in images if i.reference in needed], [i for i in images if i.reference not in needed]
 
 
 def push_image(registry: Registry, image: Image) -> str:
-    """Push by digest to the repository that the image's reference names; the digest must come out the same."""
+    """Push by digest to the repository that the image's reference names, with its bill of materials; the digest must
+    come out the same."""
     repository = image.repository.partition("/")[2]
-    digest = registry.push_image(repository, image.archive)
+    digest = _patiently(lambda: registry.push_image(repository, image.archive))
     if not image.reference.endswith(f"@{digest}"):
         raise InputError(f"{image.archive}: holds {digest}, the lock says {image.reference}; build the images again")
-    bills.attach_bill(registry, repository, digest, image.archive)
+    _patiently(lambda: bills.attach_bill(registry, repository, digest, image.archive))
     return digest
 
 
