@@ -3,6 +3,8 @@
 import base64
 import json
 import os
+import secrets
+import shutil
 import signal
 import subprocess
 import sys
@@ -19,6 +21,7 @@ import yaml
 from api_server import ApiServerProcess
 from argocd_objects import NAMESPACE, bootstrap_kubeconfig, connect, install_argocd
 from database_server import SETUP_PASSWORD, SETUP_USER, DatabaseServer
+from evidence_of_tests import SEED, key_folder
 from forge_process import ForgeProcess
 from installation import (
     CATALOGUE,
@@ -33,10 +36,19 @@ from installation import (
 )
 from kubernetes import client
 from pymongo.errors import OperationFailure
+from signed_evidence import signing_key
+from submitted import IMAGE
 from waiting import until
+
+from robotkube.adapters.suite_runner_server import RunsEndpoint
+from robotkube.adapters.webhooks import WebServer
+from robotkube.domain.evidence import Check
+from robotkube.entrypoints import cli
+from robotkube.testing.publishing import ScriptedRunner
 
 pytestmark = pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning")
 PROCESS_SECONDS_MAX = 60
+PROJECT = Path(__file__).parents[3]
 
 
 def secret_file(folder: Path, name: str, text: str) -> str:
@@ -63,6 +75,12 @@ def lines(text: str) -> list[dict[str, Any]]:
     return [json.loads(line) for line in text.splitlines() if line.startswith("{")]
 
 
+def key_file(folder: Path) -> str:
+    """The gate's private key."""
+    signing_key(folder / "key", SEED)
+    return str(folder / "key" / "key.pem")
+
+
 # -- gate -------------------------------------------------------------------------------------------------------------
 
 
@@ -76,12 +94,18 @@ def gate_settings(installation: Installation, folder: Path, hook_url: str) -> di
             "deployment": "robotkube/deployment",
             "catalogue": "robotkube/catalogue",
             "branch": "main",
-            "proposer": "manager",
+            "proposers": [{"account": "manager", "namespaces": ["cloud-0"]}],
+            "publishers": ["publisher"],
         },
-        "registry": {"charts": CHARTS_URL},
+        "registry": {"charts": CHARTS_URL, "staging": CHARTS_URL.replace("verified", "staging")},
+        "local_builds": False,
+        "evidence": {
+            "key": key_file(folder),
+            "keys": str(key_folder()),
+            "verifier": "gate-of-tests",
+        },
         "hook": {"url": hook_url, "secret": secret_file(folder, "hook/secret", HOOK_SECRET)},
         "webhook": {"secret": secret_file(folder, "webhook/secret", WEBHOOK_SECRET)},
-        "agents": [{"name": "cloud-0", "role": "cloud", "namespace": "cloud-0", "records": True}],
     }
 
 
@@ -112,6 +136,122 @@ def test_the_gate_process_takes_a_proposal_and_ends_when_asked(
     assert found["verdict"] == "accepted"
     assert found["commit"] == commit[:12]
     assert found["subject"] == "deploy(recording): test"
+
+
+SUITES_TOKEN = "suites token"  # noqa: S105
+
+
+@pytest.fixture
+def runner() -> Iterator[tuple[ScriptedRunner, str]]:
+    """A suite-runner's HTTP side whose verdicts the test gives, and its URL."""
+    scripted = ScriptedRunner()
+    server = WebServer("127.0.0.1", 0, list, str, put=RunsEndpoint(SUITES_TOKEN, scripted.run).put)
+    server.start()
+    yield scripted, f"http://127.0.0.1:{server.port}"
+    server.stop()
+
+
+@pytest.fixture
+def gate_url(
+    installation: Installation,
+    controller: ApplicationSetController,
+    runner: tuple[ScriptedRunner, str],
+    tmp_path: Path,
+) -> Iterator[str]:
+    """The gate as a process, with that suite-runner."""
+    token = secret_file(tmp_path, "suites/token", SUITES_TOKEN)
+    settings = gate_settings(installation, tmp_path, controller.url) | {"suites": {"url": runner[1], "token": token}}
+    command = [sys.executable, "-m", "robotkube.entrypoints.gate"]
+    with (tmp_path / "log").open("wb") as log:
+        process = subprocess.Popen(command, env=write_settings(tmp_path, settings), stderr=log)
+    try:
+        url = f"http://127.0.0.1:{installation.gate_port}"
+        until(lambda: answers(f"{url}/readyz") == 200, "ready")
+        yield url
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(PROCESS_SECONDS_MAX) == 0
+    finally:
+        process.kill()
+        process.wait(PROCESS_SECONDS_MAX)
+
+
+def submit(installation: Installation, folder: Path, *more: str) -> int:
+    """The command's exit code."""
+    password = secret_file(folder, "publisher", installation.passwords["publisher"])
+    images = secret_file(folder, "images.yaml", f"ros: {IMAGE}\n")
+    where = ["--charts", str(folder / "charts"), "--registry", str(folder / "registry"), "--images", images]
+    account = [
+        "--forge-url",
+        installation.url,
+        "--password-file",
+        password,
+        "--kept",
+        str(folder / "kept"),
+        "--wait",
+        "60",
+    ]
+    return cli.main(["registry", "submit", *where, *account, *more])
+
+
+def write_sources(folder: Path, name: str) -> None:
+    """What `registry new` writes, beside the library chart."""
+    library = PROJECT / "charts" / "apps" / "robotkube-app"
+    shutil.copytree(library, folder / "charts" / library.name)
+    shutil.copytree(PROJECT / "registry" / "policies", folder / "registry" / "policies")
+    for place in ("applications", "charts"):
+        (folder / "registry" / place).mkdir(parents=True)
+    where = ["--charts", str(folder / "charts"), "--registry", str(folder / "registry")]
+    assert cli.main(["registry", "new", name, *where]) == 0
+
+
+def test_the_gate_process_publishes_what_the_command_submits(
+    installation: Installation,
+    gate_url: str,
+    runner: tuple[ScriptedRunner, str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    name, scripted = f"text-{secrets.token_hex(3)}", runner[0]
+    write_sources(tmp_path, name)
+    scripted.checks["static"] = (Check("probes", False, "no readinessProbe", "add one"),)
+    capsys.readouterr()
+    assert submit(installation, tmp_path, name, "--application", name) == 1
+    told = capsys.readouterr()
+    assert f"static of {name} failed" in told.err
+    assert "found: `no readinessProbe`" in told.err
+    assert "do: add one" in told.err
+    scripted.checks.clear()
+    assert submit(installation, tmp_path, name, "--application", name, "--output", "json") == 0
+    told = capsys.readouterr()
+    rows = json.loads(told.out)["submitted"]
+    assert [(row["kind"], row["verdict"]) for row in rows] == [("chart", "published"), ("application", "published")]
+    assert rows[0]["evidence"].startswith(f"evidence/{name}/0.1.0_")
+    assert (tmp_path / "kept" / rows[0]["evidence"]).is_file()
+    assert submit(installation, tmp_path, name, "--application", name) == 0
+    assert f"{name} 0.1.0: published already with this digest" in capsys.readouterr().err
+    metrics = httpx.get(f"{gate_url}/metrics").text
+    assert 'robotkube_gate_publications_total{verdict="published"} 1' in metrics
+    assert 'robotkube_gate_publications_total{verdict="refused"} 1' in metrics
+    assert 'robotkube_gate_suite_runs_total{suite="static"} 2' in metrics
+    found = [line for line in lines((tmp_path / "log").read_text()) if line["event"] == "submission"]
+    assert [line["verdict"] for line in found] == ["refused", "published"]
+    assert f"{name} 0.1.0" in found[1]["subject"]
+
+
+def test_wrong_sources_are_told_before_anything_is_sent(
+    installation: Installation, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    name = f"text-{secrets.token_hex(3)}"
+    write_sources(tmp_path, name)
+    path = tmp_path / "registry" / "charts" / name / "0.1.0.yaml"
+    path.write_text(path.read_text().replace("  channel: ", "  chanel: "))
+    assert submit(installation, tmp_path, name) == 2
+    told = capsys.readouterr().err
+    assert f"{path}: spec.chanel: unknown key; remove it" in told
+    assert f"{path}: spec.channel: missing" in told
+    assert "nothing was submitted" in told
+    assert submit(installation, tmp_path) == 2
+    assert "name charts, applications (--application NAME), or --all" in capsys.readouterr().err
 
 
 def answers(url: str) -> int:
