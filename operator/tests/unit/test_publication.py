@@ -5,9 +5,10 @@ from pathlib import Path
 
 import pytest
 import submitted
+from publication_world import World
 from submitted import CATALOGUE, SUITES, application, chart, entry, entry_path, key, trusted
 
-from robotkube.adapters.evidence_dsse import KeyFile, TrustedKeys
+from robotkube.adapters.evidence_dsse import KeyFile
 from robotkube.domain.catalogue import read_catalogue
 from robotkube.domain.charts_packing import PackedChart, sha256
 from robotkube.domain.errors import InputError, UnavailableError
@@ -16,95 +17,14 @@ from robotkube.domain.suite_requests import SuiteProgress
 from robotkube.domain.texts import read_mapping, write_mapping
 from robotkube.domain.verification import PATH as POLICY_PATH
 from robotkube.domain.verification import read_verification_policy
-from robotkube.entrypoints.submission_sources import validation_tools
-from robotkube.services.publication import Publication, PublicationSettings, publication_metrics
-from robotkube.services.verifying import MARGIN_SECONDS, Verifying, VerifyingSettings
-from robotkube.testing.publishing import MemoryCatalogue, MemoryCatalogueForge, MemoryChartRegistry, ScriptedRunner
+from robotkube.services.publication import publication_metrics
+from robotkube.services.verifying import MARGIN_SECONDS
 
-CHARTS_URL = "oci://forge.invalid/verified"
 POLICY = read_verification_policy(CATALOGUE[POLICY_PATH])
-ROUNDS_MAX = 20
 
 
 class KilledError(BaseException):
     """The process ends here; nothing catches it."""
-
-
-class World:
-    """The world outlives gates: `gate` starts another one."""
-
-    def __init__(self, folder: Path) -> None:
-        self.signer = key(folder)
-        self.keys = folder / "trusted"
-        self.verifier = trusted(self.keys, self.signer)
-        self.catalogue = MemoryCatalogue(CATALOGUE)
-        self.forge = MemoryCatalogueForge(self.catalogue)
-        self.registry = MemoryChartRegistry()
-        self.runner = ScriptedRunner()
-        self.now = 100.0
-        self.published = 0
-        self.local_builds = False
-        self.start().round()  # writes the key
-
-    def start(self, signer: KeyFile | None = None, verifier: TrustedKeys | None = None) -> Publication:
-        settings = VerifyingSettings("staging", "verified", CHARTS_URL, "http://forge/robotkube/catalogue", "the-gate")
-        signer = signer or self.signer
-        verifying = Verifying(
-            self.registry,
-            signer,
-            verifier or self.verifier,
-            self.runner,
-            settings,
-            lambda: self.now,
-            lambda: "2026-11-21T10:00:00Z",
-        )
-        self.gate = Publication(
-            self.forge,
-            self.catalogue,
-            self.catalogue,
-            self.registry,
-            verifying,
-            signer,
-            PublicationSettings(
-                "robotkube/catalogue", ("publisher",), "gate", "staging", "verified", CHARTS_URL, self.local_builds
-            ),
-            validation_tools(),
-            lambda: self.now,
-            self._count,
-        )
-        return self.gate
-
-    def _count(self) -> None:
-        self.published += 1
-
-    def submit(self, *charts: tuple[PackedChart, dict], push: bool = True, **files: str) -> int:
-        """A pull request with these charts and other files."""
-        changes: dict[str, str | None] = {entry_path(packed): entry(packed, spec) for packed, spec in charts}
-        changes |= files
-        for packed, _ in charts if push else ():
-            self.registry.push_chart("staging", packed, f"{packed.version}_{packed.digest[7:19]}")
-        message = f"submit {len(self.forge.pulls)}"
-        return self.forge.open(self.catalogue.commit(self.catalogue.tip, changes, message))
-
-    def settle(self, number: int) -> str:
-        """Rounds until the pull request is closed; the one comment."""
-        for _ in range(ROUNDS_MAX):
-            self.gate.round()
-            if self.forge.pull_requests("all") and self.forge.pulls[number].state == "closed":
-                break
-        assert self.forge.pulls[number].state == "closed", self.text(number)
-        return self.text(number)
-
-    def text(self, number: int) -> str:
-        comments = self.forge.said[number]
-        assert len(comments) <= 1
-        return comments[0].text if comments else ""
-
-    def merged(self, number: int) -> bool:
-        return self.forge.pulls[number].merged
-
-    def main(self) -> dict[str, str]:
-        return self.catalogue.trees[self.catalogue.tip]
 
 
 @pytest.fixture

@@ -17,6 +17,8 @@ from robotkube.ports.git import Commit
 from robotkube.ports.registries import Attachment
 from robotkube.testing.forges import MemoryForge, MemoryRepository
 
+PUBLISHER = "publisher"
+
 
 class MemoryCatalogue(MemoryRepository):
     """The catalogue repository with its pull requests' heads, as the gate sees it."""
@@ -60,18 +62,30 @@ class MemoryCatalogueForge(MemoryForge):
         self.catalogue = repository
         self.decide = self.leave
 
-    def open(self, commit: str, author: str = "publisher") -> int:
-        """A pull request as an AGit push opens it."""
+    def propose(self, commit: str, topic: str, title: str, body: str) -> int | None:
+        """An AGit push of the publisher."""
+        number = super().propose(commit, topic, title, body)
+        assert number is not None
+        self.pulls[number] = replace(self.pulls[number], author=PUBLISHER)
+        self.catalogue.heads[number] = commit
+        return number
+
+    def open(self, commit: str, author: str = PUBLISHER) -> int:
+        """A pull request as an AGit push of `author` opens it."""
         number = self.propose(commit, f"submit-{len(self.pulls)}", "submission", "")
         assert number is not None
         self.pulls[number] = replace(self.pulls[number], author=author)
-        self.catalogue.heads[number] = commit
         return number
 
     def update(self, number: int, commit: str) -> None:
         """Another commit for the same pull request."""
         self.pulls[number] = replace(self.pulls[number], head=commit)
         self.catalogue.heads[number] = commit
+
+    def pull_request(self, number: int) -> PullRequest:
+        """As the forge shows it once it has seen main."""
+        self.pull_requests("all")
+        return super().pull_request(number)
 
     def pull_requests(self, state: str = "open", author: str = "") -> Sequence[PullRequest]:
         """As the forge shows them once it has seen main."""
