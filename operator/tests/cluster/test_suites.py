@@ -80,7 +80,7 @@ for name, url in {
     attempt(f"no {name}", found in (401, 403, 404), f"{url}: {found}")
 found = status(f"{RUNNER}/runs/" + "0" * 32, "PUT")
 attempt("no runs without the token", found == 401, found)
-for name, path in {"no disk": "/etc/planted", "no home": "/root/planted"}.items():
+for name, path in {"no settings": "/etc/planted", "no disk": "/planted"}.items():
     try:
         pathlib.Path(path).write_text("x")
         attempt(name, False, path)

@@ -40,6 +40,7 @@ def test_a_chart_that_does_everything_right() -> None:
         "upgrades": True,
     }
     assert "nothing to upgrade from" in checks["upgrades"].found
+    assert checks["stops-within-its-grace"].found == "pod greeter-1 ended after 1 s of the 3 s it may take"
     assert room.objects == {}
 
 

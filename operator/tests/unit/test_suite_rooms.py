@@ -70,6 +70,12 @@ def test_a_charts_objects_are_changed_by_namespace_domain_and_label_only() -> No
     assert api.objects["ConfigMap", "greeter"]["data"] == {"a": "b"}
 
 
+def held_pods() -> dict[str, Any]:
+    item = deployment()
+    item["spec"]["template"]["metadata"]["finalizers"] = ["example.com/never"]
+    return item
+
+
 @pytest.mark.parametrize(
     ("item", "words"),
     [
@@ -79,6 +85,9 @@ def test_a_charts_objects_are_changed_by_namespace_domain_and_label_only() -> No
         ({**CONFIG_MAP, "metadata": {"name": "suite-scratch-used"}}, "is for the room"),
         ({**CONFIG_MAP, "metadata": {"name": "../../secrets"}}, "not a name"),
         ({**CONFIG_MAP, "metadata": {"name": "a", "namespace": "robotkube"}}, "leave it out"),
+        ({**CONFIG_MAP, "metadata": {"name": "a", "finalizers": ["example.com/never"]}}, "finalizers: leave them out"),
+        ({**CONFIG_MAP, "metadata": {"name": "a", "ownerReferences": [{}]}}, "ownerReferences: leave them out"),
+        (held_pods(), "pods of Deployment greeter: finalizers: leave them out"),
         ({}, "may hold Deployment"),
     ],
 )
@@ -89,6 +98,8 @@ def test_what_a_room_does_not_take(item: dict[str, Any], words: str) -> None:
     assert api.objects == {}, "nothing is made before everything can be"
     with pytest.raises(InputError, match=f"may have {OBJECTS_MAX}"):
         make_room(api)[0].apply([CONFIG_MAP] * (OBJECTS_MAX + 1))
+    with pytest.raises(InputError, match="not a name"):
+        make_room(api)[0].provide({"suite-scratch-used": {}})
 
 
 def test_ready_and_gone() -> None:

@@ -96,7 +96,7 @@ class HelperPod:
             "enableServiceLinks": False,
             "terminationGracePeriodSeconds": 2,
             "nodeSelector": {AGENT_LABEL: self.agent},
-            "securityContext": _POD,
+            "securityContext": dict(_POD),
             "containers": [container],
             "volumes": [{"name": "tmp", "emptyDir": {"sizeLimit": "64Mi"}}, *self.volumes],
         }
@@ -122,21 +122,34 @@ def placed(item: Mapping[str, Any], namespace: str, domain_id: int) -> dict[str,
         raise InputError(
             f"{kind} {name} ({item.get('apiVersion')}): a chart may hold Deployment (apps/v1) and ConfigMap (v1) only"
         )
-    if not NAME.fullmatch(name) or name.startswith(HELPER_PREFIX):
-        raise InputError(f"{kind} {name!r}: not a name for a chart's object; and {HELPER_PREFIX}... is for the room")
+    refuse_name(kind, name)
+    _refuse_holds(kind, name, metadata)
     if metadata.get("namespace") not in (None, "", namespace):
         raise InputError(f"{kind} {name}: namespace {metadata['namespace']!r}: leave it out, it is the release's")
     found = {**item, "metadata": _labelled({**metadata, "namespace": namespace})}
     if kind == "Deployment":
-        found["spec"] = _deployment(item.get("spec"), domain_id)
+        found["spec"] = _deployment(name, item.get("spec"), domain_id)
     return found
+
+
+def refuse_name(kind: str, name: str) -> None:
+    """InputError when an object of a chart, or of its test set, may not have this name."""
+    if not NAME.fullmatch(name) or name.startswith(HELPER_PREFIX):
+        raise InputError(f"{kind} {name!r}: not a name for a chart's object; {HELPER_PREFIX}... is for the room's own")
+
+
+def _refuse_holds(kind: str, name: str, metadata: Mapping[str, Any]) -> None:
+    """What would keep an object from being deleted, and by that a room from being emptied."""
+    held = [key for key in ("finalizers", "ownerReferences") if metadata.get(key)]
+    if held:
+        raise InputError(f"{kind} {name}: {' and '.join(held)}: leave them out, they keep it from being deleted")
 
 
 def _labelled(metadata: Mapping[str, Any]) -> dict[str, Any]:
     return {**metadata, "labels": {**(metadata.get("labels") or {}), LABEL: SUBJECT}}
 
 
-def _deployment(spec: Any, domain_id: int) -> dict[str, Any]:
+def _deployment(name: str, spec: Any, domain_id: int) -> dict[str, Any]:
     spec = spec if isinstance(spec, Mapping) else {}
     template = spec.get("template") or {}
     pod = dict(template.get("spec") or {})
@@ -144,6 +157,7 @@ def _deployment(spec: Any, domain_id: int) -> dict[str, Any]:
         if key in pod:
             pod[key] = [_with_domain(container, domain_id) for container in pod[key] or ()]
     metadata = _labelled(template.get("metadata") or {})
+    _refuse_holds("pods of Deployment", name, metadata)
     return {**spec, "template": {**template, "metadata": metadata, "spec": pod}}
 
 

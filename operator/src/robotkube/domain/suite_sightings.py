@@ -32,11 +32,6 @@ def pod_ended(item: Object) -> bool:
     return (item.get("status") or {}).get("phase") in ("Succeeded", "Failed")
 
 
-def restarted(item: Object) -> bool:
-    """Whether a container was started more than once."""
-    return any(found.get("restartCount", 0) for found in container_statuses(item))
-
-
 def container_statuses(item: Object) -> list[Object]:
     """Statuses of all containers, those that prepare the pod first."""
     status = item.get("status") or {}

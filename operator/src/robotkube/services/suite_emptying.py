@@ -84,7 +84,9 @@ class ClusterRoomKeeper:
             name, found.observer_image, found.agent, found.domain_id, command, volumes=[volume], mounts=[mount],
             seconds=CLEAN_SECONDS_MAX,
         )  # fmt: skip
-        self._api.create("Pod", pod.document())
+        document = pod.document()
+        document["spec"]["securityContext"] |= {"fsGroupChangePolicy": "Always"}  # files of any user can be deleted
+        self._api.create("Pod", document)
         codes: Mapping[str, int | None] = {}
         while codes.get(name) is None:
             if self._clock() >= deadline:

@@ -65,7 +65,7 @@ class InstallSuite:
         found = f"still there after the chart was deleted: {', '.join(left)}" if left else ""
         fix = "let the chart make no objects that its deletion does not take along" if left else ""
         return [
-            Check(STOPS, not late, "\n".join(late), STOP_FIX if late else ""),
+            Check(STOPS, not late, "\n".join(late or map(_end_in_words, ends)), STOP_FIX if late else ""),
             Check(CLEAN, not left, found, fix),
         ]
 
@@ -108,6 +108,10 @@ def _identity(item: Object) -> tuple[str, str]:
 
 def _grace(pods: Sequence[Object]) -> float:
     return max((float(pod["spec"].get("terminationGracePeriodSeconds") or 0) for pod in pods), default=0.0)
+
+
+def _end_in_words(end: PodEnd) -> str:
+    return f"pod {end.name} ended after {end.seconds:.0f} s of the {end.grace_seconds:.0f} s it may take"
 
 
 def _lateness(end: PodEnd) -> str:

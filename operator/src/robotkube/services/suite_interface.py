@@ -24,11 +24,12 @@ from robotkube.domain.interfaces import (
     merged_values,
 )
 from robotkube.domain.loops import Render
+from robotkube.domain.suite_objects import BROKER_SECRET, DATABASE_SECRET
 from robotkube.domain.suite_requests import TestSet
 from robotkube.domain.texts import read_mapping
 from robotkube.ports.suites import Account, Room, Subject
 from robotkube.services.suite_observing import Bounds
-from robotkube.services.suite_sets import BROKER_SECRET, DATABASE_SECRET, filled_sets, install, named_secrets
+from robotkube.services.suite_sets import filled_sets, install, named_secrets
 
 OBSERVER = ("python3", "-m", "robotkube.entrypoints.suite_observer")
 CONFIG = "config.json"

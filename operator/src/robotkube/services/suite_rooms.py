@@ -81,6 +81,7 @@ class ClusterRoom:
     def provide(self, config_maps: Mapping[str, Mapping[str, str]]) -> None:
         """ConfigMaps of the room that the chart finds there."""
         for name, data in config_maps.items():
+            objects_of.refuse_name("ConfigMap", name)
             metadata = objects_of.own_metadata(name)
             self._api.apply({"apiVersion": "v1", "kind": "ConfigMap", "metadata": metadata, "data": dict(data)})
 

@@ -12,6 +12,7 @@ from typing import Any
 
 from robotkube.domain.errors import InputError
 from robotkube.domain.loops import Render, fill
+from robotkube.domain.suite_objects import BROKER_SECRET, DATABASE_SECRET
 from robotkube.domain.suite_requests import TestSet
 from robotkube.ports.suites import Object, Room, Subject
 
@@ -19,8 +20,6 @@ READY_SECONDS_MAX = 90.0
 READY_SHARE = 0.6  # of the time that is left: a chart that never gets ready shall leave time to say so
 PREPARE_SECONDS_MAX = 60.0
 SECRET_KEYS = frozenset({"secretName", "secretKeyRef", "secretRef", "secret"})
-BROKER_SECRET, DATABASE_SECRET = "broker-account", "database-account"
-WORKLOADS = ("Deployment", "Pod")
 
 
 @dataclass(frozen=True)
@@ -78,9 +77,9 @@ def apply(objects: Sequence[Object], room: Room) -> Installation:
     """Make or replace the objects and wait until their workloads are ready."""
     room.apply(objects)
     found = [
-        room.wait_ready(str(item["kind"]), str(item["metadata"]["name"]), ready_seconds(room))
+        room.wait_ready("Deployment", str(item["metadata"]["name"]), ready_seconds(room))
         for item in objects
-        if item.get("kind") in WORKLOADS
+        if item.get("kind") == "Deployment"
     ]
     return Installation(objects, "\n".join(filter(None, found)))
 

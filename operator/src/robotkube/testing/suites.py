@@ -11,10 +11,9 @@ from typing import Any
 from robotkube.domain.charts_packing import sha256
 from robotkube.domain.errors import UnavailableError
 from robotkube.domain.evidence import Artefact, Check, SuiteResult
-from robotkube.domain.suite_objects import LABEL
 from robotkube.domain.suite_requests import SuiteRequest
 from robotkube.domain.verification import SuiteRule
-from robotkube.ports.suites import Account, Object, PodEnd, PodRun, Render, Room, Subject
+from robotkube.ports.suites import Account, Object, PodEnd, PodRun, Render, Subject
 
 CHART = "greeter"
 DIGEST = sha256(b"greeter")
@@ -233,12 +232,6 @@ class MemoryRoomObjects:
         pending, self.pending = self.pending, []
         yield from pending
 
-    def own(self, label: str) -> list[str]:
-        """Names of objects with a value of the label of suites."""
-        return [
-            name for (_, name), item in self.objects.items() if item["metadata"].get("labels", {}).get(LABEL) == label
-        ]
-
 
 RUNNING: Mapping[str, Any] = {
     "phase": "Running",
@@ -298,8 +291,3 @@ def failed(request: SuiteRequest) -> SuiteResult:
     """A result with one check that failed."""
     check = Check("one", False, "found", "fix")
     return SuiteResult(request.rule.name, request.rule.version, "failed", (check,), 0.1)
-
-
-def port_of(room: MemoryRoom) -> Room:
-    """The room as its port: types are checked here."""
-    return room
