@@ -24,6 +24,7 @@ from robotkube.services.suite_sets import filled_sets, install
 INSTALLED = "installed-for-the-suite"
 MARGIN_SECONDS = 5.0  # kept for saying what happened
 LAST_LINES_MAX = 12
+STDERR_LINES_MAX = 50
 
 
 class CustomSuite:
@@ -80,19 +81,27 @@ class CustomSuite:
         }
 
 
+def _last_line(log: str, tail: str) -> Mapping[str, Any]:
+    """The last JSON object; a pod's log has stderr in it as well, so a few lines may follow."""
+    lines = [line.strip() for line in log.splitlines() if line.strip()]
+    for line in reversed(lines[-STDERR_LINES_MAX:]):
+        try:
+            found = json.loads(line)
+        except (ValueError, RecursionError):
+            continue
+        if isinstance(found, dict):
+            return found
+    raise InputError(f"the suite's last line of stdout is no JSON object with `checks`:\n{tail}")
+
+
 def read_result(run: PodRun) -> tuple[Check, ...]:
     """The checks in the last line of a pod's stdout; InputError when there are none or the pod failed."""
     tail = "\n".join(run.log.splitlines()[-LAST_LINES_MAX:])
     if run.exit_code != 0:
         ended = run.found if run.exit_code is None else f"it ended with {run.exit_code}"
         raise InputError(f"the suite's pod did not end with 0: {ended}\nlast lines of its log:\n{tail}")
-    lines = [line for line in run.log.splitlines() if line.strip()]
-    try:
-        document = json.loads(lines[-1]) if lines else None
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"the last line of the suite's stdout is no JSON ({error}):\n{tail}") from error
     reader = Reader("result of the suite")
-    root = reader.mapping(document, "", ["checks"])
+    root = reader.mapping(_last_line(run.log, tail), "", ["checks"])
     checks = read_checks(reader, root.get("checks"), "checks")
     reader.finish()
     if not checks:
