@@ -170,7 +170,7 @@ def test_the_example_of_the_how_to_judges(results: Mapping[str, SuiteResult]) ->
 
 def test_suites_without_a_result_are_unfinished(results: Mapping[str, SuiteResult]) -> None:
     assert results["silent"].outcome == results["hanging"].outcome == "unfinished"
-    assert "no JSON" in rooms.said(results["silent"])
+    assert "no JSON object" in rooms.said(results["silent"])
     assert "nothing to say" in rooms.said(results["silent"])
     assert "did not end in its time" in rooms.said(results["hanging"])
 

@@ -56,14 +56,20 @@ def test_a_chart_that_does_not_get_ready_fails_before_the_image_runs() -> None:
     assert [name for name, _ in room.calls] == ["apply"]
 
 
+def test_lines_of_stderr_may_follow() -> None:
+    run = PodRun('{"checks": [{"name": "a", "passed": true}]}\nwarning: slow clock\n', 0)
+    assert read_result(run) == (Check("a", True),)
+
+
 @pytest.mark.parametrize(
     ("pod", "words"),
     [
         (PodRun("Traceback\nboom", 1), "ended with 1\nlast lines of its log:\nTraceback\nboom"),
         (PodRun("working", None, "it did not end in its time"), "it did not end in its time"),
-        (PodRun("", 0), "document: must be a mapping"),
-        (PodRun("done", 0), "the last line of the suite's stdout is no JSON"),
-        (PodRun("[" * 100_000, 0), "is no JSON"),
+        (PodRun("", 0), "last line of stdout is no JSON object"),
+        (PodRun("done", 0), "last line of stdout is no JSON object with `checks`:\ndone"),
+        (PodRun("[1]", 0), "is no JSON object"),
+        (PodRun("[" * 100_000, 0), "is no JSON object"),
         (PodRun('{"checks": []}', 0), "checks: empty"),
         (PodRun('{"checks": [{"name": "a", "passed": "yes"}]}', 0), r"passed: must be true or false"),
         (PodRun('{"results": []}', 0), "results: unknown key"),
