@@ -13,9 +13,11 @@ import httpx
 from programs import free_port, program
 
 from ci import toolchain
+from ci.folders import PROJECT
 
 START_SECONDS_MAX = 60.0
 STOP_SECONDS_MAX = 10.0
+HOOKS = PROJECT / "charts" / "robotkube" / "files" / "forge-hooks"
 
 APP_INI = """\
 APP_NAME = forge
@@ -60,6 +62,8 @@ ISSUE_INDEXER_TYPE = db
 ADAPTER = memory
 [queue]
 TYPE = channel
+[git.config]
+core.hooksPath = {hooks}
 [webhook]
 ALLOWED_HOST_LIST = loopback,private
 """
@@ -98,6 +102,8 @@ class ForgeProcess:
             "PATH": os.environ.get("PATH", ""),
             "HOME": str(self.data),
             "GITEA_I_AM_BEING_UNSAFE_RUNNING_AS_ROOT": "true",
+            "FORGE_PROGRAM": program("gitea"),
+            "FORGE_CONFIG": str(self.data / "app.ini"),
             **self.environment,
         }
 
@@ -126,7 +132,7 @@ class ForgeProcess:
         ).stdout.strip()  # fmt: skip
         text = APP_INI.format(
             user=user, data=self.data, port=self.port, url=self.url, static=toolchain.gitea_static("templates").parent,
-            secret=secrets.token_hex(32), token=token,
+            secret=secrets.token_hex(32), token=token, hooks=HOOKS,
         )  # fmt: skip
         (self.data / "app.ini").write_text(text)
 

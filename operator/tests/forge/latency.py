@@ -1,86 +1,171 @@
-"""Times of a plan's way into main over N proposals: `python tests/forge/latency.py [N]` prints p50 and p95 in ms."""
+"""Times of a task's way to main, and of the forge alone, over N of each: prints them as JSON, in milliseconds.
 
+    PYTHONPATH=.:operator/src:operator/tests python3 operator/tests/forge/latency.py N
+
+`floor`: propose a one-line change by AGit and push it to main, while manager and gate stand still. `tasks`: from a
+task's creation to the manager's knowing that its plan is on main. `checks`: what the gate's checks take of that.
+"""
+
+from __future__ import annotations
+
+import json
 import logging
+import re
 import secrets
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from forge_process import ForgeProcess
-from installation import (
-    ACCOUNTS,
-    ApplicationSetController,
-    Installation,
-    forge_setup,
-    message,
-    release_files,
-    start_gate,
-)
+from installation import ACCOUNTS, WEBHOOK_SECRET, ApplicationSetController, Installation, forge_setup, start_gate
 from programs import free_port
-from waiting import until
+from test_manager import RunningManager, start_manager
 
+from robotkube.adapters.git_clones import GitClone
+from robotkube.adapters.git_deployment import ProposalWriter
 from robotkube.adapters.gitea_administration import GiteaAdministration
+from robotkube.adapters.webhooks import WebServer
+from robotkube.services.application_manager import DEPLOYMENT, TASKS
 from robotkube.services.bootstrapping import Bootstrap
+from robotkube.testing.clusters import MemoryTasks
+
+WARMING_UP = 3
+WAIT_SECONDS_MAX = 60.0
+LOOK_SECONDS = 0.002
+REPOSITORY = "robotkube/deployment"
+VEHICLES = ["vehicle-00", "vehicle-01"]
+
+
+def until(condition: Callable[[], object], what: str) -> None:
+    """Until it is true; looks often, since what it waits for is being measured."""
+    end = time.monotonic() + WAIT_SECONDS_MAX
+    while not condition():
+        if time.monotonic() > end:
+            raise TimeoutError(f"not within {WAIT_SECONDS_MAX:.0f} s: {what}")
+        time.sleep(LOOK_SECONDS)
+
+
+class CheckTimes(logging.Handler):
+    """What the gate's log says its checks took, in milliseconds."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.INFO)
+        self.found: list[float] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        match = re.search(r"check_ms=(\d+\.\d+)", record.getMessage())
+        if match:
+            self.found.append(float(match[1]))
+
+
+class Stage:
+    """A forge with everything on it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.process = ForgeProcess(folder / "forge")
+        self.process.start()
+        self.controller = ApplicationSetController()
+        passwords = {account: secrets.token_hex(12) for account in ACCOUNTS}
+        gate_port, self.manager_port = free_port(), free_port()
+        setup = forge_setup(passwords, f"http://127.0.0.1:{gate_port}/webhook")
+        administration = GiteaAdministration(
+            self.process.url, self.process.administrator, self.process.administrator_password
+        )
+        Bootstrap(30, time.monotonic, time.sleep).forge(setup, administration)
+        hook = f"http://127.0.0.1:{self.manager_port}/webhook"
+        administration.make_webhook(REPOSITORY, hook, ("push", "pull_request"), WEBHOOK_SECRET)
+        administration.disconnect()
+        self.installation = Installation(self.process.url, passwords, gate_port, folder, setup)
+
+    def close(self) -> None:
+        self.installation.disconnect()
+        self.controller.stop()
+        self.process.remove()
+
+    def floor(self, count: int) -> list[float]:
+        """Milliseconds of each proposal and push, with nobody else on the forge."""
+        url, passwords = self.installation.url, self.installation.passwords
+        clone = GitClone(url, REPOSITORY, "gate", passwords["gate"], self.folder / "floor")
+        writer = ProposalWriter(self.folder / "floor", "manager", passwords["manager"], "floor", time.time)
+        tip, found = clone.fetch(), []
+        for number in range(WARMING_UP + count):
+            commit = writer.commit(tip, {"README.md": f"line {number}\n"}, f"floor {number}\n")
+            began = time.perf_counter()
+            writer.propose(commit, f"floor-{number}", "floor", "one line")
+            if not clone.push_main(commit):
+                raise AssertionError("somebody else moved main")
+            found.append(1000 * (time.perf_counter() - began))
+            tip = commit
+        return found[WARMING_UP:]
+
+    def plans(self, count: int) -> tuple[list[float], list[float]]:
+        """Milliseconds from a task to its plan on main, and of the gate's checks."""
+        times = CheckTimes()
+        logger = logging.getLogger("robotkube.services.gate")
+        logger.addHandler(times)
+        logger.setLevel(logging.INFO)
+        gate = start_gate(self.installation, self.controller.url, self.folder / "gate")
+        running = start_manager(self.installation, self.folder / "manager", MemoryTasks())
+        server = self._listen(running)
+        try:
+            until(lambda: running.plans() and running.plans()[-1]["on_main"], "initial configuration on main")
+            found = [one_task(running, number) for number in range(WARMING_UP + count)]
+        finally:
+            logger.removeHandler(times)
+            server.stop()
+            running.stop()
+            gate.stop()
+        return found[WARMING_UP:], times.found[-count:]
+
+    def _listen(self, running: RunningManager) -> WebServer:
+        """The manager's webhook, as its entry point wires it."""
+
+        def deliver(delivery: Any) -> None:
+            if delivery.event == "push" or delivery.payload.get("action") == "closed":
+                running.manager.wake(DEPLOYMENT)
+
+        secret = WEBHOOK_SECRET.encode()
+        server = WebServer("127.0.0.1", self.manager_port, lambda: [], lambda: "", secret, deliver)
+        server.start()
+        return server
+
+
+def one_task(running: RunningManager, number: int) -> float:
+    """A task is created; milliseconds until its plan is on main. Every second one withdraws the one before as well."""
+    event = {"rule": "lidar-proximity", "id": f"e{number}", "trace": f"{number:032x}", "time": "2026-11-21T10:00:00Z"}
+    spec = {
+        "requester": "benchmark",
+        "event": event,
+        "reason": f"meeting {number}",
+        "application": "pose-point-cloud-recording",
+        "parameters": {"vehicles": VEHICLES},
+    }
+    if number:
+        running.tasks.delete(f"cloud-0/meeting-{number - 1}")
+    began = time.time_ns()
+    running.tasks.create("cloud-0", f"meeting-{number}", spec)
+    running.manager.wake(TASKS)
+    until(lambda: running.tasks.condition(f"cloud-0/meeting-{number}", "Committed")[0] == "True", "task committed")
+    until(lambda: running.last_plan_is("merged"), "plan known to be merged")
+    merged: int = running.plans()[-1]["merged"]
+    return (merged - began) / 1e6
 
 
 def main(count: int) -> None:
-    """Start a forge, bootstrap it, run a gate, propose `count` times."""
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        process = ForgeProcess(folder / "forge")
-        process.start()
-        controller = ApplicationSetController()
-        passwords = {account: secrets.token_hex(12) for account in ACCOUNTS}
-        port = free_port()
-        setup = forge_setup(passwords, f"http://127.0.0.1:{port}/webhook")
-        administration = GiteaAdministration(process.url, process.administrator, process.administrator_password)
-        Bootstrap(30, time.monotonic, time.sleep).forge(setup, administration)
-        installation = Installation(process.url, passwords, port, folder, setup)
-        gate = start_gate(installation, controller.url, folder / "gate")
+    """Measure on a forge of its own."""
+    with tempfile.TemporaryDirectory() as folder:
+        stage = Stage(Path(folder))
         try:
-            until(lambda: not gate.gate.reasons_not_ready(), "gate ready")
-            report([cycle(installation, controller) for _ in range(count)])
+            floor = stage.floor(count)
+            tasks, checks = stage.plans(count)
         finally:
-            gate.stop()
-            controller.stop()
-            process.remove()
-
-
-def cycle(installation: Installation, controller: ApplicationSetController) -> dict[str, float]:
-    """One proposal; seconds from the push's begin to each step."""
-    manager, plan = installation.clone("manager"), installation.plan()
-    commit = manager.commit(release_files(plan, f"r{installation.plans}"), message(plan), [manager.tip()])
-    started = time.monotonic()
-    manager.push(commit, "refs/for/main", [f"topic={plan}", "title=a plan"])
-    proposed = time.monotonic()
-    until(lambda: controller.announced(commit), "announced")
-    announced = next(at for at, event in controller.accepted if event["after"] == commit)
-    assert manager.tip() == commit
-    query = {"state": "all", "sort": "recentupdate", "limit": 5}
-
-    def marked() -> bool:
-        found = installation.client("gate").get("/pulls", params=query).json()
-        return any(item["head"]["sha"] == commit and item["merged"] for item in found)
-
-    until(marked, "marked as merged")
-    return {
-        "proposed": proposed - started,
-        "opened to announced": announced - proposed,
-        "start to announced": announced - started,
-        "start to marked merged": time.monotonic() - started,
-    }
-
-
-def report(rows: list[dict[str, float]]) -> None:
-    """p50 and p95 of each column."""
-    for name in rows[0]:
-        values = sorted(1000 * row[name] for row in rows)
-        p50, p95 = values[len(values) // 2], values[round(0.95 * (len(values) - 1))]
-        print(f"{name:24s} n {len(values)} p50 {p50:5.0f} ms  p95 {p95:5.0f} ms  max {values[-1]:5.0f} ms")
+            stage.close()
+    print(json.dumps({"floor": floor, "tasks": tasks, "checks": checks}))
 
 
 if __name__ == "__main__":
-    logging.basicConfig(level=logging.INFO, format="%(relativeCreated)d %(name)s %(message)s")
-    logging.getLogger("httpx").setLevel(logging.WARNING)
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 20)
+    main(int(sys.argv[1]))

@@ -289,7 +289,7 @@ class Gate:
         self.statistics.decision_seconds += decided - started
         log.info(
             "proposal number=%d author=%s commit=%s verdict=%s way=%s problems=%d "
-            "fetch_ms=%.0f check_ms=%.0f decide_ms=%.0f hook_ms=%.0f subject=%r",
+            "fetch_ms=%.0f check_ms=%.1f decide_ms=%.0f hook_ms=%.0f subject=%r",
             *(case.pull.number, case.pull.author, case.commit.id[:12], name, case.way, len(verdict.problems)),
             *(1000 * (fetched - started), 1000 * (judged - fetched), 1000 * (decided - judged)),
             1000 * (announced - decided),
