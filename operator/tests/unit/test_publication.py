@@ -497,3 +497,23 @@ def test_metrics_count_verdicts_and_suites(world: World) -> None:
     text = publication_metrics(world.gate.statistics)
     assert 'robotkube_gate_publications_total{verdict="published"} 1' in text
     assert 'robotkube_gate_suite_seconds_total{suite="install"} 1.500' in text
+
+
+def test_a_submission_that_breaks_its_checks_holds_up_no_other(world: World) -> None:
+    bad, good = world.submit(chart("bad")), world.submit(chart())
+    pull = world.registry.pull_chart
+
+    def broken(repository: str, digest: str) -> object:
+        if repository.endswith("/bad"):
+            raise RuntimeError("a mistake in the gate")
+        return pull(repository, digest)
+
+    world.registry.pull_chart = broken  # type: ignore[assignment, method-assign]
+    world.settle(good)
+    world.gate.round()
+    assert world.merged(good)
+    assert "It waits: a mistake in the gate; somebody who runs the platform has to look" in world.text(bad)
+    assert world.gate.statistics.verdicts["failed"] == 1
+    world.registry.pull_chart = pull  # type: ignore[method-assign]
+    world.settle(bad)
+    assert world.merged(bad)

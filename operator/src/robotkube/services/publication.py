@@ -185,11 +185,13 @@ class Publication:
         except UnavailableError as error:
             log.warning("submission waits number=%d reason=%s", pull.number, error)
             self._wait(pull.number, str(error))
-        except RobotKubeError as error:
+        except Exception as error:  # whatever a submission does to its checks, the others go on
             if self._failed.get(pull.number) != str(error):  # tried again every round, said once
                 self._failed[pull.number] = str(error)
                 self.statistics.verdicts["failed"] += 1
-                log.error("submission failed number=%d reason=%s", pull.number, error)
+                expected = isinstance(error, RobotKubeError)
+                text = error if expected else f"{type(error).__name__}: {error}"
+                log.error("submission failed number=%d reason=%s", pull.number, text, exc_info=not expected)
             self._wait(pull.number, f"{error}; somebody who runs the platform has to look at this")
 
     def _wait(self, number: int, reason: str) -> None:
