@@ -204,11 +204,11 @@ REFUSALS: dict[str, tuple[Callable[[], checks.Proposal], str]] = {
     ),
     "a workflow": (
         lambda: proposal({}, {".gitea/workflows/x.yaml": "a: 1"}, message()),
-        ".gitea/workflows/x.yaml: this file can make a forge run programs; account manager may not touch it",
+        ".gitea/workflows/x.yaml: a forge runs what this file says; account manager may not touch it",
     ),
     "a pipeline": (
         lambda: proposal({}, {".gitlab-ci.yml": "a: 1"}, message()),
-        ".gitlab-ci.yml: this file can make a forge run programs",
+        ".gitlab-ci.yml: a forge runs what this file says",
     ),
     "evidence of another version in the annotation": (
         lambda: proposal({}, files(replace(BRIDGE, plan=PLAN, evidence=OTHER_SUMMARY)), message()),

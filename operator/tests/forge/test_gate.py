@@ -81,7 +81,7 @@ WRONG_FILES = {
     "a file that is not a release": ({"README.md": "mine\n"}, "README.md: a plan may only touch releases/"),
     "a policy": ({"policies/initial.yaml": "add: [{}]\n"}, "policies/initial.yaml: policies are made by people"),
     "what installs": ({"bootstrap/appproject.yaml": "a: 1\n"}, "what installs the platform is changed by people"),
-    "a workflow": ({".gitea/workflows/x.yaml": "on: push\n"}, "this file can make a forge run programs"),
+    "a workflow": ({".gitea/workflows/x.yaml": "on: push\n"}, "a forge runs what this file says"),
     "text that is not YAML": ({"releases/cloud-0/broken.yaml": "a: [\n"}, "releases/cloud-0/broken.yaml: not readable"),
     "two documents": ({"releases/cloud-0/two.yaml": "a: 1\n---\nb: 2\n"}, "exactly one YAML document"),
     "an unused source": (

@@ -157,7 +157,7 @@ def _paths(proposal: Proposal, rules: Rules) -> Iterable[str]:
         elif top == BOOTSTRAP:
             yield f"{path}: what installs the platform is changed by people; account {rules.account} may not touch it"
         elif top in CI_FOLDERS or path in CI_FILES:
-            yield f"{path}: this file can make a forge run programs; account {rules.account} may not touch it"
+            yield f"{path}: a forge runs what this file says; account {rules.account} may not touch it"
         elif top not in (RELEASES, SOURCES):
             yield f"{path}: a plan may only touch {RELEASES}/<namespace>/ and {SOURCES}/<namespace>/"
         elif path not in proposal.irregular:
