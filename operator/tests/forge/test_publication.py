@@ -63,7 +63,7 @@ def test_a_submission_is_published_and_the_pull_request_merged(publishing: Publi
     outcome = publishing.submit((packed, spec), applications=applications)
     assert outcome.verdict == PUBLISHED, outcome.text
     assert f"## Verified: {name} 0.1.0, application use-{name}" in outcome.text
-    assert any(line.startswith("static 1  passed") for line in publishing.lines)
+    assert any(f"{name} 0.1.0: static 1  passed" in line for line in publishing.lines)
     pull = publishing.installation.client("gate").get(f"../catalogue/pulls/{outcome.number}").json()
     assert (pull["state"], pull["merged"], pull["merged_by"]["login"]) == ("closed", True, "gate")
     assert status(publishing, name)["state"] == "verified"

@@ -95,7 +95,7 @@ def test_what_was_built_is_published_once_and_its_evidence_kept(
     assert first.outcome.verdict == PUBLISHED
     assert {chart.name.split()[0] for chart in first.outcome.charts} == set(all_charts(publish.CHARTS))
     assert len(publishing.runner.runs) == len(SUITES) * len(first.outcome.charts)
-    assert any(line.startswith("static 1  passed") for line in said)
+    assert any(line.startswith("bag-player 0.1.0: static 1  passed") for line in said)
     with Registry(installation.url, "argocd", installation.passwords["argocd"]) as registry:
         for chart in first.outcome.charts:
             digest = registry.manifest_digest(f"verified/{chart.artefact.chart}", chart.digest)

@@ -175,10 +175,16 @@ class Submitting:
         return _told(about, verdict, text=text, number=pull.number, url=pull.url, evidence=evidence)
 
     def _progress(self, text: str, said: set[str]) -> None:
+        """Say each headline and each chart's suite once per state."""
+        chart = ""
         for line in readable_text(text).splitlines():
-            if line.startswith(("## ", "| ")) and line not in said and not line.startswith(("| suite", "| ---")):
-                said.add(line)
-                self._say(line.strip("#| ").replace(" | ", "  "))
+            if line.startswith("### "):
+                chart = f"{line.strip('# ')}: "
+            shown = line.startswith(("## ", "| ")) and not line.startswith(("| suite", "| ---"))
+            news = (chart if line.startswith("| ") else "") + line.strip("#| ").replace(" | ", "  ")
+            if shown and news not in said:
+                said.add(news)
+                self._say(news)
 
     def _report(self, number: int) -> str:
         comments = self._patiently(lambda: self._forge.comments(number))
