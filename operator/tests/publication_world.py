@@ -7,12 +7,18 @@ from submitted import CATALOGUE, entry, entry_path, key, trusted
 
 from robotkube.adapters.evidence_dsse import KeyFile, TrustedKeys
 from robotkube.domain.charts_packing import PackedChart
+from robotkube.domain.evidence import Artefact, assess
+from robotkube.domain.texts import read_mapping
+from robotkube.domain.verification import PATH as POLICY_PATH
+from robotkube.domain.verification import read_verification_policy
 from robotkube.entrypoints.submission_sources import validation_tools
-from robotkube.services.publication import Publication, PublicationSettings
+from robotkube.services.publication import Publication
+from robotkube.services.submission_reading import PublicationSettings
 from robotkube.services.verifying import Verifying, VerifyingSettings
 from robotkube.testing.publishing import MemoryCatalogue, MemoryCatalogueForge, MemoryChartRegistry, ScriptedRunner
 
 CHARTS_URL = "oci://forge.invalid/verified"
+POLICY = read_verification_policy(CATALOGUE[POLICY_PATH])
 ROUNDS_MAX = 20
 
 
@@ -91,3 +97,17 @@ class World:
 
     def main(self) -> dict[str, str]:
         return self.catalogue.trees[self.catalogue.tip]
+
+
+def status_of(world: World, packed: PackedChart) -> dict[str, Any]:
+    return read_mapping(world.main()[entry_path(packed)], "entry")["status"]
+
+
+def assured(world: World, packed: PackedChart) -> bool:
+    """Whether the catalogue's evidence stands as a manager sees it."""
+    artefact = Artefact(packed.name, packed.version, packed.digest, "linux/amd64")
+    files = {p: t for p, t in world.main().items() if p.startswith(artefact.folder)}
+    statements = {
+        p.rpartition("/")[2].removesuffix(".json"): world.verifier.verify(t.encode()) for p, t in files.items()
+    }
+    return assess(artefact, POLICY, status_of(world, packed)["evidence"], statements).assured

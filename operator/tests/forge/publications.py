@@ -18,7 +18,8 @@ from robotkube.adapters.gitea import GiteaForge
 from robotkube.adapters.oci_registry import Registry
 from robotkube.entrypoints.cli_registry_submit import CATALOGUE, ForgeAccess, submit_sources
 from robotkube.entrypoints.submission_sources import validation_tools
-from robotkube.services.publication import Publication, PublicationSettings
+from robotkube.services.publication import Publication
+from robotkube.services.submission_reading import PublicationSettings
 from robotkube.services.submitting import ChartSource, Outcome, Sources
 from robotkube.services.verifying import Verifying, VerifyingSettings
 from robotkube.testing.publishing import ScriptedRunner

@@ -35,7 +35,8 @@ from robotkube.ports.suites import SuiteRunner
 from robotkube.services.assured_catalogue import AssuredCatalogue
 from robotkube.services.gate import Gate, metrics_text
 from robotkube.services.gate_rules import GateSettings
-from robotkube.services.publication import Publication, PublicationSettings, publication_metrics
+from robotkube.services.publication import Publication, publication_metrics
+from robotkube.services.submission_reading import PublicationSettings
 from robotkube.services.verifying import Verifying, VerifyingSettings
 
 GRACE_SECONDS = 5.0

@@ -14,41 +14,19 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from robotkube.domain.charts_packing import PulledChart
-from robotkube.domain.errors import DocumentError, InputError, RobotKubeError, UnavailableError
-from robotkube.domain.evidence import Artefact, SuiteResult
-from robotkube.domain.publication_report import (
-    CHECKING,
-    MARKER,
-    REFUSED,
-    UNCHANGED,
-    VERIFIED,
-    WAITING,
-    Report,
-    report_text,
-)
+from robotkube.domain.errors import RobotKubeError, UnavailableError
+from robotkube.domain.evidence import SuiteResult
+from robotkube.domain.publication_report import CHECKING, REFUSED, UNCHANGED, VERIFIED, WAITING
 from robotkube.domain.registry_sources import Tools
-from robotkube.domain.submissions import (
-    KEYS,
-    READ_FOLDERS,
-    Proposed,
-    Submission,
-    SubmittedChart,
-    artefact_problems,
-    publication_files,
-    publication_message,
-    read_submission,
-    schema_text,
-)
-from robotkube.domain.suite_requests import Replaced
-from robotkube.domain.texts import read_mapping
+from robotkube.domain.submissions import KEYS, publication_files, publication_message
 from robotkube.domain.verification import PATH as POLICY_PATH
-from robotkube.domain.verification import VerificationPolicy, read_verification_policy
 from robotkube.ports.evidence import Signer
 from robotkube.ports.forges import Forge, PullRequest
-from robotkube.ports.git import Commit, Commits, MainBranch
+from robotkube.ports.git import Commits, MainBranch
 from robotkube.ports.registries import ChartRegistry
-from robotkube.services.verifying import ChartUnderway, Verifying
+from robotkube.services.publication_telling import ReportComments
+from robotkube.services.submission_reading import PublicationSettings, SubmissionReader, Underway
+from robotkube.services.verifying import Verifying
 
 POLL_SECONDS = 2.0  # open submissions, when no webhook came
 BUSY_SECONDS = 0.5  # while suites run
@@ -57,21 +35,6 @@ VERDICTS = ("published", "refused", "unchanged", "failed")
 WAKING_ACTIONS = frozenset({"opened", "reopened", "synchronized"})
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class PublicationSettings:
-    """`catalogue`: `<organisation>/<name>`; `publishers`: accounts whose submissions are taken; `account`: the gate's
-    own; `staging`, `verified`: organisations of the registry; `charts_url`: of the latter, oci://host/organisation;
-    `local_builds`: a version may be published again with another digest."""
-
-    catalogue: str
-    publishers: tuple[str, ...]
-    account: str
-    staging: str
-    verified: str
-    charts_url: str
-    local_builds: bool = False
 
 
 @dataclass
@@ -86,21 +49,6 @@ class PublicationStatistics:
         """A suite came to its end."""
         self.suite_seconds[result.suite] = self.suite_seconds.get(result.suite, 0.0) + result.seconds
         self.suite_runs[result.suite] = self.suite_runs.get(result.suite, 0) + 1
-
-
-@dataclass
-class _Underway:
-    """A submission at one head, as it stood against main's tip `tip`."""
-
-    number: int
-    commit: Commit
-    started: float
-    tip: str = ""
-    submission: Submission = field(default_factory=Submission)
-    policy: VerificationPolicy | None = None
-    charts: list[ChartUnderway] = field(default_factory=list)
-    problems: list[str] = field(default_factory=list)
-    waiting_for: str = ""
 
 
 class Publication:
@@ -122,13 +70,14 @@ class Publication:
         monotonic: Callable[[], float],
         published: Callable[[], None] = lambda: None,
     ) -> None:
-        self._forge, self._main, self._commits, self._registry = forge, main, commits, registry
+        self._forge, self._main, self._commits = forge, main, commits
         self._verifying, self._signer, self._settings = verifying, signer, settings
-        self._tools, self._monotonic, self._published = tools, monotonic, published
+        self._monotonic, self._published = monotonic, published
         self.statistics = PublicationStatistics()
-        self._underway: dict[int, _Underway] = {}
+        self._underway: dict[int, Underway] = {}
         self._settled: dict[int, str] = {}
-        self._comments: dict[int, tuple[int, str]] = {}
+        self._comments = ReportComments(forge, settings)
+        self._reader = SubmissionReader(main, registry, verifying, settings, tools)
         self._failed: dict[int, str] = {}
         self._key_written = False
         self._woken = threading.Event()
@@ -172,9 +121,10 @@ class Publication:
         found = [pull for account in self._settings.publishers for pull in self._forge.pull_requests("open", account)]
         self._seen_at = self._monotonic()
         pulls = {pull.number: pull for pull in found if pull.author in self._settings.publishers}
-        for known in (self._underway, self._settled, self._comments, self._failed):
+        for known in (self._underway, self._settled, self._failed):
             for number in set(known) - set(pulls):
                 del known[number]
+        self._comments.keep(pulls)
         for number in sorted(pulls):
             if self._settled.get(number) != pulls[number].head:
                 self._try(pulls[number])
@@ -200,7 +150,7 @@ class Publication:
             return
         underway.waiting_for = reason
         try:
-            self._tell(underway, WAITING)
+            self._comments.tell(underway, WAITING)
         except RobotKubeError as error:
             log.warning("submission cannot be told number=%d reason=%s", number, error)
 
@@ -211,11 +161,11 @@ class Publication:
             if self._main.contains(commit.id):
                 self._settled[pull.number] = commit.id
                 return
-            underway = self._underway[pull.number] = _Underway(pull.number, commit, self._monotonic())
+            underway = self._underway[pull.number] = Underway(pull.number, commit, self._monotonic())
         if underway.policy is None:  # a person may have repaired it meanwhile
             self._main.fetch()
         if underway.tip != self._main.tip or underway.policy is None:
-            self._look(underway)
+            self._reader.look(underway)
         if underway.policy is not None and not underway.problems:
             for chart in underway.charts:
                 for result in self._verifying.ask(chart):
@@ -228,95 +178,24 @@ class Publication:
         self._decide(underway)
 
     @staticmethod
-    def _policy_doubt(underway: _Underway) -> str:
+    def _policy_doubt(underway: Underway) -> str:
         return "" if underway.policy else f"{POLICY_PATH} on main of the catalogue cannot be read; a person repairs it"
 
-    def _decide(self, underway: _Underway) -> None:
+    def _decide(self, underway: Underway) -> None:
         if underway.waiting_for:
-            self._tell(underway, WAITING)
+            self._comments.tell(underway, WAITING)
         elif underway.problems:
             self._refuse(underway)
         elif any(chart.missing for chart in underway.charts):
-            self._tell(underway, CHECKING)
+            self._comments.tell(underway, CHECKING)
         elif not all(chart.passed for chart in underway.charts):
             self._refuse(underway)
         else:
             self._publish(underway)
 
-    # -- looking at a submission ----------------------------------------------------------------------------------
-
-    def _look(self, underway: _Underway) -> None:
-        """Check the commit against main's tip; results that still count are kept."""
-        tip, commit = self._main.tip, underway.commit
-        files = self._main.files(tip, READ_FOLDERS)
-        on_main = len(commit.parents) == 1 and self._main.contains(commit.parents[0])
-        base = self._main.files(commit.parents[0], READ_FOLDERS) if on_main else {}
-        proposed = Proposed(commit.parents, commit.changes, commit.irregular, on_main, base, files)
-        submission = read_submission(proposed, self._settings.local_builds, self._tools)
-        policy = self._read_policy(files)
-        before = {chart.chart.path: chart for chart in underway.charts if chart.policy == policy}
-        charts: list[ChartUnderway] = []
-        problems = list(submission.problems)
-        for chart in submission.charts if policy and not problems else ():
-            known = before.get(chart.path)
-            found, wrong = (known, []) if known else self._begin(chart, policy, underway.commit.id, submission, files)
-            problems += wrong
-            charts += [found] if found else []
-        underway.submission, underway.policy, underway.charts = submission, policy, charts
-        underway.problems, underway.tip = problems, tip
-
-    def _read_policy(self, files: Mapping[str, str]) -> VerificationPolicy | None:
-        try:
-            return read_verification_policy(files.get(POLICY_PATH, ""), POLICY_PATH)
-        except DocumentError as error:
-            log.error("verification policy unusable reason=%s", error)
-            return None
-
-    def _begin(
-        self,
-        chart: SubmittedChart,
-        policy: VerificationPolicy | None,
-        attempt: str,
-        submission: Submission,
-        files: Mapping[str, str],
-    ) -> tuple[ChartUnderway | None, list[str]]:
-        assert policy is not None
-        pulled, problems = self._pull(chart)
-        if pulled is None or problems:
-            return None, problems
-        underway = ChartUnderway(chart, schema_text(pulled.files), policy, attempt, self._replaced(chart, files))
-        folder = chart.artefact.folder
-        carried = [text.encode() for path, text in submission.evidence.items() if path.startswith(f"{folder}/")]
-        self._verifying.begin(underway, carried)
-        return underway, []
-
-    def _pull(self, chart: SubmittedChart) -> tuple[PulledChart | None, list[str]]:
-        repository = f"{self._settings.staging}/{chart.chart}"
-        if self._registry.manifest_digest(repository, chart.digest) is None:
-            fix = "push it first (`robotkube registry submit` does)"
-            return None, [f"{chart.path}: {repository} has no digest {chart.digest}; {fix}"]
-        try:
-            pulled = self._registry.pull_chart(repository, chart.digest)
-        except InputError as error:
-            return None, [f"{chart.path}: {chart.digest} is not a chart that can be read: {error}"]
-        return pulled, artefact_problems(chart, pulled)
-
-    def _replaced(self, chart: SubmittedChart, files: Mapping[str, str]) -> Replaced | None:
-        """The published version that this one says it replaces."""
-        version = chart.spec.get("replaces")
-        path = f"charts/{chart.chart}/{version}.yaml"
-        if not version or path not in files:
-            return None
-        document = read_mapping(files[path], path)
-        status = document.get("status") or {}
-        if status.get("state") != "verified":
-            return None
-        artefact = Artefact(chart.chart, str(version), str(status.get("digest")), chart.artefact.platform)
-        return Replaced(artefact, f"{self._settings.verified}/{chart.chart}", document)
-
     # -- verdicts -------------------------------------------------------------------------------------------------
 
-    def _publish(self, underway: _Underway) -> None:
+    def _publish(self, underway: Underway) -> None:
         self._main.fetch()
         if self._main.tip != underway.tip:
             return  # main moved: the next round looks at the submission again
@@ -327,7 +206,7 @@ class Publication:
         if not changes:
             self._end(underway, UNCHANGED)
             return
-        self._tell(underway, VERIFIED)
+        self._comments.tell(underway, VERIFIED)
         message = publication_message(underway.submission, verified)
         commit = self._commits.commit(underway.tip, changes, message, underway.commit.id)
         if not self._main.push_main(commit):
@@ -336,17 +215,17 @@ class Publication:
         self._record(underway, "published")
         self._published()
 
-    def _refuse(self, underway: _Underway) -> None:
+    def _refuse(self, underway: Underway) -> None:
         for chart in underway.charts:
             self._verifying.attach_results(chart)
         self._end(underway, REFUSED)
 
-    def _end(self, underway: _Underway, verdict: str) -> None:
-        self._tell(underway, verdict)
+    def _end(self, underway: Underway, verdict: str) -> None:
+        self._comments.tell(underway, verdict)
         self._forge.close(underway.number)
         self._record(underway, verdict)
 
-    def _record(self, underway: _Underway, verdict: str) -> None:
+    def _record(self, underway: Underway, verdict: str) -> None:
         self._settled[underway.number] = underway.commit.id
         self._underway.pop(underway.number, None)
         self.statistics.verdicts[verdict] += 1
@@ -357,38 +236,6 @@ class Publication:
             *(sum(len(chart.kept) for chart in charts), sum(len(chart.results) for chart in charts)),
             *(len(underway.problems), self._monotonic() - underway.started, underway.submission.names),
         )
-
-    def _tell(self, underway: _Underway, verdict: str) -> None:
-        """Write the report into the pull request: one comment, edited when its text changes."""
-        report = Report(
-            verdict,
-            underway.submission.names,
-            underway.commit.id,
-            charts_url=self._settings.charts_url,
-            policy=underway.policy.digest if underway.policy else "",
-            charts=tuple(chart.report() for chart in underway.charts),
-            problems=tuple(underway.problems),
-            waiting_for=underway.waiting_for,
-            applications=tuple(underway.submission.applications),
-        )
-        self._say(underway.number, report_text(report))
-
-    def _say(self, number: int, text: str) -> None:
-        identifier, said = self._comments.get(number) or self._own_comment(number)
-        if said == text:
-            return
-        if identifier:
-            self._forge.edit_comment(identifier, text)
-        else:
-            self._forge.comment(number, text)
-            identifier, _ = self._own_comment(number)
-        self._comments[number] = (identifier, text)
-
-    def _own_comment(self, number: int) -> tuple[int, str]:
-        for comment in self._forge.comments(number):
-            if comment.author == self._settings.account and comment.text.startswith(MARKER):
-                return comment.id, comment.text
-        return 0, ""
 
     # -- the key --------------------------------------------------------------------------------------------------
 
