@@ -49,7 +49,7 @@ GROUPS = (
     Group("unit", ("unit", "domain", "manager", "detector", "data_path", "scenario", "images"), 300, "tests"),
     Group("charts", ("charts",), 120, "toolchain"),
     Group("forge", ("forge", "database", "apiserver"), 240, "toolchain"),
-    Group("cluster", ("cluster",), 600, "images"),
+    Group("cluster", ("cluster",), 840, "images"),
 )
 THOROUGH = Group("thorough", tuple(folder for group in GROUPS for folder in group.folders), 3600, "images")
 
