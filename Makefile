@@ -1,6 +1,6 @@
 # Every target runs a module of ci/ or scenarios/ in the project's own Python environment (made by ci/python, kept in the cache folder).
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-thorough check bench cluster status down toolchain images lock golden
+.PHONY: help demo test test-thorough check bench cluster status down toolchain images lock golden reference
 
 PYTHON := ci/python
 SCENARIO ?= scenarios/pose-point-cloud-db-recording
@@ -45,3 +45,6 @@ lock:           ## write the lock files anew from operator/pyproject.toml
 
 golden:         ## write the charts' golden renderings anew
 	@ROBOTKUBE_GOLDEN=write $(PYTHON) -m pytest -c operator/pyproject.toml -p no:cacheprovider operator/tests/charts/test_rendering.py
+
+reference:      ## write docs/reference/schemas.md anew from registry/schemas
+	@$(PYTHON) -m ci.reference

@@ -130,5 +130,5 @@ def test_five_hundred_versions(folder: Path) -> None:
 
 
 def test_the_manual_names_every_unit() -> None:
-    text = (ROOT / "docs" / "reference" / "contracts.md").read_text()
+    text = (ROOT / "docs" / "reference" / "catalogue.md").read_text()
     assert f"`{' '.join(UNITS)}`" in text

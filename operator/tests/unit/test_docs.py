@@ -62,7 +62,7 @@ def choices(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParse
 
 
 def broken_links(page: Path) -> Iterator[str]:
-    for link in LINK.findall(re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)):
+    for link in LINK.findall(CODE.sub("`code`", page.read_text(encoding="utf-8"))):
         if re.match(r"[a-z]+:", link):
             continue
         file, _, anchor = link.partition("#")

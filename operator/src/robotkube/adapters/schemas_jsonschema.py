@@ -7,20 +7,15 @@ and again.
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from itertools import islice
 from typing import Any
 
-# jsonschema would use this package where it is installed, for formats that are not checked here, and the package spends
-# seconds of every start on a grammar.
-sys.modules.setdefault("rfc3987_syntax", None)  # type: ignore[arg-type]  # None makes its import fail, as documented
-
-import jsonschema  # noqa: E402
-from jsonschema import Draft202012Validator  # noqa: E402
-from jsonschema.validators import validator_for  # noqa: E402
-from referencing import Registry  # noqa: E402
+import jsonschema
+from jsonschema import Draft202012Validator
+from jsonschema.validators import validator_for
+from referencing import Registry
 
 PROBLEMS_MAX = 20
 SCHEMAS_KEPT_MAX = 512

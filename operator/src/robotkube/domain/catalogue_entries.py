@@ -13,6 +13,7 @@ from robotkube.domain.texts import join, read_mapping
 API = "registry.robotkube.io/v1alpha1"
 PROVIDES = re.compile(r"[a-z0-9-]+(/[a-z0-9-]+)*", re.ASCII)
 DESCRIPTION_CHARACTERS_MAX = 1000
+ITEMS_MAX = 256  # of any list
 
 _VARIABLE = re.compile(r"[a-z][a-z0-9_]*", re.ASCII)
 
@@ -30,6 +31,13 @@ class EntryReader(Reader):
         empty = sorted(key for key in known if key in found and found[key] is None)
         self.problems += [f"{join(path, key)}: is null; write a value or remove the key" for key in empty]
         return found
+
+    def sequence(self, value: Any, path: str) -> list[Any]:
+        """As `Reader.sequence`; only the first ITEMS_MAX of a longer list, which is refused."""
+        found = super().sequence(value, path)
+        if len(found) > ITEMS_MAX:
+            self.problems.append(f"{path}: has {len(found)} items, at most {ITEMS_MAX} are allowed; split it")
+        return found[:ITEMS_MAX]
 
 
 def read_head(reader: Reader, text: str, kind: str, parts: Iterable[str] = ()) -> tuple[Mapping[str, Any], str]:

@@ -78,7 +78,7 @@ def findings_of(sources: Sources, path: str, error: DocumentError) -> list[Findi
         if key == "path":
             text = _misplaced(sources, path, text)
         fix = "" if ";" in text else "; write it" if text == "missing" else f"; {_FIX}"
-        found.append(sources.finding(path, key, text + fix))
+        found.append(sources.finding(path, key or repr(key), text + fix))
     return found
 
 

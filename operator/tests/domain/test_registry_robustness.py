@@ -1,0 +1,106 @@
+"""Random documents: each is taken or refused with words, in bounded time, and nothing crashes."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from random_documents import random_document
+
+from robotkube.adapters.registry_folders import read_sources
+from robotkube.adapters.schemas_jsonschema import check_schema, validate, violations
+from robotkube.adapters.templates_jinja2 import Jinja2Templates
+from robotkube.domain.catalogue import read_catalogue
+from robotkube.domain.catalogue_documents import entry_documents
+from robotkube.domain.composition import Demand, World, compose
+from robotkube.domain.placement import Agent, NodeState, fleet
+from robotkube.domain.registry_search import Criteria, search, upgrade_rows
+from robotkube.domain.registry_sources import Tools
+from robotkube.domain.registry_validation import validate_sources
+
+ROOT = Path(__file__).parents[3]
+FILES = {str(p.relative_to(ROOT / "registry")): p.read_text() for p in (ROOT / "registry").rglob("*.yaml")}
+CASE_SECONDS_MAX = 30  # on a machine that does other things as well
+BLOCK = 20
+CASES = 1000
+NORMAL = range(200)
+FINDING_CHARACTERS_MAX = 900
+TEMPLATES = Jinja2Templates()
+TOOLS = Tools(TEMPLATES.render, TEMPLATES.references, check_schema, validate, violations)
+AGENT = Agent("vehicle-00", "cloud", "vehicle-00")
+FLEET = fleet([AGENT], [NodeState("n", AGENT.name, AGENT.role, frozenset({"recording"}), True)])
+
+
+@contextmanager
+def at_most(seconds: int, what: str) -> Iterator[None]:
+    """Fails when it takes longer."""
+
+    def stop(*_: Any) -> None:
+        raise AssertionError(f"{what} did not end within {seconds} s")
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.alarm(seconds)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def try_case(number: int, registry: Path) -> bool:
+    """Whether the document was taken without a finding."""
+    path, data = random_document(number, FILES)
+    (registry / path).write_bytes(data)
+    try:
+        sources = read_sources(registry, ROOT / "charts" / "apps")
+        found = validate_sources(sources, TOOLS)
+        for finding in found:
+            assert finding.file
+            assert finding.key
+            assert 0 < len(finding.text) <= FINDING_CHARACTERS_MAX, finding
+        use(dict(sources.files))
+    finally:
+        (registry / path).write_text(FILES[path])
+    return not found
+
+
+def use(files: dict[str, str]) -> None:
+    """What manager, gate and command line do with a catalogue: it must not crash on what they could read."""
+    published = {
+        path: f"{text}\nstatus: {{state: staged, digest: 'sha256:{'0' * 64}'}}\n" for path, text in files.items()
+    }
+    mixed = {path: published[path] if path.startswith("charts/") else text for path, text in files.items()}
+    for found in (
+        read_catalogue(files, published=False),
+        read_catalogue({**mixed, "policies/release.yaml": "assurance: none\n"}),
+    ):
+        entries = entry_documents(found)
+        search(entries, Criteria(text="a", provides="b", guarantee="c"))
+        upgrade_rows(entries)
+        demands = [Demand(name, name, {"vehicles": ["vehicle-00"]}, agent="vehicle-00") for name in found.applications]
+        compose(demands, World(found, FLEET, {}, TEMPLATES.render, validate))
+
+
+def try_cases(numbers: range, tmp_path: Path) -> None:
+    shutil.copytree(ROOT / "registry", tmp_path / "registry")
+    taken = 0
+    for number in numbers:
+        with at_most(CASE_SECONDS_MAX, f"case {number}"):
+            taken += try_case(number, tmp_path / "registry")
+    assert taken < len(numbers) / 2
+
+
+@pytest.mark.parametrize("start", range(NORMAL.start, NORMAL.stop, BLOCK))
+def test_random_documents(start: int, tmp_path: Path) -> None:
+    try_cases(range(start, start + BLOCK), tmp_path)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("start", range(NORMAL.stop, CASES, BLOCK))
+def test_more_random_documents(start: int, tmp_path: Path) -> None:
+    try_cases(range(start, start + BLOCK), tmp_path)
