@@ -15,12 +15,15 @@ from robotkube.domain.submissions import (
     SubmittedChart,
     VerifiedChart,
     artefact_problems,
+    is_published,
     publication_files,
     publication_message,
     read_entry,
     read_submission,
 )
 from robotkube.domain.texts import read_mapping, write_mapping
+from robotkube.domain.verification import PATH as POLICY
+from robotkube.domain.verification import read_verification_policy
 from robotkube.entrypoints.submission_sources import validation_tools
 
 PARENT = "a" * 40
@@ -104,9 +107,15 @@ def test_a_published_version_keeps_its_digest() -> None:
     assert submitted({PATH: entry(other, spec)}, main, local_builds=True).problems == ()
 
 
-def test_the_same_version_again_is_nothing_new() -> None:
-    found = submitted({PATH: entry(PACKED, SPEC)}, published(PACKED, SPEC))
-    assert (found.problems, found.charts, [one.name for one in found.published]) == ((), (), ["relay 0.1.0"])
+def test_a_version_is_published_under_the_policy_of_main_only() -> None:
+    mine = read_entry(entry(PACKED, SPEC), PATH)
+    policy = read_verification_policy(CATALOGUE[POLICY]).digest
+    main = {**CATALOGUE, PATH: entry(PACKED, SPEC, state="verified", policy=policy)}
+    assert is_published(mine, main)
+    assert not is_published(mine, published(PACKED, SPEC))
+    assert not is_published(mine, {**main, POLICY: CATALOGUE[POLICY].replace("seconds: 60", "seconds: 61")})
+    assert not is_published(mine, {**main, POLICY: "broken"})
+    assert not is_published(mine, CATALOGUE)
 
 
 @pytest.mark.parametrize("local_builds", [True, False])

@@ -262,11 +262,12 @@ def test_a_changed_policy_makes_everything_new(world: World) -> None:
     world.settle(world.submit(packed))
     policy = {**submitted.POLICY, "spec": {"suites": [{"name": "static", "version": "2", "seconds": 60}]}}
     world.catalogue.push({POLICY_PATH: write_mapping(policy)})
-    other = chart("other")
-    number = world.submit(other)
-    world.settle(number)
+    number = world.submit(packed)
+    text = world.settle(number)
     assert world.merged(number)
-    assert world.runner.runs[-1] == ("other", "static")
+    assert "kept result" not in text
+    assert world.runner.runs[-1] == ("relay", "static")
+    assert status_of(world, packed[0])["policy"] != POLICY.digest
     assert world.runner.requests[-1].rule.version == "2"
 
 
@@ -311,6 +312,18 @@ def test_a_second_key_keeps_what_the_first_signed(world: World, tmp_path: Path) 
     assert world.merged(number)
     assert len(world.runner.runs) == 2 * len(SUITES)
     assert {f"keys/{one.key_id}.pem" for one in (new, world.signer)} <= set(world.main())
+
+
+def test_after_a_key_lost_trust_what_it_signed_is_verified_again(world: World, tmp_path: Path) -> None:
+    packed = chart()
+    world.settle(world.submit(packed))
+    new = key(tmp_path / "second", "second")
+    world.start(new, trusted(tmp_path / "only-the-new", new))
+    number = world.submit(packed)
+    assert "kept result" not in world.settle(number)
+    assert world.merged(number)
+    world.verifier = trusted(tmp_path / "only-the-new")
+    assert assured(world, packed[0])
 
 
 def test_a_gate_whose_own_key_is_not_trusted_publishes_nothing(world: World, tmp_path: Path) -> None:

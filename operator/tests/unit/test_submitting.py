@@ -50,8 +50,8 @@ class Publisher:
         if not self.world.catalogue.away:
             self.world.gate.round()
 
-    def submit(self, sources: Sources, wait_seconds: float = 60.0, dry_run: bool = False) -> Outcome:
-        return self._submitting.submit(sources, wait_seconds, dry_run)
+    def submit(self, sources: Sources, wait_seconds: float = 60.0, **how: bool) -> Outcome:
+        return self._submitting.submit(sources, wait_seconds, **how)
 
 
 @pytest.fixture
@@ -183,3 +183,19 @@ def test_an_entry_that_the_gate_would_not_take_is_refused_before_anything_is_pus
     with pytest.raises(DocumentError, match=f"{entry_path(packed)}: spec.platforms: name exactly one"):
         publisher.submit(Sources((wrong,)))
     assert publisher.world.registry.charts == {}
+
+
+def test_what_is_published_can_be_submitted_again(publisher: Publisher) -> None:
+    """The gate finds that everything still counts and changes nothing; after a change of keys it would verify again."""
+    publisher.submit(Sources((source(),)))
+    outcome = publisher.submit(Sources((source(),)), again=True)
+    assert outcome.verdict == PUBLISHED
+    assert "## Already published: relay 0.1.0" in outcome.text
+    assert len(publisher.world.runner.runs) == len(SUITES)
+
+
+def test_an_entry_that_somebody_merged_by_hand_is_told(publisher: Publisher) -> None:
+    one = source()
+    publisher.world.catalogue.push({one.submitted.path: one.entry})
+    with pytest.raises(InputError, match="main has this as staged already, by somebody's hand"):
+        publisher.submit(Sources((one,)))

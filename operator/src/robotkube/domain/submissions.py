@@ -26,6 +26,8 @@ from robotkube.domain.evidence import Artefact
 from robotkube.domain.registry_sources import Finding, Sources, Tools
 from robotkube.domain.registry_validation import validate_sources
 from robotkube.domain.texts import read_mapping, write_mapping
+from robotkube.domain.verification import PATH as POLICY
+from robotkube.domain.verification import read_verification_policy
 
 APPLICATIONS, CHARTS, EVIDENCE, POLICIES, KEYS = "applications", "charts", "evidence", "policies", "keys"
 READ_FOLDERS = (APPLICATIONS, CHARTS, POLICIES)
@@ -91,11 +93,10 @@ class Proposed:
 
 @dataclass(frozen=True)
 class Submission:
-    """A submission as far as the catalogue alone can tell. `charts` are to be verified, `published` are there already
-    with this digest and this entry; `applications` path -> text; `evidence` path -> text, kept by the submitter."""
+    """A submission as far as the catalogue alone can tell. `applications` path -> text; `evidence` path -> text, kept
+    by the submitter."""
 
     charts: tuple[SubmittedChart, ...] = ()
-    published: tuple[SubmittedChart, ...] = ()
     applications: Mapping[str, str] = field(default_factory=dict)
     evidence: Mapping[str, str] = field(default_factory=dict)
     problems: tuple[str, ...] = ()
@@ -103,7 +104,7 @@ class Submission:
     @property
     def names(self) -> str:
         """What it is about, for people."""
-        names = [chart.name for chart in (*self.charts, *self.published)]
+        names = [chart.name for chart in self.charts]
         names += [f"application {path.removesuffix('.yaml').rpartition('/')[2]}" for path in self.applications]
         return ", ".join(names) or "nothing"
 
@@ -119,14 +120,12 @@ def read_submission(proposed: Proposed, local_builds: bool, tools: Tools) -> Sub
         except DocumentError as error:
             problems += [f"{error.where}: {problem}" for problem in error.problems]
     problems += _evidence_problems(proposed, charts)
-    published = tuple(chart for chart in charts if is_published(chart, proposed.main))
-    new = tuple(chart for chart in charts if chart not in published)
-    problems += _version_problems(new, proposed.main, local_builds)
+    problems += _version_problems(charts, proposed.main, local_builds)
     problems += _consistency_problems(proposed, problems, tools)
     if len(charts) > CHARTS_MAX:
         problems.append(f"{len(charts)} chart versions; at most {CHARTS_MAX} in one submission, submit the rest next")
     applications, evidence = _below(proposed.changes, APPLICATIONS), _below(proposed.changes, EVIDENCE)
-    return Submission(new, published, applications, evidence, tuple(dict.fromkeys(problems)))
+    return Submission(tuple(charts), applications, evidence, tuple(dict.fromkeys(problems)))
 
 
 def _below(changes: Mapping[str, str | None], folder: str) -> dict[str, str]:
@@ -185,9 +184,15 @@ def read_entry(text: str, path: str) -> SubmittedChart:
 
 
 def is_published(chart: SubmittedChart, main: Mapping[str, str]) -> bool:
-    """Whether main has the version as verified with this digest and this spec."""
+    """Whether main has the version as verified with this digest and this spec, under the policy that main has now.
+    Whether its evidence still counts is not looked at."""
     status, spec = _published(chart.path, main)
-    return (status.get("state"), status.get("digest")) == ("verified", chart.digest) and spec == chart.spec
+    try:
+        policy = read_verification_policy(main.get(POLICY, ""), POLICY).digest
+    except DocumentError:
+        return False
+    wanted = ("verified", chart.digest, policy)
+    return (status.get("state"), status.get("digest"), status.get("policy")) == wanted and spec == chart.spec
 
 
 def _published(path: str, main: Mapping[str, str]) -> tuple[Mapping[str, Any], Any]:

@@ -55,6 +55,7 @@ def submitting(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--password-file", type=Path, metavar="FILE", help="file with its password")
     parser.add_argument("--kept", type=Path, metavar="FOLDER", help="take and keep evidence here, for the same digests")
     parser.add_argument("--wait", type=float, default=WAIT_SECONDS, metavar="SECONDS", help="for the gate's verdict")
+    parser.add_argument("--again", action="store_true", help="also what is published, such as after a change of keys")
     parser.add_argument("--dry-run", action="store_true", help="only say what would be submitted")
 
 
@@ -69,7 +70,7 @@ def submit(options: argparse.Namespace) -> Table:
     applications = folders.all_applications(options.registry) if options.all else options.application
     folders.check_sources(names, applications, options.charts_folder, options.registry)
     sources = folders.read_sources(names, applications, options.charts_folder, options.registry, images, options.kept)
-    outcome = submit_sources(access, sources, _say, options.wait, options.dry_run)
+    outcome = submit_sources(access, sources, _say, options.wait, options.dry_run, options.again)
     if options.kept:
         folders.write_kept(options.kept, outcome.evidence)
     if outcome.text:
@@ -83,10 +84,11 @@ def submit_sources(
     say: Callable[[str], None],
     wait_seconds: float = WAIT_SECONDS,
     dry_run: bool = False,
+    again: bool = False,
 ) -> Outcome:
     """Submit to the forge and wait for the verdict; what the command does besides reading and showing."""
     with _connected(access, say) as submitter:
-        return submitter.submit(sources, wait_seconds, dry_run)
+        return submitter.submit(sources, wait_seconds, dry_run, again)
 
 
 @contextmanager

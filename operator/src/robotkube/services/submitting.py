@@ -99,14 +99,15 @@ class Submitting:
         self._catalogue, self._proposals, self._forge, self._registry = catalogue, proposals, forge, registry
         self._account, self._monotonic, self._sleep, self._say = account, monotonic, sleep, say
 
-    def submit(self, sources: Sources, wait_seconds: float, dry_run: bool = False) -> Outcome:
-        """Submit what the catalogue has not, and wait for the gate's verdict.
+    def submit(self, sources: Sources, wait_seconds: float, dry_run: bool = False, again: bool = False) -> Outcome:
+        """Submit what the catalogue has not, or everything `again`, and wait for the gate's verdict.
 
         UnavailableError when the forge is away, or nothing was decided within `wait_seconds`: the submission stands,
         the same call follows it again."""
         tip = self._patiently(self._catalogue.fetch)
         main = self._catalogue.files(tip, READ_FOLDERS)
-        new, unchanged = self._sort(sources, main)
+        unchanged = [c for c in sources.charts if not again and is_published(c.submitted, main)]
+        new = [chart for chart in sources.charts if chart not in unchanged]
         applications = {path: text for path, text in sources.applications.items() if main.get(path) != text}
         about = Outcome(
             PLANNED,
@@ -117,6 +118,12 @@ class Submitting:
         for name in about.unchanged:
             self._say(f"{name}: published already with this digest")
         changes = _changes(new, applications, sources.kept)
+        staged = [chart.submitted.path for chart in new if main.get(chart.submitted.path) == chart.entry]
+        if staged:
+            raise InputError(
+                f"{', '.join(staged)}: main has this as staged already, by somebody's hand, so it cannot be proposed; "
+                "take it out of the catalogue, then submit again"
+            )
         if dry_run or not changes:
             verdict = PLANNED if changes else UNCHANGED
             return _told(about, verdict, evidence=self._evidence(tip, sources))
@@ -124,12 +131,6 @@ class Submitting:
             self._push(chart)
         pull = self._open(tip, changes, about)
         return self._follow(pull, about, sources, self._monotonic() + wait_seconds)
-
-    @staticmethod
-    def _sort(sources: Sources, main: Mapping[str, str]) -> tuple[list[ChartSource], list[ChartSource]]:
-        """Charts that are new to the catalogue, and those that are not."""
-        published = [chart for chart in sources.charts if is_published(chart.submitted, main)]
-        return [chart for chart in sources.charts if chart not in published], published
 
     def _push(self, chart: ChartSource) -> None:
         packed = chart.packed
