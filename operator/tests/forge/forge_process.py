@@ -64,6 +64,7 @@ ADAPTER = memory
 TYPE = channel
 [git.config]
 core.hooksPath = {hooks}
+maintenance.auto = false
 [webhook]
 ALLOWED_HOST_LIST = loopback,private
 """

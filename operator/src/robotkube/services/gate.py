@@ -103,7 +103,7 @@ class Gate:
         if repository == self._settings.catalogue or moved_main or action == REVIEWED:
             self._look_due = True
             self._woken.set()
-        elif action in WAKING_ACTIONS:
+        elif action in WAKING_ACTIONS and repository == self._settings.deployment:
             self._hint(payload.get("pull_request") or {})
             self._woken.set()
 
