@@ -62,6 +62,28 @@ def test_wrong_usage(line: Line, words: tuple[str, ...], code: int, text: str) -
     assert text in err
 
 
+def test_submitting_finds_forge_account_and_images_in_the_cluster(line: Line, api: Api) -> None:
+    """The forge of this cluster does not answer: what is asked of the cluster comes first, then nothing was sent."""
+    words = ("registry", "submit", "mqtt-bridge", "--platform-namespace", "submitting", "--wait", "0")
+    code, _, err = line.run(*words)
+    assert (code, "no Service forge in namespace submitting" in err) == (2, True)
+    api.post("/api/v1/namespaces", {"metadata": {"name": "submitting"}})
+    core = "/api/v1/namespaces/submitting"
+    api.post(f"{core}/services", {"metadata": {"name": "forge"}, "spec": {"ports": [{"port": 3000}]}})
+    code, _, err = line.run(*words)
+    assert (code, "no Secret forge-account-publisher in namespace submitting" in err) == (2, True)
+    account = {"username": "publisher", "password": "p"}
+    api.post(f"{core}/secrets", {"metadata": {"name": "forge-account-publisher"}, "stringData": account})
+    code, _, err = line.run(*words)
+    assert code == 2
+    assert "spec.images: no reference of ros (known: none); give its reference in the file of --images" in err
+    data = {"images.yaml": "platform: host/platform@sha256:1\n"}
+    api.post(f"{core}/configmaps", {"metadata": {"name": "platform-images"}, "data": data})
+    code, _, err = line.run(*words)
+    assert code == 2
+    assert "(known: platform)" in err
+
+
 def test_an_unreachable_cluster(tmp_path: object, server: ApiServerProcess, capsys: pytest.CaptureFixture[str]) -> None:
     text = server.kubeconfig.read_text().replace(f":{server.port}", ":1")
     path = server.folder / "nowhere"

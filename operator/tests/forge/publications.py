@@ -97,7 +97,14 @@ class Publishing:
             for packed, spec in charts
         )
         access = ForgeAccess(self.installation.url, "publisher", self.installation.passwords["publisher"])
-        return submit_sources(access, Sources(sources, **more), self.lines.append, WAIT_SECONDS, dry_run)
+        return submit_sources(access, Sources(sources, **more), self.say, WAIT_SECONDS, dry_run)
+
+    def say(self, line: str) -> None:
+        """What the command says; the gate hears of a new pull request as by the forge's webhook."""
+        self.lines.append(line)
+        if line.startswith("pull request") and self._running is not None:
+            event = {"action": "opened", "repository": {"full_name": CATALOGUE}}
+            self._running[0].wake("pull_request", event)
 
     def main(self) -> dict[str, str]:
         """The catalogue's files."""
