@@ -11,16 +11,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from robotkube.adapters.registry_folders import read_sources
-from robotkube.adapters.schemas_jsonschema import check_schema, validate, violations
-from robotkube.adapters.templates_jinja2 import Jinja2Templates
 from robotkube.domain.catalogue import read_catalogue
 from robotkube.domain.catalogue_charts import CHANNELS, STATES
 from robotkube.domain.catalogue_documents import SOURCE, entry_documents
 from robotkube.domain.registry_search import Criteria, Entry, dot, find, read_guarantee, search, upgrade_rows
-from robotkube.domain.registry_sources import Tools
 from robotkube.domain.registry_validation import validate_sources
 from robotkube.entrypoints.cli_output import Table
 from robotkube.entrypoints.cli_platform import Platform
+from robotkube.entrypoints.submission_sources import validation_tools
 
 REGISTRY, CHARTS = Path("registry"), Path("charts/apps")
 PROBLEMS_SAID_MAX = 10
@@ -115,11 +113,9 @@ def _entries(options: argparse.Namespace) -> Sequence[Entry]:
 
 def validate_registry(options: argparse.Namespace) -> Table:
     """Every mistake in the sources; refused when there is one."""
-    templates = Jinja2Templates()
-    tools = Tools(templates.render, templates.references, check_schema, validate, violations)
     charts = options.charts or options.registry.parent / CHARTS
     sources = read_sources(options.registry, charts)
-    found = validate_sources(sources, tools)
+    found = validate_sources(sources, validation_tools())
     rows = [{"file": finding.file, "key": finding.key, "problem": finding.text} for finding in found]
     files, mistakes = len(sources.files), "mistake" if len(found) == 1 else "mistakes"
     print(
