@@ -10,8 +10,8 @@ import tempfile
 from pathlib import Path
 
 TOP = Path(__file__).resolve().parent.parent
-# cyclonedx-bom asks for jsonschema's format checks, of which one builds a grammar whenever jsonschema is imported: 1.4 s
-# in every process of ours. Nothing here checks that format, and jsonschema works without it.
+# cyclonedx-bom asks for jsonschema's format checks, of which one builds a grammar whenever jsonschema is imported:
+# 1.4 s in every process of ours. Nothing here checks that format, and jsonschema works without it.
 LEFT_OUT = ["--no-emit-package", "rfc3987-syntax", "--no-emit-package", "lark"]
 LOCKS = {
     "platform": ["--extra", "platform"],

@@ -267,7 +267,7 @@ def test_every_problem_of_the_gates_settings_is_named(installation: Installation
     settings["listen"]["port"] = "http"
     settings["colour"] = "red"
     settings["webhook"]["secret"] = str(tmp_path / "nowhere")
-    del settings["forge"]["proposer"]
+    del settings["forge"]["proposers"]
     environment = write_settings(tmp_path, settings)
     command = [sys.executable, "-m", "robotkube.entrypoints.gate"]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=30, check=False)
@@ -278,7 +278,7 @@ def test_every_problem_of_the_gates_settings_is_named(installation: Installation
         "listen.port",
         "colour: unknown key",
         "nowhere",
-        "proposer",
+        "forge.proposers",
     ):
         assert part in done.stderr
     assert installation.passwords["gate"] not in done.stderr

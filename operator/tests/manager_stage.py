@@ -1,0 +1,130 @@
+"""A manager with everything around it in memory; its catalogue is the project's own, published with evidence."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import yaml
+from signed_evidence import PLATFORM, POLICY_TEXT, Signing, signing_key, trusting
+
+from robotkube.adapters.schemas_jsonschema import validate
+from robotkube.adapters.templates_jinja2 import Jinja2Templates
+from robotkube.domain.charts_packing import sha256
+from robotkube.domain.evidence import Artefact
+from robotkube.domain.placement import Agent, NodeState
+from robotkube.domain.releases import Release, read_tree
+from robotkube.services.application_manager import (
+    APPLICATIONS,
+    TASKS,
+    ApplicationManager,
+    World,
+)
+from robotkube.services.assured_catalogue import AssuredCatalogue
+from robotkube.services.manager_observing import PlanObserver
+from robotkube.services.manager_planning import ManagerSettings, Planner
+from robotkube.services.manager_reading import MainReader
+from robotkube.testing.clusters import MemoryArgoCD, MemoryCluster, MemoryTasks
+from robotkube.testing.forges import MemoryForge, MemoryRepository
+
+REGISTRY = Path(__file__).parents[2] / "registry"
+CHARTS = "oci://forge.robotkube.svc.cluster.local:3000/verified"
+MEETING = "cloud-0/meeting"
+START_NS = 1795250000_000000000
+
+
+def catalogue_files(signing: Signing) -> dict[str, str]:
+    """The project's own catalogue, published with evidence."""
+    files = {str(p.relative_to(REGISTRY)): p.read_text() for p in REGISTRY.glob("applications/*.yaml")}
+    for index, path in enumerate(sorted(REGISTRY.glob("charts/*/*.yaml"))):
+        document = yaml.safe_load(path.read_text())
+        about = Artefact(path.parent.name, document["spec"]["version"], f"sha256:{index:064x}", PLATFORM)
+        envelopes = signing.sign(about)
+        files |= {f"{about.folder}/{name}.json": data.decode() for name, data in envelopes.items()}
+        evidence = sha256(envelopes["summary"])
+        status = {"state": "verified", "digest": about.digest, "images": [], "evidence": evidence}
+        document["status"] = {**status, "policy": signing.policy.digest}
+        files[str(path.relative_to(REGISTRY))] = yaml.safe_dump(document)
+    return {**files, "policies/release.yaml": "assurance: verified\n", "policies/verification.yaml": POLICY_TEXT}
+
+
+class Stage:
+    """Everything around one manager; the clock moves only when a test moves it."""
+
+    def __init__(self, folder: Path, vehicles: int = 3) -> None:
+        key = signing_key(folder / "key")
+        self.verifier = trusting(folder / "trusted", key)
+        names = [(f"vehicle-{i:02d}", "vehicle") for i in range(vehicles)] + [("cloud-0", "cloud")]
+        self.settings = ManagerSettings(tuple(Agent(name, role, name) for name, role in names), CHARTS)
+        capabilities = {"cloud": frozenset({"recording"})}
+        self.cluster = MemoryCluster(
+            [NodeState(name, name, role, capabilities.get(role, frozenset()), True) for name, role in names]
+        )
+        self.repository, self.catalogue = MemoryRepository(), MemoryRepository()
+        self.repository.push({"policies/initial.yaml": "add: []\nremove: []\n"}, "seed")
+        self.catalogue.push(catalogue_files(Signing(key)), "seed")
+        self.forge = MemoryForge(self.repository)
+        self.tasks, self.argocd = MemoryTasks(), MemoryArgoCD()
+        self.seconds = 0.0
+        self.manager = self.start()
+
+    def start(self) -> ApplicationManager:
+        """A new process: nothing is remembered."""
+
+        def now_ns() -> int:
+            return START_NS + int(self.seconds * 1e9)
+
+        def monotonic() -> float:
+            return self.seconds
+
+        def aside(call: Callable[[], None]) -> None:
+            call()
+
+        catalogue, main = AssuredCatalogue(self.catalogue, self.verifier), MainReader(self.repository)
+        render = Jinja2Templates().render
+        planner = Planner(self.settings, self.tasks, self.cluster, catalogue, main, render, validate)
+        observer = PlanObserver(self.cluster, self.argocd, aside, now_ns, monotonic)
+        world = World(self.tasks, self.cluster, self.repository, self.forge, self.forge)
+        return ApplicationManager(world, catalogue, main, planner, observer, now_ns, monotonic)
+
+    def go(self, steps: int = 4, seconds: float = 0.1, wake: str = TASKS) -> None:
+        self.manager.wake(wake)
+        for _ in range(steps):
+            self.manager.step()
+            self.seconds += seconds
+
+    def fail(self) -> None:
+        """One turn of the loop in which the world does not answer."""
+        stopping = threading.Event()
+        threading.Timer(0.2, stopping.set).start()
+        self.manager.wake(TASKS)
+        self.manager.run(stopping)
+
+    def settle(self) -> None:
+        """Propose, merge, let Argo CD finish, observe."""
+        self.go()
+        self.cluster.settle(self.releases())
+        self.go(wake=APPLICATIONS)
+
+    def releases(self) -> dict[str, Release]:
+        tree = read_tree(self.repository.files(self.repository.tip, ("releases", "sources")))
+        assert tree.problems == ()
+        return dict(tree.releases)
+
+    def ask(self, name: str = "meeting", vehicles: tuple[str, ...] = ("vehicle-00", "vehicle-01"), **spec: Any) -> str:
+        event = {"rule": "lidar-proximity", "id": f"event-{name}", "trace": "a" * 32, "time": "2026-11-21T10:00:00Z"}
+        document = {
+            "requester": "cloud-0/event-detector",
+            "event": event,
+            "reason": f"{', '.join(vehicles)} within 400 m",
+            "application": "pose-point-cloud-recording",
+            "parameters": {"vehicles": list(vehicles)},
+            **spec,
+        }
+        self.tasks.create("cloud-0", name, document)
+        return f"cloud-0/{name}"
+
+    def plans(self) -> list[dict[str, Any]]:
+        return list(self.manager.records.as_json()["plans"])
