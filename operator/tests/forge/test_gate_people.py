@@ -1,6 +1,7 @@
 """Pull requests of people: checked and commented once, merged by the gate exactly as approved, never otherwise."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from installation import (
@@ -11,6 +12,7 @@ from installation import (
     RunningGate,
     message,
     release_files,
+    start_gate,
 )
 from waiting import until
 
@@ -160,12 +162,17 @@ def test_main_says_whether_a_managers_plan_merges_by_itself(
     assert manager.tip() == commit
 
 
-def test_a_restarted_gate_does_not_say_it_again(installation: Installation, gate: RunningGate, person: Clone) -> None:
+def test_a_restarted_gate_does_not_say_it_again(
+    installation: Installation, controller: ApplicationSetController, tmp_path: Path, person: Clone
+) -> None:
     commit = person.commit({"policies/initial.yaml": INITIAL.format(1)}, "Once\n", [person.tip()])
     number = installation.propose(person, commit, installation.plan())
-    said(installation, number, f"Checked {commit[:12]}")
-    gate.gate._settled.clear()
-    gate.gate._said.clear()
-    assert settled(installation, gate, number)
+    for folder in ("first", "second"):
+        running = start_gate(installation, controller.url, tmp_path / folder)
+        try:
+            said(installation, number, f"Checked {commit[:12]}")
+            assert settled(installation, running, number)
+        finally:
+            running.stop()
     assert installation.comments(number).count("Checked ") == 1
     close(installation, number)
