@@ -16,7 +16,7 @@ from collections.abc import Callable
 from dataclasses import asdict
 
 from ci import preparing
-from ci.benchmarks import bridging, files, gate, planning, registry
+from ci.benchmarks import bridging, files, gate, planning, publication, registry
 from ci.benchmarks.measuring import Figure
 from ci.errors import SetUpError
 from ci.folders import PROJECT
@@ -28,6 +28,7 @@ BENCHMARKS: dict[str, Callable[[], list[Figure]]] = {
     "bridging": bridging.figures,
     "registry": registry.figures,
     "gate": gate.figures,
+    "publication": publication.figures,
 }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import threading
 import time
 from dataclasses import dataclass, field
@@ -16,6 +17,7 @@ from robotkube.adapters.git_clones import GitClone
 from robotkube.adapters.git_deployment import ProposalWriter
 from robotkube.adapters.gitea import GiteaForge
 from robotkube.adapters.oci_registry import Registry
+from robotkube.entrypoints import cli
 from robotkube.entrypoints.cli_registry_submit import CATALOGUE, ForgeAccess, submit_sources
 from robotkube.entrypoints.submission_sources import validation_tools
 from robotkube.services.publication import Publication
@@ -24,6 +26,7 @@ from robotkube.services.submitting import ChartSource, Outcome, Sources
 from robotkube.services.verifying import Verifying, VerifyingSettings
 from robotkube.testing.publishing import ScriptedRunner
 
+PROJECT = Path(__file__).parents[3]
 WAIT_SECONDS = 60.0
 END_SECONDS_MAX = 20.0
 
@@ -121,3 +124,14 @@ def _collect(repository: Any, tree: Any, prefix: str, found: dict[str, str]) -> 
             _collect(repository, repository[entry.id], f"{prefix}{entry.name}/", found)
         else:
             found[prefix + entry.name] = repository[entry.id].data.decode()
+
+
+def write_sources(folder: Path, name: str) -> None:
+    """What `registry new` writes, beside the library chart."""
+    library = PROJECT / "charts" / "apps" / "robotkube-app"
+    shutil.copytree(library, folder / "charts" / "apps" / library.name)
+    shutil.copytree(PROJECT / "registry" / "policies", folder / "registry" / "policies")
+    for place in ("applications", "charts"):
+        (folder / "registry" / place).mkdir(parents=True)
+    where = ["--charts", str(folder / "charts" / "apps"), "--registry", str(folder / "registry")]
+    assert cli.main(["registry", "new", name, *where]) == 0

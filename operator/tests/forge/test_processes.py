@@ -4,7 +4,6 @@ import base64
 import json
 import os
 import secrets
-import shutil
 import signal
 import subprocess
 import sys
@@ -35,6 +34,7 @@ from installation import (
     release_files,
 )
 from kubernetes import client
+from publications import write_sources
 from pymongo.errors import OperationFailure
 from signed_evidence import signing_key
 from submitted import IMAGE
@@ -179,7 +179,7 @@ def submit(installation: Installation, folder: Path, *more: str) -> int:
     """The command's exit code."""
     password = secret_file(folder, "publisher", installation.passwords["publisher"])
     images = secret_file(folder, "images.yaml", f"ros: {IMAGE}\n")
-    where = ["--charts", str(folder / "charts"), "--registry", str(folder / "registry"), "--images", images]
+    where = ["--charts", str(folder / "charts" / "apps"), "--registry", str(folder / "registry"), "--images", images]
     account = [
         "--forge-url",
         installation.url,
@@ -191,17 +191,6 @@ def submit(installation: Installation, folder: Path, *more: str) -> int:
         "60",
     ]
     return cli.main(["registry", "submit", *where, *account, *more])
-
-
-def write_sources(folder: Path, name: str) -> None:
-    """What `registry new` writes, beside the library chart."""
-    library = PROJECT / "charts" / "apps" / "robotkube-app"
-    shutil.copytree(library, folder / "charts" / library.name)
-    shutil.copytree(PROJECT / "registry" / "policies", folder / "registry" / "policies")
-    for place in ("applications", "charts"):
-        (folder / "registry" / place).mkdir(parents=True)
-    where = ["--charts", str(folder / "charts"), "--registry", str(folder / "registry")]
-    assert cli.main(["registry", "new", name, *where]) == 0
 
 
 def test_the_gate_process_publishes_what_the_command_submits(
