@@ -21,6 +21,7 @@ PAGES = sorted(
         "gitops/**/*.md",
         "charts/**/README.md",
         "ci/**/*.md",
+        "registry/README.md",
         "scenarios/**/*.md",
     )
     for path in TOP.glob(pattern)
