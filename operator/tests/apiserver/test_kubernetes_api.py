@@ -16,7 +16,7 @@ from robotkube.domain.errors import InputError, UnavailableError
 from robotkube.domain.observation import judge_present
 from robotkube.domain.tasks import read_task
 
-SOURCE = {"repoURL": "oci://forge/staging/mqtt-bridge", "targetRevision": "sha256:0"}
+SOURCE = {"repoURL": "oci://forge/verified/mqtt-bridge", "targetRevision": "sha256:0"}
 
 
 class Seen:

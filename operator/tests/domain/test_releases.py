@@ -9,6 +9,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robotkube.adapters.schemas_jsonschema import violations
 from robotkube.domain.errors import DocumentError
 from robotkube.domain.releases import (
     Cause,
@@ -42,7 +43,9 @@ RELEASE = Release(
     (CAUSE,),
     "20261121-100000-1a2b3c",
 )
-SOURCE = Source("vehicle-00", "mqtt-bridge", DIGEST, "oci://forge.robotkube.svc.cluster.local:3000/staging/mqtt-bridge")
+SOURCE = Source(
+    "vehicle-00", "mqtt-bridge", DIGEST, "oci://forge.robotkube.svc.cluster.local:3000/verified/mqtt-bridge"
+)
 
 json_values = st.recursive(
     st.none()
@@ -53,6 +56,49 @@ json_values = st.recursive(
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner, max_size=4),
     max_leaves=12,
 )
+
+
+# What Flux' own definitions (HelmRelease v2, OCIRepository v1) say of the keys that are written here. An API server
+# drops keys that a definition does not have, so each has to be one of these.
+FLUX_DURATION = {"type": "string", "pattern": r"^([0-9]+(\.[0-9]+)?(ms|s|m|h))+$"}
+FLUX_NAME = {"type": "string", "minLength": 1, "maxLength": 253}
+FLUX = {
+    "HelmRelease": {
+        "required": ["interval", "chartRef"],
+        "properties": {
+            "interval": FLUX_DURATION,
+            "chartRef": {
+                "type": "object",
+                "required": ["kind", "name"],
+                "properties": {"kind": {"enum": ["OCIRepository", "HelmChart"]}, "name": FLUX_NAME},
+                "additionalProperties": False,
+            },
+            "values": {"type": "object"},
+        },
+    },
+    "OCIRepository": {
+        "required": ["interval", "url"],
+        "properties": {
+            "interval": FLUX_DURATION,
+            "url": {"type": "string", "pattern": "^oci://.*$"},
+            "ref": {"type": "object", "properties": {"digest": {"type": "string"}}, "additionalProperties": False},
+            "insecure": {"type": "boolean"},
+        },
+    },
+}
+ANNOTATIONS_BYTES_MAX = 256 * 1024  # of Kubernetes
+
+
+@pytest.mark.parametrize("text", [write_release(RELEASE), write_source(SOURCE)], ids=["release", "source"])
+def test_flux_can_read_what_is_written(text: str) -> None:
+    document = yaml.safe_load(text)
+    assert set(document) == {"apiVersion", "kind", "metadata", "spec"}
+    assert document["apiVersion"] in ("helm.toolkit.fluxcd.io/v2", "source.toolkit.fluxcd.io/v1")
+    schema = {"type": "object", "additionalProperties": False, **FLUX[document["kind"]]}
+    assert violations(schema, document["spec"]) == []
+    annotations = document["metadata"].get("annotations", {})
+    assert all(isinstance(value, str) for value in annotations.values())
+    assert sum(len(key) + len(value.encode()) for key, value in annotations.items()) < ANNOTATIONS_BYTES_MAX
 
 
 def test_release_reads_back_equal() -> None:
