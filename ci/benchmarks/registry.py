@@ -12,6 +12,7 @@ import sys
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import yaml
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
@@ -20,8 +21,8 @@ from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption,
 from ci.benchmarks.measuring import Figure, seconds
 from ci.folders import PROJECT
 from robotkube.adapters.evidence_dsse import KeyFile, TrustedKeys
-from robotkube.domain.charts_packing import sha256
-from robotkube.domain.evidence import Artefact, Check, SuiteResult, suite_statement, summary_statement
+from robotkube.domain.charts_packing import published_digest, sha256
+from robotkube.domain.evidence import Artefact, Check, Listing, SuiteResult, suite_statement, summary_statement
 from robotkube.domain.texts import write_mapping
 from robotkube.domain.verification import PATH, VerificationPolicy, read_verification_policy
 from robotkube.services.assured_catalogue import EvidenceReader
@@ -54,7 +55,7 @@ def record(values: Mapping[str, float | Mapping[str, float]]) -> None:
     RECORD.write_text(json.dumps(kept | dict(values), indent=1, sort_keys=True) + "\n", encoding="utf-8")
 
 
-def source(chart: str, version: str) -> dict[str, object]:
+def source(chart: str, version: str) -> dict[str, Any]:
     """A chart version as its source says it."""
     return {
         "apiVersion": "registry.robotkube.io/v1alpha1",
@@ -81,7 +82,9 @@ def published(key: KeyFile, policy: VerificationPolicy, chart: str, version: str
     }
     digests = {name: sha256(data) for name, data in envelopes.items()}
     uri = f"oci://forge.example/verified/{chart}"
-    summary = key.sign(summary_statement(artefact, policy, PATH, uri, "gate", "2026-11-21T10:00:00Z", digests))
+    listing = Listing(published_digest(source(chart, version)["spec"], []))
+    statement = summary_statement(artefact, policy, PATH, uri, "gate", "2026-11-21T10:00:00Z", digests, listing)
+    summary = key.sign(statement)
     status = {"state": "verified", "digest": artefact.digest, "images": [], "policy": policy.digest}
     entry = source(chart, version) | {"status": status | {"evidence": sha256(summary)}}
     files = {

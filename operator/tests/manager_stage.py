@@ -12,8 +12,8 @@ from signed_evidence import PLATFORM, POLICY_TEXT, Signing, signing_key, trustin
 
 from robotkube.adapters.schemas_jsonschema import validate
 from robotkube.adapters.templates_jinja2 import Jinja2Templates
-from robotkube.domain.charts_packing import sha256
-from robotkube.domain.evidence import Artefact
+from robotkube.domain.charts_packing import published_digest, sha256
+from robotkube.domain.evidence import Artefact, Listing
 from robotkube.domain.placement import Agent, NodeState
 from robotkube.domain.releases import Release, read_tree
 from robotkube.services.application_manager import (
@@ -41,6 +41,7 @@ def catalogue_files(signing: Signing) -> dict[str, str]:
     for index, path in enumerate(sorted(REGISTRY.glob("charts/*/*.yaml"))):
         document = yaml.safe_load(path.read_text())
         about = Artefact(path.parent.name, document["spec"]["version"], f"sha256:{index:064x}", PLATFORM)
+        signing.listed = Listing(published_digest(document["spec"], []))
         envelopes = signing.sign(about)
         files |= {f"{about.folder}/{name}.json": data.decode() for name, data in envelopes.items()}
         evidence = sha256(envelopes["summary"])

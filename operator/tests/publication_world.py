@@ -6,8 +6,9 @@ from typing import Any
 from submitted import CATALOGUE, entry, entry_path, key, trusted
 
 from robotkube.adapters.evidence_dsse import KeyFile, TrustedKeys
-from robotkube.domain.charts_packing import PackedChart
-from robotkube.domain.evidence import Artefact, assess
+from robotkube.domain.catalogue import read_chart_version
+from robotkube.domain.charts_packing import PackedChart, sha256
+from robotkube.domain.evidence import Artefact, Listing, assess
 from robotkube.domain.texts import read_mapping
 from robotkube.domain.verification import PATH as POLICY_PATH
 from robotkube.domain.verification import read_verification_policy
@@ -110,4 +111,7 @@ def assured(world: World, packed: PackedChart) -> bool:
     statements = {
         p.rpartition("/")[2].removesuffix(".json"): world.verifier.verify(t.encode()) for p, t in files.items()
     }
-    return assess(artefact, POLICY, status_of(world, packed)["evidence"], statements).assured
+    path = entry_path(packed)
+    schema = world.main()[path.removesuffix(".yaml") + ".schema.json"]
+    listing = Listing(read_chart_version(world.main()[path], path).entry, sha256(schema.encode()))
+    return assess(artefact, POLICY, status_of(world, packed)["evidence"], statements, listing).assured

@@ -6,13 +6,14 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 
 from robotkube.adapters.evidence_dsse import KeyFile, TrustedKeys
-from robotkube.domain.charts_packing import sha256
-from robotkube.domain.evidence import Artefact, Check, SuiteResult, suite_statement, summary_statement
+from robotkube.domain.charts_packing import published_digest, sha256
+from robotkube.domain.evidence import Artefact, Check, Listing, SuiteResult, suite_statement, summary_statement
 from robotkube.domain.texts import write_mapping
 from robotkube.domain.verification import PATH, SuiteRule, VerificationPolicy, read_verification_policy
 
@@ -68,10 +69,13 @@ def result(rule: SuiteRule, *failed: str) -> SuiteResult:
 
 @dataclass
 class Signing:
-    """Signs all that a publication signs. `envelopes`: suite (or "summary") -> envelope."""
+    """Signs all that a publication signs. `envelopes`: suite (or "summary") -> envelope; `schema` is the text of the
+    values schema that is published beside, `listed` all that is said of the chart where it is not what `entry` says."""
 
     key: KeyFile
     policy: VerificationPolicy = POLICY
+    schema: str = ""
+    listed: Listing | None = None
     envelopes: dict[str, bytes] = field(default_factory=dict)
 
     def sign(self, about: Artefact, suites: Sequence[str] | None = None) -> Mapping[str, bytes]:
@@ -86,9 +90,26 @@ class Signing:
         """Sign the summary of the envelopes as they are."""
         digests = {name: sha256(data) for name, data in self.envelopes.items() if name != "summary"}
         uri = f"{CHARTS_URL}/{about.chart}"
-        statement = summary_statement(about, self.policy, PATH, uri, "robotkube-gate", VERIFIED_AT, digests)
+        listed = self.listed or listing(about, self.schema)
+        statement = summary_statement(about, self.policy, PATH, uri, "robotkube-gate", VERIFIED_AT, digests, listed)
         self.envelopes["summary"] = self.key.sign(statement)
         return self.envelopes["summary"]
+
+
+def spec(about: Artefact) -> dict[str, Any]:
+    """What the entry of a chart version says."""
+    return {
+        "version": about.version,
+        "description": "A chart of the tests",
+        "channel": "stable",
+        "platforms": [PLATFORM],
+        "images": [],
+    }
+
+
+def listing(about: Artefact, schema: str = "") -> Listing:
+    """What the catalogue says of a chart version with that entry and that values schema."""
+    return Listing(published_digest(spec(about), []), sha256(schema.encode()) if schema else "")
 
 
 def entry(about: Artefact, state: str = "verified", evidence: str = "", policy: str = POLICY.digest) -> dict[str, str]:
@@ -100,22 +121,18 @@ def entry(about: Artefact, state: str = "verified", evidence: str = "", policy: 
         "apiVersion": "registry.robotkube.io/v1alpha1",
         "kind": "ChartVersion",
         "metadata": {"name": about.chart},
-        "spec": {
-            "version": about.version,
-            "description": "A chart of the tests",
-            "channel": "stable",
-            "platforms": [PLATFORM],
-            "images": [],
-        },
+        "spec": spec(about),
         "status": status,
     }
     return {f"charts/{about.chart}/{about.version}.yaml": write_mapping(document)}
 
 
-def published(key: KeyFile, about: Artefact, policy: VerificationPolicy = POLICY) -> dict[str, str]:
-    """The files of a chart version that was published with evidence: its entry and its envelopes."""
-    envelopes = Signing(key, policy).sign(about)
+def published(key: KeyFile, about: Artefact, policy: VerificationPolicy = POLICY, schema: str = "") -> dict[str, str]:
+    """The files of a chart version that was published with evidence: its entry, values schema and envelopes."""
+    envelopes = Signing(key, policy, schema).sign(about)
     files = {f"{about.folder}/{name}.json": data.decode() for name, data in envelopes.items()}
+    if schema:
+        files[f"charts/{about.chart}/{about.version}.schema.json"] = schema
     return files | entry(about, evidence=sha256(envelopes["summary"]), policy=policy.digest)
 
 

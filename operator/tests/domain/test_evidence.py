@@ -14,6 +14,7 @@ from robotkube.domain.evidence import (
     FINISHED,
     Artefact,
     Check,
+    Listing,
     SuiteResult,
     VerifiedStatement,
     assess,
@@ -27,6 +28,7 @@ from robotkube.domain.verification import PATH
 Found = dict[str, VerifiedStatement | str]
 APP = artefact()
 KEY = "0123456789abcdef"
+LISTING = Listing(sha256(b"entry"), sha256(b"schema"))
 
 
 def verified(statement: dict[str, Any], name: str) -> VerifiedStatement:
@@ -37,7 +39,8 @@ def evidence(about: Artefact = APP) -> Found:
     """Complete: every suite and their summary."""
     found: Found = {r.name: verified(suite_statement(about, POLICY.digest, result(r)), r.name) for r in POLICY.suites}
     digests = {rule.name: sha256(rule.name.encode()) for rule in POLICY.suites}
-    statement = summary_statement(about, POLICY, PATH, f"{CHARTS_URL}/app", "robotkube-gate", VERIFIED_AT, digests)
+    uri = f"{CHARTS_URL}/app"
+    statement = summary_statement(about, POLICY, PATH, uri, "robotkube-gate", VERIFIED_AT, digests, LISTING)
     return found | {"summary": verified(statement, "summary")}
 
 
@@ -54,14 +57,35 @@ def changed(found: Found, name: str, change: Callable[[dict[str, Any]], None]) -
 
 
 def problems(found: Found, about: Artefact = APP, status_evidence: str = SUMMARY) -> tuple[str, ...]:
-    assessment = assess(about, POLICY, status_evidence, found)
+    assessment = assess(about, POLICY, status_evidence, found, LISTING)
     assert assessment.assured is (not assessment.problems)
     return assessment.problems
 
 
 def test_complete_evidence_assures_and_names_the_summary() -> None:
-    assessment = assess(APP, POLICY, SUMMARY, evidence())
+    assessment = assess(APP, POLICY, SUMMARY, evidence(), LISTING)
     assert (assessment.assured, assessment.evidence, assessment.doubt) == (True, SUMMARY, "")
+
+
+@pytest.mark.parametrize(
+    ("listing", "words"),
+    [
+        (Listing(sha256(b"changed"), LISTING.schema), "charts/app/0.1.0.yaml is not what was verified (sha256:"),
+        (Listing(LISTING.entry, sha256(b"changed")), "charts/app/0.1.0.schema.json is not what was verified (sha256:"),
+        (Listing(LISTING.entry), "charts/app/0.1.0.schema.json is not what was verified (missing, not sha256:"),
+    ],
+)
+def test_what_was_changed_beside_the_evidence_is_in_doubt(listing: Listing, words: str) -> None:
+    assessment = assess(APP, POLICY, SUMMARY, evidence(), listing)
+    assert not assessment.assured
+    assert words in assessment.doubt
+
+
+def test_a_summary_that_says_nothing_of_the_entry_proves_nothing_of_it() -> None:
+    def silent(statement: dict[str, Any]) -> None:
+        del statement["subject"][0]["annotations"]["entry"]
+
+    assert "0.1.0.yaml is not what was verified" in problems(changed(evidence(), "summary", silent))[0]
 
 
 @pytest.mark.parametrize("suite", [rule.name for rule in POLICY.suites])
@@ -153,7 +177,7 @@ def test_without_a_summary_nothing_is_assured() -> None:
     found = evidence()
     del found["summary"]
     assert problems(found) == ("summary: there is none; submit the chart again",)
-    assert assess(APP, POLICY, "", {}).evidence == ""
+    assert assess(APP, POLICY, "", {}, LISTING).evidence == ""
 
 
 @pytest.mark.parametrize("stated", ["", sha256(b"another summary")])
@@ -217,7 +241,7 @@ def test_a_kept_result_counts_by_digest_policy_and_suite_version_only() -> None:
 
 def test_a_summary_of_nothing_cannot_be_made() -> None:
     with pytest.raises(ValueError, match="no envelope of static, images, install"):
-        summary_statement(APP, POLICY, PATH, CHARTS_URL, "gate", VERIFIED_AT, {})
+        summary_statement(APP, POLICY, PATH, CHARTS_URL, "gate", VERIFIED_AT, {}, LISTING)
 
 
 def test_evidence_has_a_folder_of_its_own_per_digest() -> None:

@@ -1,7 +1,7 @@
 """Chart versions of the test's catalogue repository, with real evidence signed by one key of the tests.
 
 published_chart("mqtt-bridge", "0.1.0", digest)     files: entry, values schema, envelopes of all suites, summary
-trusted_keys(), signing()                           what gate and manager trust; the key itself, for wrong evidence
+trusted_keys(), signing(artefact)                   what gate and manager trust; the key itself, for wrong evidence
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ def artefact(chart: str, version: str, digest: str) -> Artefact:
     return Artefact(chart, version, digest, PLATFORM)
 
 
-def signing() -> Signing:
-    """Signs with the trusted key."""
-    return Signing(gate_key())
+def signing(about: Artefact, seed: int = SEED) -> Signing:
+    """Signs with the trusted key what belongs to a chart of this project."""
+    return Signing(gate_key(seed), schema="".join(schema_file(about.chart, about.version).values()))
 
 
 def schema_file(chart: str, version: str) -> dict[str, str]:
@@ -61,7 +61,8 @@ def schema_file(chart: str, version: str) -> dict[str, str]:
 
 def published_chart(chart: str, version: str, digest: str) -> dict[str, str]:
     """Everything the gate publishes of a chart version that passed."""
-    return {**published(gate_key(), artefact(chart, version, digest)), **schema_file(chart, version)}
+    schema = "".join(schema_file(chart, version).values())
+    return published(gate_key(), artefact(chart, version, digest), schema=schema)
 
 
 def unproved_chart(chart: str, version: str, digest: str, state: str = "verified") -> dict[str, str]:

@@ -5,9 +5,9 @@ from collections.abc import Callable, Iterator
 
 import pytest
 import yaml
-from evidence_of_tests import OTHER_SEED, artefact, gate_key, published_chart, schema_file, signing, unproved_chart
+from evidence_of_tests import OTHER_SEED, artefact, published_chart, schema_file, signing, unproved_chart
 from installation import ApplicationSetController, Installation, RunningGate, message, release_files, start_gate
-from signed_evidence import POLICY, POLICY_TEXT, Signing, entry
+from signed_evidence import POLICY, POLICY_TEXT, entry
 from waiting import until
 
 from robotkube.domain.charts_packing import sha256
@@ -25,11 +25,11 @@ def files_of(about: Artefact, envelopes: dict[str, bytes]) -> dict[str, str]:
 
 def of_another_digest(about: Artefact) -> dict[str, str]:
     other = artefact(about.chart, about.version, "sha256:" + "e" * 64)
-    return files_of(about, dict(signing().sign(other)))
+    return files_of(about, dict(signing(about).sign(other)))
 
 
 def of_another_key(about: Artefact) -> dict[str, str]:
-    return files_of(about, dict(Signing(gate_key(OTHER_SEED)).sign(about)))
+    return files_of(about, dict(signing(about, OTHER_SEED).sign(about)))
 
 
 def with_a_suite_missing(about: Artefact) -> dict[str, str]:
@@ -49,7 +49,7 @@ def edited_after_signing(about: Artefact) -> dict[str, str]:
 
 
 def with_another_summary(about: Artefact) -> dict[str, str]:
-    own = signing()
+    own = signing(about)
     envelopes = dict(own.sign(about))
     own.envelopes["static"] = envelopes["images"]
     return files_of(about, {**envelopes, "summary": own.summarise(about)})
@@ -63,6 +63,17 @@ def only_staged(about: Artefact) -> dict[str, str]:
     return published_chart(about.chart, about.version, about.digest) | entry(about, "staged")
 
 
+def with_another_entry(about: Artefact) -> dict[str, str]:
+    files = published_chart(about.chart, about.version, about.digest)
+    path = entry_path(about.version)
+    return {**files, path: files[path].replace("description: A chart", "description: The best chart")}
+
+
+def with_another_schema(about: Artefact) -> dict[str, str]:
+    files = published_chart(about.chart, about.version, about.digest)
+    return {**files, f"charts/{about.chart}/{about.version}.schema.json": "{}\n"}
+
+
 WRONG: dict[str, tuple[Callable[[Artefact], dict[str, str]], str]] = {
     "0.10.1": (of_another_digest, "the evidence is about another digest (sha256:" + "e" * 64),
     "0.10.2": (of_another_key, "which is not trusted here (trusted: "),
@@ -70,6 +81,8 @@ WRONG: dict[str, tuple[Callable[[Artefact], dict[str, str]], str]] = {
     "0.10.4": (edited_after_signing, "does not fit: it was changed after signing"),
     "0.10.5": (with_another_summary, "it lists another envelope of suite static"),
     "0.10.6": (without_any, "suite static: there is no evidence; a missing suite is not a passed one"),
+    "0.10.8": (with_another_entry, "charts/event-detector/0.10.8.yaml is not what was verified (sha256:"),
+    "0.10.9": (with_another_schema, "charts/event-detector/0.10.9.schema.json is not what was verified (sha256:"),
     "0.10.7": (only_staged, "state staged is not allowed (release policy: assurance verified)"),
 }
 

@@ -101,6 +101,44 @@ def test_evidence_of_another_build_of_the_version_does_not_count(key: KeyFile, t
     assert f"suite static: the evidence is about another digest ({APP.digest}, not {other.digest})" in text
 
 
+ENTRY, SCHEMA = "charts/app/0.1.0.yaml", "charts/app/0.1.0.schema.json"
+
+
+@pytest.mark.parametrize(
+    ("path", "before", "after"),
+    [
+        (ENTRY, "description: A chart", "description: Another chart"),
+        (
+            ENTRY,
+            "images: []\n  platforms",
+            "guarantees: [{name: rate, atLeast: 9, unit: Hz}]\n  images: []\n  platforms",
+        ),
+        (ENTRY, "  platforms:", "  provides: [perception/everything]\n  platforms:"),
+        (ENTRY, "  images: []\n  policy", f"  images: [forge.example/x@sha256:{'e' * 64}]\n  policy"),
+        (SCHEMA, "maximum", "minimum"),
+    ],
+)
+def test_what_people_change_beside_the_evidence_is_in_doubt(
+    key: KeyFile, trusted: TrustedKeys, path: str, before: str, after: str
+) -> None:
+    files = catalogue(published(key, APP, schema='{"maximum": 3}'))
+    assert doubt(trusted, files) == ""
+    reader = EvidenceReader(trusted)
+    reader.read(files)
+    assert files[path].count(before) == 1
+    edited = {**files, path: files[path].replace(before, after)}
+    found = reader.read(edited).version("app", "0.1.0")
+    assert found
+    assert f"{path} is not what was verified" in found.doubt
+    assert doubt(trusted, edited) == found.doubt
+
+
+def test_without_its_values_schema_a_version_is_in_doubt(key: KeyFile, trusted: TrustedKeys) -> None:
+    files = catalogue(published(key, APP, schema="{}"))
+    del files[SCHEMA]
+    assert f"{SCHEMA} is not what was verified (missing, not sha256:" in doubt(trusted, files)
+
+
 def test_evidence_by_another_key_does_not_count(tmp_path: Path, trusted: TrustedKeys) -> None:
     stranger = signing_key(tmp_path / "stranger")
     text = doubt(trusted, catalogue(published(stranger, APP)))

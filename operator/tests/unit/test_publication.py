@@ -253,8 +253,25 @@ def test_a_changed_entry_is_verified_again(world: World) -> None:
     world.local_builds = True
     world.start()
     number = world.submit((first[0], second[1]))
-    assert "is published with another spec" in world.settle(number)
+    assert "was packed with another entry" in world.settle(number)
     assert not world.merged(number)
+
+
+def test_what_somebody_changed_on_main_is_restored_by_submitting_again(world: World) -> None:
+    packed = chart()
+    world.settle(world.submit(packed))
+    before, path = world.main(), entry_path(packed[0])
+    schema = path.removesuffix(".yaml") + ".schema.json"
+    for changed, old, new in ((path, "description: ", "description: Not "), (schema, '"type"', '"kind"')):
+        world.catalogue.push({changed: before[changed].replace(old, new, 1)}, "by hand")
+        assert world.main() != before
+        assert not assured(world, packed[0])
+        world.start()
+        number = world.submit(packed)
+        world.settle(number)
+        assert world.merged(number)
+        assert world.main() == before
+    assert len(world.runner.runs) == len(SUITES)
 
 
 def test_a_changed_policy_makes_everything_new(world: World) -> None:

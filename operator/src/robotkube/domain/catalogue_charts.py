@@ -17,6 +17,7 @@ from robotkube.domain.catalogue_entries import (
     read_words,
 )
 from robotkube.domain.catalogue_interfaces import read_interfaces, read_suites
+from robotkube.domain.charts_packing import published_digest
 from robotkube.domain.documents import Reader
 from robotkube.domain.guarantees import Guarantee, read_guarantees
 from robotkube.domain.proposals import ChartReference
@@ -43,7 +44,8 @@ class ChartVersion:
     `state` and `digest` (OCI manifest digest) are empty in a source; `images` are names, `image_references` what the
     published status pins. `evidence` is the digest of the summary's envelope and `policy` that of its policy, as the
     status says it; `assured` only when somebody checked that evidence, else `doubt` says what is missing.
-    `interfaces` and `suites` are as written: templates over the chart's values.
+    `interfaces` and `suites` are as written: templates over the chart's values. `entry` is the digest of everything
+    that a published entry says (`charts_packing.published_digest`).
     """
 
     chart: str
@@ -64,6 +66,7 @@ class ChartVersion:
     image_references: tuple[str, ...] = ()
     evidence: str = ""
     policy: str = ""
+    entry: str = ""
     assured: bool = False
     doubt: str = NO_EVIDENCE
 
@@ -88,7 +91,8 @@ def read_chart_version(text: str, path: str, published: bool = True) -> ChartVer
     found = {**_spec(reader, spec), **_status(reader, document, published)}
     _suite_images(reader, found["images"], found["suites"])
     reader.finish()
-    return ChartVersion(chart, version, **found)
+    entry = published_digest(spec, found["image_references"]) if published else ""
+    return ChartVersion(chart, version, entry=entry, **found)
 
 
 def _spec(reader: Reader, spec: Mapping[str, Any]) -> dict[str, Any]:

@@ -12,7 +12,7 @@ import hashlib
 import json
 import re
 import tarfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -87,6 +87,11 @@ def entry_digest(spec: Mapping[str, Any]) -> str:
     """Digest of a ChartVersion's spec. It stands in the manifest, so that the chart's digest covers what the entry
     claims and how it is tested: verified results are found by that digest alone."""
     return sha256(canonical_json(spec))
+
+
+def published_digest(spec: Mapping[str, Any], images: Sequence[str]) -> str:
+    """Digest of what a published entry says beside the chart's digest: its spec and the references of its images."""
+    return sha256(canonical_json({"spec": spec, "images": list(images)}))
 
 
 def pack_chart(

@@ -75,6 +75,15 @@ class Artefact:
 
 
 @dataclass(frozen=True)
+class Listing:
+    """What the catalogue says of a chart version besides: the digests of its `entry` (`ChartVersion.entry`) and of the
+    text of its values `schema`, which releases are checked by; empty where there is none."""
+
+    entry: str = ""
+    schema: str = ""
+
+
+@dataclass(frozen=True)
 class VerifiedStatement:
     """A statement whose envelope was verified: `envelope_digest` is `sha256:<hex>` of the envelope's bytes, `key_id`
     the trusted key that signed it."""
@@ -132,8 +141,10 @@ def summary_statement(
     verifier: str,
     verified_at: str,
     envelopes: Mapping[str, str],
+    listing: Listing,
 ) -> dict[str, Any]:
-    """The statement that `policy` is met by the suites' envelopes (`envelopes`: suite -> envelope digest).
+    """The statement that `policy` is met by the suites' envelopes (`envelopes`: suite -> envelope digest), and that
+    `listing` is what the catalogue says of the chart.
 
     `resource_uri` is `oci://<registry>/<organisation>/<chart>`, the digest is added here; `verified_at` RFC 3339, UTC,
     such as 2026-11-21T10:00:00Z. ValueError when an envelope is missing: such a summary must not exist."""
@@ -151,16 +162,16 @@ def summary_statement(
         "verificationResult": PASSED,
         "verifiedLevels": [LEVEL],
     }
-    return _statement(artefact, SUMMARY_PREDICATE, predicate)
+    return _statement(artefact, SUMMARY_PREDICATE, predicate, entry=listing.entry, schema=listing.schema)
 
 
-def _statement(artefact: Artefact, predicate_type: str, predicate: Mapping[str, Any]) -> dict[str, Any]:
+def _statement(artefact: Artefact, kind: str, predicate: Mapping[str, Any], **more: str) -> dict[str, Any]:
     subject = {
         "name": artefact.chart,
         "digest": {"sha256": hexadecimal(artefact.digest)},
-        "annotations": {"version": artefact.version, "platform": artefact.platform},
+        "annotations": {"version": artefact.version, "platform": artefact.platform, **more},
     }
-    return {"_type": STATEMENT_TYPE, "subject": [subject], "predicateType": predicate_type, "predicate": predicate}
+    return {"_type": STATEMENT_TYPE, "subject": [subject], "predicateType": kind, "predicate": predicate}
 
 
 def assess(
@@ -168,8 +179,9 @@ def assess(
     policy: VerificationPolicy,
     status_evidence: str,
     statements: Mapping[str, VerifiedStatement | str],
+    listing: Listing,
 ) -> Assessment:
-    """Whether `statements` prove that `artefact` meets `policy`.
+    """Whether `statements` prove that `artefact` meets `policy`, and that `listing` is what was verified.
 
     `statements` is suite name (or "summary") -> what verifying its envelope gave: the statement, or the sentence why
     the envelope is refused. `status_evidence` is the catalogue's `status.evidence`; empty means none is stated."""
@@ -179,6 +191,8 @@ def assess(
     summary = statements.get(SUMMARY)
     problems += _summary_problems(artefact, policy, summary, statements)
     evidence = summary.envelope_digest if isinstance(summary, VerifiedStatement) else ""
+    if isinstance(summary, VerifiedStatement):
+        problems += _listing_problems(artefact, summary, listing)
     if evidence and status_evidence != evidence:
         stated = status_evidence or "nothing"
         problems.append(f"status.evidence names {stated}, the summary is {evidence}; submit the chart again")
@@ -274,6 +288,20 @@ def _summary_problems(
         problems.append(f"it is about {predicate.get('resourceUri')!r}, not this digest of {artefact.chart}")
     problems += _input_problems(predicate, policy, statements)
     return [f"summary: {problem}" for problem in problems]
+
+
+def _listing_problems(artefact: Artefact, summary: VerifiedStatement, listing: Listing) -> list[str]:
+    """What the catalogue says otherwise than it did when the chart was verified: main is open to people."""
+    subjects = summary.statement.get("subject")
+    subject = _mapping(subjects[0]) if isinstance(subjects, list) and subjects else {}
+    signed = _mapping(subject.get("annotations"))
+    files = {"entry": f"{artefact.version}.yaml", "schema": f"{artefact.version}.schema.json"}
+    return [
+        f"charts/{artefact.chart}/{files[name]} is not what was verified ({found or 'missing'}, "
+        f"not {signed.get(name) or 'any'}); restore it, or submit the chart again"
+        for name, found in (("entry", listing.entry), ("schema", listing.schema))
+        if signed.get(name, "") != found
+    ]
 
 
 def _input_problems(

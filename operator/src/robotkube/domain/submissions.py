@@ -209,7 +209,7 @@ def _published(path: str, main: Mapping[str, str]) -> tuple[Mapping[str, Any], A
 
 def _version_problems(charts: Sequence[SubmittedChart], main: Mapping[str, str], local_builds: bool) -> Iterable[str]:
     for chart in charts:
-        status, spec = _published(chart.path, main)
+        status, _ = _published(chart.path, main)
         if not status:
             continue
         if status.get("digest") != chart.digest:
@@ -220,8 +220,6 @@ def _version_problems(charts: Sequence[SubmittedChart], main: Mapping[str, str],
                 )
         elif status.get("state") == "withdrawn":
             yield f"{chart.path}: {chart.name} was withdrawn; a person has to take the withdrawal back first"
-        elif spec != chart.spec:
-            yield f"{chart.path}: {chart.digest} is published with another spec; pack the chart with this one"
 
 
 def _evidence_problems(proposed: Proposed, charts: Sequence[SubmittedChart]) -> Iterable[str]:

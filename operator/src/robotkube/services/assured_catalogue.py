@@ -12,8 +12,9 @@ from dataclasses import replace
 from functools import lru_cache
 
 from robotkube.domain.catalogue import FOLDERS, Catalogue, ChartVersion, read_catalogue
+from robotkube.domain.charts_packing import sha256
 from robotkube.domain.errors import DocumentError, InputError
-from robotkube.domain.evidence import Artefact, Assessment, VerifiedStatement, assess
+from robotkube.domain.evidence import Artefact, Assessment, Listing, VerifiedStatement, assess
 from robotkube.domain.verification import PATH as POLICY_PATH
 from robotkube.domain.verification import SUMMARY, VerificationPolicy, read_verification_policy
 from robotkube.ports.evidence import Verifier
@@ -69,15 +70,17 @@ class EvidenceReader:
         """The assessment with what it depends on; the one known when that is unchanged."""
         artefacts = [Artefact(version.chart, version.version, version.digest, name) for name in self._platforms]
         names = (*(rule.name for rule in policy.suites), SUMMARY) if policy else ()
+        schema = files.get(f"charts/{version.chart}/{version.version}.schema.json")
         texts = tuple(files.get(f"{artefacts[0].folder}/{name}.json") for name in names)
-        known = (version, policy.digest if policy else "", texts)
+        known = (version, policy.digest if policy else "", (*texts, schema))
         before = self._assessments.get((version.chart, version.version))
         if before and before[0] == known:
             return before
         if policy is None:
             return known, Assessment(False, "", (f"the catalogue has no {POLICY_PATH} to assess its evidence by",))
         statements = {name: self._verify(text) for name, text in zip(names, texts, strict=True) if text is not None}
-        found = [assess(artefact, policy, version.evidence, statements) for artefact in artefacts]
+        listing = Listing(version.entry, "" if schema is None else sha256(schema.encode("utf-8", "surrogatepass")))
+        found = [assess(artefact, policy, version.evidence, statements, listing) for artefact in artefacts]
         problems = tuple(dict.fromkeys(problem for one in found for problem in one.problems))
         return known, Assessment(not problems, found[0].evidence, problems)
 

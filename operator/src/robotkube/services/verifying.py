@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from robotkube.domain.charts_packing import sha256
+from robotkube.domain.charts_packing import published_digest, sha256
 from robotkube.domain.errors import InputError
 from robotkube.domain.evidence import (
     ENVELOPE_MEDIA_TYPE,
@@ -21,6 +21,7 @@ from robotkube.domain.evidence import (
     SUMMARY_PREDICATE,
     Artefact,
     Check,
+    Listing,
     SuiteResult,
     VerifiedStatement,
     assess,
@@ -65,6 +66,11 @@ class ChartUnderway:
     def artefact(self) -> Artefact:
         """What is verified."""
         return self.chart.artefact
+
+    @property
+    def listing(self) -> Listing:
+        """What the catalogue will say of it."""
+        return Listing(published_digest(self.chart.spec, self.chart.images), sha256(self.schema.encode()))
 
     @property
     def missing(self) -> tuple[SuiteRule, ...]:
@@ -228,6 +234,7 @@ class Verifying:
             self._settings.verifier,
             self._now(),
             digests,
+            underway.listing,
         )
         envelope = self._signer.sign(document)
         verified = self._verifier.verify(envelope)
@@ -241,8 +248,8 @@ class Verifying:
     def _suffices(
         underway: ChartUnderway, statements: Mapping[str, VerifiedStatement], summary: VerifiedStatement
     ) -> str:
-        found = assess(underway.artefact, underway.policy, summary.envelope_digest, {**statements, SUMMARY: summary})
-        return found.doubt
+        found = {**statements, SUMMARY: summary}
+        return assess(underway.artefact, underway.policy, summary.envelope_digest, found, underway.listing).doubt
 
     def _attach(self, underway: ChartUnderway, name: str, envelope: bytes) -> str:
         chart = underway.chart
