@@ -117,6 +117,7 @@ def test_every_commit_names_the_evidence_of_its_charts(stage: Stage) -> None:
     body = stage.forge.bodies[2]
     assert "Assurance of the release policy: **verified**." in body
     assert "- event-detector 0.1.0: passed static, images, install under policy" in body
+    assert "  - guarantees: stop-time at most 8 s (claimed)" in body
     assert f"summary `{message.evidence[0]}`" in body
     assert stage.tasks.condition(key, "Committed") == ("True", "Merged")
 
@@ -131,6 +132,24 @@ def test_an_entry_edited_to_verified_without_evidence_is_no_verified_version(sta
     message = stage.tasks.objects[key]["status"]["conditions"][0]["message"]
     assert "event-detector 0.1.0 (verified): no valid evidence: suite static: there is no evidence" in message
     assert stage.tasks.told == [(key, "NoVerifiedVersion", message)]
+
+
+def test_a_guarantee_that_must_be_verified_is_not_met_yet(stage: Stage) -> None:
+    path = "applications/pose-point-cloud-recording.yaml"
+    application = yaml.safe_load(stage.catalogue.trees[stage.catalogue.tip][path])
+    wanted = {"guarantee": "stop-time", "atMost": 10, "unit": "s", "verified": True}
+    application["spec"]["services"][0]["chart"]["requirements"] = [wanted]
+    stage.catalogue.push({path: yaml.safe_dump(application)})
+    key = stage.ask()
+    stage.go(wake=CATALOGUE)
+    assert stage.tasks.condition(key, "Accepted") == ("False", "GuaranteeNotMet")
+    message = stage.tasks.objects[key]["status"]["conditions"][0]["message"]
+    assert "stop-time at most 8 s (claimed)" in message
+    assert stage.tasks.told == [(key, "GuaranteeNotMet", message)]
+    del wanted["verified"]
+    stage.catalogue.push({path: yaml.safe_dump(application)})
+    stage.go(wake=CATALOGUE)
+    assert stage.tasks.condition(key, "Committed") == ("True", "Merged")
 
 
 def test_what_runs_stays_when_its_evidence_is_in_doubt(stage: Stage) -> None:
