@@ -30,12 +30,14 @@ STEPS = {"cluster": 3, "platform": 6, "scenario": 7}
 
 @dataclass(frozen=True)
 class Request:
-    """What is to be run: scenario folder, overrides of its parameters, cluster name, last step."""
+    """What is to be run: scenario folder, overrides of its parameters, cluster name, last step; `kept` is the folder of
+    evidence for the publication (default: the user's cache)."""
 
     scenario: Path
     settings: dict[str, str]
     name: str
     until: str
+    kept: Path | None = None
 
 
 def bring_up(request: Request, steps: Steps) -> Installer:
@@ -63,7 +65,7 @@ def bring_up(request: Request, steps: Steps) -> Installer:
     with steps.step("platform"):
         installer.platform(prepared.references(), wanted)
     with steps.step("catalogue") as step:
-        step.note = publish.publish(folders.kubeconfig, step.say).outcome.verdict
+        step.note = publish.publish(folders.kubeconfig, step.say, request.kept).outcome.verdict
     return installer
 
 

@@ -51,9 +51,10 @@ class Published:
     outcome: Outcome
 
 
-def publish(kubeconfig: Path, say: Callable[[str], None] = lambda text: None) -> Published:
-    """Publish to the forge of the cluster that `kubeconfig` names; SetUpError says what is in the way."""
-    return publish_to(find_forge(kubeconfig), read_lock(lock_file()), evidence.kept_folder(), say)
+def publish(kubeconfig: Path, say: Callable[[str], None] = lambda text: None, kept: Path | None = None) -> Published:
+    """Publish to the forge of the cluster that `kubeconfig` names; SetUpError says what is in the way. `kept`: folder
+    of evidence (default: the user's cache)."""
+    return publish_to(find_forge(kubeconfig), read_lock(lock_file()), kept or evidence.kept_folder(), say)
 
 
 def find_forge(kubeconfig: Path) -> ForgeAccess:
