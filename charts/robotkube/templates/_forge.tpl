@@ -59,6 +59,10 @@ PROVIDER = memory
 ADAPTER = memory
 [queue]
 TYPE = channel
+[git.config]
+# The forge's own hooks in fewer processes; and no upkeep of the temporary repositories in which proposals are tried.
+core.hooksPath = /etc/forge-hooks
+maintenance.auto = false
 [webhook]
 # Manager and gate have private addresses, which Gitea refuses by itself.
 ALLOWED_HOST_LIST = private
