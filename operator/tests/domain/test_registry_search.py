@@ -129,6 +129,21 @@ def test_the_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) ->
     assert run(capsys, "search", "--registry", str(tmp_path / "none"))[0] == 2
 
 
+@pytest.mark.parametrize(
+    "criteria", [("--provides", "bridge"), ("--needs", "mqtt"), ("--guarantee", "stop-time<=5s", "--channel", "stable")]
+)
+@pytest.mark.parametrize("form", ["table", "yaml", "json"])
+def test_every_search_has_every_form(capsys: pytest.CaptureFixture[str], criteria: tuple[str, ...], form: str) -> None:
+    code, out, _ = run(capsys, "search", *criteria, "--registry", str(REGISTRY), "--output", form)
+    assert code == 0
+    if form == "table":
+        assert "CLAIMED" in out.splitlines()[0]
+        assert "mqtt-bridge" in out
+    else:
+        found = {entry["name"]: entry for entry in read_mapping(out, "found")["entries"]}
+        assert {guarantee["standing"] for guarantee in found["mqtt-bridge"]["guarantees"]} == {"claimed"}
+
+
 def test_validate_on_the_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     code, out, err = run(capsys, "validate", "--registry", str(REGISTRY))
     assert (code, out) == (0, "no mistakes\n")
