@@ -37,6 +37,7 @@ class World:
         self.now = 100.0
         self.published = 0
         self.local_builds = False
+        self.tools = validation_tools()
         self.start().round()  # writes the key
 
     def start(self, signer: KeyFile | None = None, verifier: TrustedKeys | None = None) -> Publication:
@@ -61,7 +62,7 @@ class World:
             PublicationSettings(
                 "robotkube/catalogue", ("publisher",), "gate", "staging", "verified", CHARTS_URL, self.local_builds
             ),
-            validation_tools(),
+            self.tools,
             lambda: self.now,
             self._count,
         )

@@ -21,7 +21,6 @@ from robotkube.adapters.git_clones import GitClone
 from robotkube.adapters.git_deployment import ProposalWriter
 from robotkube.adapters.gitea import GiteaForge
 from robotkube.adapters.oci_registry import Registry
-from robotkube.adapters.schemas_jsonschema import validate
 from robotkube.adapters.suite_runner_http import SuiteRunnerClient
 from robotkube.adapters.webhooks import Delivery, WebServer
 from robotkube.domain.checks import Proposer
@@ -29,8 +28,8 @@ from robotkube.domain.documents import Reader
 from robotkube.domain.errors import UnavailableError
 from robotkube.domain.suite_requests import SuiteProgress, SuiteRequest
 from robotkube.entrypoints import settings as files
+from robotkube.entrypoints.bounded_schemas import BoundedSchemas
 from robotkube.entrypoints.processes import Process, run
-from robotkube.entrypoints.submission_sources import validation_tools
 from robotkube.ports.suites import SuiteRunner
 from robotkube.services.assured_catalogue import AssuredCatalogue
 from robotkube.services.gate import Gate, metrics_text
@@ -153,7 +152,7 @@ class _NoRunner:
         raise UnavailableError("this installation has no suite-runner (charts/robotkube, values suites.enabled)")
 
 
-def build_gate(found: GateConfiguration, work: Path) -> Gate:
+def build_gate(found: GateConfiguration, work: Path, schemas: BoundedSchemas) -> Gate:
     """The gate of the deployment repository on its adapters; nothing is asked of the world yet."""
     url, account = found.forge_url, (found.account.username, found.account.password)
     work.mkdir(parents=True, exist_ok=True)
@@ -164,12 +163,12 @@ def build_gate(found: GateConfiguration, work: Path) -> Gate:
         AssuredCatalogue(catalogue, TrustedKeys(found.keys)),
         PushHook(found.hook_url, found.hook_secret.encode(), f"{url}/{found.gate.deployment}", branch=found.branch),
         found.gate,
-        validate,
+        schemas.validate,
         time.monotonic,
     )
 
 
-def build_publication(found: GateConfiguration, work: Path, gate: Gate) -> Publication:
+def build_publication(found: GateConfiguration, work: Path, gate: Gate, schemas: BoundedSchemas) -> Publication:
     """Publication on adapters of its own, since it runs on a thread of its own; the gate hears of what is new."""
     url, account = found.forge_url, (found.account.username, found.account.password)
     settings, folder = found.publication, work / "publication"
@@ -188,7 +187,7 @@ def build_publication(found: GateConfiguration, work: Path, gate: Gate) -> Publi
         Verifying(registry, signer, TrustedKeys(found.keys), runner, names, time.monotonic, _now),
         signer,
         settings,
-        validation_tools(),
+        schemas.tools(),
         time.monotonic,
         lambda: gate.wake("push", {"repository": {"full_name": settings.catalogue}}),
     )
@@ -203,8 +202,9 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     found = files.read_settings(files.settings_path(environment), read_configuration)
     files.send_logs(process, found.log_level)
     work = Path(environment.get("ROBOTKUBE_WORK", "/tmp/gate"))  # noqa: S108 - the pod's own volume
-    gate = build_gate(found, work)
-    publication = build_publication(found, work, gate)
+    deployment_schemas, catalogue_schemas = BoundedSchemas(), BoundedSchemas()  # neither loop waits for the other
+    gate = build_gate(found, work, deployment_schemas)
+    publication = build_publication(found, work, gate, catalogue_schemas)
 
     def wake(delivery: Delivery) -> None:
         gate.wake(delivery.event, delivery.payload)
@@ -231,6 +231,8 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     for thread in loops:
         thread.join(GRACE_SECONDS)
     server.stop()
+    deployment_schemas.close()
+    catalogue_schemas.close()
 
 
 if __name__ == "__main__":

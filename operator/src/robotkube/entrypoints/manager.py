@@ -21,13 +21,13 @@ from robotkube.adapters.git_clones import GitClone
 from robotkube.adapters.git_deployment import ProposalWriter
 from robotkube.adapters.gitea import GiteaForge
 from robotkube.adapters.kubernetes_api import KubernetesWorld, api_client
-from robotkube.adapters.schemas_jsonschema import validate
 from robotkube.adapters.templates_jinja2 import Jinja2Templates
 from robotkube.adapters.webhooks import Delivery, WebServer
 from robotkube.domain.documents import Reader
 from robotkube.domain.errors import UnavailableError
 from robotkube.domain.placement import Agent
 from robotkube.entrypoints import settings as files
+from robotkube.entrypoints.bounded_schemas import BoundedSchemas
 from robotkube.entrypoints.processes import Process, run
 from robotkube.services.application_manager import (
     CATALOGUE,
@@ -130,7 +130,9 @@ class Aside:
             self._busy.release()
 
 
-def build_manager(found: ManagerConfiguration, cluster: KubernetesWorld, work: Path) -> ApplicationManager:
+def build_manager(
+    found: ManagerConfiguration, cluster: KubernetesWorld, work: Path, schemas: BoundedSchemas
+) -> ApplicationManager:
     """The manager on its adapters; nothing is asked of the forge yet."""
     url, account = found.forge_url, (found.account.username, found.account.password)
     work.mkdir(parents=True, exist_ok=True)
@@ -143,7 +145,7 @@ def build_manager(found: ManagerConfiguration, cluster: KubernetesWorld, work: P
     argocd_account = (found.argocd_account.username, found.argocd_account.password)
     argocd = ArgoCDServer(found.argocd_url, *argocd_account, hook, found.argocd_project)
     render = Jinja2Templates().render
-    planner = Planner(found.manager, cluster, cluster, catalogue, main, render, validate)
+    planner = Planner(found.manager, cluster, cluster, catalogue, main, render, schemas.validate)
     observer = PlanObserver(cluster, argocd, Aside(), time.time_ns, time.monotonic)
     forge = GiteaForge(url, found.deployment, *account, branch=found.branch)
     world = World(cluster, cluster, deployment, proposals, forge)
@@ -171,7 +173,8 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     waker = Waker()
     cluster = KubernetesWorld(api, found.argocd_namespace, waker, time.time)
     work = Path(environment.get("ROBOTKUBE_WORK", "/tmp/manager"))  # noqa: S108 - the pod's own volume
-    manager = build_manager(found, cluster, work)
+    schemas = BoundedSchemas()
+    manager = build_manager(found, cluster, work, schemas)
     server = _server(found, manager, cluster)
     server.start()
     cluster.start()
@@ -183,6 +186,7 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     manager.run(process.stopping)
     cluster.stop()
     server.stop()
+    schemas.close()
 
 
 def _stop_with(process: Process, manager: ApplicationManager) -> None:

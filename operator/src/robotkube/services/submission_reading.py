@@ -82,7 +82,7 @@ class SubmissionReader:
         on_main = len(commit.parents) == 1 and self._main.contains(commit.parents[0])
         base = self._main.files(commit.parents[0], READ_FOLDERS) if on_main else {}
         proposed = Proposed(commit.parents, commit.changes, commit.irregular, on_main, base, files)
-        submission = read_submission(proposed, self._settings.local_builds, self._tools)
+        submission = self._read(proposed)
         policy = self._read_policy(files)
         before = {chart.chart.path: chart for chart in underway.charts if chart.policy == policy}
         charts: list[ChartUnderway] = []
@@ -94,6 +94,12 @@ class SubmissionReader:
             charts += [found] if found else []
         underway.submission, underway.policy, underway.charts = submission, policy, charts
         underway.problems, underway.tip = problems, tip
+
+    def _read(self, proposed: Proposed) -> Submission:
+        try:
+            return read_submission(proposed, self._settings.local_builds, self._tools)
+        except InputError as error:  # a schema or template that cannot even be tried
+            return Submission(problems=(f"a schema of the catalogue with this submission: {error}",))
 
     def _read_policy(self, files: Mapping[str, str]) -> VerificationPolicy | None:
         try:
