@@ -1,6 +1,7 @@
 """The publication loop with all but the keys in memory: verdicts and kept results."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,7 @@ from robotkube.domain.evidence import Artefact, Check, SuiteResult, suite_statem
 from robotkube.domain.suite_requests import SuiteProgress
 from robotkube.domain.texts import write_mapping
 from robotkube.domain.verification import PATH as POLICY_PATH
+from robotkube.ports.registries import Attachment
 from robotkube.services.publication import publication_metrics
 from robotkube.services.verifying import MARGIN_SECONDS
 
@@ -231,6 +233,49 @@ def test_kept_evidence_is_used_in_another_cluster_with_the_same_key(world: World
     assert kept_files(fresh) == kept_files(world)
     assert status_of(fresh, packed[0]) == status_of(world, packed[0])
     assert assured(fresh, packed[0])
+
+
+def test_a_chart_that_leaves_staging_while_its_suites_run_is_refused(world: World) -> None:
+    packed = chart()
+    world.runner.progress["install"] = SuiteProgress("running")
+    number = world.submit(packed)
+    world.gate.round()
+    del world.registry.charts["staging/relay"][packed[0].digest]
+    del world.runner.progress["install"]
+    world.registry.before = lambda method: world.registry.pull_chart("staging/relay", packed[0].digest) and None
+    assert f"staging/relay has no digest {packed[0].digest}; push it" in world.settle(number)
+    assert not world.merged(number)
+
+
+@pytest.mark.parametrize("when", ["before", "while"])
+def test_attachments_in_staging_that_cannot_be_read_are_refused(
+    world: World, monkeypatch: pytest.MonkeyPatch, when: str
+) -> None:
+    """The publisher may write the tag in which attachments are listed."""
+    attachments = world.registry.attachments
+
+    def broken(repository: str, subject: str) -> Sequence[Attachment]:
+        if repository.startswith("staging/"):
+            raise InputError("no index of at most 256 artefacts")
+        return attachments(repository, subject)
+
+    def attaching(method: str) -> None:
+        if method == "attach":
+            broken("staging/relay", "")
+
+    if when == "before":
+        monkeypatch.setattr(world.registry, "attachments", broken)
+    world.runner.progress["install"] = SuiteProgress("running")
+    packed = chart()
+    number = world.submit(packed)
+    world.gate.round()
+    monkeypatch.setattr(world.registry, "attachments", broken)
+    world.registry.before = attaching
+    world.runner.progress.clear()
+    text = world.settle(number)
+    assert "cannot be read: no index of at most 256 artefacts" in text
+    assert f"delete the tag sha256-{packed[0].digest[7:]} of staging/relay" in text
+    assert not world.merged(number)
 
 
 def test_one_changed_byte_is_verified_again(world: World) -> None:

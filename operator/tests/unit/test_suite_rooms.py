@@ -230,6 +230,11 @@ def test_a_broker_with_an_account_of_its_own() -> None:
     assert account.password not in line
     assert "log_type all" in api.secrets["suite-broker"]["mosquitto.conf"]
     assert room.broker_log() == "mosquitto running"
+    api.texts["suite-broker"] += "\nReceived PUBLISH"
+    assert room.broker_log() == "mosquitto running\nReceived PUBLISH"
+    api.texts["suite-broker"] = "\nReceived PUBLISH" * 100
+    with pytest.raises(InputError, match="wrote more than 4 MiB about what the chart does"):
+        room.broker_log()
 
 
 def test_the_password_line_is_mosquittos() -> None:

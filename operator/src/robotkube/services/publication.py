@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from robotkube.domain.errors import RobotKubeError, UnavailableError
+from robotkube.domain.errors import InputError, RobotKubeError, UnavailableError
 from robotkube.domain.evidence import SuiteResult
 from robotkube.domain.publication_report import CHECKING, REFUSED, UNCHANGED, VERIFIED, WAITING
 from robotkube.domain.registry_sources import Tools
@@ -136,6 +136,8 @@ class Publication:
             log.warning("submission waits number=%d reason=%s", pull.number, error)
             self._wait(pull.number, str(error))
         except Exception as error:  # whatever a submission does to its checks, the others go on
+            if isinstance(error, InputError) and self._refuse_if_lost(pull.number):
+                return
             if self._failed.get(pull.number) != str(error):  # tried again every round, said once
                 self._failed[pull.number] = str(error)
                 self.statistics.verdicts["failed"] += 1
@@ -143,6 +145,19 @@ class Publication:
                 text = error if expected else f"{type(error).__name__}: {error}"
                 log.error("submission failed number=%d reason=%s", pull.number, text, exc_info=not expected)
             self._wait(pull.number, f"{error}; somebody who runs the platform has to look at this")
+
+    def _refuse_if_lost(self, number: int) -> bool:
+        """Refuse a submission whose charts are no longer in staging as they were; whether that is so."""
+        underway = self._underway.get(number)
+        try:
+            lost = self._reader.lost(underway) if underway else []
+            if underway and lost:
+                underway.problems = lost
+                self._end(underway, REFUSED)
+        except RobotKubeError as error:
+            log.warning("submission cannot be looked at number=%d reason=%s", number, error)
+            return False
+        return bool(lost)
 
     def _wait(self, number: int, reason: str) -> None:
         underway = self._underway.get(number)

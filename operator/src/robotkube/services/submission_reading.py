@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from robotkube.domain.charts_packing import PulledChart
 from robotkube.domain.errors import DocumentError, InputError
 from robotkube.domain.evidence import Artefact
+from robotkube.domain.referrers import fallback_tag
 from robotkube.domain.registry_sources import Tools
 from robotkube.domain.submissions import (
     READ_FOLDERS,
@@ -126,11 +127,27 @@ class SubmissionReader:
         self._verifying.begin(underway, carried)
         return underway, []
 
-    def _pull(self, chart: SubmittedChart) -> tuple[PulledChart | None, list[str]]:
+    def lost(self, underway: Underway) -> list[str]:
+        """What somebody deleted or broke in staging since the submission was looked at."""
+        return [problem for one in underway.charts for problem in self._staging_problems(one.chart)]
+
+    def _staging_problems(self, chart: SubmittedChart) -> list[str]:
         repository = f"{self._settings.staging}/{chart.chart}"
         if self._registry.manifest_digest(repository, chart.digest) is None:
-            fix = "push it first (`robotkube registry submit` does)"
-            return None, [f"{chart.path}: {repository} has no digest {chart.digest}; {fix}"]
+            fix = "push it (`robotkube registry submit` does)"
+            return [f"{chart.path}: {repository} has no digest {chart.digest}; {fix}, and write no tag twice"]
+        try:  # the publisher writes there too: what is attached may be anything
+            self._registry.attachments(repository, chart.digest)
+        except InputError as error:
+            fix = f"delete the tag {fallback_tag(chart.digest)} of {repository}"
+            return [f"{chart.path}: what is attached to it in {repository} cannot be read: {error}; {fix}"]
+        return []
+
+    def _pull(self, chart: SubmittedChart) -> tuple[PulledChart | None, list[str]]:
+        problems = self._staging_problems(chart)
+        if problems:
+            return None, problems
+        repository = f"{self._settings.staging}/{chart.chart}"
         try:
             pulled = self._registry.pull_chart(repository, chart.digest)
         except InputError as error:

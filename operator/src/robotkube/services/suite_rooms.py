@@ -19,6 +19,7 @@ from robotkube.ports.suites import Account, Object, PodEnd, PodRun, RoomObjects
 POLL_SECONDS = 0.5
 HELPER_START_SECONDS_MAX = 120.0
 LOG_BYTES_MAX = 4 * 1024 * 1024
+BEGINNING_CHARACTERS = 200
 CHART_LOG_BYTES_MAX, CHART_LOG_LINES_MAX = 64 * 1024, 100
 EMPTY_GRACE_SECONDS = 1
 BROKER, DATABASE, SCRATCH_USED = "suite-broker", "suite-database", "suite-scratch-used"
@@ -55,6 +56,7 @@ class ClusterRoom:
         self._api, self._settings, self._make_account = api, settings, make_account
         self._clock, self._sleep, self._deadline = clock, sleep, clock() + seconds
         self._broker: Account | None = None
+        self._broker_began = ""
         self._database: Account | None = None
         self._pods_run = 0
 
@@ -225,6 +227,7 @@ class ClusterRoom:
             image = self._settings.broker_image
             host = self._start(objects_of.broker_pod(BROKER, image, self.agent, self.domain_id))
             self._broker = Account("suite", password, host, objects_of.MQTT_PORT)
+            self._broker_began = self._api.log(BROKER, BROKER, LOG_BYTES_MAX)[:BEGINNING_CHARACTERS]
             self._api.create("Secret", objects_of.secret(BROKER_SECRET, _account_data(self._broker)))
         return self._broker
 
@@ -259,8 +262,17 @@ class ClusterRoom:
         return str((self._api.get("Pod", pod.name) or {}).get("status", {}).get("podIP", ""))
 
     def broker_log(self) -> str:
-        """What the broker wrote; empty without a broker."""
-        return self._api.log(BROKER, BROKER, LOG_BYTES_MAX) if self._broker else ""
+        """All that the broker wrote; empty without a broker. InputError when its beginning is gone: it tells which
+        topics a chart opens, and a flood of messages could hide one."""
+        if not self._broker:
+            return ""
+        text = self._api.log(BROKER, BROKER, LOG_BYTES_MAX)
+        if not text.startswith(self._broker_began):
+            raise InputError(
+                f"the room's broker wrote more than {LOG_BYTES_MAX >> 20} MiB about what the chart does, so not all of "
+                "it can be seen; let the chart send less with its test values"
+            )
+        return text
 
     def leftovers(self) -> list[str]:
         """Everything in the room that is not the room's own."""
