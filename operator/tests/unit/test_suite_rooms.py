@@ -70,6 +70,23 @@ def test_a_charts_objects_are_changed_by_namespace_domain_and_label_only() -> No
     assert api.objects["ConfigMap", "greeter"]["data"] == {"a": "b"}
 
 
+@pytest.mark.parametrize(
+    ("pod", "words"),
+    [
+        ({"nodeSelector": {"robotkube.io/agent": "vehicle-00"}}, "would not run on the room's node, that of cloud-0"),
+        ({"nodeSelector": {}}, "would not run on the room's node"),
+        ({"nodeSelector": None}, "would not run on the room's node"),
+        ({"nodeName": "vehicle-00"}, "would not run on the room's node"),
+        ({"priorityClassName": "system-node-critical"}, "it pushes others off the node"),
+    ],
+)
+def test_what_is_under_test_runs_on_the_rooms_node_and_nowhere_else(pod: dict[str, Any], words: str) -> None:
+    api = MemoryRoomObjects()
+    with pytest.raises(InputError, match=words):
+        make_room(api)[0].apply([CONFIG_MAP, deployment(**pod)])
+    assert api.objects == {}
+
+
 def held_pods() -> dict[str, Any]:
     item = deployment()
     item["spec"]["template"]["metadata"]["finalizers"] = ["example.com/never"]

@@ -200,6 +200,7 @@ def object_of(kind: str, version: str = "v1") -> dict[str, Any]:
         ("labels", rendering(lambda d, *_: d["spec"]["template"].pop("metadata")), "pod template of Deployment one"),
         ("placement", rendering(of_pod(nodeSelector={})), "nodeSelector robotkube.io/agent is None, not 'vehicle-00'"),
         ("placement", rendering(of_pod(nodeName="node-1")), "nodeName is set"),
+        ("placement", rendering(of_pod(priorityClassName="system-node-critical")), "push others off the node"),
         ("hooks", rendering(lambda d, *_: d["metadata"].update(annotations={"helm.sh/hook": "x"})), "annotation helm"),
         ("resources", rendering(of_container(resources={})), "container app: resources.requests.cpu is missing"),
         ("probes", rendering(of_container(startupProbe=None)), "container app: startupProbe is missing"),

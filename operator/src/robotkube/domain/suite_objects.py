@@ -114,8 +114,9 @@ def own_metadata(name: str) -> dict[str, Any]:
     return {"name": name, "labels": {LABEL: HELPER}}
 
 
-def placed(item: Mapping[str, Any], namespace: str, domain_id: int) -> dict[str, Any]:
-    """A chart's object in the room. InputError for kinds and names that a room does not take."""
+def placed(item: Mapping[str, Any], namespace: str, domain_id: int, agent: str) -> dict[str, Any]:
+    """A chart's object in the room. InputError for kinds and names that a room does not take, and for pods that would
+    run elsewhere than on the node of `agent`."""
     kind, metadata = str(item.get("kind")), dict(item.get("metadata") or {})
     name = str(metadata.get("name", ""))
     if kind not in KINDS or item.get("apiVersion") != KINDS[kind][0]:
@@ -129,6 +130,7 @@ def placed(item: Mapping[str, Any], namespace: str, domain_id: int) -> dict[str,
     found = {**item, "metadata": _labelled({**metadata, "namespace": namespace})}
     if kind == "Deployment":
         found["spec"] = _deployment(name, item.get("spec"), domain_id)
+        _refuse_places(name, found["spec"]["template"]["spec"], agent)
     return found
 
 
@@ -143,6 +145,16 @@ def _refuse_holds(kind: str, name: str, metadata: Mapping[str, Any]) -> None:
     held = [key for key in ("finalizers", "ownerReferences") if metadata.get(key)]
     if held:
         raise InputError(f"{kind} {name}: {' and '.join(held)}: leave them out, they keep it from being deleted")
+
+
+def _refuse_places(name: str, pod: Mapping[str, Any], agent: str) -> None:
+    """What nobody looked at yet must not run on a robot, nor push others off the room's node."""
+    chosen = (pod.get("nodeSelector") or {}).get(AGENT_LABEL)
+    if chosen != agent or pod.get("nodeName"):
+        fix = f"write nodeSelector: {{{AGENT_LABEL}: {{{{ .Values.placement.agent }}}}}} and no nodeName"
+        raise InputError(f"Deployment {name}: would not run on the room's node, that of {agent}; {fix}")
+    if pod.get("priorityClassName"):
+        raise InputError(f"Deployment {name}: priorityClassName: leave it out, it pushes others off the node")
 
 
 def _labelled(metadata: Mapping[str, Any]) -> dict[str, Any]:

@@ -122,6 +122,8 @@ def _placement(rendering: Rendering) -> Iterator[str]:
             yield f"{pod.place}: nodeSelector {AGENT_LABEL} is {value!r}, not {rendering.agent!r}"
         if pod.spec.get("nodeName"):
             yield f"{pod.place}: nodeName is set: it would pass by the scheduler"
+        if pod.spec.get("priorityClassName"):
+            yield f"{pod.place}: priorityClassName is set: it would push others off the node"
 
 
 def _hooks(rendering: Rendering) -> Iterator[str]:
@@ -183,7 +185,7 @@ RULES: tuple[tuple[str, Look, str], ...] = (
     (
         "placement",
         _placement,
-        "write nodeSelector: {robotkube.io/agent: {{ .Values.placement.agent }}} and no nodeName",
+        "write nodeSelector: {robotkube.io/agent: {{ .Values.placement.agent }}}, no nodeName and no priorityClassName",
     ),
     ("hooks", _hooks, "leave the annotation out; what must be done before is done by the process when it starts"),
     ("resources", _resources, "give every container requests of cpu and memory and a limit of memory"),

@@ -91,7 +91,7 @@ class ClusterRoom:
         """Make or replace a chart's objects, nothing before all of them can be taken."""
         if len(objects) > objects_of.OBJECTS_MAX:
             raise InputError(f"{len(objects)} objects; a chart may have {objects_of.OBJECTS_MAX}")
-        placed = [objects_of.placed(item, self.namespace, self.domain_id) for item in objects]
+        placed = [objects_of.placed(item, self.namespace, self.domain_id, self.agent) for item in objects]
         if any(objects_of.mounts_scratch(_pod_spec(item)) for item in placed):
             self._mark_scratch()
         for item in sorted(placed, key=lambda item: item["kind"] != "ConfigMap"):

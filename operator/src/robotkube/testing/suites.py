@@ -34,7 +34,12 @@ ENTRY: Mapping[str, Any] = {
 
 def deployment(name: str = CHART, **pod: Any) -> dict[str, Any]:
     """A Deployment of one container."""
-    spec = {"containers": [{"name": "main", "image": "i@sha256:0"}], "terminationGracePeriodSeconds": 3, **pod}
+    spec = {
+        "containers": [{"name": "main", "image": "i@sha256:0"}],
+        "terminationGracePeriodSeconds": 3,
+        "nodeSelector": {"robotkube.io/agent": "cloud-0"},
+        **pod,
+    }
     labels = {"app": name}
     template = {"metadata": {"labels": labels}, "spec": spec}
     return {
