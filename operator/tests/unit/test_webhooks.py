@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import httpx
 import pytest
+from waiting import until
 
 from robotkube.adapters.webhooks import BODY_BYTES_MAX, CONNECTIONS_MAX, Delivery, WebServer, sign
 
@@ -83,6 +84,26 @@ def test_health_and_metrics(receiver: Receiver) -> None:
         assert client.get("/metrics").text == "things 1\n"
         assert client.get("/other").status_code == 404
         assert client.post("/other").status_code == 404
+
+
+def test_nobody_holds_all_connections(receiver: Receiver, capfd: pytest.CaptureFixture[str]) -> None:
+
+    def served() -> bool:
+        try:
+            return raw(receiver, b"GET /livez HTTP/1.1\r\nHost: x\r\n\r\n").startswith(b"HTTP/1.1 200")
+        except ConnectionError:  # dropped: there was no place
+            return False
+
+    held = [socket.create_connection(("127.0.0.1", receiver.server.port), timeout=5) for _ in range(CONNECTIONS_MAX)]
+    try:
+        for connection in held:
+            connection.sendall(b"POST /webhook HTTP/1.1\r\nHost: x\r\nContent-Length: 100\r\n\r\n1")
+        until(served, "a place")
+    finally:
+        for connection in held:
+            connection.close()
+    receiver.server.stop()
+    assert "Traceback" not in capfd.readouterr().err
 
 
 def test_connections_are_bounded_and_end_with_the_server() -> None:

@@ -19,6 +19,7 @@ import hmac
 import json
 import logging
 import socket
+import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -132,15 +133,18 @@ class _Server(ThreadingHTTPServer):
 
     def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
         super().__init__(address, handler)
-        self._connections: set[Any] = set()
+        self._connections: dict[Any, None] = {}  # oldest first
         self._lock = threading.Lock()
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Drops a connection beyond the bound; the forge delivers again or the receiver's polling sees it."""
+        """Drops a connection beyond the bound, and ends the oldest one, so that nobody can hold all places: the next
+        try of the forge or the kubelet has one."""
         with self._lock:
             taken = len(self._connections) < CONNECTIONS_MAX
             if taken:
-                self._connections.add(request)
+                self._connections[request] = None
+            else:
+                _end(next(iter(self._connections)))
         if taken:
             super().process_request(request, client_address)
         else:
@@ -152,13 +156,24 @@ class _Server(ThreadingHTTPServer):
             super().process_request_thread(request, client_address)
         finally:
             with self._lock:
-                self._connections.discard(request)
+                self._connections.pop(request, None)
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Who goes away in the middle is no news; anything else is one line with its trace."""
+        if not isinstance(sys.exception(), OSError):
+            log.error("request failed client=%s", client_address, exc_info=True)
 
     def end_connections(self) -> None:
         """Kept connections end now: a delivery must not go to a process that has stopped listening."""
-        with self._lock, contextlib.suppress(OSError):
+        with self._lock:
             for connection in self._connections:
-                connection.shutdown(socket.SHUT_RDWR)
+                _end(connection)
+
+
+def _end(connection: Any) -> None:
+    """Its thread ends by itself, and gives the place back."""
+    with contextlib.suppress(OSError):
+        connection.shutdown(socket.SHUT_RDWR)
 
 
 class _Handler(BaseHTTPRequestHandler):
