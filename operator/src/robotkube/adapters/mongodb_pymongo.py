@@ -25,6 +25,9 @@ from robotkube.domain.recordings import Write
 RECORDINGS, SAMPLES, SEGMENTS = "recordings", "samples", "segments_index"
 ANSWER_SECONDS_MAX = 5.0
 WRITE_BYTES_MAX = 8 * 1024 * 1024
+# FerretDB holds one of its 100 connections to a database per update until the whole command is answered: more than
+# that, by all recorders together, and it waits for itself for ever.
+UPDATES_AT_ONCE_MAX = 10
 _DUPLICATE_KEY = 11000
 _ACCOUNT_KEYS = ("username", "password", "host", "port", "database", "authenticationDatabase")
 
@@ -152,7 +155,8 @@ class PymongoRecordingStore:
         if writes:
             with _translated(f"updating {len(writes)} documents of {collection}"):
                 changes = [UpdateOne({"_id": write.id}, {"$set": dict(write.document)}) for write in writes]
-                self._database[collection].bulk_write(changes, ordered=False)
+                for start in range(0, len(changes), UPDATES_AT_ONCE_MAX):
+                    self._database[collection].bulk_write(changes[start : start + UPDATES_AT_ONCE_MAX], ordered=False)
 
 
 def _parts(writes: Sequence[Write]) -> Iterator[list[Write]]:
