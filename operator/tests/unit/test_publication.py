@@ -12,11 +12,12 @@ from submitted import CATALOGUE, SUITES, application, chart, entry_path, key, tr
 from robotkube.adapters.evidence_dsse import KeyFile
 from robotkube.domain.catalogue import read_catalogue
 from robotkube.domain.charts_packing import PackedChart, sha256
-from robotkube.domain.errors import InputError, UnavailableError
+from robotkube.domain.errors import DocumentError, InputError, UnavailableError
 from robotkube.domain.evidence import Artefact, Check, SuiteResult, suite_statement
 from robotkube.domain.suite_requests import SuiteProgress
 from robotkube.domain.texts import write_mapping
 from robotkube.domain.verification import PATH as POLICY_PATH
+from robotkube.ports.git import Commit
 from robotkube.ports.registries import Attachment
 from robotkube.services.publication import publication_metrics
 from robotkube.services.verifying import MARGIN_SECONDS
@@ -244,6 +245,16 @@ def test_a_chart_that_leaves_staging_while_its_suites_run_is_refused(world: Worl
     del world.runner.progress["install"]
     world.registry.before = lambda method: world.registry.pull_chart("staging/relay", packed[0].digest) and None
     assert f"staging/relay has no digest {packed[0].digest}; push it" in world.settle(number)
+    assert not world.merged(number)
+
+
+def test_a_commit_that_cannot_be_read_is_refused(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    def unreadable(number: int) -> Commit:
+        raise DocumentError(f"commit {number}", ["changes more than 1000 files; split it"])
+
+    number = world.submit(chart())
+    monkeypatch.setattr(world.catalogue, "proposal", unreadable)
+    assert "changes more than 1000 files; split it" in world.settle(number)
     assert not world.merged(number)
 
 

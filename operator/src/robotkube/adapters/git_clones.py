@@ -6,13 +6,13 @@ keeps the texts of the last files it was asked for, by blob id.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import pygit2
-from pygit2.enums import DeltaStatus, FileMode
+from pygit2.enums import FileMode
 
 from robotkube.domain.errors import DocumentError, InputError, UnavailableError
 from robotkube.ports.git import Commit
@@ -20,6 +20,9 @@ from robotkube.ports.git import Commit
 TEXTS_KEPT_MAX = 4096
 FILE_BYTES_MAX = 1024 * 1024
 CHANGED_FILES_MAX = 1000
+CHANGED_CHARACTERS_MAX = 16 * 1024 * 1024  # of all texts that a commit brings
+CHANGED_ENTRIES_MAX = 20_000  # of the folders that are compared: a few objects can spell out billions of paths
+DEPTH_MAX = 16
 TIMEOUT_MILLISECONDS = 10_000
 
 pygit2.settings.server_connect_timeout = TIMEOUT_MILLISECONDS
@@ -121,12 +124,17 @@ class GitClone:
     def _with_changes(self, found: pygit2.Commit, parents: tuple[str, ...], before: pygit2.Tree | None) -> Commit:
         changes: dict[str, str | None] = {}
         irregular: list[str] = []
+        characters = 0
         for path, blob, mode in self._changes(found, before):
             text = None if blob is None else self._ordinary_text(blob, mode)
             if blob is not None and text is None:
                 irregular.append(path)
             else:
                 changes[path] = text
+                characters += len(text or "")
+            if characters > CHANGED_CHARACTERS_MAX:
+                problem = f"brings more than {CHANGED_CHARACTERS_MAX} characters; split it"
+                raise DocumentError(f"commit {found.id}", [problem])
         return Commit(
             id=str(found.id),
             parents=parents,
@@ -137,17 +145,15 @@ class GitClone:
         )
 
     def _changes(self, commit: pygit2.Commit, before: pygit2.Tree | None) -> list[tuple[str, pygit2.Oid | None, int]]:
-        difference = before.diff_to_tree(commit.tree) if before else commit.tree.diff_to_tree(swap=True)
-        deltas = list(difference.deltas)
-        if len(deltas) > CHANGED_FILES_MAX:
-            problem = f"changes {len(deltas)} files, at most {CHANGED_FILES_MAX} are allowed; split it"
-            raise DocumentError(f"commit {commit.id}", [problem])
-        return [
-            (delta.old_file.path, None, 0)
-            if delta.status == DeltaStatus.DELETED
-            else (delta.new_file.path, delta.new_file.id, delta.new_file.mode)
-            for delta in deltas
-        ]
+        """Path, new blob (None = removed) and mode. Compared here and not by libgit2, which first lists everything."""
+        found: list[tuple[str, pygit2.Oid | None, int]] = []
+        for count, change in enumerate(_compared(before, commit.tree, "", 0)):
+            if change is not None:
+                found.append(change)
+            if len(found) > CHANGED_FILES_MAX or count > CHANGED_ENTRIES_MAX:
+                problem = f"changes more than {CHANGED_FILES_MAX} files; split it"
+                raise DocumentError(f"commit {commit.id}", [problem])
+        return found
 
     def _ordinary_text(self, blob: pygit2.Oid, mode: int) -> str | None:
         if mode != FileMode.BLOB:
@@ -158,8 +164,9 @@ class GitClone:
             return None
 
     def _read_text(self, blob: str) -> str:
-        found = self._repository[blob]
-        if not isinstance(found, pygit2.Blob) or found.size > FILE_BYTES_MAX:
+        _, size = self._repository.odb.read_header(blob)  # a small pack can hold gigabytes, which reading would unpack
+        found = self._repository[blob] if size <= FILE_BYTES_MAX else None
+        if not isinstance(found, pygit2.Blob):
             raise InputError(f"{self._where}: {blob} is not a file of at most {FILE_BYTES_MAX} bytes")
         return bytes(found.data).decode()
 
@@ -229,3 +236,24 @@ class GitClone:
         if not isinstance(found, pygit2.Commit):
             raise InputError(f"{self._where}: {commit!r} is not a commit")
         return found
+
+
+def _compared(
+    before: pygit2.Tree | None, after: pygit2.Tree | None, prefix: str, depth: int
+) -> Iterator[tuple[str, pygit2.Oid | None, int] | None]:
+    """What differs, file by file: path, new blob and mode; None for every entry that is looked at besides."""
+    if depth > DEPTH_MAX:
+        raise DocumentError(prefix[:200], [f"nested deeper than {DEPTH_MAX} folders; write it flatter"])
+    old, new = ({str(entry.name): entry for entry in tree or ()} for tree in (before, after))
+    for name in sorted({*old, *new}):
+        yield None
+        was, is_now = old.get(name), new.get(name)
+        if was is not None and is_now is not None and (was.id, was.filemode) == (is_now.id, is_now.filemode):
+            continue
+        folder, new_folder = (entry if isinstance(entry, pygit2.Tree) else None for entry in (was, is_now))
+        if (folder, new_folder) != (None, None):
+            yield from _compared(folder, new_folder, f"{prefix}{name}/", depth + 1)
+        if is_now is not None and new_folder is None:
+            yield f"{prefix}{name}", is_now.id, is_now.filemode
+        elif was is not None and folder is None:
+            yield f"{prefix}{name}", None, 0

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from robotkube.domain.errors import InputError, RobotKubeError, UnavailableError
+from robotkube.domain.errors import DocumentError, InputError, RobotKubeError, UnavailableError
 from robotkube.domain.evidence import SuiteResult
 from robotkube.domain.publication_report import CHECKING, REFUSED, UNCHANGED, VERIFIED, WAITING
 from robotkube.domain.registry_sources import Tools
@@ -22,7 +22,7 @@ from robotkube.domain.submissions import KEYS, publication_files, publication_me
 from robotkube.domain.verification import PATH as POLICY_PATH
 from robotkube.ports.evidence import Signer
 from robotkube.ports.forges import Forge, PullRequest
-from robotkube.ports.git import Commits, MainBranch
+from robotkube.ports.git import Commit, Commits, MainBranch
 from robotkube.ports.registries import ChartRegistry
 from robotkube.services.publication_telling import ReportComments
 from robotkube.services.submission_reading import PublicationSettings, SubmissionReader, Underway
@@ -172,7 +172,12 @@ class Publication:
     def _advance(self, pull: PullRequest) -> None:
         underway = self._underway.get(pull.number)
         if underway is None or underway.commit.id != pull.head:
-            commit = self._main.proposal(pull.number)
+            try:
+                commit = self._main.proposal(pull.number)
+            except DocumentError as error:
+                unread = Commit(pull.head, (), "", "", {}, ())
+                self._end(Underway(pull.number, unread, self._monotonic(), problems=[str(error)]), REFUSED)
+                return
             if self._main.contains(commit.id):
                 self._settled[pull.number] = commit.id
                 return
