@@ -31,6 +31,7 @@ ORDER = (
     "test_database",
     "test_rights",
     "test_suites",
+    "test_refused_submissions",
     "test_suite_interface",
     "test_story",
     "test_bridges",
