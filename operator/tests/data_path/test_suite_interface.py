@@ -25,7 +25,8 @@ from robotkube.adapters.templates_jinja2 import Jinja2Templates
 from robotkube.domain.catalogue_charts import read_chart_version
 from robotkube.domain.evidence import Artefact, Check
 from robotkube.domain.interface_checks import read_observation
-from robotkube.domain.interfaces import ExpectedTopic, merged_values
+from robotkube.domain.interfaces import ExpectedTopic
+from robotkube.domain.values_schemas import overlay
 from robotkube.ports.suites import Subject
 from robotkube.services.suite_interface import InterfaceSuite
 from robotkube.services.suite_observing import Bounds
@@ -68,7 +69,7 @@ def relay(chart: Path) -> Render:
     node = "import os\n" + node.replace(HEALTH_PORT, '"", int(os.environ["ROBOTKUBE_HEALTH_PORT"])')
 
     def objects(values: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
-        settings = yaml.safe_dump(merged_values(defaults, values)["relay"])
+        settings = yaml.safe_dump(overlay(defaults, values)["relay"])
         return deployment(name, ["python3", "/etc/robotkube/node.py"], {"config.yaml": settings, "node.py": node})
 
     return objects

@@ -31,9 +31,9 @@ from robotkube.domain.interfaces import (
     ExpectedTopic,
     declaration_checks,
     expected_topics,
-    merged_values,
     outputs_of,
 )
+from robotkube.domain.values_schemas import overlay
 
 POSE, STRING = "geometry_msgs/msg/PoseStamped", "std_msgs/msg/String"
 QUALITY = {"reliability": "reliable", "durability": "volatile"}
@@ -69,7 +69,7 @@ def end(topic: ExpectedTopic, /, **other: Any) -> Endpoint:
 
 def test_values_are_merged_as_helm_merges_them() -> None:
     defaults = {"a": {"b": 1, "c": 2}, "list": [1], "gone": 1, "kept": 0}
-    assert merged_values(defaults, {"a": {"c": 3}, "list": [], "gone": None}) == {
+    assert overlay(defaults, {"a": {"c": 3}, "list": [], "gone": None}) == {
         "a": {"b": 1, "c": 3},
         "list": [],
         "kept": 0,

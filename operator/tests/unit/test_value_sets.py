@@ -12,7 +12,8 @@ import yaml
 from robotkube.adapters.schemas_jsonschema import validate
 from robotkube.adapters.templates_jinja2 import Jinja2Templates
 from robotkube.domain.catalogue_charts import read_chart_version
-from robotkube.domain.interfaces import declaration_checks, expected_topics, merged_values
+from robotkube.domain.interfaces import declaration_checks, expected_topics
+from robotkube.domain.values_schemas import overlay
 from robotkube.services.suite_sets import filled_sets
 
 TOP = Path(__file__).resolve().parents[3]
@@ -33,7 +34,7 @@ def test_sets_fit_the_charts_schema_and_give_different_topics(path: Path) -> Non
     assert len(sets) == 2
     topics = {}
     for found in sets:
-        values = merged_values(loaded(chart / "values.yaml"), found.values)
+        values = overlay(loaded(chart / "values.yaml"), found.values)
         assert list(validate(schema, values)) == [], found.name
         assert values["placement"]["agent"] == "cloud-0"
         topics[found.name] = expected_topics(version.interfaces, values, render)

@@ -72,20 +72,6 @@ class ExpectedTopic:
         return re.fullmatch("[^/#]+".join(parts), topic) is not None
 
 
-def merged_values(defaults: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
-    """The chart's values as helm merges them: mappings key by key, everything else replaced, null takes a key away."""
-    merged = dict(defaults)
-    for key, value in values.items():
-        before = merged.get(key)
-        if value is None:
-            merged.pop(key, None)
-        elif isinstance(value, Mapping) and isinstance(before, Mapping):
-            merged[key] = merged_values(before, value)
-        else:
-            merged[key] = value
-    return merged
-
-
 def expected_topics(
     interfaces: Sequence[Mapping[str, Any]], values: Mapping[str, Any], render: Render
 ) -> tuple[ExpectedTopic, ...]:

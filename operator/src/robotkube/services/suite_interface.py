@@ -21,12 +21,12 @@ from robotkube.domain.interfaces import (
     ExpectedTopic,
     declaration_checks,
     expected_topics,
-    merged_values,
 )
 from robotkube.domain.loops import Render
 from robotkube.domain.suite_objects import BROKER_SECRET, DATABASE_SECRET
 from robotkube.domain.suite_requests import TestSet
 from robotkube.domain.texts import read_mapping
+from robotkube.domain.values_schemas import overlay
 from robotkube.ports.suites import Account, Room, Subject
 from robotkube.services.suite_observing import Bounds
 from robotkube.services.suite_sets import filled_sets, install, named_secrets
@@ -62,8 +62,7 @@ class InterfaceSuite:
             sets = filled_sets(subject.entry, room.agent, self.now_ns() + LEAD_NS, self.render)
             defaults = read_mapping(subject.files.get("values.yaml", b"").decode() or "{}", "values.yaml")
             expected = {
-                found.name: expected_topics(interfaces, merged_values(defaults, found.values), self.render)
-                for found in sets
+                found.name: expected_topics(interfaces, overlay(defaults, found.values), self.render) for found in sets
             }
         except InputError as error:
             return [_entry_check(error)]
