@@ -1,0 +1,67 @@
+"""Telling a manager that main moved, over real sockets."""
+
+from collections.abc import Iterator
+
+import pytest
+
+from robotkube.adapters.push_relay import PushRelay
+from robotkube.adapters.webhooks import Delivery, WebServer
+from robotkube.entrypoints.manager import news
+from robotkube.services.application_manager import CATALOGUE, DEPLOYMENT
+
+SECRET = b"shared"
+BEFORE, AFTER = "1" * 40, "2" * 40
+
+
+@pytest.fixture
+def deliveries() -> list[Delivery]:
+    return []
+
+
+@pytest.fixture
+def url(deliveries: list[Delivery]) -> Iterator[str]:
+    server = WebServer("127.0.0.1", 0, lambda: [], lambda: "", SECRET, deliveries.append)
+    server.start()
+    yield f"http://127.0.0.1:{server.port}/webhook"
+    server.stop()
+
+
+def relay(url: str, secret: bytes = SECRET) -> bool:
+    told = PushRelay(url, secret, "robotkube/deployment")
+    try:
+        return told.hook(BEFORE, AFTER)
+    finally:
+        told.disconnect()
+
+
+def test_a_manager_reads_it_as_the_forges_own_word(url: str, deliveries: list[Delivery]) -> None:
+    assert relay(url)
+    assert [news(delivery, "robotkube/catalogue") for delivery in deliveries] == [(DEPLOYMENT, AFTER)]
+
+
+def test_a_manager_that_shares_another_secret_does_not_take_it(url: str, deliveries: list[Delivery]) -> None:
+    assert not relay(url, b"another")
+    assert deliveries == []
+
+
+def test_a_manager_that_is_away_holds_nothing_up(url: str) -> None:
+    assert not relay("http://127.0.0.1:9/webhook")
+
+
+@pytest.mark.parametrize(
+    ("event", "payload", "heard"),
+    [
+        ("push", {"ref": "refs/heads/main", "after": AFTER}, (DEPLOYMENT, AFTER)),
+        ("push", {"ref": "refs/heads/main", "after": 7}, (DEPLOYMENT, "")),
+        ("push", {"ref": "refs/heads/other", "after": AFTER}, None),
+        ("pull_request", {"action": "closed"}, (DEPLOYMENT, "")),
+        ("pull_request", {"action": "opened"}, None),
+        (
+            "push",
+            {"ref": "refs/heads/main", "after": AFTER, "repository": {"full_name": "robotkube/catalogue"}},
+            (CATALOGUE, AFTER),
+        ),
+    ],
+)
+def test_what_is_news(event: str, payload: dict[str, object], heard: tuple[str, str] | None) -> None:
+    assert news(Delivery(event, payload), "robotkube/catalogue") == heard
