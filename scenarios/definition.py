@@ -1,6 +1,7 @@
 """What a scenario is: parameters, story, topology and the bounds of its expectations, read once from `scenario.yaml`.
 
-Everything is checked before anything is started. `ScenarioError` names the file, the key and the way out.
+A story is told by players (bags, `parameters.routes`), by steps (`scenarios.steps`), or by both. Everything is checked
+before anything is started. `ScenarioError` names the file, the key and the way out.
 """
 
 from __future__ import annotations
@@ -14,8 +15,12 @@ from typing import Any
 import jsonschema
 import yaml
 
+from scenarios.steps import Step, read_steps
+
 SCHEMA = Path(__file__).with_name("scenario.schema.json")
+SCENARIOS = Path(__file__).parent
 FILE_BYTES_MAX = 1_000_000
+NO_ROUTES, INTERSECTION = "none", "intersection"
 
 
 class ScenarioError(ValueError):
@@ -25,28 +30,36 @@ class ScenarioError(ValueError):
 @dataclass(frozen=True)
 class Parameters:
     """The numbers of a run. Rates in Hz, distances in m, speed in m/s of one vehicle; `points` is the least per
-    cloud."""
+    cloud. `routes` says what is played: `pair` and `three-vehicles` meet, `intersection` passes a road-side unit,
+    `none` plays nothing and needs no other number but `vehicles`."""
 
     vehicles: int
-    lidar_vehicles: int
-    pose_hz: int
-    point_cloud_hz: int
-    points: int
-    start_distance_m: float
-    stop_distance_m: float
-    encounters: int
-    speed_mps: float
+    lidar_vehicles: int = 0
+    pose_hz: int = 10
+    point_cloud_hz: int = 1
+    points: int = 1000
+    start_distance_m: float = 100
+    stop_distance_m: float = 200
+    encounters: int = 0
+    speed_mps: float = 10
+    routes: str = "pair"
 
 
 @dataclass(frozen=True)
 class Story:
-    """Names of the things the run waits for: account of the person, applications, rule, agent that records."""
+    """Names of the things the run waits for: account of the person, applications, rule, agent that records.
+
+    `rule`, `application` and `recording_agent` are empty where nothing is recorded; `policies` are further entries that
+    the person adds to policies/initial.yaml, as they stand there; `ready` are releases that a run begins with.
+    """
 
     person: str
-    player_application: str
-    rule: str
-    application: str
-    recording_agent: str
+    player_application: str = ""
+    rule: str = ""
+    application: str = ""
+    recording_agent: str = ""
+    policies: tuple[Mapping[str, Any], ...] = ()
+    ready: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -94,6 +107,8 @@ class Scenario:
     story: Story
     nodes: tuple[Node, ...]
     expectations: Mapping[str, Bound]
+    steps: tuple[Step, ...] = ()
+    extra_charts: tuple[str, ...] = ()
 
     @property
     def vehicles(self) -> tuple[str, ...]:
@@ -104,6 +119,24 @@ class Scenario:
     def lidar_vehicles(self) -> tuple[str, ...]:
         """The vehicles that carry a lidar and meet."""
         return self.vehicles[: self.parameters.lidar_vehicles]
+
+    @property
+    def players(self) -> tuple[str, ...]:
+        """Agents that play a bag: all vehicles, then the road-side units where a vehicle passes them."""
+        if self.parameters.routes == NO_ROUTES:
+            return ()
+        units = tuple(node.agent for node in self.nodes if node.role == "roadside")
+        return self.vehicles + (units if self.parameters.routes == INTERSECTION else ())
+
+    @property
+    def lidar_agents(self) -> tuple[str, ...]:
+        """Players whose bag holds point clouds and the transform of their lidar."""
+        return self.lidar_vehicles + self.players[len(self.vehicles) :]
+
+    @property
+    def records(self) -> bool:
+        """Whether the story is one of encounters that are recorded."""
+        return bool(self.story.rule)
 
 
 def ros_name(agent: str) -> str:
@@ -126,6 +159,12 @@ def transform_topic(agent: str) -> str:
     return f"/vehicles/{ros_name(agent)}/lidar_center/transform"
 
 
+def find(name: str) -> Path:
+    """The folder of a scenario by its path or by its name below scenarios/."""
+    path = Path(name)
+    return path if (path / "scenario.yaml").is_file() or not (SCENARIOS / name).is_dir() else SCENARIOS / name
+
+
 def load(folder: Path, overrides: Sequence[str] = (), variant: str | None = None) -> Scenario:
     """Reads `folder`/scenario.yaml, lays a variant and then `key=value` overrides over its parameters, checks it all.
 
@@ -133,18 +172,28 @@ def load(folder: Path, overrides: Sequence[str] = (), variant: str | None = None
     """
     file = folder / "scenario.yaml"
     document = _document(file)
-    parameters = dict(document["parameters"]) | _variant(file, document, variant) | _overrides(file, overrides)
-    _check(file, document | {"parameters": parameters})
+    varied = dict(_variant(file, document, variant))
+    steps = varied.pop("steps", document["story"].get("steps", []))
+    parameters = dict(document["parameters"]) | varied | _overrides(file, overrides)
+    document = document | {"parameters": parameters, "story": document["story"] | {"steps": steps}}
+    _check(file, document)
     _check_distances(file, parameters)
     return Scenario(
         name=document["name"],
         description=document["description"],
         folder=folder,
         parameters=Parameters(**parameters),
-        story=Story(**document["story"]),
+        story=_story(document["story"]),
         nodes=_nodes(file, document["topology"]["nodes"], parameters["vehicles"]),
         expectations={name: _bound(bound, parameters) for name, bound in document["expectations"].items()},
+        steps=read_steps(steps),
+        extra_charts=tuple(document.get("publish", {}).get("charts", ())),
     )
+
+
+def _story(given: Mapping[str, Any]) -> Story:
+    lists = {key: tuple(given.get(key, ())) for key in ("policies", "ready")}
+    return Story(**{key: value for key, value in given.items() if key not in ("steps", *lists)}, **lists)
 
 
 def _bound(given: Mapping[str, Any], parameters: Mapping[str, Any]) -> Bound:
@@ -218,7 +267,7 @@ def _overrides(file: Path, overrides: Sequence[str]) -> dict[str, Any]:
 
 
 def _check_distances(file: Path, parameters: Mapping[str, Any]) -> None:
-    if parameters["stop_distance_m"] <= parameters["start_distance_m"]:
+    if "stop_distance_m" in parameters and parameters["stop_distance_m"] <= parameters["start_distance_m"]:
         raise ScenarioError(
             f"{file}: parameters.stop_distance_m: {parameters['stop_distance_m']} must be greater than "
             f"start_distance_m "
