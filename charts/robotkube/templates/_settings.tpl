@@ -36,7 +36,9 @@ forge:
   catalogue: robotkube/catalogue
   branch: main
   proposers:
-  - {account: manager, namespaces: [{{ range $i, $agent := .Values.agents }}{{ if $i }}, {{ end }}{{ $agent.name }}{{ end }}]}
+  - account: manager
+    namespaces: [{{ range $i, $agent := .Values.agents }}{{ if $i }}, {{ end }}{{ $agent.name }}{{ end }}]
+    webhook: http://{{ include "robotkube.host" (dict "root" . "name" "manager") }}:8080/webhook
   publishers: [publisher]
 registry:
   charts: {{ include "robotkube.charts" . }}

@@ -6,7 +6,9 @@ trusted_keys(), signing(artefact)                   what gate and manager trust;
 
 from __future__ import annotations
 
+import atexit
 import json
+import shutil
 import tempfile
 from functools import cache
 from pathlib import Path
@@ -25,7 +27,7 @@ SEED, OTHER_SEED = 1, 2
 @cache
 def key_folder() -> Path:
     """A folder of public keys, as it is mounted in gate and manager: one key."""
-    folder = Path(tempfile.mkdtemp(prefix="robotkube-keys-"))
+    folder = _folder_of_this_run("keys")
     key = gate_key()
     (folder / f"{key.key_id}.pem").write_text(key.public_key)
     return folder
@@ -34,7 +36,13 @@ def key_folder() -> Path:
 @cache
 def gate_key(seed: int = SEED) -> KeyFile:
     """The gate's key; with OTHER_SEED one that nobody trusts."""
-    return signing_key(Path(tempfile.mkdtemp(prefix="robotkube-key-")), seed)
+    return signing_key(_folder_of_this_run(f"key-{seed}"), seed)
+
+
+def _folder_of_this_run(name: str) -> Path:
+    folder = Path(tempfile.mkdtemp(prefix=f"robotkube-{name}-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return folder
 
 
 def trusted_keys() -> TrustedKeys:

@@ -5,7 +5,7 @@ import hmac
 import json
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -19,6 +19,7 @@ from evidence_of_tests import PROJECT, applications, policies, published_chart, 
 from robotkube.adapters.argocd import PushHook
 from robotkube.adapters.git_clones import GitClone
 from robotkube.adapters.gitea import GiteaForge
+from robotkube.adapters.push_relay import PushRelay
 from robotkube.adapters.schemas_jsonschema import validate
 from robotkube.adapters.webhooks import WebServer
 from robotkube.domain.checks import Proposer
@@ -289,7 +290,7 @@ class RunningGate:
     server: WebServer
     thread: threading.Thread
     stopping: threading.Event
-    connections: tuple[GiteaForge | PushHook, ...]
+    connections: tuple[GiteaForge | PushHook | PushRelay, ...]
 
     def stop(self) -> None:
         self.gate.stop(self.stopping)
@@ -299,11 +300,14 @@ class RunningGate:
             connection.disconnect()
 
 
-def start_gate(installation: Installation, hook_url: str, folder: Path, webhooks: bool = True) -> RunningGate:
-    """A new gate on `folder`; without `webhooks` it only polls."""
+def start_gate(
+    installation: Installation, hook_url: str, folder: Path, webhooks: bool = True, managers: Sequence[str] = ()
+) -> RunningGate:
+    """A new gate on `folder`; without `webhooks` it only polls; `managers` are the webhooks it tells of main."""
     account = ("gate", installation.passwords["gate"])
     forge = GiteaForge(installation.url, "robotkube/deployment", *account)
     hook = PushHook(hook_url, HOOK_SECRET.encode(), f"{installation.url}/robotkube/deployment")
+    relays = [PushRelay(url, WEBHOOK_SECRET.encode(), "robotkube/deployment") for url in managers]
     gate = Gate(
         forge,
         GitClone(installation.url, "robotkube/deployment", *account, folder / "deployment"),
@@ -314,6 +318,7 @@ def start_gate(installation: Installation, hook_url: str, folder: Path, webhooks
         GateSettings("gate", "robotkube/deployment", "robotkube/catalogue", PROPOSERS, CHARTS_URL),
         validate,
         time.monotonic,
+        relays,
     )
     server = WebServer(
         "127.0.0.1",
@@ -327,4 +332,4 @@ def start_gate(installation: Installation, hook_url: str, folder: Path, webhooks
     thread = threading.Thread(target=gate.run, args=(stopping,), daemon=True)
     server.start()
     thread.start()
-    return RunningGate(gate, server, thread, stopping, (forge, hook))
+    return RunningGate(gate, server, thread, stopping, (forge, hook, *relays))

@@ -28,7 +28,8 @@ from robotkube.adapters.git_clones import GitClone
 from robotkube.adapters.git_deployment import ProposalWriter
 from robotkube.adapters.gitea_administration import GiteaAdministration
 from robotkube.adapters.webhooks import WebServer
-from robotkube.services.application_manager import DEPLOYMENT, TASKS
+from robotkube.entrypoints.manager import news
+from robotkube.services.application_manager import TASKS
 from robotkube.services.bootstrapping import Bootstrap
 from robotkube.testing.clusters import MemoryTasks
 
@@ -108,7 +109,8 @@ class Stage:
         logger = logging.getLogger("robotkube.services.gate")
         logger.addHandler(times)
         logger.setLevel(logging.INFO)
-        gate = start_gate(self.installation, self.controller.url, self.folder / "gate")
+        told = [f"http://127.0.0.1:{self.manager_port}/webhook"]
+        gate = start_gate(self.installation, self.controller.url, self.folder / "gate", managers=told)
         running = start_manager(self.installation, self.folder / "manager", MemoryTasks())
         server = self._listen(running)
         try:
@@ -125,8 +127,8 @@ class Stage:
         """The manager's webhook, as its entry point wires it."""
 
         def deliver(delivery: Any) -> None:
-            if delivery.event == "push" or delivery.payload.get("action") == "closed":
-                running.manager.wake(DEPLOYMENT)
+            if heard := news(delivery, "robotkube/catalogue"):
+                running.manager.wake(*heard)
 
         secret = WEBHOOK_SECRET.encode()
         server = WebServer("127.0.0.1", self.manager_port, lambda: [], lambda: "", secret, deliver)

@@ -93,6 +93,23 @@ def test_tasks_that_come_while_one_is_decided_are_answered_together(stage: Stage
     assert stage.tasks.condition(third, "Committed") == ("True", "Merged")
 
 
+def test_the_forges_word_about_the_own_commit_saves_a_fetch_and_no_other_word_does(stage: Stage) -> None:
+    stage.forge.decide = stage.forge.leave
+    key = stage.ask()
+    stage.go(1)
+    proposed = stage.forge.pulls[2]
+    stage.forge.merge(proposed)
+    before = stage.repository.fetches
+    stage.manager.wake(DEPLOYMENT, "f" * 40)
+    stage.manager.wake(DEPLOYMENT, proposed.head)
+    stage.manager.step()
+    assert stage.tasks.condition(key, "Committed") == ("True", "Merged")
+    assert stage.repository.fetches == before
+    stage.manager.wake(DEPLOYMENT, "f" * 40)
+    stage.manager.step()
+    assert stage.repository.fetches == before + 1
+
+
 def test_main_moving_makes_the_plan_anew(stage: Stage) -> None:
     stage.forge.decide = stage.forge.leave
     stage.ask()

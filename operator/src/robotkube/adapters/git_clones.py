@@ -78,6 +78,10 @@ class GitClone:
         self._fetch([])
         return self.tip
 
+    def moved_to(self, commit: str) -> None:
+        """The branch is known to stand at `commit`, which is here: as if it had been fetched."""
+        self._repository.references.create(f"refs/heads/{self._branch}", self._lookup(commit).id, force=True)
+
     def proposal(self, number: int) -> Commit:
         """The head commit of pull request `number`; brings the branch's tip as well, by the same connection."""
         self._fetch([f"+refs/pull/{number}/head:refs/proposals/{number}"])
@@ -205,7 +209,7 @@ class GitClone:
             raise self._unavailable("push", error) from error
         if callbacks.refusal:
             return self._refused(commit, callbacks.refusal)
-        self._repository.references.create(f"refs/heads/{self._branch}", commit, force=True)
+        self.moved_to(commit)
         return True
 
     def _refused(self, commit: str, refusal: str) -> bool:

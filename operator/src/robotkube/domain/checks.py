@@ -29,10 +29,12 @@ CI_FILES = frozenset({".gitlab-ci.yml", ".gitlab-ci.yaml", ".drone.yml", ".woodp
 
 @dataclass(frozen=True)
 class Proposer:
-    """An account whose proposals of releases are taken, and the namespaces that it may touch."""
+    """An account whose proposals of releases are taken, and the namespaces that it may touch; `webhook`: where it hears
+    of main, empty for nowhere."""
 
     account: str
     namespaces: frozenset[str]
+    webhook: str = ""
 
 
 @dataclass(frozen=True)

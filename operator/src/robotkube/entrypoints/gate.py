@@ -21,6 +21,7 @@ from robotkube.adapters.git_clones import GitClone
 from robotkube.adapters.git_deployment import ProposalWriter
 from robotkube.adapters.gitea import GiteaForge
 from robotkube.adapters.oci_registry import Registry
+from robotkube.adapters.push_relay import PushRelay
 from robotkube.adapters.suite_runner_http import SuiteRunnerClient
 from robotkube.adapters.webhooks import Delivery, WebServer
 from robotkube.domain.checks import Proposer
@@ -123,9 +124,11 @@ def _proposers(reader: Reader, value: Any) -> tuple[Proposer, ...]:
     found = []
     for index, item in enumerate(reader.sequence(value, "forge.proposers")):
         path = f"forge.proposers[{index}]"
-        proposer = reader.mapping(item, path, ["account", "namespaces"])
+        proposer = reader.mapping(item, path, ["account", "namespaces"], ["webhook"])
         account = reader.word(proposer.get("account"), f"{path}.account", files.WORD)
-        found.append(Proposer(account, frozenset(_words(reader, proposer.get("namespaces"), f"{path}.namespaces"))))
+        namespaces = frozenset(_words(reader, proposer.get("namespaces"), f"{path}.namespaces"))
+        webhook = reader.word(proposer.get("webhook"), f"{path}.webhook", files.HTTP_URL, default="")
+        found.append(Proposer(account, namespaces, webhook))
     return tuple(found)
 
 
@@ -165,6 +168,11 @@ def build_gate(found: GateConfiguration, work: Path, schemas: BoundedSchemas) ->
         found.gate,
         schemas.validate,
         time.monotonic,
+        [
+            PushRelay(proposer.webhook, found.webhook_secret.encode(), found.gate.deployment, branch=found.branch)
+            for proposer in found.gate.proposers
+            if proposer.webhook
+        ],
     )
 
 

@@ -194,11 +194,20 @@ def _stop_with(process: Process, manager: ApplicationManager) -> None:
     manager.stop(process.stopping)
 
 
+def news(delivery: Delivery, catalogue: str) -> tuple[str, str] | None:
+    """What to wake the manager with: what may have changed, and main's new tip when the delivery says it. None for what
+    is no news, such as that a proposal was opened."""
+    moved = delivery.event == "push" and delivery.payload.get("ref") == "refs/heads/main"
+    if not moved and delivery.payload.get("action") != "closed":
+        return None
+    tip = delivery.payload.get("after") if moved else ""
+    return CATALOGUE if delivery.repository == catalogue else DEPLOYMENT, tip if isinstance(tip, str) else ""
+
+
 def _server(found: ManagerConfiguration, manager: ApplicationManager, cluster: KubernetesWorld) -> WebServer:
     def deliver(delivery: Delivery) -> None:
-        """Main moved, or a proposal was closed; that one was opened is no news."""
-        if delivery.event == "push" or delivery.payload.get("action") == "closed":
-            manager.wake(CATALOGUE if delivery.repository == found.catalogue else DEPLOYMENT)
+        if heard := news(delivery, found.catalogue):
+            manager.wake(*heard)
 
     return WebServer(
         found.listen.address,

@@ -39,6 +39,10 @@ class Catalogue(RepositoryFiles, Protocol):
 class DeploymentRepository(RepositoryFiles, Protocol):
     """Main of the deployment repository as the manager reads it."""
 
+    def moved_to(self, commit: str) -> None:
+        """Main is known to stand at `commit`, which is here: as if it had been fetched."""
+        ...
+
     def contains(self, commit: str) -> bool:
         """Whether `commit`, which is here, is main's tip or one of its ancestors."""
         ...

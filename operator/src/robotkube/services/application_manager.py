@@ -27,7 +27,7 @@ from robotkube.services.manager_reading import MainReader, catalogue_page
 from robotkube.services.manager_records import PlanRecord, PlanRecords, record_of, records_of
 from robotkube.services.manager_statuses import Situation, StatusWriter
 
-DECISION_POLL_SECONDS = 0.5  # the forge's webhook is the normal way; asking costs the forge what the gate needs
+DECISION_POLL_SECONDS = 1.0  # the forge's webhook is the normal way; asking costs the forge what the gate needs
 DECISION_EAGER_SECONDS = 5.0
 DECISION_POLL_SECONDS_LATER = 2.0
 ATTEMPTS_MAX = 10
@@ -89,6 +89,7 @@ class ApplicationManager:
         self.records = PlanRecords(now_ns())
         self._flags = {TASKS, DEPLOYMENT, CATALOGUE}
         self._lock, self._woken = threading.Lock(), threading.Event()
+        self._told_tip = ""
         self._demand_seen: int | None = None
         self._decisions = Decisions(world.deployment, world.forge, monotonic)
         self._proposal: Proposal | None = None
@@ -103,10 +104,12 @@ class ApplicationManager:
 
     # -- waking ---------------------------------------------------------------------------------------------------
 
-    def wake(self, what: str) -> None:
-        """Something may have changed: TASKS, NODES, APPLICATIONS, DEPLOYMENT or CATALOGUE."""
+    def wake(self, what: str, tip: str = "") -> None:
+        """Something may have changed: TASKS, NODES, APPLICATIONS, DEPLOYMENT or CATALOGUE. `tip`: main's new tip when
+        the forge said it under its signature, which saves fetching what was proposed from here."""
         with self._lock:
             self._flags.add(what)
+            self._told_tip = tip or self._told_tip
             if what in PLANNED_FOR and self._demand_seen is None:
                 self._demand_seen = self._now_ns()
         self._woken.set()
@@ -164,10 +167,11 @@ class ApplicationManager:
         self.statistics.steps += 1
         with self._lock:
             flags, self._flags = self._flags, set()
+            told, self._told_tip = self._told_tip, ""
         if self._monotonic() - self._looked_at >= LOOK_SECONDS:
             flags |= {TASKS, DEPLOYMENT, CATALOGUE}
             self._looked_at = self._monotonic()
-        self._look(flags)
+        self._look(flags, told)
         if self._proposal is not None:
             self._follow(self._proposal)
         if flags & PLANNED_FOR or self._flags & PLANNED_FOR:
@@ -185,13 +189,14 @@ class ApplicationManager:
             return min(max(self._not_before - self._monotonic(), 0.0), LOOK_SECONDS)
         return OBSERVE_POLL_SECONDS if self._observer.waiting else LOOK_SECONDS
 
-    def _look(self, flags: set[str]) -> None:
-        """Read what may have changed in the two repositories."""
+    def _look(self, flags: set[str], told: str) -> None:
+        """Read what may have changed in the two repositories; `told` is main's tip as the forge last told it."""
         if CATALOGUE in flags:
             self._catalogue.read()
         if DEPLOYMENT in flags or self._proposal is not None:
             before = self._main.tip
-            if self._main.read():
+            own = self._proposal is not None and told == self._proposal.record.commit
+            if self._main.read(told if own else ""):
                 self._again()
                 self._settle_undecided()
                 self._remember(before)

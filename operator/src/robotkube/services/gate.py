@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -67,7 +67,8 @@ class _Case:
 class Gate:
     """One gate for one deployment repository; `run` on one thread, `wake` from any.
 
-    `monotonic` is a clock in seconds that never goes back.
+    `monotonic` is a clock in seconds that never goes back; `managers` are told of every commit that was merged here,
+    sooner than the forge tells them.
     """
 
     def __init__(
@@ -79,8 +80,9 @@ class Gate:
         settings: GateSettings,
         validate: Validate,
         monotonic: Callable[[], float],
+        managers: Sequence[PushHook] = (),
     ) -> None:
-        self._forge, self._main, self._push_hook = forge, main, push_hook
+        self._forge, self._main, self._push_hook, self._managers = forge, main, push_hook, tuple(managers)
         self._settings, self._monotonic = settings, monotonic
         self._rules = RuleBook(settings, main, catalogue, validate)
         self.statistics = GateStatistics()
@@ -209,6 +211,8 @@ class Gate:
         news = merged or self._settled.get(pull.number) != commit.id
         self._settled[pull.number] = commit.id
         if merged:
+            for manager in self._managers:
+                manager.hook(before, commit.id)
             self._announce(before, commit.id)
         if news:
             self._record(case, verdict, merged, (started, fetched, judged, decided, self._monotonic()))

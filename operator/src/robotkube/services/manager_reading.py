@@ -37,10 +37,12 @@ class MainReader:
         self.policy_text = ""
         self._policy_good = False
 
-    def read(self) -> bool:
-        """Take the newest commit; whether main has moved. InputError as long as main or its policy cannot be read at
-        all."""
-        newest = self._repository.fetch()
+    def read(self, known: str = "") -> bool:
+        """Take the newest commit (`known` when its id is known and it is here, else fetched); whether main has moved.
+        InputError as long as main or its policy cannot be read at all."""
+        if known:
+            self._repository.moved_to(known)
+        newest = known or self._repository.fetch()
         if not newest:
             raise InputError("the deployment repository has no main branch yet; nothing is planned")
         if newest == self.tip:

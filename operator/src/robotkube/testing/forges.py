@@ -29,6 +29,10 @@ class MemoryRepository:
         self.fetches += 1
         return self.tip
 
+    def moved_to(self, commit: str) -> None:
+        """Memory need not be told; only what is here and on main may be told."""
+        assert commit == self.tip, f"main is at {self.tip!r}, not at {commit}"
+
     def files(self, commit: str, folders: Sequence[str]) -> Mapping[str, str]:
         """Files below the folders."""
         return {p: t for p, t in self.trees[commit].items() if any(p.startswith(f"{folder}/") for folder in folders)}
