@@ -1,0 +1,315 @@
+"""Updates: when a release takes a newer version of its chart, and when it goes back.
+
+A new version moves nothing by itself: every release keeps the version that main gives it (`Updates.pins`) until its
+chart's rule lets it move, one chart at a time, in a plan of its own; neighbours of other charts are not part of it.
+With a canary the releases of one agent go first, the others when those have succeeded. An update that fails is taken
+back to exactly the versions it replaced, and its digest is not tried again until people change the policy. An agent
+that is offline neither decides nor waits for anybody: its releases move when it is back.
+
+Nothing is remembered here: `UpdateMemory` is read from main's commits, health and times from the cluster.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import groupby
+from typing import Literal
+
+from robotkube.domain.catalogue import Catalogue
+from robotkube.domain.catalogue_charts import ChartVersion
+from robotkube.domain.composition import Desired, Met, Refused
+from robotkube.domain.guarantees import shortfall
+from robotkube.domain.planning import Change, differences
+from robotkube.domain.releases import Release
+from robotkube.domain.update_policies import UpdatePolicy, UpdateRule
+from robotkube.domain.versions import in_range, version_key
+
+UPDATE: Literal["update"] = "update"
+REVERT: Literal["revert"] = "revert"
+HEALTHY, DEGRADED, PROGRESSING = "healthy", "degraded", "progressing"
+SECOND_NS = 1_000_000_000
+NOTICED_SECONDS_MAX = 60  # a failure is noticed within this time, whatever the bounds of the rule
+
+Pin = tuple[str, str]
+"""Chart and version."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """The last update of a chart on main: its target, and per release what it replaced and when (ns since 1970)."""
+
+    version: str
+    digest: str
+    before: Mapping[str, Pin] = field(default_factory=dict)
+    at_ns: Mapping[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class UpdateMemory:
+    """What main's commits say of updates: the last run by chart; digests that were reverted, with the reason."""
+
+    runs: Mapping[str, Run] = field(default_factory=dict)
+    barred: Mapping[str, str] = field(default_factory=dict)
+
+    def updated(self, chart: str, version: str, digest: str, before: Mapping[str, Pin], at_ns: int) -> UpdateMemory:
+        """After a commit that updated the releases in `before`."""
+        known = self.runs.get(chart)
+        run = known if known is not None and known.digest == digest else Run(version, digest)
+        times = {**run.at_ns, **dict.fromkeys(before, at_ns)}
+        return replace(self, runs={**self.runs, chart: Run(version, digest, {**run.before, **before}, times)})
+
+    def reverted(self, chart: str, why: str) -> UpdateMemory:
+        """After a commit that took the last update of a chart back."""
+        runs = dict(self.runs)
+        run = runs.pop(chart, None)
+        return UpdateMemory(runs, {**self.barred, run.digest: why}) if run else self
+
+    def policy_changed(self) -> UpdateMemory:
+        """After people changed policies/updates.yaml: what was reverted may be tried again."""
+        return replace(self, barred={})
+
+
+@dataclass(frozen=True)
+class Health:
+    """How a release looks in the cluster: healthy (Synced and Healthy as main has it), degraded or progressing; since
+    when in ns, None when nobody knows."""
+
+    state: str
+    since_ns: int | None = None
+
+
+@dataclass(frozen=True)
+class Sight:
+    """`health` by release key; `online`: namespace -> since when (ns; 0 = always) a node of its agent is ready."""
+
+    health: Mapping[str, Health] = field(default_factory=dict)
+    online: Mapping[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Move:
+    """The one step that may be taken now: `keys` are the releases that go to `version` (update) or leave it (revert);
+    `pins` those of all releases with this step taken; `reason` for commit and pull request."""
+
+    cause: Literal["update", "revert"]
+    chart: str
+    version: str
+    keys: tuple[str, ...]
+    pins: Mapping[str, Pin]
+    reason: str
+
+
+@dataclass(frozen=True)
+class Updates:
+    """`pins`: release key -> what it keeps; `withheld`: (chart, version) -> why nothing new may take it; `words` say
+    what waits for what."""
+
+    pins: Mapping[str, Pin] = field(default_factory=dict)
+    withheld: Mapping[Pin, str] = field(default_factory=dict)
+    move: Move | None = None
+    words: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Rollout:
+    """Releases of one chart under one rule, and the version they should all have."""
+
+    chart: str
+    target: ChartVersion
+    rule: UpdateRule
+    behind: tuple[Release, ...]
+    updated: tuple[Release, ...]
+
+
+@dataclass(frozen=True)
+class _Tally:
+    """Updated releases of agents that are online, by verdict."""
+
+    good: tuple[str, ...] = ()
+    bad: tuple[str, ...] = ()
+    pending: tuple[str, ...] = ()
+
+    def failed(self, rule: UpdateRule) -> bool:
+        """Whether fewer than the rule's share can still succeed."""
+        count = len(self.good) + len(self.bad) + len(self.pending)
+        return bool(self.bad) and (count - len(self.bad)) < rule.threshold * count
+
+    def succeeded(self, rule: UpdateRule) -> bool:
+        """Whether the rule's share has succeeded."""
+        count = len(self.good) + len(self.bad) + len(self.pending)
+        return bool(self.good) and len(self.good) >= rule.threshold * count
+
+
+def decide(
+    present: Mapping[str, Release],
+    catalogue: Catalogue,
+    policy: UpdatePolicy,
+    memory: UpdateMemory,
+    sight: Sight,
+    now_ns: int,
+    fixed: frozenset[str] = frozenset(),
+) -> Updates:
+    """What every release on main (`present`, by path) keeps, and the one update or revert that may be made now: reverts
+    first, then by chart. `fixed`: release keys that were found unable to move (a newer version does not suit them)."""
+    pins = {release.key: (release.chart, release.version) for release in present.values()}
+    withheld = {
+        (version.chart, version.version): why
+        for versions in catalogue.charts.values()
+        for version in versions
+        if (why := memory.barred.get(version.digest))
+    }
+    moves: list[Move] = []
+    words: list[str] = []
+    for rollout in _rollouts(present.values(), catalogue, policy, memory):
+        tally = _tally(rollout, memory.runs.get(rollout.chart), sight, now_ns)
+        if rollout.behind and rollout.rule.canary and not tally.succeeded(rollout.rule):
+            on_trial = f"{rollout.target.chart} {rollout.target.version} is on trial"
+            withheld[rollout.chart, rollout.target.version] = f"{on_trial}; it is taken when its canary has succeeded"
+        if tally.failed(rollout.rule):
+            step, text = _failed(rollout, tally, memory.runs[rollout.chart], present.values(), pins)
+        else:
+            step, text = _forward(rollout, tally, sight, fixed, pins)
+        moves += [step] if step else []
+        words += [text] if text else []
+    chosen = min(moves, key=lambda move: (move.cause != REVERT, move.chart), default=None)
+    return Updates(pins, withheld, chosen, tuple(words))
+
+
+def _rollouts(
+    present: Iterable[Release], catalogue: Catalogue, policy: UpdatePolicy, memory: UpdateMemory
+) -> Iterable[_Rollout]:
+    """Every chart and rule under which a release is behind, or was moved by the chart's last update."""
+    targets: dict[tuple[str, tuple[str, ...]], ChartVersion | None] = {}
+    members: list[tuple[str, str, str, Release]] = []
+    rules: dict[str, UpdateRule] = {}
+    for release in present:
+        applications = tuple(sorted({cause.application for cause in release.causes}))
+        asked = release.chart, applications
+        if asked not in targets:
+            targets[asked] = _newest(release.chart, applications, catalogue, memory.barred)
+        target = targets[asked]
+        if target is not None:
+            name, rules[name] = policy.rule(release)
+            members.append((release.chart, name, target.version, release))
+    members.sort(key=lambda member: (*member[:3], member[3].key))
+    for (chart, name, version), found in groupby(members, key=lambda member: member[:3]):
+        releases = [member[3] for member in found]
+        target = catalogue.version(chart, version)
+        run = memory.runs.get(chart)
+        assert target is not None
+        behind = tuple(r for r in releases if version_key(r.version) < version_key(version))
+        on_target = run is not None and run.digest == target.digest
+        updated = tuple(r for r in releases if on_target and run and r.key in run.before and r.digest == target.digest)
+        if behind or updated:
+            yield _Rollout(chart, target, rules[name], behind, updated)
+
+
+def _newest(
+    chart: str, applications: Sequence[str], catalogue: Catalogue, barred: Mapping[str, str]
+) -> ChartVersion | None:
+    """The newest version that the release policy allows, that was not reverted, and that a service of the applications
+    (empty: of any) takes."""
+    chosen = [catalogue.applications[name] for name in applications if name in catalogue.applications]
+    bridges = [a for a in catalogue.applications.values() if a.bridges]
+    offering = [*chosen, *bridges] if chosen else list(catalogue.applications.values())
+    wanted = {service.chart for application in offering for service in application.services}
+    for version in sorted(catalogue.charts.get(chart, ()), key=lambda v: version_key(v.version), reverse=True):
+        if version.digest in barred or catalogue.allows(version):
+            continue
+        for requirement in wanted:
+            named = requirement.name == chart or (not requirement.name and requirement.provides in version.provides)
+            weak = any(shortfall(one, version.guarantees) for one in requirement.requirements)
+            if named and not weak and in_range(version.version, requirement.version):
+                return version
+    return None
+
+
+def _tally(rollout: _Rollout, run: Run | None, sight: Sight, now_ns: int) -> _Tally:
+    verdicts: dict[str, list[str]] = {"good": [], "bad": [], "pending": []}
+    for release in rollout.updated:
+        online = sight.online.get(release.namespace)
+        if run is not None and online is not None:
+            begin = max(run.at_ns[release.key], online)
+            verdicts[_verdict(sight.health.get(release.key), begin, rollout.rule, now_ns)].append(release.key)
+    return _Tally(*(tuple(verdicts[name]) for name in ("good", "bad", "pending")))
+
+
+def _verdict(health: Health | None, begin_ns: int, rule: UpdateRule, now_ns: int) -> str:
+    """good, bad or pending. Trouble that began long after the update is not the update's doing."""
+    state = health.state if health else PROGRESSING
+    known = health.since_ns if health else None
+    if state == HEALTHY:
+        healthy_since = max(known if known is not None else begin_ns, begin_ns)
+        return "good" if now_ns - healthy_since >= rule.success_seconds * SECOND_NS else "pending"
+    since = now_ns if known is None else known
+    late = now_ns - begin_ns >= rule.failure_seconds * SECOND_NS
+    newly_degraded = state == DEGRADED and since >= begin_ns
+    blamed = begin_ns + (2 * rule.failure_seconds + rule.success_seconds + NOTICED_SECONDS_MAX) * SECOND_NS
+    return "bad" if (late or newly_degraded) and since < blamed else "pending"
+
+
+def _failed(
+    rollout: _Rollout, tally: _Tally, run: Run, present: Iterable[Release], pins: Mapping[str, Pin]
+) -> tuple[Move | None, str]:
+    """Back to what was before, for every release that the update moved, under whatever rule; or only words when the
+    rule forbids it."""
+    rule, name = rollout.rule, f"{rollout.chart} {rollout.target.version}"
+    bad = ", ".join(tally.bad)
+    fault = f"{bad} degraded, or not healthy within {rule.failure_seconds} s"
+    if not rule.revert:
+        return None, f"{name} has failed ({fault}); it goes no further, and is not reverted since the policy says so"
+    keys = tuple(sorted(r.key for r in present if r.key in run.before and r.digest == run.digest))
+    back = {key: run.before[key] for key in keys}
+    move = Move(REVERT, rollout.chart, rollout.target.version, keys, {**pins, **back}, f"{name} back: {fault}")
+    return move, f"{name} has failed ({fault}) and is taken back"
+
+
+def _forward(
+    rollout: _Rollout, tally: _Tally, sight: Sight, fixed: frozenset[str], pins: Mapping[str, Pin]
+) -> tuple[Move | None, str]:
+    """The next releases that may be updated, and who waits for what."""
+    name = f"{rollout.chart} {rollout.target.version}"
+    free = [release for release in rollout.behind if release.key not in fixed]
+    online = [release for release in free if release.namespace in sight.online]
+    offline = sorted({release.namespace for release in free} - set(sight.online))
+    text = f"{name} waits for {', '.join(offline)}, which is offline" if offline else ""
+    if not online:
+        return None, text
+    on_trial = rollout.rule.canary and not tally.succeeded(rollout.rule)
+    if on_trial and (tally.good or tally.pending or tally.bad):
+        waiting = ", ".join((*tally.pending, *tally.bad))
+        return None, f"{name} is on trial: {waiting} must be healthy for {rollout.rule.success_seconds} s"
+    first = min(online, key=lambda r: (_state(r, sight) != HEALTHY, r.key)).namespace
+    keys = tuple(release.key for release in online if not on_trial or release.namespace == first)
+    reason = f"{name}, first on {first}" if on_trial else name
+    target = (rollout.chart, rollout.target.version)
+    return Move(UPDATE, *target, keys, {**pins, **dict.fromkeys(keys, target)}, reason), text
+
+
+def _state(release: Release, sight: Sight) -> str:
+    return sight.health[release.key].state if release.key in sight.health else PROGRESSING
+
+
+def moved(
+    move: Move, trial: Desired, steady: Desired, present: Mapping[str, Release]
+) -> tuple[tuple[Change, ...], str]:
+    """The changes of one step, and why there are none. `trial` was composed with `move.pins`, `steady` with the pins of
+    main, which `present` is. Nothing but the releases of the step may differ, and no demand may lose by it."""
+    lost = [
+        f"{key}: {outcome.message}"
+        for key, outcome in trial.outcomes.items()
+        if isinstance(outcome, Refused) and isinstance(steady.outcomes.get(key), Met)
+    ]
+    if lost:
+        return (), f"{move.reason} would refuse {'; '.join(lost)}"
+    found = differences(trial.releases, steady.releases)
+    others = [change.release.key for change in found if change.release.key not in move.keys]
+    if others:
+        return (), f"{move.reason} would change {', '.join(others)} as well"
+    changes = []
+    for change in found:
+        before, now = steady.releases.get(change.path), present.get(change.path)
+        if before is not None and now is not None and before.same_but_plan(now):
+            changes.append(Change(change.path, now, trial.releases[change.path]))
+    return tuple(changes), "" if changes else f"{move.reason} suits none of {', '.join(move.keys)}"
