@@ -165,7 +165,7 @@ def test_the_example_of_the_how_to_judges(results: Mapping[str, SuiteResult]) ->
     [check] = results["example"].checks
     assert (check.name, check.found) == ("short-grace", "terminationGracePeriodSeconds is 3")
     assert results["example-failed"].outcome == "failed"
-    assert "terminationGracePeriodSeconds is 8" in rooms.said(results["example-failed"])
+    assert "terminationGracePeriodSeconds is 10" in rooms.said(results["example-failed"])
 
 
 def test_suites_without_a_result_are_unfinished(results: Mapping[str, SuiteResult]) -> None:

@@ -34,6 +34,7 @@ reactions:
 - rule: all
   kind: recording
   recording: task-1
+  afterSeconds: 1.5
   trace: ab
   topics: [{name: /vehicles/vehicle_00/cloud, storage: segment}]
   volume: recordings
@@ -53,6 +54,7 @@ def test_a_good_document_is_read() -> None:
     assert operator.parameters == {"vehicles": "{agents}"}
     assert isinstance(recording, RecordingReaction)
     assert recording.storage == {"/vehicles/vehicle_00/cloud": "segment"}
+    assert recording.after_seconds == 1.5
     assert (settings.topics[0].buffer_seconds, settings.topics[1].depth) == (5, 20)
 
 

@@ -15,6 +15,7 @@ TOPICS_MAX = 200
 BUFFER_SECONDS_DEFAULT, BUFFER_SECONDS_MAX = 10.0, 600.0
 BUFFER_BYTES_DEFAULT, BUFFER_BYTES_MAX = 50_000_000, 1_000_000_000
 DEPTH_DEFAULT, DEPTH_MAX = 1000, 100_000
+AFTER_SECONDS_MAX = 2.0
 STALE_SECONDS_DEFAULT = 1.0
 
 T = TypeVar("T")
@@ -74,12 +75,14 @@ class OperatorReaction:
 
 @dataclass(frozen=True)
 class RecordingReaction:
-    """Everything received on the topics goes to storage. `storage`: pattern text -> document | segment."""
+    """Everything received on the topics goes to storage. `storage`: pattern text -> document | segment; it goes on for
+    `after_seconds` once the process is asked to end, so that what is still under way arrives."""
 
     rule: str
     recording: str
     volume: str
     storage: Mapping[str, str]
+    after_seconds: float = 0.0
     trace: str = ""
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
@@ -175,6 +178,7 @@ def _reaction(item: _Fields) -> OperatorReaction | RecordingReaction:
         recording=item.name("recording"),
         volume=item.name("volume"),
         storage=storage,
+        after_seconds=item.number("afterSeconds", 0, AFTER_SECONDS_MAX, 0),
         trace=item.text("trace", ""),
         provenance=item.plain("provenance"),
     )

@@ -46,7 +46,7 @@ DRAIN_SECONDS = 0.02
 LAST_DRAIN_SECONDS_MAX = 0.5
 STORE_SECONDS_MAX = 5.0
 LEAVE_SECONDS_MAX = 1.0
-GRACE_SECONDS = 7.0
+GRACE_SECONDS = 9.0
 CONFIG_KEY = "config.yaml"
 RECORDINGS_FOLDER = "/var/lib/robotkube/recordings"
 TASKS = ("robotkube.io", "v1alpha1", "taskdescriptions")
@@ -122,7 +122,11 @@ def _change(process: Process, detector: EventDetector, text: str) -> None:
 
 
 def _end(process: Process, detector: EventDetector) -> None:
-    """Take what has arrived already, then store everything."""
+    """Go on for as long as the recordings ask for, take what has arrived already, then store everything."""
+    end = time.monotonic() + detector.after_seconds
+    while time.monotonic() < end:
+        time.sleep(DRAIN_SECONDS)
+        detector.turn()
     deadline = time.monotonic() + LAST_DRAIN_SECONDS_MAX
     while detector.turn() and time.monotonic() < deadline:
         time.sleep(DRAIN_SECONDS)

@@ -122,6 +122,11 @@ class EventDetector:
         return tuple(self._recorders.values())
 
     @property
+    def after_seconds(self) -> float:
+        """How long the recordings go on once the process is asked to end."""
+        return max((recorder.reaction.after_seconds for recorder in self.recorders), default=0.0)
+
+    @property
     def subscribed(self) -> int:
         """Number of subscriptions."""
         return len(self._topics)
