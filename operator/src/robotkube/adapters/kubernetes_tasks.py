@@ -1,0 +1,87 @@
+"""Writing of TaskDescriptions at the API server: port TaskWriter. Keys that its schema does not know are refused.
+
+`call` is that of the API client, bound to an account: it gives the open answer of one request, and raises KeyError
+where there is no such object, InputError where the server refuses, UnavailableError where it does not answer or the
+fault passes (with the server's own error, and its status, as cause).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+from urllib.parse import quote
+
+from robotkube.domain.errors import InputError, UnavailableError
+from robotkube.domain.tasks import GROUP, PLURAL, VERSION
+
+CONFLICT = 409
+STRICT = (("fieldValidation", "Strict"),)
+
+Object = Mapping[str, Any]
+Query = Sequence[tuple[str, str]]
+
+
+class Call(Protocol):
+    """One request."""
+
+    def __call__(
+        self, method: str, path: str, query: Query = (), *, body: Any = None, content_type: str = "application/json"
+    ) -> Any: ...
+
+
+class KubernetesTasks:
+    """See the port."""
+
+    def __init__(self, call: Call) -> None:
+        self._call = call
+
+    def find(self, namespace: str, name: str) -> Object | None:
+        """See the port."""
+        try:
+            found: Object = json.loads(self._call("GET", task_path(namespace, name)).data)
+        except KeyError:
+            return None
+        return found
+
+    def create(self, document: Object) -> bool:
+        """See the port."""
+        namespace = document["metadata"]["namespace"]
+        try:
+            self._call("POST", task_path(namespace), STRICT, body=document)
+        except UnavailableError as error:
+            if getattr(error.__cause__, "status", None) == CONFLICT:
+                return False
+            raise
+        except KeyError as error:
+            raise InputError(f"there is no namespace {namespace}, or the platform is not installed") from error
+        return True
+
+    def patch_spec(self, namespace: str, name: str, spec: Object) -> bool:
+        """See the port."""
+        return self._patch(namespace, name, [{"op": "replace", "path": "/spec", "value": spec}], "json-patch")
+
+    def annotate(self, namespace: str, name: str, annotations: Mapping[str, str]) -> bool:
+        """See the port."""
+        return self._patch(namespace, name, {"metadata": {"annotations": dict(annotations)}}, "merge-patch")
+
+    def delete(self, namespace: str, name: str) -> bool:
+        """See the port."""
+        try:
+            self._call("DELETE", task_path(namespace, name))
+        except KeyError:
+            return False
+        return True
+
+    def _patch(self, namespace: str, name: str, body: Any, form: str) -> bool:
+        try:
+            self._call("PATCH", task_path(namespace, name), STRICT, body=body, content_type=f"application/{form}+json")
+        except KeyError:
+            return False
+        return True
+
+
+def task_path(namespace: str, name: str = "") -> str:
+    """Path of a task, or of the namespace's list."""
+    base = f"/apis/{GROUP}/{VERSION}/namespaces/{quote(namespace)}/{PLURAL}"
+    return f"{base}/{quote(name)}" if name else base

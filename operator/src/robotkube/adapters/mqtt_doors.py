@@ -1,0 +1,136 @@
+"""The task door's session at the broker (MQTT 5): messages are acknowledged only when the door says so.
+
+Port DoorChannel. paho's own thread reads and connects again, with a bounded pause; the session stays at the broker
+for SESSION_SECONDS. At most UNACKNOWLEDGED_MAX messages are under way, and of one that is too long for a task only its
+size is kept, so memory is bounded by the broker's largest message.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Sequence
+from typing import Any
+
+import paho.mqtt.client as mqtt
+from paho.mqtt.enums import CallbackAPIVersion
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
+
+from robotkube.domain.door_messages import MESSAGE_BYTES_MAX
+from robotkube.ports.doors import DoorMessage
+
+SESSION_SECONDS = 24 * 3600
+KEEPALIVE_SECONDS = 15
+CONNECT_SECONDS_MAX = 5.0
+PAUSE_SECONDS_MIN, PAUSE_SECONDS_MAX = 1, 10
+UNACKNOWLEDGED_MAX = 16
+WAITING_MAX = 2 * UNACKNOWLEDGED_MAX
+ANSWERS_QUEUED_MAX = 1000
+QOS = 1
+FAILURE = 0x80
+
+
+class PahoDoor:
+    """The session `client_id` of an account; see the port."""
+
+    def __init__(self, host: str, port: int, username: str, password: str, client_id: str) -> None:
+        self._host, self._port = host, port
+        self._waiting: queue.Queue[DoorMessage] = queue.Queue(WAITING_MAX)
+        self._topics: list[str] = []
+        self._lock = threading.Lock()
+        self._connection = 0
+        self._complaint = f"{client_id}: not connected to the broker yet"
+        client = mqtt.Client(CallbackAPIVersion.VERSION2, client_id, protocol=mqtt.MQTTv5, manual_ack=True)
+        client.username_pw_set(username, password)
+        client.connect_timeout = CONNECT_SECONDS_MAX
+        client.reconnect_delay_set(PAUSE_SECONDS_MIN, PAUSE_SECONDS_MAX)
+        client.max_queued_messages_set(ANSWERS_QUEUED_MAX)
+        client.on_connect, client.on_disconnect = self._connected, self._disconnected
+        client.on_connect_fail, client.on_subscribe = self._failed, self._subscribed
+        client.on_message = self._received
+        self._client = client
+
+    @property
+    def complaint(self) -> str:
+        """See the port."""
+        return self._complaint
+
+    def start(self, topics: Sequence[str]) -> None:
+        """See the port."""
+        self._topics = list(topics)
+        properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
+        properties.SessionExpiryInterval = SESSION_SECONDS
+        properties.ReceiveMaximum = UNACKNOWLEDGED_MAX
+        self._client.connect_async(self._host, self._port, KEEPALIVE_SECONDS, clean_start=False, properties=properties)
+        self._client.loop_start()
+
+    def take(self, seconds: float) -> DoorMessage | None:
+        """See the port."""
+        try:
+            return self._waiting.get(timeout=seconds)
+        except queue.Empty:
+            return None
+
+    def acknowledge(self, message: DoorMessage) -> None:
+        """See the port. Packet numbers are those of one connection: an older one's mean nothing to the next."""
+        connection, number, quality = message.token
+        with self._lock:
+            if connection == self._connection and quality:
+                self._client.ack(number, quality)
+
+    def publish(self, topic: str, payload: bytes) -> bool:
+        """See the port."""
+        if self._complaint:
+            return False
+        return self._client.publish(topic, payload, QOS).rc == mqtt.MQTT_ERR_SUCCESS
+
+    def close(self) -> None:
+        """See the port."""
+        self._client.disconnect()
+        self._client.loop_stop()
+
+    def _connected(self, client: Any, userdata: Any, flags: Any, reason: Any, properties: Any) -> None:
+        if reason.is_failure:
+            self._complain(f"the broker refuses the connection: {reason}; look at its account")
+            return
+        with self._lock:
+            self._connection += 1
+        client.subscribe([(topic, QOS) for topic in self._topics])
+
+    def _subscribed(self, client: Any, userdata: Any, mid: Any, reasons: Any, properties: Any) -> None:
+        pairs = zip(self._topics, reasons, strict=False)
+        refused = [topic for topic, reason in pairs if reason.value >= FAILURE]
+        if refused:
+            self._complain(f"the broker refuses {', '.join(refused)}; look at its ACL")
+        else:
+            self._complaint = ""
+
+    def _disconnected(self, client: Any, userdata: Any, flags: Any, reason: Any, properties: Any) -> None:
+        with self._lock:
+            self._connection += 1
+        self._forget()
+        self._complain(f"the connection was lost: {reason}")
+
+    def _failed(self, client: Any, userdata: Any) -> None:
+        self._complain(f"the broker {self._host}:{self._port} does not answer")
+
+    def _complain(self, text: str) -> None:
+        self._complaint = f"task door: {text}"
+
+    def _forget(self) -> None:
+        """What was not acknowledged comes again with the next connection."""
+        while True:
+            try:
+                self._waiting.get_nowait()
+            except queue.Empty:
+                return
+
+    def _received(self, client: Any, userdata: Any, message: Any) -> None:
+        size = len(message.payload)
+        payload = bytes(message.payload) if size <= MESSAGE_BYTES_MAX else b""
+        token = (self._connection, message.mid, message.qos)
+        try:
+            self._waiting.put_nowait(DoorMessage(message.topic, payload, size, token))
+        except queue.Full:  # beyond what the broker may have under way: without an acknowledgement it comes again
+            return

@@ -1,0 +1,215 @@
+"""The MQTT door of the manager: messages of operators become custom resources, and their statuses go back.
+
+One thread takes a message, writes the object, then acknowledges the message: what was not written comes again, also
+after a crash, and the same id twice is one task. So nothing is kept here that could be lost. While the API server is
+away the message under way is tried again for at most TRY_SECONDS_MAX; the broker keeps the others.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from robotkube.domain.demands import time_text
+from robotkube.domain.door_messages import (
+    DOOR,
+    DOOR_LABEL,
+    DOOR_REASONS,
+    LEASE_ANNOTATION,
+    NOT_ACCEPTED,
+    NOT_REACHED,
+    UNKNOWN_TASK,
+    Ask,
+    Renew,
+    Unreadable,
+    Withdraw,
+    changed_spec,
+    gone_answer,
+    operator_of,
+    read_message,
+    refusal_answer,
+    status_answer,
+    status_topic,
+    task_document,
+)
+from robotkube.domain.errors import InputError, UnavailableError
+from robotkube.domain.tasks import object_key
+from robotkube.ports.clusters import TaskStore
+from robotkube.ports.doors import DoorChannel, DoorMessage, TaskWriter
+
+TAKE_SECONDS = 0.2
+STATUS_SECONDS = 0.25
+RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX = 0.2, 5.0
+TRY_SECONDS_MAX = 3600.0
+LOGGED_CHARACTERS_MAX = 200
+WRITES_MAX = 5  # a task that comes and goes between two calls is looked at so often
+
+log = logging.getLogger(__name__)
+
+
+@dataclass
+class DoorStatistics:
+    """Messages since the start, by what came of them."""
+
+    outcomes: dict[str, int] = field(
+        default_factory=lambda: dict.fromkeys(("created", "changed", "withdrawn", "renewed", *DOOR_REASONS), 0)
+    )
+    answers: int = 0
+
+
+class TaskDoor:
+    """The door for `operators` (name -> namespace of its tasks). `now_ns`: wall clock in ns since 1970; `monotonic`: a
+    clock in seconds that never goes back."""
+
+    def __init__(
+        self,
+        operators: Mapping[str, str],
+        channel: DoorChannel,
+        store: TaskStore,
+        writer: TaskWriter,
+        now_ns: Callable[[], int],
+        monotonic: Callable[[], float],
+    ) -> None:
+        self._operators, self._channel, self._store, self._writer = dict(operators), channel, store, writer
+        self._now_ns, self._monotonic = now_ns, monotonic
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="task-door", daemon=True)
+        self._told: dict[str, bytes] = {}
+        self._told_at = float("-inf")
+        self.statistics = DoorStatistics()
+
+    @property
+    def complaint(self) -> str:
+        """Empty while the broker is connected."""
+        return self._channel.complaint
+
+    def start(self) -> None:
+        """Open the door."""
+        self._channel.start([f"robotkube/tasks/{operator}" for operator in sorted(self._operators)])
+        self._thread.start()
+
+    def stop(self, seconds: float) -> None:
+        """Close it within `seconds`; a message under way comes again later."""
+        self._stopping.set()
+        if self._thread.is_alive():
+            self._thread.join(seconds)
+        self._channel.close()
+
+    def _run(self) -> None:
+        while not self._stopping.is_set():
+            self.turn(TAKE_SECONDS)
+
+    def turn(self, seconds: float) -> None:
+        """Handle the next message, if one comes within `seconds`; then tell operators what changed."""
+        message = self._channel.take(seconds)
+        if message is not None:
+            self._handle(message)
+        if self._monotonic() - self._told_at >= STATUS_SECONDS:
+            self._told_at = self._monotonic()
+            self._tell_changes()
+
+    # -- orders ---------------------------------------------------------------------------------------------------
+
+    def _handle(self, message: DoorMessage) -> None:
+        operator = operator_of(message.topic)
+        if operator not in self._operators:
+            self._channel.acknowledge(message)  # of a session older than our settings
+            return
+        order = read_message(message.payload, message.size)
+        found = order if isinstance(order, Unreadable) else self._persist(operator, order)
+        if found is None:
+            return  # not acknowledged: it comes again
+        if isinstance(found, Unreadable):
+            if not self._channel.publish(status_topic(operator), refusal_answer(found)):
+                return
+            words = found.message[:LOGGED_CHARACTERS_MAX]
+            log.warning("order refused operator=%s task=%s cause=%s reason=%s", operator, found.id, found.reason, words)
+            self._count(found.reason)
+        else:
+            log.info("order carried out operator=%s task=%s outcome=%s", operator, getattr(order, "id", ""), found)
+            self._count(found)
+        self._channel.acknowledge(message)
+
+    def _count(self, outcome: str) -> None:
+        self.statistics.outcomes[outcome] += 1
+
+    def _persist(self, operator: str, order: Ask | Withdraw | Renew) -> str | Unreadable | None:
+        """Carry the order out, trying again while the API server is away; None when the process ends before."""
+        began, pause = self._monotonic(), RETRY_SECONDS_FIRST
+        while not self._stopping.is_set():
+            try:
+                return self._carry_out(operator, self._operators[operator], order)
+            except InputError as error:
+                return Unreadable(NOT_ACCEPTED, str(error), order.id)
+            except UnavailableError as error:
+                if self._monotonic() - began > TRY_SECONDS_MAX:
+                    return Unreadable(NOT_REACHED, f"{error}; given up after {TRY_SECONDS_MAX:.0f} s", order.id)
+                log.warning("order waits task=%s seconds=%.1f reason=%s", order.id, pause, error)
+                self._stopping.wait(pause)
+                pause = min(2 * pause, RETRY_SECONDS_MAX)
+        return None
+
+    def _carry_out(self, operator: str, namespace: str, order: Ask | Withdraw | Renew) -> str | Unreadable:
+        if isinstance(order, Ask):
+            return self._ask(operator, namespace, order)
+        if isinstance(order, Withdraw):
+            if self._writer.delete(namespace, order.id):
+                return "withdrawn"
+        elif self._writer.annotate(namespace, order.id, {LEASE_ANNOTATION: self._now()}):
+            return "renewed"
+        return Unreadable(UNKNOWN_TASK, f"there is no task {namespace}/{order.id}", order.id)
+
+    def _ask(self, operator: str, namespace: str, order: Ask) -> str:
+        for _ in range(WRITES_MAX):
+            if self._writer.create(task_document(operator, namespace, order, self._now())):
+                return "created"
+            present = self._writer.find(namespace, order.id)
+            if present is None:
+                continue
+            spec = changed_spec(present, operator, order, self._now())
+            if self._writer.patch_spec(namespace, order.id, spec):
+                return "changed"
+        raise UnavailableError(f"task {namespace}/{order.id} comes and goes")
+
+    def _now(self) -> str:
+        return time_text(self._now_ns())
+
+    # -- answers --------------------------------------------------------------------------------------------------
+
+    def _tell_changes(self) -> None:
+        """Publish what differs from what was told; what the broker did not take is told the next time."""
+        owners = {namespace: operator for operator, namespace in self._operators.items()}
+        found = {object_key(task): task for task in self._store.tasks() if _is_ours(task, owners)}
+        answers = {key: status_answer(task) for key, task in found.items()}
+        for key in sorted({*self._told, *answers}):
+            namespace, _, name = key.partition("/")
+            answer = answers.get(key) or gone_answer(name)
+            if self._told.get(key) == answer:
+                continue
+            if not self._channel.publish(status_topic(owners[namespace]), answer):
+                return
+            self.statistics.answers += 1
+            if key in answers:
+                self._told[key] = answer
+            else:
+                self._told.pop(key)
+
+
+def _is_ours(task: Mapping[str, Any], owners: Mapping[str, str]) -> bool:
+    """Whether the task was asked for through this door."""
+    metadata = task["metadata"]
+    return metadata.get("namespace") in owners and metadata.get("labels", {}).get(DOOR_LABEL) == DOOR
+
+
+def metrics_text(statistics: DoorStatistics, connected: bool) -> str:
+    """Prometheus text."""
+    name = "robotkube_task_door_messages_total"
+    lines = [f"# TYPE {name} counter"]
+    lines += [f'{name}{{outcome="{key}"}} {count}' for key, count in sorted(statistics.outcomes.items())]
+    lines += ["# TYPE robotkube_task_door_answers_total counter"]
+    lines += [f"robotkube_task_door_answers_total {statistics.answers}"]
+    lines += ["# TYPE robotkube_task_door_connected gauge", f"robotkube_task_door_connected {int(connected)}"]
+    return "\n".join(lines) + "\n"
