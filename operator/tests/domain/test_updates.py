@@ -105,7 +105,8 @@ class Fleet:
         if move.cause == "update":
             found = self.catalogue.version(move.chart, move.version)
             assert found is not None
-            self.memory = self.memory.updated(move.chart, move.version, found.digest, before, at_ns)
+            made = (f"commit {len(self.commits)}", at_ns)
+            self.memory = self.memory.updated(move.chart, (move.version, found.digest), before, made)
         else:
             self.memory = self.memory.reverted(move.chart, move.reason)
         self.commits.append(move)
@@ -177,6 +178,7 @@ def test_a_canary_that_fails_is_taken_back_and_the_digest_is_never_tried_again(s
     assert move is not None
     assert move.cause == "revert"
     assert "vehicle-00/object-detection" in move.reason
+    assert move.undone == ("commit 0",)
     assert fleet.main == before
     fleet.now += 10_000
     assert fleet.commit() is None

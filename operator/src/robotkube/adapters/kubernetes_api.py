@@ -364,6 +364,10 @@ def read_time(text: str) -> float:
     return datetime.fromisoformat(text.replace("Z", "+00:00")).astimezone(UTC).timestamp()
 
 
+def _time_ns(text: str | None) -> int | None:
+    return None if text is None else int(read_time(text)) * 1_000_000_000
+
+
 def read_application(item: Object) -> ApplicationState:
     """The fields of an Argo CD Application that decide."""
     metadata, status = item["metadata"], item.get("status", {})
@@ -382,6 +386,7 @@ def read_application(item: Object) -> ApplicationState:
         health=status.get("health", {}).get("status", ""),
         conditions=tuple(text[:CONDITION_CHARACTERS_MAX] for text in conditions[:CONDITIONS_MAX]),
         deleting=bool(metadata.get("deletionTimestamp")),
+        health_since=_time_ns(status.get("health", {}).get("lastTransitionTime")),
     )
 
 

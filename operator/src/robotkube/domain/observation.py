@@ -18,7 +18,8 @@ NOT_COMPARED = "Unknown"
 @dataclass(frozen=True)
 class ApplicationState:
     """The part of an Argo CD Application that decides. `source`, `compared_source`, `synced_source` are compared as a
-    whole; `plan` is its annotation robotkube.io/plan; `conditions` are its messages for people."""
+    whole; `plan` is its annotation robotkube.io/plan; `conditions` are its messages for people; `health_since` is in ns
+    since 1970, None when Argo CD does not say it."""
 
     name: str
     plan: str = ""
@@ -30,6 +31,7 @@ class ApplicationState:
     health: str = ""
     conditions: tuple[str, ...] = ()
     deleting: bool = False
+    health_since: int | None = None
 
 
 @dataclass(frozen=True)

@@ -100,7 +100,7 @@ def _seconds(reader: Reader, value: Any, path: str) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= SECONDS_MAX:
         reader.problems.append(f"{path}: must be a whole number from 1 to {SECONDS_MAX}")
         return 1
-    return value
+    return int(value)
 
 
 def _share(reader: Reader, value: Any, path: str) -> float:

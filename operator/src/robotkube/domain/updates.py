@@ -13,20 +13,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from itertools import groupby
-from typing import Literal
+from typing import Self
 
 from robotkube.domain.catalogue import Catalogue
 from robotkube.domain.catalogue_charts import ChartVersion
 from robotkube.domain.composition import Desired, Met, Refused
 from robotkube.domain.guarantees import shortfall
 from robotkube.domain.planning import Change, differences
+from robotkube.domain.proposals import REVERT, UPDATE
 from robotkube.domain.releases import Release
 from robotkube.domain.update_policies import UpdatePolicy, UpdateRule
 from robotkube.domain.versions import in_range, version_key
 
-UPDATE: Literal["update"] = "update"
-REVERT: Literal["revert"] = "revert"
 HEALTHY, DEGRADED, PROGRESSING = "healthy", "degraded", "progressing"
 SECOND_NS = 1_000_000_000
 NOTICED_SECONDS_MAX = 60  # a failure is noticed within this time, whatever the bounds of the rule
@@ -37,12 +37,14 @@ Pin = tuple[str, str]
 
 @dataclass(frozen=True)
 class Run:
-    """The last update of a chart on main: its target, and per release what it replaced and when (ns since 1970)."""
+    """The last update of a chart on main: its target, per release what it replaced and when (ns since 1970), and its
+    commits."""
 
     version: str
     digest: str
     before: Mapping[str, Pin] = field(default_factory=dict)
     at_ns: Mapping[str, int] = field(default_factory=dict)
+    commits: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -52,20 +54,22 @@ class UpdateMemory:
     runs: Mapping[str, Run] = field(default_factory=dict)
     barred: Mapping[str, str] = field(default_factory=dict)
 
-    def updated(self, chart: str, version: str, digest: str, before: Mapping[str, Pin], at_ns: int) -> UpdateMemory:
-        """After a commit that updated the releases in `before`."""
+    def updated(self, chart: str, target: tuple[str, str], before: Mapping[str, Pin], made: tuple[str, int]) -> Self:
+        """After a commit that updated the releases in `before` to `target` (version and digest); `made` is the commit's
+        id and its time in ns."""
         known = self.runs.get(chart)
-        run = known if known is not None and known.digest == digest else Run(version, digest)
-        times = {**run.at_ns, **dict.fromkeys(before, at_ns)}
-        return replace(self, runs={**self.runs, chart: Run(version, digest, {**run.before, **before}, times)})
+        run = known if known is not None and known.digest == target[1] else Run(*target)
+        times = {**run.at_ns, **dict.fromkeys(before, made[1])}
+        run = Run(*target, {**run.before, **before}, times, (*run.commits, made[0]))
+        return replace(self, runs={**self.runs, chart: run})
 
-    def reverted(self, chart: str, why: str) -> UpdateMemory:
+    def reverted(self, chart: str, why: str) -> Self:
         """After a commit that took the last update of a chart back."""
         runs = dict(self.runs)
         run = runs.pop(chart, None)
-        return UpdateMemory(runs, {**self.barred, run.digest: why}) if run else self
+        return replace(self, runs=runs, barred={**self.barred, run.digest: why}) if run else self
 
-    def policy_changed(self) -> UpdateMemory:
+    def policy_changed(self) -> Self:
         """After people changed policies/updates.yaml: what was reverted may be tried again."""
         return replace(self, barred={})
 
@@ -89,15 +93,17 @@ class Sight:
 
 @dataclass(frozen=True)
 class Move:
-    """The one step that may be taken now: `keys` are the releases that go to `version` (update) or leave it (revert);
-    `pins` those of all releases with this step taken; `reason` for commit and pull request."""
+    """The one step that may be taken now, of `cause` update or revert: `keys` are the releases that go to `version` or
+    leave it; `pins` those of all releases with this step taken; `reason` for commit and pull request; `undone` the
+    commits that a revert takes back."""
 
-    cause: Literal["update", "revert"]
+    cause: str
     chart: str
     version: str
     keys: tuple[str, ...]
     pins: Mapping[str, Pin]
     reason: str
+    undone: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -230,13 +236,16 @@ def _tally(rollout: _Rollout, run: Run | None, sight: Sight, now_ns: int) -> _Ta
     for release in rollout.updated:
         online = sight.online.get(release.namespace)
         if run is not None and online is not None:
-            begin = max(run.at_ns[release.key], online)
-            verdicts[_verdict(sight.health.get(release.key), begin, rollout.rule, now_ns)].append(release.key)
+            at_ns = run.at_ns[release.key]
+            begin_ns = max(at_ns, online, plan_ns(release.plan))
+            verdict = _verdict(sight.health.get(release.key), at_ns, begin_ns, rollout.rule, now_ns)
+            verdicts[verdict].append(release.key)
     return _Tally(*(tuple(verdicts[name]) for name in ("good", "bad", "pending")))
 
 
-def _verdict(health: Health | None, begin_ns: int, rule: UpdateRule, now_ns: int) -> str:
-    """good, bad or pending. Trouble that began long after the update is not the update's doing."""
+def _verdict(health: Health | None, at_ns: int, begin_ns: int, rule: UpdateRule, now_ns: int) -> str:
+    """good, bad or pending, of a release that was updated at `at_ns` and could run since `begin_ns` (its agent came
+    back, or a later plan changed it again). Trouble that began long after the update is not the update's doing."""
     state = health.state if health else PROGRESSING
     known = health.since_ns if health else None
     if state == HEALTHY:
@@ -245,8 +254,16 @@ def _verdict(health: Health | None, begin_ns: int, rule: UpdateRule, now_ns: int
     since = now_ns if known is None else known
     late = now_ns - begin_ns >= rule.failure_seconds * SECOND_NS
     newly_degraded = state == DEGRADED and since >= begin_ns
-    blamed = begin_ns + (2 * rule.failure_seconds + rule.success_seconds + NOTICED_SECONDS_MAX) * SECOND_NS
-    return "bad" if (late or newly_degraded) and since < blamed else "pending"
+    blamed_ns = at_ns + (2 * rule.failure_seconds + rule.success_seconds + NOTICED_SECONDS_MAX) * SECOND_NS
+    return "bad" if (late or newly_degraded) and since < blamed_ns else "pending"
+
+
+def plan_ns(plan: str) -> int:
+    """The time in a plan's id, in ns since 1970; 0 when it is none."""
+    try:
+        return int(datetime.strptime(plan[:15], "%Y%m%d-%H%M%S").replace(tzinfo=UTC).timestamp()) * SECOND_NS
+    except ValueError:
+        return 0
 
 
 def _failed(
@@ -261,7 +278,8 @@ def _failed(
         return None, f"{name} has failed ({fault}); it goes no further, and is not reverted since the policy says so"
     keys = tuple(sorted(r.key for r in present if r.key in run.before and r.digest == run.digest))
     back = {key: run.before[key] for key in keys}
-    move = Move(REVERT, rollout.chart, rollout.target.version, keys, {**pins, **back}, f"{name} back: {fault}")
+    reason = f"{name} back: {fault}"
+    move = Move(REVERT, rollout.chart, rollout.target.version, keys, {**pins, **back}, reason, run.commits)
     return move, f"{name} has failed ({fault}) and is taken back"
 
 
