@@ -39,9 +39,13 @@ REFUSAL_TEXTS: Mapping[str, str] = {
     "OutsideScope": "the manager's scope does not hold the namespace, an agent or the application",
     "ChainTooDeep": "too many operators launched one another",
     "ChainTooWide": "the parent task has launched too many tasks",
+    "ParentWithdrawn": "the task that launched this one's operator is gone",
     SUPERSEDED: "the task changed or was withdrawn before its plan was merged",
 }
 REFUSAL_REASONS = tuple(REFUSAL_TEXTS)
+CONFLICT_REASONS = frozenset({INSUFFICIENT_RESOURCES, RELEASE_IN_USE})  # what only other demands cause
+SETTLED_REASONS = CONFLICT_REASONS | {QUEUE_FULL, QUEUE_TOO_LONG, PREEMPTED}
+"""Conflicts are decided once: such a refusal stands until the task's spec changes or the task is made anew."""
 MERGED, PROPOSED, WAITING = "Merged", "Proposed", "Waiting"
 PROPOSAL_REFUSED, WAITS_FOR_APPROVAL = "ProposalRefused", "WaitsForApproval"
 GATE_UNAVAILABLE, FORGE_UNAVAILABLE, FORGE_BUSY = "GateUnavailable", "ForgeUnavailable", "ForgeBusy"
@@ -164,6 +168,11 @@ class TaskDescription:
     def cause(self) -> Cause:
         """As release files and commits name it."""
         return Cause(self.key, self.event, self.rule, self.trace, self.application, canonical(self.parameters))
+
+    @property
+    def parent(self) -> str:
+        """Key of the task that launched the operator that asks; empty when none did."""
+        return self.chain.parent
 
     @property
     def expires_ns(self) -> int | None:

@@ -1,22 +1,24 @@
-"""From the tasks to the next plan: which demands count now, what they lead to, and what the gate refused before."""
+"""From the tasks to the next plan: which demands stand, how they are met, and what the gate refused before."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+import threading
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
 from robotkube.domain.composition import Demand, Desired, Met, Refused, Validate, World, compose
-from robotkube.domain.errors import DocumentError
+from robotkube.domain.conflicts import Outcome, Postponed, Resolution, resolve
 from robotkube.domain.initial import initial_demands
 from robotkube.domain.loops import Render
 from robotkube.domain.placement import Agent, fleet
-from robotkube.domain.planning import Plan, differences, fingerprint, make_plan
+from robotkube.domain.planning import Change, Plan, differences, fingerprint, make_plan
 from robotkube.domain.releases import Release
-from robotkube.domain.tasks import TaskDescription, is_withdrawn, object_key, read_task
+from robotkube.domain.tasks import POSTPONED, TaskDescription
 from robotkube.ports.clusters import Cluster, TaskStore
 from robotkube.services.assured_catalogue import AssuredCatalogue
+from robotkube.services.manager_ledger import DemandLedger
 from robotkube.services.manager_reading import MainReader
 from robotkube.services.manager_records import PlanRecord
 
@@ -36,7 +38,8 @@ class ManagerSettings:
 
 
 class Planner:
-    """Computes plans; remembers only what the gate refused, until the inputs of that change."""
+    """Computes plans; remembers only what was decided about tasks that are there, and what the gate refused, until the
+    inputs of that change. `plan` and the like belong to one thread, `what_if` may be called from any."""
 
     def __init__(
         self,
@@ -50,12 +53,28 @@ class Planner:
     ) -> None:
         self._settings, self._store, self._cluster = settings, tasks, cluster
         self._catalogue, self._main, self._render, self._validate = catalogue, main, render, validate
+        self._ledger, self._lock = DemandLedger(), threading.Lock()
         self._tasks_per_plan = TASKS_PER_PLAN_MAX
         self._held: dict[str, tuple[str, PlanRecord]] = {}
         self._held_differences: dict[str, PlanRecord] = {}
         self._said: frozenset[str] = frozenset()
+        self._turn = 0
+        self._now_ns = 0
         self.desired = Desired({}, {})
+        self.outcomes: Mapping[str, Outcome] = {}
         self.tasks: Mapping[str, TaskDescription] = {}
+        self.next_due_ns: int | None = None
+
+    @property
+    def foreign(self) -> frozenset[str]:
+        """Namespaces of agents outside the manager's scope."""
+        covers = self._settings.operators.manager.covers_agent
+        return frozenset(agent.namespace for agent in self._settings.agents if not covers(agent.name))
+
+    @property
+    def offloaded(self) -> frozenset[str]:
+        """Tasks that run elsewhere than their applications say."""
+        return self._ledger.offloaded
 
     @property
     def held(self) -> Mapping[str, PlanRecord]:
@@ -63,56 +82,70 @@ class Planner:
         return {key: record for key, (_, record) in self._held.items()}
 
     def plan(self, started_ns: int) -> Plan | None:
-        """The plan that brings main to what is wanted; None when it is there or when the gate refused exactly this."""
-        self.tasks, unreadable = self._read()
-        desired = self._compose(self._wanted())
+        """The plan that brings main to what is wanted at `started_ns` (ns since 1970); None when it is there or when
+        the gate refused exactly this. `next_due_ns` says when time alone changes what is wanted (None: never)."""
+        with self._lock:
+            self._now_ns = started_ns
+            self.tasks = self._ledger.look(self._store.tasks(), started_ns).live
+            answered = self._answered()
+            tasks = self._wanted(answered)
+            resolution = self._resolve([_demand(task) for task in tasks], answered)
+            self._ledger.keep(resolution)
+            self._take(resolution)
+            changes = self._changes(resolution.desired)
+            if not changes or fingerprint(changes) in self._held_differences:
+                return None
+            return self._made(changes, self.desired, self.tasks)
+
+    def _take(self, resolution: Resolution) -> None:
         held = {key: Met((), ("accepted, but the gate refused the plan",)) for key in self._held}
-        self.desired = replace(desired, outcomes={**desired.outcomes, **held, **unreadable})
+        initial = {k: o for k, o in resolution.outcomes.items() if k not in self.tasks}
+        self.outcomes = {**initial, **self._ledger.outcomes, **held}
+        told = {key: _told(outcome) for key, outcome in self.outcomes.items()}
+        self.desired = replace(resolution.desired, outcomes=told)
+        times = [self._ledger.standing.next_due_ns, resolution.next_due_ns, self._now_ns if resolution.left else None]
+        self.next_due_ns = min((time for time in times if time is not None), default=None)
         self._say_refusals()
-        changes = differences({**self._in_doubt(desired), **desired.releases}, self._main.tree.releases)
-        if not changes or fingerprint(changes) in self._held_differences:
-            return None
-        stamp = datetime.fromtimestamp(started_ns / 1e9, UTC).strftime("%Y%m%d-%H%M%S")
+
+    def _changes(self, desired: Desired) -> tuple[Change, ...]:
+        wanted = {**self._in_doubt(desired), **desired.releases}
+        return self._main.respected(differences(wanted, self._main.tree.releases))
+
+    def _made(self, changes: tuple[Change, ...], desired: Desired, tasks: Mapping[str, TaskDescription]) -> Plan:
+        stamp = datetime.fromtimestamp(self._now_ns / 1e9, UTC).strftime("%Y%m%d-%H%M%S")
         catalogue, url = self._catalogue.catalogue, self._settings.charts_url
-        return make_plan(changes, self._main.tree, self.desired, self.tasks, catalogue, url, self._main.tip, stamp)
+        return make_plan(changes, self._main.tree, desired, tasks, catalogue, url, self._main.tip, stamp)
 
-    def _read(self) -> tuple[dict[str, TaskDescription], dict[str, Refused]]:
-        tasks: dict[str, TaskDescription] = {}
-        unreadable: dict[str, Refused] = {}
-        for document in self._store.tasks():
-            if is_withdrawn(document):
-                continue
-            try:
-                task = read_task(document)
-                tasks[task.key] = task
-            except DocumentError as error:
-                unreadable[object_key(document)] = Refused("InvalidParameters", str(error))
-        return tasks, unreadable
+    def _answered(self) -> frozenset[str]:
+        """Tasks that main answers."""
+        return frozenset(cause.task for release in self._main.tree.releases.values() for cause in release.causes)
 
-    def _wanted(self) -> list[TaskDescription]:
-        """The tasks of this plan: all that main answers, and the oldest new ones that are not held."""
+    def _wanted(self, answered: frozenset[str]) -> list[TaskDescription]:
+        """The tasks of this plan: all that main answers, the new ones of the highest priority that are not held, and in
+        turns those that were not met the last time."""
         tasks = self.tasks
         self._held = {k: held for k, held in self._held.items() if k in tasks and held[0] == self._inputs(tasks[k])}
-        new = [task.key for task in self._new() if task.key not in self._held]
-        waiting = {*new[self._tasks_per_plan :], *self._held}
-        return [task for key, task in tasks.items() if key not in waiting]
-
-    def _new(self) -> list[TaskDescription]:
-        """Tasks that main does not answer yet, oldest first."""
-        answered = {cause.task for release in self._main.tree.releases.values() for cause in release.causes}
-        return sorted((t for t in self.tasks.values() if t.key not in answered), key=lambda t: (t.created, t.key))
+        standing = [task for task in tasks.values() if task.key in answered and task.key not in self._held]
+        new = [task for task in tasks.values() if task.key not in answered and task.key not in self._held]
+        fresh, again = self._ledger.split(sorted(new, key=lambda t: (-t.priority, t.created, t.key)))
+        fresh = fresh[: self._tasks_per_plan]
+        places = TASKS_PER_PLAN_MAX if self._tasks_per_plan > 1 else 1 - len(fresh)
+        turn = self._turn % len(again) if len(again) > places else 0
+        self._turn = turn + places
+        return [*standing, *fresh, *[*again[turn:], *again[:turn]][:places]]
 
     def _inputs(self, task: TaskDescription) -> str:
         """What a refusal depended on: it stands until one of these changes."""
         return f"{task.identity} {task.generation} {self._catalogue.tip} {self._main.policy_text}"
 
-    def _compose(self, tasks: list[TaskDescription]) -> Desired:
+    def _resolve(self, tasks: Sequence[Demand], answered: frozenset[str]) -> Resolution:
+        """What the initial configuration and the tasks lead to, besides what main holds now."""
         machines = fleet(self._settings.agents, self._cluster.nodes())
         present: Mapping[str, Release] = self._main.tree.releases
         world = World(self._catalogue.catalogue, machines, present, self._render, self._validate)
-        demands = initial_demands(self._catalogue.catalogue, self._main.policy, machines)
-        demands += [Demand(task.key, task.application, task.parameters, task=task) for task in tasks]
-        return compose(demands, world)
+        initial = initial_demands(self._catalogue.catalogue, self._main.policy, machines)
+        history = self._ledger.history(answered)
+        return resolve([*initial, *tasks], lambda demands: compose(demands, world), history, self._now_ns)
 
     def _in_doubt(self, desired: Desired) -> dict[str, Release]:
         """Releases on main of demands that are refused for want of evidence only: what runs is not taken away because
@@ -144,7 +177,8 @@ class Planner:
     def refused(self, plan: Plan, record: PlanRecord) -> None:
         """Hold what the gate refused until its inputs change. New tasks refused together are tried one by one, so that
         one of them cannot hold the others."""
-        new = {task.key: task for task in self._new()}
+        answered = self._answered()
+        new = {key: task for key, task in self.tasks.items() if key not in answered}
         suspects = [key for key in record.tasks if key in new]
         if len(suspects) > 1:
             self._tasks_per_plan = 1
@@ -156,3 +190,12 @@ class Planner:
             self._held_differences[plan.fingerprint] = record
         while len(self._held_differences) > HELD_MAX:
             self._held_differences.pop(next(iter(self._held_differences)))
+
+
+def _demand(task: TaskDescription) -> Demand:
+    return Demand(task.key, task.application, task.parameters, task=task)
+
+
+def _told(outcome: Outcome) -> Met | Refused:
+    """As the pull request says it: a demand that waits is not met."""
+    return Refused(POSTPONED, outcome.message) if isinstance(outcome, Postponed) else outcome

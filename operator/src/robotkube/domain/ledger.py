@@ -1,0 +1,129 @@
+"""The ledger: which tasks are demands now.
+
+Every TaskDescription is an entry; its demand stands from the object's creation until it is deleted (withdrawn) or its
+lease runs out (expired). A renewal moves the end of the lease, a changed spec is a new generation of the same demand,
+and the same key can stand only once. Releases exist while a demand on them stands: what the ledger leaves out goes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any
+
+from robotkube.domain.composition import Refused
+from robotkube.domain.demands import time_ns
+from robotkube.domain.errors import DocumentError
+from robotkube.domain.tasks import (
+    INVALID_PARAMETERS,
+    LEASE_EXPIRED,
+    POSTPONED,
+    RENEWED_ANNOTATION,
+    SETTLED_REASONS,
+    TaskDescription,
+    is_withdrawn,
+    object_key,
+    read_task,
+)
+
+
+@dataclass(frozen=True)
+class Standing:
+    """The demands of one moment, by key in order of creation, then of key. `refused` are entries that are no demand:
+    expired, or unreadable. `next_due_ns` is when the next lease runs out (None: none does)."""
+
+    live: Mapping[str, TaskDescription] = field(default_factory=dict)
+    refused: Mapping[str, Refused] = field(default_factory=dict)
+    next_due_ns: int | None = None
+
+
+@dataclass(frozen=True)
+class Remembered:
+    """What a task's status says of earlier decisions about its present generation: since when it waits in the queue (ns
+    since 1970), how a conflict was settled, and whether it was offloaded."""
+
+    waiting_since_ns: int | None = None
+    settled: Refused | None = None
+    offloaded: bool = False
+
+
+class TaskReader:
+    """Reads tasks, and keeps what it read until the document changes."""
+
+    def __init__(self) -> None:
+        self._read: dict[str, tuple[Any, TaskDescription | Refused]] = {}
+
+    def read(self, documents: Iterable[Mapping[str, Any]]) -> dict[str, TaskDescription | Refused]:
+        """Every task that is not being deleted, by key; Refused for one that cannot be read. The newest of several
+        documents with one key counts."""
+        found: dict[str, tuple[Any, TaskDescription | Refused]] = {}
+        for document in documents:
+            if is_withdrawn(document):
+                continue
+            key, inputs = object_key(document), _inputs(document)
+            known = self._read.get(key)
+            found[key] = known if known is not None and known[0] == inputs else (inputs, _task(document))
+        self._read = found
+        return {key: task for key, (_, task) in found.items()}
+
+
+def _inputs(document: Mapping[str, Any]) -> Any:
+    """Everything that `read_task` looks at."""
+    metadata = document.get("metadata", {})
+    names = ("uid", "creationTimestamp", "generation", "annotations")
+    return [metadata.get(name) for name in names], document.get("spec")
+
+
+def _task(document: Mapping[str, Any]) -> TaskDescription | Refused:
+    try:
+        return read_task(document)
+    except DocumentError as error:
+        return Refused(INVALID_PARAMETERS, str(error))
+
+
+def standing(tasks: Mapping[str, TaskDescription | Refused], now_ns: int) -> Standing:
+    """The demands that stand at `now_ns` (ns since 1970) among all that was read."""
+    readable = sorted((t for t in tasks.values() if isinstance(t, TaskDescription)), key=lambda t: (t.created, t.key))
+    refused = {key: task for key, task in tasks.items() if isinstance(task, Refused)}
+    live: dict[str, TaskDescription] = {}
+    due: list[int] = []
+    for task in readable:
+        end = task.expires_ns
+        if end is not None and end <= now_ns:
+            refused[task.key] = Refused(LEASE_EXPIRED, _expired(task, end))
+            continue
+        live[task.key] = task
+        due += [end] if end is not None else []
+    return Standing(live, refused, min(due, default=None))
+
+
+def _expired(task: TaskDescription, end: int) -> str:
+    return (
+        f"the lease of {task.lease_seconds} s ran out at {moment(end)}; "
+        f"set the annotation {RENEWED_ANNOTATION} to the present time to ask again"
+    )
+
+
+def moment(time_ns_: int) -> str:
+    """RFC 3339 in UTC, whole seconds, of ns since 1970."""
+    return datetime.fromtimestamp(time_ns_ // 1_000_000_000, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+def remembered(document: Mapping[str, Any]) -> Remembered:
+    """What the status of a task says of its present generation; nothing when it is about an older one."""
+    status = document.get("status") or {}
+    if status.get("observedGeneration") != document.get("metadata", {}).get("generation", 1):
+        return Remembered()
+    accepted: Mapping[str, Any] = next((c for c in status.get("conditions", []) if c.get("type") == "Accepted"), {})
+    reason, message = accepted.get("reason"), str(accepted.get("message", ""))
+    settled = Refused(reason, message) if reason in SETTLED_REASONS and accepted.get("status") == "False" else None
+    since = (status.get("queue") or {}).get("since") if reason == POSTPONED else None
+    return Remembered(_nanoseconds(since), settled, bool(status.get("offloaded")))
+
+
+def _nanoseconds(text: Any) -> int | None:
+    try:
+        return time_ns(text) if isinstance(text, str) else None
+    except (ValueError, OverflowError):
+        return None

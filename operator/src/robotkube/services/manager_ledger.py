@@ -1,0 +1,88 @@
+"""The manager's ledger: the demands that stand now, and what was decided about each of them before.
+
+Earlier decisions are kept for one generation of one object; after a restart they are found in the tasks' statuses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from robotkube.domain.composition import Met, Refused
+from robotkube.domain.conflicts import History, Outcome, Postponed, Resolution
+from robotkube.domain.ledger import Remembered, Standing, TaskReader, remembered, standing
+from robotkube.domain.tasks import SETTLED_REASONS, TaskDescription, object_key
+
+_Stamp = tuple[str, int]
+
+
+class DemandLedger:
+    """Keeps outcomes by task; nothing outlives its task."""
+
+    def __init__(self) -> None:
+        self._reader = TaskReader()
+        self._known: dict[str, tuple[_Stamp, Remembered]] = {}
+        self._outcomes: dict[str, Outcome] = {}
+        self.standing = Standing()
+
+    def look(self, documents: Sequence[Mapping[str, Any]], now_ns: int) -> Standing:
+        """Read the tasks; the demands that stand at `now_ns`."""
+        self.standing = standing(self._reader.read(documents), now_ns)
+        statuses = {object_key(document): document for document in documents}
+        known: dict[str, tuple[_Stamp, Remembered]] = {}
+        for key, task in self.standing.live.items():
+            stamp = (task.identity, task.generation)
+            same = key in self._known and self._known[key][0] == stamp
+            known[key] = self._known[key] if same else (stamp, remembered(statuses[key]))
+            if not same:
+                self._outcomes.pop(key, None)
+        self._known = known
+        self._outcomes = {key: outcome for key, outcome in self._outcomes.items() if key in known}
+        return self.standing
+
+    def history(self, answered: frozenset[str]) -> History:
+        """Earlier decisions about the demands that stand."""
+        found = {key: memory for key, (_, memory) in self._known.items()}
+        return History(
+            {key: m.waiting_since_ns for key, m in found.items() if m.waiting_since_ns is not None},
+            {key: m.settled for key, m in found.items() if m.settled is not None},
+            self.offloaded,
+            answered,
+        )
+
+    def keep(self, resolution: Resolution) -> None:
+        """Remember what was decided just now."""
+        for key, outcome in resolution.outcomes.items():
+            if key in self._known:
+                memory = _memory(outcome, key in resolution.offloaded)
+                self._known[key] = (self._known[key][0], memory)
+                self._outcomes[key] = outcome
+
+    @property
+    def offloaded(self) -> frozenset[str]:
+        """Demands that run elsewhere than their applications say."""
+        return frozenset(key for key, (_, memory) in self._known.items() if memory.offloaded)
+
+    @property
+    def outcomes(self) -> Mapping[str, Outcome]:
+        """The last outcome of every demand that stands and was looked at, and why the others are no demands."""
+        return {**self._outcomes, **self.standing.refused}
+
+    def split(self, tasks: Iterable[TaskDescription]) -> tuple[list[TaskDescription], list[TaskDescription]]:
+        """Tasks that are new to the ledger or met; tasks that were refused or postponed and may be looked at again.
+        Settled ones are in neither."""
+        fresh: list[TaskDescription] = []
+        again: list[TaskDescription] = []
+        for task in tasks:
+            if self._known[task.key][1].settled is None:
+                known = isinstance(self._outcomes.get(task.key, Met((), ())), Met)
+                (fresh if known else again).append(task)
+        return fresh, again
+
+
+def _memory(outcome: Outcome, offloaded: bool) -> Remembered:
+    if isinstance(outcome, Postponed):
+        return Remembered(waiting_since_ns=outcome.since_ns)
+    if isinstance(outcome, Refused) and outcome.reason in SETTLED_REASONS:
+        return Remembered(settled=outcome)
+    return Remembered(offloaded=offloaded)
