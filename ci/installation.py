@@ -28,6 +28,7 @@ INSTALL_TIMEOUT_SECONDS = 420
 ROLLOUT_TIMEOUT_SECONDS = 240
 RESTRICTED = {"pod-security.kubernetes.io/enforce": "restricted"}
 BAGS_SIZE = "2Gi"
+PLAYERS = ("vehicle", "roadside")  # roles whose agents play a bag
 PLATFORM_IMAGES = ("platform", "suites", "ros", "mosquitto", "gitea", "ferretdb")
 KEY_SECRET = "evidence-key"  # noqa: S105
 LOG_LINES = 15
@@ -153,7 +154,7 @@ def platform_values(references: Mapping[str, str], topology: Topology) -> dict[s
         agent: dict[str, Any] = {"name": node.agent, "role": node.role}
         if "recording" in node.capabilities:
             agent["records"] = True
-        if node.role == "vehicle":
+        if node.role in PLAYERS:
             agent["claims"] = [{"name": "bags", "size": BAGS_SIZE}]
         agents.setdefault(node.agent, agent)
     images = {name: references[name] for name in PLATFORM_IMAGES}

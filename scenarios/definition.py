@@ -192,8 +192,8 @@ def load(folder: Path, overrides: Sequence[str] = (), variant: str | None = None
 
 
 def _story(given: Mapping[str, Any]) -> Story:
-    lists = {key: tuple(given.get(key, ())) for key in ("policies", "ready")}
-    return Story(**{key: value for key, value in given.items() if key not in ("steps", *lists)}, **lists)
+    words = {key: str(value) for key, value in given.items() if isinstance(value, str)}
+    return Story(**words, policies=tuple(given.get("policies", ())), ready=tuple(given.get("ready", ())))
 
 
 def _bound(given: Mapping[str, Any], parameters: Mapping[str, Any]) -> Bound:

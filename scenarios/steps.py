@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import Any
 
 STEP_SECONDS_MAX = 120.0
-ACTIONS = ("play", "submit", "delete", "kill", "cordon", "uncordon", "stop", "start", "wait")
 READY, MAIN, ABSENT = "ready", "main", "absent"
 ACCEPTED = "Accepted"
 

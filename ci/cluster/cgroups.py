@@ -86,6 +86,17 @@ def processes(cluster: str) -> set[int]:
     return {pid for folder in folders(cluster) for pid in _members(folder)}
 
 
+def processes_of_node(cluster: str, node: str, daemons: tuple[str, ...]) -> set[int]:
+    """Process ids of a node's pods and of the named daemons with their children."""
+    places = {(top(cluster), node), *((top(cluster), "daemons", daemon) for daemon in daemons)}
+    found: set[int] = set()
+    for hierarchy in hierarchies():
+        for place in places:
+            for parent, _, _ in os.walk(hierarchy.joinpath(*place)):
+                found |= set(_members(Path(parent)))
+    return found
+
+
 def _members(folder: Path) -> Iterator[int]:
     try:
         yield from map(int, (folder / "cgroup.procs").read_text().split())

@@ -10,7 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TypeVar
 
-from ci.cluster import cleaning, control_plane, images, network, node_processes, objects, status
+from ci.cluster import cleaning, control_plane, images, network, node_processes, objects, outages, status
 from ci.cluster.addresses import PLANS, AddressPlan, plan_of
 from ci.cluster.api import Api
 from ci.cluster.node_processes import Node
@@ -90,6 +90,14 @@ class Embedded:
         ]
         jobs = [(image, socket) for image in wanted for socket in sockets]
         _in_parallel(lambda job: images.import_one(job[0], job[1], self.binaries), jobs)
+
+    def stop_node(self, name: str) -> None:
+        """End a node's machine with everything on it, as a loss of power would; it stays registered."""
+        outages.stop(self.name, name)
+
+    def start_node(self, name: str) -> None:
+        """Let a stopped node come back."""
+        outages.start(self.name, name)
 
     def volume_path(self, namespace: str, claim: str) -> Path:
         """See Provider.volume_path."""

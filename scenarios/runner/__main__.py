@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 from ci.errors import SetUpError
+from scenarios import definition
 from scenarios.definition import ScenarioError
 from scenarios.runner import running
 
@@ -20,9 +21,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m scenarios.runner", description="Runs a scenario on a platform.")
     commands = parser.add_subparsers(required=True)
     command = commands.add_parser("run", help="one run on a cluster that is up, with the platform installed")
-    command.add_argument("scenario", type=Path, help="folder of the scenario")
+    command.add_argument("scenario", type=definition.find, help="its folder, or its name below scenarios/")
     command.add_argument("--cluster", default="demo", help="name of the cluster")
-    command.add_argument("--variant", help="named set of parameters in scenario.yaml")
+    command.add_argument("--variant", help="named set of parameters or steps in scenario.yaml")
     command.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="overrides a parameter")
     command.add_argument("--reports", type=Path, default=running.REPORTS, help="folder of the reports")
     given = parser.parse_args(arguments)

@@ -131,10 +131,43 @@ class Access:
         lines = []
         try:
             lines += [line for namespace in namespaces for line in self._pod_lines(namespace)]
-            lines += [_task_line(task) for task in self._tasks()]
+            lines += [_task_line(task) for task in self.tasks()]
         except RunError as error:
             lines.append(f"(the rest of the state cannot be read: {error})")
         return "\n".join(lines) or "all pods are ready and there is no task"
+
+    def tasks(self) -> Sequence[Any]:
+        """All tasks."""
+        return list(self._call(self.objects.list_cluster_custom_object, "tasks", *TASKS)["items"])
+
+    def task(self, namespace: str, name: str) -> Any:
+        """A task, or None."""
+        return next((task for task in self.tasks() if _key(task) == (namespace, name)), None)
+
+    def create_task(self, body: Mapping[str, Any]) -> None:
+        """Submits a task."""
+        group, version, plural = TASKS
+        namespace = body["metadata"]["namespace"]
+        create = self.objects.create_namespaced_custom_object
+        self._call(create, f"task {namespace}/{body['metadata']['name']}", group, version, namespace, plural, body)
+
+    def delete_task(self, namespace: str, name: str) -> None:
+        """Withdraws a task; one that is not there is fine."""
+        group, version, plural = TASKS
+        if self.task(namespace, name) is not None:
+            delete = self.objects.delete_namespaced_custom_object
+            self._call(delete, f"task {namespace}/{name}", group, version, namespace, plural, name)
+
+    def kill(self, component: str) -> None:
+        """Ends the pods of a part of the platform at once, as a crash would; its Deployment makes others."""
+        for pod in self.pods(PLATFORM):
+            if (pod.metadata.labels or {}).get("app.kubernetes.io/name") == component:
+                what, name = f"pod {PLATFORM}/{pod.metadata.name}", pod.metadata.name
+                self._call(self.core.delete_namespaced_pod, what, name, PLATFORM, grace_period_seconds=0)
+
+    def set_schedulable(self, node: str, schedulable: bool) -> None:
+        """Cordons a node, or takes that back."""
+        self._call(self.core.patch_node, f"node {node}", node, {"spec": {"unschedulable": not schedulable}})
 
     def _pod_lines(self, namespace: str) -> list[str]:
         return [
@@ -142,9 +175,6 @@ class Access:
             for pod in self.pods(namespace)
             if not pod_ready(pod)
         ]
-
-    def _tasks(self) -> Sequence[Any]:
-        return list(self._call(self.objects.list_cluster_custom_object, "tasks", *TASKS)["items"])
 
     def _proxied(self, path: str) -> Any:
         answer = self._call(
@@ -168,6 +198,10 @@ class Access:
             raise RunError(f"{what}: {error.status} {error.reason}: {str(error.body)[:300]}") from error
         except OSError as error:
             raise RunError(f"{what}: the API server does not answer: {error}") from error
+
+
+def _key(task: Mapping[str, Any]) -> tuple[str, str]:
+    return task["metadata"]["namespace"], task["metadata"]["name"]
 
 
 def _task_line(task: Mapping[str, Any]) -> str:

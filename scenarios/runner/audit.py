@@ -68,7 +68,7 @@ def _of_a_person(commit: Commit) -> bool:
 
 def _missing_trailers(trailers: Mapping[str, tuple[str, ...]]) -> list[str]:
     missing = [name for name in PLAN_TRAILERS if not trailers.get(name)]
-    if trailers.get("Cause") == ("initial",) and not trailers.get("Task"):
-        return missing
+    if trailers.get("Cause") and not trailers.get("Task"):
+        return missing  # initial configuration, update, lost node, repair: nobody's task
     tasks = len(trailers.get("Task", ()))
     return missing + [name for name in TASK_TRAILERS if len(trailers.get(name, ())) != tasks or not tasks]

@@ -18,7 +18,7 @@ import pygit2
 import yaml
 
 from scenarios.runner.access import Endpoint
-from scenarios.runner.inputs import NANOSECONDS, Commit, PullRequest
+from scenarios.runner.inputs import NANOSECONDS, Commit, MainState, PullRequest
 from scenarios.runner.waiting import RunError
 
 REPOSITORY, CATALOGUE, BRANCH = "robotkube/deployment", "robotkube/catalogue", "main"
@@ -101,6 +101,17 @@ class Deployment:
                     yield name, _document(blob.data)
             if str(at.id) == commit:
                 return
+
+    def history(self, commit: str) -> tuple[MainState, ...]:
+        """Which tasks each release named, at `commit` and at every later commit of main, the oldest first."""
+        walk = self._repository.walk(self._tip().id, pygit2.enums.SortMode.TOPOLOGICAL)
+        found: list[MainState] = []
+        named: dict[str, tuple[str, ...]] = {}
+        for at, _ in zip(walk, range(COMMITS_MAX), strict=False):
+            found.append(MainState(str(at.id), {name: _tasks(blob, named) for name, blob in _releases(at)}))
+            if str(at.id) == commit:
+                break
+        return tuple(reversed(found))
 
     def commits(self) -> tuple[Commit, ...]:
         """All commits of main, newest first."""
@@ -232,6 +243,18 @@ def _document(data: bytes) -> Any:
         return yaml.safe_load(data)
     except (yaml.YAMLError, UnicodeDecodeError):
         return None
+
+
+def _tasks(blob: pygit2.Blob, named: dict[str, tuple[str, ...]]) -> tuple[str, ...]:
+    """The tasks that a release file names; `named` keeps what was read once."""
+    key = str(blob.id)
+    if key not in named:
+        document = _document(blob.data)
+        metadata = document.get("metadata") if isinstance(document, Mapping) else None
+        annotations = metadata.get("annotations") if isinstance(metadata, Mapping) else None
+        words = annotations.get("robotkube.io/tasks", "") if isinstance(annotations, Mapping) else ""
+        named[key] = tuple(str(words).split())
+    return named[key]
 
 
 def specification_digests(releases: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:

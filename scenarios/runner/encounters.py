@@ -10,6 +10,8 @@ from functools import cached_property
 from scenarios.definition import Scenario, cloud_topic, pose_topic, transform_topic
 from scenarios.runner.inputs import NANOSECONDS, Edge, LedgerLine, Plan, Pod, RunInputs, Stored
 
+PAIR = 2
+
 
 @dataclass(frozen=True)
 class Encounter:
@@ -28,15 +30,19 @@ class Encounter:
     ledgers: Mapping[str, tuple[LedgerLine, ...]]
 
     @property
+    def agents(self) -> tuple[str, ...]:
+        """The two vehicles that met."""
+        return tuple(agent for agent in self.scenario.lidar_vehicles if agent in self.start.agents)
+
+    @property
     def topics(self) -> tuple[str, ...]:
         """The four topics of the window: poses and clouds of both vehicles."""
-        agents = self.scenario.lidar_vehicles
-        return tuple(topic(agent) for topic in (pose_topic, cloud_topic) for agent in agents)
+        return tuple(topic(agent) for topic in (pose_topic, cloud_topic) for agent in self.agents)
 
     @property
     def cloud_topics(self) -> tuple[str, ...]:
         """Topics of the clouds alone."""
-        return tuple(cloud_topic(agent) for agent in self.scenario.lidar_vehicles)
+        return tuple(cloud_topic(agent) for agent in self.agents)
 
     @cached_property
     def readable(self) -> tuple[Stored, ...]:
@@ -91,7 +97,7 @@ class Encounter:
     def transforms_missing(self) -> int:
         """Lidars whose mounting is not in the recording."""
         found = {message.topic for message in self.readable}
-        return sum(transform_topic(agent) not in found for agent in self.scenario.lidar_vehicles)
+        return sum(transform_topic(agent) not in found for agent in self.agents)
 
     @property
     def first_cloud(self) -> Stored | None:
@@ -122,18 +128,23 @@ class Encounter:
 
 
 def encounters(scenario: Scenario, inputs: RunInputs) -> tuple[Encounter, ...]:
-    """The meetings of the run in order of time: rising edges of the story's rule for exactly the lidar vehicles."""
+    """The meetings of the run in order of time: rising edges of the story's rule for two of the lidar vehicles."""
     edges = [edge for edge in inputs.edges if edge.rule == scenario.story.rule and edge.time >= inputs.started]
     starts = sorted((edge for edge in edges if _starts(scenario, edge)), key=lambda edge: edge.time)
     stops = {edge.id: edge for edge in edges if edge.edge == "stop"}
-    ends = [start.time for start in starts[1:]] + [inputs.ended] * bool(starts)
     return tuple(
-        _encounter(scenario, inputs, start, stops.get(start.id), end) for start, end in zip(starts, ends, strict=True)
+        _encounter(scenario, inputs, start, stops.get(start.id), _next(start, starts[number:], inputs.ended))
+        for number, start in enumerate(starts, 1)
     )
 
 
 def _starts(scenario: Scenario, edge: Edge) -> bool:
-    return edge.edge == "start" and set(edge.agents) == set(scenario.lidar_vehicles)
+    return edge.edge == "start" and len(edge.agents) == PAIR and set(edge.agents) <= set(scenario.lidar_vehicles)
+
+
+def _next(start: Edge, later: Sequence[Edge], ended: int) -> int:
+    """When the same two meet again, or the run's end."""
+    return next((edge.time for edge in later if set(edge.agents) == set(start.agents)), ended)
 
 
 def _encounter(scenario: Scenario, inputs: RunInputs, start: Edge, stop: Edge | None, end: int) -> Encounter:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from scenarios.definition import Bound, Scenario
-from scenarios.runner import audit, evidence, measures
+from scenarios.runner import audit, evidence, measures, outcomes, sharing
 from scenarios.runner.encounters import Encounter
 from scenarios.runner.inputs import RunInputs
 
@@ -25,17 +25,21 @@ class Expectation:
 
 
 def judge(scenario: Scenario, inputs: RunInputs, encounters: Sequence[Encounter]) -> tuple[Expectation, ...]:
-    """The table: the number of encounters first, then the scenario's expectations in their order."""
-    seen = Expectation(
+    """The table: the number of encounters first where there are any, then the scenario's expectations in their
+    order."""
+    rows = [
+        _row(name, bound, MEASURES[name](scenario, inputs, encounters)) for name, bound in scenario.expectations.items()
+    ]
+    return (_seen(scenario, encounters), *rows) if scenario.records else tuple(rows)
+
+
+def _seen(scenario: Scenario, encounters: Sequence[Encounter]) -> Expectation:
+    return Expectation(
         "encounters",
         f"= {scenario.parameters.encounters}",
         len(encounters),
         len(encounters) == scenario.parameters.encounters,
     )
-    rows = [
-        _row(name, bound, MEASURES[name](scenario, inputs, encounters)) for name, bound in scenario.expectations.items()
-    ]
-    return (seen, *rows)
 
 
 def _row(name: str, bound: Bound, measured: Value) -> Expectation:
@@ -82,4 +86,19 @@ MEASURES: dict[str, Measure] = {
     "releases_after_equal_before": _releases_equal,
     "audit_complete": lambda _, inputs, __: audit.complete(inputs, audit.entries(inputs)),
     "releases_had_evidence": lambda _, inputs, __: evidence.complete(inputs),
+    "recordings": lambda _, __, met: sharing.recordings(met),
+    "pairs_recorded": lambda _, __, met: sharing.pairs_recorded(met),
+    "demands_on_shared_release_max": lambda _, inputs, met: sharing.demands_max(inputs, met),
+    "shared_release_kept": lambda _, inputs, met: sharing.kept(inputs, met),
+    "shared_release_pods": lambda _, inputs, met: sharing.pods(inputs, met),
+    "steps_reached_share": lambda _, inputs, __: outcomes.steps_reached(inputs),
+    "offloaded": lambda scenario, inputs, __: len(outcomes.offloaded(scenario, inputs)),
+    "postponed": lambda _, inputs, __: len(outcomes.postponed(inputs)),
+    "refused": lambda _, inputs, __: len(outcomes.refused(inputs)),
+    "preempted": lambda _, inputs, __: len(outcomes.preempted(inputs)),
+    "reasons_named_share": lambda scenario, inputs, __: outcomes.reasons_named(scenario, inputs),
+    "chain_depth": lambda _, inputs, __: outcomes.chain_depth(inputs),
+    "results_at_broker": lambda _, inputs, __: outcomes.results(inputs),
+    "results_at_broker_after_removal": lambda _, inputs, __: outcomes.results_after_removal(inputs),
+    "track_identities": lambda _, inputs, __: outcomes.track_identities(inputs),
 }

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 NANOSECONDS = 1_000_000_000
 
@@ -146,6 +147,15 @@ class BrokerMessages:
 
 
 @dataclass(frozen=True)
+class BrokerResult:
+    """A result of a perception service that crossed the broker: the text of a std_msgs/String."""
+
+    time: int
+    topic: str
+    text: str
+
+
+@dataclass(frozen=True)
 class BrokerLog:
     """What the observer saw, and from when to when it was subscribed; `gaps` counts lost connections in between."""
 
@@ -153,6 +163,7 @@ class BrokerLog:
     until: int
     gaps: int
     messages: tuple[BrokerMessages, ...]
+    results: tuple[BrokerResult, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -169,9 +180,51 @@ class Pod:
 
 
 @dataclass(frozen=True)
+class TaskCondition:
+    """A condition of a task as the watch saw it change."""
+
+    time: int
+    type: str
+    status: str
+    reason: str
+    message: str
+
+
+@dataclass(frozen=True)
+class TaskLife:
+    """A task's life as the watch saw it. `parent` is the key of the task that launched its operator, or empty."""
+
+    key: str
+    created: int
+    spec: Mapping[str, Any]
+    parent: str = ""
+    conditions: tuple[TaskCondition, ...] = ()
+    deleted: int | None = None
+
+
+@dataclass(frozen=True)
+class StepDone:
+    """A step of the story: when it began, when what it leads to was seen (None: not within its bound), what it did."""
+
+    name: str
+    what: str
+    began: int
+    done: int | None
+
+
+@dataclass(frozen=True)
+class MainState:
+    """One commit of main: the tasks that each release names."""
+
+    commit: str
+    tasks: Mapping[str, tuple[str, ...]]
+
+
+@dataclass(frozen=True)
 class RunInputs:
     """Everything the report is computed from. `releases_*` map a release to a digest of its specification; `summaries`
-    maps the digest of each verification summary in the catalogue to the digest of the chart that it is about."""
+    maps the digest of each verification summary in the catalogue to the digest of the chart that it is about;
+    `history` has main's commits of the run, the one before it first."""
 
     run: str
     provider: str
@@ -195,3 +248,6 @@ class RunInputs:
     cpu_core_seconds: Mapping[str, float] = field(default_factory=dict)
     set_up_seconds: Mapping[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    steps: tuple[StepDone, ...] = ()
+    tasks: tuple[TaskLife, ...] = ()
+    history: tuple[MainState, ...] = ()

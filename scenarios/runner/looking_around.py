@@ -39,11 +39,12 @@ def commands(scenario: Scenario, kubeconfig: Path, forge: Endpoint) -> Iterator[
     yield "what was planned, with times and pull requests", f"{ROBOTKUBE} plan list"
     yield "what main asks for and what the cluster shows", f"{ROBOTKUBE} release list"
     yield "tasks (none after a run)", f"{ROBOTKUBE} task list"
-    yield "what was recorded", f"{ROBOTKUBE} recording list"
-    yield (
-        "what the recorder's account may do",
-        (f"kubectl auth can-i --list -n {agent} --as system:serviceaccount:{agent}:event-detector"),
-    )
+    if agent:
+        yield "what was recorded", f"{ROBOTKUBE} recording list"
+        yield (
+            "what the recorder's account may do",
+            f"kubectl auth can-i --list -n {agent} --as system:serviceaccount:{agent}:event-detector",
+        )
     yield "the deployment repository", f'git clone "{clone}" deployment'
     yield "every change with its cause", "git -C deployment log --format='%h %an %s%n%(trailers)'"
 

@@ -174,23 +174,45 @@ def recorded_share(scenario: Scenario, encounters: Sequence[Encounter], clouds: 
 
 
 def clouds_before_event(inputs: RunInputs, encounters: Sequence[Encounter]) -> int | None:
-    """Clouds at the broker before the first event; None when the observer was not subscribed all the time, or is
-    deaf."""
+    """Clouds at the broker before their vehicle's first event; None when the observer was not subscribed all the time,
+    or is deaf."""
     if not encounters or not _listened(inputs):
         return None
-    return _clouds_between(inputs, 0, encounters[0].start.time)
+    firsts: dict[str, int] = {}
+    for encounter in encounters:
+        for topic in encounter.cloud_topics:
+            firsts.setdefault(f"mqtt{topic}", encounter.start.time)
+    messages = inputs.broker.messages if inputs.broker else ()
+    return sum(message.count for message in messages if message.time < firsts.get(message.topic, inputs.ended))
 
 
 def clouds_after_removal(inputs: RunInputs, encounters: Sequence[Encounter]) -> int | None:
-    """Clouds at the broker from 2 s after each removal to the next event or the end; None when no time is left."""
+    """Clouds at the broker from 2 s after each removal to their vehicle's next event or the end; None when no time is
+    left. While demands on a vehicle's clouds overlap, the last removal counts."""
     if not encounters or not _listened(inputs):
         return None
     found = 0
-    ends = [*(encounter.start.time for encounter in encounters[1:]), inputs.ended]
-    for encounter, end in zip(encounters, ends, strict=True):
-        if encounter.removed is None or encounter.removed + AFTER_REMOVAL_SECONDS * NANOSECONDS >= end:
+    for topic in sorted({topic for encounter in encounters for topic in encounter.cloud_topics}):
+        counted = _after_removal(inputs, topic, [one for one in encounters if topic in one.cloud_topics])
+        if counted is None:
             return None
-        found += _clouds_between(inputs, encounter.removed + AFTER_REMOVAL_SECONDS * NANOSECONDS, end)
+        found += counted
+    return found
+
+
+def _after_removal(inputs: RunInputs, topic: str, mine: Sequence[Encounter]) -> int | None:
+    found, removed, stopped = 0, 0, 0
+    for number, encounter in enumerate(mine, 1):
+        following = mine[number].start.time if number < len(mine) else None
+        if encounter.removed is None or encounter.stop is None:
+            return None
+        removed, stopped = max(removed, encounter.removed), max(stopped, encounter.stop.time)
+        if following is not None and following < stopped:
+            continue
+        begin, end = removed + AFTER_REMOVAL_SECONDS * NANOSECONDS, following or inputs.ended
+        if begin >= end:
+            return None
+        found += _clouds_between(inputs, f"mqtt{topic}", begin, end)
     return found
 
 
@@ -200,9 +222,9 @@ def _listened(inputs: RunInputs) -> bool:
     return bool(log and not log.gaps and log.since <= inputs.started and log.until >= inputs.ended and log.messages)
 
 
-def _clouds_between(inputs: RunInputs, begin: int, end: int) -> int:
+def _clouds_between(inputs: RunInputs, topic: str, begin: int, end: int) -> int:
     messages = inputs.broker.messages if inputs.broker else ()
-    return sum(message.count for message in messages if begin <= message.time < end)
+    return sum(message.count for message in messages if message.topic == topic and begin <= message.time < end)
 
 
 def recorded(encounters: Sequence[Encounter]) -> Mapping[str, float | int | None]:

@@ -1,4 +1,5 @@
-"""Watches a run from outside: clouds at the broker with an account of its own, and the lives of the agents' pods."""
+"""Watches a run from outside: clouds and results at the broker with an account of its own, and the lives of the agents'
+pods."""
 
 from __future__ import annotations
 
@@ -13,13 +14,15 @@ from kubernetes import watch
 from paho.mqtt import client as mqtt
 from paho.mqtt.enums import CallbackAPIVersion
 
+from robotkube.domain.frames import FrameError, decode_frame
 from scenarios.runner.access import Access
-from scenarios.runner.inputs import BrokerLog, BrokerMessages, Pod
+from scenarios.runner.inputs import BrokerLog, BrokerMessages, BrokerResult, Pod
 from scenarios.runner.waiting import RunError
 
 FRAME = struct.Struct("<4sQQI")  # magic, session, sequence, number of messages
 MAGIC = b"RKF1"
 CLOUDS = "mqtt/vehicles/+/lidar_center/pointcloud"
+RESULTS = "mqtt/vehicles/+/tracks"
 CONNECT_SECONDS_MAX = 15.0
 FRAMES_MAX = 200_000
 WATCH_SECONDS = 300
@@ -28,13 +31,15 @@ STOP_SECONDS_MAX = 5.0
 
 @dataclass
 class BrokerObserver:
-    """Counts the clouds that cross the broker, frame by frame. Used with `start` and `stop`."""
+    """Counts the clouds that cross the broker, frame by frame, and keeps the results of perception. Used with `start`
+    and `stop`."""
 
     host: str
     port: int
     username: str
     password: str
     _messages: list[BrokerMessages] = field(default_factory=list)
+    _results: list[BrokerResult] = field(default_factory=list)
     _subscribed: threading.Event = field(default_factory=threading.Event)
     _since: int = 0
     _gaps: int = 0
@@ -61,11 +66,11 @@ class BrokerObserver:
         self._ending = True
         self._client.disconnect()
         self._client.loop_stop()
-        return BrokerLog(self._since, until, self._gaps, tuple(self._messages))
+        return BrokerLog(self._since, until, self._gaps, tuple(self._messages), tuple(self._results))
 
     def _on_connect(self, client: Any, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
         if not reason.is_failure:
-            client.subscribe(CLOUDS, qos=0)
+            client.subscribe([(CLOUDS, 0), (RESULTS, 0)])
 
     def _on_subscribe(self, _client: Any, _data: Any, _number: Any, reasons: Any, _properties: Any) -> None:
         if any(reason.is_failure for reason in reasons):
@@ -77,8 +82,29 @@ class BrokerObserver:
         self._gaps += not self._ending
 
     def _on_message(self, _client: Any, _data: Any, message: Any) -> None:
-        if len(self._messages) < FRAMES_MAX:
+        if mqtt.topic_matches_sub(RESULTS, message.topic):
+            self._note_results(message)
+        elif len(self._messages) < FRAMES_MAX:
             self._messages.append(BrokerMessages(time.time_ns(), message.topic, frame_count(message.payload)))
+
+    def _note_results(self, message: Any) -> None:
+        now = time.time_ns()
+        room = FRAMES_MAX - len(self._results)
+        self._results += [BrokerResult(now, message.topic, text) for text in frame_texts(message.payload)[:room]]
+
+
+def frame_texts(payload: bytes) -> list[str]:
+    """The texts in a frame of std_msgs/String (CDR, little endian); what is none is left out."""
+    try:
+        return [text_of(message) for message in decode_frame(payload).messages]
+    except (FrameError, struct.error, UnicodeDecodeError):
+        return []
+
+
+def text_of(message: bytes) -> str:
+    """The text of a serialised std_msgs/String."""
+    (length,) = struct.unpack_from("<I", message, 4)
+    return bytes(message[8 : 8 + length]).rstrip(b"\0").decode()
 
 
 def frame_count(payload: bytes) -> int:

@@ -72,6 +72,13 @@ def page_of(document: Document) -> str:
     )
     body = _heading(document) + "".join(f'<p class="warning">{escape(t)}</p>' for t in document["warnings"])
     body += _tiles(document)
+    if "steps" in document:
+        steps, tasks = _steps(document["steps"]), _tasks(document["tasks"])
+        told = (
+            ("Steps", "what people and faults did, and when what must follow was seen", steps),
+            ("Tasks", "what the manager said to each demand, in its order", tasks),
+        )
+        sections = (*told, *sections)
     for title, explanation, content in sections:
         body += f'<h2>{title}</h2><p class="quiet">{explanation}</p>{content}'
     head = '<meta charset="utf-8"><meta name="viewport" content="width=device-width">'
@@ -146,6 +153,30 @@ def _timeline(moments: Sequence[Document]) -> str:
         kinds.append("key" if what.startswith(KEY_MOMENTS) else "")
     heads = ("s", "since event", "what", "pull request", "commit")
     return _table(heads, rows, numbers={0, 1}, text={2}, kinds=kinds)
+
+
+def _steps(steps: Sequence[Document]) -> str:
+    rows = [
+        (escape(one["step"]), escape(one["what"]), _thousandths(one["began"]), _thousandths(one["seen"]))
+        for one in steps
+    ]
+    kinds = ["" if one["seen"] is not None else "bad" for one in steps]
+    return _table(("step", "what it does", "began, s", "seen, s"), rows, numbers={2, 3}, text={1}, kinds=kinds)
+
+
+def _tasks(tasks: Sequence[Document]) -> str:
+    rows = [
+        (
+            escape(task["task"]),
+            _thousandths(said["seconds"]),
+            escape(said["condition"]),
+            escape(said["reason"]),
+            escape(said["message"]),
+        )
+        for task in tasks
+        for said in task["conditions"]
+    ]
+    return _table(("task", "s", "condition", "reason", "message"), rows, numbers={1}, text={0, 4})
 
 
 def _expectations(expectations: Sequence[Document]) -> str:

@@ -1,4 +1,5 @@
-"""What the person asks for: players on the vehicles, and the operator's rule with the scenario's distances."""
+"""What the person asks for: players on the vehicles, the operator's rule with the scenario's distances, and what the
+story adds."""
 
 from __future__ import annotations
 
@@ -15,6 +16,16 @@ OPERATOR = "proximity-operator"
 
 def wanted(scenario: Scenario) -> list[dict[str, Any]]:
     """The additions to the initial configuration that the scenario needs."""
+    additions: list[dict[str, Any]] = []
+    if scenario.story.player_application:
+        additions.append({"application": scenario.story.player_application, "forRole": "vehicle"})
+    if scenario.records:
+        additions.append(_operator(scenario))
+    return additions + [dict(entry) for entry in scenario.story.policies]
+
+
+def _operator(scenario: Scenario) -> dict[str, Any]:
+    """The operator that watches the vehicles, with the scenario's distances."""
     parameters = scenario.parameters
     rule = {
         "agents": list(scenario.lidar_vehicles),
@@ -22,10 +33,7 @@ def wanted(scenario: Scenario) -> list[dict[str, Any]]:
         "start_distance_m": parameters.start_distance_m,
         "stop_distance_m": parameters.stop_distance_m,
     }
-    return [
-        {"application": scenario.story.player_application, "forRole": "vehicle"},
-        {"application": OPERATOR, "agents": [scenario.story.recording_agent], "parameters": rule},
-    ]
+    return {"application": OPERATOR, "agents": [scenario.story.recording_agent], "parameters": rule}
 
 
 def changed(text: str, scenario: Scenario) -> str | None:

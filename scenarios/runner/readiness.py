@@ -39,9 +39,13 @@ class Readiness:
 
     def _needed(self) -> Sequence[str]:
         """Releases that the run cannot do without."""
-        player, recording = self._scenario.story.player_application, self._scenario.story.recording_agent
-        vehicles = [f"{agent}/{release}" for agent in self._scenario.vehicles for release in (player, "mqtt-bridge")]
-        return [*vehicles, f"{recording}/mqtt-bridge", f"{recording}/{collecting.DETECTOR}"]
+        story, found = self._scenario.story, list(self._scenario.story.ready)
+        if story.player_application:
+            releases = (story.player_application, "mqtt-bridge")
+            found += [f"{agent}/{release}" for agent in self._scenario.vehicles for release in releases]
+        if self._scenario.records:
+            found += [f"{story.recording_agent}/mqtt-bridge", f"{story.recording_agent}/{collecting.DETECTOR}"]
+        return found
 
     def _plans(self) -> Sequence[str]:
         plans = collecting.plans(self._access)

@@ -11,7 +11,7 @@ from typing import Any
 from scenarios.definition import Scenario
 from scenarios.runner import audit, evidence, expectations, measures, timeline
 from scenarios.runner.encounters import Encounter, encounters
-from scenarios.runner.inputs import NANOSECONDS, RunInputs
+from scenarios.runner.inputs import NANOSECONDS, RunInputs, TaskLife
 
 PARAMETERS = (
     "vehicles",
@@ -65,7 +65,7 @@ def _document(
     moments: Sequence[timeline.Moment],
 ) -> dict[str, Any]:
     latencies = [measures.latencies(encounter) for encounter in met]
-    return {
+    return _told(scenario, inputs) | {
         "scenario": scenario.name,
         "run": inputs.run,
         "provider": inputs.provider,
@@ -92,6 +92,31 @@ def _document(
         "timeline": [_moment(inputs, moment) for moment in moments],
         "passed": all(row.passed for row in table),
     }
+
+
+def _told(scenario: Scenario, inputs: RunInputs) -> dict[str, Any]:
+    """Steps and tasks of a story that has steps; the report of one without keeps its form."""
+    if not scenario.steps:
+        return {}
+    steps = [
+        {"step": step.name, "what": step.what, "began": _since(inputs, step.began), "seen": _since(inputs, step.done)}
+        for step in inputs.steps
+    ]
+    return {"steps": steps, "tasks": [_task(inputs, task) for task in inputs.tasks]}
+
+
+def _task(inputs: RunInputs, task: TaskLife) -> dict[str, Any]:
+    conditions = [
+        {"seconds": _since(inputs, one.time), "condition": f"{one.type}={one.status}", "reason": one.reason}
+        | {"message": one.message}
+        for one in task.conditions
+    ]
+    lived = {"created": _since(inputs, task.created), "deleted": _since(inputs, task.deleted)}
+    return {"task": task.key, "parent": task.parent or None, **lived, "conditions": conditions}
+
+
+def _since(inputs: RunInputs, moment: int | None) -> float | None:
+    return None if moment is None else (moment - inputs.started) / NANOSECONDS
 
 
 def _moment(inputs: RunInputs, moment: timeline.Moment) -> dict[str, Any]:

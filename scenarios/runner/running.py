@@ -1,4 +1,4 @@
-"""One run of a scenario on a running platform: prepare, play, watch, wait, collect, report."""
+"""One run of a scenario on a running platform: prepare, play, do the story's steps, watch, wait, collect, report."""
 
 from __future__ import annotations
 
@@ -11,19 +11,22 @@ from typing import Any
 
 from ci.cluster import cgroups
 from ci.cluster.embedded import Embedded
+from ci.errors import SetUpError
 from ci.folders import PROJECT
 from scenarios import definition
 from scenarios.definition import Scenario, cloud_topic, pose_topic
 from scenarios.generator import bags, checking, routes
 from scenarios.runner import collecting, evidence, looking_around, policy, report, timeline
 from scenarios.runner.access import Access
+from scenarios.runner.acting import Actor, merge_plans
 from scenarios.runner.cpu import CpuSampler
 from scenarios.runner.deployment import CATALOGUE, Deployment, specification_digests
-from scenarios.runner.inputs import NANOSECONDS, InputCounters, RunInputs
+from scenarios.runner.inputs import NANOSECONDS, InputCounters, Plan, RunInputs
 from scenarios.runner.observing import BrokerObserver, PodWatch
 from scenarios.runner.page import page, value
 from scenarios.runner.placing import Volumes, place_bags
 from scenarios.runner.readiness import Readiness
+from scenarios.runner.tasks import TaskWatch
 from scenarios.runner.waiting import RunError, wait_for
 
 PROVIDER = "embedded"
@@ -48,14 +51,17 @@ class Run:
     catalogue: Deployment
     observer: BrokerObserver
     pods: PodWatch
+    tasks: TaskWatch
     sampler: CpuSampler
     name: str
     say: Callable[[str], None]
     set_up_seconds: dict[str, float]
+    actor: Actor
     claims: Mapping[str, Path] = field(default_factory=dict)
     releases_before: Mapping[str, str] = field(default_factory=dict)
     main_before: str = ""
     input_before: InputCounters | None = None
+    plans_before: tuple[Plan, ...] = ()
     started: int = 0
     warnings: list[str] = field(default_factory=list)
 
@@ -63,6 +69,10 @@ class Run:
     def namespaces(self) -> list[str]:
         """Release namespaces of all agents that are not the platform."""
         return [node.agent for node in self.scenario.nodes if node.role != "platform"]
+
+    def keep_plans(self) -> None:
+        """Notes the plans that the manager remembers: one that is killed forgets them."""
+        self.plans_before = merge_plans(self.plans_before, collecting.plans(self.access))
 
     def warn(self, text: str) -> None:
         """Notes something for the report and says it."""
@@ -84,9 +94,10 @@ def run(
     Raises `ScenarioError` for a bad scenario or bag before anything has been touched.
     """
     scenario = definition.load(folder, [f"{key}={text}" for key, text in settings.items()], variant)
-    routes.duration_seconds(scenario.parameters)
     began = time.monotonic()
-    made = bags.make_bags(scenario, say=_say)
+    if scenario.players:
+        routes.duration_seconds(scenario.parameters)
+    made = bags.make_bags(scenario, say=_say) if scenario.players else {}
     for agent, bag in made.items():
         checking.check_bag(bag, scenario, agent)
     seconds = dict(set_up_seconds or {}) | {"bags": round(time.monotonic() - began, 2)}
@@ -112,6 +123,7 @@ def _run(scenario: Scenario, cluster: str, made: Mapping[str, Path], seconds: di
         Deployment(forge, *account_of_person) as deployment,
         Deployment(forge, *account_of_person, CATALOGUE) as catalogue,
     ):
+        actor = Actor(access, provider, releases=lambda: _fetched(deployment), say=_say)
         going = Run(
             scenario=scenario,
             access=access,
@@ -120,14 +132,22 @@ def _run(scenario: Scenario, cluster: str, made: Mapping[str, Path], seconds: di
             catalogue=catalogue,
             observer=BrokerObserver(broker.host, broker.port, account["username"], account["password"]),
             pods=PodWatch(access, [node.agent for node in scenario.nodes], _say),
+            tasks=TaskWatch(access, _say),
             sampler=CpuSampler(cpu_root(cluster)),
             name=f"run-{time.strftime('%Y%m%d-%H%M%S', time.gmtime())}",
             say=_say,
             set_up_seconds=seconds,
+            actor=actor,
         )
+        actor.before_kill = going.keep_plans
         done = execute(going, made)
         show(going, done, reports)
     return 0 if done.passed else 1
+
+
+def _fetched(deployment: Deployment) -> Mapping[str, Any]:
+    deployment.fetch()
+    return deployment.releases()
 
 
 def cpu_root(cluster: str) -> Path:
@@ -152,15 +172,18 @@ def execute(going: Run, made: Mapping[str, Path]) -> report.Report:
     """The run itself. What fails after the players have started is reported together with what is known."""
     prepare(going, made)
     going.pods.start()
+    going.tasks.start()
     going.observer.start()
     going.sampler.start()
     try:
         play(going)
+        going.actor.perform(going.scenario.steps)
         wait_for_end(going)
-    except RunError as error:
+    except (RunError, SetUpError) as error:
         if not going.started:
             going.observer.stop()
             going.pods.stop()
+            going.tasks.stop()
             raise
         going.warn(str(error))
     return report.report(going.scenario, collect(going))
@@ -170,7 +193,7 @@ def prepare(going: Run, made: Mapping[str, Path]) -> None:
     """Bags into the claims, the person's pull request, all releases ready; nothing is played yet."""
     began = time.monotonic()
     going.claims = place_bags(going.access, going.volumes, made, going.say)
-    ask_for_players(going)
+    ask(going)
     readiness = Readiness(going.access, going.deployment, going.scenario)
     wait_for(
         "all releases to be ready",
@@ -185,14 +208,14 @@ def prepare(going: Run, made: Mapping[str, Path]) -> None:
     going.releases_before = specification_digests(going.deployment.releases())
 
 
-def ask_for_players(going: Run) -> None:
+def ask(going: Run) -> None:
     """The person's pull request on policies/initial.yaml; none when the file says it already."""
     going.deployment.fetch()
     text = policy.changed(going.deployment.file(policy.PATH), going.scenario)
     if text is None:
-        going.say(f"{policy.PATH} asks for the players already")
+        going.say(f"{policy.PATH} asks for everything already")
         return
-    subject = f"policy(initial): play {going.scenario.name} on {going.scenario.parameters.vehicles} vehicles\n"
+    subject = f"policy(initial): {going.scenario.name} with {going.scenario.parameters.vehicles} vehicles\n"
     commit = going.deployment.propose(policy.PATH, text, subject, going.name)
     number = _found(going, commit)
     refusals = ["not asked yet"]
@@ -226,18 +249,35 @@ def _found(going: Run, commit: str) -> int:
 
 
 def play(going: Run) -> None:
-    """Tells all players to start on one whole second."""
-    going.input_before = collecting.input_counters(going.access, going.scenario)
+    """Tells all players to start on one whole second; a story without players begins at once."""
+    if not going.scenario.players:
+        going.started = time.time_ns()
+        return
+    if going.scenario.records:
+        going.input_before = collecting.input_counters(going.access, going.scenario)
     going.started = (time.time_ns() // NANOSECONDS + 1 + START_DELAY_SECONDS) * NANOSECONDS
-    for agent in going.scenario.vehicles:
+    for agent in going.scenario.players:
         going.access.put_simulation(agent, going.name, going.started)
     if time.time_ns() > going.started:
         going.warn("telling the players took longer than the start was ahead: they began late")
-    going.say(f"{going.name}: {len(going.scenario.vehicles)} players start in {START_DELAY_SECONDS} s")
+    going.say(f"{going.name}: {len(going.scenario.players)} players start in {START_DELAY_SECONDS} s")
 
 
 def wait_for_end(going: Run) -> None:
     """Until all ledgers have their end and everything that the events brought is gone again, and a little longer."""
+    if going.scenario.players:
+        _wait_for_players(going)
+
+    def gone() -> bool:
+        return not _left(going)
+
+    wait_for(
+        "everything the events brought to be gone", REMOVAL_SECONDS_MAX, gone, lambda: "\n".join(_left(going)), 1.0
+    )
+    time.sleep(LOOK_SECONDS_AFTER_REMOVAL)
+
+
+def _wait_for_players(going: Run) -> None:
     length = routes.duration_seconds(going.scenario.parameters)
     files = [collecting.ledger_file(going.claims[a], going.name, t) for a, t in _played(going.scenario)]
 
@@ -251,20 +291,12 @@ def wait_for_end(going: Run) -> None:
     limit = START_DELAY_SECONDS + length + PLAY_SECONDS_MARGIN
     wait_for("the players to finish", limit, ended, open_ledgers, poll_seconds=1.0, say=going.say)
 
-    def gone() -> bool:
-        return not _left(going)
-
-    wait_for(
-        "everything the events brought to be gone", REMOVAL_SECONDS_MAX, gone, lambda: "\n".join(_left(going)), 1.0
-    )
-    time.sleep(LOOK_SECONDS_AFTER_REMOVAL)
-
 
 def _played(scenario: Scenario) -> list[tuple[str, str]]:
     """Agents and their topics that are played to the end."""
     return [
-        *((agent, pose_topic(agent)) for agent in scenario.vehicles),
-        *((agent, cloud_topic(agent)) for agent in scenario.lidar_vehicles),
+        *((agent, pose_topic(agent)) for agent in scenario.players),
+        *((agent, cloud_topic(agent)) for agent in scenario.lidar_agents),
     ]
 
 
@@ -289,28 +321,33 @@ def collect(going: Run) -> RunInputs:
     def read(what: str, source: Callable[[], Any], otherwise: Any) -> Any:
         return collecting.attempt(what, source, otherwise, going.warn)
 
-    input_after = read("event detector's input", lambda: collecting.input_counters(access, scenario), None)
+    records = scenario.records
+    input_after = records and read("event detector's input", lambda: collecting.input_counters(access, scenario), None)
     broker = going.observer.stop()
     cpu = going.sampler.stop(going.pods.labels)
     going.pods.stop()
-    edges = read("event detector's events", lambda: collecting.edges(access, scenario), ())
+    going.tasks.stop()
+    edges = read("event detector's events", lambda: collecting.edges(access, scenario), ()) if records else ()
     events = [edge.id for edge in edges if edge.time >= going.started]
-    recordings, found = read("recordings", lambda: collecting.stored(access, scenario, going.volumes, events), ((), ()))
+    recordings, found = (), ()
+    if records:
+        stored = collecting.stored
+        recordings, found = read("recordings", lambda: stored(access, scenario, going.volumes, events), ((), ()))
     read("deployment repository", going.deployment.fetch, "")
     return RunInputs(
         run=going.name,
         provider=PROVIDER,
         started=going.started,
         ended=ended,
-        ledgers=collecting.ledgers(scenario, going.claims, going.name, going.warn),
+        ledgers=collecting.ledgers(scenario, going.claims, going.name, going.warn) if scenario.players else {},
         stored=found,
         recordings=recordings,
         edges=edges,
-        plans=read("manager's plans", lambda: collecting.plans(access), ()),
+        plans=merge_plans(going.plans_before, read("manager's plans", lambda: collecting.plans(access), ())),
         pull_requests=read("pull requests", going.deployment.pull_requests, ()),
         commits=read("commits", going.deployment.commits, ()),
         input_before=going.input_before,
-        input_after=input_after,
+        input_after=input_after or None,
         broker=broker,
         pods=going.pods.pods(),
         releases_before=going.releases_before,
@@ -320,6 +357,9 @@ def collect(going: Run) -> RunInputs:
         cpu_core_seconds=cpu,
         set_up_seconds=going.set_up_seconds,
         warnings=tuple(going.warnings),
+        steps=tuple(going.actor.done),
+        tasks=going.tasks.lives(),
+        history=read("main's history", lambda: going.deployment.history(going.main_before), ()),
     )
 
 

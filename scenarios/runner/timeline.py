@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from scenarios.runner.encounters import Encounter
-from scenarios.runner.inputs import NANOSECONDS, Plan, RunInputs
+from scenarios.runner.inputs import NANOSECONDS, Plan, RunInputs, StepDone, TaskLife
 
 
 @dataclass(frozen=True)
@@ -21,10 +21,29 @@ class Moment:
 
 def timeline(inputs: RunInputs, encounters: Sequence[Encounter]) -> tuple[Moment, ...]:
     """All moments known, in order of time."""
-    moments = [Moment(inputs.started, "players start"), Moment(inputs.ended, "run ends")]
+    begin = "story begins" if inputs.steps and not inputs.ledgers else "players start"
+    moments = [Moment(inputs.started, begin), Moment(inputs.ended, "run ends")]
+    moments += [moment for step in inputs.steps for moment in _of_step(step)]
+    moments += [moment for task in inputs.tasks for moment in _of_task(task)]
     for number, encounter in enumerate(encounters, 1):
         moments += _of_encounter(number, encounter)
     return tuple(sorted(moments, key=lambda moment: moment.time))
+
+
+def _of_step(step: StepDone) -> Iterator[Moment]:
+    yield Moment(step.began, f"{step.name}: {step.what}")
+    if step.done is not None:
+        yield Moment(step.done, f"{step.name}: seen")
+
+
+def _of_task(task: TaskLife) -> Iterator[Moment]:
+    """Its life and what the manager decided; that it is carried out is told by the plans."""
+    yield Moment(task.created, f"task {task.key} created")
+    for condition in task.conditions:
+        if condition.type == "Accepted":
+            yield Moment(condition.time, f"task {task.key}: {condition.reason}: {condition.message}")
+    if task.deleted is not None:
+        yield Moment(task.deleted, f"task {task.key} gone")
 
 
 def _of_encounter(number: int, encounter: Encounter) -> Iterator[Moment]:

@@ -20,7 +20,7 @@ import pytest
 import yaml
 
 from ci import toolchain
-from ci.cluster import cleaning, images, network, processes, topology
+from ci.cluster import cgroups, cleaning, images, network, outages, processes, topology
 from ci.cluster.addresses import plan_of
 from ci.cluster.embedded import Embedded
 from ci.cluster.node_processes import OWN_PLACES, socket_of
@@ -233,6 +233,21 @@ def test_status_shows_nodes_pods_and_costs(cluster: Embedded, probes: Kubectl) -
     assert "vehicle-00" in table
     assert "probe" in table
     assert "kube-apiserver" in table
+
+
+def test_a_node_that_was_stopped_comes_back_with_its_pods_and_volumes(cluster: Embedded, probes: Kubectl) -> None:
+    names = tuple(f"cloud-0.{daemon}" for daemon in outages.DAEMONS)
+    probes("-n", "probe", "exec", "web", "--", "/probe", "write", "/data/kept")
+    cluster.stop_node("cloud-0")
+    assert cgroups.processes_of_node(NAME, "cloud-0", names) == set()
+    assert cgroups.processes_of_node(NAME, "vehicle-00", ()) != set()
+    cluster.start_node("cloud-0")
+    for _ in range(60):
+        if client(probes, "http://web.probe.svc.cluster.local/", code=None) == "web\n":
+            break
+        time.sleep(1.0)
+    eventually(probes, "http://web.probe.svc.cluster.local/", "web\n")
+    assert (cluster.volume_path("probe", "data") / "kept").exists()
 
 
 def test_down_leaves_the_machine_as_it_was(cluster: Embedded, probes: Kubectl, before: dict[str, Any]) -> None:

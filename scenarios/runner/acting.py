@@ -1,0 +1,177 @@
+"""Does the steps of a story: submits and withdraws tasks, kills what the platform runs on, waits for what follows."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from scenarios.runner.access import Access
+from scenarios.runner.inputs import Plan, StepDone
+from scenarios.runner.waiting import wait_for
+from scenarios.steps import ABSENT, MAIN, ReleaseState, State, Step, TaskCount, TaskState
+
+POLL_SECONDS = 0.5
+REQUESTER = "operator-team/scenario"
+
+
+class Machines(Protocol):
+    """What a cluster's provider can do to its nodes."""
+
+    def stop_node(self, name: str) -> None:
+        """End a node's machine with everything on it."""
+        ...
+
+    def start_node(self, name: str) -> None:
+        """Let a stopped node come back."""
+        ...
+
+
+@dataclass
+class Actor:
+    """Does steps in their order. `releases` gives main's releases as they are now; `before_kill` is called before
+    something of the platform is killed, to save what only its memory holds."""
+
+    access: Access
+    machines: Machines
+    releases: Callable[[], Mapping[str, Any]]
+    say: Callable[[str], None]
+    before_kill: Callable[[], None] = lambda: None
+    done: list[StepDone] = field(default_factory=list)
+    _stopped: list[str] = field(default_factory=list)
+    _submitted: list[str] = field(default_factory=list)
+
+    def perform(self, steps: Sequence[Step]) -> None:
+        """All steps. RunError names the first one whose outcome was not seen; what was begun is taken back then."""
+        try:
+            for step in steps:
+                self._step(step)
+        finally:
+            self._take_back()
+
+    def _step(self, step: Step) -> None:
+        began, seen = time.time_ns(), False
+        try:
+            self._await(step, step.when)
+            if step.action:
+                self.say(f"{step.name}: {describe(step)}")
+                getattr(self, f"_{step.action}")(step.given)
+            self._await(step, step.until)
+            seen = True
+        finally:
+            self.done.append(StepDone(step.name, describe(step), began, time.time_ns() if seen else None))
+
+    def _await(self, step: Step, states: Sequence[State]) -> None:
+        for state in states:
+
+            def reached(state: State = state) -> bool:
+                return self._holds(state)
+
+            wait_for(f"step {step.name!r}: {state}", step.seconds, reached, lambda: self.access.state([]), POLL_SECONDS)
+
+    def _holds(self, state: State) -> bool:
+        if isinstance(state, TaskState):
+            return _conditions_hold(self.access.task(*state.task.split("/", 1)), state)
+        if isinstance(state, TaskCount):
+            found = [task for task in self.access.tasks() if task["metadata"]["namespace"] == state.namespace]
+            accepted = [task for task in found if _condition(task, "Accepted").get("status") == "True"]
+            return len(accepted) >= state.at_least if state.at_least else not found
+        return self._release_is(state)
+
+    def _release_is(self, state: ReleaseState) -> bool:
+        on_main = state.release in self.releases()
+        if state.state == MAIN:
+            return on_main
+        application = self.access.applications().get(state.release.replace("/", "-"))
+        if state.state == ABSENT:
+            return not on_main and application is None
+        status = (application or {}).get("status", {})
+        words = status.get("sync", {}).get("status"), status.get("health", {}).get("status")
+        return on_main and words == ("Synced", "Healthy")
+
+    def _take_back(self) -> None:
+        """Nodes that were stopped start again, tasks that are left are withdrawn: the next run begins as this one."""
+        for node in self._stopped:
+            self.machines.start_node(node)
+        for key in self._submitted:
+            self.access.delete_task(*key.split("/", 1))
+
+    def _submit(self, given: Mapping[str, Any]) -> None:
+        key = f"{given['namespace']}/{given['name']}"
+        self.access.create_task(task(given))
+        self._submitted.append(key)
+
+    def _delete(self, key: str) -> None:
+        self.access.delete_task(*key.split("/", 1))
+        self._submitted = [one for one in self._submitted if one != key]
+
+    def _kill(self, component: str) -> None:
+        self.before_kill()
+        self.access.kill(component)
+
+    def _cordon(self, node: str) -> None:
+        self.access.set_schedulable(node, False)
+
+    def _uncordon(self, node: str) -> None:
+        self.access.set_schedulable(node, True)
+
+    def _stop(self, node: str) -> None:
+        self.machines.stop_node(node)
+        self._stopped.append(node)
+
+    def _start(self, node: str) -> None:
+        self.machines.start_node(node)
+        self._stopped = [one for one in self._stopped if one != node]
+
+    def _wait(self, seconds: float) -> None:
+        time.sleep(seconds)
+
+
+def describe(step: Step) -> str:
+    """What a step does, in few words."""
+    if not step.action:
+        return "waits"
+    if step.action == "submit":
+        return f"submits task {step.given['namespace']}/{step.given['name']}"
+    words = {"delete": "withdraws task", "kill": "kills the", "wait": "waits, in s:"}
+    return f"{words.get(step.action, step.action + 's node')} {step.given}"
+
+
+def task(given: Mapping[str, Any]) -> dict[str, Any]:
+    """The TaskDescription of a step: what it says, with a requester and an event of its own where it names none."""
+    name = given["name"]
+    spec = {key: value for key, value in given.items() if key not in ("namespace", "name")}
+    event = {"rule": "scenario", "id": f"{name}-event", "trace": f"{name}-trace"}
+    return {
+        "apiVersion": "robotkube.io/v1alpha1",
+        "kind": "TaskDescription",
+        "metadata": {"namespace": given["namespace"], "name": name},
+        "spec": {"requester": REQUESTER, "event": event, "reason": "a step of the scenario", **spec},
+    }
+
+
+def _condition(found: Mapping[str, Any], kind: str) -> Mapping[str, Any]:
+    conditions = found.get("status", {}).get("conditions", [])
+    return next((condition for condition in conditions if condition["type"] == kind), {})
+
+
+def _conditions_hold(found: Mapping[str, Any] | None, state: TaskState) -> bool:
+    condition = _condition(found or {}, state.condition)
+    wanted = {"status": state.status, "reason": state.reason}
+    return bool(condition) and all(not word or condition.get(key) == word for key, word in wanted.items())
+
+
+def merge_plans(earlier: Sequence[Plan], later: Sequence[Plan]) -> tuple[Plan, ...]:
+    """The plans of two answers of the manager, before and after it was restarted: by id, the later answer first, its
+    gaps filled from the earlier."""
+    known = {plan.plan: plan for plan in earlier}
+    for plan in later:
+        before = known.get(plan.plan)
+        known[plan.plan] = _filled(plan, before) if before else plan
+    return tuple(sorted(known.values(), key=lambda plan: plan.started))
+
+
+def _filled(plan: Plan, before: Plan) -> Plan:
+    values = {name: getattr(before, name) if value in (None, ()) else value for name, value in vars(plan).items()}
+    return Plan(**values)
