@@ -64,6 +64,12 @@ class History:
     offloaded: frozenset[str] = frozenset()
     answered: frozenset[str] = frozenset()
 
+    def without(self, key: str) -> History:
+        """The same but for what was decided about one demand."""
+        waiting = {k: since for k, since in self.waiting.items() if k != key}
+        settled = {k: refused for k, refused in self.settled.items() if k != key}
+        return replace(self, waiting=waiting, settled=settled, offloaded=self.offloaded - {key})
+
 
 @dataclass(frozen=True)
 class Resolution:

@@ -10,8 +10,8 @@ from typing import Any
 
 from robotkube.domain.composition import Met, Refused
 from robotkube.domain.conflicts import History, Outcome, Postponed, Resolution
-from robotkube.domain.ledger import Remembered, Standing, TaskReader, remembered, standing
-from robotkube.domain.tasks import SETTLED_REASONS, TaskDescription, object_key
+from robotkube.domain.ledger import Remembered, Standing, TaskReader, moment, remembered, standing
+from robotkube.domain.tasks import SETTLED_REASONS, SUPERSEDED, TaskDescription, object_key
 
 _Stamp = tuple[str, int]
 
@@ -39,6 +39,15 @@ class DemandLedger:
         self._known = known
         self._outcomes = {key: outcome for key, outcome in self._outcomes.items() if key in known}
         return self.standing
+
+    def foresee(self, document: Mapping[str, Any], now_ns: int) -> TaskDescription | Refused:
+        """The demand that a document would make at `now_ns`, which is its creation when it does not say another."""
+        metadata = {"creationTimestamp": moment(now_ns), "generation": 1, **document.get("metadata", {})}
+        read = TaskReader().read([{**document, "metadata": metadata}])
+        found = standing(read, now_ns)
+        for key in read:
+            return found.live.get(key) or found.refused[key]
+        return Refused(SUPERSEDED, "it is being deleted")
 
     def history(self, answered: frozenset[str]) -> History:
         """Earlier decisions about the demands that stand."""

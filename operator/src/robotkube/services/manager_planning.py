@@ -5,17 +5,20 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from typing import Any
 
 from robotkube.domain.composition import Demand, Desired, Met, Refused, Validate, World, compose
-from robotkube.domain.conflicts import Outcome, Postponed, Resolution, resolve
+from robotkube.domain.conflicts import History, Outcome, Postponed, Resolution, resolve
+from robotkube.domain.explanations import Explanation, explain
 from robotkube.domain.initial import initial_demands
 from robotkube.domain.loops import Render
-from robotkube.domain.placement import Agent, fleet
+from robotkube.domain.placement import NODE_LOST_SECONDS, Agent, fleet
 from robotkube.domain.planning import Change, Plan, differences, fingerprint, make_plan
 from robotkube.domain.releases import Release
-from robotkube.domain.tasks import POSTPONED, TaskDescription
+from robotkube.domain.scopes import Operators
+from robotkube.domain.tasks import POSTPONED, TaskDescription, object_key
 from robotkube.ports.clusters import Cluster, TaskStore
 from robotkube.services.assured_catalogue import AssuredCatalogue
 from robotkube.services.manager_ledger import DemandLedger
@@ -31,10 +34,13 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class ManagerSettings:
-    """`agents` as declared; `charts_url` is oci://host/organisation."""
+    """`agents` as declared, all of them; `charts_url` is oci://host/organisation; `operators` is the manager's scope
+    with the narrower ones of operators; a node not ready for longer than `node_lost_seconds` is lost."""
 
     agents: tuple[Agent, ...]
     charts_url: str
+    operators: Operators = field(default_factory=Operators)
+    node_lost_seconds: float = NODE_LOST_SECONDS
 
 
 class Planner:
@@ -60,6 +66,7 @@ class Planner:
         self._said: frozenset[str] = frozenset()
         self._turn = 0
         self._now_ns = 0
+        self._looked_at: list[TaskDescription] = []
         self.desired = Desired({}, {})
         self.outcomes: Mapping[str, Outcome] = {}
         self.tasks: Mapping[str, TaskDescription] = {}
@@ -88,14 +95,38 @@ class Planner:
             self._now_ns = started_ns
             self.tasks = self._ledger.look(self._store.tasks(), started_ns).live
             answered = self._answered()
-            tasks = self._wanted(answered)
-            resolution = self._resolve([_demand(task) for task in tasks], answered)
+            self._looked_at = self._wanted(answered)
+            resolution = self._resolve(self._looked_at, self._ledger.history(answered))
             self._ledger.keep(resolution)
             self._take(resolution)
             changes = self._changes(resolution.desired)
             if not changes or fingerprint(changes) in self._held_differences:
                 return None
             return self._made(changes, self.desired, self.tasks)
+
+    def what_if(self, document: Mapping[str, Any]) -> Explanation:
+        """What would become of a TaskDescription (a new one, or one in place of that of its name) beside what was
+        decided last, without any effect. Times that the document lacks are those of the last plan."""
+        with self._lock:
+            key, task = object_key(document), self._ledger.foresee(document, self._now_ns)
+            if isinstance(task, Refused):
+                return explain(key, task, {}, None, self._main.tree)
+            history = self._ledger.history(self._answered()).without(key)
+            tasks = [*(known for known in self._looked_at if known.key != key), task]
+            resolution = self._resolve(tasks, history)
+            others = {
+                other: (self.outcomes.get(other), outcome)
+                for other, outcome in resolution.outcomes.items()
+                if other != key and type(outcome) is not type(self.outcomes.get(other))
+            }
+            plan = self._difference(resolution.desired, {**self.tasks, key: task})
+            return explain(key, resolution.outcomes[key], others, plan, self._main.tree)
+
+    def _difference(self, desired: Desired, tasks: Mapping[str, TaskDescription]) -> Plan | None:
+        """What `desired` changes on main besides what is going to change anyway."""
+        coming = {change.path: change for change in self._changes(self.desired)}
+        changes = tuple(change for change in self._changes(desired) if coming.get(change.path) != change)
+        return self._made(changes, desired, tasks) if changes else None
 
     def _take(self, resolution: Resolution) -> None:
         held = {key: Met((), ("accepted, but the gate refused the plan",)) for key in self._held}
@@ -138,14 +169,14 @@ class Planner:
         """What a refusal depended on: it stands until one of these changes."""
         return f"{task.identity} {task.generation} {self._catalogue.tip} {self._main.policy_text}"
 
-    def _resolve(self, tasks: Sequence[Demand], answered: frozenset[str]) -> Resolution:
-        """What the initial configuration and the tasks lead to, besides what main holds now."""
+    def _resolve(self, tasks: Sequence[TaskDescription], history: History) -> Resolution:
+        """What the initial configuration and the tasks lead to, besides what main holds now; changes nothing here."""
         machines = fleet(self._settings.agents, self._cluster.nodes())
         present: Mapping[str, Release] = self._main.tree.releases
         world = World(self._catalogue.catalogue, machines, present, self._render, self._validate)
         initial = initial_demands(self._catalogue.catalogue, self._main.policy, machines)
-        history = self._ledger.history(answered)
-        return resolve([*initial, *tasks], lambda demands: compose(demands, world), history, self._now_ns)
+        wanted = [*initial, *(_demand(task) for task in tasks)]
+        return resolve(wanted, lambda demands: compose(demands, world), history, self._now_ns)
 
     def _in_doubt(self, desired: Desired) -> dict[str, Release]:
         """Releases on main of demands that are refused for want of evidence only: what runs is not taken away because
