@@ -1,6 +1,6 @@
 {{- /* Accounts besides the administrator; what each may do: docs/reference/settings.md. */ -}}
 {{- define "robotkube.forgeAccounts" -}}
-manager gate argocd publisher suite-runner operator-team
+{{ include "robotkube.managerNames" . }} gate argocd publisher suite-runner operator-team
 {{- end }}
 
 {{- /* app.ini. A Secret, since it holds keys. The file is read-only for the forge, so every key it would write there itself is given. */ -}}

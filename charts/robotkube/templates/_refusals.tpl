@@ -38,6 +38,9 @@
 {{- end }}
 {{- $seen = append $seen $agent.name }}
 {{- end }}
+{{- range $line := splitList "\n" (include "robotkube.managerRefusals" .) }}
+{{- if trim $line }}{{ $problems = append $problems (trim $line) }}{{ end }}
+{{- end }}
 {{- if not .Values.images.platform }}
 {{- $problems = append $problems "images.platform is empty. Give the reference of the platform image, such as registry.example/robotkube/platform@sha256:..." }}
 {{- end }}

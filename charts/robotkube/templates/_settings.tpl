@@ -1,5 +1,8 @@
 {{- /* Settings files. Form: docs/reference/settings.md. */ -}}
+{{- /* Arguments: {root, manager}. */ -}}
 {{- define "robotkube.managerSettings" -}}
+{{- $manager := .manager }}
+{{- with .root -}}
 listen: {address: 0.0.0.0, port: 8080}
 log_level: {{ .Values.logLevel }}
 forge:
@@ -24,6 +27,10 @@ evidence:
   keys: /etc/robotkube/keys
 agents:
 {{- include "robotkube.agents" . }}
+scope: {{ toJson $manager.scope }}
+operators: {{ toJson $manager.operators }}
+node_lost_seconds: {{ $manager.nodeLostSeconds }}
+{{- end }}
 {{- end }}
 
 {{- define "robotkube.gateSettings" -}}
@@ -36,9 +43,11 @@ forge:
   catalogue: robotkube/catalogue
   branch: main
   proposers:
-  - account: manager
-    namespaces: [{{ range $i, $agent := .Values.agents }}{{ if $i }}, {{ end }}{{ $agent.name }}{{ end }}]
-    webhook: http://{{ include "robotkube.host" (dict "root" . "name" "manager") }}:8080/webhook
+  {{- range $manager := fromYamlArray (include "robotkube.managers" .) }}
+  - account: {{ .name }}
+    namespaces: [{{ include "robotkube.managerAgents" (dict "root" $ "manager" .) | replace " " ", " }}]
+    webhook: http://{{ include "robotkube.host" (dict "root" $ "name" .name) }}:8080/webhook
+  {{- end }}
   publishers: [publisher]
 registry:
   charts: {{ include "robotkube.charts" . }}
@@ -62,6 +71,8 @@ webhook:
 
 {{- define "robotkube.bootstrapSettings" -}}
 {{- $webhook := "/var/run/secrets/robotkube/webhook/secret" -}}
+{{- $managers := splitList " " (include "robotkube.managerNames" .) -}}
+{{- $readers := include "robotkube.managerNames" . | replace " " ": read, " -}}
 log_level: {{ .Values.logLevel }}
 wait_seconds: {{ .Values.bootstrap.waitSeconds | int }}
 {{- if eq .Values.forge.kind "gitea" }}
@@ -75,22 +86,22 @@ forge:
   organisations:
   - {name: robotkube, packages: {publisher: write, gate: read, suite-runner: read}}
   - {name: staging, packages: {publisher: write, gate: write, suite-runner: read}}
-  - {name: verified, packages: {gate: write, manager: read, argocd: read, suite-runner: read}}
+  - {name: verified, packages: {gate: write, {{ $readers }}: read, argocd: read, suite-runner: read}}
   repositories:
   - name: robotkube/deployment
     description: What runs on the fleet, one file per release
     branch: main
     seed: /etc/robotkube/seed/deployment
-    access: {manager: read, gate: write, argocd: read, operator-team: write}
+    access: { {{- $readers }}: read, gate: write, argocd: read, operator-team: write}
     main: [gate]
   - name: robotkube/catalogue
     description: What may be deployed
     branch: main
     seed: /etc/robotkube/seed/catalogue
-    access: {manager: read, gate: write, publisher: read, operator-team: write}
+    access: { {{- $readers }}: read, gate: write, publisher: read, operator-team: write}
     main: [gate]
   webhooks:
-  {{- range $process := list "gate" "manager" }}
+  {{- range $process := prepend $managers "gate" }}
   {{- $url := printf "http://%s:8080/webhook" (include "robotkube.host" (dict "root" $ "name" $process)) }}
   - {repository: robotkube/deployment, url: {{ $url | quote }}, events: [push, pull_request], secret: {{ $webhook }}}
   {{- $events := eq $process "gate" | ternary "[push, pull_request]" "[push]" }}

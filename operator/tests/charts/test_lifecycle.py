@@ -5,30 +5,20 @@ Besides: what the API server makes of the definition of tasks, and of everyone's
 
 from __future__ import annotations
 
-import base64
 import json
-import os
-import subprocess
-import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
-from api_server import ApiServerProcess
-from programs import program
+from installed_chart import CHART, Cluster, prepared_cluster
 
-from ci import toolchain
-
-SERVED_SECONDS_MAX = 60.0
 LOADER = yaml.CSafeLoader
-CALL_SECONDS_MAX = 120
-CHART = Path(__file__).resolve().parents[3] / "charts" / "robotkube"
 KEPT = [
     ("Secret", "robotkube-seed"),
     ("Secret", "gate-key"),
+    ("Lease", "robotkube-manager-manager"),
     ("Namespace", "robotkube-suite-0"),
     ("CustomResourceDefinition", "taskdescriptions.robotkube.io"),
     ("PersistentVolumeClaim", "forge"),
@@ -38,58 +28,10 @@ KEPT = [
 ]
 
 
-@dataclass(frozen=True)
-class Cluster:
-    """An API server, and the programs to talk to it."""
-
-    kubeconfig: Path
-
-    def run(self, name: str, *arguments: str, text: str | None = None) -> subprocess.CompletedProcess[str]:
-        environment = {**os.environ, "KUBECONFIG": str(self.kubeconfig), "HOME": str(self.kubeconfig.parent)}
-        command = [program(name), *arguments]
-        return subprocess.run(
-            command, input=text, capture_output=True, text=True, timeout=CALL_SECONDS_MAX, check=False, env=environment
-        )
-
-    def kubectl(self, *arguments: str, text: str | None = None) -> str:
-        done = self.run("kubectl", "-n", "robotkube", *arguments, text=text)
-        assert done.returncode == 0, done.stderr
-        return done.stdout
-
-    def helm(self, *arguments: str) -> str:
-        done = self.run("helm", "-n", "robotkube", *arguments)
-        assert done.returncode == 0, done.stderr
-        return done.stdout
-
-    def password(self, namespace: str, name: str) -> str:
-        secret = json.loads(self.kubectl("get", "secret", name, "-n", namespace, "-o", "json"))
-        return base64.b64decode(secret["data"]["password"]).decode()
-
-
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
-    server = ApiServerProcess(tmp_path_factory.mktemp("api"))
-    try:
-        server.start()
-        found = Cluster(server.kubeconfig)
-        prepare(found)
+    with prepared_cluster(tmp_path_factory.mktemp("api")) as found:
         yield found
-    finally:
-        server.stop()
-
-
-def prepare(cluster: Cluster) -> None:
-    """What is there before the platform: Argo CD's definitions, and the namespaces."""
-    manifests = toolchain.module_dir("github.com/argoproj/argo-cd/v3") / "manifests" / "crds"
-    names = ("application-crd.yaml", "applicationset-crd.yaml", "appproject-crd.yaml")
-    files = [option for name in names for option in ("-f", str(manifests / name))]
-    for namespace in ("robotkube", "argocd"):
-        cluster.kubectl("create", "namespace", namespace)
-    cluster.kubectl("apply", "--server-side", *files)
-    deadline = time.monotonic() + SERVED_SECONDS_MAX
-    while cluster.run("kubectl", "get", "applications,applicationsets,appprojects").returncode:
-        assert time.monotonic() < deadline, "Argo CD's definitions are not served"
-        time.sleep(0.2)
 
 
 @pytest.fixture(scope="module")
@@ -163,88 +105,6 @@ def test_the_api_server_refuses_a_bad_task(installed: Cluster, spec: dict[str, A
     done = installed.run("kubectl", "create", "--validate=strict", "-f", "-", text=task(**spec))
     assert done.returncode != 0
     assert message in done.stderr
-
-
-FORBIDDEN = [
-    *(f"{verb} {kind}" for verb in ("create", "update", "patch", "delete") for kind in ("pods", "deployments.apps")),
-    *(f"{verb} secrets" for verb in ("get", "list", "create", "update", "patch", "delete")),
-    "create pods --subresource=exec",
-    "create serviceaccounts --subresource=token",
-    *(f"{verb} {kind}" for verb in ("create", "bind", "escalate") for kind in ("roles", "clusterroles")),
-    "create rolebindings",
-    "impersonate users",
-    "impersonate serviceaccounts",
-    *(
-        f"{verb} {kind}.argoproj.io"
-        for verb in ("create", "update", "patch", "delete")
-        for kind in ("applications", "applicationsets", "appprojects")
-    ),
-    *(f"{verb} taskdescriptions.robotkube.io" for verb in ("create", "update", "patch", "delete")),
-    "create namespaces",
-    "patch nodes",
-]
-ALLOWED = [
-    "watch taskdescriptions.robotkube.io",
-    "patch taskdescriptions.robotkube.io --subresource=status",
-    "list nodes",
-    "watch pods",
-    "list applications.argoproj.io -n argocd",
-    "create events.events.k8s.io -n cloud-0",
-]
-
-
-@pytest.mark.parametrize("namespace", ["robotkube", "argocd", "cloud-0"])
-def test_the_manager_may_not_write(installed: Cluster, namespace: str) -> None:
-    account = "--as=system:serviceaccount:robotkube:manager"
-    answers = {
-        question: installed.run("kubectl", "auth", "can-i", *question.split(), "-n", namespace, account).stdout.strip()
-        for question in FORBIDDEN
-    }
-    assert {question for question, answer in answers.items() if answer != "no"} == set()
-
-
-@pytest.mark.parametrize("question", ALLOWED)
-def test_the_manager_may_read_and_report(installed: Cluster, question: str) -> None:
-    account = "--as=system:serviceaccount:robotkube:manager"
-    assert installed.run("kubectl", "auth", "can-i", *question.split(), account).stdout.strip() == "yes"
-
-
-@pytest.mark.parametrize(
-    ("account", "question", "answer"),
-    [
-        ("cloud-0:event-detector", "create taskdescriptions.robotkube.io -n cloud-0", "yes"),
-        ("cloud-0:event-detector", "watch configmaps -n cloud-0", "yes"),
-        ("cloud-0:event-detector", "create taskdescriptions.robotkube.io -n vehicle-00", "no"),
-        ("cloud-0:event-detector", "patch taskdescriptions.robotkube.io --subresource=status -n cloud-0", "no"),
-        ("cloud-0:event-detector", "get secrets -n cloud-0", "no"),
-        ("vehicle-00:mqtt-bridge", "watch configmaps -n vehicle-00", "yes"),
-        ("vehicle-00:mqtt-bridge", "watch configmaps -n cloud-0", "no"),
-        ("vehicle-00:mqtt-bridge", "create taskdescriptions.robotkube.io -n vehicle-00", "no"),
-        ("vehicle-00:bag-player", "get configmaps -n vehicle-00", "yes"),
-        ("robotkube:bootstrap", "patch secrets/argocd-secret -n argocd", "yes"),
-        ("robotkube:bootstrap", "patch secrets/argocd-redis -n argocd", "no"),
-        ("robotkube:bootstrap", "get secrets -n robotkube", "no"),
-        ("robotkube:bootstrap", "patch deployments.apps/argocd-applicationset-controller -n argocd", "yes"),
-        ("robotkube:bootstrap", "patch deployments.apps/argocd-server -n argocd", "no"),
-        ("robotkube:teardown", "delete applicationsets.argoproj.io/releases -n argocd", "yes"),
-        ("robotkube:teardown", "delete applications.argoproj.io -n argocd", "no"),
-        ("robotkube:gate", "get configmaps -n robotkube", "no"),
-        ("cloud-0:application", "watch configmaps -n cloud-0", "yes"),
-        ("robotkube-suite-0:application", "watch configmaps -n robotkube-suite-0", "yes"),
-        ("robotkube-suite-0:application", "get secrets -n robotkube-suite-0", "no"),
-        ("robotkube:suite-runner", "create deployments.apps -n robotkube-suite-1", "yes"),
-        ("robotkube:suite-runner", "create secrets -n robotkube-suite-1", "yes"),
-        ("robotkube:suite-runner", "get secrets -n robotkube-suite-1", "no"),
-        ("robotkube:suite-runner", "create roles -n robotkube-suite-1", "no"),
-        ("robotkube:suite-runner", "create pods --subresource=exec -n robotkube-suite-1", "no"),
-        ("robotkube:suite-runner", "create serviceaccounts --subresource=token -n robotkube-suite-1", "no"),
-        ("robotkube:suite-runner", "create namespaces", "no"),
-        *(("robotkube:suite-runner", f"create pods -n {namespace}", "no") for namespace in ("robotkube", "cloud-0")),
-    ],
-)
-def test_rights_of_the_other_accounts(installed: Cluster, account: str, question: str, answer: str) -> None:
-    asked = installed.run("kubectl", "auth", "can-i", *question.split(), f"--as=system:serviceaccount:{account}")
-    assert asked.stdout.strip() == answer
 
 
 ACCOUNTS = [

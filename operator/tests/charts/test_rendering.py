@@ -115,17 +115,14 @@ def test_embedded_pods_run_on_the_platform_nodes(embedded: Any) -> None:
         assert pod["tolerations"][0]["value"] == "platform", name
 
 
-def test_the_manager_may_write_nothing_but_the_status_of_tasks_and_events(platform: Any) -> None:
+def test_the_manager_may_write_nothing_but_tasks_events_and_its_lease(platform: Any) -> None:
     written = [
         rule["resources"]
-        for role in [
-            platform.one("ClusterRole", "robotkube-manager"),
-            platform.one("Role", "robotkube-manager", "argocd"),
-        ]
-        for rule in role["rules"]
+        for kind, namespace in (("ClusterRole", None), ("Role", "argocd"), ("Role", None))
+        for rule in platform.one(kind, "robotkube-manager", namespace)["rules"]
         if WRITE_VERBS & set(rule["verbs"])
     ]
-    assert written == [["taskdescriptions/status"], ["events"]]
+    assert written == [["taskdescriptions"], ["taskdescriptions/status"], ["events"], ["leases"], ["events"]]
 
 
 def test_only_the_manager_has_a_right_beyond_a_namespace(platform: Any) -> None:
@@ -268,6 +265,7 @@ def test_what_must_stay_is_kept(official: Any) -> None:
         ("CustomResourceDefinition", None, "taskdescriptions.robotkube.io"),
         ("Secret", None, "robotkube-seed"),
         ("Secret", None, "gate-key"),
+        ("Lease", None, "robotkube-manager-manager"),
         ("PersistentVolumeClaim", "robotkube-suite-0", "scratch"),
         ("PersistentVolumeClaim", "robotkube-suite-1", "scratch"),
         ("Namespace", None, "robotkube-suite-0"),

@@ -8,12 +8,16 @@ at any time.
 from __future__ import annotations
 
 import os
+import socket
 import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
+
+from kubernetes.client import ApiClient
 
 from robotkube.adapters.argocd import ArgoCDServer, PushHook
 from robotkube.adapters.evidence_dsse import TrustedKeys
@@ -21,6 +25,7 @@ from robotkube.adapters.git_clones import GitClone
 from robotkube.adapters.git_deployment import ProposalWriter
 from robotkube.adapters.gitea import GiteaForge
 from robotkube.adapters.kubernetes_api import KubernetesWorld, api_client
+from robotkube.adapters.lease_kubernetes import LeaseElection
 from robotkube.adapters.templates_jinja2 import Jinja2Templates
 from robotkube.adapters.webhooks import Delivery, WebServer
 from robotkube.domain.documents import Reader
@@ -29,9 +34,12 @@ from robotkube.domain.placement import Agent
 from robotkube.entrypoints import settings as files
 from robotkube.entrypoints.bounded_schemas import BoundedSchemas
 from robotkube.entrypoints.processes import Process, run
+from robotkube.entrypoints.scope_settings import read_operators, read_seconds
+from robotkube.ports.leadership import Leadership
 from robotkube.services.application_manager import (
     CATALOGUE,
     DEPLOYMENT,
+    TASKS,
     ApplicationManager,
     World,
     metrics_text,
@@ -64,19 +72,22 @@ class ManagerConfiguration:
     hook_url: str
     hook_secret: str
     webhook_secret: str
+    lease_namespace: str
+    lease_name: str
     evidence_keys: Path
     manager: ManagerSettings
 
 
 def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ManagerConfiguration:
     """The settings document of the manager."""
-    keys = ["listen", "log_level", "forge", "registry", "evidence", "argocd", "hook", "webhook", "agents"]
-    root = reader.mapping(document, "", keys)
+    keys = ["listen", "log_level", "forge", "registry", "evidence", "argocd", "hook", "webhook"]
+    root = reader.mapping(document, "", [*keys, "agents", "lease", "scope", "operators", "node_lost_seconds"])
     forge_keys = ["url", "credentials", "deployment", "catalogue", "branch"]
     forge = reader.mapping(root.get("forge") or {}, "forge", forge_keys)
     registry = reader.mapping(root.get("registry") or {}, "registry", ["charts"])
     argocd = reader.mapping(root.get("argocd") or {}, "argocd", ["url", "credentials", "namespace", "project"])
     hook = reader.mapping(root.get("hook") or {}, "hook", ["url", "secret"])
+    lease = reader.mapping(root.get("lease") or {}, "lease", ["namespace", "name"])
     webhook = reader.mapping(root.get("webhook") or {}, "webhook", ["secret"])
     evidence = reader.mapping(root.get("evidence") or {}, "evidence", ["keys"])
     return ManagerConfiguration(
@@ -94,10 +105,14 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ManagerCo
         hook_url=reader.word(hook.get("url"), "hook.url", files.HTTP_URL),
         hook_secret=files.secret(reader, hook.get("secret"), "hook.secret"),
         webhook_secret=files.secret(reader, webhook.get("secret"), "webhook.secret"),
+        lease_namespace=reader.word(lease.get("namespace"), "lease.namespace", files.WORD),
+        lease_name=reader.word(lease.get("name"), "lease.name", files.WORD),
         evidence_keys=Path(reader.word(evidence.get("keys"), "evidence.keys", files.PATH)),
         manager=ManagerSettings(
             agents=_agents(reader, root.get("agents")),
             charts_url=reader.word(registry.get("charts"), "registry.charts", files.CHARTS_URL),
+            operators=read_operators(reader, root),
+            node_lost_seconds=read_seconds(reader, root.get("node_lost_seconds"), "node_lost_seconds"),
         ),
     )
 
@@ -131,7 +146,11 @@ class Aside:
 
 
 def build_manager(
-    found: ManagerConfiguration, cluster: KubernetesWorld, work: Path, schemas: BoundedSchemas
+    found: ManagerConfiguration,
+    cluster: KubernetesWorld,
+    work: Path,
+    schemas: BoundedSchemas,
+    leadership: Leadership,
 ) -> ApplicationManager:
     """The manager on its adapters; nothing is asked of the forge yet."""
     url, account = found.forge_url, (found.account.username, found.account.password)
@@ -148,7 +167,7 @@ def build_manager(
     planner = Planner(found.manager, cluster, cluster, catalogue, main, render, schemas.validate)
     observer = PlanObserver(cluster, argocd, Aside(), time.time_ns, time.monotonic)
     forge = GiteaForge(url, found.deployment, *account, branch=found.branch)
-    world = World(cluster, cluster, deployment, proposals, forge)
+    world = World(cluster, cluster, deployment, proposals, forge, leadership, found.account.username)
     return ApplicationManager(world, catalogue, main, planner, observer, time.time_ns, time.monotonic)
 
 
@@ -174,19 +193,31 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     cluster = KubernetesWorld(api, found.argocd_namespace, waker, time.time)
     work = Path(environment.get("ROBOTKUBE_WORK", "/tmp/manager"))  # noqa: S108 - the pod's own volume
     schemas = BoundedSchemas()
-    manager = build_manager(found, cluster, work, schemas)
+    election = _election(found, api, waker, environment)
+    manager = build_manager(found, cluster, work, schemas, election)
     server = _server(found, manager, cluster)
     server.start()
     cluster.start()
+    election.start()
     process.log("started", port=server.port, agents=len(found.manager.agents))
     if not cluster.wait_until_synced(SYNC_SECONDS_MAX):
         raise UnavailableError("; ".join(cluster.complaints()))
     waker.manager = manager
     threading.Thread(target=_stop_with, args=(process, manager), daemon=True).start()
     manager.run(process.stopping)
+    election.stop()
     cluster.stop()
     server.stop()
     schemas.close()
+
+
+def _election(
+    found: ManagerConfiguration, api: ApiClient, waker: Waker, environment: Mapping[str, str]
+) -> LeaseElection:
+    """The election between the pods of this manager."""
+    identity = environment.get("POD_NAME") or socket.gethostname()
+    lease = (found.lease_namespace, found.lease_name)
+    return LeaseElection(api, *lease, identity, time.monotonic, lambda: datetime.now(UTC), lambda: waker(TASKS))
 
 
 def _stop_with(process: Process, manager: ApplicationManager) -> None:

@@ -1,0 +1,151 @@
+{{- /* The managers with every key: what `managers` leaves out is filled in here, once. A YAML list. */ -}}
+{{- define "robotkube.managers" -}}
+{{- $found := list }}
+{{- range .Values.managers }}
+{{- $scope := .scope | default dict }}
+{{- $agents := $scope.agents | default (list "*") }}
+{{- $filled := dict "agents" $agents "namespaces" ($scope.namespaces | default $agents) "applications" ($scope.applications | default (list "*")) }}
+{{- $manager := dict "name" .name "scope" $filled "operators" (.operators | default list) "replicas" (.replicas | default 1 | int) }}
+{{- $_ := set $manager "nodeLostSeconds" (.nodeLostSeconds | default 40 | int) }}
+{{- $_ := set $manager "resources" (.resources | default (dict "requests" (dict "cpu" "50m" "memory" "96Mi") "limits" (dict "memory" "256Mi"))) }}
+{{- $found = append $found $manager }}
+{{- end }}
+{{- toYaml $found }}
+{{- end }}
+
+{{- define "robotkube.managerNames" -}}
+{{- range $i, $manager := fromYamlArray (include "robotkube.managers" .) }}{{ if $i }} {{ end }}{{ $manager.name }}{{ end -}}
+{{- end }}
+
+{{- /* The declared agents in a manager's scope, separated by spaces. Arguments: {root, manager}. */ -}}
+{{- define "robotkube.managerAgents" -}}
+{{- $found := list }}
+{{- range .root.Values.agents }}
+{{- if or (has "*" $.manager.scope.agents) (has .name $.manager.scope.agents) }}{{ $found = append $found .name }}{{ end }}
+{{- end }}
+{{- join " " $found -}}
+{{- end }}
+
+{{- /* Rights on tasks and pods of namespaces: in a ClusterRole for all namespaces, else in a Role of each. */ -}}
+{{- define "robotkube.managerRules" -}}
+- apiGroups: [robotkube.io]
+  resources: [taskdescriptions]
+  verbs: [get, list, watch, create, patch, delete]     # what comes by MQTT becomes a task; a chain that ended goes
+- apiGroups: [robotkube.io]
+  resources: [taskdescriptions/status]
+  verbs: [patch, update]
+- apiGroups: [events.k8s.io]
+  resources: [events]
+  verbs: [create]
+- apiGroups: [""]
+  resources: [pods]
+  verbs: [get, list, watch]
+{{- end }}
+
+{{- /* Who moves main, in the first commit of the deployment repository. */ -}}
+{{- define "robotkube.mergePolicy" -}}
+{{- $lines := list }}
+{{- range $manager := fromYamlArray (include "robotkube.managers" .) }}
+{{- $paths := list "releases/" "sources/" }}
+{{- if not (has "*" $manager.scope.agents) }}
+{{- $paths = list }}
+{{- range splitList " " (include "robotkube.managerAgents" (dict "root" $ "manager" $manager)) }}
+{{- $paths = append (append $paths (printf "releases/%s/" .)) (printf "sources/%s/" .) }}
+{{- end }}
+{{- end }}
+{{- $lines = append $lines (printf "- author: %s\n  paths: [%s]" $manager.name (join ", " $paths)) }}
+{{- end }}
+{{- regexReplaceAll "(?m)^- author: manager\n  paths: .*$" (.Files.Get "files/deployment/policies/merge.yaml") (join "\n" $lines) }}
+{{- end }}
+
+{{- /* What is wrong with `managers`, one line each; agents and namespaces belong to exactly one. */ -}}
+{{- define "robotkube.managerRefusals" -}}
+{{- $taken := list "administrator" "argocd" "bootstrap" "broker" "database" "default" "forge" "gate" "observer" "operator-team" "publisher" "suite-runner" "teardown" }}
+{{- $declared := list }}{{ range .Values.agents }}{{ $declared = append $declared .name }}{{ end }}
+{{- $managers := fromYamlArray (include "robotkube.managers" .) }}
+{{- if .Values.manager }}
+{{ print "manager: this value was replaced by the list managers. Move its resources to managers[0].resources (name: manager), and upgrade with --reset-then-reuse-values instead of --reuse-values." }}
+{{- end }}
+{{- if not $managers }}
+{{ print "managers is empty: nobody would answer tasks. Leave the key out for one manager of everything, or declare one." }}
+{{- end }}
+{{- $names := list }}
+{{- range $i, $manager := $managers }}
+{{- $at := printf "managers[%d] %q" $i $manager.name }}
+{{- if not (regexMatch "^[a-z]([-a-z0-9]{0,28}[a-z0-9])?$" $manager.name) }}
+{{ printf "%s: the name becomes that of a Deployment, a Service and an account. Use at most 30 lower case letters, digits and hyphens, a letter first." $at }}
+{{- end }}
+{{- if has $manager.name $taken }}
+{{ printf "%s: this name belongs to a part of the platform. Use another one, such as manager-north." $at }}
+{{- end }}
+{{- if has $manager.name $declared }}
+{{ printf "%s: an agent has this name, and accounts of both would be one. Use another name." $at }}
+{{- end }}
+{{- if has $manager.name $names }}
+{{ printf "%s: declared twice. Give each manager a name of its own." $at }}
+{{- end }}
+{{- $names = append $names $manager.name }}
+{{- range $key := list "agents" "namespaces" "applications" }}
+{{- if and (has "*" (index $manager.scope $key)) (gt (len (index $manager.scope $key)) 1) }}
+{{ printf "%s: scope.%s names * and others. Leave the others out, or the *." $at $key }}
+{{- end }}
+{{- end }}
+{{- range $name := $manager.scope.agents }}
+{{- if and (ne $name "*") (not (has $name $declared)) }}
+{{ printf "%s: scope.agents names %q, which is none of agents. Declare it there, or take it out here." $at $name }}
+{{- end }}
+{{- end }}
+{{- range $name := $declared }}
+{{- $agent := or (has "*" $manager.scope.agents) (has $name $manager.scope.agents) }}
+{{- $namespace := or (has "*" $manager.scope.namespaces) (has $name $manager.scope.namespaces) }}
+{{- if and $agent (not $namespace) }}
+{{ printf "%s: agent %q is in scope.agents, but its namespace is not in scope.namespaces: operators launched there would have another manager. Name it in both." $at $name }}
+{{- else if and $namespace (not $agent) }}
+{{ printf "%s: namespace %q is in scope.namespaces, but its agent is not in scope.agents: operators launched there would have another manager. Name it in both." $at $name }}
+{{- end }}
+{{- end }}
+{{- range $j, $other := $managers }}
+{{- if gt $j $i }}
+{{- range $key := list "agents" "namespaces" }}
+{{- $mine := index $manager.scope $key }}{{ $theirs := index $other.scope $key }}
+{{- $both := list }}
+{{- range $mine }}{{ if or (has . $theirs) (has "*" $theirs) (eq . "*") }}{{ $both = append $both . }}{{ end }}{{ end }}
+{{- if $both }}
+{{ printf "managers[%d] %q: scope.%s overlaps with that of %q (%s): a release would have two authors, a bridge two publishers. Name each in one manager only." $j $other.name $key $manager.name (join ", " $both) }}
+{{- end }}
+{{- end }}
+{{- end }}
+{{- end }}
+{{- include "robotkube.operatorRefusals" (dict "manager" $manager "at" $at) }}
+{{- end }}
+{{- range $name := $declared }}
+{{- $found := false }}
+{{- range $managers }}{{ if or (has "*" .scope.agents) (has $name .scope.agents) }}{{ $found = true }}{{ end }}{{ end }}
+{{- if and $managers (not $found) }}
+{{ printf "agents: %q is in no manager's scope, so nothing would ever run on it. Add it to scope.agents and scope.namespaces of one of managers." $name }}
+{{- end }}
+{{- end }}
+{{- end }}
+
+{{- /* Arguments: {manager, at}. */ -}}
+{{- define "robotkube.operatorRefusals" -}}
+{{- $seen := list }}
+{{- range $operator := .manager.operators }}
+{{- $at := printf "%s: operators %q" $.at $operator.namespace }}
+{{- if has $operator.namespace $seen }}
+{{ printf "%s: declared twice. Remove one." $at }}
+{{- end }}
+{{- $seen = append $seen $operator.namespace }}
+{{- if not (or (has "*" $.manager.scope.namespaces) (has $operator.namespace $.manager.scope.namespaces)) }}
+{{ printf "%s: not in this manager's scope.namespaces. Declare the operator at the manager that answers it, or add the namespace." $at }}
+{{- end }}
+{{- range $key := list "agents" "applications" }}
+{{- $whole := index $.manager.scope $key }}
+{{- range $name := index $operator $key | default list }}
+{{- if not (or (has "*" $whole) (has $name $whole)) }}
+{{ printf "%s: %s names %q, more than the manager's scope.%s. An operator may never do more than its manager: take it out." $at $key $name $key }}
+{{- end }}
+{{- end }}
+{{- end }}
+{{- end }}
+{{- end }}

@@ -1,0 +1,185 @@
+"""Several managers with disjoint scopes: what each gets, and what is refused with the way out."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from robotkube.domain.merging import AUTOMATIC, read_merge_policy
+
+CHARTS = Path(__file__).resolve().parents[3] / "charts"
+PROFILES = Path(__file__).parent / "profiles"
+PLATFORM = CHARTS / "robotkube"
+KINDS = {"Deployment", "Service", "ServiceAccount", "ConfigMap", "ClusterRole", "ClusterRoleBinding", "Lease"}
+VEHICLE, CLOUD = {"agents": ["vehicle-00"]}, {"agents": ["vehicle-01", "cloud-0"]}
+NORTH, SOUTH = {"name": "north", "scope": VEHICLE}, {"name": "south", "scope": CLOUD}
+
+
+@pytest.fixture(scope="module")
+def two(helm: Any) -> Any:
+    return helm.template(PLATFORM, PROFILES / "official.yaml", PROFILES / "managers.yaml")
+
+
+def settings(rendered: Any, name: str) -> dict[str, Any]:
+    return dict(yaml.safe_load(rendered.one("ConfigMap", name)["data"]["config.yaml"]))
+
+
+def test_managers_render_as_committed(two: Any, golden: Callable[[str, str], None]) -> None:
+    parts = [part for part in two.text.split("---\n") if "# Source: robotkube/templates/manager/" in part]
+    golden("managers", "---\n".join(["", *parts]))
+
+
+def test_each_manager_has_objects_of_its_own(two: Any) -> None:
+    for name in ("manager", "manager-north"):
+        known = {name, f"robotkube-{name}", f"robotkube-manager-{name}"}
+        assert {o["kind"] for o in two.objects if o["metadata"]["name"] in known} >= KINDS
+        [account] = two.one("ClusterRoleBinding", f"robotkube-{name}")["subjects"]
+        assert account["name"] == name
+        assert two.one("Secret", f"forge-account-{name}")["stringData"]["username"] == name
+    assert two.one("Deployment", "manager-north")["spec"]["replicas"] == 2
+
+
+def test_a_manager_with_namespaces_has_no_right_on_tasks_elsewhere(two: Any) -> None:
+    assert two.one("ClusterRole", "robotkube-manager-north")["rules"] == [
+        {"apiGroups": [""], "resources": ["nodes"], "verbs": ["get", "list", "watch"]}
+    ]
+    roles = {
+        r["metadata"].get("namespace")
+        for r in two.of_kind("Role")
+        if r["metadata"]["name"] == "robotkube-manager-north"
+    }
+    assert roles == {None, "argocd", "vehicle-01", "default"}
+
+
+def test_the_gate_takes_from_each_what_is_in_its_scope(two: Any) -> None:
+    url = "http://{}.robotkube.svc.cluster.local:8080/webhook"
+    assert settings(two, "gate")["forge"]["proposers"] == [
+        {"account": "manager", "namespaces": ["vehicle-00", "cloud-0"], "webhook": url.format("manager")},
+        {"account": "manager-north", "namespaces": ["vehicle-01"], "webhook": url.format("manager-north")},
+    ]
+
+
+def test_the_policy_merges_by_itself_what_is_in_the_authors_scope(two: Any, official: Any) -> None:
+    policy = read_merge_policy(two.one("ConfigMap", "bootstrap-seed")["data"]["deployment--policies--merge.yaml"])
+    assert policy.way("manager-north", ["releases/vehicle-01/a.yaml", "sources/vehicle-01/b.yaml"]) == AUTOMATIC
+    assert policy.way("manager-north", ["releases/vehicle-00/a.yaml"]) != AUTOMATIC
+    assert policy.way("manager", ["releases/vehicle-00/a.yaml"]) == AUTOMATIC
+    alone = official.one("ConfigMap", "bootstrap-seed")["data"]["deployment--policies--merge.yaml"]
+    assert alone == (PLATFORM / "files/deployment/policies/merge.yaml").read_text()
+
+
+def test_the_forge_knows_every_manager_and_tells_it(two: Any) -> None:
+    forge = settings(two, "bootstrap")["forge"]
+    assert {"manager", "manager-north"} <= {account["name"] for account in forge["accounts"]}
+    for repository in forge["repositories"]:
+        assert {name: repository["access"][name] for name in ("manager", "manager-north")} == {
+            "manager": "read",
+            "manager-north": "read",
+        }
+        assert repository["main"] == ["gate"]
+    told = {hook["url"].partition("//")[2].partition(".")[0] for hook in forge["webhooks"]}
+    assert told == {"gate", "manager", "manager-north"}
+
+
+def test_namespaces_are_those_of_the_agents_when_left_out(helm: Any) -> None:
+    found = helm.template(PLATFORM, PROFILES / "official.yaml", managers=[NORTH, SOUTH])
+    assert settings(found, "north")["scope"] == {
+        "agents": ["vehicle-00"],
+        "namespaces": ["vehicle-00"],
+        "applications": ["*"],
+    }
+    assert settings(found, "south")["node_lost_seconds"] == 40
+
+
+REFUSALS: dict[str, tuple[list[dict[str, Any]], str]] = {
+    "nobody": ([], "managers is empty: nobody would answer tasks. Leave the key out for one manager of everything"),
+    "scopes that overlap": (
+        [NORTH, {"name": "south", "scope": {"agents": ["vehicle-00", "vehicle-01", "cloud-0"]}}],
+        'managers[1] "south": scope.agents overlaps with that of "north" (vehicle-00): a release would have two',
+    ),
+    "everything twice": (
+        [{"name": "a"}, {"name": "b"}],
+        'managers[1] "b": scope.namespaces overlaps with that of "a" (*)',
+    ),
+    "namespaces that overlap": (
+        [
+            {**NORTH, "scope": {**VEHICLE, "namespaces": ["vehicle-00", "people"]}},
+            {**SOUTH, "scope": {**CLOUD, "namespaces": ["vehicle-01", "cloud-0", "people"]}},
+        ],
+        'scope.namespaces overlaps with that of "north" (people)',
+    ),
+    "an agent that nobody has": (
+        [NORTH, {"name": "south", "scope": {"agents": ["cloud-0"]}}],
+        'agents: "vehicle-01" is in no manager\'s scope, so nothing would ever run on it. Add it to scope.agents',
+    ),
+    "an agent that is not declared": (
+        [{"name": "a", "scope": {"agents": ["vehicle-00", "vehicle-01", "cloud-0", "vehicle-77"]}}],
+        'scope.agents names "vehicle-77", which is none of agents. Declare it there',
+    ),
+    "an agent without its namespace": (
+        [{"name": "a", "scope": {"agents": ["*"], "namespaces": ["cloud-0", "vehicle-00"]}}],
+        'agent "vehicle-01" is in scope.agents, but its namespace is not in scope.namespaces',
+    ),
+    "a namespace without its agent": (
+        [NORTH, {**SOUTH, "scope": {**CLOUD, "namespaces": ["*"]}}],
+        'namespace "vehicle-00" is in scope.namespaces, but its agent is not in scope.agents',
+    ),
+    "all and others": ([{"name": "a", "scope": {"agents": ["*", "cloud-0"]}}], "scope.agents names * and others."),
+    "the name of a part": ([{"name": "gate"}], 'managers[0] "gate": this name belongs to a part of the platform.'),
+    "the name of an agent": ([{"name": "cloud-0"}], 'managers[0] "cloud-0": an agent has this name'),
+    "a name that is no label": ([{"name": "North"}], "Use at most 30 lower case letters, digits and hyphens"),
+    "one name twice": ([NORTH, {**SOUTH, "name": "north"}], 'managers[1] "north": declared twice.'),
+    "an operator of somebody else": (
+        [NORTH, {**SOUTH, "operators": [{"namespace": "vehicle-00"}]}],
+        'managers[1] "south": operators "vehicle-00": not in this manager\'s scope.namespaces.',
+    ),
+    "an operator with more than its manager": (
+        [{**NORTH, "operators": [{"namespace": "vehicle-00", "agents": ["cloud-0"]}]}, SOUTH],
+        'operators "vehicle-00": agents names "cloud-0", more than the manager\'s scope.agents.',
+    ),
+    "an operator twice": (
+        [{**NORTH, "operators": [{"namespace": "vehicle-00"}, {"namespace": "vehicle-00"}]}, SOUTH],
+        'operators "vehicle-00": declared twice. Remove one.',
+    ),
+}
+
+
+@pytest.mark.parametrize("case", REFUSALS)
+def test_the_chart_refuses_managers_with_the_way_out(helm: Any, case: str) -> None:
+    managers, message = REFUSALS[case]
+    said = helm.refusal(PLATFORM, PROFILES / "official.yaml", managers=managers)
+    assert "in the values, nothing was changed:" in said
+    assert message in said
+
+
+def test_the_earlier_value_is_refused_with_the_way_over(helm: Any) -> None:
+    resources = {"requests": {"cpu": "50m"}}
+    said = helm.refusal(PLATFORM, PROFILES / "official.yaml", manager={"resources": resources})
+    assert "manager: this value was replaced by the list managers. Move its resources to managers[0].resources" in said
+    assert "upgrade with --reset-then-reuse-values instead of --reuse-values" in said
+
+
+@pytest.mark.parametrize(
+    ("manager", "at"),
+    [
+        ({"scope": {}}, "at '/managers/0': missing property 'name'"),
+        ({"name": "a", "agents": []}, "at '/managers/0': additional properties 'agents' not allowed"),
+        ({"name": "a", "scope": {"agents": []}}, "at '/managers/0/scope/agents': minItems"),
+        ({"name": "a", "scope": {"agents": ["vehicle-*"]}}, "at '/managers/0/scope/agents/0'"),
+        ({"name": "a", "replicas": 0}, "at '/managers/0/replicas': minimum"),
+        ({"name": "a", "operators": [{}]}, "at '/managers/0/operators/0': missing property 'namespace'"),
+    ],
+)
+def test_the_schema_refuses_what_it_does_not_know(helm: Any, manager: dict[str, Any], at: str) -> None:
+    assert at in helm.refusal(PLATFORM, PROFILES / "official.yaml", managers=[manager])
+
+
+def test_every_key_of_a_manager_is_explained() -> None:
+    schema = json.loads((PLATFORM / "values.schema.json").read_text())
+    manager = schema["properties"]["managers"]["items"]["properties"]
+    assert all("description" in rule or "$ref" in rule for rule in manager.values())

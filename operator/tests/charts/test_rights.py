@@ -1,0 +1,153 @@
+"""What every service account may do, as the API server says it: exactly this, and nothing else."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from installed_chart import CHART, Cluster, prepared_cluster
+
+PROFILES = Path(__file__).parent / "profiles"
+LINE = re.compile(r"(\S*) +\[(.*?)\] +\[(.*?)\] +\[(.*?)\]")
+Rights = dict[str, str]
+
+READ = "get list watch"
+TASKS, STATUS = "taskdescriptions.robotkube.io", "taskdescriptions.robotkube.io/status"
+EVENTS, LEASES = "events.events.k8s.io", "leases.coordination.k8s.io"
+NODES = {"nodes": READ}
+ANSWERS = {TASKS: "create delete get list patch watch", STATUS: "patch update", EVENTS: "create", "pods": READ}
+APPLICATIONS = {"applications.argoproj.io": READ}
+SETTINGS = {"configmaps": READ}
+ROOM = {
+    "configmaps": "create delete get list patch watch",
+    "deployments.apps": "create delete get list patch watch",
+    "events": "list",
+    "pods": "create delete get list watch",
+    "pods/log": "get",
+    "secrets": "create delete",
+}
+
+
+def lease(manager: str) -> Rights:
+    return {EVENTS: "create", f"{LEASES} robotkube-manager-{manager}": "get patch update"}
+
+
+SET_UP = {
+    "appprojects.argoproj.io default": "get patch",
+    "configmaps argocd-cm": "get patch",
+    "configmaps argocd-rbac-cm": "get patch",
+    "deployments.apps argocd-applicationset-controller": "get patch",
+    "secrets argocd-secret": "get patch",
+}
+TEARING_DOWN = {"applications.argoproj.io": "list", "applicationsets.argoproj.io releases": "delete get"}
+NAMESPACES = ("robotkube", "argocd", "default", "vehicle-00", "vehicle-01", "cloud-0", "robotkube-suite-0")
+# account -> namespace -> what it may do there; what it may do everywhere stands under "*"
+EXACTLY: dict[str, dict[str, Rights]] = {
+    "robotkube:manager": {
+        "*": NODES,
+        "vehicle-00": ANSWERS,
+        "cloud-0": ANSWERS,
+        "argocd": APPLICATIONS,
+        "robotkube": lease("manager"),
+    },
+    "robotkube:manager-north": {
+        "*": NODES,
+        "vehicle-01": ANSWERS,
+        "default": ANSWERS,
+        "argocd": APPLICATIONS,
+        "robotkube": lease("manager-north"),
+    },
+    "robotkube:gate": {},
+    "robotkube:default": {},
+    "robotkube:suite-runner": {"robotkube-suite-0": ROOM},
+    "robotkube:bootstrap": {"argocd": SET_UP},
+    "robotkube:teardown": {"argocd": TEARING_DOWN},
+    "robotkube-suite-0:application": {"robotkube-suite-0": SETTINGS},
+    "robotkube-suite-0:event-detector": {"robotkube-suite-0": SETTINGS},
+    "robotkube-suite-0:default": {},
+    "cloud-0:event-detector": {"cloud-0": {**SETTINGS, TASKS: "create delete get list patch watch"}},
+    "vehicle-00:event-detector": {"vehicle-00": {**SETTINGS, TASKS: "create delete get list patch watch"}},
+    "vehicle-00:application": {"vehicle-00": SETTINGS},
+    "vehicle-00:mqtt-bridge": {"vehicle-00": SETTINGS},
+    "vehicle-00:bag-player": {"vehicle-00": SETTINGS},
+    "vehicle-00:default": {},
+}
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    """Two managers with disjoint scopes."""
+    with prepared_cluster(tmp_path_factory.mktemp("api")) as found:
+        files = [option for name in ("official", "managers") for option in ("-f", str(PROFILES / f"{name}.yaml"))]
+        found.helm("install", "robotkube", str(CHART), *files, "--no-hooks")
+        yield found
+
+
+def rights(cluster: Cluster, namespace: str, account: str) -> Rights:
+    """`<resource>[ <name>]` -> verbs, of what this account may do in a namespace."""
+    said = cluster.run("kubectl", "auth", "can-i", "--list", "-n", namespace, f"--as=system:serviceaccount:{account}")
+    assert said.returncode == 0, said.stderr
+    found: dict[str, set[str]] = {}
+    for line in said.stdout.splitlines()[1:]:
+        match = LINE.fullmatch(line.rstrip())
+        assert match, line
+        resource, addresses, names, verbs = match.groups()
+        for name in names.split() or [""]:
+            found.setdefault(f"{resource} {addresses}{name}".strip(), set()).update(verbs.split())
+    return {key: " ".join(sorted(verbs)) for key, verbs in found.items()}
+
+
+@pytest.fixture(scope="module")
+def everybody(installed: Cluster) -> Rights:
+    """What Kubernetes allows to whoever is known: asking about oneself, and public addresses."""
+    return rights(installed, "default", "nowhere:nobody")
+
+
+@pytest.mark.parametrize("account", EXACTLY)
+def test_an_account_may_do_exactly_this(installed: Cluster, everybody: Rights, account: str) -> None:
+    expected, found = {}, {}
+    for namespace in NAMESPACES:
+        wanted = {**EXACTLY[account].get("*", {}), **EXACTLY[account].get(namespace, {})}
+        said = rights(installed, namespace, account)
+        expected[namespace] = wanted
+        found[namespace] = {key: verbs for key, verbs in said.items() if everybody.get(key) != verbs}
+    assert found == expected
+
+
+def test_every_account_of_the_platform_is_listed(installed: Cluster) -> None:
+    listed = installed.kubectl("get", "serviceaccounts", "-n", "robotkube", "-o", "name").split()
+    names = {name.partition("/")[2] for name in listed}
+    assert {f"robotkube:{name}" for name in names} <= set(EXACTLY)
+
+
+@pytest.mark.parametrize(
+    ("account", "question"),
+    [
+        ("robotkube:manager", "get taskdescriptions.robotkube.io -n vehicle-01"),
+        ("robotkube:manager", "get pods -n vehicle-01"),
+        ("robotkube:manager", "update leases.coordination.k8s.io/robotkube-manager-manager-north -n robotkube"),
+        ("robotkube:manager", "create leases.coordination.k8s.io -n robotkube"),
+        ("robotkube:manager-north", "patch taskdescriptions.robotkube.io --subresource=status -n cloud-0"),
+        ("robotkube:manager-north", "patch nodes"),
+        ("cloud-0:event-detector", "create taskdescriptions.robotkube.io -n vehicle-00"),
+        ("cloud-0:event-detector", "patch taskdescriptions.robotkube.io --subresource=status -n cloud-0"),
+    ],
+)
+def test_no_account_reaches_into_anothers_scope(installed: Cluster, account: str, question: str) -> None:
+    asked = installed.run("kubectl", "auth", "can-i", *question.split(), f"--as=system:serviceaccount:{account}")
+    assert asked.stdout.strip() == "no"
+
+
+def test_one_manager_of_everything_may_answer_everywhere(helm: Any) -> None:
+    rendered = helm.template(CHART, PROFILES / "official.yaml")
+    rules = rendered.one("ClusterRole", "robotkube-manager")["rules"]
+    assert {resource: " ".join(sorted(r["verbs"])) for r in rules for resource in r["resources"]} == {
+        "nodes": READ,
+        "taskdescriptions": "create delete get list patch watch",
+        "taskdescriptions/status": "patch update",
+        "events": "create",
+        "pods": READ,
+    }
