@@ -4,8 +4,9 @@ from typing import Any
 
 from fakes import Channel, Network
 
-from robotkube.domain.bridging import BridgeSettings, read_bridge_settings
+from robotkube.domain.bridging import DOOR_TYPE, BridgeSettings, read_bridge_settings
 from robotkube.domain.frames import decode_frame, encode_frame
+from robotkube.domain.messages import string_message, string_text
 from robotkube.services.bridge import FRAME_BYTES_MAX, Bridge
 
 POSE = {"name": "/vehicles/vehicle_00/pose", "type": "geometry_msgs/msg/PoseStamped"}
@@ -54,6 +55,24 @@ def test_a_drain_becomes_one_frame() -> None:
     assert (sent[0], sent[2]) == ("mqtt/vehicles/vehicle_00/pose", False)
     frame = decode_frame(sent[1])
     assert (frame.session, frame.sequence, frame.messages) == (42, 0, (b"one", b"two"))
+
+
+def test_the_task_door_carries_texts_as_they_are() -> None:
+    world = World()
+    status = {"name": "/robotkube/task_status", "type": DOOR_TYPE}
+    world.configure(out=[{"name": "/robotkube/tasks", "type": DOOR_TYPE}], into=[status])
+    world.connect()
+    asked = [b'{"withdraw": "a"}', '{"ä": 1}'.encode()]
+    cut_off = [b"\x00\x01", b"\x00\x01\0\0\xff\0\0\0x"]
+    world.network.endpoint("/robotkube/tasks").waiting = [*map(string_message, asked), *cut_off]
+    world.bridge.turn(0.0)
+    telemetry = world.channels["telemetry"]
+    assert telemetry.sent == [("robotkube/tasks/vehicle-00", text, False) for text in asked]
+    assert 'robotkube_bridge_refused_frames_total{channel="telemetry"} 2' in world.bridge.metrics()
+    assert "robotkube/task_status/vehicle-00" in telemetry.subscribed
+    telemetry.events.received("robotkube/task_status/vehicle-00", b'{"id": "a"} \xff')
+    [published] = world.network.endpoint("/robotkube/task_status").published
+    assert string_text(published) == b'{"id": "a"} ' + "\ufffd".encode()
 
 
 def test_large_messages_get_frames_of_their_own() -> None:

@@ -4,7 +4,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robotkube.domain.bridging import BridgedTopic, check_agent, difference, read_bridge_settings
+from robotkube.domain.bridging import (
+    DOOR_TOPICS,
+    DOOR_TYPE,
+    BridgedTopic,
+    check_agent,
+    difference,
+    read_bridge_settings,
+)
 from robotkube.domain.errors import DocumentError
 
 POSE = {"name": "/vehicles/vehicle_00/pose", "type": "geometry_msgs/msg/PoseStamped"}
@@ -26,9 +33,22 @@ def test_defaults_are_those_of_a_pose() -> None:
     assert settings.channels == {"telemetry"}
 
 
+def test_topics_of_the_task_door_have_names_of_their_own_per_agent() -> None:
+    topics = {way: [{"name": name, "type": DOOR_TYPE}] for name, way in DOOR_TOPICS.items()}
+    settings = read_bridge_settings({"agent": "vehicle-00", **topics}, "config.yaml")
+    assert settings.outgoing["/robotkube/tasks"].mqtt == "robotkube/tasks/vehicle-00"
+    assert settings.incoming["/robotkube/task_status"].mqtt == "robotkube/task_status/vehicle-00"
+
+
+TASKS = {"name": "/robotkube/tasks", "type": DOOR_TYPE}
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
+        ({"in": [TASKS]}, r"in\[0\]: /robotkube/tasks goes only out; move it there"),
+        ({"out": [{**TASKS, "type": "x/msg/Y"}]}, r"out\[0\].type: 'x/msg/Y' must be 'std_msgs/msg/String'"),
+        ({"out": [{**TASKS, "durability": "transient_local"}]}, r"out\[0\].durability: .* must be 'volatile'"),
         ({"out": [{**POSE, "speed": 1}]}, r"out\[0\].speed: unknown key"),
         ({"out": [{"name": POSE["name"]}]}, r"out\[0\].type: missing"),
         ({"out": [{**POSE, "channel": "fast"}]}, r"out\[0\].channel: 'fast'"),

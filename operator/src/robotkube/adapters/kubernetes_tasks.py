@@ -16,6 +16,7 @@ from robotkube.domain.errors import InputError, UnavailableError
 from robotkube.domain.tasks import GROUP, PLURAL, VERSION
 
 CONFLICT = 409
+JSON = "application/json"
 STRICT = (("fieldValidation", "Strict"),)
 
 Object = Mapping[str, Any]
@@ -26,7 +27,7 @@ class Call(Protocol):
     """One request."""
 
     def __call__(
-        self, method: str, path: str, query: Query = (), *, body: Any = None, content_type: str = "application/json"
+        self, method: str, path: str, query: Query = (), *, body: Any = None, content_type: str = JSON
     ) -> Any: ...
 
 

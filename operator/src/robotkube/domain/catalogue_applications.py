@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -29,7 +30,9 @@ DEPTH_MAX = 100_000
 SET_BY_MANAGER = ("placement", "global")
 RESERVED = frozenset({"parameters", "agent", "task", "placement", "topics"})
 
-_LINK_END = ("agent", "role", "service")
+_VALUES_PATH = re.compile(r"[A-Za-z0-9_-]{1,63}(\.[A-Za-z0-9_-]{1,63}){0,15}", re.ASCII)
+_LINK_END = ("agent", "medium", "role", "service")
+_MEDIA = ("mqtt",)
 
 
 @dataclass(frozen=True)
@@ -51,16 +54,18 @@ class ChartRequirement:
 @dataclass(frozen=True)
 class PlacementRule:
     """Where a service may run: on the named agent (a template), or on one agent, of the role when one is given, that
-    has all capabilities."""
+    has all capabilities. `spread`: no two instances of it on one agent."""
 
     agent: str = ""
     role: str = ""
     capabilities: tuple[str, ...] = ()
+    spread: bool = False
 
 
 @dataclass(frozen=True)
 class Service:
-    """One microservice of an application; `release` and `values` are templates, `for_each` is variable -> list."""
+    """One microservice of an application; `release` and `values` are templates, `for_each` is variable -> list.
+    `unite`: paths of lists in the values (keys joined by dots) that are united when demands share the release."""
 
     name: str
     release: str
@@ -68,6 +73,7 @@ class Service:
     placement: PlacementRule
     values: Mapping[str, Any]
     for_each: Mapping[str, Any] = field(default_factory=dict)
+    unite: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -150,7 +156,7 @@ def _consistency(reader: Reader, services: Sequence[Service], links: Sequence[Li
 
 def _service(reader: Reader, value: Any, index: int) -> Service:
     path = f"spec.services[{index}]"
-    found = reader.mapping(value, path, ["name", "release", "chart", "placement"], ["values", "forEach"])
+    found = reader.mapping(value, path, ["name", "release", "chart", "placement"], ["values", "forEach", "unite"])
     values = found.get("values", {})
     if not isinstance(values, Mapping):
         reader.problems.append(f"{path}.values: must be a mapping")
@@ -167,6 +173,7 @@ def _service(reader: Reader, value: Any, index: int) -> Service:
         placement=_placement(reader, found.get("placement"), f"{path}.placement"),
         values=values,
         for_each=read_for_each(reader, found.get("forEach"), f"{path}.forEach", RESERVED),
+        unite=read_words(reader, found.get("unite"), f"{path}.unite", _VALUES_PATH),
     )
 
 
@@ -188,7 +195,7 @@ def _chart(reader: Reader, value: Any, path: str) -> ChartRequirement:
 
 
 def _placement(reader: Reader, value: Any, path: str) -> PlacementRule:
-    found = reader.mapping(value or {}, path, [], ["agent", "role", "capabilities"])
+    found = reader.mapping(value or {}, path, [], ["agent", "role", "capabilities", "spread"])
     if ("agent" in found) == ("role" in found or "capabilities" in found):
         reader.problems.append(f"{path}: needs either `agent`, or `role`, `capabilities` or both")
     capabilities = read_words(reader, found.get("capabilities"), f"{path}.capabilities", NAME)
@@ -197,7 +204,11 @@ def _placement(reader: Reader, value: Any, path: str) -> PlacementRule:
     agent = reader.prose(found.get("agent", ""), f"{path}.agent")
     if found.get("agent") == "":
         reader.problems.append(f"{path}.agent: must not be empty")
-    return PlacementRule(agent, reader.word(found.get("role"), f"{path}.role", NAME, default=""), capabilities)
+    spread = found.get("spread", False)
+    if not isinstance(spread, bool) or (spread and "agent" in found):
+        reader.problems.append(f"{path}.spread: must be true or false, and is nothing for a named agent")
+    role = reader.word(found.get("role"), f"{path}.role", NAME, default="")
+    return PlacementRule(agent, role, capabilities, spread is True)
 
 
 def _link(reader: Reader, value: Any, index: int) -> Link:
@@ -215,6 +226,8 @@ def _link(reader: Reader, value: Any, index: int) -> Link:
     target = _end(reader, found.get("to"), f"{path}.to", ros)
     if ros and source == target:
         reader.problems.append(f"{path}: both ends are the same service; remove the link")
+    if "medium" in source and "medium" in target:
+        reader.problems.append(f"{path}: both ends are the medium; one must be an agent, a role or a service")
     return Link(
         kind=kind,
         source=source,
@@ -230,6 +243,8 @@ def _end(reader: Reader, value: Any, path: str, ros: bool) -> Mapping[str, str]:
     if len(found) != 1:
         reader.problems.append(f"{path}: needs exactly one of {', '.join(keys)}")
         return {"agent": ""}
+    if "medium" in found:
+        read_one_of(reader, found["medium"], f"{path}.medium", _MEDIA)
     return {key: reader.prose(text, f"{path}.{key}") for key, text in found.items()}
 
 

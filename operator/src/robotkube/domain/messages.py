@@ -12,6 +12,7 @@ _LITTLE_HEADER, _BIG_HEADER = struct.Struct("<iI"), struct.Struct(">iI")
 _LITTLE_LENGTH, _BIG_LENGTH = struct.Struct("<I"), struct.Struct(">I")
 _LITTLE_POSITION, _BIG_POSITION = struct.Struct("<3d"), struct.Struct(">3d")
 _ENCAPSULATION = 4
+LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 _FRAME_LENGTH = _ENCAPSULATION + 8
 
 STAMPED_TYPES = frozenset(
@@ -55,3 +56,22 @@ def pose_position(data: bytes) -> tuple[float, float, float]:
     except struct.error as error:
         raise ValueError(f"a message of {len(data)} bytes is no PoseStamped") from error
     return x, y, z
+
+
+def string_text(data: bytes) -> bytes:
+    """The text of a serialised std_msgs/String without its end mark; ValueError when the message is cut off."""
+    little = data[1] & 1 if len(data) > 1 else 1
+    try:
+        (length,) = (_LITTLE_LENGTH if little else _BIG_LENGTH).unpack_from(data, _ENCAPSULATION)
+    except struct.error as error:
+        raise ValueError(f"a message of {len(data)} bytes is no String") from error
+    begin = _ENCAPSULATION + _LITTLE_LENGTH.size
+    if begin + length > len(data):
+        raise ValueError(f"a message of {len(data)} bytes ends before its text of {length} bytes")
+    return data[begin : begin + length].removesuffix(b"\0")
+
+
+def string_message(text: bytes) -> bytes:
+    """A serialised std_msgs/String; what is no UTF-8 in `text` is replaced, since ROS reads nothing else."""
+    encoded = text.decode(errors="replace").encode() + b"\0"
+    return LITTLE_ENDIAN + _LITTLE_LENGTH.pack(len(encoded)) + encoded

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from robotkube.domain.bridging import BULK, BridgedTopic, BridgeSettings, difference
 from robotkube.domain.errors import InputError, UnavailableError
 from robotkube.domain.frames import FrameError, SeenFrames, decode_frame, encode_frame
+from robotkube.domain.messages import string_message, string_text
 from robotkube.domain.outboxes import Bounds, Outbox, OutgoingFrame
 
 if TYPE_CHECKING:  # the ports know every part's domain: 25 ms of a start
@@ -95,15 +96,22 @@ class _Link:
             return
         if not payload:
             return  # a retained frame was taken back
+        if incoming.topic.door:
+            self._publish(incoming, [string_message(payload)])
+            return
         try:
             frame = decode_frame(payload)
         except FrameError as error:
-            self.bad_frames += 1
-            if self.bad_frames == 1:
-                self._log("frame refused", topic=topic, error=str(error))
+            self.count_bad(topic, str(error))
             return
         if incoming.seen.fresh(frame.session, frame.sequence):
             self._publish(incoming, frame.messages)
+
+    def count_bad(self, topic: str, error: str) -> None:
+        """Something that cannot be carried; only the first one is told."""
+        self.bad_frames += 1
+        if self.bad_frames == 1:
+            self._log("frame refused", topic=topic, error=error)
 
     def _publish(self, incoming: _Incoming, messages: Sequence[bytes]) -> None:
         publish = incoming.sink.publish
@@ -264,6 +272,10 @@ class Bridge:
     def _send(self, outgoing: _Outgoing, messages: Sequence[bytes], now: float) -> None:
         topic = outgoing.topic
         link = self._links[topic.channel]
+        outgoing.messages += len(messages)
+        if topic.door:
+            _send_texts(link, topic, messages, now)
+            return
         for part in _parts(messages):
             sequence = self._sequences.get(topic.name, 0)
             self._sequences[topic.name] = sequence + 1
@@ -272,7 +284,6 @@ class Bridge:
             link.outbox.put(frame)
             if topic.retained:
                 link.retained[topic.name] = frame
-        outgoing.messages += len(messages)
 
     def _try(self, topic: BridgedTopic, opening: Callable[[BridgedTopic], None]) -> None:
         try:
@@ -313,6 +324,15 @@ class Bridge:
         link.incoming.pop(incoming.topic.mqtt, None)
         link.channel.unsubscribe([incoming.topic.mqtt])
         incoming.sink.close()
+
+
+def _send_texts(link: _Link, topic: BridgedTopic, messages: Sequence[bytes], now: float) -> None:
+    """The texts of String messages, each as it is."""
+    for message in messages:
+        try:
+            link.outbox.put(OutgoingFrame(topic.mqtt, string_text(message), 1, born=now))
+        except ValueError as error:
+            link.count_bad(topic.mqtt, str(error))
 
 
 def _parts(messages: Sequence[bytes]) -> Iterator[Sequence[bytes]]:
