@@ -1,4 +1,4 @@
-"""`make reference`: docs/reference/schemas.md from the JSON Schemas of registry/schemas/."""
+"""`make reference`: docs/reference/schemas.md from the JSON Schemas of registry/schemas/, metrics.md from the code."""
 
 from __future__ import annotations
 
@@ -7,15 +7,26 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from robotkube.adapters.metrics_prometheus import reference
+
 TOP = Path(__file__).resolve().parent.parent
 SCHEMAS = TOP / "registry" / "schemas"
 PAGE = TOP / "docs" / "reference" / "schemas.md"
+METRICS_PAGE = TOP / "docs" / "reference" / "metrics.md"
 ORDER = ("application", "chart-version", "release-policy", "verification-policy")
 HEAD = """# Schemas of the catalogue
 
 Written by `make reference` from `registry/schemas/`; a test says when this page is not current. What the entries mean
 and what `robotkube registry validate` checks besides: [catalogue](catalogue.md). What may stand in templates:
 [contracts](contracts.md#catalogue). Lists hold at most 256 items where nothing else is said.
+"""
+
+METRICS_HEAD = """# Metrics of the application manager
+
+Written by `make reference` from the code; a test says when this page is not current. The manager serves them at
+`/metrics` of its port in Prometheus' text form, in base units. Labels take values of closed lists only, so that no
+task, plan or agent makes a series of its own. The process's own (`process_resident_memory_bytes`, ...) come with them.
+
 """
 
 Schema = Mapping[str, Any]
@@ -26,6 +37,11 @@ Row = tuple[str, str, str, str]
 def page(schemas: Mapping[str, Schema]) -> str:
     """The whole page; `schemas` by file name without suffix."""
     return "\n".join([HEAD, *(line for name in ORDER for line in _chapter(name, schemas[name]))]).rstrip() + "\n"
+
+
+def metrics_page() -> str:
+    """The page about metrics."""
+    return f"{METRICS_HEAD}{reference()}"
 
 
 def read_schemas() -> dict[str, Schema]:
@@ -149,4 +165,5 @@ def _bounds(schema: Schema, least: str, most: str) -> str:
 
 if __name__ == "__main__":
     PAGE.write_text(page(read_schemas()), encoding="utf-8")
-    print(PAGE.relative_to(TOP))
+    METRICS_PAGE.write_text(metrics_page(), encoding="utf-8")
+    print(PAGE.relative_to(TOP), METRICS_PAGE.relative_to(TOP))

@@ -11,6 +11,10 @@ def test_the_page_is_current() -> None:
     assert reference.PAGE.read_text(encoding="utf-8") == reference.page(reference.read_schemas()), "run: make reference"
 
 
+def test_the_page_of_metrics_is_current() -> None:
+    assert reference.METRICS_PAGE.read_text(encoding="utf-8") == reference.metrics_page(), "run: make reference"
+
+
 def test_every_schema_has_a_chapter() -> None:
     assert set(reference.ORDER) == set(reference.read_schemas())
 

@@ -1,0 +1,62 @@
+"""What the manager says of itself while it works: counted, timed, traced by whoever listens."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
+
+OUTCOMES = ("proposed", "merged", "refused", "outdated", "observed", "given_up")
+
+
+@dataclass(frozen=True)
+class PlanFacts:
+    """One plan as far as it has come. `kind` is its cause (task, withdrawal, initial, update, node, repair, revert);
+    `times` are ns since 1970 by step (manager_records.TIMES); `traces` those of its events, 32 hexadecimal digits."""
+
+    id: str
+    kind: str
+    commit: str = ""
+    pull_request: int | None = None
+    tasks: tuple[str, ...] = ()
+    traces: tuple[str, ...] = ()
+    times: Mapping[str, int] = field(default_factory=dict)
+    error: str = ""
+
+
+class Telemetry(Protocol):
+    """Calls return at once and never raise."""
+
+    def step(self, failed: bool) -> None:
+        """One step of the loop has ended."""
+        ...
+
+    def decided(self, seconds: float) -> None:
+        """A decision was made: from what was read to the finished plan, or to the knowledge that there is none."""
+        ...
+
+    def plan(self, plan: PlanFacts, outcome: str) -> None:
+        """A plan has come one step further (one of OUTCOMES)."""
+        ...
+
+
+class Together:
+    """Several listeners as one."""
+
+    def __init__(self, *listeners: Telemetry) -> None:
+        self._listeners = listeners
+
+    def step(self, failed: bool) -> None:
+        """Tell all."""
+        for listener in self._listeners:
+            listener.step(failed)
+
+    def decided(self, seconds: float) -> None:
+        """Tell all."""
+        for listener in self._listeners:
+            listener.decided(seconds)
+
+    def plan(self, plan: PlanFacts, outcome: str) -> None:
+        """Tell all."""
+        for listener in self._listeners:
+            listener.plan(plan, outcome)

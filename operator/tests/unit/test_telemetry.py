@@ -1,0 +1,108 @@
+"""What the manager says of itself: metrics with bounded labels, and plans as spans in the traces of their events."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+from opentelemetry.sdk.trace.export.in_memory_span_exporter import InMemorySpanExporter
+from prometheus_client.parser import text_string_to_metric_families
+
+from robotkube.adapters.metrics_prometheus import METRICS, OTHER, PREFIX, PrometheusMetrics
+from robotkube.adapters.traces_opentelemetry import OpenTelemetryTraces
+from robotkube.domain.placement import NodeState
+from robotkube.ports.telemetry import PlanFacts, Together
+from robotkube.services.manager_figures import FigureReader, Figures
+from robotkube.testing.clusters import MemoryCluster, MemoryTasks
+
+TIMES = {"demand_seen": 10**9, "started": 2 * 10**9, "proposed": 3 * 10**9, "merged": 4 * 10**9}
+TRACES = ("a" * 32, "0" * 31 + "1")
+PLAN = PlanFacts("p1", "task", "c" * 40, 7, ("cloud-0/a",), TRACES, TIMES)
+
+
+def samples(text: str) -> dict[tuple[str, tuple[tuple[str, str], ...]], float]:
+    families = text_string_to_metric_families(text)
+    return {(s.name, tuple(sorted(s.labels.items()))): s.value for family in families for s in family.samples}
+
+
+def test_metrics_count_time_and_show_states() -> None:
+    figures = Figures({("Accepted", "True", "Accepted"): 3}, 2, 1, 4, 5, False)
+    metrics = PrometheusMetrics(lambda: figures)
+    listeners = Together(metrics)
+    listeners.step(False)
+    listeners.step(True)
+    listeners.decided(0.004)
+    listeners.plan(PLAN, "merged")
+    listeners.plan(PlanFacts("p2", "a kind that nobody knows"), "refused")
+    found = samples(metrics.text())
+    assert found[f"{PREFIX}steps_total", ()] == 2
+    assert found[f"{PREFIX}step_failures_total", ()] == 1
+    assert found[f"{PREFIX}decision_seconds_bucket", (("le", "0.005"),)] == 1
+    assert found[f"{PREFIX}plans_total", (("kind", "task"), ("outcome", "merged"))] == 1
+    assert found[f"{PREFIX}plans_total", (("kind", OTHER), ("outcome", "refused"))] == 1
+    assert found[f"{PREFIX}merged_seconds_sum", ()] == 3
+    labels = (("condition", "Accepted"), ("reason", "Accepted"), ("status", "True"))
+    assert found[f"{PREFIX}tasks", labels] == 3
+    states = [found[PREFIX + name, ()] for name in ("tasks_waiting", "main_broken_files", "agents_unknown", "holds")]
+    assert states == [2, 1, 4, 5]
+    assert found[f"{PREFIX}leader", ()] == 0
+    shown = {name for name, _ in found if name.startswith(PREFIX)}
+    for one in METRICS:
+        assert any(name.startswith(PREFIX + one.name) for name in shown), one.name
+
+
+def test_figures_count_by_the_closed_list_of_reasons() -> None:
+    tasks, cluster = MemoryTasks(), MemoryCluster()
+    for name, accepted, committed in (
+        ("waits", ("True", "Accepted"), ("False", "Proposed")),
+        ("done", ("True", "Accepted"), ("True", "Merged")),
+        ("refused", ("False", "NoCapableNode"), None),
+        ("postponed", ("False", "Postponed"), None),
+        ("strange", ("False", "x" * 500), None),
+    ):
+        tasks.create("cloud-0", name, {})
+        found = {"Accepted": accepted, **({"Committed": committed} if committed else {})}
+        conditions = [{"type": kind, "status": s, "reason": r} for kind, (s, r) in found.items()]
+        tasks.objects[f"cloud-0/{name}"]["status"] = {"conditions": conditions}
+    tasks.create("cloud-0", "new", {})
+    cluster.machines = [NodeState(name, name, "vehicle", frozenset(), True) for name in ("known", "stranger")]
+    reader = FigureReader(tasks, cluster, frozenset({"known"}), broken=lambda: 2, leading=lambda: False)
+    figures = reader.read()
+    assert figures.tasks["Accepted", "True", "Accepted"] == 2
+    assert figures.tasks["Accepted", "False", "Other"] == 1
+    assert (figures.waiting, figures.unknown_agents, figures.broken_files) == (3, 1, 2)
+    assert not figures.leading
+
+
+def test_a_plan_is_spans_in_the_trace_of_each_of_its_events() -> None:
+    exporter = InMemorySpanExporter()
+    traces = OpenTelemetryTraces("http://nowhere", "manager", exporter)
+    traces.plan(PLAN, "merged")
+    times = {**TIMES, "observed": 9 * 10**9}
+    traces.plan(PlanFacts("p1", "task", "c" * 40, 7, ("cloud-0/a",), TRACES, times), "observed")
+    traces.close()
+    spans = exporter.get_finished_spans()
+    assert sorted({span.context.trace_id for span in spans}) == [1, int("a" * 32, 16)]
+    mine = {span.name: span for span in spans if span.context.trace_id == 1}
+    assert set(mine) == {"plan", "decide", "merge", "observe"}
+    assert (mine["plan"].start_time, mine["plan"].end_time) == (10**9, 9 * 10**9)
+    assert (mine["observe"].start_time, mine["observe"].end_time) == (4 * 10**9, 9 * 10**9)
+    assert mine["merge"].parent is not None
+    assert mine["merge"].parent.span_id == mine["plan"].context.span_id
+    assert mine["plan"].attributes is not None
+    assert mine["plan"].attributes["robotkube.plan"] == "p1"
+
+
+def test_a_refused_plan_is_an_error_and_an_odd_trace_still_a_trace() -> None:
+    exporter = InMemorySpanExporter()
+    traces = OpenTelemetryTraces("http://nowhere", "manager", exporter)
+    traces.plan(PlanFacts("p1", "initial", traces=("20261121-100000-1a2b3c",), times=TIMES, error="no"), "refused")
+    traces.close()
+    [root] = [span for span in exporter.get_finished_spans() if span.name == "plan"]
+    assert root.status.description == "no"
+    assert root.context.trace_id != 0
+
+
+def test_the_library_is_not_imported_while_traces_are_off() -> None:
+    code = "import sys, robotkube.entrypoints.manager; sys.exit('opentelemetry' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0
