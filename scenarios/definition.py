@@ -166,7 +166,8 @@ def find(name: str) -> Path:
 
 
 def load(folder: Path, overrides: Sequence[str] = (), variant: str | None = None) -> Scenario:
-    """Reads `folder`/scenario.yaml, lays a variant and then `key=value` overrides over its parameters, checks it all.
+    """Reads `folder`/scenario.yaml, lays a variant over its parameters, steps and expectations, then `key=value` overrides
+    over its parameters, and checks it all.
 
     Raises `ScenarioError` with file, key and fix.
     """
@@ -174,8 +175,10 @@ def load(folder: Path, overrides: Sequence[str] = (), variant: str | None = None
     document = _document(file)
     varied = dict(_variant(file, document, variant))
     steps = varied.pop("steps", document["story"].get("steps", []))
+    expectations = document["expectations"] | varied.pop("expectations", {})
     parameters = dict(document["parameters"]) | varied | _overrides(file, overrides)
-    document = document | {"parameters": parameters, "story": document["story"] | {"steps": steps}}
+    story = document["story"] | {"steps": steps}
+    document = document | {"parameters": parameters, "story": story, "expectations": expectations}
     _check(file, document)
     _check_distances(file, parameters)
     return Scenario(
