@@ -166,8 +166,8 @@ def find(name: str) -> Path:
 
 
 def load(folder: Path, overrides: Sequence[str] = (), variant: str | None = None) -> Scenario:
-    """Reads `folder`/scenario.yaml, lays a variant over its parameters, steps and expectations, then `key=value` overrides
-    over its parameters, and checks it all.
+    """Reads `folder`/scenario.yaml, lays a variant over its parameters, steps and expectations, then `key=value`
+    overrides over its parameters, and checks it all.
 
     Raises `ScenarioError` with file, key and fix.
     """
