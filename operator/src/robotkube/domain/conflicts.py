@@ -16,7 +16,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from robotkube.domain.composition import Demand, Desired, Met, Refused
 from robotkube.domain.ledger import moment
 from robotkube.domain.tasks import (
     CONFLICT_REASONS,
@@ -29,6 +28,7 @@ from robotkube.domain.tasks import (
     QUEUE_TOO_LONG,
     TaskDescription,
 )
+from robotkube.domain.worlds import Demand, Desired, Met, Refused
 
 QUEUE_MAX = 100
 AGING_SECONDS = 1.0  # a waiting demand gains one point of priority in this time
@@ -97,7 +97,7 @@ def resolve(demands: Sequence[Demand], compose: Compose, history: History, now_n
     outcomes |= {k: Refused(PREEMPTED, _gave_way(by)) for k, by in gave_way.items() if not _met(outcomes.get(k))}
     queue = _queue([d for d in demands if d.key in outcomes], outcomes, history, now_ns)
     outcomes |= {**settled, **queue}
-    offloaded = frozenset(d.key for d in wanted if d.instead and _met(outcomes[d.key]))
+    offloaded = frozenset(d.key for d in wanted if d.roles and _met(outcomes[d.key]))
     due = min((o.until_ns for o in queue.values() if isinstance(o, Postponed)), default=None)
     return Resolution(desired, outcomes, offloaded, frozenset(left), due)
 
@@ -129,7 +129,7 @@ def _priority(demand: Demand) -> int:
 
 
 def _offloaded(demand: Demand) -> Demand:
-    return replace(demand, instead=demand.task.offload_to) if demand.task else demand
+    return replace(demand, roles=demand.task.offload_to) if demand.task else demand
 
 
 def _offload(
@@ -140,7 +140,7 @@ def _offload(
         d.key: outcome
         for d in wanted
         if _policy(d) == OFFLOAD
-        and not d.instead
+        and not d.roles
         and isinstance(outcome := desired.outcomes[d.key], Refused)
         and outcome.reason in AWAY_REASONS
     }
@@ -180,7 +180,7 @@ def _again(wanted: Iterable[Demand], accepted: list[Demand], gave_way: Mapping[s
     """Those that have a place, then the refused ones, then those that gave way and may run elsewhere."""
     seated = {d.key for d in accepted}
     others = [d for d in wanted if d.key not in seated and d.key not in gave_way]
-    elsewhere = [_offloaded(d) for d in wanted if d.key in gave_way and _policy(d) == OFFLOAD and not d.instead]
+    elsewhere = [_offloaded(d) for d in wanted if d.key in gave_way and _policy(d) == OFFLOAD and not d.roles]
     return [*accepted, *others, *elsewhere]
 
 
@@ -221,17 +221,20 @@ def _worded(
     demand: Demand, outcome: Met | Refused, why: Mapping[str, Refused], gave_way: Mapping[str, Demand]
 ) -> Met | Refused:
     """The outcome with what was decided about its conflict."""
-    victims = sorted(key for key, claim in gave_way.items() if claim.key == demand.key)
-    words = [f"{key} gave way to it" for key in victims]
-    if demand.instead:
-        refusal = why.get(demand.key)
+    refusal = why.get(demand.key)
+    if isinstance(outcome, Refused):
+        text = f"{refusal.message}; on {_elsewhere(demand)} instead: {outcome.message}" if refusal else outcome.message
+        return replace(outcome, message=text)
+    words = [f"{key} gave way to it" for key, claim in sorted(gave_way.items()) if claim.key == demand.key]
+    if demand.roles:
         reason = f": {refusal.reason}: {refusal.message}" if refusal else ""
         by = f"; it {_gave_way(gave_way[demand.key])}" if demand.key in gave_way else ""
-        words.append(f"offloaded to {', '.join(demand.instead)}{by}{reason}")
-    if isinstance(outcome, Met):
-        return replace(outcome, choices=(*words, *outcome.choices))
-    refusal = why.get(demand.key)
-    return replace(outcome, message=f"{refusal.message}; {words[-1]}: {outcome.message}") if refusal else outcome
+        words.append(f"offloaded to {_elsewhere(demand)}{by}{reason}")
+    return replace(outcome, choices=(*words, *outcome.choices))
+
+
+def _elsewhere(demand: Demand) -> str:
+    return ", ".join(demand.roles)
 
 
 def _queue(

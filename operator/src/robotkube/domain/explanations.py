@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from robotkube.domain.composition import Met
 from robotkube.domain.conflicts import Outcome, Postponed
 from robotkube.domain.planning import Change, Plan
 from robotkube.domain.releases import Tree, write_release, write_source
+from robotkube.domain.worlds import Met
 
 
 @dataclass(frozen=True)

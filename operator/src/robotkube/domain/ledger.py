@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 
-from robotkube.domain.composition import Refused
 from robotkube.domain.demands import time_ns
 from robotkube.domain.errors import DocumentError
 from robotkube.domain.tasks import (
@@ -26,6 +25,7 @@ from robotkube.domain.tasks import (
     object_key,
     read_task,
 )
+from robotkube.domain.worlds import Refused
 
 
 @dataclass(frozen=True)

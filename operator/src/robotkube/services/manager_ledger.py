@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from robotkube.domain.composition import Met, Refused
 from robotkube.domain.conflicts import History, Outcome, Postponed, Resolution
 from robotkube.domain.ledger import Remembered, Standing, TaskReader, moment, remembered, standing
 from robotkube.domain.tasks import SETTLED_REASONS, SUPERSEDED, TaskDescription, object_key
+from robotkube.domain.worlds import Met, Refused
 
 _Stamp = tuple[str, int]
 
