@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -139,3 +140,12 @@ def test_tasks_are_told_what_they_wait_for() -> None:
     found = waiting_tasks(changes, waiting)
     assert found["cloud-0/a"] == f"vehicle-00/recorder: {DRIVING.text}"
     assert found["cloud-0/b"] == f"vehicle-00/old: {DRIVING.text}"
+
+
+def test_a_task_that_is_answered_already_waits_for_nothing() -> None:
+    before = release("vehicle-00", "mqtt-bridge", topics=1)
+    other = Cause("cloud-0/b", "event", "rule", "a" * 32, "recording")
+    after = Release(*(getattr(before, k) for k in ("namespace", "name", "chart", "version", "digest")), {"topics": 2})
+    change = changed(before, replace(after, causes=(*before.causes, other)))
+    _, waiting = held((change,), [DRIVING], AGENTS, TEN)
+    assert set(waiting_tasks((change,), waiting)) == {"cloud-0/b"}

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 from robotkube.domain.errors import RefusalError
 from robotkube.domain.placement import Agent, Fleet, NodeState
-from robotkube.domain.releases import Release
+from robotkube.domain.releases import Release, Source
 
 ALL = "*"
 OUTSIDE_SCOPE = "OutsideScope"
@@ -48,9 +48,10 @@ class Scope:
         """What is in both: a subset of each."""
         return Scope(*(_both(mine, theirs) for mine, theirs in zip(self._parts(), other._parts(), strict=True)))
 
-    def of(self, agents: Iterable[Agent]) -> tuple[Agent, ...]:
-        """Those of the agents that are in it."""
-        return tuple(agent for agent in agents if self.covers_agent(agent.name))
+    @property
+    def is_narrow(self) -> bool:
+        """Whether there are agents outside of it."""
+        return ALL not in self.agents
 
     def _parts(self) -> tuple[frozenset[str], frozenset[str], frozenset[str]]:
         return self.namespaces, self.agents, self.applications
@@ -143,9 +144,25 @@ def own_releases(releases: Mapping[str, Release], agents: Iterable[Agent], scope
     """The releases (by path) that a manager of `scope` answers for: all but those on agents of other scopes. A release
     where no declared agent is belongs to the manager of everything, so that it goes when its agent is no longer
     declared."""
-    owned = {agent.namespace: scope.covers_agent(agent.name) for agent in agents}
-    rest = ALL in scope.agents
-    return {path: release for path, release in releases.items() if owned.get(release.namespace, rest)}
+    own = _Own(agents, scope)
+    return {path: found for path, found in releases.items() if found.namespace in own}
+
+
+def own_sources(sources: Mapping[str, Source], agents: Iterable[Agent], scope: Scope) -> dict[str, Source]:
+    """The sources (by path) beside those releases."""
+    own = _Own(agents, scope)
+    return {path: found for path, found in sources.items() if found.namespace in own}
+
+
+class _Own:
+    """The namespaces whose files belong to a scope."""
+
+    def __init__(self, agents: Iterable[Agent], scope: Scope) -> None:
+        self._owned = {agent.namespace: scope.covers_agent(agent.name) for agent in agents}
+        self._rest = not scope.is_narrow
+
+    def __contains__(self, namespace: str) -> bool:
+        return self._owned.get(namespace, self._rest)
 
 
 def unknown_nodes(nodes: Iterable[NodeState], agents: Iterable[Agent]) -> tuple[NodeState, ...]:

@@ -26,7 +26,6 @@ PAYLOAD_BYTES_MAX = 4096
 REASON_CHARACTERS_MAX = 100
 HOLD, UNTIL = "robotkube.io/hold", "robotkube.io/hold-until"
 TOPIC_PREFIX = "robotkube/holds/"
-HELD_BY_AGENT = "HeldByAgent"
 
 
 @dataclass(frozen=True, order=True)
@@ -131,10 +130,11 @@ def _anywhere(release: Release) -> dict[str, Any]:
 
 
 def waiting_tasks(changes: Iterable[Change], waiting: Mapping[str, Hold]) -> dict[str, str]:
-    """Task -> what it waits for, in words, of all tasks that a waiting change begins or ends or changes for."""
+    """Task -> what it waits for, in words, of all tasks whose demand on a release would begin, end or change."""
     texts: dict[str, list[str]] = {}
     for change in changes:
         if change.path in waiting:
-            for task in {c.task for side in (change.before, change.after) if side for c in side.causes}:
+            before, after = (set(side.causes) if side else set() for side in (change.before, change.after))
+            for task in {cause.task for cause in before ^ after}:
                 texts.setdefault(task, []).append(f"{change.release.key}: {waiting[change.path].text}")
     return {task: "; ".join(sorted(lines)) for task, lines in texts.items()}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from typing import Any
@@ -19,8 +19,10 @@ from robotkube.domain.planning import Change, Plan, differences, fingerprint, ma
 from robotkube.domain.releases import Release
 from robotkube.domain.scopes import Operators
 from robotkube.domain.tasks import POSTPONED, TaskDescription, object_key
+from robotkube.domain.vetoes import Hold
 from robotkube.ports.clusters import Cluster, TaskStore
 from robotkube.services.assured_catalogue import AssuredCatalogue
+from robotkube.services.manager_bounds import Bounds
 from robotkube.services.manager_ledger import DemandLedger
 from robotkube.services.manager_reading import MainReader
 from robotkube.services.manager_records import PlanRecord
@@ -56,8 +58,11 @@ class Planner:
         main: MainReader,
         render: Render,
         validate: Validate,
+        holds: Callable[[], Sequence[Hold]] = tuple,
     ) -> None:
-        self._settings, self._store, self._cluster = settings, tasks, cluster
+        """`holds` are vetoes that devices say by message; those on Nodes are seen in the cluster."""
+        self._settings, self._store, self._cluster, self._holds = settings, tasks, cluster, holds
+        self._bounds = Bounds(settings.agents, settings.operators)
         self._catalogue, self._main, self._render, self._validate = catalogue, main, render, validate
         self._ledger, self._lock = DemandLedger(), threading.Lock()
         self._tasks_per_plan = TASKS_PER_PLAN_MAX
@@ -77,6 +82,11 @@ class Planner:
         """Namespaces of agents outside the manager's scope."""
         covers = self._settings.operators.manager.covers_agent
         return frozenset(agent.namespace for agent in self._settings.agents if not covers(agent.name))
+
+    @property
+    def waiting(self) -> Mapping[str, str]:
+        """Tasks with changes on agents that hold them, with agent, reason and end."""
+        return self._bounds.waiting_tasks
 
     @property
     def offloaded(self) -> frozenset[str]:
@@ -99,7 +109,7 @@ class Planner:
             resolution = self._resolve(self._looked_at, self._ledger.history(answered))
             self._ledger.keep(resolution)
             self._take(resolution)
-            changes = self._changes(resolution.desired)
+            changes = self._going(self._changes(resolution.desired))
             if not changes or fingerprint(changes) in self._held_differences:
                 return None
             return self._made(changes, self.desired, self.tasks)
@@ -139,13 +149,24 @@ class Planner:
         self._say_refusals()
 
     def _changes(self, desired: Desired) -> tuple[Change, ...]:
-        wanted = {**self._in_doubt(desired), **desired.releases}
-        return self._main.respected(differences(wanted, self._main.tree.releases))
+        own = self._bounds.own(self._main.tree).releases
+        in_doubt = {path: release for path, release in self._in_doubt(desired).items() if path in own}
+        return self._main.respected(differences({**in_doubt, **desired.releases}, own))
+
+    def _going(self, changes: tuple[Change, ...]) -> tuple[Change, ...]:
+        """The changes that no device holds; the others go on when the first hold ends, or when it is released."""
+        said = [node.hold for node in self._cluster.nodes() if node.hold is not None]
+        going = self._bounds.going(changes, [*said, *self._holds()], self._now_ns)
+        times = [self.next_due_ns, self._bounds.holds_end_ns]
+        self.next_due_ns = min((time for time in times if time is not None), default=None)
+        return going
 
     def _made(self, changes: tuple[Change, ...], desired: Desired, tasks: Mapping[str, TaskDescription]) -> Plan:
         stamp = datetime.fromtimestamp(self._now_ns / 1e9, UTC).strftime("%Y%m%d-%H%M%S")
         catalogue, url = self._catalogue.catalogue, self._settings.charts_url
-        return make_plan(changes, self._main.tree, desired, tasks, catalogue, url, self._main.tip, stamp)
+        return make_plan(
+            changes, self._bounds.own(self._main.tree), desired, tasks, catalogue, url, self._main.tip, stamp
+        )
 
     def _answered(self) -> frozenset[str]:
         """Tasks that main answers."""
@@ -170,9 +191,25 @@ class Planner:
         return f"{task.identity} {task.generation} {self._catalogue.tip} {self._main.policy_text}"
 
     def _resolve(self, tasks: Sequence[TaskDescription], history: History) -> Resolution:
-        """What the initial configuration and the tasks lead to, besides what main holds now; changes nothing here."""
-        machines = fleet(self._settings.agents, self._cluster.nodes())
-        present: Mapping[str, Release] = self._main.tree.releases
+        """What the initial configuration and the tasks lead to within the manager's bounds, besides what main holds
+        now; changes nothing here. Every round leaves out tasks that the one before showed to be out of bounds."""
+        live = {**self.tasks, **{task.key: task for task in tasks}}
+        looked_at, releases = {task.key for task in tasks}, tuple(self._main.tree.releases.values())
+        gone = _gone({k: o for k, o in self._ledger.outcomes.items() if k not in looked_at})
+        refused = self._bounds.refused_before(tasks, live, gone, releases)
+        for _ in range(len(tasks) + 1):
+            inside = [task for task in tasks if task.key not in refused]
+            resolution = self._within(inside, history)
+            now_gone = {**gone, **_gone({**resolution.outcomes, **refused})}
+            found = self._bounds.refused_after(inside, live, now_gone, releases, resolution.outcomes)
+            if not found:
+                break
+            refused |= found
+        return replace(resolution, outcomes={**resolution.outcomes, **refused})
+
+    def _within(self, tasks: Sequence[TaskDescription], history: History) -> Resolution:
+        machines = self._bounds.fleet(fleet(self._settings.agents, self._cluster.nodes()))
+        present: Mapping[str, Release] = self._bounds.own(self._main.tree).releases
         world = World(self._catalogue.catalogue, machines, present, self._render, self._validate)
         initial = initial_demands(self._catalogue.catalogue, self._main.policy, machines)
         wanted = [*initial, *(_demand(task) for task in tasks)]
@@ -225,6 +262,15 @@ class Planner:
 
 def _demand(task: TaskDescription) -> Demand:
     return Demand(task.key, task.application, task.parameters, task=task)
+
+
+def _gone(outcomes: Mapping[str, Outcome]) -> dict[str, str]:
+    """Demands that are not met, with why; what runs on in doubt is not gone."""
+    return {
+        key: f"{outcome.reason}: {outcome.message}"
+        for key, outcome in outcomes.items()
+        if not isinstance(outcome, Met) and outcome.reason not in DOUBTS
+    }
 
 
 def _told(outcome: Outcome) -> Met | Refused:
