@@ -74,6 +74,9 @@ class MemoryTasks:
         self.creations += 1
         self.objects[task["metadata"]["name"]] = task
 
+    def renew(self, name: str, now: int) -> bool:
+        raise AssertionError("no task has a lease")
+
     def delete(self, name: str) -> None:
         self._answer()
         self.objects.pop(name, None)
@@ -317,7 +320,7 @@ def test_fields_are_read_from_the_bytes(frame: bytes, order: str) -> None:
 
 def test_a_task_tells_its_event_again() -> None:
     edge = Edge("near", START, ("a", "b"), "1" * 16, "2" * 32, NOW + 123_000, NOW, 12.0)
-    task = demand("cloud-0/d", OperatorReaction("near", "recording", {}), edge, 400.0)
+    task = demand("cloud-0/d", OperatorReaction("near", "recording", {}), edge, "{agents} within 400 m")
     assert event_of(task, "cloud-0/d") == replace(edge, distance_m=None)
     assert event_of(task, "cloud-0/e") is None
     assert event_of({"metadata": {}, "spec": {"requester": "cloud-0/d"}}, "cloud-0/d") is None

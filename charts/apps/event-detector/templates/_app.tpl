@@ -11,4 +11,5 @@ config:
   topics: {{ toJson .Values.detector.topics }}
   rules: {{ toJson .Values.detector.rules }}
   reactions: {{ toJson .Values.detector.reactions }}
+  task: {{ .Values.detector.task | quote }}
 {{- end }}

@@ -11,10 +11,15 @@ from robotkube.domain.detector_settings import OperatorReaction
 
 AGENTS = "{agents}"
 AGENTS_ANNOTATION = "robotkube.io/agents"
+RENEWED_ANNOTATION = "robotkube.io/lease-renewed"
 
 
-def demand(requester: str, reaction: OperatorReaction, edge: Edge, start_distance_m: float) -> dict[str, Any]:
-    """The TaskDescription of a start edge (docs/reference/contracts.md); the same edge always gives the same object."""
+def demand(requester: str, reaction: OperatorReaction, edge: Edge, reason: str, parent: str = "") -> dict[str, Any]:
+    """The TaskDescription of a start edge (docs/reference/contracts.md); the same edge always gives the same object.
+
+    `reason` is the rule's, `parent` the task that launched the detector."""
+    lease = {"lease": {"seconds": reaction.lease_seconds}} if reaction.lease_seconds else {}
+    chain = {"chain": {"parent": parent}} if parent else {}
     return {
         "apiVersion": "robotkube.io/v1alpha1",
         "kind": "TaskDescription",
@@ -28,11 +33,24 @@ def demand(requester: str, reaction: OperatorReaction, edge: Edge, start_distanc
                 "stamp": time_text(edge.stamp),
                 "trace": edge.trace,
             },
-            "reason": f"{', '.join(edge.agents)} within {start_distance_m:g} m",
+            "reason": reason.replace(AGENTS, ", ".join(edge.agents)),
             "application": reaction.application,
             "parameters": {key: _filled(value, edge) for key, value in reaction.parameters.items()},
+            **lease,
+            **chain,
         },
     }
+
+
+def renewal(now: int) -> dict[str, Any]:
+    """What renews a task's lease at `now` (ns), as a merge patch: an annotation, so the spec does not change."""
+    return {"metadata": {"annotations": {RENEWED_ANNOTATION: time_text(now)}}}
+
+
+def lease_seconds(task: Mapping[str, Any]) -> int | None:
+    """How long a task counts without renewal; None when it has no lease."""
+    seconds = task.get("spec", {}).get("lease", {}).get("seconds")
+    return seconds if isinstance(seconds, int) else None
 
 
 def event_of(task: Mapping[str, Any], requester: str) -> Edge | None:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from robotkube.domain.errors import DocumentError
+from robotkube.domain.message_fields import number_fields
 from robotkube.domain.topics import AGENT, TopicPattern
 
 NAME_LENGTH_MAX = 100
@@ -17,10 +18,12 @@ BUFFER_BYTES_DEFAULT, BUFFER_BYTES_MAX = 50_000_000, 1_000_000_000
 DEPTH_DEFAULT, DEPTH_MAX = 1000, 100_000
 AFTER_SECONDS_MAX = 2.0
 STALE_SECONDS_DEFAULT = 1.0
+LEASE_SECONDS_MIN, LEASE_SECONDS_MAX = 5, 86_400
 
 T = TypeVar("T")
 
 _NAME = re.compile(r"[a-z0-9]([-.a-z0-9]*[a-z0-9])?")
+_TASK = re.compile(r"[a-z0-9]([-a-z0-9]*[a-z0-9])?/[a-z0-9]([-.a-z0-9]*[a-z0-9])?")
 
 
 @dataclass(frozen=True)
@@ -57,20 +60,37 @@ class ProximityRule:
 
 
 @dataclass(frozen=True)
+class ThresholdRule:
+    """A number in a message beyond `start` raises an event; on the other side of `stop` it ends. `above`: beyond is
+    greater, else less."""
+
+    name: str
+    topic: TopicPattern
+    field: str
+    above: bool
+    start: float
+    stop: float
+
+
+@dataclass(frozen=True)
 class AlwaysRule:
     """Holds from the first moment on."""
 
     name: str
 
 
+Rule = ProximityRule | ThresholdRule | AlwaysRule
+
+
 @dataclass(frozen=True)
 class OperatorReaction:
     """A TaskDescription for `application` while the event of `rule` lasts; the text `{agents}` in `parameters` is
-    replaced by the list of the event's agents."""
+    replaced by the list of the event's agents. With `lease_seconds` the task ends when nobody renews it for so long."""
 
     rule: str
     application: str
     parameters: Mapping[str, Any]
+    lease_seconds: int | None = None
 
 
 @dataclass(frozen=True)
@@ -89,12 +109,18 @@ class RecordingReaction:
 
 @dataclass(frozen=True)
 class DetectorSettings:
-    """The whole document."""
+    """The whole document. `task`: key of the task that launched this detector, empty when none did."""
 
     name: str
     topics: tuple[TopicSettings, ...]
-    rules: tuple[ProximityRule | AlwaysRule, ...] = ()
+    rules: tuple[Rule, ...] = ()
     reactions: tuple[OperatorReaction | RecordingReaction, ...] = ()
+    task: str = ""
+
+    @property
+    def agent(self) -> str:
+        """The agent it belongs to: its namespace."""
+        return self.name.partition("/")[0]
 
     @property
     def recordings(self) -> tuple[RecordingReaction, ...]:
@@ -116,7 +142,10 @@ def read_detector_settings(document: Mapping[str, Any], where: str) -> DetectorS
         topics=tuple(_topic(item) for item in root.items("topics", TOPICS_MAX)),
         rules=tuple(_rule(item) for item in root.items("rules", 100, required=False)),
         reactions=tuple(_reaction(item) for item in root.items("reactions", 100, required=False)),
+        task=root.text("task", ""),
     )
+    if settings.task and not _TASK.fullmatch(settings.task):
+        root.problem("task", f"{settings.task!r} must be <namespace>/<name>")
     root.done()
     if not problems:
         problems += _cross_problems(settings)
@@ -141,11 +170,15 @@ def _topic(item: _Fields) -> TopicSettings:
     return settings
 
 
-def _rule(item: _Fields) -> ProximityRule | AlwaysRule:
-    kind, name = item.choice("kind", ("proximity", "always")), item.text("name")
-    if kind != "proximity":
-        item.done()
-        return AlwaysRule(name)
+def _rule(item: _Fields) -> Rule:
+    kind, name = item.choice("kind", ("proximity", "threshold", "always")), item.text("name")
+    read = {"proximity": _proximity, "threshold": _threshold}.get(kind)
+    rule = read(item, name) if read else AlwaysRule(name)
+    item.done()
+    return rule
+
+
+def _proximity(item: _Fields, name: str) -> Rule:
     rule = ProximityRule(
         name=name,
         agents=item.texts("agents", 2),
@@ -158,7 +191,23 @@ def _rule(item: _Fields) -> ProximityRule | AlwaysRule:
         item.problem("stop_distance_m", "must not be less than start_distance_m, else every pose would be an edge")
     if AGENT not in rule.topic.text:
         item.problem("topic", f"must hold {AGENT}: the rule compares agents")
-    item.done()
+    return rule
+
+
+def _threshold(item: _Fields, name: str) -> Rule:
+    """Keys start_above and stop_below, or start_below and stop_above."""
+    above = item.has("start_above")
+    start, stop = ("start_above", "stop_below") if above else ("start_below", "stop_above")
+    rule = ThresholdRule(
+        name=name,
+        topic=item.pattern("topic"),
+        field=item.text("field"),
+        above=above,
+        start=item.number(start, -1e12, 1e12),
+        stop=item.number(stop, -1e12, 1e12),
+    )
+    if rule.start != rule.stop and (rule.stop > rule.start) == above:
+        item.problem(stop, f"must not lie beyond {start}, else every message would be an edge")
     return rule
 
 
@@ -167,8 +216,11 @@ def _reaction(item: _Fields) -> OperatorReaction | RecordingReaction:
     if kind != "recording":
         parameters = item.plain("parameters")
         application = item.text("application")
+        lease = (
+            item.number("lease_seconds", LEASE_SECONDS_MIN, LEASE_SECONDS_MAX) if item.has("lease_seconds") else None
+        )
         item.done()
-        return OperatorReaction(rule, application, parameters)
+        return OperatorReaction(rule, application, parameters, None if lease is None else int(lease))
     storage: dict[str, str] = {}
     for topic in item.items("topics", TOPICS_MAX):
         storage[topic.pattern("name").text] = topic.choice("storage", ("document", "segment"))
@@ -190,23 +242,33 @@ def _cross_problems(settings: DetectorSettings) -> list[str]:
     problems = _repeated("rules", [rule.name for rule in settings.rules])
     problems += _repeated("topics", [topic.pattern.text for topic in settings.topics])
     kinds = {rule.name: rule for rule in settings.rules}
-    topics = {topic.pattern.text for topic in settings.topics}
+    topics = {topic.pattern.text: topic for topic in settings.topics}
     for rule in settings.rules:
-        if isinstance(rule, ProximityRule) and rule.topic.text not in topics:
-            problems.append(f"rules[{rule.name}].topic: {rule.topic.text} is not listed under topics; add it there")
+        problems += [f"rules[{rule.name}].{text}" for text in _rule_problems(rule, topics)]
     for index, reaction in enumerate(settings.reactions):
-        problems += [f"reactions[{index}].{text}" for text in _reaction_problems(reaction, kinds, topics)]
+        problems += [f"reactions[{index}].{text}" for text in _reaction_problems(reaction, kinds, set(topics))]
     return problems
 
 
+def _rule_problems(rule: Rule, topics: Mapping[str, TopicSettings]) -> Iterator[str]:
+    if isinstance(rule, AlwaysRule):
+        return
+    topic = topics.get(rule.topic.text)
+    if topic is None:
+        yield f"topic: {rule.topic.text} is not listed under topics; add it there"
+    elif isinstance(rule, ThresholdRule) and rule.field not in number_fields(topic.type):
+        known = ", ".join(number_fields(topic.type)) or "none that rules can read"
+        yield f"field: {topic.type} has no number {rule.field}; it has {known}"
+
+
 def _reaction_problems(
-    reaction: OperatorReaction | RecordingReaction, rules: Mapping[str, ProximityRule | AlwaysRule], topics: set[str]
+    reaction: OperatorReaction | RecordingReaction, rules: Mapping[str, Rule], topics: set[str]
 ) -> list[str]:
     rule = rules.get(reaction.rule)
     if rule is None:
         return [f"rule: there is no rule {reaction.rule}; name one of {', '.join(sorted(rules)) or 'none'}"]
     if isinstance(reaction, OperatorReaction):
-        return [] if isinstance(rule, ProximityRule) else ["rule: an operator reaction needs a rule of kind proximity"]
+        return []
     problems = [] if isinstance(rule, AlwaysRule) else ["rule: a recording reaction needs a rule of kind always"]
     missing = sorted(set(reaction.storage) - topics)
     return problems + [f"topics: {name} is not listed under topics; add it there" for name in missing]
@@ -231,6 +293,9 @@ class _Fields:
 
     def problem(self, key: str, text: str) -> None:
         self._problems.append(f"{self._key(key)}: {text}")
+
+    def has(self, key: str) -> bool:
+        return key in self._values
 
     def done(self) -> None:
         for key in sorted(set(self._values) - self._asked):

@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 from robotkube.adapters.health_http import HealthServer
 from robotkube.adapters.ros_rclpy import MessageTypeError, RosNode, RosSubscription
+from robotkube.domain.demands import renewal
 from robotkube.domain.detector_settings import (
     DetectorSettings,
     RecordingReaction,
@@ -193,6 +194,13 @@ class ApiTasks:
         except InputError as error:
             raise RefusalError("Refused", str(error)) from error
 
+    def renew(self, name: str, now: int) -> bool:
+        """Patch the annotation."""
+        try:
+            return self._api.patch(self._path(name), renewal(now))
+        except InputError as error:
+            raise RefusalError("Refused", str(error)) from error
+
     def delete(self, name: str) -> None:
         """Delete the object."""
         try:
@@ -213,7 +221,7 @@ def make_operator(settings: DetectorSettings, pod: PodSettings) -> OperatorReact
 
     namespace, _ = split_name(pod.config_map or settings.name)
     tasks = ApiTasks(ApiServer.from_environment(os.environ), namespace)
-    reactions = OperatorReactions(settings.name, namespace, tasks, time.time_ns, time.monotonic)
+    reactions = OperatorReactions(settings.name, namespace, tasks, time.time_ns, time.monotonic, settings.task)
     reactions.start()
     return reactions
 

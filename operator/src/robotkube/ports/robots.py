@@ -50,6 +50,10 @@ class OwnTasks(Protocol):
         """Make the object; one of that name that is there already is success."""
         ...
 
+    def renew(self, name: str, now: int) -> bool:
+        """Renew the lease at `now` (ns since 1970); False when there is no such object."""
+        ...
+
     def delete(self, name: str) -> None:
         """Delete the object; one that is not there is success."""
         ...

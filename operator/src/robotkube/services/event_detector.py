@@ -14,15 +14,16 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from robotkube.domain.buffers import RingBuffer, Sample
-from robotkube.domain.detection import STOP, Edge, Proximity
+from robotkube.domain.detection import STOP, Always, Edge, RuleState, rule_state
 from robotkube.domain.detector_settings import (
+    AlwaysRule,
     DetectorSettings,
     ProximityRule,
     RecordingReaction,
     TopicSettings,
 )
 from robotkube.domain.errors import DocumentError
-from robotkube.domain.messages import STAMPED_TYPES, header_stamp, pose_position
+from robotkube.domain.messages import STAMPED_TYPES, header_stamp
 from robotkube.services.operator_reactions import EventRecord, OperatorReactions
 from robotkube.services.recorder import Recorder
 
@@ -84,7 +85,7 @@ class _Topic:
     counter: InputCounter
     buffer: RingBuffer
     stamped: bool
-    rules: list[tuple[Proximity, str]] = field(default_factory=list)
+    rules: list[tuple[RuleState, str]] = field(default_factory=list)
     recorders: list[tuple[Recorder, str]] = field(default_factory=list)
 
 
@@ -109,7 +110,7 @@ class EventDetector:
         self.started = clock_ns()
         self._settings = DetectorSettings("", ())
         self._topics: dict[str, _Topic] = {}
-        self._proximities: dict[str, Proximity] = {}
+        self._rules: dict[str, RuleState] = {}
         self._recorders: dict[str, Recorder] = {}
         self._events: deque[EventRecord] = deque(maxlen=EVENTS_MAX)
         self._discovered_at = float("-inf")
@@ -170,6 +171,8 @@ class EventDetector:
             self._discover()
         if not self._adopted:
             self._adopt()
+        if self._adopted:
+            self._begin()
         total = 0
         for topic in list(self._topics.values()):
             messages = topic.input.drain(DRAIN_MESSAGES_MAX)
@@ -205,16 +208,24 @@ class EventDetector:
             self._evaluate(topic, data, stamp, received)
 
     def _evaluate(self, topic: _Topic, data: bytes, stamp: int, received: int) -> None:
-        try:
-            position = pose_position(data)
-        except ValueError:
-            topic.counter.malformed += 1
-            return
-        for proximity, agent in topic.rules:
-            for edge in proximity.observe(agent, position, stamp, received):
-                self._raise(edge, proximity.rule.start_distance_m)
+        for state, agent in topic.rules:
+            try:
+                edges = state.evaluate(agent, data, stamp, received)
+            except ValueError:
+                topic.counter.malformed += 1
+                return
+            for edge in edges:
+                self._raise(edge, state.reason)
 
-    def _raise(self, edge: Edge, start_distance_m: float) -> None:
+    def _begin(self) -> None:
+        """Raise the events of rules that always hold and somebody reacts to by a task."""
+        asked = {reaction.rule for reaction in self._settings.operators}
+        for name, state in self._rules.items():
+            if isinstance(state, Always) and name in asked:
+                for edge in state.begin(self._clock_ns()):
+                    self._raise(edge, state.reason)
+
+    def _raise(self, edge: Edge, reason: str = "") -> None:
         record = EventRecord(edge)
         self._events.append(record)
         log.info(
@@ -223,7 +234,7 @@ class EventDetector:
         )  # fmt: skip
         reaction = next((r for r in self._settings.operators if r.rule == edge.rule), None)
         if self._operator is not None and (reaction is not None or edge.edge == STOP):
-            self._operator.react(record, reaction, start_distance_m)
+            self._operator.react(record, reaction, reason)
 
     def _adopt(self) -> None:
         assert self._operator is not None
@@ -234,13 +245,13 @@ class EventDetector:
             self._keep_or_end(edge)
 
     def _keep_or_end(self, edge: Edge) -> None:
-        proximity = self._proximities.get(edge.rule)
-        if proximity is not None and proximity.adopt(edge):
+        state = self._rules.get(edge.rule)
+        if state is not None and state.adopt(edge):
             log.info("event %s: taken over rule=%s agents=%s", edge.id, edge.rule, ",".join(edge.agents))
             return
         now = self._clock_ns()
         log.warning("event %s: no rule %s for %s any more; it ends", edge.id, edge.rule, ",".join(edge.agents))
-        self._raise(replace(edge, edge=STOP, time=now, stamp=now, distance_m=None), 0.0)
+        self._raise(replace(edge, edge=STOP, time=now, stamp=now, distance_m=None))
 
     # settings and subscriptions --------------------------------------------------------------------------------------
 
@@ -251,13 +262,16 @@ class EventDetector:
                 del self._topics[name]
 
     def _renew_rules(self, before: DetectorSettings) -> None:
-        running = [edge for proximity in self._proximities.values() for edge in proximity.active]
-        unchanged = {rule for rule in self._settings.rules if rule in before.rules}
-        rules = [rule for rule in self._settings.rules if isinstance(rule, ProximityRule)]
-        self._proximities = {
-            rule.name: self._proximities[rule.name] if rule in unchanged else Proximity(rule) for rule in rules
+        running = [edge for state in self._rules.values() for edge in state.active]
+        types, types_before = (
+            {topic.pattern.text: topic.type for topic in settings.topics} for settings in (self._settings, before)
+        )
+        unchanged = {rule for rule in self._settings.rules if rule in before.rules and types == types_before}
+        self._rules = {
+            rule.name: self._rules[rule.name] if rule in unchanged else rule_state(rule, types, self._settings.agent)
+            for rule in self._settings.rules
         }
-        kept = {edge for proximity in self._proximities.values() for edge in proximity.active}
+        kept = {edge for state in self._rules.values() for edge in state.active}
         for edge in running:
             if edge not in kept:
                 self._keep_or_end(edge)
@@ -273,13 +287,13 @@ class EventDetector:
 
     def _expected(self) -> Iterator[tuple[str, TopicSettings]]:
         """Topics that are known before anybody publishes them."""
-        agents = [agent for rule in self._settings.rules if isinstance(rule, ProximityRule) for agent in rule.agents]
         for settings in self._settings.topics:
             if not settings.pattern.general:
                 yield settings.pattern.text, settings
-        for rule in self._proximities.values():
-            settings = next(s for s in self._settings.topics if s.pattern == rule.rule.topic)
-            yield from ((settings.pattern.topic(agent), settings) for agent in agents)
+        for rule in self._settings.rules:
+            if isinstance(rule, ProximityRule):
+                settings = next(s for s in self._settings.topics if s.pattern == rule.topic)
+                yield from ((settings.pattern.topic(agent), settings) for agent in rule.agents)
 
     def _discover(self) -> None:
         """Look for topics that fit a pattern and are not subscribed yet."""
@@ -316,9 +330,10 @@ class EventDetector:
         """Tell the topic which rules and recorders its messages go to."""
         pattern, agent = topic.settings.pattern, topic.settings.pattern.agent(topic.name)
         topic.rules = [
-            (proximity, agent)
-            for proximity in self._proximities.values()
-            if agent in proximity.rule.agents and proximity.rule.topic == pattern
+            (state, agent or self._settings.agent)
+            for state in self._rules.values()
+            if not isinstance(state.rule, AlwaysRule) and state.rule.topic == pattern
+            if not isinstance(state.rule, ProximityRule) or agent in state.rule.agents
         ]
         topic.recorders = [
             (recorder, recorder.reaction.storage[pattern.text])

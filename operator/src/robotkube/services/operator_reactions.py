@@ -2,11 +2,13 @@
 
 One thread works through a bounded queue. At first it lists the detector's own tasks: their events are taken over
 (`adopted`), so that a detector that was restarted withdraws what its predecessor asked for. Until that list has been
-had, no rule may be evaluated, or the same event would be raised twice.
+had, no rule may be evaluated, or the same event would be raised twice. The leases of its tasks are renewed by the same
+thread every third of their time.
 """
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import queue
 import threading
@@ -14,7 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from robotkube.domain.demands import demand, event_of
+from robotkube.domain.demands import demand, event_of, lease_seconds
 from robotkube.domain.detection import START, Edge, task_name
 from robotkube.domain.detector_settings import OperatorReaction
 from robotkube.domain.errors import RobotKubeError, UnavailableError
@@ -25,6 +27,8 @@ if TYPE_CHECKING:
 QUEUE_MAX = 256
 RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX = 0.2, 5.0
 TRY_SECONDS_MAX = 3600.0
+WAIT_SECONDS = 0.5
+RENEWED_SHARE = 1 / 3  # of a lease
 
 log = logging.getLogger(__name__)
 
@@ -60,11 +64,21 @@ class EventRecord:
 class _Order:
     record: EventRecord
     reaction: OperatorReaction | None
-    start_distance_m: float
+    reason: str
+
+
+@dataclass
+class _Lease:
+    """A task whose lease is renewed; `due` in monotonic seconds."""
+
+    seconds: int
+    due: float
 
 
 class OperatorReactions:
-    """Creates and deletes the tasks of one detector (`requester`: `<namespace>/<release>`)."""
+    """Creates and deletes the tasks of one detector (`requester`: `<namespace>/<release>`), and renews their leases.
+
+    `parent`: the task that launched the detector."""
 
     def __init__(
         self,
@@ -73,13 +87,15 @@ class OperatorReactions:
         tasks: OwnTasks,
         clock_ns: Callable[[], int],
         monotonic: Callable[[], float],
+        parent: str = "",
     ) -> None:
-        self._requester, self._namespace, self._tasks = requester, namespace, tasks
+        self._requester, self._namespace, self._tasks, self._parent = requester, namespace, tasks, parent
         self._clock_ns, self._monotonic = clock_ns, monotonic
         self._orders: queue.Queue[_Order] = queue.Queue(QUEUE_MAX)
         self._stopping = threading.Event()
         self._names: dict[str, str] = {}
         self._withdrawn: set[str] = set()
+        self._leases: dict[str, _Lease] = {}
         self.adopted: list[Edge] | None = None
         self.reachable = False
         self._thread = threading.Thread(target=self._run, name="operator-reactions", daemon=True)
@@ -93,12 +109,12 @@ class OperatorReactions:
         self._stopping.set()
         self._thread.join(seconds)
 
-    def react(self, record: EventRecord, reaction: OperatorReaction | None, start_distance_m: float) -> None:
+    def react(self, record: EventRecord, reaction: OperatorReaction | None, reason: str) -> None:
         """Have the task of an edge made or withdrawn; never blocks. `reaction` may be None for a stop edge."""
         if record.edge.edge != START:
             self._withdrawn.add(record.edge.id)
         try:
-            self._orders.put_nowait(_Order(record, reaction, start_distance_m))
+            self._orders.put_nowait(_Order(record, reaction, reason))
         except queue.Full:
             record.error = f"{QUEUE_MAX} reactions wait for the API server; this one was dropped"
             log.error("event %s: %s", record.edge.id, record.error)
@@ -106,11 +122,9 @@ class OperatorReactions:
     def _run(self) -> None:
         self._adopt()
         while not self._stopping.is_set():
-            try:
-                order = self._orders.get(timeout=0.5)
-            except queue.Empty:
-                continue
-            self._carry_out(order)
+            with contextlib.suppress(queue.Empty):
+                self._carry_out(self._orders.get(timeout=WAIT_SECONDS))
+            self._renew_leases()
 
     def _adopt(self) -> None:
         pause = RETRY_SECONDS_FIRST
@@ -127,9 +141,29 @@ class OperatorReactions:
                 edge = event_of(task, self._requester)
                 if edge is not None:
                     self._names[edge.id] = task["metadata"]["name"]
+                    self._keep_lease(task["metadata"]["name"], lease_seconds(task), self._monotonic())
                     edges.append(edge)
             self.adopted, self.reachable = sorted(edges, key=lambda edge: edge.time), True
             return
+
+    def _keep_lease(self, name: str, seconds: int | None, due: float) -> None:
+        if seconds is not None:
+            self._leases[name] = _Lease(seconds, due)
+
+    def _renew_leases(self) -> None:
+        """Renew what is due; a task that somebody deleted is left alone."""
+        now = self._monotonic()
+        for name, lease in list(self._leases.items()):
+            if lease.due > now or self._stopping.is_set():
+                continue
+            try:
+                if not self._tasks.renew(name, self._clock_ns()):
+                    del self._leases[name]
+                    continue
+                lease.due = now + lease.seconds * RENEWED_SHARE
+            except RobotKubeError as error:
+                log.warning("task %s/%s: its lease was not renewed: %s", self._namespace, name, error)
+                lease.due = now + min(RETRY_SECONDS_MAX, lease.seconds * RENEWED_SHARE)
 
     def _carry_out(self, order: _Order) -> None:
         record, began, pause = order.record, self._monotonic(), RETRY_SECONDS_FIRST
@@ -156,6 +190,7 @@ class OperatorReactions:
         record, edge = order.record, order.record.edge
         name = self._names.get(edge.id) or task_name(edge)
         if edge.edge != START:
+            self._leases.pop(name, None)
             self._tasks.delete(name)
             self._names.pop(edge.id, None)
             self._withdrawn.discard(edge.id)
@@ -163,7 +198,9 @@ class OperatorReactions:
             return  # the API server was away as long as the event lasted
         else:
             assert order.reaction is not None
-            self._tasks.create(demand(self._requester, order.reaction, edge, order.start_distance_m))
+            self._tasks.create(demand(self._requester, order.reaction, edge, order.reason, self._parent))
+            seconds = order.reaction.lease_seconds
+            self._keep_lease(name, seconds, self._monotonic() + (seconds or 0) * RENEWED_SHARE)
         record.task, record.done, record.error = f"{self._namespace}/{name}", self._clock_ns(), None
         log.info(
             "event %s: %s rule=%s agents=%s task=%s stamp=%d time=%d done=%d",
