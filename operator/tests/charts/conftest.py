@@ -23,7 +23,7 @@ CHARTS = REPOSITORY / "charts"
 PROFILES = Path(__file__).parent / "profiles"
 HELM_SECONDS_MAX = 60
 PLATFORM = CHARTS / "robotkube"
-APP_CHARTS = ("mqtt-bridge", "event-detector", "bag-player")
+APP_CHARTS = ("mqtt-bridge", "event-detector", "bag-player", "object-detection", "object-tracking")
 
 LOADER = yaml.CSafeLoader  # Argo CD's manifests are 34 000 lines: 0.6 s in C, 9 s in Python
 

@@ -15,6 +15,7 @@ from robotkube.domain.bridging import read_bridge_settings
 from robotkube.domain.catalogue import read_assurance
 from robotkube.domain.detector_settings import read_detector_settings
 from robotkube.domain.initial import InitialPolicy, read_initial_policy
+from robotkube.domain.perception_settings import read_detection_settings, read_track_settings
 from robotkube.domain.verification import read_verification_policy
 from robotkube.entrypoints import bootstrap, gate, manager, suite_runner, teardown
 from robotkube.entrypoints.settings import read_settings
@@ -34,6 +35,8 @@ APPS: dict[str, Callable[[Mapping[str, Any], str], Any]] = {
     "bag-player": read_player_settings,
     "event-detector": read_detector_settings,
     "mqtt-bridge": read_bridge_settings,
+    "object-detection": read_detection_settings,
+    "object-tracking": read_track_settings,
 }
 
 
@@ -106,3 +109,16 @@ def test_helm_renders_a_packed_chart_as_the_folder(
     archive = tmp_path / f"{chart}.tgz"
     archive.write_bytes(packed.archive)
     assert helm.template(archive, helm.values(profile), release=chart).objects == apps[chart].objects
+
+
+@pytest.mark.parametrize("chart", ["object-detection", "object-tracking"])
+def test_two_versions_of_a_chart_differ_in_what_they_run(helm: Any, apps: Mapping[str, Any], chart: str) -> None:
+    earlier = helm.template(CHARTS / "earlier" / chart, PROFILES / f"{chart}.yaml", release=chart)
+    newer, older = (
+        APPS[chart](yaml.safe_load(found.one("ConfigMap", chart)["data"]["config.yaml"]), chart)
+        for found in (apps[chart], earlier)
+    )
+    assert newer != older
+    packed = [pack(CHARTS / folder / chart, {"ros": "x@sha256:" + "5" * 64}) for folder in ("apps", "earlier")]
+    assert [one.version for one in packed] == ["0.2.0", "0.1.0"]
+    assert len({one.digest for one in packed}) == 2

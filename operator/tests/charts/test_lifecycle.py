@@ -83,7 +83,7 @@ def test_a_task_is_kept_as_written(installed: Cluster) -> None:
     patch = ("patch", "task", "t", "-n", "cloud-0", "--subresource=status", "--type=merge", "-p", json.dumps(status))
     installed.kubectl(*patch)
     row = installed.kubectl("get", "tasks", "-n", "cloud-0").splitlines()
-    assert row[0].split() == ["NAME", "APPLICATION", "ACCEPTED", "READY", "AGE"]
+    assert row[0].split() == ["NAME", "APPLICATION", "PRIORITY", "ACCEPTED", "REASON", "READY", "AGE"]
     assert "False" in row[1]
 
 

@@ -12,6 +12,8 @@ import pytest
 CHARTS = Path(__file__).resolve().parents[3] / "charts"
 PROFILES = Path(__file__).parent / "profiles"
 PLATFORM = CHARTS / "robotkube"
+APP_CHARTS = ("mqtt-bridge", "event-detector", "bag-player", "object-detection", "object-tracking")
+EARLIER_CHARTS = ("object-detection", "object-tracking")  # versions 0.1.0
 VEHICLE = {"name": "vehicle-00", "role": "vehicle"}
 CLOUD = {"name": "cloud-0", "role": "cloud"}
 PUBLIC_KEY = "-----BEGIN PUBLIC KEY-----\nMCowBQYDK2VwAyEA\n-----END PUBLIC KEY-----\n"
@@ -175,9 +177,26 @@ TOPIC = {"name": "/a", "type": "std_msgs/msg/String"}
             {"detector": {"rules": [{"name": "a", "kind": "proximity"}]}},
             "missing properties 'agents'",
         ),
+        (
+            "event-detector",
+            {
+                "detector": {
+                    "rules": [{"name": "a", "kind": "threshold", "topic": "/a", "field": "x", "start_above": 1}]
+                }
+            },
+            "'oneOf' failed",
+        ),
+        ("event-detector", {"detector": {"rules": [{"name": "a", "kind": "threshold"}]}}, "missing properties 'topic'"),
+        ("event-detector", {"detector": {"task": "alone"}}, "at '/detector/task': 'alone' does not match"),
         ("event-detector", {"detector": {"reactions": [{"rule": "a", "kind": "operator"}]}}, "'application'"),
         ("event-detector", {"detector": {"reactions": [{"rule": "a", "kind": "recording"}]}}, "'recording'"),
         ("bag-player", {"bags": {"path": "/"}}, "at '/bags': additional properties 'path' not allowed"),
+        ("object-detection", {"detection": {"method": "guess"}}, "value must be one of 'size', 'reflectance'"),
+        ("object-detection", {"detection": {"rangeMetres": 501}}, "at '/detection/rangeMetres': maximum"),
+        ("object-detection", {"detection": {"cloud": "cloud"}}, "at '/detection/cloud': 'cloud' does not match"),
+        ("object-detection", {"detection": {"cpu": 1}}, "at '/detection': additional properties 'cpu' not allowed"),
+        ("object-tracking", {"tracking": {"motion": "fast"}}, "value must be one of 'still', 'steady'"),
+        ("object-tracking", {"tracking": {"gapSeconds": 0}}, "at '/tracking/gapSeconds': minimum"),
         ("bag-player", {"terminationGracePeriodSeconds": 0}, "at '/terminationGracePeriodSeconds': minimum"),
     ],
 )
@@ -185,18 +204,32 @@ def test_application_schemas_refuse(helm: Any, chart: str, values: dict[str, Any
     assert at in helm.refusal(CHARTS / "apps" / chart, PROFILES / f"{chart}.yaml", **values)
 
 
-@pytest.mark.parametrize("chart", ["mqtt-bridge", "event-detector", "bag-player"])
+@pytest.mark.parametrize("chart", APP_CHARTS)
 def test_application_charts_without_an_image_say_what_to_do(helm: Any, chart: str) -> None:
     said = helm.refusal(CHARTS / "apps" / chart, PROFILES / f"{chart}.yaml", image={"reference": ""})
     assert f"{chart}: no image. Pack the chart with images.yaml (key ros), or give image.reference." in said
 
 
-@pytest.mark.parametrize("chart", ["robotkube", "apps/mqtt-bridge", "apps/event-detector", "apps/bag-player"])
+@pytest.mark.parametrize(
+    "chart", ["robotkube", *(f"apps/{name}" for name in APP_CHARTS), *(f"earlier/{name}" for name in EARLIER_CHARTS)]
+)
 def test_charts_pass_lint(helm: Any, chart: str) -> None:
     name = Path(chart).name
     profile = PROFILES / ("official.yaml" if name == "robotkube" else f"{name}.yaml")
     done = helm.run("lint", "--strict", str(CHARTS / chart), "-f", str(profile))
     assert done.returncode == 0, done.stdout
+
+
+@pytest.mark.parametrize(
+    ("chart", "values", "at"),
+    [
+        ("object-detection", {"detection": {"method": "size"}}, "at '/detection': additional properties 'method'"),
+        ("object-detection", {"detection": {"rangeMetres": 26}}, "at '/detection/rangeMetres': maximum"),
+        ("object-tracking", {"tracking": {"motion": "still"}}, "at '/tracking': additional properties 'motion'"),
+    ],
+)
+def test_schemas_of_earlier_versions_refuse(helm: Any, chart: str, values: dict[str, Any], at: str) -> None:
+    assert at in helm.refusal(CHARTS / "earlier" / chart, PROFILES / f"{chart}.yaml", **values)
 
 
 def test_every_value_has_prose() -> None:

@@ -12,7 +12,7 @@ import yaml
 
 Object = dict[str, Any]
 
-APP_CHARTS = ("mqtt-bridge", "event-detector", "bag-player")
+APP_CHARTS = ("mqtt-bridge", "event-detector", "bag-player", "object-detection", "object-tracking")
 PROFILES = ("official", "embedded")
 # Cores requested by everything that runs all the time, Argo CD included: two cores carry the fleet, too.
 PLATFORM_CPU_MAX = 1.2
@@ -184,13 +184,13 @@ def test_application_pods_wait_for_nothing(apps: Mapping[str, Any], chart: str) 
     assert pod["enableServiceLinks"] is False
     assert pod["dnsConfig"] == {"options": [{"name": "ndots", "value": "1"}]}
     assert pod["automountServiceAccountToken"] is False
-    assert pod["serviceAccountName"] == chart
-    assert pod["terminationGracePeriodSeconds"] == {"event-detector": 8}.get(chart, 3)
+    assert pod["serviceAccountName"] == ("application" if chart.startswith("object-") else chart)
+    assert pod["terminationGracePeriodSeconds"] == {"event-detector": 10}.get(chart, 3)
     assert cores(pod["containers"][0]["resources"]["requests"]["cpu"]) <= 0.05
     assert all("initialDelaySeconds" not in probe for key, probe in pod["containers"][0].items() if "Probe" in key)
 
 
-@pytest.mark.parametrize("chart", [*APP_CHARTS, "application"])
+@pytest.mark.parametrize("chart", ["mqtt-bridge", "event-detector", "bag-player", "application"])
 def test_the_service_accounts_that_application_charts_name_are_made_for_every_agent(official: Any, chart: str) -> None:
     for agent in ("vehicle-00", "vehicle-01", "cloud-0"):
         assert official.one("ServiceAccount", chart, agent)["automountServiceAccountToken"] is False

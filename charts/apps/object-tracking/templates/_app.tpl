@@ -1,0 +1,10 @@
+{{- define "object-tracking.app" -}}
+image: ros
+command: [python3, -m, robotkube.entrypoints.object_tracking]
+config:
+  objects: {{ .Values.tracking.objects }}
+  tracks: {{ .Values.tracking.tracks }}
+  motion: {{ .Values.tracking.motion }}
+  gateMetres: {{ .Values.tracking.gateMetres }}
+  gapSeconds: {{ .Values.tracking.gapSeconds }}
+{{- end }}

@@ -1,0 +1,88 @@
+"""The process around object-detection and object-tracking: settings that are watched, health, the end on SIGTERM.
+
+Both work off their input every PERIOD_SECONDS, without an executor. Variables: docs/reference/robot-processes.md.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol, TypeVar
+
+from robotkube.adapters.health_http import HealthServer
+from robotkube.adapters.kubernetes_http import ApiServer, ConfigMapData, ConfigMapWatch, split_name
+from robotkube.adapters.ros_rclpy import RosNode
+from robotkube.domain.errors import DocumentError
+from robotkube.domain.texts import read_mapping
+from robotkube.entrypoints.processes import PodSettings, Process, read_text
+from robotkube.services.perceiving import Log, Perceiving
+
+GRACE_SECONDS = 2.0
+PERIOD_SECONDS = 0.02
+KEY = "config.yaml"
+
+Settings = TypeVar("Settings")
+Given = TypeVar("Given", contravariant=True)
+
+
+class Configured(Protocol[Given]):
+    """A perception service."""
+
+    @property
+    def perceiving(self) -> Perceiving:
+        """Its topics and counters."""
+        ...
+
+    def configure(self, settings: Given) -> None:
+        """Apply settings."""
+        ...
+
+
+def serve(
+    process: Process,
+    node: str,
+    make: Callable[[RosNode, Log], Configured[Settings]],
+    read: Callable[[Mapping[str, Any], str], Settings],
+) -> None:
+    """Run one service until the process shall end. InputError when its first settings are refused."""
+    pod = PodSettings.from_environment()
+    settings = read(
+        read_mapping(read_text(pod.config_file, "the settings"), str(pod.config_file)), str(pod.config_file)
+    )
+    service = make(RosNode(node), process.log)
+    perceiving = service.perceiving
+    HealthServer(ready=lambda: perceiving.complaint, metrics=perceiving.metrics, port=pod.health_port).start()
+    service.configure(settings)
+    news: deque[str] = deque(maxlen=1)
+    if pod.config_map is not None:
+        _watch(process, news, *split_name(pod.config_map))
+    process.log("ready", complaint=perceiving.complaint)
+    gc.freeze()
+    while not process.stopping.wait(PERIOD_SECONDS):
+        if news:
+            _apply(process, service, read, news.popleft())
+        perceiving.turn()
+    perceiving.close()
+
+
+def _apply(
+    process: Process, service: Configured[Settings], read: Callable[[Mapping[str, Any], str], Settings], text: str
+) -> None:
+    """Apply changed settings; refused ones are reported and the present ones stay."""
+    try:
+        service.configure(read(read_mapping(text, KEY), KEY))
+    except DocumentError as error:
+        process.log("settings refused", error=str(error))
+
+
+def _watch(process: Process, news: deque[str], namespace: str, name: str) -> None:
+    def changed(data: ConfigMapData | None) -> None:
+        if data is not None and KEY in data:
+            news.append(data[KEY])
+
+    def failed(sentence: str) -> None:
+        process.log("watch interrupted", error=sentence)
+
+    ConfigMapWatch(ApiServer.from_environment(os.environ), namespace, name, changed, failed).start()
