@@ -53,7 +53,8 @@ class Api:
         full = {"requester": "somebody", "event": event, "application": "recording", "parameters": {"deep": {"x": 1}}}
         metadata = {"name": name, "namespace": "cloud-0"}
         document = {"apiVersion": "robotkube.io/v1alpha1", "kind": "TaskDescription", "metadata": metadata}
-        self.post(TASKS, {**document, "spec": {**full, **spec}})
+        wanted = {key: value for key, value in {**full, **spec}.items() if value is not None}
+        self.post(TASKS, {**document, "spec": wanted})
 
 
 def prepare(api: Api) -> None:
