@@ -28,6 +28,7 @@ from robotkube.services.manager_planning import ManagerSettings, Planner
 from robotkube.services.manager_reading import MainReader
 from robotkube.testing.clusters import MemoryArgoCD, MemoryCluster, MemoryTasks
 from robotkube.testing.forges import MemoryForge, MemoryRepository
+from robotkube.testing.leadership import MemoryLeadership
 
 REGISTRY = Path(__file__).parents[2] / "registry"
 CHARTS = "oci://forge.robotkube.svc.cluster.local:3000/verified"
@@ -68,6 +69,7 @@ class Stage:
         self.catalogue.push(catalogue_files(Signing(key)), "seed")
         self.forge = MemoryForge(self.repository)
         self.tasks, self.argocd = MemoryTasks(), MemoryArgoCD()
+        self.leadership = MemoryLeadership()
         self.seconds = 0.0
         self.manager = self.start()
 
@@ -87,7 +89,7 @@ class Stage:
         render = Jinja2Templates().render
         planner = Planner(self.settings, self.tasks, self.cluster, catalogue, main, render, validate)
         observer = PlanObserver(self.cluster, self.argocd, aside, now_ns, monotonic)
-        world = World(self.tasks, self.cluster, self.repository, self.forge, self.forge)
+        world = World(self.tasks, self.cluster, self.repository, self.forge, self.forge, self.leadership)
         return ApplicationManager(world, catalogue, main, planner, observer, now_ns, monotonic)
 
     def go(self, steps: int = 4, seconds: float = 0.1, wake: str = TASKS) -> None:

@@ -15,7 +15,7 @@ from running_platform import Platform, Writer, eventually
 from robotkube.adapters.chart_folders import pack
 from robotkube.adapters.oci_registry import Registry
 from robotkube.domain.errors import InputError
-from robotkube.domain.proposals import ChartReference, CommitMessage, write_message
+from robotkube.domain.proposals import TERM_MAX, ChartReference, CommitMessage, write_message
 from robotkube.domain.releases import Release, Source, write_release, write_source
 
 AGENT, PLAN = "vehicle-02", "20261121-100000-abcdef"
@@ -201,7 +201,8 @@ def test_a_broken_proposal_is_refused_with_file_and_key(platform: Platform, tmp_
     text = str(changes[path]).replace(PLAN, plan)
     assert old in text
     chart = ChartReference("mqtt-bridge", VERSION, UNKNOWN_DIGEST)
-    words = CommitMessage("deploy", "initial", "test", plan, initial=True, charts=(chart,), evidence=("none",))
+    words = CommitMessage("deploy", "initial", "test", plan, kinds=("initial",), charts=(chart,), evidence=("none",))
+    words = words.signed("manager", TERM_MAX)
     commit = manager.commit({**changes, path: text.replace(old, new)}, write_message(words))
     number = manager.proposals.propose(commit, plan, words.subject, "a test")
     with platform.forge("gate") as forge:

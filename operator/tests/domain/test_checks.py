@@ -10,12 +10,14 @@ from robotkube.adapters.schemas_jsonschema import validate
 from robotkube.domain import checks, verdict_texts
 from robotkube.domain.catalogue import Catalogue, ChartVersion
 from robotkube.domain.catalogue_applications import Application
-from robotkube.domain.checks_releases import Rules, overlay
+from robotkube.domain.checks_releases import Rules
 from robotkube.domain.errors import DocumentError
 from robotkube.domain.merging import APPROVAL, AUTOMATIC, FORGE, Review, is_approved, read_merge_policy
 from robotkube.domain.proposals import ChartReference, CommitMessage, write_message
 from robotkube.domain.releases import Cause, Release, Source, read_tree, write_release, write_source
+from robotkube.domain.values_schemas import overlay
 
+ACCOUNT, TERM = "manager", 7
 TIP, PLAN, OLD_PLAN = "a" * 40, "20261121-100000-000001", "20261121-090000-000001"
 DIGEST, NEWER = "sha256:" + "1" * 64, "sha256:" + "2" * 64
 URL = "oci://forge:3000/verified"
@@ -76,9 +78,11 @@ def message(*causes: Cause, **changes: Any) -> str:
         "reason": "x",
         "plan": PLAN,
         "charts": (REFERENCE,),
+        "manager": ACCOUNT,
+        "term": TERM,
     }
     evidence = (SUMMARY,) * len(changes.get("charts", fields["charts"]))
-    given = {"causes": causes, "initial": not causes, "evidence": evidence}
+    given = {"causes": causes, "kinds": () if causes else ("initial",), "evidence": evidence}
     return write_message(CommitMessage(**{**fields, **given, **changes}))
 
 

@@ -18,15 +18,18 @@ CHART = ChartReference("mqtt-bridge", "0.1.0", "sha256:" + "a" * 64)
 OTHER = ChartReference("event-detector", "0.2.0", "sha256:" + "b" * 64)
 SUMMARY = "sha256:" + "c" * 64
 REASON = "vehicle-00, vehicle-01 within 400 m"
-MESSAGE = CommitMessage("deploy", "recording", REASON, PLAN, CAUSES, False, (CHART,), (SUMMARY,))
+MESSAGE = CommitMessage("deploy", "recording", REASON, PLAN, CAUSES, (), (CHART,), (SUMMARY,), "manager", 7)
 
 
 @pytest.mark.parametrize(
     "message",
     [
         MESSAGE,
-        replace(MESSAGE, initial=True),
-        replace(MESSAGE, causes=(), initial=True, area="initial"),
+        replace(MESSAGE, kinds=("initial",)),
+        replace(MESSAGE, causes=(), kinds=("initial",), area="initial"),
+        replace(MESSAGE, kinds=("node", "update"), term=0),
+        replace(MESSAGE, kinds=("revert",), reverts=("a" * 40, "b" * 40)),
+        replace(MESSAGE, causes=(), kinds=("repair",), charts=(), evidence=(), reverts=("a" * 40,)),
         replace(MESSAGE, verb="withdraw"),
         replace(MESSAGE, charts=(OTHER, CHART), evidence=("none", SUMMARY)),
     ],
@@ -66,6 +69,11 @@ def test_one_line() -> None:
         (("RobotKube-Rule: near", "RobotKube-Author: me"), "is not one of the trailers"),
         (("RobotKube-Plan", "RobotKube-Cause: people\nRobotKube-Plan"), "RobotKube-Cause must be"),
         (("RobotKube-Plan", "RobotKube-Cause: initial\nRobotKube-Plan"), "must be the plan's id"),
+        (("RobotKube-Plan", "RobotKube-Cause: update\nRobotKube-Cause: node\nRobotKube-Plan"), "each once, sorted"),
+        (("RobotKube-Manager: manager\n", ""), "RobotKube-Manager must stand exactly once, found 0"),
+        (("RobotKube-Term: 7", "RobotKube-Term: 07"), "RobotKube-Term: '07' must match"),
+        (("RobotKube-Term: 7", "RobotKube-Term: 9999999999"), "is more than"),
+        (("RobotKube-Plan", "RobotKube-Reverts: main\nRobotKube-Plan"), "must be a commit of 40 hex"),
         (("\n\n", "\n"), "must be empty"),
     ],
 )

@@ -18,7 +18,7 @@ from evidence_of_tests import PROJECT, applications, policies, published_chart, 
 
 from robotkube.adapters.argocd import PushHook
 from robotkube.adapters.git_clones import GitClone
-from robotkube.adapters.gitea import GiteaForge
+from robotkube.adapters.forges.gitea import GiteaForge
 from robotkube.adapters.push_relay import PushRelay
 from robotkube.adapters.schemas_jsonschema import validate
 from robotkube.adapters.webhooks import WebServer
@@ -65,6 +65,7 @@ DEPLOYMENT = {
     "policies/merge.yaml": MERGE_POLICY,
     "releases/.gitkeep": "",
 }
+TERM = 1  # of everybody in these tests; where terms rise, a test has a forge of its own
 PROPOSERS = (Proposer("manager", frozenset({"cloud-0", "vehicle-00", "vehicle-01"})),)
 
 
@@ -277,6 +278,8 @@ def message(plan: str, **changes: Any) -> str:
         "plan": plan,
         "causes": (CAUSE,),
         "charts": (chart,),
+        "manager": "manager",
+        "term": TERM,
     }
     evidence = tuple(EVIDENCE.get(one.digest, "none") for one in changes.get("charts", (chart,)))
     return write_message(CommitMessage(**{**fields, "evidence": evidence, **changes}))

@@ -12,12 +12,12 @@ from typing import Any
 
 import pytest
 from evidence_of_tests import trusted_keys, unproved_chart
-from installation import CATALOGUE, CHARTS_URL, ApplicationSetController, Installation, RunningGate, start_gate
+from installation import CATALOGUE, CHARTS_URL, TERM, ApplicationSetController, Installation, RunningGate, start_gate
 from waiting import until
 
 from robotkube.adapters.git_clones import GitClone
 from robotkube.adapters.git_deployment import ProposalWriter
-from robotkube.adapters.gitea import GiteaForge
+from robotkube.adapters.forges.gitea import GiteaForge
 from robotkube.adapters.schemas_jsonschema import validate
 from robotkube.adapters.templates_jinja2 import Jinja2Templates
 from robotkube.domain.placement import Agent, NodeState
@@ -30,6 +30,7 @@ from robotkube.services.manager_observing import PlanObserver
 from robotkube.services.manager_planning import ManagerSettings, Planner
 from robotkube.services.manager_reading import MainReader
 from robotkube.testing.clusters import MemoryArgoCD, MemoryCluster, MemoryTasks
+from robotkube.testing.leadership import MemoryLeadership
 
 AGENTS = (("cloud-0", "cloud"), ("vehicle-00", "vehicle"), ("vehicle-01", "vehicle"))
 KEY = "cloud-0/meeting"
@@ -62,8 +63,10 @@ class RunningManager:
         return bool(plans) and plans[-1][step] is not None
 
 
-def start_manager(installation: Installation, folder: Path, tasks: MemoryTasks) -> RunningManager:
-    """A new manager on `folder`."""
+def start_manager(
+    installation: Installation, folder: Path, tasks: MemoryTasks, leadership: MemoryLeadership | None = None
+) -> RunningManager:
+    """A new manager on `folder`; it leads, unless a test says otherwise."""
     url, account = installation.url, ("manager", installation.passwords["manager"])
     deployment = GitClone(url, "robotkube/deployment", *account, folder / "deployment")
     proposals = ProposalWriter(folder / "deployment", *account, "robotkube-manager", time.time)
@@ -74,7 +77,7 @@ def start_manager(installation: Installation, folder: Path, tasks: MemoryTasks) 
     planner = Planner(settings, tasks, cluster, catalogue, main, Jinja2Templates().render, validate)
     observer = PlanObserver(cluster, MemoryArgoCD(), lambda call: call(), time.time_ns, time.monotonic)
     forge = GiteaForge(url, "robotkube/deployment", *account)
-    world = World(tasks, cluster, deployment, proposals, forge)
+    world = World(tasks, cluster, deployment, proposals, forge, leadership or MemoryLeadership(TERM))
     manager = ApplicationManager(world, catalogue, main, planner, observer, time.time_ns, time.monotonic)
     stopping = threading.Event()
     thread = threading.Thread(target=manager.run, args=(stopping,), daemon=True)

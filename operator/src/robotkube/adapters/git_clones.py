@@ -194,6 +194,34 @@ class GitClone:
             if text is not None:
                 found[path] = text
 
+    def irregular(self, commit: str, folders: Sequence[str]) -> Sequence[str]:
+        """Paths of the files that `files` leaves out."""
+        tree = self._lookup(commit).tree
+        found: list[str] = []
+        for folder in folders:
+            entry = tree[folder] if folder in tree else None  # noqa: SIM401 - a Tree has no get
+            if isinstance(entry, pygit2.Tree):
+                self._collect_irregular(entry, folder, found)
+        return found
+
+    def _collect_irregular(self, tree: pygit2.Tree, prefix: str, found: list[str]) -> None:
+        for entry in tree:
+            path = f"{prefix}/{entry.name}"
+            if isinstance(entry, pygit2.Tree):
+                self._collect_irregular(entry, path, found)
+            elif self._ordinary_text(entry.id, entry.filemode) is None:
+                found.append(path)
+
+    def headers(self, since: str, commits_max: int) -> Iterator[tuple[str, str]]:
+        """Id and message of the branch's first-parent commits after `since`, newest first, at most `commits_max`."""
+        commit = self.tip
+        for _ in range(commits_max):
+            if not commit or commit == since:
+                return
+            found = self._lookup(commit)
+            yield commit, found.message
+            commit = str(found.parent_ids[0]) if found.parent_ids else ""
+
     def push_main(self, commit: str) -> bool:
         """Move the branch to exactly `commit`, never by force; False when it has moved meanwhile."""
         name = f"refs/pushes/{self._branch}"
@@ -232,6 +260,19 @@ class GitClone:
             commit = found[-1].parents[0] if found[-1].parents else ""
         return found[::-1]
 
+    def touching(self, since: str | None, commits_max: int, path: str, words: Sequence[str]) -> Sequence[Commit]:
+        """Those of the newest `commits_max` first-parent commits after `since` that change `path` or whose message
+        holds one of `words`, oldest first. Of the others only the message is read."""
+        found: list[Commit] = []
+        commit, count = self.tip, 0
+        while commit and commit != since and count < commits_max:
+            at = self._lookup(commit)
+            parent = self._lookup(str(at.parent_ids[0])) if at.parent_ids else None
+            if any(word in at.message for word in words) or _entry(at, path) != _entry(parent, path):
+                found.append(self.commit(commit))
+            commit, count = str(at.parent_ids[0]) if at.parent_ids else "", count + 1
+        return found[::-1]
+
     def _lookup(self, commit: str) -> pygit2.Commit:
         try:
             found = self._repository[commit]
@@ -240,6 +281,11 @@ class GitClone:
         if not isinstance(found, pygit2.Commit):
             raise InputError(f"{self._where}: {commit!r} is not a commit")
         return found
+
+
+def _entry(commit: pygit2.Commit | None, path: str) -> str:
+    """The id of what stands at a path; empty when nothing does."""
+    return str(commit.tree[path].id) if commit is not None and path in commit.tree else ""
 
 
 def _compared(

@@ -12,6 +12,7 @@ import json
 import logging
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
 
@@ -297,7 +298,7 @@ class KubernetesWorld:
         """Pods of a release."""
         silent = {state.name: since for state, since in self._nodes.values().values()}
         return [
-            PodState(pod.namespace, pod.name, pod.release, pod.node, pod.deleting, self._silence(silent.get(pod.node)))
+            replace(pod, node_silent_seconds=self._silence(silent.get(pod.node)))
             for pod in self._pods.values().values()
             if pod.release == release
         ]
@@ -394,10 +395,12 @@ def read_pod(item: Object) -> PodState:
     """The fields of a pod that decide."""
     metadata = item["metadata"]
     release = metadata.get("labels", {}).get(RELEASE_LABEL, "")
+    images = (c.get("imageID", "").rpartition("@")[2] for c in item.get("status", {}).get("containerStatuses", []))
     return PodState(
         namespace=metadata["namespace"],
         name=metadata["name"],
         release=f"{metadata['namespace']}/{release}",
         node=item.get("spec", {}).get("nodeName", ""),
         deleting=bool(metadata.get("deletionTimestamp")),
+        images=tuple(sorted({image for image in images if image})),
     )

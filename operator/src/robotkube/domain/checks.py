@@ -2,8 +2,8 @@
 
 A proposal of a manager is one commit on main's tip that touches release and source files of its namespaces only. A
 person's pull request may touch anything; what it brings is checked in the same way where it touches releases and
-sources, and read where it touches policies. What main had wrong before does not count against either, only what is
-new, so a broken file can be repaired.
+sources, and read where it touches policies. What main had wrong before does not count against a person, only what is
+new. While main is broken a manager may propose nothing but the repair, which is computed here as there.
 """
 
 from __future__ import annotations
@@ -12,17 +12,22 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from robotkube.domain.checks_releases import Rules, release_problems, source_problems
+from robotkube.domain.edits import PATH as EDITS_PATH
+from robotkube.domain.edits import read_edits_policy
 from robotkube.domain.errors import DocumentError
 from robotkube.domain.initial import PATH as INITIAL_PATH
 from robotkube.domain.initial import read_initial_policy
 from robotkube.domain.merging import PATH as MERGE_PATH
 from robotkube.domain.merging import read_merge_policy
-from robotkube.domain.proposals import ChartReference, CommitMessage, read_message
+from robotkube.domain.proposals import REPAIR, ChartReference, CommitMessage, read_message
 from robotkube.domain.releases import RELEASES, SOURCES, Cause, Release, Tree
 from robotkube.domain.tasks import with_defaults
 from robotkube.domain.texts import read_mapping
+from robotkube.domain.update_policies import PATH as UPDATES_PATH
+from robotkube.domain.update_policies import read_update_policy
 
 POLICIES, BOOTSTRAP = "policies", "bootstrap"
+SUSPECTS_NAMED_MAX = 5
 CI_FOLDERS = frozenset({".gitea", ".github", ".gitlab", ".forgejo", ".circleci", ".woodpecker", "ci"})
 CI_FILES = frozenset({".gitlab-ci.yml", ".gitlab-ci.yaml", ".drone.yml", ".woodpecker.yml", "Jenkinsfile"})
 
@@ -57,10 +62,12 @@ class Proposal:
 
 @dataclass(frozen=True)
 class Verdict:
-    """`stale`: the parent is not main's tip, the author has to build again. Else accepted when there is no problem."""
+    """`stale`: the parent is not main's tip, the author has to build again. Else accepted when there is no problem.
+    `repair`: it does nothing but bring a broken main back."""
 
     stale: bool = False
     problems: tuple[str, ...] = ()
+    repair: bool = False
 
     @property
     def accepted(self) -> bool:
@@ -84,14 +91,52 @@ def judge(proposal: Proposal, tip: str, rules: Rules) -> Verdict:
     if len(proposal.parents) != 1:
         count = len(proposal.parents)
         return Verdict(problems=(f"the commit has {count} parents; it must have exactly one, main's tip",))
+    message, unreadable = _read_message(proposal.message)
+    outdated = [*_standing(message, rules)] if message else []
+    if outdated:
+        return Verdict(problems=tuple(outdated))
     if proposal.parents[0] != tip:
         return Verdict(stale=True)
-    problems = [*_paths(proposal, rules), *_files(proposal, rules)]
-    try:
-        problems += _message(read_message(proposal.message), changed_releases(proposal))
-    except DocumentError as error:
-        problems += [f"{error.where}: {problem}" for problem in error.problems]
+    if rules.repair:
+        return _judge_repair(proposal, message, rules)
+    problems = [*_paths(proposal, rules), *_files(proposal, rules), *unreadable]
+    if message:
+        problems += _message(message, changed_releases(proposal))
     return Verdict(problems=tuple(problems))
+
+
+def _read_message(text: str) -> tuple[CommitMessage | None, Sequence[str]]:
+    try:
+        return read_message(text), ()
+    except DocumentError as error:
+        return None, [f"{error.where}: {problem}" for problem in error.problems]
+
+
+def _standing(message: CommitMessage, rules: Rules) -> Iterable[str]:
+    """Who proposes, and whether it is still the one that leads: a process that was replaced may not write any more."""
+    if message.manager != rules.account:
+        yield f"RobotKube-Manager: {message.manager!r} must be the account that proposes, {rules.account!r}"
+    if message.term < rules.last_term:
+        yield (
+            f"RobotKube-Term: {message.term} is lower than {rules.last_term}, {rules.account}'s last on main: "
+            "another process of this manager leads now"
+        )
+
+
+def _judge_repair(proposal: Proposal, message: CommitMessage | None, rules: Rules) -> Verdict:
+    """Main is broken: only what it looked like before comes through, and that without asking anybody."""
+    broken = ", ".join(proposal.before.suspects[:SUSPECTS_NAMED_MAX])
+    if message is None or REPAIR not in message.kinds:
+        words = f"main is broken ({broken}): a plan with RobotKube-Cause: {REPAIR} comes first"
+        return Verdict(problems=(words,))
+    problems = [*_nothing(proposal), *(_irregular(path) for path in proposal.irregular)]
+    problems += [
+        f"{path}: a repair brings back what main last had, or takes away what it did not have; this is neither"
+        for path, text in sorted(proposal.changes.items())
+        if path not in rules.repair or rules.repair[path] != text
+    ]
+    problems += _foreign_namespaces(proposal, rules)
+    return Verdict(problems=tuple(problems), repair=not problems)
 
 
 def judge_person(proposal: Proposal, tip: str, rules: Rules) -> Verdict:
@@ -186,6 +231,7 @@ def _new_problems(proposal: Proposal) -> Iterable[str]:
 def _foreign_namespaces(proposal: Proposal, rules: Rules) -> Iterable[str]:
     """A file that goes may stand where nobody is responsible any more, never where another account is."""
     for path, text in sorted(proposal.changes.items()):
+        text = None if path in rules.repair and rules.repair[path] == text else text
         parts = path.split("/")
         if len(parts) != 3 or parts[0] not in (RELEASES, SOURCES) or parts[1] in rules.namespaces:
             continue
@@ -220,8 +266,12 @@ def _policy(path: str, text: str | None, rules: Rules) -> Iterable[str]:
             yield f"{path}: must stay; without it the gate merges nothing"
     elif path == MERGE_PATH:
         read_merge_policy(text, path)
+    elif path == EDITS_PATH:
+        read_edits_policy(text, path)
     elif path == INITIAL_PATH:
         yield from _initial(path, text, rules)
+    elif path == UPDATES_PATH:
+        read_update_policy(text, path)
     else:
         read_mapping(text, path)
 

@@ -7,30 +7,23 @@ branch but the files that are judged.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Protocol
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
 from robotkube.domain.catalogue import Catalogue
 from robotkube.domain.proposals import ChartReference
 from robotkube.domain.releases import Cause, Release, Source
 from robotkube.domain.tasks import with_defaults
-from robotkube.domain.values_schemas import overlay
-
-
-class Validate(Protocol):
-    """Problems of a value, which is called `name` in them, under a JSON Schema."""
-
-    def __call__(self, schema: Mapping[str, Any], value: Any, name: str = ..., /) -> Sequence[str]:
-        """At most a few dozen; none when the value is valid."""
-        ...
+from robotkube.domain.values_schemas import Validate, deployed
 
 
 @dataclass(frozen=True)
 class Rules:
     """What holds for one account: the namespaces that it may touch and those that belong to `others`, where charts
     come from (`oci://host/organisation`), what the catalogue knows and proves; `schema` gives the values schema of
-    (chart, version), None when the catalogue has none."""
+    (chart, version), None when the catalogue has none; `last_term` is the account's highest term on main, `repair` what
+    would bring a broken main back (path -> text, None removes), empty when nothing is broken."""
 
     account: str
     namespaces: frozenset[str]
@@ -39,6 +32,8 @@ class Rules:
     schema: Callable[[str, str], Mapping[str, Any] | None]
     validate: Validate
     others: frozenset[str] = frozenset()
+    last_term: int = 0
+    repair: Mapping[str, str | None] = field(default_factory=dict)
 
 
 def source_problems(path: str, source: Source, rules: Rules) -> Iterable[str]:
@@ -80,8 +75,7 @@ def _values(release: Release, rules: Rules) -> Iterable[str]:
                 "submit the chart again"
             )
         return
-    given = overlay(release.values, {"global": {"plan": release.plan}})
-    yield from rules.validate(schema, overlay(schema.get("default", {}), given), "spec.values")
+    yield from rules.validate(schema, deployed(schema, release.values, release.plan), "spec.values")
 
 
 def _parameters(release: Release, rules: Rules) -> Iterable[str]:

@@ -37,7 +37,7 @@ class ApplicationState:
 @dataclass(frozen=True)
 class PodState:
     """A pod of a release: `deleting` when it has a deletion time; `node_silent_seconds` is how long its Node has not
-    reported (0 while it reports)."""
+    reported (0 while it reports); `images` are the digests that its containers run."""
 
     namespace: str
     name: str
@@ -45,6 +45,7 @@ class PodState:
     node: str = ""
     deleting: bool = False
     node_silent_seconds: float = 0.0
+    images: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from hashlib import sha256
 
 from robotkube.domain.catalogue import Catalogue
 from robotkube.domain.composition import Desired, Met, Refused
-from robotkube.domain.proposals import INITIAL, ChartReference, CommitMessage, write_message
+from robotkube.domain.proposals import INITIAL, ChartReference, CommitMessage
 from robotkube.domain.releases import Cause, Release, Source, Tree, write_release, write_source
 from robotkube.domain.tasks import TaskDescription
 
@@ -46,7 +46,6 @@ class Plan:
     changes: tuple[Change, ...]
     files: Mapping[str, str | None]
     message: CommitMessage
-    text: str
 
     @property
     def title(self) -> str:
@@ -87,13 +86,19 @@ def make_plan(
     registry: str,
     base: str,
     now: str,
+    cause: str = "",
+    reason: str = "",
 ) -> Plan:
-    """The plan for `changes` on commit `base`; `registry` is oci://host/organisation, `now` `YYYYMMDD-HHMMSS` (UTC)."""
+    """The plan for `changes` on commit `base`; `registry` is oci://host/organisation, `now` `YYYYMMDD-HHMMSS` (UTC).
+    `cause` (of proposals.KINDS) and `reason` say why it changes releases without any task's having asked."""
     identifier = f"{now}-{sha256((base + fingerprint(changes)).encode()).hexdigest()[:6]}"
     stamped = tuple(replace(c, after=replace(c.after, plan=identifier)) if c.after else c for c in changes)
     message = _message(stamped, desired, tasks, catalogue, identifier)
+    if cause:
+        kinds = tuple(sorted({*message.kinds, cause} - {INITIAL}))
+        message = replace(message, kinds=kinds, area=cause, reason=reason, verb="deploy")
     files = _files(stamped, tree, registry)
-    return Plan(identifier, base, stamped, files, message, write_message(message))
+    return Plan(identifier, base, stamped, files, message)
 
 
 def _files(changes: Iterable[Change], tree: Tree, registry: str) -> dict[str, str | None]:
@@ -150,7 +155,7 @@ def _message(
         reason=reason,
         plan=plan,
         causes=tuple(sorted(causes)),
-        initial=initial or not causes,
+        kinds=(INITIAL,) if initial or not causes else (),
         charts=tuple(sorted(evidence)),
         evidence=tuple(evidence[chart] for chart in sorted(evidence)),
     )

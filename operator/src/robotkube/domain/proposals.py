@@ -7,31 +7,40 @@
     RobotKube-Rule: lidar-proximity
     RobotKube-Trace: <32 hex>
     RobotKube-Plan: 20261121-100000-1a2b3c
+    RobotKube-Manager: manager
+    RobotKube-Term: 7
     RobotKube-Chart: event-detector@0.1.0@sha256:...
     RobotKube-Evidence: sha256:...
 
 Task, Event, Rule and Trace come once per task, in this order; Evidence once per Chart, in the same order: the digest of
-the chart's verification summary, or `none`. A change of the initial configuration has `RobotKube-Cause: initial` and
-the plan's id as its trace; a plan can have both.
+the chart's verification summary, or `none`. What no task asks for has a `RobotKube-Cause` (KINDS) and the plan's id as
+its trace; a plan can have both. `revert` and `repair` name the commits that they undo, one `RobotKube-Reverts` each.
+Manager is the forge account that proposes, Term the number of its election: a manager's term never falls on main.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from robotkube.domain.errors import DocumentError
 from robotkube.domain.releases import DIGEST, EVIDENCE, NAME, PLAN, TASK, TOKEN, VERSION, Cause
 
 SUBJECT_CHARACTERS_MAX = 100
 VERBS = ("deploy", "withdraw")
-INITIAL = "initial"
+INITIAL, NODE, REPAIR, REVERT, UPDATE = "initial", "node", "repair", "revert", "update"
+KINDS = (INITIAL, NODE, REPAIR, REVERT, UPDATE)
 CAUSES_MAX = 100
+REVERTS_MAX = 100
+TERM_MAX = 2**31 - 1
+
+COMMIT = re.compile(r"[0-9a-f]{40}", re.ASCII)
+TERM = re.compile(r"0|[1-9][0-9]{0,9}", re.ASCII)
 
 _SUBJECT = re.compile(rf"({'|'.join(VERBS)})\(([a-z0-9][a-z0-9-]*)\): (\S.*)")
 _TRAILER = re.compile(r"(RobotKube-[A-Z][a-z]+): (\S+)")
-_KEYS = ("Task", "Event", "Rule", "Trace", "Cause", "Plan", "Chart", "Evidence")
+_KEYS = ("Task", "Event", "Rule", "Trace", "Cause", "Reverts", "Plan", "Manager", "Term", "Chart", "Evidence")
 
 
 @dataclass(frozen=True, order=True)
@@ -49,17 +58,21 @@ class ChartReference:
 @dataclass(frozen=True)
 class CommitMessage:
     """What a plan's commit says. `causes` are the tasks (their `application` and `parameters` are not part of the
-    text); `initial` is true when the initial configuration changes as well or alone; `charts` are those of the changed
-    releases, sorted, and `evidence` goes with them, one word per chart."""
+    text); `kinds` say what else than tasks changes releases (of KINDS, sorted); `charts` are those of the changed
+    releases, sorted, and `evidence` goes with them, one word per chart; `manager` and `term` say who proposes, and
+    under which election; `reverts` are ids of the commits that it undoes."""
 
     verb: str
     area: str
     reason: str
     plan: str
     causes: tuple[Cause, ...] = ()
-    initial: bool = False
+    kinds: tuple[str, ...] = ()
     charts: tuple[ChartReference, ...] = ()
     evidence: tuple[str, ...] = ()
+    manager: str = ""
+    term: int = 0
+    reverts: tuple[str, ...] = ()
 
     @property
     def subject(self) -> str:
@@ -67,9 +80,18 @@ class CommitMessage:
         return shorten(f"{self.verb}({self.area}): {one_line(self.reason)}", SUBJECT_CHARACTERS_MAX)
 
     @property
+    def initial(self) -> bool:
+        """Whether the initial configuration changes, as well or alone."""
+        return INITIAL in self.kinds
+
+    def signed(self, manager: str, term: int) -> CommitMessage:
+        """The same in the name of a manager and its term."""
+        return replace(self, manager=manager, term=term)
+
+    @property
     def traces(self) -> tuple[str, ...]:
         """Every trace the commit carries, in order."""
-        return tuple(c.trace for c in self.causes) + ((self.plan,) if self.initial else ())
+        return tuple(c.trace for c in self.causes) + ((self.plan,) if self.kinds else ())
 
 
 def one_line(text: str) -> str:
@@ -87,9 +109,10 @@ def write_message(message: CommitMessage) -> str:
     lines: list[tuple[str, str]] = []
     for cause in message.causes:
         lines += [("Task", cause.task), ("Event", cause.event), ("Rule", cause.rule), ("Trace", cause.trace)]
-    if message.initial:
-        lines += [("Cause", INITIAL), ("Trace", message.plan)]
-    lines.append(("Plan", message.plan))
+    lines += [("Cause", kind) for kind in message.kinds]
+    lines += [("Trace", message.plan)] if message.kinds else []
+    lines += [("Reverts", commit) for commit in message.reverts]
+    lines += [("Plan", message.plan), ("Manager", message.manager), ("Term", str(message.term))]
     for chart, evidence in zip(message.charts, message.evidence, strict=True):
         lines += [("Chart", str(chart)), ("Evidence", evidence)]
     return "\n".join([message.subject, "", *(f"RobotKube-{key}: {value}" for key, value in lines)]) + "\n"
@@ -109,9 +132,12 @@ def read_message(text: str, where: str = "commit message") -> CommitMessage:
         reason=match[3] if match else "",
         plan=_one(trailers, "Plan", PLAN, problems),
         causes=_causes(trailers, problems),
-        initial=_initial(trailers, problems),
+        kinds=_kinds(trailers, problems),
         charts=_charts(trailers["Chart"], problems),
         evidence=_evidence(trailers, problems),
+        manager=_one(trailers, "Manager", TOKEN, problems),
+        term=_term(trailers, problems),
+        reverts=_reverts(trailers, problems),
     )
     problems += _completeness(message, trailers)
     if problems:
@@ -162,10 +188,29 @@ def _causes(trailers: dict[str, list[str]], problems: list[str]) -> tuple[Cause,
     return tuple(Cause(task, event, rule, trace, "") for task, event, rule, trace in rows)
 
 
-def _initial(trailers: dict[str, list[str]], problems: list[str]) -> bool:
-    if trailers["Cause"] not in ([], [INITIAL]):
-        problems.append(f"RobotKube-Cause must be `{INITIAL}`, at most once, found {trailers['Cause']}")
-    return bool(trailers["Cause"])
+def _kinds(trailers: dict[str, list[str]], problems: list[str]) -> tuple[str, ...]:
+    found = trailers["Cause"]
+    if found != sorted(set(found) & set(KINDS)):
+        problems.append(f"RobotKube-Cause must be one of {', '.join(KINDS)}, each once, sorted; found {found}")
+    return tuple(found)
+
+
+def _term(trailers: dict[str, list[str]], problems: list[str]) -> int:
+    word = _one(trailers, "Term", TERM, problems)
+    term = int(word) if TERM.fullmatch(word) else 0
+    if term > TERM_MAX:
+        problems.append(f"RobotKube-Term: {term} is more than {TERM_MAX}")
+    return term
+
+
+def _reverts(trailers: dict[str, list[str]], problems: list[str]) -> tuple[str, ...]:
+    found = trailers["Reverts"]
+    problems += [
+        f"RobotKube-Reverts: {word!r} must be a commit of 40 hex" for word in found if not COMMIT.fullmatch(word)
+    ]
+    if len(found) > REVERTS_MAX:
+        problems.append(f"{len(found)} RobotKube-Reverts, at most {REVERTS_MAX} are allowed")
+    return tuple(found)
 
 
 def _charts(values: Sequence[str], problems: list[str]) -> tuple[ChartReference, ...]:
@@ -192,12 +237,12 @@ def _evidence(trailers: dict[str, list[str]], problems: list[str]) -> tuple[str,
 
 
 def _completeness(message: CommitMessage, trailers: dict[str, list[str]]) -> Iterable[str]:
-    if not message.causes and not message.initial:
-        yield "neither a RobotKube-Task nor `RobotKube-Cause: initial`: the commit does not say why"
+    if not message.causes and not message.kinds:
+        yield "neither a RobotKube-Task nor a RobotKube-Cause: the commit does not say why"
     extra = trailers["Trace"][len(trailers["Task"]) :]
-    if message.initial and message.plan and extra != [message.plan]:
-        yield f"RobotKube-Trace of the initial configuration must be the plan's id {message.plan!r}, found {extra}"
-    if not message.initial and extra:
+    if message.kinds and message.plan and extra != [message.plan]:
+        yield f"RobotKube-Trace of a RobotKube-Cause must be the plan's id {message.plan!r}, found {extra}"
+    if not message.kinds and extra:
         yield f"more RobotKube-Trace than tasks: {extra}"
-    if not message.charts:
+    if not message.charts and REPAIR not in message.kinds:
         yield "RobotKube-Chart is missing: name every chart of the changed releases"

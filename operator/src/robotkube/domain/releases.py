@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -293,11 +293,13 @@ def read_source(text: str, path: str) -> Source:
 
 @dataclass(frozen=True)
 class Tree:
-    """The two folders of the deployment repository by path; `problems` are of files that could not be read."""
+    """The two folders of the deployment repository by path; `problems` are of files that could not be read or that
+    contradict others, `suspects` the paths concerned, both sides of a contradiction (a file that is missing, too)."""
 
     releases: Mapping[str, Release]
     sources: Mapping[str, Source]
     problems: tuple[str, ...] = ()
+    suspects: tuple[str, ...] = ()
 
 
 def read_tree(files: Mapping[str, str]) -> Tree:
@@ -305,7 +307,7 @@ def read_tree(files: Mapping[str, str]) -> Tree:
     a missing source, two releases with one Argo CD Application name, a path that is not a release or source file."""
     releases: dict[str, Release] = {}
     sources: dict[str, Source] = {}
-    problems: list[str] = []
+    problems: list[tuple[str, Sequence[str]]] = []
     for path in sorted(path for path in files if not path.endswith("/.gitkeep")):
         try:
             if path.startswith(f"{RELEASES}/"):
@@ -313,22 +315,26 @@ def read_tree(files: Mapping[str, str]) -> Tree:
             elif path.startswith(f"{SOURCES}/"):
                 sources[path] = read_source(files[path], path)
         except DocumentError as error:
-            problems += [f"{error.where}: {problem}" for problem in error.problems]
-    return Tree(releases, sources, tuple(problems + _relations(releases, sources)))
+            problems += [(f"{error.where}: {problem}", [path]) for problem in error.problems]
+    problems += _relations(releases, sources)
+    suspects = {path for _, paths in problems for path in paths}
+    return Tree(releases, sources, tuple(text for text, _ in problems), tuple(sorted(suspects)))
 
 
-def _relations(releases: Mapping[str, Release], sources: Mapping[str, Source]) -> list[str]:
-    problems: list[str] = []
+def _relations(releases: Mapping[str, Release], sources: Mapping[str, Source]) -> list[tuple[str, Sequence[str]]]:
+    problems: list[tuple[str, Sequence[str]]] = []
     names: dict[str, str] = {}
     for path, release in releases.items():
         wanted = f"{SOURCES}/{release.namespace}/{release.source_name}.yaml"
         source = sources.get(wanted)
         if source is None:
-            problems.append(f"{path}: its source {wanted} is missing or not readable")
+            problems.append((f"{path}: its source {wanted} is missing or not readable", [path, wanted]))
         elif source.digest != release.digest:
-            problems.append(f"{path}: chart digest {release.digest} differs from {wanted} ({source.digest})")
+            text = f"{path}: chart digest {release.digest} differs from {wanted} ({source.digest})"
+            problems.append((text, [path, wanted]))
         name = application_name(release.namespace, release.name)
         if name in names:
-            problems.append(f"{path}: Argo CD Application name {name!r} is taken by {names[name]}; rename one release")
+            text = f"{path}: Argo CD Application name {name!r} is taken by {names[name]}; rename one release"
+            problems.append((text, [path, names[name]]))
         names.setdefault(name, path)
     return problems

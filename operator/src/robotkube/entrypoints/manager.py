@@ -23,7 +23,7 @@ from robotkube.adapters.argocd import ArgoCDServer, PushHook
 from robotkube.adapters.evidence_dsse import TrustedKeys
 from robotkube.adapters.git_clones import GitClone
 from robotkube.adapters.git_deployment import ProposalWriter
-from robotkube.adapters.gitea import GiteaForge
+from robotkube.adapters.forges.gitea import GiteaForge
 from robotkube.adapters.kubernetes_api import KubernetesWorld, api_client
 from robotkube.adapters.lease_kubernetes import LeaseElection
 from robotkube.adapters.templates_jinja2 import Jinja2Templates
@@ -33,6 +33,7 @@ from robotkube.domain.errors import UnavailableError
 from robotkube.domain.placement import Agent
 from robotkube.entrypoints import settings as files
 from robotkube.entrypoints.bounded_schemas import BoundedSchemas
+from robotkube.entrypoints.manager_doors import STOP_SECONDS_MAX, BrokerSettings, read_broker, task_door
 from robotkube.entrypoints.processes import Process, run
 from robotkube.entrypoints.scope_settings import read_operators, read_seconds
 from robotkube.ports.leadership import Leadership
@@ -45,9 +46,12 @@ from robotkube.services.application_manager import (
     metrics_text,
 )
 from robotkube.services.assured_catalogue import AssuredCatalogue
+from robotkube.services.manager_explaining import Explainer
 from robotkube.services.manager_observing import PlanObserver
 from robotkube.services.manager_planning import ManagerSettings, Planner
 from robotkube.services.manager_reading import MainReader
+from robotkube.services.task_doors import TaskDoor
+from robotkube.services.task_doors import metrics_text as door_metrics
 
 GRACE_SECONDS = 5.0
 SYNC_SECONDS_MAX = 60.0
@@ -74,6 +78,7 @@ class ManagerConfiguration:
     webhook_secret: str
     lease_namespace: str
     lease_name: str
+    broker: BrokerSettings | None
     evidence_keys: Path
     manager: ManagerSettings
 
@@ -81,7 +86,8 @@ class ManagerConfiguration:
 def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ManagerConfiguration:
     """The settings document of the manager."""
     keys = ["listen", "log_level", "forge", "registry", "evidence", "argocd", "hook", "webhook"]
-    root = reader.mapping(document, "", [*keys, "agents", "lease", "scope", "operators", "node_lost_seconds"])
+    keys += ["agents", "lease", "scope", "operators", "node_lost_seconds"]
+    root = reader.mapping(document, "", keys, ["broker"])
     forge_keys = ["url", "credentials", "deployment", "catalogue", "branch"]
     forge = reader.mapping(root.get("forge") or {}, "forge", forge_keys)
     registry = reader.mapping(root.get("registry") or {}, "registry", ["charts"])
@@ -107,6 +113,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ManagerCo
         webhook_secret=files.secret(reader, webhook.get("secret"), "webhook.secret"),
         lease_namespace=reader.word(lease.get("namespace"), "lease.namespace", files.WORD),
         lease_name=reader.word(lease.get("name"), "lease.name", files.WORD),
+        broker=read_broker(reader, root.get("broker")),
         evidence_keys=Path(reader.word(evidence.get("keys"), "evidence.keys", files.PATH)),
         manager=ManagerSettings(
             agents=_agents(reader, root.get("agents")),
@@ -195,7 +202,8 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     schemas = BoundedSchemas()
     election = _election(found, api, waker, environment)
     manager = build_manager(found, cluster, work, schemas, election)
-    server = _server(found, manager, cluster)
+    door = _door(found, api, cluster, election)
+    server = _server(found, manager, cluster, door)
     server.start()
     cluster.start()
     election.start()
@@ -203,8 +211,12 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     if not cluster.wait_until_synced(SYNC_SECONDS_MAX):
         raise UnavailableError("; ".join(cluster.complaints()))
     waker.manager = manager
+    if door is not None:
+        door.start()
     threading.Thread(target=_stop_with, args=(process, manager), daemon=True).start()
     manager.run(process.stopping)
+    if door is not None:
+        door.stop(STOP_SECONDS_MAX)
     election.stop()
     cluster.stop()
     server.stop()
@@ -218,6 +230,15 @@ def _election(
     identity = environment.get("POD_NAME") or socket.gethostname()
     lease = (found.lease_namespace, found.lease_name)
     return LeaseElection(api, *lease, identity, time.monotonic, lambda: datetime.now(UTC), lambda: waker(TASKS))
+
+
+def _door(
+    found: ManagerConfiguration, api: ApiClient, cluster: KubernetesWorld, leadership: Leadership
+) -> TaskDoor | None:
+    """The MQTT door for the agents of this manager's scope, when the settings name a broker."""
+    scope = found.manager.operators.manager
+    operators = {agent.name: agent.namespace for agent in found.manager.agents if scope.covers_agent(agent.name)}
+    return task_door(found.broker, operators, api, cluster, leadership) if found.broker else None
 
 
 def _stop_with(process: Process, manager: ApplicationManager) -> None:
@@ -235,19 +256,25 @@ def news(delivery: Delivery, catalogue: str) -> tuple[str, str] | None:
     return CATALOGUE if delivery.repository == catalogue else DEPLOYMENT, tip if isinstance(tip, str) else ""
 
 
-def _server(found: ManagerConfiguration, manager: ApplicationManager, cluster: KubernetesWorld) -> WebServer:
+def _server(
+    found: ManagerConfiguration, manager: ApplicationManager, cluster: KubernetesWorld, door: TaskDoor | None
+) -> WebServer:
     def deliver(delivery: Delivery) -> None:
         if heard := news(delivery, found.catalogue):
             manager.wake(*heard)
+
+    def metrics() -> str:
+        return metrics_text(manager.statistics) + (door_metrics(door) if door else "")
 
     return WebServer(
         found.listen.address,
         found.listen.port,
         lambda: [*manager.reasons_not_ready(), *cluster.complaints()],
-        lambda: metrics_text(manager.statistics),
+        metrics,
         found.webhook_secret.encode(),
         deliver,
         {"/plans": manager.records.as_json, "/catalogue": manager.catalogue_page},
+        posts={"/explain": Explainer(manager.what_if, cluster)},
     )
 
 

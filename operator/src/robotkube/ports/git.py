@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -32,15 +32,31 @@ class RepositoryFiles(Protocol):
         ...
 
 
+class MainHistory(RepositoryFiles, Protocol):
+    """Main with what was there before."""
+
+    def irregular(self, commit: str, folders: Sequence[str]) -> Sequence[str]:
+        """Paths of the files below `folders` in `commit` that `files` leaves out: no ordinary text files."""
+        ...
+
+    def headers(self, since: str, commits_max: int) -> Iterator[tuple[str, str]]:
+        """Id and message of main's commits after `since` (exclusive; empty = from the first), newest first."""
+        ...
+
+
 class Catalogue(RepositoryFiles, Protocol):
     """The catalogue repository: applications/, charts/, policies/."""
 
 
-class DeploymentRepository(RepositoryFiles, Protocol):
+class DeploymentRepository(MainHistory, Protocol):
     """Main of the deployment repository as the manager reads it."""
 
     def moved_to(self, commit: str) -> None:
         """Main is known to stand at `commit`, which is here: as if it had been fetched."""
+        ...
+
+    def proposal(self, number: int) -> Commit:
+        """The head commit of a pull request, fetched together with main."""
         ...
 
     def contains(self, commit: str) -> bool:
@@ -49,6 +65,11 @@ class DeploymentRepository(RepositoryFiles, Protocol):
 
     def log(self, since: str | None, commits_max: int) -> Sequence[Commit]:
         """The newest `commits_max` commits of main after `since` (exclusive; None = from the first), oldest first."""
+        ...
+
+    def touching(self, since: str | None, commits_max: int, path: str, words: Sequence[str]) -> Sequence[Commit]:
+        """Those of main's newest `commits_max` commits after `since` (exclusive; None = from the first) that change
+        `path` or whose message holds one of `words`, oldest first."""
         ...
 
 
@@ -71,7 +92,7 @@ class Proposals(Commits, Protocol):
         ...
 
 
-class MainBranch(RepositoryFiles, Protocol):
+class MainBranch(MainHistory, Protocol):
     """The deployment repository as the gate sees it."""
 
     @property

@@ -3,42 +3,54 @@
 Level-triggered and single-threaded: a step reads everything again, computes what should be on main, proposes the
 difference, looks at the decision about an earlier proposal and at the cluster. Webhooks and watches only bring the next
 step forward; after a restart the next step finds everything in Git, in the tasks and in the cluster. Tasks that arrive
-while a proposal waits for its decision are answered together by the next plan.
+while a proposal waits for its decision are answered together by the next plan. Only the process that leads writes; the
+others look at nothing until they are elected.
 """
 
 from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from robotkube.domain.errors import RefusalError, RobotKubeError, UnavailableError
+from robotkube.domain.explanations import Explanation
 from robotkube.domain.planning import Plan, describe
+from robotkube.domain.proposals import REPAIR, write_message
+from robotkube.domain.tasks import FORGE_BUSY, FORGE_UNAVAILABLE, MAIN_BROKEN
 from robotkube.ports.clusters import Cluster, TaskStore
 from robotkube.ports.forges import Forge
 from robotkube.ports.git import DeploymentRepository, Proposals
+from robotkube.ports.leadership import Leadership
 from robotkube.services.assured_catalogue import AssuredCatalogue, read_policy
+from robotkube.services.main_history import Terms
 from robotkube.services.manager_decisions import Decisions, Proposal
+from robotkube.services.manager_leading import OpenProposals, asked_for, superseded
 from robotkube.services.manager_observing import PlanObserver
 from robotkube.services.manager_planning import Planner
 from robotkube.services.manager_reading import MainReader, catalogue_page
 from robotkube.services.manager_records import PlanRecord, PlanRecords, record_of, records_of
+from robotkube.services.manager_repairing import Repairing
 from robotkube.services.manager_statuses import Situation, StatusWriter
+from robotkube.services.manager_telling import Telling
 
 DECISION_POLL_SECONDS = 1.0  # the forge's webhook is the normal way; asking costs the forge what the gate needs
 DECISION_EAGER_SECONDS = 5.0
 DECISION_POLL_SECONDS_LATER = 2.0
-ATTEMPTS_MAX = 10
+ATTEMPTS_MAX = 10  # how often a plan is built again at once; then its tasks are told, and it is tried again later
 PAUSE_SECONDS = 5.0
 LOOK_SECONDS = 10.0
+MAIN_SECONDS = 5.0  # a file broken by hand is named within 10 s, also when the forge's delivery is lost
+QUIET_SECONDS = 1.0  # nothing was planned for so long: time to tell what was observed
+STANDBY_SECONDS = 0.5
 OBSERVE_POLL_SECONDS = 1.0
 FAILURE_SECONDS = 1.0
 SILENT_SECONDS_MAX = 30.0
 SAID_SECONDS = 15.0  # after so long without the forge the tasks are told
-COMMITS_READ_MAX = 200
 TASKS, NODES, APPLICATIONS, DEPLOYMENT, CATALOGUE = "tasks", "nodes", "applications", "deployment", "catalogue"
+PLAN_STEPS = ("proposed", "merged", "refused", "outdated", "superseded", "taken_over", "repaired", "observed")
 PLANNED_FOR = frozenset({TASKS, NODES, DEPLOYMENT, CATALOGUE})
 
 log = logging.getLogger(__name__)
@@ -46,24 +58,26 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class World:
-    """The ports that the manager works with."""
+    """The ports that the manager works with; `name` is its own, which is its account at the forge."""
 
     tasks: TaskStore
     cluster: Cluster
     deployment: DeploymentRepository
     proposals: Proposals
     forge: Forge
+    leadership: Leadership
+    name: str = "manager"
 
 
 @dataclass
 class ManagerStatistics:
-    """Counted since the start."""
+    """Counted since the start; `term` is 0 while another process leads, `broken_files` are main's."""
 
-    plans: dict[str, int] = field(
-        default_factory=lambda: dict.fromkeys(("proposed", "merged", "refused", "outdated", "observed"), 0)
-    )
+    plans: dict[str, int] = field(default_factory=lambda: dict.fromkeys(PLAN_STEPS, 0))
     steps: int = 0
     failures: int = 0
+    term: int = 0
+    broken_files: int = 0
 
 
 class ApplicationManager:
@@ -92,15 +106,26 @@ class ApplicationManager:
         self._told_tip = ""
         self._demand_seen: int | None = None
         self._decisions = Decisions(world.deployment, world.forge, monotonic)
+        self._open = OpenProposals(world.deployment, world.forge, world.name)
+        self._repairing = Repairing(main, planner.foreign)
+        self._telling = Telling(world.cluster, world.forge)
+        self._terms = Terms(world.deployment, [world.name])
+        self._term: int | None = None
         self._proposal: Proposal | None = None
         self._undecided: list[PlanRecord] = []
-        self._attempts = 0
-        self._not_before = self._looked_at = self._seen_at = float("-inf")
+        self._attempts, self._exhausted = 0, False
+        self._begun = False
+        self._not_before = self._looked_at = self._main_looked_at = self._seen_at = float("-inf")
+        self._planned_at = float("-inf")
         self._problem = "has not looked at the world yet"
 
     def catalogue_page(self) -> dict[str, Any]:
         """The document of GET /catalogue."""
         return catalogue_page(self._catalogue.catalogue, self._catalogue.tip)
+
+    def what_if(self, document: Mapping[str, Any]) -> Explanation:
+        """What would become of a TaskDescription, without any effect; from any thread."""
+        return self._planner.what_if(document)
 
     # -- waking ---------------------------------------------------------------------------------------------------
 
@@ -120,7 +145,10 @@ class ApplicationManager:
         self._woken.set()
 
     def reasons_not_ready(self) -> list[str]:
-        """Empty when the forge was seen lately and nothing stops planning."""
+        """Empty when this process leads, the forge was seen lately and nothing stops planning: the deliveries of the
+        forge and people's questions go to the process that leads."""
+        if self._world.leadership.term() is None:
+            return ["another process of this manager leads"]
         silent = self._monotonic() - self._seen_at
         late = [f"the forge was not seen for {silent:.0f} s"] if SILENT_SECONDS_MAX < silent < float("inf") else []
         return late + ([self._problem] if self._problem else [])
@@ -138,6 +166,17 @@ class ApplicationManager:
                 stopping.wait(FAILURE_SECONDS)
                 pause = 0.0
 
+    def _leads(self) -> bool:
+        """Whether this process may write now. One that is newly elected begins like one that was started."""
+        term = self._world.leadership.term()
+        if term is not None and term != self._term:
+            log.info("leading manager=%s term=%d", self._world.name, term)
+            self._proposal, self._begun = None, False
+            self._term = term
+            self._again(DEPLOYMENT, CATALOGUE)
+        self.statistics.term = term or 0
+        return term is not None
+
     def _failed(self, error: RobotKubeError) -> None:
         self.statistics.failures += 1
         if self._problem != str(error):
@@ -151,7 +190,7 @@ class ApplicationManager:
         """The statuses are in the cluster, which may well answer while the forge does not."""
         text = "the forge does not answer; the task waits, and goes on when the forge is back"
         try:
-            self._statuses.write(replace(self._situation(), forge_unavailable=text))
+            self._statuses.write(replace(self._situation(), obstacle=(FORGE_UNAVAILABLE, text)))
         except RobotKubeError as error:
             log.error("statuses not written reason=%r", str(error))
 
@@ -163,7 +202,10 @@ class ApplicationManager:
     # -- one step -------------------------------------------------------------------------------------------------
 
     def step(self) -> float:
-        """Look, decide, plan, observe, report; the seconds until the next step is due without being woken."""
+        """Look, decide, plan, observe, report; the seconds until the next step is due without being woken.
+        Nothing of that while another process leads."""
+        if not self._leads():
+            return STANDBY_SECONDS
         self.statistics.steps += 1
         with self._lock:
             flags, self._flags = self._flags, set()
@@ -171,14 +213,22 @@ class ApplicationManager:
         if self._monotonic() - self._looked_at >= LOOK_SECONDS:
             flags |= {TASKS, DEPLOYMENT, CATALOGUE}
             self._looked_at = self._monotonic()
+        if self._seconds_until_due() <= 0:
+            flags |= {TASKS}
+        if self._monotonic() - self._main_looked_at >= MAIN_SECONDS:
+            flags |= {DEPLOYMENT}
         self._look(flags, told)
         if self._proposal is not None:
             self._follow(self._proposal)
+        if self._proposal is not None and TASKS in flags:
+            self._supersede(self._proposal)
         if flags & PLANNED_FOR or self._flags & PLANNED_FOR:
             self._plan_if_free()
         for record in self._observer.look(self._main.tree.releases, self._main.tip):
             self._observed(record)
         self._statuses.write(self._situation())
+        if self._proposal is None and self._monotonic() - self._planned_at > QUIET_SECONDS:
+            self._telling.tell_one()
         return self._pause()
 
     def _pause(self) -> float:
@@ -187,26 +237,36 @@ class ApplicationManager:
             return DECISION_POLL_SECONDS if eager else DECISION_POLL_SECONDS_LATER
         if self._flags & PLANNED_FOR:
             return min(max(self._not_before - self._monotonic(), 0.0), LOOK_SECONDS)
-        return OBSERVE_POLL_SECONDS if self._observer.waiting else LOOK_SECONDS
+        pause = OBSERVE_POLL_SECONDS if self._observer.waiting or self._telling.waiting else MAIN_SECONDS
+        return min(pause, max(self._seconds_until_due(), 0.0))
+
+    def _seconds_until_due(self) -> float:
+        """Until time alone changes what is wanted: a lease or a place in the queue ends."""
+        due = self._planner.next_due_ns
+        return LOOK_SECONDS if due is None else (due - self._now_ns()) / 1e9
 
     def _look(self, flags: set[str], told: str) -> None:
         """Read what may have changed in the two repositories; `told` is main's tip as the forge last told it."""
         if CATALOGUE in flags:
             self._catalogue.read()
         if DEPLOYMENT in flags or self._proposal is not None:
-            before = self._main.tip
+            self._main_looked_at = self._monotonic()
             own = self._proposal is not None and told == self._proposal.record.commit
             if self._main.read(told if own else ""):
                 self._again()
                 self._settle_undecided()
-                self._remember(before)
+                self._remember()
+            self.statistics.broken_files = len(self._main.tree.suspects)
         self._seen_at = self._monotonic()
 
-    def _remember(self, since: str) -> None:
+    def _remember(self) -> None:
         """Plans on main that this process has no record of: after a start, or when an answer of the forge was lost."""
         mine = self._proposal.record.id if self._proposal else ""
-        commits = self._world.deployment.log(since or None, COMMITS_READ_MAX)
-        unknown = [r for r in records_of(commits) if r.id != mine and not self.records.has_merged(r.id)]
+        unknown = [
+            r
+            for r in records_of(self._main.news, self._world.name)
+            if r.id != mine and not self.records.has_merged(r.id)
+        ]
         pulls = {pull.head: pull for pull in self._world.forge.pull_requests("all")} if unknown else {}
         for record in unknown:
             self._decisions.name(record, pulls.get(record.commit))
@@ -223,7 +283,7 @@ class ApplicationManager:
         outcome, text = self._decisions.look(proposal, self._main.tip)
         if outcome == "merged":
             self._merged(proposal.record)
-            self._proposal, self._attempts = None, 0
+            self._proposal, self._attempts, self._exhausted = None, 0, False
             self._planner.accepted()
             self._again()
         elif outcome == "outdated":
@@ -246,14 +306,27 @@ class ApplicationManager:
             self._undecided.remove(record)
             self._merged(record)
 
+    def _supersede(self, proposal: Proposal) -> None:
+        """Close a proposal when none of its tasks is wanted as it was; should the gate have been faster, it is on main,
+        and the next plan takes it away again."""
+        if not superseded(proposal.asked, self._world.tasks.tasks()):
+            return
+        pull = self._decisions.pull_request(proposal.record)
+        if pull is not None and not pull.merged:
+            self._open.close(pull.number, "every task of this plan was withdrawn or changed")
+        self.statistics.plans["superseded"] += 1
+        proposal.record.error = "every task of this plan was withdrawn or changed"
+        log.info("plan superseded plan=%s pull_request=%s", proposal.plan.id, proposal.record.pull_request)
+        self._put_aside(proposal, 0.0)
+
     def _outdated(self, proposal: Proposal) -> None:
         self.statistics.plans["outdated"] += 1
         self._attempts += 1
         proposal.record.error = "main moved before the gate decided; built again"
         log.info("plan outdated plan=%s attempts=%d", proposal.plan.id, self._attempts)
-        exhausted = self._attempts >= ATTEMPTS_MAX
+        if exhausted := self._attempts >= ATTEMPTS_MAX:
+            self._attempts, self._exhausted = 0, True
         self._put_aside(proposal, PAUSE_SECONDS if exhausted else 0.0)
-        self._attempts = 0 if exhausted else self._attempts
 
     def _put_aside(self, proposal: Proposal, pause: float) -> None:
         self._proposal = None
@@ -266,9 +339,20 @@ class ApplicationManager:
         proposal.record.error = text
         number = proposal.record.pull_request
         log.error("plan refused plan=%s pull_request=%s reason=%r", proposal.plan.id, number, text)
-        self._planner.refused(proposal.plan, proposal.record)
+        self._overtake()
+        if REPAIR in proposal.plan.message.kinds:
+            self._repairing.refused(proposal.plan)
+        elif not self._main.tree.problems:
+            self._planner.refused(proposal.plan, proposal.record)
         self._proposal = None
-        self._again()
+        self._again(DEPLOYMENT)
+
+    def _overtake(self) -> None:
+        """Main may have a higher term of this manager than this process has: after the Lease was lost with its cluster,
+        say. When another process leads, the election says so."""
+        last = self._terms.last(self._world.name, self._main.tip)
+        if self._term is not None and last > self._term:
+            self._world.leadership.overtake(last)
 
     # -- planning -------------------------------------------------------------------------------------------------
 
@@ -281,47 +365,90 @@ class ApplicationManager:
             self._flags -= PLANNED_FOR
             seen, self._demand_seen = self._demand_seen, None
         started = self._now_ns()
-        plan = self._planner.plan(started)
+        plan = self._planner.plan(started) if not self._main.tree.problems else self._repairing.plan(started)
         self._problem = ""
-        if plan is not None:
-            self._propose(plan, record_of(plan, seen or started, started))
+        if self._took_over(plan, seen or started, started) or plan is None:
+            return
+        named = self._repairing.named(plan)
+        self._propose(named, record_of(named, seen or started, started))
+
+    def _took_over(self, plan: Plan | None, seen: int, started: int) -> bool:
+        """Once per term: whether a proposal that is open already does what `plan` does; it is followed as if it had
+        been made here."""
+        if self._begun:
+            return False
+        pull = self._open.find(plan)
+        self._begun = True
+        if plan is None or pull is None:
+            return False
+        record = record_of(plan, seen, started)
+        record.id, record.commit = pull.topic, pull.head
+        record.pull_request, record.url = pull.number, pull.url
+        record.times["proposed"] = started
+        self.records.add(record)
+        self.statistics.plans["taken_over"] += 1
+        self._proposal = Proposal(plan, record, self._monotonic(), asked=asked_for(plan, self._planner.tasks))
+        log.info("plan taken over plan=%s pull_request=%d", record.id, pull.number)
+        return True
 
     def _propose(self, plan: Plan, record: PlanRecord) -> None:
-        record.commit = self._world.proposals.commit(plan.base, plan.files, plan.text)
-        policy, _ = read_policy(self._catalogue.files)
-        suites = [rule.name for rule in policy.suites] if policy else []
-        body = describe(plan, self._planner.desired, self._planner.tasks, self._catalogue.catalogue, suites)
-        proposal = Proposal(plan, record, self._monotonic())
+        if self._term is None or self._world.leadership.term() != self._term:
+            self._again()
+            return
+        message = write_message(plan.message.signed(self._world.name, self._term))
+        record.commit = self._world.proposals.commit(plan.base, plan.files, message)
+        proposal = Proposal(plan, record, self._monotonic(), asked=asked_for(plan, self._planner.tasks))
         self.records.add(record)
         try:
-            record.pull_request = self._world.proposals.propose(record.commit, plan.id, plan.title, body)
+            number = self._world.proposals.propose(record.commit, plan.id, plan.title, self._body(plan))
+            record.pull_request = number
         except RefusalError as error:
             self._refused(proposal, error.message)
             return
         record.times["proposed"] = self._now_ns()
         self.statistics.plans["proposed"] += 1
-        self._proposal = proposal
+        self._proposal, self._planned_at = proposal, self._monotonic()
         log.info(
             "plan proposed plan=%s pull_request=%s created=%d changed=%d removed=%d milliseconds=%.0f subject=%r",
             *(plan.id, record.pull_request, len(record.created), len(record.changed), len(record.removed)),
             *((record.times["proposed"] - record.times["started"]) / 1e6, plan.title),
         )
 
+    def _body(self, plan: Plan) -> str:
+        if REPAIR in plan.message.kinds:
+            return self._repairing.describe(plan)
+        policy, _ = read_policy(self._catalogue.files)
+        suites = [rule.name for rule in policy.suites] if policy else []
+        return describe(plan, self._planner.desired, self._planner.tasks, self._catalogue.catalogue, suites)
+
     # -- reporting ------------------------------------------------------------------------------------------------
 
     def _situation(self) -> Situation:
         return Situation(
-            outcomes=self._planner.desired.outcomes,
+            outcomes=self._planner.outcomes,
+            offloaded=self._planner.offloaded,
             held=self._planner.held,
+            waiting=self._planner.waiting,
             present=self._main.tree.releases,
             applications=self._world.cluster.applications(),
             proposed=self._proposal.record if self._proposal else None,
             committed=self.records.committed,
+            obstacle=self._obstacle(),
         )
+
+    def _obstacle(self) -> tuple[str, str] | None:
+        """Reason and words of what holds every plan of this manager."""
+        if broken := self._repairing.broken:
+            return MAIN_BROKEN, broken
+        if self._exhausted:
+            text = f"main moved {ATTEMPTS_MAX} times before the gate decided; tried again every {PAUSE_SECONDS:.0f} s"
+            return FORGE_BUSY, text
+        return None
 
     def _observed(self, record: PlanRecord) -> None:
         """The one line per plan."""
         self.statistics.plans["observed"] += 1
+        self._telling.observed(record)
         begin = record.times.get("demand_seen", 0)
         steps = " ".join(f"{name}_ms={(at - begin) / 1e6:.0f}" for name, at in record.times.items() if begin)
         log.info(
@@ -338,6 +465,10 @@ def metrics_text(statistics: ManagerStatistics) -> str:
         *(f'robotkube_manager_plans_total{{step="{k}"}} {v}' for k, v in statistics.plans.items()),
         "# TYPE robotkube_manager_steps_total counter",
         f"robotkube_manager_steps_total {statistics.steps}",
+        "# TYPE robotkube_manager_term gauge",
+        f"robotkube_manager_term {statistics.term}",
+        "# TYPE robotkube_manager_broken_files gauge",
+        f"robotkube_manager_broken_files {statistics.broken_files}",
         "# TYPE robotkube_manager_failures_total counter",
         f"robotkube_manager_failures_total {statistics.failures}",
     ]

@@ -17,9 +17,9 @@ from typing import Any
 
 from robotkube.domain import verdict_texts
 from robotkube.domain.checks import Proposal, Verdict
-from robotkube.domain.checks_releases import Validate
 from robotkube.domain.errors import DocumentError, RobotKubeError
 from robotkube.domain.merging import APPROVAL, AUTOMATIC, Way, is_approved
+from robotkube.domain.values_schemas import Validate
 from robotkube.ports.forges import Forge, PullRequest, PushHook
 from robotkube.ports.git import Commit, MainBranch
 from robotkube.services.assured_catalogue import AssuredCatalogue
@@ -235,7 +235,7 @@ class Gate:
         verdict = self._rules.judge(pull.author, proposal)
         if verdict.problems and self._rules.refresh():
             verdict = self._rules.judge(pull.author, proposal)
-        way = self._rules.merge_policy().way(pull.author, proposal.paths)
+        way = AUTOMATIC if verdict.repair else self._rules.merge_policy().way(pull.author, proposal.paths)
         asks = way == APPROVAL and not (plans and not verdict.accepted)
         approved = asks and is_approved(
             self._forge.reviews(pull.number), commit.id, pull.author, self._settings.accounts

@@ -13,13 +13,16 @@ from functools import lru_cache
 from typing import Any
 
 from robotkube.domain import checks
-from robotkube.domain.checks_releases import Rules, Validate
+from robotkube.domain.checks_releases import Rules
 from robotkube.domain.errors import DocumentError
 from robotkube.domain.merging import PATH as MERGE_PATH
 from robotkube.domain.merging import MergePolicy, read_merge_policy
-from robotkube.domain.releases import RELEASES, SOURCES, read_tree
+from robotkube.domain.releases import read_tree
+from robotkube.domain.repairs import repair
+from robotkube.domain.values_schemas import Validate
 from robotkube.ports.git import Commit, MainBranch
 from robotkube.services.assured_catalogue import AssuredCatalogue
+from robotkube.services.main_history import Terms, older_files, release_files
 
 SCHEMAS_KEPT_MAX = 512
 
@@ -54,6 +57,8 @@ class RuleBook:
         self, settings: GateSettings, main: MainBranch, catalogue: AssuredCatalogue, validate: Validate
     ) -> None:
         self._settings, self._main, self._catalogue, self._validate = settings, main, catalogue, validate
+        self._terms = Terms(main, settings.accounts)
+        self._repaired: tuple[str, Mapping[str, str | None]] = ("", {})
 
     def refresh(self) -> bool:
         """Read the catalogue and the keys again; whether anything changed."""
@@ -72,7 +77,16 @@ class RuleBook:
             schema=self._schema,
             validate=self._validate,
             others=others,
+            last_term=self._terms.last(account, self._main.tip),
+            repair=self._repair(),
         )
+
+    def _repair(self) -> Mapping[str, str | None]:
+        """What would bring main back; computed once per tip, and looked back for only when something is broken."""
+        if self._repaired[0] != self._main.tip:
+            files = release_files(self._main, self._main.tip)
+            self._repaired = (self._main.tip, repair(files, older_files(self._main)))
+        return self._repaired[1]
 
     def _schema(self, chart: str, version: str) -> Mapping[str, Any] | None:
         text = self._catalogue.files.get(f"charts/{chart}/{version}.schema.json")
@@ -80,7 +94,7 @@ class RuleBook:
 
     def proposal(self, commit: Commit) -> checks.Proposal:
         """What a commit brings to main."""
-        files = self._main.files(self._main.tip, (RELEASES, SOURCES))
+        files = release_files(self._main, self._main.tip)
         after = checks.folders_of(checks.apply_changes(files, commit.changes))
         return checks.Proposal(
             commit.parents, commit.message, commit.changes, commit.irregular, read_tree(files), read_tree(after)

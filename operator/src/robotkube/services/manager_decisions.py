@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Literal
 
 from robotkube.domain.planning import Plan
@@ -21,12 +21,14 @@ Outcome = Literal["merged", "outdated", "refused", "waiting"]
 
 @dataclass
 class Proposal:
-    """A plan that waits for the gate; `since` and `asked` (when its comments were read) in monotonic seconds."""
+    """A plan that waits for the gate; `since` and `read` (when its comments were) in monotonic seconds; `asked`: what
+    of its tasks it answers (see manager_leading.asked_for)."""
 
     plan: Plan
     record: PlanRecord
     since: float
-    asked: float = float("-inf")
+    read: float = float("-inf")
+    asked: Mapping[str, str] = field(default_factory=dict)
 
 
 class Decisions:
@@ -73,9 +75,9 @@ class Decisions:
 
     def _say_what_it_waits_for(self, proposal: Proposal) -> None:
         number = proposal.record.pull_request
-        if number is None or self._monotonic() - proposal.asked < COMMENTS_SECONDS:
+        if number is None or self._monotonic() - proposal.read < COMMENTS_SECONDS:
             return
-        proposal.asked = self._monotonic()
+        proposal.read = self._monotonic()
         text = self._last_word(number)
         if text.startswith(WAITS):
             proposal.record.waits = (WAITS_FOR_APPROVAL, f"pull request {number}: {text}")

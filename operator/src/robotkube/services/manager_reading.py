@@ -1,4 +1,4 @@
-"""What the manager has read of main: its files as values, people's policy; and the catalogue as a page.
+"""What the manager has read of main: its files as values, people's policies and edits; and the catalogue as a page.
 
 The last good version stays while a newer one is broken: a broken file must never look like a withdrawal.
 """
@@ -6,17 +6,24 @@ The last good version stays while a newer one is broken: a broken file must neve
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from robotkube.domain.catalogue import Catalogue
 from robotkube.domain.catalogue_documents import entry_documents
+from robotkube.domain.edits import PATH as EDITS_PATH
+from robotkube.domain.edits import RESPECT, REVERT, EditsPolicy, read_edits_policy, respected
 from robotkube.domain.errors import InputError
 from robotkube.domain.initial import PATH as INITIAL_PATH
 from robotkube.domain.initial import InitialPolicy, read_initial_policy
-from robotkube.domain.releases import RELEASES, SOURCES, Tree, read_tree
-from robotkube.ports.git import DeploymentRepository
+from robotkube.domain.planning import Change
+from robotkube.domain.releases import RELEASES, Tree, read_tree
+from robotkube.domain.repairs import repair
+from robotkube.ports.git import Commit, DeploymentRepository
+from robotkube.services.main_history import older_files, release_files, term_of
 
 POLICIES = "policies"
+COMMITS_READ_MAX = 200
 
 log = logging.getLogger(__name__)
 
@@ -27,7 +34,10 @@ def catalogue_page(catalogue: Catalogue, tip: str) -> dict[str, Any]:
 
 
 class MainReader:
-    """Main of the deployment repository: its releases and sources, and policies/initial.yaml."""
+    """Main of the deployment repository: its releases and sources, policies/initial.yaml and policies/edits.yaml.
+
+    `edits` are the releases whose file a person was the last to change: path -> the person's commit. `news` are the
+    commits that the last reading brought, oldest first, at most COMMITS_READ_MAX."""
 
     def __init__(self, repository: DeploymentRepository) -> None:
         self._repository = repository
@@ -35,6 +45,11 @@ class MainReader:
         self.tree = Tree({}, {})
         self.policy = InitialPolicy()
         self.policy_text = ""
+        self.edits_policy: EditsPolicy = REVERT
+        self.edits: dict[str, str] = {}
+        self.news: Sequence[Commit] = ()
+        self._files: Mapping[str, str] = {}
+        self._wanted_first: dict[str, str] = {}
         self._policy_good = False
 
     def read(self, known: str = "") -> bool:
@@ -47,13 +62,43 @@ class MainReader:
             raise InputError("the deployment repository has no main branch yet; nothing is planned")
         if newest == self.tip:
             return False
-        files = self._repository.files(newest, (RELEASES, SOURCES, POLICIES))
-        self._read_policy(files.get(INITIAL_PATH, "{}\n"), newest)
-        self.tree = read_tree({path: text for path, text in files.items() if not path.startswith(f"{POLICIES}/")})
+        policies = self._repository.files(newest, (POLICIES,))
+        self._read_policy(policies.get(INITIAL_PATH, "{}\n"), newest)
+        self._read_edits_policy(policies.get(EDITS_PATH, ""), newest)
+        self._files = release_files(self._repository, newest)
+        self.tree = read_tree(self._files)
+        self.news = self._repository.log(self.tip or None, COMMITS_READ_MAX)
+        self._note_edits(self.news)
         self.tip = newest
         for problem in self.tree.problems:
             log.error("main has a broken file commit=%s problem=%r", newest[:12], problem)
         return True
+
+    def repair(self) -> dict[str, str | None]:
+        """What brings a broken main back: path -> text, None removes; empty when nothing is broken."""
+        return repair(self._files, older_files(self._repository)) if self.tree.problems else {}
+
+    def reverted(self, paths: Iterable[str]) -> tuple[str, ...]:
+        """The commits of people that a plan which writes `paths` undoes."""
+        return tuple(sorted({self.edits[path] for path in paths if path in self.edits}))
+
+    def respected(self, changes: Sequence[Change]) -> tuple[Change, ...]:
+        """Those of `changes` that may be made although people edited main."""
+        if self.edits_policy == RESPECT:
+            return respected(changes, self.edits, self._wanted_first)
+        self._wanted_first.clear()
+        return tuple(changes)
+
+    def _note_edits(self, commits: Iterable[Commit]) -> None:
+        for commit in commits:
+            by_a_plan = term_of(commit.message) is not None
+            for path in (*commit.changes, *commit.irregular):
+                if not path.startswith(f"{RELEASES}/") or path.endswith("/.gitkeep"):
+                    continue
+                if by_a_plan:
+                    self.edits.pop(path, None)
+                else:
+                    self.edits[path] = commit.id
 
     def _read_policy(self, text: str, commit: str) -> None:
         try:
@@ -61,4 +106,10 @@ class MainReader:
         except InputError as error:
             if not self._policy_good:
                 raise
+            log.error("policy not taken commit=%s problem=%r", commit[:12], str(error))
+
+    def _read_edits_policy(self, text: str, commit: str) -> None:
+        try:
+            self.edits_policy = read_edits_policy(text) if text else REVERT
+        except InputError as error:
             log.error("policy not taken commit=%s problem=%r", commit[:12], str(error))

@@ -9,7 +9,7 @@ from typing import Any
 
 from robotkube.domain.errors import DocumentError
 from robotkube.domain.planning import ADD, CHANGE, REMOVE, Plan, come_and_go
-from robotkube.domain.proposals import CommitMessage, read_message
+from robotkube.domain.proposals import INITIAL, CommitMessage, read_message
 from robotkube.domain.releases import RELEASES
 from robotkube.ports.git import Commit
 
@@ -97,7 +97,7 @@ def record_of(plan: Plan, demand_seen: int, started: int) -> PlanRecord:
     return PlanRecord(
         id=plan.id,
         subject=plan.title,
-        cause="task" if come else "withdrawal" if go else "initial",
+        cause="task" if come else "withdrawal" if go else _kind(plan.message),
         tasks=tuple(c.task for c in plan.message.causes),
         events=tuple(c.event for c in plan.message.causes),
         base=plan.base,
@@ -108,13 +108,15 @@ def record_of(plan: Plan, demand_seen: int, started: int) -> PlanRecord:
     )
 
 
-def records_of(commits: Iterable[Commit]) -> Iterator[PlanRecord]:
-    """Records of the plans among main's commits (oldest first); other commits are left out. Their times are not known
-    any more; `on_main` says that they were merged."""
+def records_of(commits: Iterable[Commit], manager: str) -> Iterator[PlanRecord]:
+    """Records of the plans of `manager` among main's commits (oldest first); other commits are left out. Their times
+    are not known any more; `on_main` says that they were merged."""
     for commit in commits:
         try:
             message = read_message(commit.message)
         except DocumentError:
+            continue
+        if message.manager != manager:
             continue
         paths = [path for path in commit.changes if path.startswith(f"{RELEASES}/")]
         yield PlanRecord(
@@ -133,8 +135,12 @@ def records_of(commits: Iterable[Commit]) -> Iterator[PlanRecord]:
 
 def _cause(message: CommitMessage) -> str:
     if not message.causes:
-        return "initial"
+        return _kind(message)
     return "withdrawal" if message.verb == "withdraw" else "task"
+
+
+def _kind(message: CommitMessage) -> str:
+    return message.kinds[0] if message.kinds else INITIAL
 
 
 def _key(path: str) -> str:

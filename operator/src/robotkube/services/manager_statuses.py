@@ -8,14 +8,17 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 
-from robotkube.domain.composition import Met, Refused
+from robotkube.domain.conflicts import Outcome, Postponed
+from robotkube.domain.demands import time_text
 from robotkube.domain.errors import InputError, RobotKubeError
+from robotkube.domain.ledger import moment
 from robotkube.domain.observation import ApplicationState, Verdict, judge_present
 from robotkube.domain.releases import RELEASES, Release, application_name
 from robotkube.domain.tasks import (
-    FORGE_UNAVAILABLE,
+    HELD_BY_AGENT,
     MERGED,
     OBSTACLES,
+    POSTPONED,
     PROPOSAL_REFUSED,
     PROPOSED,
     REFUSAL_REASONS,
@@ -26,10 +29,12 @@ from robotkube.domain.tasks import (
     object_key,
     write_conditions,
 )
+from robotkube.domain.worlds import Met, Refused
 from robotkube.ports.clusters import TaskStore
 from robotkube.services.manager_records import PlanRecord
 
 MESSAGE_CHARACTERS_MAX = 4096
+NOTHING: Mapping[str, Any] = dict.fromkeys(("plan", "pullRequest", "commit", "releases", "queue", "offloaded"))
 UNSEEN = {"Accepted": "Unknown", "Committed": "False"}  # conditions of a task that could not be looked at yet
 TOLD = frozenset({*REFUSAL_REASONS, PROPOSAL_REFUSED, *OBSTACLES})
 
@@ -38,17 +43,20 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Situation:
-    """Everything a status is derived from. `outcomes` by task key; `held` are refusals of the gate by task key;
-    `proposed` is the plan under decision; `committed` finds the newest plan on main that names a task;
-    `forge_unavailable` says that nothing can be proposed or merged now (else empty)."""
+    """Everything a status is derived from. `outcomes` by task key; `offloaded` are tasks that run elsewhere; `held` are
+    refusals of the gate by task key; `waiting` says which agents hold changes of a task; `proposed` is the plan under
+    decision; `committed` finds the newest plan on main that names a task; `obstacle` is reason and message of what
+    keeps every plan from main now."""
 
-    outcomes: Mapping[str, Met | Refused] = field(default_factory=dict)
+    outcomes: Mapping[str, Outcome] = field(default_factory=dict)
+    offloaded: frozenset[str] = frozenset()
     held: Mapping[str, PlanRecord] = field(default_factory=dict)
+    waiting: Mapping[str, str] = field(default_factory=dict)
     present: Mapping[str, Release] = field(default_factory=dict)
     applications: Mapping[str, ApplicationState] = field(default_factory=dict)
     proposed: PlanRecord | None = None
     committed: Callable[[str], PlanRecord | None] = lambda task: None
-    forge_unavailable: str = ""
+    obstacle: tuple[str, str] | None = None
 
 
 class StatusWriter:
@@ -89,9 +97,9 @@ class StatusWriter:
         self, document: Mapping[str, Any], conditions: Sequence[Condition], before: Sequence[Mapping[str, Any]]
     ) -> None:
         """What stands in a task's way, when it is new, as an Event as well; the status does not depend on that."""
-        known = {(c.get("type"), c.get("reason"), c.get("message")) for c in before}
+        known = {_said(c.get("type"), c.get("reason"), c.get("message")) for c in before}
         for condition in conditions:
-            if condition.reason not in TOLD or (condition.type, condition.reason, condition.message) in known:
+            if condition.reason not in TOLD or _said(condition.type, condition.reason, condition.message) in known:
                 continue
             try:
                 self._tasks.tell(document, condition.reason, condition.message)
@@ -108,6 +116,11 @@ class StatusWriter:
             return True
 
 
+def _said(kind: Any, reason: Any, message: Any) -> tuple[Any, ...]:
+    """What makes an Event new: for a task that waits, not its position."""
+    return (kind, reason) if reason == POSTPONED else (kind, reason, message)
+
+
 def _identity(document: Mapping[str, Any] | None) -> str | None:
     return object_identity(document) if document is not None else None
 
@@ -119,15 +132,18 @@ def derive(key: str, situation: Situation) -> tuple[list[Condition], dict[str, A
         obstacle = _obstacle(situation)
         return [Condition(kind, status, *obstacle) for kind, status in UNSEEN.items() if obstacle], {}
     if isinstance(outcome, Refused):
-        refusal = Condition("Accepted", "False", outcome.reason, outcome.message[:MESSAGE_CHARACTERS_MAX])
-        return [refusal], {"plan": None, "pullRequest": None, "commit": None, "releases": None}
+        return [Condition("Accepted", "False", outcome.reason, _bounded(outcome.message))], dict(NOTHING)
+    if isinstance(outcome, Postponed):
+        queue = {"since": time_text(outcome.since_ns), "until": moment(outcome.until_ns), "position": outcome.position}
+        return [Condition("Accepted", "False", POSTPONED, _bounded(outcome.message))], {**NOTHING, "queue": queue}
     accepted = Condition("Accepted", "True", "Accepted", _bounded("; ".join(outcome.choices)))
     committed, record = _committed(key, outcome, situation)
     verdicts = _verdicts(outcome, situation)
     conditions = [accepted, committed]
     if committed.status == "True":
         conditions += [_synced(verdicts), _ready(verdicts)]
-    return conditions, {"releases": list(outcome.releases), **_facts(record)}
+    offloaded = True if key in situation.offloaded else None
+    return conditions, {"releases": list(outcome.releases), "queue": None, "offloaded": offloaded, **_facts(record)}
 
 
 def _bounded(text: str) -> str:
@@ -146,6 +162,8 @@ def _facts(record: PlanRecord | None) -> dict[str, Any]:
 
 
 def _committed(key: str, outcome: Met, situation: Situation) -> tuple[Condition, PlanRecord | None]:
+    if key in situation.waiting:
+        return Condition("Committed", "False", HELD_BY_AGENT, _bounded(situation.waiting[key])), None
     found = [situation.present.get(f"{RELEASES}/{name}.yaml") for name in outcome.releases]
     if found and all(release and key in {c.task for c in release.causes} for release in found):
         record = situation.committed(key)
@@ -160,8 +178,8 @@ def _committed(key: str, outcome: Met, situation: Situation) -> tuple[Condition,
 
 def _obstacle(situation: Situation) -> tuple[str, str] | None:
     """Reason and message of what holds every plan; None when nothing does."""
-    if situation.forge_unavailable:
-        return FORGE_UNAVAILABLE, situation.forge_unavailable
+    if situation.obstacle:
+        return situation.obstacle[0], _bounded(situation.obstacle[1])
     proposed = situation.proposed
     return (proposed.waits[0], _bounded(proposed.waits[1])) if proposed is not None and proposed.waits else None
 

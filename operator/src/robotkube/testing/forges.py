@@ -4,7 +4,7 @@ decisions a test makes."""
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from robotkube.domain.errors import InputError, UnavailableError
@@ -22,6 +22,7 @@ class MemoryRepository:
     tip: str = ""
     away: bool = False
     fetches: int = 0
+    heads: dict[int, str] = field(default_factory=dict)
 
     def fetch(self) -> str:
         """Main's tip."""
@@ -37,6 +38,20 @@ class MemoryRepository:
         """Files below the folders."""
         return {p: t for p, t in self.trees[commit].items() if any(p.startswith(f"{folder}/") for folder in folders)}
 
+    def irregular(self, commit: str, folders: Sequence[str]) -> Sequence[str]:
+        """Memory holds texts only."""
+        return ()
+
+    def headers(self, since: str, commits_max: int) -> Iterator[tuple[str, str]]:
+        """Main's newest commits, newest first."""
+        for commit in reversed(self.log(since or None, commits_max)):
+            yield commit.id, commit.message
+
+    def proposal(self, number: int) -> Commit:
+        """The head of a pull request."""
+        self._reach()
+        return self.commits[self.heads[number]]
+
     def contains(self, commit: str) -> bool:
         """Whether a commit is on main."""
         return any(found.id == commit for found in self.log(None, len(self.commits)))
@@ -49,6 +64,11 @@ class MemoryRepository:
             found.append(self.commits[at])
             at = self.commits[at].parents[0] if self.commits[at].parents else ""
         return found[::-1]
+
+    def touching(self, since: str | None, commits_max: int, path: str, words: Sequence[str]) -> Sequence[Commit]:
+        """Main's newest commits that change the path or hold a word."""
+        found = self.log(since, commits_max)
+        return [c for c in found if path in c.changes or any(word in c.message for word in words)]
 
     def commit(self, parent: str, changes: Mapping[str, str | None], message: str, merged: str = "") -> str:
         """A commit that is not on main; `merged` is its second parent."""
@@ -94,6 +114,7 @@ class MemoryForge:
         number = len(self.pulls) + 1
         pull = PullRequest(number, f"http://forge/pulls/{number}", title, "manager", "open", commit, False, topic=topic)
         self.pulls[number], self.bodies[number], self.said[number] = pull, body, []
+        self.repository.heads[number] = commit
         self.decide(pull)
         return number if self.tell_numbers else None
 

@@ -1,0 +1,179 @@
+"""Leader election between the processes of one manager, on a Lease (coordination.k8s.io/v1) with optimistic locking.
+
+    holderIdentity    the pod that leads; empty when it left in good order
+    leaseTransitions  the term: one more at every take-over, also by another process of the same pod
+
+The client library's own election is not used: it works on a ConfigMap, counts no transitions and cannot be ended.
+A leader writes as long as its last successful renewal began less than HOLD_SECONDS ago by its own clock; others wait
+LEASE_SECONDS without any renewal, by theirs. So no two lead at once as long as clocks run alike, whatever they show.
+A process that stood still in between is stopped by its term, which the gate compares with main.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+import urllib3
+from kubernetes import client
+
+from robotkube.domain.errors import InputError, RobotKubeError, UnavailableError
+from robotkube.ports.writing import writes
+
+LEASE_SECONDS = 8
+HOLD_SECONDS = 6.0
+RENEW_SECONDS = 2.0
+REQUEST_SECONDS_MAX = 3.0
+NOT_FOUND, CONFLICT = 404, 409
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """A Lease as it was read, and when it was first seen so (monotonic seconds)."""
+
+    version: str
+    holder: str
+    term: int
+    at: float
+
+
+class LeaseElection:
+    """The port Leadership for the Lease `namespace`/`name`; `identity` is this pod's name. `monotonic` is a clock in
+    seconds that never goes back, `now` the time of day, `changed` is called when this process begins or ceases to lead.
+
+    `start` elects on a thread of its own; `stop` gives the Lease back."""
+
+    def __init__(
+        self,
+        api: client.ApiClient,
+        namespace: str,
+        name: str,
+        identity: str,
+        monotonic: Callable[[], float],
+        now: Callable[[], datetime],
+        changed: Callable[[], None],
+    ) -> None:
+        self._leases = client.CoordinationV1Api(api)
+        self._namespace, self._name, self._identity = namespace, name, identity
+        self._monotonic, self._now, self._changed = monotonic, now, changed
+        self._stopping, self._woken = threading.Event(), threading.Event()
+        self._thread: threading.Thread | None = None
+        self._seen: _Seen | None = None
+        self._term, self._held_until, self._floor = 0, float("-inf"), 0
+        self.complaint = "no election was held yet"
+
+    def term(self) -> int | None:
+        """The term while this process leads."""
+        leads = self._monotonic() < self._held_until and self._term > self._floor
+        return self._term if leads else None
+
+    def overtake(self, term: int) -> None:
+        """Be elected with a term above this one."""
+        if term > self._floor:
+            self._floor = term
+            self._woken.set()
+
+    def start(self) -> None:
+        """Begin on a thread of its own."""
+        self._thread = threading.Thread(target=self._run, name=f"election {self._name}", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End; a leader gives its Lease back, so that the next one need not wait for its end."""
+        self._stopping.set()
+        self._woken.set()
+        if self._thread is not None:
+            self._thread.join(2 * REQUEST_SECONDS_MAX)
+        if self.term() is not None and self._seen is not None:
+            self._held_until = float("-inf")
+            try:
+                self._write(self._seen, "", self._term)
+            except RobotKubeError as error:
+                log.warning("lease not given back lease=%s reason=%s", self._name, error)
+
+    def _run(self) -> None:
+        while not self._stopping.is_set():
+            led = self.term()
+            self._woken.clear()
+            try:
+                self.try_to_lead()
+            except RobotKubeError as error:
+                self.complaint = str(error)
+                log.warning("election failed lease=%s reason=%s", self._name, error)
+            if self.term() != led:
+                log.info("leading lease=%s term=%s", self._name, self.term())
+                self._changed()
+            self._woken.wait(RENEW_SECONDS)
+
+    def try_to_lead(self) -> None:
+        """Renew, take over, or see that another one leads. UnavailableError, InputError: nobody knows."""
+        began = self._monotonic()
+        seen = self._seen = self._read() or self._create()
+        mine = seen.holder == self._identity and seen.term == self._term
+        free = seen.holder in ("", self._identity) or began - seen.at > LEASE_SECONDS
+        if mine and seen.term > self._floor:
+            written = self._write(seen, self._identity, self._term)
+        elif free:
+            written = self._write(seen, self._identity, max(seen.term, self._floor) + 1)
+        else:
+            self.complaint = f"{seen.holder} leads"
+            return
+        if written is not None:
+            self._seen, self._term = written, written.term
+            self._held_until = began + HOLD_SECONDS
+            self.complaint = ""
+
+    def _read(self) -> _Seen | None:
+        found = self._call(self._leases.read_namespaced_lease, self._name, self._namespace)
+        if found is None:
+            return None
+        spec = found.spec
+        version, holder = found.metadata.resource_version, spec.holder_identity or ""
+        if self._seen is not None and self._seen.version == version:
+            return self._seen
+        return _Seen(version, holder, spec.lease_transitions or 0, self._monotonic())
+
+    def _create(self) -> _Seen:
+        """An empty Lease, unless another process was faster."""
+        body = {"metadata": {"name": self._name, "namespace": self._namespace}, "spec": {"leaseTransitions": 0}}
+        self._make(body)
+        found = self._read()
+        if found is None:
+            raise UnavailableError(f"lease {self._namespace}/{self._name} is gone again")
+        return found
+
+    @writes("lease")
+    def _make(self, body: dict[str, Any]) -> None:
+        self._call(self._leases.create_namespaced_lease, self._namespace, body)
+
+    @writes("lease")
+    def _write(self, seen: _Seen, holder: str, term: int) -> _Seen | None:
+        """Put holder and term into the Lease as it was seen; None when somebody else was faster."""
+        now = self._now().strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+        spec = {"holderIdentity": holder, "leaseDurationSeconds": LEASE_SECONDS, "leaseTransitions": term}
+        times = {"renewTime": now} | ({"acquireTime": now} if term != self._term else {})
+        metadata = {"name": self._name, "namespace": self._namespace, "resourceVersion": seen.version}
+        body = {"metadata": metadata, "spec": {**spec, **times}}
+        found = self._call(self._leases.replace_namespaced_lease, self._name, self._namespace, body)
+        if found is None:
+            return None
+        return _Seen(found.metadata.resource_version, holder, term, self._monotonic())
+
+    def _call(self, method: Callable[..., Any], *arguments: Any) -> Any:
+        """None: not there, or changed by somebody else meanwhile."""
+        try:
+            return method(*arguments, _request_timeout=REQUEST_SECONDS_MAX)
+        except client.ApiException as error:
+            if error.status in (NOT_FOUND, CONFLICT):
+                return None
+            text = f"lease {self._namespace}/{self._name}: {error.status} {error.reason}"
+            passing = error.status in (0, 429) or error.status >= 500
+            raise UnavailableError(text) if passing else InputError(text) from error
+        except (urllib3.exceptions.HTTPError, OSError) as error:
+            raise UnavailableError(f"lease {self._namespace}/{self._name}: {error}") from error

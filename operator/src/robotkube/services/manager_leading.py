@@ -1,0 +1,74 @@
+"""Proposals across processes and changes of mind: an open one is found again by its plan, an unwanted one is closed.
+
+A process that begins to lead finds the open pull requests of the one before it: the one that does exactly what would be
+proposed now is taken over, all others are closed. A proposal whose tasks were all withdrawn or changed is closed, too.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from robotkube.domain.errors import InputError
+from robotkube.domain.planning import Plan, come_and_go
+from robotkube.domain.releases import PLAN
+from robotkube.domain.tasks import TaskDescription, is_withdrawn, object_identity, object_key
+from robotkube.ports.forges import Forge, PullRequest
+from robotkube.ports.git import DeploymentRepository
+
+DIGITS = 6  # of a plan's id: what it does, on which base
+
+log = logging.getLogger(__name__)
+
+
+class OpenProposals:
+    """Open pull requests of the manager's account `name`."""
+
+    def __init__(self, deployment: DeploymentRepository, forge: Forge, name: str) -> None:
+        self._deployment, self._forge, self._name = deployment, forge, name
+
+    def find(self, plan: Plan | None) -> PullRequest | None:
+        """The one that does what `plan` does, on the same base; every other one is closed."""
+        found = None
+        for pull in self._forge.pull_requests("open", self._name):
+            if found is None and plan is not None and self._same(pull, plan):
+                found = pull
+            elif PLAN.fullmatch(pull.topic):
+                self.close(pull.number, "the manager began anew, and does not want this any more")
+        return found
+
+    def _same(self, pull: PullRequest, plan: Plan) -> bool:
+        if not PLAN.fullmatch(pull.topic) or pull.topic[-DIGITS:] != plan.id[-DIGITS:]:
+            return False
+        return self._deployment.proposal(pull.number).parents == (plan.base,)
+
+    def close(self, number: int, why: str) -> None:
+        """Say why and close; nothing when the gate was faster."""
+        try:
+            self._forge.comment(number, f"Superseded: {why}.\n")
+            self._forge.close(number)
+        except InputError as error:
+            log.info("proposal not closed pull_request=%d reason=%s", number, error)
+
+
+def asked_for(plan: Plan, tasks: Mapping[str, TaskDescription]) -> dict[str, str]:
+    """Task -> what of it the plan answers, for a plan that does nothing but answer tasks; else empty."""
+    come, go = come_and_go(plan.changes)
+    if go or plan.message.kinds or any(cause.task not in tasks for cause in come):
+        return {}
+    return {cause.task: _answered(tasks[cause.task].identity, tasks[cause.task].generation) for cause in come}
+
+
+def superseded(asked: Mapping[str, str], documents: Iterable[Mapping[str, Any]]) -> bool:
+    """Whether none of the tasks stands as it was asked for any more."""
+    now = {
+        object_key(d): _answered(object_identity(d), int(d["metadata"].get("generation", 1)))
+        for d in documents
+        if not is_withdrawn(d)
+    }
+    return bool(asked) and all(now.get(task) != answered for task, answered in asked.items())
+
+
+def _answered(identity: str, generation: int) -> str:
+    return f"{identity} {generation}"

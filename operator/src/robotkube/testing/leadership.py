@@ -1,0 +1,21 @@
+"""An election in memory, whose outcome a test decides: port Leadership."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass
+class MemoryLeadership:
+    """`number` is the term of this process; None while another one leads."""
+
+    number: int | None = 1
+
+    def term(self) -> int | None:
+        """The term that the test gave it."""
+        return self.number
+
+    def overtake(self, term: int) -> None:
+        """Elected again, when it leads at all."""
+        if self.number is not None:
+            self.number = max(self.number, term + 1)
