@@ -31,6 +31,16 @@ topic readwrite mqtt/vehicles/{{ include "robotkube.ros" .name }}/#
 {{- else }}
 topic read mqtt/#
 {{- end }}
+topic write robotkube/tasks/{{ .name }}
+topic read robotkube/task_status/{{ .name }}
+{{- end }}
+{{- range $manager := fromYamlArray (include "robotkube.managers" .) }}
+
+user {{ .name }}
+{{- range (has "*" .scope.agents) | ternary (list "#") .scope.agents }}
+topic read robotkube/tasks/{{ . }}
+topic write robotkube/task_status/{{ . }}
+{{- end }}
 {{- end }}
 {{- end }}
 
@@ -38,5 +48,8 @@ topic read mqtt/#
 observer:{{ include "robotkube.password" (dict "root" . "purpose" "broker" "account" "observer") }}
 {{- range .Values.agents }}
 {{ .name }}:{{ include "robotkube.password" (dict "root" $ "purpose" "broker" "account" .name) }}
+{{- end }}
+{{- range splitList " " (include "robotkube.managerNames" .) }}
+{{ . }}:{{ include "robotkube.password" (dict "root" $ "purpose" "broker" "account" .) }}
 {{- end }}
 {{- end }}

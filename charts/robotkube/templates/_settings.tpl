@@ -27,6 +27,10 @@ evidence:
   keys: /etc/robotkube/keys
 agents:
 {{- include "robotkube.agents" . }}
+broker:
+  host: {{ include "robotkube.brokerHost" . }}
+  port: {{ include "robotkube.brokerPort" . }}
+  credentials: /var/run/secrets/robotkube/broker
 scope: {{ toJson $manager.scope }}
 operators: {{ toJson $manager.operators }}
 node_lost_seconds: {{ $manager.nodeLostSeconds }}

@@ -137,7 +137,8 @@ def connect(broker: int, official: Any) -> Iterator[Connect]:
 
     def connect(account: str | None, password: str | None = None) -> Connection:
         if account is not None and password is None:
-            place = ("broker-account-observer", None) if account == "observer" else ("broker-account", account)
+            platform = account in ("observer", "manager")
+            place = (f"broker-account-{account}", None) if platform else ("broker-account", account)
             secret = official.one("Secret", *place)["stringData"]
             assert secret["username"] == account
             password = secret["password"]
@@ -187,6 +188,38 @@ def test_cloud_and_observer_read_all_and_write_nothing(connect: Connect, account
     assert reader.publish("mqtt/vehicles/vehicle_00/pose") == NOT_AUTHORISED
     assert vehicle.publish("mqtt/vehicles/vehicle_00/pose") == 0
     assert reader.topics(1) == ["mqtt/vehicles/vehicle_00/pose"]
+
+
+@pytest.mark.parametrize("agent", ["vehicle-00", "cloud-0"])
+def test_an_agent_asks_on_its_own_topic_and_hears_its_own_answers(connect: Connect, agent: str) -> None:
+    operator, other, manager = connect(agent), connect("vehicle-01"), connect("manager")
+    manager.subscribe("robotkube/tasks/#")
+    for reader in (operator, other):
+        reader.subscribe(f"robotkube/task_status/{agent}")
+    assert operator.publish(f"robotkube/tasks/{agent}") == 0
+    assert manager.topics(1) == [f"robotkube/tasks/{agent}"]
+    assert manager.publish(f"robotkube/task_status/{agent}") == 0
+    assert operator.topics(1) == [f"robotkube/task_status/{agent}"]
+    assert other.topics(0) == []
+    assert other.publish(f"robotkube/tasks/{agent}") == NOT_AUTHORISED
+    assert operator.publish(f"robotkube/task_status/{agent}") == NOT_AUTHORISED
+
+
+def test_an_agent_does_not_hear_what_others_ask(connect: Connect) -> None:
+    listener, other = connect("vehicle-01"), connect("vehicle-00")
+    listener.subscribe("robotkube/tasks/#")
+    listener.subscribe("robotkube/tasks/vehicle-00")
+    assert other.publish("robotkube/tasks/vehicle-00") == 0
+    assert listener.topics(0) == []
+
+
+def test_the_manager_has_nothing_to_do_with_robots_data(connect: Connect) -> None:
+    manager, vehicle = connect("manager"), connect("vehicle-00")
+    manager.subscribe("mqtt/#")
+    assert vehicle.publish("mqtt/vehicles/vehicle_00/pose") == 0
+    assert manager.topics(0) == []
+    assert manager.publish("mqtt/vehicles/vehicle_00/pose") == NOT_AUTHORISED
+    assert manager.publish("robotkube/tasks/vehicle-00") == NOT_AUTHORISED
 
 
 def test_four_point_clouds_fit_into_one_message(connect: Connect) -> None:

@@ -40,11 +40,17 @@ class House:
     def __init__(self) -> None:
         self.tasks, self.channel = MemoryTasks(), MemoryDoor()
         self.writer = MemoryTaskWriter(self.tasks)
-        self.seconds = 0.0
+        self.seconds, self.leads = 0.0, True
         operators = {"vehicle-00": "vehicle-00", "cloud-0": "cloud-0"}
         self.door = TaskDoor(
-            operators, self.channel, self.tasks, self.writer, lambda: START_NS + int(self.seconds * 1e9), self.now
+            operators, self.channel, self.tasks, self.writer, self, lambda: START_NS + int(self.seconds * 1e9), self.now
         )
+
+    def term(self) -> int | None:
+        return 1 if self.leads else None
+
+    def overtake(self, term: int) -> None:
+        raise AssertionError("nobody asks the door")
 
     def now(self) -> float:
         return self.seconds
@@ -137,7 +143,8 @@ def test_what_changes_in_a_status_is_told_once_and_nothing_of_others_tasks(house
 
 def test_a_restarted_door_tells_again_and_forgets_nothing(house: House) -> None:
     house.say(ASKED)
-    again = TaskDoor({"vehicle-00": "vehicle-00"}, house.channel, house.tasks, house.writer, lambda: 0, lambda: 1.0)
+    operators = {"vehicle-00": "vehicle-00"}
+    again = TaskDoor(operators, house.channel, house.tasks, house.writer, house, lambda: 0, lambda: 1.0)
     house.told()
     again.turn(0.0)
     assert [answer["id"] for _, answer in house.told()] == ["look"]
@@ -178,6 +185,17 @@ def test_a_door_that_closes_leaves_the_message_with_the_broker(house: House) -> 
     house.door.stop(1.0)
     house.say(ASKED)
     assert (house.tasks.objects, house.channel.acknowledged) == ({}, [])
+
+
+def test_only_the_process_that_leads_has_the_door_open(house: House) -> None:
+    house.turn()
+    assert house.channel.topics == ["robotkube/tasks/cloud-0", "robotkube/tasks/vehicle-00"]
+    house.leads = False
+    house.say(ASKED)
+    assert (house.channel.connected, house.tasks.objects, house.door.complaint) == (False, {}, "")
+    house.leads = house.channel.connected = True
+    house.turn()
+    assert list(house.tasks.objects) == ["vehicle-00/look"]
 
 
 def test_topics_of_nobody_are_dropped(house: House) -> None:
@@ -283,4 +301,4 @@ def test_random_messages_are_accepted_or_refused_with_a_reason_in_bounded_memory
     tracemalloc.stop()
     assert {"Ask", NOT_READABLE, TOO_LARGE} <= set(outcomes)
     assert peak < 64 * 1024 * 1024
-    assert 'outcome="TooLarge"' in metrics_text(house.door.statistics, connected=True)
+    assert 'outcome="TooLarge"' in metrics_text(house.door)

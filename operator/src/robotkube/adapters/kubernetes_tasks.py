@@ -14,6 +14,7 @@ from urllib.parse import quote
 
 from robotkube.domain.errors import InputError, UnavailableError
 from robotkube.domain.tasks import GROUP, PLURAL, VERSION
+from robotkube.ports.writing import writes
 
 CONFLICT = 409
 JSON = "application/json"
@@ -45,6 +46,7 @@ class KubernetesTasks:
             return None
         return found
 
+    @writes("task")
     def create(self, document: Object) -> bool:
         """See the port."""
         namespace = document["metadata"]["namespace"]
@@ -58,14 +60,17 @@ class KubernetesTasks:
             raise InputError(f"there is no namespace {namespace}, or the platform is not installed") from error
         return True
 
+    @writes("task")
     def patch_spec(self, namespace: str, name: str, spec: Object) -> bool:
         """See the port."""
         return self._patch(namespace, name, [{"op": "replace", "path": "/spec", "value": spec}], "json-patch")
 
+    @writes("task")
     def annotate(self, namespace: str, name: str, annotations: Mapping[str, str]) -> bool:
         """See the port."""
         return self._patch(namespace, name, {"metadata": {"annotations": dict(annotations)}}, "merge-patch")
 
+    @writes("task")
     def delete(self, namespace: str, name: str) -> bool:
         """See the port."""
         try:

@@ -19,6 +19,7 @@ from paho.mqtt.properties import Properties
 
 from robotkube.domain.door_messages import MESSAGE_BYTES_MAX
 from robotkube.ports.doors import DoorMessage
+from robotkube.ports.writing import writes
 
 SESSION_SECONDS = 24 * 3600
 KEEPALIVE_SECONDS = 15
@@ -72,6 +73,7 @@ class PahoDoor:
         except queue.Empty:
             return None
 
+    @writes("message")
     def acknowledge(self, message: DoorMessage) -> None:
         """See the port. Packet numbers are those of one connection: an older one's mean nothing to the next."""
         connection, number, quality = message.token
@@ -79,6 +81,7 @@ class PahoDoor:
             if connection == self._connection and quality:
                 self._client.ack(number, quality)
 
+    @writes("message")
     def publish(self, topic: str, payload: bytes) -> bool:
         """See the port."""
         if self._complaint:

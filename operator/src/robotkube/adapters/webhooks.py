@@ -5,6 +5,7 @@
     GET  /readyz    200, or 503 with one reason per line
     GET  /metrics   Prometheus text
     GET  <page>     a JSON document of the process, where it offers one
+    POST <path>     what the process answers to a question, where it takes any
     PUT  <path>     what `put` answers, where a process takes requests
 
 A delivery only wakes its receiver: what happened is read from the forge afterwards, so a lost, doubled or replayed
@@ -35,6 +36,8 @@ log = logging.getLogger(__name__)
 
 Put = Callable[[str, Mapping[str, str], bytes], tuple[int, Mapping[str, Any]]]
 """Path, headers and body -> status and JSON document."""
+Post = Callable[[bytes], tuple[int, Mapping[str, Any]]]
+"""Body -> status and JSON document."""
 
 
 @dataclass(frozen=True)
@@ -80,9 +83,9 @@ class WebServer:
     """Serves on a thread of its own, at most CONNECTIONS_MAX requests at a time; `start()`, then `stop()`.
 
     `deliver` must return at once (it wakes a loop); `ready` gives the reasons why the process is not ready (empty = it
-    is); `metrics` gives Prometheus text; `pages` are JSON documents by path. Port 0 takes a free one, see `port`.
-    Without a secret there is no /webhook. `put` gets path, headers (lower-case names) and body of a PUT, and gives
-    status and JSON.
+    is); `metrics` gives Prometheus text; `pages` are JSON documents by path, `posts` answer questions by path. Port 0
+    takes a free one, see `port`. Without a secret there is no /webhook. `put` gets path, headers (lower-case names) and
+    body of a PUT, and gives status and JSON.
     """
 
     def __init__(
@@ -95,11 +98,12 @@ class WebServer:
         deliver: Callable[[Delivery], None] | None = None,
         pages: Mapping[str, Callable[[], Mapping[str, Any]]] | None = None,
         put: Put | None = None,
+        posts: Mapping[str, Post] | None = None,
     ) -> None:
         self._server = _Server((address, port), _Handler)
         self._server.ready, self._server.metrics = ready, metrics
         self._server.secret, self._server.deliver = secret, deliver
-        self._server.pages, self._server.put = pages or {}, put
+        self._server.pages, self._server.put, self._server.posts = pages or {}, put, posts or {}
         self._thread = threading.Thread(target=self._server.serve_forever, kwargs={"poll_interval": 0.2}, daemon=True)
 
     @property
@@ -130,6 +134,7 @@ class _Server(ThreadingHTTPServer):
     deliver: Callable[[Delivery], None] | None
     pages: Mapping[str, Callable[[], Mapping[str, Any]]]
     put: Put | None
+    posts: Mapping[str, Post]
 
     def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
         super().__init__(address, handler)
@@ -198,7 +203,10 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer(404, "not found\n")
 
     def do_POST(self) -> None:
-        """A delivery."""
+        """A delivery, or a question."""
+        if self.path in self.server.posts:
+            self._reply(self.server.posts[self.path])
+            return
         if self.path != "/webhook" or self.server.deliver is None:
             self._refuse(404, "not found")
             return
@@ -217,14 +225,17 @@ class _Handler(BaseHTTPRequestHandler):
         if self.server.put is None:
             self._refuse(404, "not found")
             return
+        put, headers = self.server.put, {name.lower(): value for name, value in self.headers.items()}
+        self._reply(lambda body: put(self.path, headers, body))
+
+    def _reply(self, reply: Post) -> None:
+        """Answer a request by its body."""
         try:
             body = self._body()
         except _DeliveryError as error:
             self._refuse(error.status, str(error))
             return
-        status, document = self.server.put(
-            self.path, {name.lower(): value for name, value in self.headers.items()}, body
-        )
+        status, document = reply(body)
         self._answer(status, json.dumps(document) + "\n", "application/json")
 
     def _body(self) -> bytes:

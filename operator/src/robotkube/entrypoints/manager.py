@@ -21,9 +21,9 @@ from kubernetes.client import ApiClient
 
 from robotkube.adapters.argocd import ArgoCDServer, PushHook
 from robotkube.adapters.evidence_dsse import TrustedKeys
+from robotkube.adapters.forges.gitea import GiteaForge
 from robotkube.adapters.git_clones import GitClone
 from robotkube.adapters.git_deployment import ProposalWriter
-from robotkube.adapters.forges.gitea import GiteaForge
 from robotkube.adapters.kubernetes_api import KubernetesWorld, api_client
 from robotkube.adapters.lease_kubernetes import LeaseElection
 from robotkube.adapters.templates_jinja2 import Jinja2Templates

@@ -21,6 +21,7 @@ from robotkube.domain.door_messages import (
     LEASE_ANNOTATION,
     NOT_ACCEPTED,
     NOT_REACHED,
+    TASKS_TOPIC,
     UNKNOWN_TASK,
     Ask,
     Renew,
@@ -39,6 +40,7 @@ from robotkube.domain.errors import InputError, UnavailableError
 from robotkube.domain.tasks import object_key
 from robotkube.ports.clusters import TaskStore
 from robotkube.ports.doors import DoorChannel, DoorMessage, TaskWriter
+from robotkube.ports.leadership import Leadership
 
 TAKE_SECONDS = 0.2
 STATUS_SECONDS = 0.25
@@ -70,11 +72,13 @@ class TaskDoor:
         channel: DoorChannel,
         store: TaskStore,
         writer: TaskWriter,
+        leadership: Leadership,
         now_ns: Callable[[], int],
         monotonic: Callable[[], float],
     ) -> None:
         self._operators, self._channel, self._store, self._writer = dict(operators), channel, store, writer
-        self._now_ns, self._monotonic = now_ns, monotonic
+        self._leadership, self._now_ns, self._monotonic = leadership, now_ns, monotonic
+        self._open = False
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="task-door", daemon=True)
         self._told: dict[str, bytes] = {}
@@ -83,12 +87,16 @@ class TaskDoor:
 
     @property
     def complaint(self) -> str:
-        """Empty while the broker is connected."""
-        return self._channel.complaint
+        """Empty while the door is open, or another process of this manager has it."""
+        return self._channel.complaint if self._open else ""
+
+    @property
+    def is_open(self) -> bool:
+        """Whether operators are heard now."""
+        return self._open and not self._channel.complaint
 
     def start(self) -> None:
-        """Open the door."""
-        self._channel.start([f"robotkube/tasks/{operator}" for operator in sorted(self._operators)])
+        """Open the door whenever this process leads."""
         self._thread.start()
 
     def stop(self, seconds: float) -> None:
@@ -96,14 +104,28 @@ class TaskDoor:
         self._stopping.set()
         if self._thread.is_alive():
             self._thread.join(seconds)
-        self._channel.close()
+        self._set_open(False)
 
     def _run(self) -> None:
         while not self._stopping.is_set():
             self.turn(TAKE_SECONDS)
+            if not self._open:
+                self._stopping.wait(TAKE_SECONDS)
+
+    def _set_open(self, wanted: bool) -> None:
+        if wanted and not self._open:
+            self._channel.start([TASKS_TOPIC + operator for operator in sorted(self._operators)])
+        elif self._open and not wanted:
+            self._channel.close()
+            self._told.clear()
+        self._open = wanted
 
     def turn(self, seconds: float) -> None:
-        """Handle the next message, if one comes within `seconds`; then tell operators what changed."""
+        """Handle the next message, if one comes within `seconds`; then tell operators what changed. Only one process of
+        a manager has the session at the broker: the one that leads."""
+        self._set_open(self._leadership.term() is not None)
+        if not self._open:
+            return
         message = self._channel.take(seconds)
         if message is not None:
             self._handle(message)
@@ -204,12 +226,13 @@ def _is_ours(task: Mapping[str, Any], owners: Mapping[str, str]) -> bool:
     return metadata.get("namespace") in owners and metadata.get("labels", {}).get(DOOR_LABEL) == DOOR
 
 
-def metrics_text(statistics: DoorStatistics, connected: bool) -> str:
+def metrics_text(door: TaskDoor) -> str:
     """Prometheus text."""
+    statistics = door.statistics
     name = "robotkube_task_door_messages_total"
     lines = [f"# TYPE {name} counter"]
     lines += [f'{name}{{outcome="{key}"}} {count}' for key, count in sorted(statistics.outcomes.items())]
     lines += ["# TYPE robotkube_task_door_answers_total counter"]
     lines += [f"robotkube_task_door_answers_total {statistics.answers}"]
-    lines += ["# TYPE robotkube_task_door_connected gauge", f"robotkube_task_door_connected {int(connected)}"]
+    lines += ["# TYPE robotkube_task_door_connected gauge", f"robotkube_task_door_connected {int(door.is_open)}"]
     return "\n".join(lines) + "\n"

@@ -1,0 +1,84 @@
+"""What would become of a task, for whoever asks: POST /explain of the manager (docs/reference/contracts.md).
+
+The question is `{"task": "<namespace>/<name>"}` for a task that is there, or a TaskDescription with its namespace for
+one that is not submitted yet. Nothing is changed by it. One question at a time, so that asking cannot hold planning up.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from robotkube.domain.conflicts import Postponed
+from robotkube.domain.errors import RobotKubeError
+from robotkube.domain.explanations import Explanation
+from robotkube.domain.tasks import object_key
+from robotkube.domain.texts import json_problems
+from robotkube.domain.worlds import Met
+from robotkube.ports.clusters import TaskStore
+
+QUESTION_BYTES_MAX = 256 * 1024
+BUSY_SECONDS_MAX = 5.0
+
+Answer = tuple[int, Mapping[str, Any]]
+"""HTTP status and document."""
+
+
+class Explainer:
+    """Answers questions by `what_if`, about tasks of `store` or new ones."""
+
+    def __init__(self, what_if: Callable[[Mapping[str, Any]], Explanation], store: TaskStore) -> None:
+        self._what_if, self._store = what_if, store
+        self._free = threading.Semaphore(1)
+
+    def __call__(self, body: bytes) -> Answer:
+        """The answer to the question in `body`: 200 with the explanation, or an `error` in words with 400 (not a
+        question), 404 (no such task), 413, 429 (another question is being answered) or 503 (not able to say)."""
+        if len(body) > QUESTION_BYTES_MAX:
+            return 413, {"error": f"{len(body)} bytes; a task has at most {QUESTION_BYTES_MAX}"}
+        try:
+            question = json.loads(body)
+        except (ValueError, RecursionError) as error:
+            return 400, {"error": f"no JSON: {str(error)[:200]}"}
+        return self._answer(question)
+
+    def _answer(self, question: Any) -> Answer:
+        problems = json_problems(question, "") if isinstance(question, dict) else ["must be a JSON object"]
+        if problems:
+            return 400, {"error": "; ".join(problems)[:2000]}
+        asked = question.get("task")
+        document = question if asked is None else self._find(asked)
+        if document is None:
+            return 404, {"error": f"there is no task {asked!r:.400}"}
+        if not _is_named(document):
+            return 400, {"error": "metadata: needs name and namespace, both text"}
+        if not self._free.acquire(timeout=BUSY_SECONDS_MAX):
+            return 429, {"error": "other questions are being answered; ask again"}
+        try:
+            return 200, explanation_document(self._what_if(document))
+        except RobotKubeError as error:
+            return 503, {"error": str(error)}
+        finally:
+            self._free.release()
+
+    def _find(self, key: Any) -> Mapping[str, Any] | None:
+        return next((task for task in self._store.tasks() if object_key(task) == key), None)
+
+
+def _is_named(document: Mapping[str, Any]) -> bool:
+    metadata = document.get("metadata")
+    return isinstance(metadata, Mapping) and all(isinstance(metadata.get(key), str) for key in ("name", "namespace"))
+
+
+def explanation_document(found: Explanation) -> dict[str, Any]:
+    """As GET pages show it: the outcome, its reason and message, every choice in words, and the files that change."""
+    outcome = found.outcome
+    if isinstance(outcome, Met):
+        said = {"outcome": "Accepted", "reason": "Accepted", "message": "", "releases": list(outcome.releases)}
+    else:
+        word = "Postponed" if isinstance(outcome, Postponed) else "Refused"
+        said = {"outcome": word, "reason": outcome.reason, "message": outcome.message, "releases": []}
+    changes = [{"path": c.path, "before": c.before, "after": c.after} for c in found.changes]
+    return {"task": found.key, **said, "lines": list(found.lines), "changes": changes}
