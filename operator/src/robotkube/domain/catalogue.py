@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Protocol
 
 from robotkube.domain.catalogue_applications import Application, ChartRequirement, read_application
@@ -19,7 +20,7 @@ from robotkube.domain.catalogue_charts import ChartVersion, read_chart_version
 from robotkube.domain.catalogue_entries import read_one_of
 from robotkube.domain.documents import Reader
 from robotkube.domain.errors import DocumentError, RefusalError
-from robotkube.domain.guarantees import shortfall
+from robotkube.domain.guarantees import GuaranteeRequirement, shortfall
 from robotkube.domain.texts import read_mapping
 from robotkube.domain.versions import in_range, version_key
 
@@ -39,10 +40,14 @@ __all__ = [
 FOLDERS = ("applications", "charts", "policies", "evidence")
 RELEASE_POLICY = "policies/release.yaml"
 VERIFICATION_POLICY = "policies/verification.yaml"
+REASONS_MAX = 20
 ASSURANCES: Mapping[str, frozenset[str]] = {
     "none": frozenset({"staged", "verified"}),
     "verified": frozenset({"verified"}),
 }
+
+Pin = tuple[str, str]
+"""Chart and version."""
 
 
 class Assessed(Protocol):
@@ -98,49 +103,107 @@ class Catalogue:
         """What a release of `version` names as its evidence: the digest of the summary, or `none`."""
         return version.evidence if self.assurance != "none" and version.evidence else "none"
 
-    def candidates(self, requirement: ChartRequirement) -> list[ChartVersion]:
+    def candidates(self, requirement: ChartRequirement) -> Sequence[ChartVersion]:
         """Every version of the named chart, or that provides what is asked for: newest first, then by chart."""
         if requirement.name:
-            found = list(self.charts.get(requirement.name, ()))
-        else:
-            found = [c for versions in self.charts.values() for c in versions if requirement.provides in c.provides]
-        return sorted(sorted(found, key=lambda c: c.chart), key=lambda c: version_key(c.version), reverse=True)
+            return self._by_chart.get(requirement.name, ())
+        return self._by_word.get(requirement.provides, ())
 
-    def select(self, requirement: ChartRequirement) -> tuple[ChartVersion, tuple[str, ...]]:
+    @cached_property
+    def _by_chart(self) -> Mapping[str, Sequence[ChartVersion]]:
+        return {chart: _newest_first(versions) for chart, versions in self.charts.items()}
+
+    @cached_property
+    def _by_word(self) -> Mapping[str, Sequence[ChartVersion]]:
+        found: dict[str, list[ChartVersion]] = {}
+        for versions in self.charts.values():
+            for version in versions:
+                for word in version.provides:
+                    found.setdefault(word, []).append(version)
+        return {word: _newest_first(versions) for word, versions in found.items()}
+
+    def select(
+        self,
+        requirement: ChartRequirement,
+        more: Sequence[GuaranteeRequirement] = (),
+        platforms: frozenset[str] = frozenset(),
+        pinned: Pin | None = None,
+        withheld: Mapping[Pin, str] | None = None,
+    ) -> tuple[ChartVersion, tuple[str, ...]]:
         """The highest version that the policy allows and that meets the requirement, and why each candidate was taken
-        or not.
+        or not; the `pinned` one as long as it still meets all of that.
 
+        `more`: requirements of a task, asked of charts that state such a guarantee in any version. `platforms`: one of
+        them must be the chart's (none: any). `withheld`: versions that are not taken unless pinned, with why.
         RefusalError(GuaranteeNotMet) when only guarantees are missing, else RefusalError(NoVerifiedVersion)."""
-        reasons: list[str] = []
-        chosen: ChartVersion | None = None
-        refusal = "NoVerifiedVersion"
-        for candidate in self.candidates(requirement):
-            obstacle, weak = _outside(candidate, requirement) or self.allows(candidate), ""
-            if not obstacle:
-                weak = _weakness(candidate, requirement)
-            if weak:
-                refusal = "GuaranteeNotMet"
-            verdict = obstacle or weak or _comparison(candidate, chosen)
-            reasons.append(f"{candidate.chart} {candidate.version} ({candidate.state}): {verdict}")
-            chosen = chosen or (None if obstacle or weak else candidate)
+        candidates = self.candidates(requirement)
+        stated = {guarantee.name for candidate in candidates for guarantee in candidate.guarantees} if more else set()
+        asked = (*requirement.requirements, *(one for one in more if one.name in stated))
+        judged = [(c, *self._judge(c, requirement, asked, platforms, pinned, withheld or {})) for c in candidates]
+        good = [c for c, obstacle, weak in judged if not (obstacle or weak)]
+        held = next((c for c in good if (c.chart, c.version) == pinned), None)
+        chosen = held or next(iter(good), None)
+        reasons = _bounded(
+            f"{c.chart} {c.version} ({c.state}): {obstacle or weak or _comparison(c, chosen, held)}"
+            for c, obstacle, weak in judged
+        )
         if chosen is None:
+            refusal = "GuaranteeNotMet" if any(weak for _, _, weak in judged) else "NoVerifiedVersion"
             detail = "; ".join(reasons) or "the catalogue has no version of it"
-            raise RefusalError(refusal, f"no version of {requirement} with assurance {self.assurance}: {detail}")
+            text = f"no version of {requirement}{_more(asked, requirement)} with assurance {self.assurance}: {detail}"
+            raise RefusalError(refusal, text)
         return chosen, tuple(reasons)
+
+    def _judge(
+        self,
+        candidate: ChartVersion,
+        requirement: ChartRequirement,
+        asked: Sequence[GuaranteeRequirement],
+        platforms: frozenset[str],
+        pinned: Pin | None,
+        withheld: Mapping[Pin, str],
+    ) -> tuple[str, str]:
+        """What stands against a candidate, and, if that is nothing, which guarantees it lacks."""
+        pin = (candidate.chart, candidate.version)
+        obstacle = _outside(candidate, requirement) or self.allows(candidate) or _elsewhere(candidate, platforms)
+        if not obstacle and pin != pinned:
+            obstacle = withheld.get(pin, "")
+        found = (shortfall(wanted, candidate.guarantees) for wanted in asked)
+        return obstacle, "" if obstacle else "; ".join(text for text in found if text)
+
+
+def _newest_first(versions: Sequence[ChartVersion]) -> Sequence[ChartVersion]:
+    return tuple(sorted(sorted(versions, key=lambda c: c.chart), key=lambda c: version_key(c.version), reverse=True))
+
+
+def _more(asked: Sequence[GuaranteeRequirement], requirement: ChartRequirement) -> str:
+    return "".join(f", {one} (asked by the task)" for one in asked[len(requirement.requirements) :])
+
+
+def _bounded(reasons: Iterable[str]) -> Sequence[str]:
+    found = list(reasons)
+    if len(found) <= REASONS_MAX:
+        return found
+    return [*found[:REASONS_MAX], f"and {len(found) - REASONS_MAX} candidates after these"]
+
+
+def _elsewhere(candidate: ChartVersion, platforms: frozenset[str]) -> str:
+    if not platforms or not candidate.platforms or platforms & set(candidate.platforms):
+        return ""
+    return f"runs on {', '.join(candidate.platforms)}, the nodes are {', '.join(sorted(platforms))}"
 
 
 def _outside(candidate: ChartVersion, requirement: ChartRequirement) -> str:
     return "" if in_range(candidate.version, requirement.version) else f"not in {requirement.version}"
 
 
-def _weakness(candidate: ChartVersion, requirement: ChartRequirement) -> str:
-    found = (shortfall(wanted, candidate.guarantees) for wanted in requirement.requirements)
-    return "; ".join(text for text in found if text)
-
-
-def _comparison(candidate: ChartVersion, chosen: ChartVersion | None) -> str:
-    if chosen is None:
+def _comparison(candidate: ChartVersion, chosen: ChartVersion | None, held: ChartVersion | None) -> str:
+    if candidate is held:
+        return "kept: the release runs it"
+    if candidate is chosen:
         return "taken"
+    if chosen is None or held:
+        return "possible; the release keeps its version" if held else "possible"
     if candidate.version == chosen.version:
         return f"possible; {chosen.chart} comes first by name"
     return f"older than {chosen.version}" + ("" if chosen.chart == candidate.chart else f" of {chosen.chart}")

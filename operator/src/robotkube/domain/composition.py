@@ -1,314 +1,308 @@
 """Demands -> the releases that should exist, with reasons; a demand that cannot be met is refused and leaves no trace.
 
 Services become releases; services with links of kind ros share a node; links of kind mqtt become topics of the bridge
-release at both ends, as the union over all demands, so that no message crosses twice. The result does not depend on the
-order in which tasks are listed.
+release at both ends, as the union over all demands, so that no message crosses twice. Demands are met in the order in
+which they are given: what comes first has its seat first.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
-from robotkube.domain.catalogue import Catalogue
-from robotkube.domain.catalogue_applications import TOPIC_KEYS, Application, Link, Service
-from robotkube.domain.catalogue_charts import ChartVersion
+from robotkube.domain.capacities import read_requests
+from robotkube.domain.catalogue import Pin
+from robotkube.domain.drafts import Draft, Drafter, make_release
 from robotkube.domain.errors import DocumentError, RefusalError
-from robotkube.domain.grouping import Instance, groups, instances
-from robotkube.domain.loops import Render, fill, loop
-from robotkube.domain.placement import Agent, Fleet, Placement, Seat, place
-from robotkube.domain.releases import NAME, Cause, Release, application_name
-from robotkube.domain.tasks import TaskDescription, with_defaults
-from robotkube.domain.texts import json_problems
-from robotkube.domain.topic_unions import IN, OUT, TopicUnion
+from robotkube.domain.loops import fill
+from robotkube.domain.placement import Agent
+from robotkube.domain.releases import Cause, Release
+from robotkube.domain.scenes import Scene
+from robotkube.domain.seating import Seating
+from robotkube.domain.tasks import INSUFFICIENT_RESOURCES, RELEASE_IN_USE
+from robotkube.domain.topic_unions import End, Part, TopicUnion
+from robotkube.domain.unions import united
+from robotkube.domain.values_schemas import Validate
+from robotkube.domain.worlds import Demand, Desired, Met, Refused, World
 
-Validate = Callable[[Mapping[str, Any], Any], Sequence[str]]
-"""Problems of a value under a JSON Schema."""
+__all__ = ["Composer", "Demand", "Desired", "Met", "Refused", "Validate", "World", "compose"]
+
+
+class _StaleError(Exception):
+    """A draft no longer fits what it is looked at in."""
 
 
 @dataclass(frozen=True)
-class Demand:
-    """One reason for an application to run: a task, or the initial configuration of one agent."""
+class _Entry:
+    """A demand that is met: its draft; `shares` names the earlier equal demand whose draft it is."""
 
-    key: str
-    application: str
-    parameters: Mapping[str, Any]
-    agent: str = ""
-    task: TaskDescription | None = None
+    demand: Demand
+    draft: Draft
+    shares: str = ""
 
     @property
-    def causes(self) -> tuple[Cause, ...]:
-        """The task's cause; nothing for the initial configuration."""
-        return (self.task.cause,) if self.task else ()
+    def cause(self) -> Cause | None:
+        """The task's cause under the application that answers it; None for the initial configuration."""
+        if self.demand.task is None or not self.shares:
+            return self.draft.cause
+        return replace(self.demand.task.cause, application=self.draft.application)
 
     @property
-    def shared_key(self) -> str:
-        """Equal for demands that one set of releases answers."""
-        return repr((self.application, self.agent, sorted(self.parameters.items(), key=lambda item: item[0])))
-
-
-@dataclass(frozen=True)
-class Refused:
-    """Why a demand is not met: a reason of the closed list, and the sentence for people."""
-
-    reason: str
-    message: str
-
-
-@dataclass(frozen=True)
-class Met:
-    """How a demand is met: the releases (`<namespace>/<name>`) and every choice in words."""
-
-    releases: tuple[str, ...]
-    choices: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Desired:
-    """The whole answer: releases by path, an outcome per demand key, the paths the initial configuration uses."""
-
-    releases: Mapping[str, Release]
-    outcomes: Mapping[str, Met | Refused]
-    initial: frozenset[str] = frozenset()
-
-
-@dataclass(frozen=True)
-class World:
-    """Everything composition looks at. `present` are main's releases by path."""
-
-    catalogue: Catalogue
-    fleet: Fleet
-    present: Mapping[str, Release]
-    render: Render
-    validate: Validate
+    def choices(self) -> tuple[str, ...]:
+        """Every choice in words."""
+        return (f"shares the releases of {self.shares}",) if self.shares else self.draft.choices
 
 
 @dataclass
-class _Draft:
-    """What one demand (or all so far) asks for: releases by key, and topics of the bridges."""
+class _Total:
+    """All demands so far: releases by key with the causes that ask for each (None: the initial configuration)."""
 
+    seating: Seating
     releases: dict[str, Release] = field(default_factory=dict)
-    owners: dict[str, list[Demand]] = field(default_factory=dict)
-    topics: TopicUnion[Demand] = field(default_factory=TopicUnion)
-    choices: list[str] = field(default_factory=list)
+    causes: dict[str, list[Cause | None]] = field(default_factory=dict)
+    askers: dict[str, list[str]] = field(default_factory=dict)
+    topics: TopicUnion = field(default_factory=TopicUnion)
+    bridged: dict[End, list[_Entry]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class _Bridge:
+    """A bridge as it was made, and of what."""
+
+    parts: list[Part]
+    agent: Agent
+    platforms: frozenset[str]
+    pin: Pin | None
+    release: Release
+
+    def fits(self, parts: list[Part], scene: Scene, agent: str) -> bool:
+        """Whether it would be made the same again."""
+        return (
+            len(parts) == len(self.parts)
+            and all(a is b for a, b in zip(parts, self.parts, strict=True))
+            and scene.fleet.agents.get(agent) == self.agent
+            and scene.platforms(agent) == self.platforms
+            and scene.pins.get(self.release.key) == self.pin
+        )
+
+
+@dataclass
+class _Known:
+    """What was made once: a bridge of these parts, a release with these causes, a union of two releases."""
+
+    bridges: dict[End, _Bridge] = field(default_factory=dict)
+    final: dict[str, tuple[Release, list[Cause | None], Release]] = field(default_factory=dict)
+    unions: dict[str, tuple[Release, Release, Release]] = field(default_factory=dict)
+
+
+class Composer:
+    """Composes again and again; keeps what it drafted as long as its inputs stay, and gives the same answer as from
+    scratch. Not for several threads at once."""
+
+    def __init__(self) -> None:
+        self._scene: Scene | None = None
+        self._drafts: dict[str, Draft] = {}
+        self._known = _Known()
+
+    def compose(self, demands: Iterable[Demand], world: World) -> Desired:
+        """Meet the demands in this order. Desired has one outcome for each; nothing is raised."""
+        asked = list(demands)
+        scene = Scene(world, self._scene)
+        if self._scene is None or scene.selector is not self._scene.selector:
+            self._drafts, self._known = {}, _Known()
+        self._scene = scene
+        composition = _Composition(scene, self._drafts, self._known, {})
+        desired = composition.run(asked)
+        while desired is None:  # a bridge cannot be: each time one demand more is left out
+            composition = _Composition(scene, self._drafts, self._known, composition.spoilers)
+            desired = composition.run(asked)
+        self._drafts = composition.drafts
+        return desired
 
 
 def compose(demands: Iterable[Demand], world: World) -> Desired:
-    """Meet the demands, those of the initial configuration first, then tasks by creation time and name."""
-    total = _Draft()
-    outcomes: dict[str, _Draft | Refused] = {}
-    first: dict[str, tuple[Demand, _Draft]] = {}
-    for demand in sorted(demands, key=_order):
+    """Meet the demands in this order, from scratch."""
+    return Composer().compose(demands, world)
+
+
+class _Composition:
+    """One run over all demands; `drafts` from earlier runs are used where they still hold. `spoilers`: demands that are
+    refused because a bridge cannot be made with them."""
+
+    def __init__(
+        self, scene: Scene, drafts: Mapping[str, Draft], known: _Known, spoilers: Mapping[str, Refused]
+    ) -> None:
+        self._scene, self._old, self._known = scene, drafts, known
+        self.spoilers: dict[str, Refused] = dict(spoilers)
+        self.drafts: dict[str, Draft] = {}
+
+    def run(self, demands: list[Demand]) -> Desired | None:
+        """The answer; None when another demand has become a spoiler."""
+        watched = frozenset(word for demand in demands for word in demand.keeps_away)
+        self._total = _Total(Seating(self._scene, watched))
+        outcomes: dict[str, _Entry | Refused] = {}
+        first: dict[str, _Entry] = {}
+        for demand in demands:
+            outcomes[demand.key] = self.spoilers.get(demand.key) or self._meet(demand, first)
+        return self._finish(outcomes)
+
+    def _meet(self, demand: Demand, first: dict[str, _Entry]) -> _Entry | Refused:
+        equal = first.get(demand.shared_key)
+        mark = self._total.seating.mark()
         try:
-            if demand.shared_key in first:
-                draft = _joined(demand, *first[demand.shared_key])
-            else:
-                draft = _draft(demand, world, total)
-                first[demand.shared_key] = (demand, draft)
-            _merge(total, draft)
-            outcomes[demand.key] = draft
+            entry = _Entry(demand, equal.draft, equal.demand.key) if equal else _Entry(demand, self._draft(demand))
+            self._merge(entry)
         except RefusalError as error:
-            outcomes[demand.key] = Refused(error.reason, error.message)
-            first.pop(demand.shared_key, None)
+            self._total.seating.undo(mark)
+            return Refused(error.reason, error.message)
         except DocumentError as error:
-            outcomes[demand.key] = Refused("CompositionFailed", str(error))
-            first.pop(demand.shared_key, None)
-    return _finish(total, outcomes, world)
+            self._total.seating.undo(mark)
+            return Refused("CompositionFailed", str(error))
+        if not equal:
+            first[demand.shared_key] = entry
+            self.drafts[demand.key] = entry.draft
+        return entry
 
+    def _draft(self, demand: Demand) -> Draft:
+        """The known draft when it still holds, seated; else a new one."""
+        known, seating = self._old.get(demand.key), self._total.seating
+        if known is not None and (known.demand is demand or known.demand == demand):
+            mark = seating.mark()
+            try:
+                return self._seated(known, demand)
+            except (_StaleError, RefusalError):
+                seating.undo(mark)
+        return Drafter(demand, self._scene, seating).draft()
 
-def _order(demand: Demand) -> tuple[bool, str, str]:
-    return demand.task is not None, demand.task.created if demand.task else "", demand.key
+    def _seated(self, draft: Draft, demand: Demand) -> Draft:
+        scene = self._scene
+        if draft.fleet is not scene.fleet:
+            if any(scene.answer(question) != answer for question, answer in draft.questions):
+                raise _StaleError
+            draft.fleet = scene.fleet
+        if any(scene.pins.get(key) != pin for key, pin in draft.pins):
+            raise _StaleError
+        changed = False
+        for step in draft.steps:
+            placement = self._total.seating.seat(demand, step.group, step.names, step.needs, scene)
+            if placement.agent != step.placement.agent:
+                raise _StaleError
+            changed |= placement is not step.placement and placement.reasons != step.placement.reasons
+            step.placement = placement
+        if changed:
+            draft.choose()
+        return draft
 
+    def _merge(self, entry: _Entry) -> None:
+        """Take the draft into the total, or raise and leave the total as it was."""
+        total, draft = self._total, entry.draft
+        releases = {key: self._joined(key, release, draft) for key, release in draft.releases.items()}
+        if not entry.shares:
+            self._seat_bridges(draft)
+        total.topics.merge(draft.topics)
+        total.releases.update(releases)
+        cause = entry.cause
+        for key in releases:
+            total.causes.setdefault(key, []).append(cause)
+            total.askers.setdefault(key, []).append(entry.demand.key)
+        for end in draft.topics.ends:
+            total.bridged.setdefault(end, []).append(entry)
 
-def _joined(demand: Demand, owner: Demand, draft: _Draft) -> _Draft:
-    """The releases of an equal earlier demand, shared."""
-    owners, topics = {key: [demand] for key in draft.owners}, draft.topics.owned_by(demand)
-    return replace(draft, owners=owners, topics=topics, choices=[f"shares the releases of {owner.key}"])
+    def _joined(self, key: str, release: Release, draft: Draft) -> Release:
+        """The release for all demands so far: the same for all, or a union where the application allows it."""
+        present = self._total.releases.get(key)
+        if present is None or present is release or present == release:
+            return release if present is None else present
+        known = self._known.unions.get(key)
+        if known and known[0] is present and known[1] is release:
+            return known[2]
+        found = united(present, release, draft.unite[key])
+        if found is None:
+            names = ", ".join(self._total.askers[key])
+            raise RefusalError(RELEASE_IN_USE, f"release {key} is made by {names} with other content")
+        self._known.unions[key] = (present, release, found)
+        return found
 
+    def _seat_bridges(self, draft: Draft) -> None:
+        """Bridges that nobody asked for yet need room as well; those that run already keep it."""
+        for kind, agent in draft.topics.ends:
+            if (kind, agent) in self._total.bridged:
+                continue
+            service = self._scene.selector.bridge(kind)
+            chart = self._scene.selector.chart(service.chart)[0]
+            need = read_requests(chart.resources)
+            occupancy, room = self._total.seating.occupancy, self._scene.fleet.rooms.get(agent)
+            if room and not occupancy.fits(agent, room, need) and not self._scene.runs(agent, chart.chart):
+                shortage = occupancy.shortage(agent, room, need)
+                text = f"{agent} has no room for its bridge ({shortage}); withdraw something that runs there"
+                raise RefusalError(INSUFFICIENT_RESOURCES, text)
+            occupancy.take(agent, need, releases=0)
 
-def _draft(demand: Demand, world: World, total: _Draft) -> _Draft:
-    application = world.catalogue.applications.get(demand.application)
-    if application is None:
-        known = ", ".join(sorted(world.catalogue.applications)) or "nothing"
-        raise RefusalError(
-            "UnknownApplication", f"the catalogue has no application {demand.application!r}; it has {known}"
+    def _finish(self, outcomes: Mapping[str, _Entry | Refused]) -> Desired | None:
+        """Add the bridges, write every release's causes, and name each demand's releases."""
+        total = self._total
+        keys: dict[End, str] = {}
+        for end, entries in sorted(total.bridged.items(), key=lambda item: item[0]):
+            try:
+                release = self._bridge(end)
+            except (RefusalError, DocumentError) as error:
+                self._blame(end, entries, error)
+                return None
+            keys[end] = release.key
+            total.releases[release.key] = release
+            total.causes[release.key] = [entry.cause for entry in entries]
+        final = {}
+        for key, release in total.releases.items():
+            found = self._with_causes(key, release, total.causes[key])
+            final[found.path] = found
+        initial = frozenset(total.releases[key].path for key, causes in total.causes.items() if None in causes)
+        return Desired(final, {key: _outcome(found, keys) for key, found in outcomes.items()}, initial)
+
+    def _bridge(self, end: End) -> Release:
+        """The bridge of one agent for all demands; the one known when its parts are the same."""
+        parts, scene = self._total.topics.parts[end], self._scene
+        known = self._known.bridges.get(end)
+        if known and known.fits(parts, scene, end[1]):
+            return known.release
+        release = self._make_bridge(end, self._total.topics.at(*end))
+        self._known.bridges[end] = _Bridge(
+            list(parts), scene.fleet.agents[end[1]], scene.platforms(end[1]), scene.pins.get(release.key), release
         )
-    parameters = with_defaults(application.parameters, demand.parameters)
-    problems = world.validate(application.parameters, parameters)
-    if problems:
-        raise RefusalError("InvalidParameters", "; ".join(problems))
-    draft = _Draft()
-    names = _names(demand, parameters)
-    placed = _add_services(application, names, demand, world, total, draft)
-    for link in application.links:
-        if link.kind != "ros":
-            world.catalogue.select(_bridge_service(link.kind, world).chart)
-            for scope in loop(link.for_each, names, world.render):
-                _add_link(link, scope, demand, world, draft, placed)
-    return draft
+        return release
+
+    def _make_bridge(self, end: End, topics: Mapping[str, object]) -> Release:
+        scene, service = self._scene, self._scene.selector.bridge(end[0])
+        agent, names = scene.fleet.agent(end[1]), {"agent": end[1], "topics": topics}
+        name = scene.render(service.release, names)
+        pin = scene.pins.get(f"{agent.namespace}/{name}")
+        chart, _ = scene.selector.chart(service.chart, platforms=scene.platforms(agent.name), pinned=pin)
+        return make_release(agent, name, chart, fill(service.values, names, scene.render), scene)
+
+    def _blame(self, end: End, entries: list[_Entry], error: RefusalError | DocumentError) -> None:
+        """Refuse the demands whose own topics make the bridge impossible, else the last that came."""
+        refused = Refused(error.reason if isinstance(error, RefusalError) else "CompositionFailed", str(error))
+        guilty = [entry for entry in entries if self._spoils(end, entry)]
+        for entry in guilty or entries[-1:]:
+            self.spoilers[entry.demand.key] = refused
+
+    def _spoils(self, end: End, entry: _Entry) -> bool:
+        try:
+            self._make_bridge(end, entry.draft.topics.at(*end))
+        except (RefusalError, DocumentError):
+            return True
+        return False
+
+    def _with_causes(self, key: str, release: Release, causes: list[Cause | None]) -> Release:
+        known = self._known.final.get(key)
+        if known and known[0] is release and known[1] == causes:
+            return known[2]
+        found = replace(release, causes=tuple(sorted({cause for cause in causes if cause})))
+        self._known.final[key] = (release, causes, found)
+        return found
 
 
-def _names(demand: Demand, parameters: Mapping[str, Any]) -> dict[str, Any]:
-    names: dict[str, Any] = {"parameters": parameters, "placement": {}}
-    if demand.agent:
-        names["agent"] = demand.agent
-    if demand.task:
-        task = demand.task
-        names["task"] = {
-            "name": task.name,
-            "namespace": task.namespace,
-            "event": task.event,
-            "rule": task.rule,
-            "trace": task.trace,
-            "time": task.event_details.get("time", ""),
-            "requester": task.requester,
-        }
-    return names
-
-
-def _add_services(
-    application: Application, names: Mapping[str, Any], demand: Demand, world: World, total: _Draft, draft: _Draft
-) -> dict[str, list[Agent]]:
-    """Draft every service; the agents on which each of them was placed."""
-    found = instances(application, names, world.render)
-    together = groups(found, application.links)
-    placements: dict[int, Placement] = {}
-    placed: dict[str, list[Agent]] = {}
-    for index, instance in enumerate(found):
-        if index not in placements:
-            group = [found[member] for member in together[index]]
-            placement = place([_seat(i, demand, world) for i in group], world.fleet, _load(world.fleet, total, draft))
-            placements.update(dict.fromkeys(together[index], placement))
-            for member in group:
-                member.scope["placement"].setdefault(member.service.name, placement.agent.name)
-        _add_service(instance, placements[index], demand, world, draft)
-        placed.setdefault(instance.service.name, []).append(placements[index].agent)
-    return placed
-
-
-def _seat(instance: Instance, demand: Demand, world: World) -> Seat:
-    service, scope = instance.service, instance.scope
-    kept = _kept(world.render(service.release, scope), demand, world)
-    agent = world.render(service.placement.agent, scope) if service.placement.agent else None
-    return Seat(service.name, service.placement, agent, kept)
-
-
-def _add_service(instance: Instance, placement: Placement, demand: Demand, world: World, draft: _Draft) -> None:
-    service, scope = instance.service, instance.scope
-    chart, chart_reasons = world.catalogue.select(service.chart)
-    scope["placement"][service.name] = placement.agent.name
-    name = world.render(service.release, scope)
-    release = _release(placement.agent, name, chart, fill(service.values, scope, world.render), world)
-    if release.key in draft.releases:
-        raise RefusalError("CompositionFailed", f"two services of {demand.application} make the release {release.key}")
-    draft.releases[release.key] = release
-    draft.owners[release.key] = [demand]
-    draft.choices += [f"{service.name} -> {release.key}", *chart_reasons, *placement.reasons]
-
-
-def _kept(name: Any, demand: Demand, world: World) -> frozenset[str]:
-    """Agents on which this demand's release runs already."""
-    tasks = {cause.task for cause in demand.causes}
-    found = (r for r in world.present.values() if r.name == name)
-    namespaces = {r.namespace for r in found if not tasks or tasks & {c.task for c in r.causes}}
-    return frozenset(a.name for a in world.fleet.agents.values() if a.namespace in namespaces)
-
-
-def _load(fleet: Fleet, *drafts: _Draft) -> dict[str, int]:
-    namespaces = [release.namespace for draft in drafts for release in draft.releases.values()]
-    return {agent.name: namespaces.count(agent.namespace) for agent in fleet.agents.values()}
-
-
-def _release(agent: Agent, name: Any, chart: ChartVersion, values: Mapping[str, Any], world: World) -> Release:
-    if not isinstance(name, str) or not NAME.fullmatch(name):
-        raise RefusalError("CompositionFailed", f"release name {name!r} must match {NAME.pattern}")
-    application_name(agent.namespace, name)
-    full = {**values, "placement": {"agent": agent.name}}
-    problems = json_problems(full, "values")
-    if problems:
-        raise RefusalError("CompositionFailed", "; ".join(problems))
-    evidence = world.catalogue.evidence_of(chart)
-    return Release(agent.namespace, name, chart.chart, chart.version, chart.digest, full, evidence=evidence)
-
-
-def _add_link(
-    link: Link, scope: dict[str, Any], demand: Demand, world: World, draft: _Draft, placed: Mapping[str, list[Agent]]
-) -> None:
-    sources = _ends(link.source, scope, world, placed)
-    targets = _ends(link.target, scope, world, placed)
-    topics = [_topic(world.render(topic, scope)) for topic in link.topics]
-    for source in sources:
-        for target in targets:
-            if source == target:
-                continue  # both ends on one node: ROS itself carries the topic
-            for topic in topics:
-                draft.topics.add(link.kind, source.name, OUT, topic, demand)
-                draft.topics.add(link.kind, target.name, IN, topic, demand)
-
-
-def _ends(
-    end: Mapping[str, str], scope: Mapping[str, Any], world: World, placed: Mapping[str, list[Agent]]
-) -> Sequence[Agent]:
-    """An agent by name; every agent of a role that has a node; the agents a service was placed on."""
-    if "service" in end:
-        return placed.get(end["service"], [])
-    if "role" in end:
-        return world.fleet.present(world.render(end["role"], scope))
-    return [world.fleet.agent(world.render(end["agent"], scope))]
-
-
-def _topic(value: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: value[key] for key in TOPIC_KEYS}
-
-
-def _merge(total: _Draft, draft: _Draft) -> None:
-    """Take `draft` into `total`, or raise and leave `total` as it was."""
-    for key, release in draft.releases.items():
-        if key in total.releases and total.releases[key] != release:
-            names = ", ".join(owner.key for owner in total.owners[key])
-            raise RefusalError("CompositionFailed", f"release {key} is made by {names} with other content")
-    total.topics = total.topics.merged(draft.topics)
-    total.releases.update(draft.releases)
-    for key, owners in draft.owners.items():
-        total.owners.setdefault(key, []).extend(owners)
-
-
-def _finish(total: _Draft, outcomes: Mapping[str, Any], world: World) -> Desired:
-    """Add the bridges, write every release's causes, and name each demand's releases."""
-    releases, owners = dict(total.releases), dict(total.owners)
-    bridge_keys: dict[tuple[str, str], str] = {}
-    for (kind, agent), bridge_owners in sorted(total.topics.owners.items()):
-        release = _bridge(kind, agent, total, world)
-        bridge_keys[kind, agent] = release.key
-        releases[release.key], owners[release.key] = release, bridge_owners
-    final = {r.path: replace(r, causes=_causes(owners[key])) for key, r in releases.items()}
-    initial = frozenset(r.path for key, r in releases.items() if any(o.task is None for o in owners[key]))
-    met = {key: _outcome(outcome, bridge_keys) for key, outcome in outcomes.items()}
-    return Desired(final, met, initial)
-
-
-def _outcome(outcome: _Draft | Refused, bridge_keys: Mapping[tuple[str, str], str]) -> Met | Refused:
-    if isinstance(outcome, Refused):
-        return outcome
-    keys = {*outcome.owners, *(bridge_keys[end] for end in outcome.topics.owners)}
-    return Met(tuple(sorted(keys)), tuple(outcome.choices))
-
-
-def _causes(owners: Iterable[Demand]) -> tuple[Cause, ...]:
-    return tuple(sorted({cause for owner in owners for cause in owner.causes}))
-
-
-def _bridge(kind: str, agent: str, total: _Draft, world: World) -> Release:
-    service = _bridge_service(kind, world)
-    chart, _ = world.catalogue.select(service.chart)
-    names = {"agent": agent, "topics": total.topics.at(kind, agent)}
-    name = world.render(service.release, names)
-    return _release(world.fleet.agent(agent), name, chart, fill(service.values, names, world.render), world)
-
-
-def _bridge_service(kind: str, world: World) -> Service:
-    application = world.catalogue.bridge(kind)
-    if len(application.services) != 1:
-        raise RefusalError("CompositionFailed", f"bridge application {application.name} must have exactly one service")
-    return application.services[0]
+def _outcome(found: _Entry | Refused, bridges: Mapping[End, str]) -> Met | Refused:
+    if isinstance(found, Refused):
+        return found
+    keys = {*found.draft.releases, *(bridges[end] for end in found.draft.topics.ends)}
+    return Met(tuple(sorted(keys)), found.choices, found.draft.application)

@@ -1,12 +1,29 @@
-"""Which agent a service runs on, with the reason for every candidate."""
+"""Which agent a service runs on, with the reason for every candidate (docs/explanation/placement.md)."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
 
+from robotkube.domain.capacities import NOTHING, Occupancy, Resources, Room
 from robotkube.domain.catalogue_applications import PlacementRule
 from robotkube.domain.errors import RefusalError
+
+if TYPE_CHECKING:
+    from robotkube.domain.vetoes import Hold
+
+NODE_LOST_SECONDS = 40.0
+LISTED_MAX = 10  # candidates that are listed one by one; more are counted by reason
+NAMED_MAX = 5
+CANDIDATES_KEPT_MAX = 1024
+SECOND_NS = 1_000_000_000
+
+Reason = tuple[str, str]
+"""Why a candidate is taken or not: what many have in common, and the rest of the sentence."""
+
+POSSIBLE: Reason = ("possible", "")
 
 
 @dataclass(frozen=True, order=True)
@@ -20,7 +37,11 @@ class Agent:
 
 @dataclass(frozen=True)
 class NodeState:
-    """A Node that belongs to an agent (label robotkube.io/agent)."""
+    """A Node that belongs to an agent (label robotkube.io/agent).
+
+    `allocatable` None and `platform` "" are not known and bound nothing. Times are ns since 1970, from the condition
+    Ready: `ready_since`; `not_ready_since` while it is not; `silent_since` while nothing is heard of the kubelet.
+    `hold`: the agent's veto, as its Node says it. `lost` is set by `fleet`: not ready for longer than is waited for."""
 
     name: str
     agent: str
@@ -28,17 +49,47 @@ class NodeState:
     capabilities: frozenset[str]
     ready: bool
     cordoned: bool = False
+    hold: Hold | None = None
+    allocatable: Resources | None = None
+    platform: str = ""
+    ready_since: int | None = None
+    not_ready_since: int | None = None
+    silent_since: int | None = None
+    lost: bool = False
+
+    def silent_seconds(self, now_ns: int) -> float:
+        """How long nothing was heard of the kubelet; 0 while it reports."""
+        return 0.0 if self.silent_since is None else max(now_ns - self.silent_since, 0) / SECOND_NS
 
 
 @dataclass(frozen=True)
 class Seat:
     """An instance of a service that needs a place: its rule, the agent it names (rendered; None when it names none),
-    and the agents that run its release already."""
+    the agents that run its release already, what it asks for, the platforms it runs on (none: any), and a word for
+    services that must not share an agent with each other. `united`: it shares a release of its name with others."""
 
     service: str
     rule: PlacementRule
     agent: object = None
     kept: frozenset[str] = frozenset()
+    need: Resources = NOTHING
+    platforms: tuple[str, ...] = ()
+    apart: str = ""
+    united: bool = False
+
+
+@dataclass(frozen=True)
+class Narrowing:
+    """What a task says about the places of its services: among `agents`, in one of `roles`, with `capabilities`.
+    `instead`: roles that stand in for those of the rules."""
+
+    agents: tuple[str, ...] = ()
+    roles: tuple[str, ...] = ()
+    capabilities: tuple[str, ...] = ()
+    instead: tuple[str, ...] = ()
+
+
+ANYWHERE = Narrowing()
 
 
 @dataclass(frozen=True)
@@ -50,6 +101,45 @@ class Placement:
 
 
 @dataclass(frozen=True)
+class Wanted:
+    """What decides, apart from time and neighbours, whether an agent can carry a group; empty is no condition."""
+
+    role: str
+    roles: tuple[str, ...]
+    agents: tuple[str, ...]
+    capabilities: tuple[str, ...]
+    platforms: tuple[tuple[str, ...], ...]
+    named: str = ""
+
+    def __str__(self) -> str:
+        words = [f"role {self.role}"] if self.role else []
+        words += [f"one of the roles {', '.join(self.roles)}"] if self.roles else []
+        words += [f"one of the agents {', '.join(self.agents)}"] if self.agents else []
+        words += [f"capability {c}" for c in self.capabilities]
+        return " ".join(words or ["any role"])
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Agents for one `Wanted`, by name: who can take something new, who may keep what it has, and why not."""
+
+    free: tuple[Agent, ...]
+    stay: frozenset[str]
+    obstacles: Mapping[str, Reason]
+    agents: tuple[Agent, ...]
+    _stays: dict[str, Placement] = field(default_factory=dict, compare=False)
+
+    def stays(self, agent: Agent, together: Sequence[str]) -> Placement:
+        """The answer for what runs on `agent` already."""
+        key = f"{agent.name} {together}"
+        if key not in self._stays:
+            others = [(a.name, self.obstacles.get(a.name, POSSIBLE)) for a in self.agents if a != agent]
+            first = (*together, f"{agent.name}: taken, it runs there already")
+            self._stays[key] = Placement(agent, (*first, *listed(others)))
+        return self._stays[key]
+
+
+@dataclass(frozen=True)
 class Fleet:
     """Declared agents and their nodes."""
 
@@ -58,7 +148,7 @@ class Fleet:
 
     def present(self, role: str) -> tuple[Agent, ...]:
         """Declared agents of a role that have a node, by name."""
-        return tuple(a for name, a in sorted(self.agents.items()) if a.role == role and self.nodes.get(name))
+        return tuple(agent for agent in self.of_role.get(role, ()) if self.nodes.get(agent.name))
 
     def agent(self, name: object) -> Agent:
         """A declared agent that has a node; RefusalError(NoCapableNode) says which of both it lacks."""
@@ -68,37 +158,235 @@ class Fleet:
             raise RefusalError("NoCapableNode", f"agent {name!r} has no Node with label robotkube.io/agent={name}")
         return self.agents[name]
 
+    @cached_property
+    def of_role(self) -> Mapping[str, tuple[Agent, ...]]:
+        """Declared agents by role, by name; all of them under the empty role."""
+        found: dict[str, list[Agent]] = {"": []}
+        for _, agent in sorted(self.agents.items()):
+            found[""].append(agent)
+            found.setdefault(agent.role, []).append(agent)
+        return {role: tuple(agents) for role, agents in found.items()}
 
-def fleet(agents: Sequence[Agent], nodes: Sequence[NodeState]) -> Fleet:
-    """Agents and nodes by agent name."""
+    @cached_property
+    def by_namespace(self) -> Mapping[str, tuple[str, ...]]:
+        """Names of the declared agents by the namespace of their releases."""
+        found: dict[str, tuple[str, ...]] = {}
+        for name, agent in sorted(self.agents.items()):
+            found[agent.namespace] = (*found.get(agent.namespace, ()), name)
+        return found
+
+    @cached_property
+    def rooms(self) -> Mapping[str, Room]:
+        """Room of the agents of which it is known: of their nodes that are not lost."""
+        return {name: room for name, nodes in self.nodes.items() if (room := _room(nodes)) is not None}
+
+    def candidates(self, wanted: Wanted) -> Candidates:
+        """Everybody who is looked at for `wanted`, with what stands against it."""
+        known = self._candidates
+        if wanted not in known:
+            while len(known) >= CANDIDATES_KEPT_MAX:
+                known.pop(next(iter(known)))
+            known[wanted] = _candidates(self, wanted)
+        return known[wanted]
+
+    @cached_property
+    def _candidates(self) -> dict[Wanted, Candidates]:
+        return {}
+
+
+def fleet(
+    agents: Sequence[Agent], nodes: Sequence[NodeState], now_ns: int = 0, lost_seconds: float = NODE_LOST_SECONDS
+) -> Fleet:
+    """Agents and nodes by agent name; nodes that were not ready for longer than `lost_seconds` are lost."""
     by_agent: dict[str, list[NodeState]] = {}
     for node in sorted(nodes, key=lambda n: n.name):
-        by_agent.setdefault(node.agent, []).append(node)
+        is_lost = node.not_ready_since is not None and now_ns - node.not_ready_since > lost_seconds * SECOND_NS
+        by_agent.setdefault(node.agent, []).append(replace(node, lost=True) if is_lost else node)
     return Fleet({a.name: a for a in agents}, {name: tuple(found) for name, found in by_agent.items()})
 
 
-def place(seats: Sequence[Seat], fleet: Fleet, load: Mapping[str, int]) -> Placement:
-    """The one agent for services that share a node.
+def next_loss_ns(nodes: Iterable[NodeState], lost_seconds: float, now_ns: int) -> int | None:
+    """When the next node will be lost if nothing is heard: nobody says so at that moment. None when none will."""
+    moments = [n.not_ready_since + int(lost_seconds * SECOND_NS) + 1 for n in nodes if n.not_ready_since is not None]
+    return min((moment for moment in moments if moment > now_ns), default=None)
+
+
+def _room(nodes: Sequence[NodeState]) -> Room | None:
+    found = [node.allocatable for node in nodes if not node.lost]
+    known = [resources for resources in found if resources is not None]
+    if not known or len(known) < len(found):
+        return None
+    largest = Resources(max(r.cpu_millicores for r in known), max(r.memory_bytes for r in known))
+    return Room(sum(known, NOTHING), largest)
+
+
+def listed(reasons: Sequence[tuple[str, Reason]]) -> tuple[str, ...]:
+    """A sentence per candidate, or, for many, one per kind of reason with their number and the first names."""
+    if len(reasons) <= LISTED_MAX:
+        return tuple(f"{name}: {kind}{rest}" for name, (kind, rest) in reasons)
+    kinds: dict[str, list[str]] = {}
+    for name, (kind, _) in reasons:
+        kinds.setdefault(kind, []).append(name)
+    return tuple(
+        f"{len(names)} agents ({', '.join(names[:NAMED_MAX])}{', ...' if len(names) > NAMED_MAX else ''}): {kind}"
+        for kind, names in kinds.items()
+    )
+
+
+@dataclass(frozen=True)
+class Group:
+    """Seats that share an agent, and what follows from them; computed once, asked often."""
+
+    seats: tuple[Seat, ...]
+    wanted: Wanted
+    together: tuple[str, ...]
+
+    @cached_property
+    def kept(self) -> Mapping[str, int]:
+        """Agents that run some of the releases already, with how many."""
+        found: dict[str, int] = {}
+        for seat in self.seats:
+            for name in seat.kept:
+                found[name] = found.get(name, 0) + 1
+        return found
+
+    @cached_property
+    def apart(self) -> tuple[str, ...]:
+        """Words that must not meet on one agent."""
+        return tuple(seat.apart for seat in self.seats if seat.apart)
+
+
+def group(seats: Sequence[Seat], fleet: Fleet, narrowing: Narrowing = ANYWHERE) -> Group:
+    """The seats as one group; RefusalError(NoCapableNode) when their rules contradict each other."""
+    named = _named(seats, fleet)
+    role = "" if narrowing.instead else _one_role(seats)
+    names = dict.fromkeys(seat.service for seat in seats)
+    together = (f"{', '.join(names)}: on one node, linked by ros",) if len(seats) > 1 else ()
+    platforms = tuple(dict.fromkeys(seat.platforms for seat in seats if seat.platforms))
+    if named and all(seat.agent is not None for seat in seats):
+        narrowing = ANYWHERE  # bound to the agent as a whole: the task has no say
+    capabilities = dict.fromkeys([*(c for seat in seats for c in seat.rule.capabilities), *narrowing.capabilities])
+    roles = tuple(narrowing.instead or narrowing.roles)
+    wanted = Wanted(role, roles, narrowing.agents, tuple(capabilities), platforms, named.name if named else "")
+    return Group(tuple(seats), wanted, together)
+
+
+@dataclass(frozen=True)
+class Circumstances:
+    """What counts beside the group itself: what is planned on each agent, what the group asks for (`special`: less on
+    these agents, where others asked for a part of it), and `avoided` agents with why they must not be taken."""
+
+    fleet: Fleet
+    occupancy: Occupancy
+    need: Resources = NOTHING
+    special: Mapping[str, Resources] = field(default_factory=dict)
+    avoided: Mapping[str, str] = field(default_factory=dict)
+
+    def takes(self, name: str) -> bool:
+        """Whether nothing of this stands against an agent."""
+        if name in self.avoided:
+            return False
+        return self.occupancy.fits(name, self.fleet.rooms.get(name), self.special.get(name, self.need))
+
+    def against(self, name: str) -> Reason:
+        """What stands against an agent that does not take it; else how much is planned there."""
+        if name in self.avoided:
+            return self.avoided[name], ""
+        need, room = self.special.get(name, self.need), self.fleet.rooms.get(name)
+        if room is None or self.occupancy.fits(name, room, need):
+            return "possible", f", {self.occupancy.load(name)} releases placed"
+        return "has not enough room", f": {self.occupancy.shortage(name, room, need)}"
+
+
+def place(asked: Group, around: Circumstances, kept: Mapping[str, int] | None = None) -> Placement:
+    """The one agent for a group; it runs in part on `kept` (default: as its seats say).
 
     A named agent is taken; else the agents of the role that is asked for, or all, are candidates. One that runs most of
-    the releases already stays, even when it is not ready at the moment. Else the one with the least `load` (releases
-    placed so far), then the first by name. RefusalError(NoCapableNode) gives every candidate's reason.
+    the releases already stays, even when it is not ready at the moment, as long as it is not lost. Else the one with
+    the least releases placed so far, then the first by name. What runs is not taken away because room has become too
+    little when there is no better place. RefusalError(NoCapableNode or InsufficientResources) gives the reasons.
     """
-    named = _named(seats, fleet)
-    if named and len(seats) == 1:
-        return Placement(named, (f"{named.name}: named by the application",))
-    role = _one_role(seats)
-    candidates = [named] if named else [a for _, a in sorted(fleet.agents.items()) if role in ("", a.role)]
-    kept = {agent.name: sum(agent.name in seat.kept for seat in seats) for agent in candidates}
-    present = {agent.name for agent in candidates if kept[agent.name] or agent == named}
-    obstacles = {a.name: _obstacle(seats, a, fleet.nodes.get(a.name, ()), a.name in present) for a in candidates}
-    free = [agent for agent in candidates if not obstacles[agent.name]]
-    if not free:
-        detail = "; ".join(f"{name}: {text}" for name, text in obstacles.items()) or "no agent of that role is declared"
-        raise RefusalError("NoCapableNode", f"no agent for {_wanted(seats)}: {detail}")
-    chosen = min(free, key=lambda a: (-kept[a.name], load.get(a.name, 0), a.name))
-    reasons = [_reason(a, obstacles[a.name], chosen, kept[a.name], load.get(a.name, 0)) for a in candidates]
-    return Placement(chosen, (*_together(seats), *reasons))
+    candidates = around.fleet.candidates(asked.wanted)
+    kept, load = asked.kept if kept is None else kept, around.occupancy.load
+    running = [n for n in sorted(kept, key=lambda n: (-kept[n], load(n), n)) if n in candidates.stay]
+    for name in running:
+        if around.takes(name):
+            return candidates.stays(around.fleet.agents[name], asked.together)
+    free = [agent for agent in candidates.free if around.takes(agent.name)]
+    if free:
+        chosen = min(free, key=lambda agent: (load(agent.name), agent.name))
+        return Placement(chosen, _reasons(asked, chosen, candidates, around))
+    for name in running:
+        if name not in around.avoided:
+            return candidates.stays(around.fleet.agents[name], asked.together)
+    raise _refusal(asked, candidates, around)
+
+
+def _reasons(asked: Group, chosen: Agent, candidates: Candidates, around: Circumstances) -> tuple[str, ...]:
+    if chosen.name == asked.wanted.named:
+        return (*asked.together, f"{chosen.name}: named by the application")
+    first = f"{chosen.name}: taken, {around.occupancy.load(chosen.name)} releases placed"
+    others = [_reason(agent, candidates, around) for agent in candidates.agents if agent is not chosen]
+    return (*asked.together, first, *listed(others))
+
+
+def _reason(agent: Agent, candidates: Candidates, around: Circumstances) -> tuple[str, Reason]:
+    return agent.name, candidates.obstacles.get(agent.name) or around.against(agent.name)
+
+
+def _refusal(asked: Group, candidates: Candidates, around: Circumstances) -> RefusalError:
+    found = [_reason(agent, candidates, around) for agent in candidates.agents]
+    detail = "; ".join(listed(found)) or "no agent of that role is declared"
+    group = f"{asked.wanted}{''.join(f' ({text})' for text in asked.together)}"
+    if any(agent.name not in around.avoided for agent in candidates.free):
+        text = f"no agent for {group} has room: {detail}; ask for less, or withdraw something that runs there"
+        return RefusalError("InsufficientResources", text)
+    return RefusalError("NoCapableNode", f"no agent for {group}: {detail}")
+
+
+def _candidates(fleet: Fleet, wanted: Wanted) -> Candidates:
+    """Agents of the role or of the roles are looked at, a named agent alone; what they lack are obstacles."""
+    if wanted.named:
+        agents: Sequence[Agent] = [fleet.agents[wanted.named]]
+    elif wanted.role or not wanted.roles:
+        agents = fleet.of_role.get(wanted.role, ())
+    else:
+        agents = sorted({a for role in wanted.roles for a in fleet.of_role.get(role, ())})
+    free, stay, obstacles = [], set(), dict[str, Reason]()
+    for agent in agents:
+        nodes = fleet.nodes.get(agent.name, ())
+        reason = _lack(agent, nodes, wanted)
+        if reason is None:
+            stay.add(agent.name)
+            if wanted.named or any(n.ready and not n.cordoned and not n.lost for n in nodes):
+                free.append(agent)
+            else:
+                obstacles[agent.name] = ("no Node is Ready and schedulable", "")
+        else:
+            obstacles[agent.name] = reason
+    return Candidates(tuple(free), frozenset(stay), obstacles, tuple(agents))
+
+
+def _lack(agent: Agent, nodes: Sequence[NodeState], wanted: Wanted) -> Reason | None:
+    """What an agent lacks for good, or because its nodes are lost; a bound service waits for a lost one."""
+    if wanted.role not in ("", agent.role):
+        return f"has role {agent.role}, not {wanted.role}", ""
+    if wanted.roles and agent.role not in wanted.roles:
+        return f"has role {agent.role}, the task wants {', '.join(wanted.roles)}", ""
+    if wanted.agents and agent.name not in wanted.agents:
+        return "is not among the agents of the task", ""
+    if not nodes:
+        return "has no Node", ""
+    missing = [c for c in wanted.capabilities if not any(c in node.capabilities for node in nodes)]
+    if missing:
+        return f"lacks capability {', '.join(missing)}", ""
+    foreign = [p for p in wanted.platforms if not any(n.platform in ("", *p) for n in nodes)]
+    if foreign:
+        own = ", ".join(sorted({node.platform for node in nodes}))
+        return f"is {own}, the chart runs on {', '.join(foreign[0])}", ""
+    if not wanted.named and all(node.lost for node in nodes):
+        return "its Node is lost", f": {', '.join(node.name for node in nodes)}"
+    return None
 
 
 def _named(seats: Sequence[Seat], fleet: Fleet) -> Agent | None:
@@ -115,41 +403,3 @@ def _one_role(seats: Sequence[Seat]) -> str:
         text = ", ".join(f"{service} wants role {role}" for service, role in roles.items())
         raise RefusalError("NoCapableNode", f"services with ros links must share a node: {text}")
     return next(iter(roles.values()), "")
-
-
-def _wanted(seats: Sequence[Seat]) -> str:
-    role = _one_role(seats)
-    words = [f"role {role}"] if role else []
-    words += [f"capability {c}" for c in _capabilities(seats)]
-    return " ".join([*(words or ["any role"]), *(f"({text})" for text in _together(seats))])
-
-
-def _capabilities(seats: Sequence[Seat]) -> Sequence[str]:
-    return list(dict.fromkeys(c for seat in seats for c in seat.rule.capabilities))
-
-
-def _together(seats: Sequence[Seat]) -> Sequence[str]:
-    names = dict.fromkeys(seat.service for seat in seats)
-    return [f"{', '.join(names)}: on one node, linked by ros"] if len(seats) > 1 else []
-
-
-def _obstacle(seats: Sequence[Seat], agent: Agent, nodes: Sequence[NodeState], stays: bool) -> str:
-    role = _one_role(seats)
-    if role not in ("", agent.role):
-        return f"has role {agent.role}, not {role}"
-    if not nodes:
-        return "has no Node"
-    missing = [c for c in _capabilities(seats) if not any(c in node.capabilities for node in nodes)]
-    if missing:
-        return f"lacks capability {', '.join(missing)}"
-    if stays or any(node.ready and not node.cordoned for node in nodes):
-        return ""
-    return "no Node is Ready and schedulable"
-
-
-def _reason(agent: Agent, obstacle: str, chosen: Agent, kept: int, load: int) -> str:
-    if obstacle:
-        return f"{agent.name}: {obstacle}"
-    if agent == chosen:
-        return f"{agent.name}: taken, {'it runs there already' if kept else f'{load} releases placed'}"
-    return f"{agent.name}: possible, {load} releases placed"

@@ -2,72 +2,81 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Generic, TypeVar
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 from robotkube.domain.catalogue_applications import TOPIC_KEYS
 from robotkube.domain.errors import RefusalError
 
 OUT, IN = "out", "in"
 
-_Owner = TypeVar("_Owner")
+End = tuple[str, str]
+"""A bridge: kind of link and agent."""
+
+Part = dict[str, dict[str, Mapping[str, Any]]]
+"""Topics of one bridge by direction and name."""
 
 
-class TopicUnion(Generic[_Owner]):
-    """Topics by (kind of link, agent), direction and name, and who asks for each bridge."""
+class TopicUnion:
+    """Topics of bridges, and the parts they were merged from."""
 
     def __init__(self) -> None:
-        self._topics: dict[tuple[str, str, str], dict[str, Mapping[str, Any]]] = {}
-        self.owners: dict[tuple[str, str], list[_Owner]] = {}
+        self._topics: dict[End, Part] = {}
+        self._own: set[End] = set()
+        self.parts: dict[End, list[Part]] = {}
 
-    def copy(self) -> TopicUnion[_Owner]:
-        """A union that can grow without changing this one."""
-        found: TopicUnion[_Owner] = TopicUnion()
-        found._topics = {end: dict(topics) for end, topics in self._topics.items()}
-        found.owners = {bridge: list(owners) for bridge, owners in self.owners.items()}
-        return found
+    @property
+    def ends(self) -> Iterable[End]:
+        """Every bridge that somebody asks for."""
+        return self._topics.keys()
 
-    def owned_by(self, owner: _Owner) -> TopicUnion[_Owner]:
-        """The same topics, asked for by somebody else."""
-        found = self.copy()
-        found.owners = {bridge: [owner] for bridge in self.owners}
-        return found
-
-    def add(self, kind: str, agent: str, direction: str, topic: Mapping[str, Any], owner: _Owner) -> None:
+    def add(self, kind: str, agent: str, direction: str, topic: Mapping[str, Any]) -> None:
         """Add one topic; RefusalError(CompositionFailed) when the bridge has it otherwise or in the other direction."""
-        topics = self._topics.setdefault((kind, agent, direction), {})
-        _same(agent, topics.get(topic["name"]), topic)
-        if topic["name"] in self._topics.get((kind, agent, IN if direction == OUT else OUT), {}):
-            raise RefusalError(
-                "CompositionFailed", f"topic {topic['name']} would leave and enter {agent} by its bridge: a loop"
-            )
-        topics[topic["name"]] = topic
-        owners = self.owners.setdefault((kind, agent), [])
-        if owner not in owners:
-            owners.append(owner)
+        part: Part = {OUT: {}, IN: {}}
+        part[direction][topic["name"]] = topic
+        found = TopicUnion()
+        found._topics[kind, agent] = part
+        self.merge(found)
+        self.parts.clear()
 
-    def merged(self, other: TopicUnion[_Owner]) -> TopicUnion[_Owner]:
-        """Both together; refuses as `add`."""
-        found = self.copy()
-        for (kind, agent, direction), topics in other._topics.items():
-            for topic in topics.values():
-                for owner in other.owners[kind, agent]:
-                    found.add(kind, agent, direction, topic, owner)
-        return found
+    def merge(self, other: TopicUnion) -> None:
+        """Take in all of `other`, or refuse as `add` does and stay as it was."""
+        for end, part in other._topics.items():
+            mine = self._topics.get(end)
+            if mine is not None:
+                _agree(end[1], mine, part)
+        for end, part in other._topics.items():
+            self.parts.setdefault(end, []).append(part)
+            mine = self._topics.setdefault(end, part)
+            if mine is not part:
+                if end not in self._own:
+                    mine = self._topics[end] = {direction: dict(topics) for direction, topics in mine.items()}
+                    self._own.add(end)
+                for direction, topics in part.items():
+                    mine[direction].update(topics)
 
     def at(self, kind: str, agent: str) -> dict[str, Sequence[Mapping[str, Any]]]:
         """Topics of one bridge by direction, by name."""
-        return {direction: self._sorted((kind, agent, direction)) for direction in (OUT, IN)}
-
-    def _sorted(self, end: tuple[str, str, str]) -> Sequence[Mapping[str, Any]]:
-        topics = self._topics.get(end, {})
-        return [topics[name] for name in sorted(topics)]
+        part = self._topics.get((kind, agent), {})
+        found = {direction: part.get(direction, {}) for direction in (OUT, IN)}
+        return {direction: [topics[name] for name in sorted(topics)] for direction, topics in found.items()}
 
 
-def _same(agent: str, present: Mapping[str, Any] | None, topic: Mapping[str, Any]) -> None:
-    if present is None or present == topic:
-        return
+def _agree(agent: str, mine: Part, part: Part) -> None:
+    for direction, topics in part.items():
+        present, against = mine[direction], mine[IN if direction == OUT else OUT]
+        for name, topic in topics.items():
+            known = present.get(name)
+            if known is not None and known is not topic and known != topic:
+                raise _difference(agent, known, topic)
+            if name in against:
+                raise RefusalError(
+                    "CompositionFailed", f"topic {name} would leave and enter {agent} by its bridge: a loop"
+                )
+
+
+def _difference(agent: str, present: Mapping[str, Any], topic: Mapping[str, Any]) -> RefusalError:
     differences = ", ".join(f"{k} {present[k]!r} and {topic[k]!r}" for k in TOPIC_KEYS if present[k] != topic[k])
-    raise RefusalError(
+    return RefusalError(
         "CompositionFailed", f"topic {topic['name']} at the bridge of {agent} is asked for with {differences}"
     )

@@ -7,8 +7,8 @@ and are not looked at.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Protocol
 
 DEPTH_MAX = 40
 NODES_MAX = 20_000
@@ -17,9 +17,18 @@ DIALECTS = (
     "https://json-schema.org/draft/2019-09/schema",
     "https://json-schema.org/draft/2020-12/schema",
 )
+SAMPLE_PLAN = "20000101-000000-000000"
 NAMED = ("properties", "patternProperties", "$defs", "definitions")
 NESTED = ("items", "additionalProperties", "additionalItems", "contains", "unevaluatedProperties")
 LISTED = ("prefixItems", "anyOf", "oneOf")
+
+
+class Validate(Protocol):
+    """Problems of a value, which is called `name` in them, under a JSON Schema."""
+
+    def __call__(self, schema: Mapping[str, Any], value: Any, name: str = ..., /) -> Sequence[str]:
+        """At most a few dozen; none when the value is valid."""
+        ...
 
 
 def places(schema: Any, path: str = "values", depth: int = 0) -> Iterator[tuple[str, Mapping[str, Any]]]:
@@ -145,3 +154,9 @@ def overlay(base: Any, over: Any) -> Any:
         return over
     merged = {**base, **{key: overlay(base.get(key), value) for key, value in over.items()}}
     return {key: value for key, value in merged.items() if value is not None or key not in over}
+
+
+def deployed(schema: Mapping[str, Any], values: Mapping[str, Any], plan: str = SAMPLE_PLAN) -> Any:
+    """The values that Helm checks by a chart's `schema` when `values` are deployed by `plan`: laid over the chart's
+    defaults, which the published schema carries."""
+    return overlay(schema.get("default", {}), overlay(values, {"global": {"plan": plan}}))

@@ -1,0 +1,115 @@
+"""The inputs of one composition with everything that can be looked up in them, kept for as long as they stay equal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from robotkube.domain.capacities import NOTHING, Occupancy, Resources, read_requests
+from robotkube.domain.catalogue import Catalogue, Pin
+from robotkube.domain.loops import Render
+from robotkube.domain.placement import Fleet
+from robotkube.domain.releases import Release
+from robotkube.domain.selection import Selector
+from robotkube.domain.worlds import Demand, World
+
+Question = tuple[Any, ...]
+"""What a draft asked the fleet: ("agent", name), ("role", role), ("platforms", agent, role)."""
+
+_NOWHERE: frozenset[str] = frozenset()
+
+
+class Scene:
+    """A World and its indexes; takes over from the scene `before` what has not changed."""
+
+    def __init__(self, world: World, before: Scene | None = None) -> None:
+        self.render: Render = world.render
+        self.pins: Mapping[str, Pin] = world.pins
+        same = before is not None and before.fleet == world.fleet
+        self.fleet: Fleet = before.fleet if before is not None and same else world.fleet
+        self.selector = _selector(world, before)
+        self.present: Mapping[str, Release] = dict(world.present)
+        if before is not None and same and before.present == self.present:
+            self._places, self._applications, self._charts = before._places, before._applications, before._charts
+            self.present = before.present
+        else:
+            self._places, self._applications, self._charts = _index(self.present, self.fleet)
+        self.others: Mapping[str, Release] = dict(world.others)
+        if before is not None and same and before.selector is self.selector and before.others == self.others:
+            self.occupied = before.occupied
+        else:
+            self.occupied = _occupied(self.others, self.fleet, self.selector.catalogue)
+
+    def kept(self, demand: Demand, name: Any) -> frozenset[str]:
+        """Agents on which this demand's release of that name runs already."""
+        if not isinstance(name, str):
+            return _NOWHERE
+        return self._places.get((demand.key if demand.task else "", name), _NOWHERE)
+
+    def kept_application(self, demand: Demand) -> str:
+        """The application that answers the demand's task on main; empty when none does."""
+        return self._applications.get(demand.key, "")
+
+    def answer(self, question: Question) -> Any:
+        """What the fleet says now; RefusalError as the fleet raises it."""
+        if question[0] == "agent":
+            return self.fleet.agent(question[1])
+        if question[0] == "role":
+            return self.fleet.present(question[1])
+        return self.platforms(question[1], question[2])
+
+    def runs(self, agent: str, chart: str) -> bool:
+        """Whether a release of that chart is on the agent already."""
+        return (agent, chart) in self._charts
+
+    def platforms(self, agent: str, role: str = "") -> frozenset[str]:
+        """Platforms of the nodes of an agent, else of all agents of the role; none when one of them is not known."""
+        names = [agent] if agent else [found.name for found in self.fleet.of_role.get(role, ())]
+        found = {node.platform for name in names for node in self.fleet.nodes.get(name, ())}
+        return frozenset() if "" in found else frozenset(found)
+
+
+def _selector(world: World, before: Scene | None) -> Selector:
+    if before is not None and before.selector.serves(world.catalogue, world.withheld, world.schema):
+        return before.selector
+    return Selector(world.catalogue, world.withheld, world.validate, world.schema)
+
+
+def _index(
+    present: Mapping[str, Release], fleet: Fleet
+) -> tuple[dict[tuple[str, str], frozenset[str]], dict[str, str], set[tuple[str, str]]]:
+    """(task, release name) -> agents that run it, under the empty task for all; task -> application that answers it;
+    (agent, chart) of every release."""
+    places: dict[tuple[str, str], set[str]] = {}
+    charts: set[tuple[str, str]] = set()
+    applications: dict[str, str] = {}
+    for release in present.values():
+        agents = agents_of(release, fleet)
+        charts.update((agent, release.chart) for agent in agents)
+        for task in ("", *(cause.task for cause in release.causes)):
+            places.setdefault((task, release.name), set()).update(agents)
+        applications.update((cause.task, cause.application) for cause in release.causes)
+    return {key: frozenset(found) for key, found in places.items()}, applications, charts
+
+
+def agents_of(release: Release, fleet: Fleet) -> tuple[str, ...]:
+    """The agent a release is placed on as its values say; else those of its namespace."""
+    placement = release.values.get("placement")
+    agent = placement.get("agent") if isinstance(placement, Mapping) else None
+    if isinstance(agent, str) and agent in fleet.agents and fleet.agents[agent].namespace == release.namespace:
+        return (agent,)
+    return fleet.by_namespace.get(release.namespace, ())
+
+
+def _occupied(others: Mapping[str, Release], fleet: Fleet, catalogue: Catalogue) -> Occupancy:
+    found = Occupancy()
+    for release in others.values():
+        for agent in agents_of(release, fleet)[:1]:
+            found.take(agent, need_of(release, catalogue))
+    return found
+
+
+def need_of(release: Release, catalogue: Catalogue) -> Resources:
+    """What a release asks for, as the catalogue says it of its chart version; nothing when it is not known there."""
+    version = catalogue.version(release.chart, release.version)
+    return read_requests(version.resources) if version else NOTHING

@@ -1,0 +1,123 @@
+"""Who sits where in one composition so far: room, releases by name, and who keeps away from whom."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from robotkube.domain.capacities import NOTHING, Resources
+from robotkube.domain.placement import Circumstances, Group, Placement, place
+from robotkube.domain.scenes import Scene
+from robotkube.domain.worlds import Demand
+
+_NOBODY: Mapping[str, str] = {}
+
+
+class Seating:
+    """Grows as demands are placed; `mark` and `undo` take back what a refused demand had taken.
+
+    `watched`: words that some demand keeps away from (Demand.keeps_away): only these are written down."""
+
+    def __init__(self, scene: Scene, watched: frozenset[str]) -> None:
+        self._watched = watched
+        self.occupancy = scene.occupied.copy()
+        self._named: dict[str, set[str]] = {}
+        self._near: dict[str, set[str]] = {}
+        self._kept_away: dict[str, set[str]] = {}
+        self._apart: dict[str, set[str]] = {}
+        self._journal: list[tuple[dict[str, set[str]], str, str]] = []
+        if watched:
+            self._see_others(scene)
+
+    def _see_others(self, scene: Scene) -> None:
+        for release in scene.others.values():
+            agent = scene.fleet.by_namespace.get(release.namespace, ("",))[0]
+            self._write(self._near, [release.name, release.key, *(c.task for c in release.causes)], agent)
+
+    def mark(self) -> tuple[int, int]:
+        """A point to go back to."""
+        return self.occupancy.mark(), len(self._journal)
+
+    def undo(self, mark: tuple[int, int]) -> None:
+        """Take back everything since `mark`."""
+        self.occupancy.undo(mark[0])
+        while len(self._journal) > mark[1]:
+            words, word, agent = self._journal.pop()
+            words[word].discard(agent)
+
+    def _note(self, words: dict[str, set[str]], word: str, agent: str) -> None:
+        agents = words.setdefault(word, set())
+        if agent not in agents:
+            agents.add(agent)
+            self._journal.append((words, word, agent))
+
+    def _write(self, words: dict[str, set[str]], found: Iterable[str], agent: str) -> None:
+        for word in found:
+            if word in self._watched:
+                self._note(words, word, agent)
+
+    def seat(
+        self, demand: Demand, group: Group, names: Sequence[Any], needs: Sequence[Resources], scene: Scene
+    ) -> Placement:
+        """Place a group whose releases have these names and ask for this; it sits there from now on.
+
+        A release that another demand makes already is shared: it asks for nothing more."""
+        shared = self._shared(names)
+        around = Circumstances(
+            scene.fleet,
+            self.occupancy,
+            needs[0] if len(needs) == 1 else sum(needs, NOTHING),
+            {agent: _rest(names, needs, found) for agent, found in shared.items()},
+            self._avoided(demand, group, names),
+        )
+        placement = place(group, around, self._kept(demand, group, names, scene))
+        agent = placement.agent.name
+        for name, one in zip(names, needs, strict=True):
+            if name not in shared.get(agent, ()):
+                self.occupancy.take(agent, one)
+                self._note(self._named, str(name), agent)
+        for word in group.apart:
+            self._note(self._apart, word, agent)
+        if self._watched:
+            self._settle(demand, names, placement)
+        return placement
+
+    def _kept(self, demand: Demand, group: Group, names: Sequence[Any], scene: Scene) -> Mapping[str, int]:
+        """Agents on which releases of the group run already, or, of those that are shared, are planned by others."""
+        found: dict[str, int] = {}
+        for seat, name in zip(group.seats, names, strict=True):
+            planned = self._named.get(name, ()) if seat.united else ()
+            for agent in (*scene.kept(demand, name), *planned):
+                found[agent] = found.get(agent, 0) + 1
+        return found
+
+    def _shared(self, names: Sequence[Any]) -> dict[str, set[Any]]:
+        """Agents on which releases of these names are planned already, with the names."""
+        found: dict[str, set[Any]] = {}
+        for name in names:
+            for agent in self._named.get(name, ()) if isinstance(name, str) else ():
+                found.setdefault(agent, set()).add(name)
+        return found
+
+    def _avoided(self, demand: Demand, group: Group, names: Sequence[Any]) -> Mapping[str, str]:
+        if not self._watched and not group.apart:
+            return _NOBODY
+        found: dict[str, str] = {}
+        for word in group.apart:
+            found.update(dict.fromkeys(self._apart.get(word, ()), "runs another instance, and instances are spread"))
+        for word in sorted(demand.keeps_away):
+            found.update(dict.fromkeys(self._near.get(word, ()), f"runs {word}, which the task keeps away from"))
+        own = [demand.key, *(name for name in names if isinstance(name, str))]
+        for word in own if self._watched else ():
+            found.update(dict.fromkeys(self._kept_away.get(word, ()), f"runs what keeps away from {word}"))
+        return found
+
+    def _settle(self, demand: Demand, names: Sequence[Any], placement: Placement) -> None:
+        agent = placement.agent
+        words = [demand.key, *map(str, names), *(f"{agent.namespace}/{name}" for name in names)]
+        self._write(self._near, words, agent.name)
+        self._write(self._kept_away, demand.keeps_away, agent.name)
+
+
+def _rest(names: Sequence[Any], needs: Sequence[Resources], shared: set[Any]) -> Resources:
+    return sum((need for name, need in zip(names, needs, strict=True) if name not in shared), NOTHING)

@@ -1,0 +1,30 @@
+"""One release for several demands: equal but for some lists, which are united."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from robotkube.domain.releases import Release
+
+
+def united(first: Release, second: Release, paths: Sequence[str]) -> Release | None:
+    """Both releases as one, or None when they differ in more than the lists at `paths` (keys joined by dots).
+
+    A united list holds every item once, sorted by its JSON text, so that the order of demands does not matter."""
+    if not paths or replace(first, values={}) != replace(second, values={}):
+        return None
+    found = _united(first.values, second.values, frozenset(paths), "")
+    return None if found is None else replace(first, values=found)
+
+
+def _united(first: Any, second: Any, paths: frozenset[str], path: str) -> Any:
+    if path in paths and isinstance(first, list) and isinstance(second, list):
+        items = {json.dumps(item, sort_keys=True): item for item in [*first, *second]}
+        return [items[text] for text in sorted(items)]
+    if isinstance(first, Mapping) and isinstance(second, Mapping) and first.keys() == second.keys():
+        found = {k: _united(first[k], second[k], paths, f"{path}.{k}" if path else k) for k in first}
+        return None if any(found[key] is None and first[key] is not None for key in found) else found
+    return first if first == second else None
