@@ -1,8 +1,13 @@
-"""Publishes what was built to the forge: images with their bills of materials, then all charts and applications, as
-any publisher does: by a submission that the gate verifies.
+"""Publishes what was built to the forge: images with their bills of materials, then charts and applications, as any
+publisher does: by a submission that the gate verifies.
 
     python -m ci.publish --kubeconfig FILE                     the forge of that cluster, by its Service's address
     python -m ci.publish --forge-url URL --password-file FILE  any forge that the bootstrap has set up
+    ... --chart object-detection --chart object-tracking@0.1.0 these charts, too
+
+Every chart costs the time of its suites, so only those that the platform needs are published (BASE) and those that
+are asked for, with the versions that they replace. Older versions are in charts/earlier. Applications are published
+when all charts that they run are.
 
 Everything is content-addressed: publishing twice changes nothing. A local build never replaces a version in the
 registry: its tag is `<version>_<first 12 digits of the manifest digest>` (docs/decisions/0002). Evidence is kept, by
@@ -27,14 +32,19 @@ from ci.errors import InputError, SetUpError
 from ci.folders import PROJECT
 from ci.images import bills
 from robotkube.adapters.oci_registry import Registry
+from robotkube.domain.catalogue import read_application
+from robotkube.domain.charts_packing import CHART_FILE
 from robotkube.domain.errors import RobotKubeError, UnavailableError
+from robotkube.domain.texts import read_mapping
 from robotkube.entrypoints import submission_sources as sources
 from robotkube.entrypoints.cli_registry_submit import ACCOUNT, ForgeAccess, submit_sources
-from robotkube.services.submitting import REFUSED, Outcome, Sources
+from robotkube.services.submitting import REFUSED, ChartSource, Outcome, Sources
 
 NAMESPACE, SERVICE, PORT = "robotkube", "forge", 3000
 ACCOUNT_SECRET = f"forge-account-{ACCOUNT}"
 CHARTS, REGISTRY = PROJECT / "charts" / "apps", PROJECT / "registry"
+EARLIER = PROJECT / "charts" / "earlier"
+BASE = ("bag-player", "event-detector", "mqtt-bridge")
 WAIT_SECONDS_MAX = 60.0  # for a forge that does not answer
 VERDICT_SECONDS_MAX = 900.0  # for the gate's suites
 RETRY_SECONDS = 1.0
@@ -51,10 +61,15 @@ class Published:
     outcome: Outcome
 
 
-def publish(kubeconfig: Path, say: Callable[[str], None] = lambda text: None, kept: Path | None = None) -> Published:
+def publish(
+    kubeconfig: Path,
+    say: Callable[[str], None] = lambda text: None,
+    kept: Path | None = None,
+    extra: Sequence[str] = (),
+) -> Published:
     """Publish to the forge of the cluster that `kubeconfig` names; SetUpError says what is in the way. `kept`: folder
-    of evidence (default: the user's cache)."""
-    return publish_to(find_forge(kubeconfig), read_lock(lock_file()), kept or evidence.kept_folder(), say)
+    of evidence (default: the user's cache), `extra`: charts beside BASE, `<name>` or `<name>@<version>`."""
+    return publish_to(find_forge(kubeconfig), read_lock(lock_file()), kept or evidence.kept_folder(), say, extra)
 
 
 def find_forge(kubeconfig: Path) -> ForgeAccess:
@@ -76,13 +91,17 @@ def find_forge(kubeconfig: Path) -> ForgeAccess:
 
 
 def publish_to(
-    forge: ForgeAccess, images: Sequence[Image], kept: Path, say: Callable[[str], None] = lambda text: None
+    forge: ForgeAccess,
+    images: Sequence[Image],
+    kept: Path,
+    say: Callable[[str], None] = lambda text: None,
+    extra: Sequence[str] = (),
 ) -> Published:
     """The images that charts run, then the submission, which names only what is already there; all other images go
-    beside it. `kept`: evidence of earlier publications, taken from and written to this folder."""
+    beside it. `kept`: evidence of earlier publications, taken from and written to this folder. `extra`: as above."""
     try:
         references = {image.name: image.reference for image in images}
-        found = read_all(references, kept)
+        found = read_all(references, kept, extra)
         with Registry(forge.url, forge.username, forge.password) as registry, ThreadPoolExecutor(LANES) as lanes:
             first, others = _needed_first(images, found)
             for image in first:
@@ -100,11 +119,46 @@ def publish_to(
     return Published(tuple(references.values()), outcome)
 
 
-def read_all(references: Mapping[str, str], kept: Path) -> Sources:
-    """All charts and applications of the sources, and the evidence that is kept; InputError names every mistake."""
-    names, applications = sources.all_charts(CHARTS), sources.all_applications(REGISTRY)
-    sources.check_sources(names, applications, CHARTS, REGISTRY)
-    return sources.read_sources(names, applications, CHARTS, REGISTRY, references, kept)
+def read_all(references: Mapping[str, str], kept: Path, extra: Sequence[str] = ()) -> Sources:
+    """The charts of BASE and `extra` with the versions they replace, the applications that these can run, and the
+    evidence that is kept; InputError names every mistake."""
+    newest = dict.fromkeys(sources.all_charts(CHARTS), CHARTS)
+    earlier = {f"{name}@{_version(EARLIER, name)}": EARLIER for name in sources.all_charts(EARLIER)}
+    places = newest | {f"{name}@{_version(CHARTS, name)}": CHARTS for name in newest} | earlier
+    unknown = [name for name in extra if name not in places]
+    if unknown:
+        raise InputError(f"no chart {', '.join(unknown)}; there are {', '.join(sorted([*newest, *earlier]))}")
+    charts: dict[tuple[str, str], ChartSource] = {}
+    waiting = [*BASE, *extra]
+    while waiting:  # a version is looked at once
+        name = waiting.pop()
+        chart = sources.read_chart(name.partition("@")[0], places[name], REGISTRY, references)
+        if (chart.packed.name, chart.packed.version) not in charts:
+            charts[chart.packed.name, chart.packed.version] = chart
+            replaced = f"{chart.packed.name}@{chart.document['spec'].get('replaces')}"
+            waiting += [replaced] if replaced in places else []
+    return _checked([charts[key] for key in sorted(charts)], kept)
+
+
+def _version(charts: Path, name: str) -> str:
+    return str(read_mapping((charts / name / CHART_FILE).read_text(encoding="utf-8"), name)["version"])
+
+
+def _checked(charts: Sequence[ChartSource], kept: Path) -> Sources:
+    """The charts with the applications that they can run, after a look at both."""
+    names = {chart.packed.name for chart in charts}
+    provided = {word for chart in charts for word in chart.document["spec"].get("provides", ())}
+    texts = {
+        name: (REGISTRY / "applications" / f"{name}.yaml").read_text() for name in sources.all_applications(REGISTRY)
+    }
+    read = {name: read_application(text, f"applications/{name}.yaml") for name, text in texts.items()}
+    needed = {name: [service.chart for service in found.services] for name, found in read.items()}
+    runnable = [
+        name for name, wanted in needed.items() if all(c.name in names or c.provides in provided for c in wanted)
+    ]
+    sources.check_sources(sorted(names), runnable, CHARTS, REGISTRY)
+    applications = {f"applications/{name}.yaml": texts[name] for name in runnable}
+    return Sources(tuple(charts), applications, sources.read_kept(kept))
 
 
 def _needed_first(images: Sequence[Image], found: Sources) -> tuple[list[Image], list[Image]]:
@@ -145,11 +199,13 @@ def main() -> int:
     where.add_argument("--forge-url")
     parser.add_argument("--password-file", type=Path, help="the publisher's password, with --forge-url")
     parser.add_argument("--kept", type=Path, help="folder of evidence (default: the user's cache)")
+    parser.add_argument("--chart", action="append", default=[], metavar="NAME[@VERSION]", help="publish it as well")
     given = parser.parse_args()
     if given.forge_url and not given.password_file:
         parser.error("--forge-url needs --password-file")
     try:
-        published = publish_to(_access(given), read_lock(lock_file()), given.kept or evidence.kept_folder(), print)
+        images, kept = read_lock(lock_file()), given.kept or evidence.kept_folder()
+        published = publish_to(_access(given), images, kept, print, given.chart)
     except OSError as error:
         print(f"error: {error}", file=sys.stderr)
         return SetUpError.exit_code

@@ -23,7 +23,6 @@ from robotkube.domain.charts_packing import build_tag
 from robotkube.domain.evidence import Check
 from robotkube.domain.suite_images import BILL_TYPE
 from robotkube.domain.verification import read_verification_policy
-from robotkube.entrypoints.submission_sources import all_charts
 from robotkube.services.submitting import PUBLISHED, UNCHANGED
 
 SUITES = read_verification_policy(POLICY_TEXT).suites
@@ -99,7 +98,7 @@ def test_what_was_built_is_published_once_and_its_evidence_kept(
     ros, said, kept = image(tmp_path, "ros", b"one"), list[str](), tmp_path / "kept"
     first = publish.publish_to(access, [ros], kept, said.append)
     assert first.outcome.verdict == PUBLISHED
-    assert {chart.name.split()[0] for chart in first.outcome.charts} == set(all_charts(publish.CHARTS))
+    assert {chart.name.split()[0] for chart in first.outcome.charts} == set(publish.BASE)
     assert len(publishing.runner.runs) == len(SUITES) * len(first.outcome.charts)
     assert any(line.startswith("bag-player 0.1.0: static 1  passed") for line in said)
     with Registry(installation.url, "argocd", installation.passwords["argocd"]) as registry:
@@ -114,6 +113,27 @@ def test_what_was_built_is_published_once_and_its_evidence_kept(
     again = publish.publish_to(access, [ros], kept)
     assert again.outcome.verdict == UNCHANGED
     assert len(publishing.runner.runs) == len(SUITES) * len(first.outcome.charts)
+
+
+def test_more_charts_come_with_what_they_replace_and_the_applications_they_run(
+    publishing: Publishing, access: publish.ForgeAccess, tmp_path: Path
+) -> None:
+    ros, kept = image(tmp_path, "ros", b"more"), tmp_path / "kept"
+    older = publish.publish_to(access, [ros], kept, extra=["object-detection@0.1.0"])
+    assert "object-detection 0.1.0" in {chart.name for chart in older.outcome.charts}
+    newer = publish.publish_to(access, [ros], kept, extra=["object-detection", "object-tracking"])
+    names = {chart.name for chart in newer.outcome.charts}
+    assert names == {"object-detection 0.2.0", "object-tracking 0.1.0", "object-tracking 0.2.0"}
+    assert "object-detection 0.1.0" in newer.outcome.unchanged
+    assert "applications/environment-perception.yaml" in newer.outcome.applications
+    found = read_catalogue({path: text for path, text in publishing.main().items() if path.startswith(FOLDERS)})
+    assert [v.version for v in found.charts["object-detection"] if v.state == "verified"] == ["0.1.0", "0.2.0"]
+    assert found.problems == ()
+
+
+def test_a_chart_that_is_not_there_is_named(access: publish.ForgeAccess, tmp_path: Path) -> None:
+    with pytest.raises(SetUpError, match=r"no chart object-detection@0.9.0; there are bag-player, .*@0.1.0"):
+        publish.publish_to(access, [image(tmp_path, "ros", b"x")], tmp_path / "kept", extra=["object-detection@0.9.0"])
 
 
 def test_another_image_gives_other_charts_and_the_old_ones_stay(
