@@ -91,6 +91,17 @@ def test_what_cannot_be_read_is_refused_and_holds_nobody() -> None:
     )
 
 
+def test_what_is_nested_too_deeply_is_refused_every_time() -> None:
+    reader = TaskReader()
+    for _ in range(2):
+        deep: Any = 0
+        for _ in range(950):
+            deep = [deep]
+        found = reader.read([document(parameters={"x": deep})])["cloud-0/meeting"]
+        assert isinstance(found, Refused)
+        assert "nested deeper than 32" in found.message
+
+
 def with_status(reason: str, generation: int = 1, **status: Any) -> dict[str, Any]:
     condition = {"type": "Accepted", "status": "False", "reason": reason, "message": "because"}
     return {**document(), "status": {"observedGeneration": generation, "conditions": [condition], **status}}

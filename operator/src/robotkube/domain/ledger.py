@@ -63,7 +63,7 @@ class TaskReader:
                 continue
             key, inputs = object_key(document), _inputs(document)
             known = self._read.get(key)
-            found[key] = known if known is not None and known[0] == inputs else (inputs, _task(document))
+            found[key] = known if known is not None and _equal(known[0], inputs) else (inputs, _task(document))
         self._read = found
         return {key: task for key, (_, task) in found.items()}
 
@@ -73,6 +73,13 @@ def _inputs(document: Mapping[str, Any]) -> Any:
     metadata = document.get("metadata", {})
     names = ("uid", "creationTimestamp", "generation", "annotations")
     return [metadata.get(name) for name in names], document.get("spec")
+
+
+def _equal(first: Any, second: Any) -> bool:
+    try:
+        return bool(first == second)
+    except RecursionError:  # nested so deeply that it is refused anyway
+        return False
 
 
 def _task(document: Mapping[str, Any]) -> TaskDescription | Refused:
