@@ -1,5 +1,6 @@
 """What the tests with an API server share: waiting, the administrator's calls, the definitions they need."""
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from robotkube.domain.errors import UnavailableError
 
 DEFINITION = Path(__file__).parents[3] / "charts/robotkube/templates/taskdescriptions/customresourcedefinition.yaml"
 TASKS = "/apis/robotkube.io/v1alpha1/namespaces/cloud-0/taskdescriptions"
+LEASES = "/apis/coordination.k8s.io/v1/namespaces/argocd/leases"
 ARGOCD = "/apis/argoproj.io/v1alpha1/namespaces/argocd/applications"
 
 
@@ -35,17 +37,50 @@ def applications_definition() -> dict[str, Any]:
 class Api:
     """The administrator's few calls."""
 
-    def __init__(self, api: client.ApiClient) -> None:
-        self.client = api
+    def __init__(self, api: client.ApiClient, kubeconfig: Path = Path()) -> None:
+        self.client, self.kubeconfig = api, kubeconfig
+        self._leases = 0
 
     def post(self, path: str, body: Mapping[str, Any]) -> None:
         call(self.client, "POST", path, body=body).close()
+
+    def post_text(self, path: str, text: str) -> None:
+        """Create an object from JSON that Python could not write."""
+        token = self.client.configuration.auth_settings()["BearerToken"]
+        headers = {"Content-Type": "application/json", token["key"]: token["value"]}
+        url = f"{self.client.configuration.host}{path}"
+        answer = self.client.rest_client.pool_manager.request("POST", url, body=text, headers=headers)
+        assert answer.status == 201, answer.data[:300]
 
     def merge(self, path: str, body: Mapping[str, Any]) -> None:
         call(self.client, "PATCH", path, body=body, content_type="application/merge-patch+json").close()
 
     def delete(self, path: str) -> None:
         call(self.client, "DELETE", path, [("gracePeriodSeconds", "0")]).close()
+
+    def get(self, path: str) -> dict[str, Any]:
+        """An object, or a list."""
+        found: dict[str, Any] = json.loads(call(self.client, "GET", path).data)
+        return found
+
+    def node(self, name: str, role: str) -> None:
+        """A ready node of the agent of that name."""
+        labels = {
+            "robotkube.io/agent": name,
+            "robotkube.io/role": role,
+            "robotkube.io/capability.recording": "true",
+        }
+        self.post("/api/v1/nodes", {"apiVersion": "v1", "kind": "Node", "metadata": {"name": name, "labels": labels}})
+        ready = {"type": "Ready", "status": "True", "lastTransitionTime": "2026-11-21T10:00:00Z"}
+        self.merge(f"/api/v1/nodes/{name}/status", {"status": {"conditions": [ready]}})
+
+    def lease(self) -> str:
+        """A new Lease, as charts/robotkube makes it, in namespace argocd; its name."""
+        self._leases += 1
+        name = f"robotkube-manager-{self._leases}"
+        document = {"apiVersion": "coordination.k8s.io/v1", "kind": "Lease", "metadata": {"name": name}}
+        self.post(LEASES, document)
+        return name
 
     def task(self, name: str, **spec: Any) -> None:
         """Create a task in cloud-0."""

@@ -12,7 +12,7 @@ from waiting import until
 
 from robotkube.adapters import kubernetes_api
 from robotkube.adapters.kubernetes_api import KubernetesWorld, api_client, call
-from robotkube.domain.errors import InputError, UnavailableError
+from robotkube.domain.errors import DocumentError, InputError, UnavailableError
 from robotkube.domain.observation import judge_present
 from robotkube.domain.tasks import read_task
 
@@ -79,6 +79,22 @@ def test_a_status_that_the_definition_refuses_is_an_error_with_the_servers_words
     with pytest.raises(InputError, match=r"status\.commit"):
         seen.world.patch_status("cloud-0", "strict", {"commit": "short"})
     api.delete(f"{TASKS}/strict")
+
+
+def test_a_task_nested_too_deeply_blinds_nobody(api: Api, seen: Seen) -> None:
+    text = "[" * 5000 + "]" * 5000
+    task = {"name": "deep", "namespace": "cloud-0"}
+    event = {"rule": "near", "id": "e1", "time": "2026-11-21T10:00:00Z", "trace": "0" * 32}
+    spec = {"requester": "somebody", "event": event, "application": "recording", "parameters": {"x": "DEEP"}}
+    document = {"apiVersion": "robotkube.io/v1alpha1", "kind": "TaskDescription", "metadata": task, "spec": spec}
+    api.post_text(TASKS, json.dumps(document).replace('"DEEP"', text))
+    api.task("beside")
+    until(lambda: seen.task_names() == ["beside", "deep"], "both seen")
+    with pytest.raises(DocumentError, match="nested deeper than 32"):
+        read_task(next(task for task in seen.world.tasks() if task["metadata"]["name"] == "deep"))
+    for name in ("deep", "beside"):
+        api.delete(f"{TASKS}/{name}")
+    until(lambda: seen.task_names() == [], "gone")
 
 
 def test_nodes_of_agents(api: Api, seen: Seen) -> None:

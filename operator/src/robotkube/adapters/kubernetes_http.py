@@ -29,6 +29,7 @@ from typing import Any
 from urllib.parse import quote, urlencode, urlsplit
 
 from robotkube.domain.errors import InputError, UnavailableError
+from robotkube.domain.json_texts import read_json
 
 SERVER_VARIABLE = "ROBOTKUBE_API_SERVER"
 ACCOUNT_FOLDER = Path("/var/run/secrets/kubernetes.io/serviceaccount")
@@ -156,7 +157,7 @@ class ApiServer:
 
 def _checked(status: int, text: bytes, call: str) -> tuple[int, dict[str, Any]]:
     try:
-        document = json.loads(text)
+        document = read_json(text)
     except ValueError:
         document = {}
     document = document if isinstance(document, dict) else {}
@@ -244,7 +245,7 @@ class ConfigMapWatch:
                 _checked(response.status, response.read(EVENT_BYTES_MAX), "watch")
                 return
             while not self._stopping.is_set() and (line := response.readline(EVENT_BYTES_MAX)):
-                yield json.loads(line)
+                yield read_json(line)
         finally:
             self._connection = None
             connection.close()
