@@ -6,7 +6,7 @@
 listen: {address: 0.0.0.0, port: 8080}
 log_level: {{ .Values.logLevel }}
 forge:
-  url: {{ include "robotkube.forgeUrl" . }}
+  {{- include "robotkube.forgeAddress" . | nindent 2 }}
   credentials: /var/run/secrets/robotkube/forge
   deployment: robotkube/deployment
   catalogue: robotkube/catalogue
@@ -25,6 +25,7 @@ webhook:
   secret: /var/run/secrets/robotkube/webhook/secret
 evidence:
   keys: /etc/robotkube/keys
+lease: {namespace: {{ .Release.Namespace }}, name: robotkube-manager-{{ $manager.name }}}
 agents:
 {{- include "robotkube.agents" . }}
 broker:
@@ -41,7 +42,7 @@ node_lost_seconds: {{ $manager.nodeLostSeconds }}
 listen: {address: 0.0.0.0, port: 8080}
 log_level: {{ .Values.logLevel }}
 forge:
-  url: {{ include "robotkube.forgeUrl" . }}
+  {{- include "robotkube.forgeAddress" . | nindent 2 }}
   credentials: /var/run/secrets/robotkube/forge
   deployment: robotkube/deployment
   catalogue: robotkube/catalogue
@@ -107,8 +108,9 @@ forge:
   webhooks:
   {{- range $process := prepend $managers "gate" }}
   {{- $url := printf "http://%s:8080/webhook" (include "robotkube.host" (dict "root" $ "name" $process)) }}
-  - {repository: robotkube/deployment, url: {{ $url | quote }}, events: [push, pull_request], secret: {{ $webhook }}}
-  {{- $events := eq $process "gate" | ternary "[push, pull_request]" "[push]" }}
+  {{- $events := eq $process "gate" | ternary "[push, pull_request, pull_request_comment]" "[push, pull_request]" }}
+  - {repository: robotkube/deployment, url: {{ $url | quote }}, events: {{ $events }}, secret: {{ $webhook }}}
+  {{- $events = eq $process "gate" | ternary "[push, pull_request]" "[push]" }}
   - {repository: robotkube/catalogue, url: {{ $url | quote }}, events: {{ $events }}, secret: {{ $webhook }}}
   {{- end }}
 {{- end }}
@@ -180,6 +182,7 @@ robotkube.io/settings: {{ include (printf "robotkube.%sSettings" .component) .ro
 
 {{- define "robotkube.processEnvironment" -}}
 env:
+- {name: POD_NAME, valueFrom: {fieldRef: {fieldPath: metadata.name}}}
 - {name: POD_NAMESPACE, valueFrom: {fieldRef: {fieldPath: metadata.namespace}}}
 - {name: HOME, value: /tmp}
 {{- end }}

@@ -9,7 +9,10 @@ from pathlib import Path
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parents[1] / "apiserver"))
 
+from api_calls import Api, prepare
+from api_server import ApiServerProcess
 from forge_process import ForgeProcess
 from installation import (
     ACCOUNTS,
@@ -19,10 +22,12 @@ from installation import (
     forge_setup,
     start_gate,
 )
+from manager_process import AGENTS
 from programs import free_port
 from waiting import until
 
 from robotkube.adapters.gitea_administration import GiteaAdministration
+from robotkube.adapters.kubernetes_api import api_client
 from robotkube.services.bootstrapping import Bootstrap
 
 
@@ -58,6 +63,39 @@ def installation(
     found = Installation(forge_process.url, passwords, port, tmp_path_factory.mktemp("clones"), setup)
     yield found
     found.disconnect()
+
+
+@pytest.fixture(scope="module")
+def own_installation(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Installation]:
+    """A forge of the module's own, with an installation: for tests after which main is not what others expect."""
+    process = ForgeProcess(tmp_path_factory.mktemp("own-forge"))
+    process.start()
+    found = GiteaAdministration(process.url, process.administrator, process.administrator_password)
+    passwords = {name: secrets.token_hex(12) for name in ACCOUNTS}
+    port = free_port()
+    setup = forge_setup(passwords, f"http://127.0.0.1:{port}/webhook")
+    Bootstrap(30, time.monotonic, time.sleep).forge(setup, found)
+    found.disconnect()
+    installation = Installation(process.url, passwords, port, tmp_path_factory.mktemp("own-clones"), setup)
+    yield installation
+    installation.disconnect()
+    process.remove()
+
+
+@pytest.fixture(scope="session")
+def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
+    """An API server with the definitions of tasks and Argo CD's Applications, and the nodes of the agents."""
+    process = ApiServerProcess(tmp_path_factory.mktemp("api"))
+    try:
+        process.start()
+        found = Api(api_client(str(process.kubeconfig)), process.kubeconfig)
+        prepare(found)
+        for name, role in AGENTS:
+            found.node(name, role)
+        yield found
+        found.client.rest_client.pool_manager.clear()
+    finally:
+        process.stop()
 
 
 @pytest.fixture

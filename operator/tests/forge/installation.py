@@ -14,11 +14,21 @@ from typing import Any
 import httpx
 import pygit2
 import yaml
-from evidence_of_tests import PROJECT, applications, policies, published_chart, trusted_keys, unproved_chart
+from evidence_of_tests import (
+    PROJECT,
+    applications,
+    key_folder,
+    policies,
+    published_chart,
+    trusted_keys,
+    unproved_chart,
+)
+from manager_process import Outside
+from programs import free_port
 
 from robotkube.adapters.argocd import PushHook
-from robotkube.adapters.git_clones import GitClone
 from robotkube.adapters.forges.gitea import GiteaForge
+from robotkube.adapters.git_clones import GitClone
 from robotkube.adapters.push_relay import PushRelay
 from robotkube.adapters.schemas_jsonschema import validate
 from robotkube.adapters.webhooks import WebServer
@@ -246,6 +256,13 @@ class Installation:
         assert refusal == "", refusal
         found = self.client("gate").get("/pulls", params={"state": "all", "sort": "recentupdate", "limit": 10}).json()
         return next(int(item["number"]) for item in found if item["head"]["sha"] == commit)
+
+
+def outside(installation: Installation) -> Outside:
+    """What a manager's settings name."""
+    nowhere = f"http://127.0.0.1:{free_port()}"
+    password = installation.passwords["manager"]
+    return Outside(installation.url, password, WEBHOOK_SECRET, key_folder(), CHARTS_URL, nowhere)
 
 
 def release_files(made_by: str, name: str = "recorder", **changes: Any) -> dict[str, str | None]:

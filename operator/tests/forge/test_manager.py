@@ -15,9 +15,9 @@ from evidence_of_tests import trusted_keys, unproved_chart
 from installation import CATALOGUE, CHARTS_URL, TERM, ApplicationSetController, Installation, RunningGate, start_gate
 from waiting import until
 
+from robotkube.adapters.forges.gitea import GiteaForge
 from robotkube.adapters.git_clones import GitClone
 from robotkube.adapters.git_deployment import ProposalWriter
-from robotkube.adapters.forges.gitea import GiteaForge
 from robotkube.adapters.schemas_jsonschema import validate
 from robotkube.adapters.templates_jinja2 import Jinja2Templates
 from robotkube.domain.placement import Agent, NodeState

@@ -2,7 +2,6 @@
 
 import json
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -12,126 +11,25 @@ from typing import Any
 
 import httpx
 import pytest
-import yaml
-from evidence_of_tests import key_folder
-from installation import CHARTS_URL, WEBHOOK_SECRET, Installation, RunningGate
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "apiserver"))
-
-from api_calls import TASKS, Api, prepare
-from api_server import ApiServerProcess
+from api_calls import TASKS, Api
+from installation import WEBHOOK_SECRET, Installation, RunningGate, outside
+from manager_process import Pod, write_settings
 from programs import free_port
 from waiting import until
 
-from robotkube.adapters.kubernetes_api import api_client, call
+from robotkube.adapters.kubernetes_api import call
 from robotkube.adapters.webhooks import sign
 
 pytestmark = pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning")
-AGENTS = (("cloud-0", "cloud"), ("vehicle-00", "vehicle"), ("vehicle-01", "vehicle"))
-END_SECONDS_MAX = 10
-
-
-@pytest.fixture(scope="module")
-def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
-    process = ApiServerProcess(tmp_path_factory.mktemp("api"))
-    try:
-        process.start()
-        found = Api(api_client(str(process.kubeconfig)))
-        prepare(found)
-        for name, role in AGENTS:
-            labels = {
-                "robotkube.io/agent": name,
-                "robotkube.io/role": role,
-                "robotkube.io/capability.recording": "true",
-            }
-            found.post(
-                "/api/v1/nodes", {"apiVersion": "v1", "kind": "Node", "metadata": {"name": name, "labels": labels}}
-            )
-            ready = {"type": "Ready", "status": "True", "lastTransitionTime": "2026-11-21T10:00:00Z"}
-            found.merge(f"/api/v1/nodes/{name}/status", {"status": {"conditions": [ready]}})
-        found.kubeconfig = process.kubeconfig  # type: ignore[attr-defined]
-        yield found
-        found.client.rest_client.pool_manager.clear()
-    finally:
-        process.stop()
-
-
-def settings(installation: Installation, folder: Path, port: int) -> Path:
-    """The settings file and secrets, as the platform chart mounts them."""
-    for name, text in {
-        "forge/username": "manager", "forge/password": installation.passwords["manager"],
-        "argocd/username": "manager", "argocd/password": "x", "hook/secret": "s", "webhook/secret": WEBHOOK_SECRET,
-    }.items():  # fmt: skip
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text)
-    nowhere = f"http://127.0.0.1:{free_port()}"
-    document = {
-        "listen": {"address": "127.0.0.1", "port": port},
-        "log_level": "info",
-        "forge": {
-            "url": installation.url, "credentials": f"{folder}/forge", "deployment": "robotkube/deployment",
-            "catalogue": "robotkube/catalogue", "branch": "main",
-        },
-        "registry": {"charts": CHARTS_URL},
-        "evidence": {"keys": str(key_folder())},
-        "argocd": {
-            "url": nowhere, "credentials": f"{folder}/argocd", "namespace": "argocd", "project": "robotkube-apps",
-        },
-        "hook": {"url": f"{nowhere}/api/webhook", "secret": f"{folder}/hook/secret"},
-        "webhook": {"secret": f"{folder}/webhook/secret"},
-        "agents": [{"name": n, "role": r, "namespace": n, "records": r == "cloud"} for n, r in AGENTS],
-    }  # fmt: skip
-    (folder / "config.yaml").write_text(yaml.safe_dump(document))
-    return folder / "config.yaml"
-
-
-class Pod:
-    """The process and its pages."""
-
-    def __init__(self, config: Path, kubeconfig: Path, folder: Path, port: int) -> None:
-        environment = {
-            **os.environ, "ROBOTKUBE_CONFIG": str(config), "KUBECONFIG": str(kubeconfig), "HOME": str(folder),
-            "ROBOTKUBE_WORK": str(folder / "work"),
-        }  # fmt: skip
-        self.log = folder / "manager.log"
-        with self.log.open("wb") as log:
-            command = [sys.executable, "-m", "robotkube.entrypoints.manager"]
-            self.process = subprocess.Popen(command, env=environment, stderr=log)
-        self.url = f"http://127.0.0.1:{port}"
-
-    def get(self, path: str) -> httpx.Response | None:
-        assert self.process.poll() is None, self.log.read_text()
-        try:
-            return httpx.get(f"{self.url}{path}")
-        except httpx.ConnectError:
-            return None
-
-    def ready(self) -> bool:
-        answer = self.get("/readyz")
-        return answer is not None and answer.is_success
-
-    def plans(self) -> list[dict[str, Any]]:
-        answer = self.get("/plans")
-        assert answer is not None
-        return list(answer.json()["plans"])
-
-    def end(self) -> int:
-        self.process.send_signal(signal.SIGTERM)
-        try:
-            return self.process.wait(END_SECONDS_MAX)
-        finally:
-            self.process.kill()
 
 
 @pytest.fixture
 def pod(installation: Installation, gate: RunningGate, api: Api, tmp_path: Path) -> Iterator[Pod]:
     port = free_port()
-    config = settings(installation, tmp_path, port)
-    found = Pod(config, api.kubeconfig, tmp_path, port)  # type: ignore[attr-defined]
+    lease = api.lease()
+    found = Pod(write_settings(outside(installation), tmp_path, port, lease), api.kubeconfig, port, "manager-0")
     yield found
-    found.process.kill()
-    found.process.wait(END_SECONDS_MAX)
+    found.kill()
 
 
 def test_a_task_of_the_api_server_is_on_main_within_seconds(pod: Pod, api: Api) -> None:

@@ -16,6 +16,7 @@ from pygit2.enums import FileMode
 
 from robotkube.domain.errors import DocumentError, InputError, UnavailableError
 from robotkube.ports.git import Commit
+from robotkube.ports.writing import writes
 
 TEXTS_KEPT_MAX = 4096
 FILE_BYTES_MAX = 1024 * 1024
@@ -24,6 +25,7 @@ CHANGED_CHARACTERS_MAX = 16 * 1024 * 1024  # of all texts that a commit brings
 CHANGED_ENTRIES_MAX = 20_000  # of the folders that are compared: a few objects can spell out billions of paths
 DEPTH_MAX = 16
 TIMEOUT_MILLISECONDS = 10_000
+HEADS = "refs/pull/{}/head"  # where the forge keeps the commit of a pull request; {} is its number
 
 pygit2.settings.server_connect_timeout = TIMEOUT_MILLISECONDS
 pygit2.settings.server_timeout = TIMEOUT_MILLISECONDS
@@ -56,8 +58,16 @@ class GitClone:
     """
 
     def __init__(
-        self, url: str, repository: str, username: str, password: str, folder: Path, branch: str = "main"
+        self,
+        url: str,
+        repository: str,
+        username: str,
+        password: str,
+        folder: Path,
+        branch: str = "main",
+        heads: str = HEADS,
     ) -> None:
+        self._heads = heads
         self._where = f"git {url}/{repository}"
         self._account = (username, password)
         self._branch = branch
@@ -84,10 +94,10 @@ class GitClone:
 
     def proposal(self, number: int) -> Commit:
         """The head commit of pull request `number`; brings the branch's tip as well, by the same connection."""
-        self._fetch([f"+refs/pull/{number}/head:refs/proposals/{number}"])
+        self._fetch([f"+{self._heads.format(number)}:refs/proposals/{number}"])
         reference = self._repository.references.get(f"refs/proposals/{number}")
         if reference is None:
-            raise InputError(f"{self._where}: refs/pull/{number}/head is not there")
+            raise InputError(f"{self._where}: {self._heads.format(number)} is not there")
         return self.commit(str(reference.target))
 
     def contains(self, commit: str) -> bool:
@@ -222,6 +232,7 @@ class GitClone:
             yield commit, found.message
             commit = str(found.parent_ids[0]) if found.parent_ids else ""
 
+    @writes("git")
     def push_main(self, commit: str) -> bool:
         """Move the branch to exactly `commit`, never by force; False when it has moved meanwhile."""
         name = f"refs/pushes/{self._branch}"

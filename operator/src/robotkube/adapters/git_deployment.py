@@ -16,9 +16,11 @@ import pygit2
 from pygit2.enums import FileMode
 
 from robotkube.domain.errors import InputError, RefusalError, UnavailableError
+from robotkube.ports.writing import writes
 
 EMAIL_DOMAIN = "robotkube.invalid"
 DESCRIPTION_BYTES_MAX = 48 * 1024  # the forge takes 64 KiB per push option; base64 makes a third more
+BRANCHES = "robotkube"
 PROPOSAL_REFERENCE = "refs/proposals-of-mine/current"
 
 _NUMBER = re.compile(r"/pulls/(\d+)\b")
@@ -48,7 +50,10 @@ class _Callbacks(pygit2.RemoteCallbacks):
 
 
 class ProposalWriter:
-    """The port Proposals on the bare clone in `folder`. `author` is the name in the commits; `clock` gives seconds."""
+    """The port Proposals on the bare clone in `folder`. `author` is the name in the commits; `clock` gives seconds.
+
+    `open_pull_request(branch, title, body)` is for forges without AGit: the commit goes to `robotkube/<topic>` and that
+    opens its pull request; such an account must be allowed to push branches."""
 
     def __init__(
         self,
@@ -58,10 +63,12 @@ class ProposalWriter:
         author: str,
         clock: Callable[[], float],
         branch: str = "main",
+        open_pull_request: Callable[[str, str, str], int] | None = None,
     ) -> None:
         self._repository = pygit2.Repository(str(folder))
         self._account = (username, password)
         self._author, self._clock, self._branch = author, clock, branch
+        self._open = open_pull_request
 
     def commit(self, parent: str, changes: Mapping[str, str | None], message: str, merged: str = "") -> str:
         """Make a commit on `parent` and return its id; nothing outside the object store changes. `merged`: a second
@@ -94,27 +101,36 @@ class ProposalWriter:
         elif builder.get(name) is not None:
             builder.remove(name)
 
+    @writes("git")
     def propose(self, commit: str, topic: str, title: str, body: str) -> int | None:
         """Push `commit` for review; the pull request's number when the forge says it.
 
         UnavailableError when the forge does not answer; RefusalError when it refuses the push."""
         self._repository.references.create(PROPOSAL_REFERENCE, self._lookup(commit).id, force=True)
-        callbacks = _Callbacks(*self._account)
         text = body.encode()[:DESCRIPTION_BYTES_MAX].decode(errors="ignore")
-        options = [
-            f"topic={topic}",
-            f"title={title}",
-            "description={base64}" + base64.b64encode(text.encode()).decode(),
-        ]
-        specification = f"{PROPOSAL_REFERENCE}:refs/for/{self._branch}"
+        if self._open is None:
+            options = [
+                f"topic={topic}",
+                f"title={title}",
+                "description={base64}" + base64.b64encode(text.encode()).decode(),
+            ]
+            found = _NUMBER.findall(self._push(topic, f"refs/for/{self._branch}", options))
+            return int(found[-1]) if found else None
+        self._push(topic, f"refs/heads/{BRANCHES}/{topic}", [], force=True)
+        return self._open(f"{BRANCHES}/{topic}", title, text)
+
+    def _push(self, topic: str, target: str, options: list[str], force: bool = False) -> str:
+        """What the forge said about the pushed commit; a branch of one's own may be pushed again, so with `force`."""
+        callbacks = _Callbacks(*self._account)
+        specification = f"{'+' if force else ''}{PROPOSAL_REFERENCE}:{target}"
+        further = {"push_options": options} if options else {}
         try:
-            self._repository.remotes["origin"].push([specification], callbacks=callbacks, push_options=options)
+            self._repository.remotes["origin"].push([specification], callbacks=callbacks, **further)
         except (pygit2.GitError, PermissionError, OSError) as error:
             raise UnavailableError(f"proposal {topic}: push: {error}") from error
         if callbacks.refusal:
             raise RefusalError("ProposalRefused", f"the forge refused proposal {topic}: {callbacks.refusal}")
-        found = _NUMBER.findall(callbacks.said)
-        return int(found[-1]) if found else None
+        return callbacks.said
 
     def _lookup(self, commit: str) -> pygit2.Commit:
         try:

@@ -11,7 +11,7 @@ import hashlib
 import json
 import logging
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
@@ -20,10 +20,14 @@ import urllib3
 from kubernetes import client, config
 from kubernetes.watch.watch import iter_resp_lines
 
+from robotkube.domain.capacities import Resources, read_resources
 from robotkube.domain.errors import InputError, UnavailableError
+from robotkube.domain.json_texts import read_json
 from robotkube.domain.observation import ApplicationState, PodState
 from robotkube.domain.placement import NodeState
 from robotkube.domain.tasks import GROUP, PLURAL, VERSION, object_key
+from robotkube.domain.vetoes import node_hold
+from robotkube.ports.writing import writes
 
 REQUEST_SECONDS_MAX = 10.0
 WATCH_SECONDS = 240
@@ -36,7 +40,7 @@ EVENTS_PATH = "/apis/events.k8s.io/v1/namespaces/{namespace}/events"
 CONDITIONS_MAX = 5
 CONFLICT = 409
 CONDITION_CHARACTERS_MAX = 500
-TASKS_PATH = f"/apis/{GROUP}/{VERSION}/{PLURAL}"
+TASKS_PATH, PODS_PATH = f"/apis/{GROUP}/{VERSION}/{PLURAL}", "/api/v1/pods"
 AGENT_LABEL, ROLE_LABEL = f"{GROUP}/agent", f"{GROUP}/role"
 CAPABILITY_PREFIX = f"{GROUP}/capability."
 PLAN_ANNOTATION = f"{GROUP}/plan"
@@ -88,6 +92,12 @@ def call(
         raise _translated(error, f"{method} {path}") from error
     except (urllib3.exceptions.HTTPError, OSError) as error:
         raise UnavailableError(f"API server: {method} {path}: {error}") from error
+
+
+def send(api: client.ApiClient, method: str, path: str, body: Object, content_type: str = "application/json") -> None:
+    """A request whose answer says nothing more. It is read to its end, which keeps the connection for the next one: a
+    new one would cost more than the request."""
+    call(api, method, path, body=body, content_type=content_type).read()
 
 
 def _translated(error: client.ApiException, what: str) -> Exception:
@@ -160,7 +170,7 @@ class ResourceWatch:
         query, version = [("limit", str(PAGE_OBJECTS)), ("labelSelector", self._selector)], ""
         token = ""
         for _ in range(PAGES_MAX):
-            answer = json.loads(call(self._api, "GET", self._path, [*query, ("continue", token)]).data)
+            answer = read_json(call(self._api, "GET", self._path, [*query, ("continue", token)]).data)
             found |= {object_key(item): self._reduce(item) for item in answer.get("items", [])}
             version, token = answer["metadata"]["resourceVersion"], answer["metadata"].get("continue", "")
             if not token:
@@ -202,7 +212,7 @@ class ResourceWatch:
             for line in iter_resp_lines(answer):
                 if self._stopping.is_set():
                     return
-                yield json.loads(line)
+                yield read_json(line)
         except (urllib3.exceptions.HTTPError, OSError) as error:
             raise UnavailableError(f"watch ended: {error}") from error
 
@@ -218,19 +228,31 @@ class ResourceWatch:
 
 
 class KubernetesWorld:
-    """The ports TaskStore and Cluster. `wake` gets `tasks`, `nodes` or `applications` when something that matters
-    changed; `now` is the wall clock in seconds."""
+    """The ports TaskStore and Cluster. `wake` gets `tasks`, `nodes` or `applications` when something that
+    matters changed; `now` is the wall clock in seconds. Tasks and pods are seen in `namespaces` (none: in all); `home`
+    is the platform's namespace, where Events about Nodes stand."""
 
     def __init__(
-        self, api: client.ApiClient, argocd_namespace: str, wake: Callable[[str], None], now: Callable[[], float]
+        self,
+        api: client.ApiClient,
+        argocd_namespace: str,
+        wake: Callable[[str], None],
+        now: Callable[[], float],
+        namespaces: Collection[str] = (),
+        home: str = "default",
     ) -> None:
-        self._api, self._wake, self._now = api, wake, now
+        self._api, self._wake, self._now, self._home = api, wake, now, home
         applications = f"/apis/argoproj.io/v1alpha1/namespaces/{argocd_namespace}/applications"
-        self._tasks = ResourceWatch(api, TASKS_PATH, "", dict, self._task_changed)
+        self._tasks = [
+            ResourceWatch(api, path, "", dict, self._task_changed) for path in _paths(TASKS_PATH, namespaces)
+        ]
         self._nodes = ResourceWatch(api, "/api/v1/nodes", AGENT_LABEL, read_node, self._node_changed)
         self._applications = ResourceWatch(api, applications, "", read_application, self._application_changed)
-        self._pods = ResourceWatch(api, "/api/v1/pods", AGENT_LABEL, read_pod, self._application_changed)
-        self._watches = (self._tasks, self._nodes, self._applications, self._pods)
+        self._pods = [
+            ResourceWatch(api, path, AGENT_LABEL, read_pod, self._application_changed)
+            for path in _paths(PODS_PATH, namespaces)
+        ]
+        self._watches = (*self._tasks, self._nodes, self._applications, *self._pods)
 
     def start(self) -> None:
         """Begin to watch."""
@@ -256,39 +278,50 @@ class KubernetesWorld:
             self._wake("tasks")
 
     def _node_changed(self, key: str, before: Any, now: Any) -> None:
-        if (before and before[0]) != (now and now[0]):
-            self._wake("nodes")
+        self._wake("nodes")
 
     def _application_changed(self, key: str, before: Any, now: Any) -> None:
         self._wake("applications")
 
     def tasks(self) -> Sequence[Object]:
-        """All TaskDescriptions."""
-        return [found for _, found in sorted(self._tasks.values().items())]
+        """All TaskDescriptions of the namespaces."""
+        found = {key: task for watch in self._tasks for key, task in watch.values().items()}
+        return [found[key] for key in sorted(found)]
 
+    @writes("status")
     def patch_status(self, namespace: str, name: str, status: Object) -> bool:
         """Merge into the task's status; False when the task is gone."""
         path = f"/apis/{GROUP}/{VERSION}/namespaces/{namespace}/{PLURAL}/{name}/status"
         try:
-            call(self._api, "PATCH", path, body={"status": status}, content_type="application/merge-patch+json")
+            send(self._api, "PATCH", path, {"status": status}, "application/merge-patch+json")
         except KeyError:
             return False
         return True
 
+    @writes("event")
     def tell(self, task: Object, reason: str, text: str) -> None:
         """A warning on the task. Its name is made from task, reason and text: saying it again is a conflict, and the
         Event that is there says it already."""
-        event = task_event(task, reason, text, datetime.fromtimestamp(self._now(), UTC))
+        self._say(task_event(task, reason, text, datetime.fromtimestamp(self._now(), UTC)))
+
+    @writes("event")
+    def tell_node(self, node: str, reason: str, text: str) -> None:
+        """A warning about a Node, in the platform's namespace: a Node has none, and may not be written. Saying the same
+        again is a conflict, as with tasks; it does not matter which manager says it."""
+        regarding = {"apiVersion": "v1", "kind": "Node", "namespace": self._home, "name": node, "uid": node}
+        self._say(_event(regarding, "Watching", reason, text, datetime.fromtimestamp(self._now(), UTC)))
+
+    def _say(self, event: dict[str, Any]) -> None:
         path = EVENTS_PATH.format(namespace=event["metadata"]["namespace"])
         try:
-            call(self._api, "POST", path, body=event)
+            send(self._api, "POST", path, event)
         except UnavailableError as error:
             if not (isinstance(error.__cause__, client.ApiException) and error.__cause__.status == CONFLICT):
                 raise
 
     def nodes(self) -> Sequence[NodeState]:
         """Nodes of agents."""
-        return [state for state, _ in self._nodes.values().values()]
+        return list(self._nodes.values().values())
 
     def applications(self) -> Mapping[str, ApplicationState]:
         """Argo CD Applications by name."""
@@ -296,37 +329,52 @@ class KubernetesWorld:
 
     def pods(self, release: str) -> Sequence[PodState]:
         """Pods of a release."""
-        silent = {state.name: since for state, since in self._nodes.values().values()}
+        nodes, now_ns = {node.name: node for node in self._nodes.values().values()}, int(self._now() * 1e9)
         return [
-            replace(pod, node_silent_seconds=self._silence(silent.get(pod.node)))
-            for pod in self._pods.values().values()
+            _with_node(pod, nodes.get(pod.node), now_ns)
+            for watch in self._pods
+            for pod in watch.values().values()
             if pod.release == release
         ]
 
-    def _silence(self, since: float | None) -> float:
-        return 0.0 if since is None else max(self._now() - since, 0.0)
+
+def _with_node(pod: PodState, node: NodeState | None, now_ns: int) -> PodState:
+    if node is None:
+        return replace(pod, node_gone=bool(pod.node))
+    return replace(pod, node_silent_seconds=node.silent_seconds(now_ns))
+
+
+def _paths(path: str, namespaces: Collection[str]) -> list[str]:
+    """Where the objects of all namespaces, or of each of the given ones, are listed."""
+    group, _, plural = path.rpartition("/")
+    return [f"{group}/namespaces/{name}/{plural}" for name in sorted(namespaces)] or [path]
 
 
 def task_event(task: Object, reason: str, text: str, at: datetime) -> dict[str, Any]:
     """The Event (events.k8s.io/v1) that puts a warning on a task."""
     metadata = task["metadata"]
-    said = hashlib.sha256("\0".join([metadata.get("uid", ""), reason, text]).encode()).hexdigest()
+    regarding = {
+        "apiVersion": f"{GROUP}/{VERSION}",
+        "kind": "TaskDescription",
+        "namespace": metadata["namespace"],
+        "name": metadata["name"],
+        "uid": metadata.get("uid", ""),
+    }
+    return _event(regarding, "Deciding", reason, text, at)
+
+
+def _event(regarding: dict[str, str], action: str, reason: str, text: str, at: datetime) -> dict[str, Any]:
+    said = hashlib.sha256("\0".join([regarding["uid"], reason, text]).encode()).hexdigest()
     return {
         "apiVersion": "events.k8s.io/v1",
         "kind": "Event",
-        "metadata": {"namespace": metadata["namespace"], "name": f"{metadata['name'][:200]}.{said[:16]}"},
+        "metadata": {"namespace": regarding["namespace"], "name": f"{regarding['name'][:200]}.{said[:16]}"},
         "eventTime": at.strftime("%Y-%m-%dT%H:%M:%S.%fZ"),
         "reportingController": f"{GROUP}/manager",
         "reportingInstance": "manager",
-        "action": "Deciding",
+        "action": action,
         "reason": reason,
-        "regarding": {
-            "apiVersion": f"{GROUP}/{VERSION}",
-            "kind": "TaskDescription",
-            "namespace": metadata["namespace"],
-            "name": metadata["name"],
-            "uid": metadata.get("uid", ""),
-        },
+        "regarding": regarding,
         "note": text.encode()[:EVENT_NOTE_BYTES_MAX].decode(errors="ignore"),
         "type": "Warning",
     }
@@ -340,12 +388,13 @@ def _demand(task: Object | None) -> Any:
     return metadata.get("uid"), metadata.get("generation"), metadata.get("deletionTimestamp")
 
 
-def read_node(item: Object) -> tuple[NodeState, float | None]:
-    """The Node, and since when (seconds) it does not report."""
-    metadata = item["metadata"]
+def read_node(item: Object) -> NodeState:
+    """The Node; condition Ready `Unknown` means that nothing is heard of its kubelet."""
+    metadata, status = item["metadata"], item.get("status", {})
     labels = metadata.get("labels", {})
-    ready: Object = next((c for c in item.get("status", {}).get("conditions", []) if c["type"] == "Ready"), {})
-    state = NodeState(
+    ready: Object = next((c for c in status.get("conditions", []) if c["type"] == "Ready"), {})
+    since = _time_ns(ready.get("lastTransitionTime"))
+    return NodeState(
         name=metadata["name"],
         agent=labels.get(AGENT_LABEL, ""),
         role=labels.get(ROLE_LABEL, ""),
@@ -356,8 +405,23 @@ def read_node(item: Object) -> tuple[NodeState, float | None]:
         ),
         ready=ready.get("status") == "True",
         cordoned=bool(item.get("spec", {}).get("unschedulable")),
+        hold=node_hold(labels.get(AGENT_LABEL, ""), metadata),
+        allocatable=_allocatable(status.get("allocatable", {})),
+        platform=_platform(labels),
+        ready_since=since if ready.get("status") == "True" else None,
+        not_ready_since=since if ready.get("status") != "True" else None,
+        silent_since=since if ready.get("status") == "Unknown" else None,
     )
-    return state, read_time(ready["lastTransitionTime"]) if ready.get("status") == "Unknown" else None
+
+
+def _allocatable(given: Object) -> Resources | None:
+    """What the node has for pods; None when the kubelet has not said it yet."""
+    return read_resources(given) if "cpu" in given and "memory" in given else None
+
+
+def _platform(labels: Object) -> str:
+    system, machine = labels.get("kubernetes.io/os", ""), labels.get("kubernetes.io/arch", "")
+    return f"{system}/{machine}" if system and machine else ""
 
 
 def read_time(text: str) -> float:

@@ -3,6 +3,8 @@
     holderIdentity    the pod that leads; empty when it left in good order
     leaseTransitions  the term: one more at every take-over, also by another process of the same pod
 
+charts/robotkube makes the Lease; the manager may only change it.
+
 The client library's own election is not used: it works on a ConfigMap, counts no transitions and cannot be ended.
 A leader writes as long as its last successful renewal began less than HOLD_SECONDS ago by its own clock; others wait
 LEASE_SECONDS without any renewal, by theirs. So no two lead at once as long as clocks run alike, whatever they show.
@@ -114,7 +116,7 @@ class LeaseElection:
     def try_to_lead(self) -> None:
         """Renew, take over, or see that another one leads. UnavailableError, InputError: nobody knows."""
         began = self._monotonic()
-        seen = self._seen = self._read() or self._create()
+        seen = self._seen = self._read()
         mine = seen.holder == self._identity and seen.term == self._term
         free = seen.holder in ("", self._identity) or began - seen.at > LEASE_SECONDS
         if mine and seen.term > self._floor:
@@ -129,28 +131,16 @@ class LeaseElection:
             self._held_until = began + HOLD_SECONDS
             self.complaint = ""
 
-    def _read(self) -> _Seen | None:
+    def _read(self) -> _Seen:
         found = self._call(self._leases.read_namespaced_lease, self._name, self._namespace)
         if found is None:
-            return None
-        spec = found.spec
-        version, holder = found.metadata.resource_version, spec.holder_identity or ""
+            raise UnavailableError(f"lease {self._namespace}/{self._name} is missing; charts/robotkube makes it")
+        spec, version = found.spec, found.metadata.resource_version
         if self._seen is not None and self._seen.version == version:
             return self._seen
-        return _Seen(version, holder, spec.lease_transitions or 0, self._monotonic())
-
-    def _create(self) -> _Seen:
-        """An empty Lease, unless another process was faster."""
-        body = {"metadata": {"name": self._name, "namespace": self._namespace}, "spec": {"leaseTransitions": 0}}
-        self._make(body)
-        found = self._read()
-        if found is None:
-            raise UnavailableError(f"lease {self._namespace}/{self._name} is gone again")
-        return found
-
-    @writes("lease")
-    def _make(self, body: dict[str, Any]) -> None:
-        self._call(self._leases.create_namespaced_lease, self._namespace, body)
+        if spec is None:
+            return _Seen(version, "", 0, self._monotonic())
+        return _Seen(version, spec.holder_identity or "", spec.lease_transitions or 0, self._monotonic())
 
     @writes("lease")
     def _write(self, seen: _Seen, holder: str, term: int) -> _Seen | None:

@@ -17,9 +17,7 @@ from typing import Any
 
 from robotkube.adapters.argocd import PushHook
 from robotkube.adapters.evidence_dsse import KeyFile, TrustedKeys
-from robotkube.adapters.git_clones import GitClone
-from robotkube.adapters.git_deployment import ProposalWriter
-from robotkube.adapters.gitea import GiteaForge
+from robotkube.adapters.git_notes import GitNotes
 from robotkube.adapters.oci_registry import Registry
 from robotkube.adapters.push_relay import PushRelay
 from robotkube.adapters.suite_runner_http import SuiteRunnerClient
@@ -30,10 +28,12 @@ from robotkube.domain.errors import UnavailableError
 from robotkube.domain.suite_requests import SuiteProgress, SuiteRequest
 from robotkube.entrypoints import settings as files
 from robotkube.entrypoints.bounded_schemas import BoundedSchemas
+from robotkube.entrypoints.forges import ForgeAddress, read_address
 from robotkube.entrypoints.processes import Process, run
 from robotkube.ports.suites import SuiteRunner
 from robotkube.services.assured_catalogue import AssuredCatalogue
 from robotkube.services.gate import Gate, metrics_text
+from robotkube.services.gate_notes import NoteKeeper
 from robotkube.services.gate_rules import GateSettings
 from robotkube.services.publication import Publication, publication_metrics
 from robotkube.services.submission_reading import PublicationSettings
@@ -49,7 +49,7 @@ class GateConfiguration:
 
     listen: files.Listen
     log_level: str
-    forge_url: str
+    forge: ForgeAddress
     account: files.Credentials
     branch: str
     hook_url: str
@@ -69,7 +69,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> GateConfi
     keys = ["listen", "log_level", "forge", "registry", "local_builds", "evidence", "hook", "webhook"]
     root = reader.mapping(document, "", keys, ["suites"])
     forge_keys = ["url", "credentials", "deployment", "catalogue", "branch", "proposers", "publishers"]
-    forge = reader.mapping(root.get("forge") or {}, "forge", forge_keys)
+    forge = reader.mapping(root.get("forge") or {}, "forge", forge_keys, ["kind", "api"])
     registry = reader.mapping(root.get("registry") or {}, "registry", ["charts", "staging"])
     evidence = reader.mapping(root.get("evidence") or {}, "evidence", ["key", "keys", "verifier"])
     hook = reader.mapping(root.get("hook") or {}, "hook", ["url", "secret"])
@@ -81,7 +81,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> GateConfi
     return GateConfiguration(
         listen=files.listen(reader, root.get("listen")),
         log_level=files.log_level(reader, root.get("log_level")),
-        forge_url=reader.word(forge.get("url"), "forge.url", files.HTTP_URL),
+        forge=read_address(reader, forge),
         account=account,
         branch=reader.word(forge.get("branch"), "forge.branch", files.WORD),
         hook_url=reader.word(hook.get("url"), "hook.url", files.HTTP_URL),
@@ -157,12 +157,12 @@ class _NoRunner:
 
 def build_gate(found: GateConfiguration, work: Path, schemas: BoundedSchemas) -> Gate:
     """The gate of the deployment repository on its adapters; nothing is asked of the world yet."""
-    url, account = found.forge_url, (found.account.username, found.account.password)
+    forge, url, account = found.forge, found.forge.url, found.account
     work.mkdir(parents=True, exist_ok=True)
-    catalogue = GitClone(url, found.gate.catalogue, *account, work / "catalogue", branch=found.branch)
+    catalogue = forge.clone(found.gate.catalogue, account, work / "catalogue", found.branch)
     return Gate(
-        GiteaForge(url, found.gate.deployment, *account, branch=found.branch),
-        GitClone(url, found.gate.deployment, *account, work / "deployment", branch=found.branch),
+        forge.pull_requests(found.gate.deployment, account, found.branch),
+        forge.clone(found.gate.deployment, account, work / "deployment", found.branch),
         AssuredCatalogue(catalogue, TrustedKeys(found.keys)),
         PushHook(found.hook_url, found.hook_secret.encode(), f"{url}/{found.gate.deployment}", branch=found.branch),
         found.gate,
@@ -178,19 +178,20 @@ def build_gate(found: GateConfiguration, work: Path, schemas: BoundedSchemas) ->
 
 def build_publication(found: GateConfiguration, work: Path, gate: Gate, schemas: BoundedSchemas) -> Publication:
     """Publication on adapters of its own, since it runs on a thread of its own; the gate hears of what is new."""
-    url, account = found.forge_url, (found.account.username, found.account.password)
+    url, account, branch = found.forge.url, found.account, found.branch
     settings, folder = found.publication, work / "publication"
     work.mkdir(parents=True, exist_ok=True)
-    clone = GitClone(url, settings.catalogue, *account, folder, branch=found.branch)
-    signer, registry = KeyFile(found.key), Registry(url, *account, lock=threading.Lock())
+    clone = found.forge.clone(settings.catalogue, account, folder, branch)
+    forge = found.forge.pull_requests(settings.catalogue, account, branch)
+    signer, registry = KeyFile(found.key), Registry(url, account.username, account.password, lock=threading.Lock())
     runner: SuiteRunner = SuiteRunnerClient(found.suites_url, found.suites_token) if found.suites_url else _NoRunner()
     names = VerifyingSettings(
         settings.staging, settings.verified, settings.charts_url, f"{url}/{settings.catalogue}", found.verifier
     )
     return Publication(
-        GiteaForge(url, settings.catalogue, *account, branch=found.branch),
+        forge,
         clone,
-        ProposalWriter(folder, *account, found.account.username, time.time, branch=found.branch),
+        found.forge.writer(forge, folder, account, account.username, time.time, branch),
         registry,
         Verifying(registry, signer, TrustedKeys(found.keys), runner, names, time.monotonic, _now),
         signer,
@@ -199,6 +200,14 @@ def build_publication(found: GateConfiguration, work: Path, gate: Gate, schemas:
         time.monotonic,
         lambda: gate.wake("push", {"repository": {"full_name": settings.catalogue}}),
     )
+
+
+def build_notes(found: GateConfiguration, work: Path) -> NoteKeeper:
+    """What copies managers' closing words to Git's notes, on adapters of its own as well."""
+    repository, account = found.gate.deployment, found.account
+    notes = GitNotes(found.forge.url, repository, account.username, account.password, work / "notes")
+    forge = found.forge.pull_requests(repository, account, found.branch)
+    return NoteKeeper(forge, notes, found.gate.accounts, time.monotonic)
 
 
 def _now() -> str:
@@ -214,8 +223,13 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     gate = build_gate(found, work, deployment_schemas)
     publication = build_publication(found, work, gate, catalogue_schemas)
 
+    notes = build_notes(found, work)
+
     def wake(delivery: Delivery) -> None:
         gate.wake(delivery.event, delivery.payload)
+        number = (delivery.payload.get("issue") or {}).get("number")
+        if delivery.repository == found.gate.deployment and isinstance(number, int):
+            notes.commented(number)
         publication.wake(delivery.event, delivery.payload)
 
     server = WebServer(
@@ -229,13 +243,14 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     server.start()
     process.log("started", port=server.port, proposers=len(found.gate.proposers))
     stopping = threading.Event()
-    loops = [threading.Thread(target=loop.run, args=(stopping,), daemon=True) for loop in (gate, publication)]
+    loops = [threading.Thread(target=loop.run, args=(stopping,), daemon=True) for loop in (gate, publication, notes)]
     for thread in loops:
         thread.start()
     while all(thread.is_alive() for thread in loops) and not process.stopping.wait(STOP_LOOK_SECONDS):
         pass
     gate.stop(stopping)
     publication.stop(stopping)
+    notes.stop(stopping)
     for thread in loops:
         thread.join(GRACE_SECONDS)
     server.stop()

@@ -21,9 +21,6 @@ from kubernetes.client import ApiClient
 
 from robotkube.adapters.argocd import ArgoCDServer, PushHook
 from robotkube.adapters.evidence_dsse import TrustedKeys
-from robotkube.adapters.forges.gitea import GiteaForge
-from robotkube.adapters.git_clones import GitClone
-from robotkube.adapters.git_deployment import ProposalWriter
 from robotkube.adapters.kubernetes_api import KubernetesWorld, api_client
 from robotkube.adapters.lease_kubernetes import LeaseElection
 from robotkube.adapters.templates_jinja2 import Jinja2Templates
@@ -33,6 +30,7 @@ from robotkube.domain.errors import UnavailableError
 from robotkube.domain.placement import Agent
 from robotkube.entrypoints import settings as files
 from robotkube.entrypoints.bounded_schemas import BoundedSchemas
+from robotkube.entrypoints.forges import ForgeAddress, read_address
 from robotkube.entrypoints.manager_doors import STOP_SECONDS_MAX, BrokerSettings, read_broker, task_door
 from robotkube.entrypoints.processes import Process, run
 from robotkube.entrypoints.scope_settings import read_operators, read_seconds
@@ -40,12 +38,14 @@ from robotkube.ports.leadership import Leadership
 from robotkube.services.application_manager import (
     CATALOGUE,
     DEPLOYMENT,
+    NODES,
     TASKS,
     ApplicationManager,
     World,
     metrics_text,
 )
 from robotkube.services.assured_catalogue import AssuredCatalogue
+from robotkube.services.device_holds import DeviceHolds
 from robotkube.services.manager_explaining import Explainer
 from robotkube.services.manager_observing import PlanObserver
 from robotkube.services.manager_planning import ManagerSettings, Planner
@@ -64,7 +64,7 @@ class ManagerConfiguration:
 
     listen: files.Listen
     log_level: str
-    forge_url: str
+    forge: ForgeAddress
     account: files.Credentials
     deployment: str
     catalogue: str
@@ -89,7 +89,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ManagerCo
     keys += ["agents", "lease", "scope", "operators", "node_lost_seconds"]
     root = reader.mapping(document, "", keys, ["broker"])
     forge_keys = ["url", "credentials", "deployment", "catalogue", "branch"]
-    forge = reader.mapping(root.get("forge") or {}, "forge", forge_keys)
+    forge = reader.mapping(root.get("forge") or {}, "forge", forge_keys, ["kind", "api"])
     registry = reader.mapping(root.get("registry") or {}, "registry", ["charts"])
     argocd = reader.mapping(root.get("argocd") or {}, "argocd", ["url", "credentials", "namespace", "project"])
     hook = reader.mapping(root.get("hook") or {}, "hook", ["url", "secret"])
@@ -99,7 +99,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ManagerCo
     return ManagerConfiguration(
         listen=files.listen(reader, root.get("listen")),
         log_level=files.log_level(reader, root.get("log_level")),
-        forge_url=reader.word(forge.get("url"), "forge.url", files.HTTP_URL),
+        forge=read_address(reader, forge),
         account=files.credentials(reader, forge.get("credentials"), "forge.credentials"),
         deployment=reader.word(forge.get("deployment"), "forge.deployment", files.REPOSITORY),
         catalogue=reader.word(forge.get("catalogue"), "forge.catalogue", files.REPOSITORY),
@@ -158,22 +158,23 @@ def build_manager(
     work: Path,
     schemas: BoundedSchemas,
     leadership: Leadership,
+    holds: DeviceHolds,
 ) -> ApplicationManager:
     """The manager on its adapters; nothing is asked of the forge yet."""
-    url, account = found.forge_url, (found.account.username, found.account.password)
+    url, account, branch = found.forge.url, found.account, found.branch
     work.mkdir(parents=True, exist_ok=True)
-    deployment = GitClone(url, found.deployment, *account, work / "deployment", branch=found.branch)
-    proposals = ProposalWriter(work / "deployment", *account, COMMIT_AUTHOR, time.time, branch=found.branch)
-    clone = GitClone(url, found.catalogue, *account, work / "catalogue", branch=found.branch)
+    deployment = found.forge.clone(found.deployment, account, work / "deployment", branch)
+    forge = found.forge.pull_requests(found.deployment, account, branch)
+    proposals = found.forge.writer(forge, work / "deployment", account, COMMIT_AUTHOR, time.time, branch)
+    clone = found.forge.clone(found.catalogue, account, work / "catalogue", branch)
     catalogue = AssuredCatalogue(clone, TrustedKeys(found.evidence_keys))
     main = MainReader(deployment)
     hook = PushHook(found.hook_url, found.hook_secret.encode(), f"{url}/{found.deployment}", branch=found.branch)
     argocd_account = (found.argocd_account.username, found.argocd_account.password)
     argocd = ArgoCDServer(found.argocd_url, *argocd_account, hook, found.argocd_project)
     render = Jinja2Templates().render
-    planner = Planner(found.manager, cluster, cluster, catalogue, main, render, schemas.validate)
+    planner = Planner(found.manager, cluster, cluster, catalogue, main, render, schemas.validate, holds)
     observer = PlanObserver(cluster, argocd, Aside(), time.time_ns, time.monotonic)
-    forge = GiteaForge(url, found.deployment, *account, branch=found.branch)
     world = World(cluster, cluster, deployment, proposals, forge, leadership, found.account.username)
     return ApplicationManager(world, catalogue, main, planner, observer, time.time_ns, time.monotonic)
 
@@ -197,12 +198,14 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     kubeconfig = environment.get("KUBECONFIG")
     api = api_client(kubeconfig, in_cluster=kubeconfig is None)
     waker = Waker()
-    cluster = KubernetesWorld(api, found.argocd_namespace, waker, time.time)
+    scope, home = found.manager.operators.manager, found.lease_namespace
+    cluster = KubernetesWorld(api, found.argocd_namespace, waker, time.time, scope.named_namespaces, home)
     work = Path(environment.get("ROBOTKUBE_WORK", "/tmp/manager"))  # noqa: S108 - the pod's own volume
     schemas = BoundedSchemas()
     election = _election(found, api, waker, environment)
-    manager = build_manager(found, cluster, work, schemas, election)
-    door = _door(found, api, cluster, election)
+    holds = DeviceHolds(time.time_ns, lambda: waker(NODES))
+    manager = build_manager(found, cluster, work, schemas, election, holds)
+    door = _door(found, api, cluster, election, holds)
     server = _server(found, manager, cluster, door)
     server.start()
     cluster.start()
@@ -233,12 +236,12 @@ def _election(
 
 
 def _door(
-    found: ManagerConfiguration, api: ApiClient, cluster: KubernetesWorld, leadership: Leadership
+    found: ManagerConfiguration, api: ApiClient, cluster: KubernetesWorld, leadership: Leadership, holds: DeviceHolds
 ) -> TaskDoor | None:
     """The MQTT door for the agents of this manager's scope, when the settings name a broker."""
     scope = found.manager.operators.manager
     operators = {agent.name: agent.namespace for agent in found.manager.agents if scope.covers_agent(agent.name)}
-    return task_door(found.broker, operators, api, cluster, leadership) if found.broker else None
+    return task_door(found.broker, operators, api, cluster, leadership, holds) if found.broker else None
 
 
 def _stop_with(process: Process, manager: ApplicationManager) -> None:

@@ -92,6 +92,18 @@ class Proposals(Commits, Protocol):
         ...
 
 
+class Notes(Protocol):
+    """Git notes about commits of main."""
+
+    def missing(self, commits: Sequence[str]) -> Sequence[str]:
+        """Those of the commits that have no note yet."""
+        ...
+
+    def add(self, texts: Mapping[str, str]) -> None:
+        """Give commits their notes (commit -> text), together."""
+        ...
+
+
 class MainBranch(MainHistory, Protocol):
     """The deployment repository as the gate sees it."""
 
