@@ -33,6 +33,7 @@ topic read mqtt/#
 {{- end }}
 topic write robotkube/tasks/{{ .name }}
 topic read robotkube/task_status/{{ .name }}
+topic write robotkube/holds/{{ .name }}
 {{- end }}
 {{- range $manager := fromYamlArray (include "robotkube.managers" .) }}
 
@@ -40,6 +41,7 @@ user {{ .name }}
 {{- range (has "*" .scope.agents) | ternary (list "#") .scope.agents }}
 topic read robotkube/tasks/{{ . }}
 topic write robotkube/task_status/{{ . }}
+topic read robotkube/holds/{{ . }}
 {{- end }}
 {{- end }}
 {{- end }}

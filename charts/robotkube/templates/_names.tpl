@@ -34,6 +34,17 @@ http://{{ include "robotkube.forgeHost" . }}
 {{- end -}}
 {{- end }}
 
+{{- /* How manager and gate reach the forge, in their settings. */ -}}
+{{- define "robotkube.forgeAddress" -}}
+url: {{ include "robotkube.forgeUrl" . }}
+{{- if and (eq .Values.forge.kind "external") (ne .Values.forge.external.protocol "gitea") }}
+kind: {{ .Values.forge.external.protocol }}
+{{- with .Values.forge.external.api }}
+api: {{ . }}
+{{- end }}
+{{- end }}
+{{- end }}
+
 {{- /* An organisation of the registry. Argument: {root, organisation}. */ -}}
 {{- define "robotkube.packages" -}}
 oci://{{ include "robotkube.forgeHost" .root }}/{{ .organisation }}

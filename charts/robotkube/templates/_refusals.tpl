@@ -69,6 +69,13 @@
 {{- if and (eq .Values.forge.kind "external") (not (regexMatch "^https?://[^/]+$" $url)) }}
 {{- $problems = append $problems (printf "forge.kind is external, but forge.external.url is %q. Give http(s)://<host>[:<port>] without a path or a slash at the end." $url) }}
 {{- end }}
+{{- $api := .Values.forge.external.api }}
+{{- if and $api (eq .Values.forge.external.protocol "gitea") }}
+{{- $problems = append $problems "forge.external.api is given, but forge.external.protocol is gitea, whose API stands below its url. Leave the api out, or set the protocol." }}
+{{- end }}
+{{- if and $api (not (regexMatch "^https?://[^/]+(/[^/]+)*$" $api)) }}
+{{- $problems = append $problems (printf "forge.external.api is %q. Give http(s)://<host>[:<port>]/<path> without a slash at the end." $api) }}
+{{- end }}
 {{- if and (ne .Values.forge.kind "external") $url }}
 {{- $problems = append $problems (printf "forge.external.url is given, but forge.kind is %s. Set the kind to external, or leave the url out." .Values.forge.kind) }}
 {{- end }}

@@ -64,6 +64,19 @@ REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
         {"broker": {"external": {"host": "mqtt.example"}}},
         "broker.external.host is given, but broker.kind is mosquitto. Set the kind to external, or leave the host out.",
     ),
+    "API of a forge that has none of its own": (
+        {"forge": {"kind": "external", "external": {"url": "https://git.example.com", "api": "https://git.example.com/x"}}},
+        "forge.external.api is given, but forge.external.protocol is gitea, whose API stands below its url.",
+    ),
+    "API with a slash at the end": (
+        {
+            "forge": {
+                "kind": "external",
+                "external": {"url": "https://gitlab.com", "protocol": "gitlab", "api": "https://gitlab.com/api/v4/"},
+            }
+        },
+        'forge.external.api is "https://gitlab.com/api/v4/". Give http(s)://<host>[:<port>]/<path> without a slash',
+    ),
     "external forge without URL": ({"forge": {"kind": "external"}}, 'forge.external.url is "". Give http(s)://<host>'),
     "external forge with a slash": (
         {"forge": {"kind": "external", "external": {"url": "https://git.example/"}}},

@@ -75,3 +75,32 @@ def test_a_forge_that_is_away(clone: GitClone, writer: ProposalWriter, tmp_path:
     (tmp_path / "origin").rename(tmp_path / "gone")
     with pytest.raises(UnavailableError, match="proposal p1"):
         writer.propose(made, "p1", "t", "b")
+
+
+def test_without_agit_a_proposal_is_a_branch_and_the_forge_is_asked_for_its_pull_request(
+    origin: pygit2.Repository, clone: GitClone, tmp_path: Path
+) -> None:
+    asked: list[tuple[str, str, str]] = []
+
+    def opened(branch: str, title: str, body: str) -> int:
+        asked.append((branch, title, body))
+        return 7
+
+    writer = ProposalWriter(tmp_path / "clone", "manager", "x", "m", lambda: 1.0, open_pull_request=opened)
+    main = clone.tip
+    for text in ("one\n", "two\n"):  # the second as after a restart: the same topic with another commit
+        made = writer.commit(main, {"releases/a/x.yaml": text}, "deploy(x): y\n")
+        assert writer.propose(made, "20261121-100000-abcdef", "title", "body") == 7
+        assert str(origin.references["refs/heads/robotkube/20261121-100000-abcdef"].target) == made
+    assert asked == [("robotkube/20261121-100000-abcdef", "title", "body")] * 2
+    assert str(origin.references["refs/heads/main"].target) == main
+
+
+def test_the_head_of_a_pull_request_stands_where_the_forge_keeps_it(origin: pygit2.Repository, tmp_path: Path) -> None:
+    head = origin.references["refs/heads/main"].target
+    origin.references.create("refs/merge-requests/7/head", head)
+    heads = "refs/merge-requests/{}/head"
+    clone = GitClone(f"file://{tmp_path}/origin", "o/deployment", "gate", "x", tmp_path / "gate", heads=heads)
+    assert clone.proposal(7).id == str(head)
+    with pytest.raises(InputError, match="refs/merge-requests/8/head is not there"):
+        clone.proposal(8)

@@ -46,6 +46,24 @@ def test_a_signed_delivery_arrives(receiver: Receiver) -> None:
     assert receiver.deliveries[0].repository == "robotkube/deployment"
 
 
+def test_deliveries_of_github_and_gitlab_arrive_in_the_same_words(receiver: Receiver) -> None:
+    body = json.dumps({"ref": "refs/heads/main", "after": "x", "repository": {"full_name": "a/b"}}).encode()
+    signature = f"sha256={sign(body, SECRET)}"
+    hub = {"X-GitHub-Event": "push", "X-Hub-Signature-256": signature}
+    lab = {"X-Gitlab-Event": "Push Hook", "X-Gitlab-Token": SECRET.decode()}
+    project = {"path_with_namespace": "a/b"}
+    pushed = {"object_kind": "push", "ref": "refs/heads/main", "after": "x", "project": project}
+    closed = {"object_kind": "merge_request", "project": project, "object_attributes": {"iid": 1, "action": "merge"}}
+    asked = [(hub, body), *((lab, json.dumps(payload).encode()) for payload in (pushed, closed, {"project": 7}))]
+    for headers, content in asked:
+        assert httpx.post(f"{receiver.url}/webhook", content=content, headers=headers).status_code == 204
+    push = Delivery("push", json.loads(body))
+    closing = Delivery("pull_request", {"action": "closed", "repository": {"full_name": "a/b"}})
+    assert receiver.deliveries == [push, push, closing, Delivery("", {"repository": {"full_name": ""}})]
+    wrong = {**lab, "X-Gitlab-Token": "another"}
+    assert httpx.post(f"{receiver.url}/webhook", content=body, headers=wrong).status_code == 401
+
+
 @pytest.mark.parametrize(
     ("body", "signature", "status"),
     [(b"{}", "", 401), (b"{}", "0" * 64, 401), (b"[]", None, 400), (b"{", None, 400)],

@@ -1,6 +1,7 @@
 """The HTTP side of a process: signed webhooks in, health and metrics out.
 
-    POST /webhook   a delivery of the forge: HMAC-SHA256 of the body in X-Gitea-Signature; 204, or 400/401/413
+    POST /webhook   a delivery of the forge: HMAC-SHA256 of the body in X-Gitea-Signature or X-Hub-Signature-256, or the
+                    secret in X-Gitlab-Token; 204, or 400/401/413
     GET  /livez     200 while the process serves
     GET  /readyz    200, or 503 with one reason per line
     GET  /metrics   Prometheus text
@@ -27,6 +28,13 @@ from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
+GITLAB_ACTIONS = {
+    "open": "opened",
+    "reopen": "reopened",
+    "update": "synchronized",
+    "close": "closed",
+    "merge": "closed",
+}
 BODY_BYTES_MAX = 4 * 1024 * 1024
 CONNECTIONS_MAX = 32
 CONNECTION_SECONDS_MAX = 30.0
@@ -65,18 +73,42 @@ class _DeliveryError(Exception):
 
 
 def read_delivery(headers: Mapping[str, str], body: bytes, secret: bytes) -> Delivery:
-    """The delivery in a request; raises with the HTTP status when signature or body are wrong."""
+    """The delivery in a request of Gitea, GitHub or GitLab; raises with the HTTP status when signature or body are
+    wrong. GitLab's events are told in the words of the other two."""
     names = {name.lower(): value for name, value in headers.items()}
-    signature = names.get("x-gitea-signature", "")
-    if not hmac.compare_digest(signature.encode(), sign(body, secret).encode()):
-        raise _DeliveryError(401, "X-Gitea-Signature does not fit the body: both sides need the same webhook secret")
+    if not _genuine(names, body, secret):
+        problem = "X-Gitea-Signature, X-Hub-Signature-256 or X-Gitlab-Token does not fit"
+        raise _DeliveryError(401, f"{problem}: both sides need the same webhook secret")
     try:
         payload = json.loads(body)
     except ValueError as error:
         raise _DeliveryError(400, f"the body is not JSON: {error}") from error
     if not isinstance(payload, dict):
         raise _DeliveryError(400, "the body must be a JSON object")
-    return Delivery(names.get("x-gitea-event", ""), payload)
+    if "x-gitlab-event" in names:
+        return _of_gitlab(payload)
+    return Delivery(names.get("x-gitea-event") or names.get("x-github-event", ""), payload)
+
+
+def _genuine(names: Mapping[str, str], body: bytes, secret: bytes) -> bool:
+    """GitLab sends the secret itself instead of a signature."""
+    if "x-gitlab-token" in names:
+        return hmac.compare_digest(names["x-gitlab-token"].encode(), secret)
+    signature = names.get("x-gitea-signature") or names.get("x-hub-signature-256", "").removeprefix("sha256=")
+    return hmac.compare_digest(signature.encode(), sign(body, secret).encode())
+
+
+def _of_gitlab(payload: Mapping[str, Any]) -> Delivery:
+    """A push or merge request event of GitLab; everything else says nothing."""
+    project = payload.get("project")
+    repository = {"full_name": project.get("path_with_namespace", "") if isinstance(project, dict) else ""}
+    if payload.get("object_kind") == "push":
+        return Delivery("push", {"ref": payload.get("ref"), "after": payload.get("after"), "repository": repository})
+    request = payload.get("object_attributes")
+    if payload.get("object_kind") != "merge_request" or not isinstance(request, dict):
+        return Delivery("", {"repository": repository})
+    action = GITLAB_ACTIONS.get(str(request.get("action")), "")
+    return Delivery("pull_request", {"action": action, "repository": repository})
 
 
 class WebServer:

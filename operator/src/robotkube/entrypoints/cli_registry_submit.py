@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from robotkube.adapters.forges.gitea import GiteaForge
 from robotkube.adapters.git_clones import GitClone
 from robotkube.adapters.git_deployment import ProposalWriter
-from robotkube.adapters.gitea import GiteaForge
 from robotkube.adapters.oci_registry import Registry
 from robotkube.domain.errors import InputError
 from robotkube.domain.evidence import NONE

@@ -42,7 +42,6 @@ from robotkube.services.application_manager import (
     TASKS,
     ApplicationManager,
     World,
-    metrics_text,
 )
 from robotkube.services.assured_catalogue import AssuredCatalogue
 from robotkube.services.device_holds import DeviceHolds
@@ -80,6 +79,7 @@ class ManagerConfiguration:
     lease_name: str
     broker: BrokerSettings | None
     evidence_keys: Path
+    traces: str
     manager: ManagerSettings
 
 
@@ -87,7 +87,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ManagerCo
     """The settings document of the manager."""
     keys = ["listen", "log_level", "forge", "registry", "evidence", "argocd", "hook", "webhook"]
     keys += ["agents", "lease", "scope", "operators", "node_lost_seconds"]
-    root = reader.mapping(document, "", keys, ["broker"])
+    root = reader.mapping(document, "", keys, ["broker", "traces"])
     forge_keys = ["url", "credentials", "deployment", "catalogue", "branch"]
     forge = reader.mapping(root.get("forge") or {}, "forge", forge_keys, ["kind", "api"])
     registry = reader.mapping(root.get("registry") or {}, "registry", ["charts"])
@@ -96,6 +96,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ManagerCo
     lease = reader.mapping(root.get("lease") or {}, "lease", ["namespace", "name"])
     webhook = reader.mapping(root.get("webhook") or {}, "webhook", ["secret"])
     evidence = reader.mapping(root.get("evidence") or {}, "evidence", ["keys"])
+    traces = reader.mapping(root["traces"], "traces", ["endpoint"]) if root.get("traces") else {"endpoint": ""}
     return ManagerConfiguration(
         listen=files.listen(reader, root.get("listen")),
         log_level=files.log_level(reader, root.get("log_level")),
@@ -115,6 +116,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ManagerCo
         lease_name=reader.word(lease.get("name"), "lease.name", files.WORD),
         broker=read_broker(reader, root.get("broker")),
         evidence_keys=Path(reader.word(evidence.get("keys"), "evidence.keys", files.PATH)),
+        traces=reader.word(traces.get("endpoint") or None, "traces.endpoint", files.HTTP_ADDRESS, default=""),
         manager=ManagerSettings(
             agents=_agents(reader, root.get("agents")),
             charts_url=reader.word(registry.get("charts"), "registry.charts", files.CHARTS_URL),

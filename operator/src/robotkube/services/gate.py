@@ -31,7 +31,7 @@ SILENT_SECONDS_MAX = 30.0  # not ready when the forge was not seen for longer
 HINTS_MAX = 100
 VERDICTS = ("accepted", "refused", "stale", "checked", "failed")
 HOOKS = ("taken", "lost")
-WAKING_ACTIONS = frozenset({"opened", "reopened", "synchronized"})
+WAKING_ACTIONS = frozenset({"opened", "reopened", "synchronized", "synchronize"})  # the last is GitHub's
 REVIEWED = "reviewed"
 
 log = logging.getLogger(__name__)

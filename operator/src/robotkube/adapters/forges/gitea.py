@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import httpx
-
-from robotkube.domain.errors import InputError, UnavailableError
+from robotkube.adapters.forges.connection import ForgeConnection
 from robotkube.domain.merging import Review
 from robotkube.ports.forges import Comment, PullRequest
+from robotkube.ports.writing import writes
 
-TIMEOUT_SECONDS = 10.0
 PULL_REQUESTS_MAX = 50
 COMMENTS_MAX = 100
 REVIEWS_MAX = 50
@@ -24,44 +22,44 @@ class GiteaForge:
     """
 
     def __init__(self, url: str, repository: str, username: str, password: str, branch: str = "main") -> None:
-        self._where = f"forge {url} repository {repository} as {username}"
         self._branch = branch
-        self._client = httpx.Client(
-            base_url=f"{url}/api/v1/repos/{repository}",
-            auth=(username, password),
-            timeout=TIMEOUT_SECONDS,
-            limits=httpx.Limits(max_connections=4, keepalive_expiry=60.0),
+        self._connection = ForgeConnection(
+            f"{url}/api/v1/repos/{repository}",
+            f"forge {url} repository {repository} as {username}",
+            "check the account's password and its access to the repository (the bootstrap Job sets both)",
+            account=(username, password),
         )
 
     def disconnect(self) -> None:
         """Give the connections back."""
-        self._client.close()
+        self._connection.disconnect()
 
     def pull_request(self, number: int) -> PullRequest:
         """One pull request by its number."""
-        return read_pull_request(self._call("GET", f"/pulls/{number}"))
+        return read_pull_request(self._connection.call("GET", f"/pulls/{number}"))
 
     def pull_requests(self, state: str = "open", author: str = "") -> Sequence[PullRequest]:
         """Pull requests against the branch, newest first, at most PULL_REQUESTS_MAX; `author` narrows."""
         query: dict[str, str | int] = {"state": state, "base_branch": self._branch, "limit": PULL_REQUESTS_MAX}
         if author:
             query["poster"] = author
-        return [read_pull_request(found) for found in self._call("GET", "/pulls", params=query)]
+        return [read_pull_request(found) for found in self._connection.call("GET", "/pulls", params=query)]
 
     def comments(self, number: int) -> Sequence[Comment]:
         """Comments of a pull request, oldest first, at most COMMENTS_MAX."""
-        found = self._call("GET", f"/issues/{number}/comments", params={"limit": COMMENTS_MAX})
+        found = self._connection.call("GET", f"/issues/{number}/comments", params={"limit": COMMENTS_MAX})
         return [
             Comment((item.get("user") or {}).get("login", ""), item.get("body", ""), int(item["id"])) for item in found
         ]
 
+    @writes("forge")
     def comment(self, number: int, text: str) -> None:
         """Add a comment (Markdown)."""
-        self._call("POST", f"/issues/{number}/comments", json={"body": text})
+        self._connection.call("POST", f"/issues/{number}/comments", json={"body": text})
 
     def reviews(self, number: int) -> Sequence[Review]:
         """Approvals and requests for changes that were not dismissed, oldest first, at most REVIEWS_MAX."""
-        found = self._call("GET", f"/pulls/{number}/reviews", params={"limit": REVIEWS_MAX})
+        found = self._connection.call("GET", f"/pulls/{number}/reviews", params={"limit": REVIEWS_MAX})
         return [
             Review(
                 author=str((item.get("user") or {}).get("login", "")),
@@ -73,27 +71,15 @@ class GiteaForge:
             if item.get("state") in ("APPROVED", "REQUEST_CHANGES") and not item.get("dismissed")
         ]
 
+    @writes("forge")
     def edit_comment(self, identifier: int, text: str) -> None:
         """Give a comment of this account another text."""
-        self._call("PATCH", f"/issues/comments/{identifier}", json={"body": text})
+        self._connection.call("PATCH", f"/issues/comments/{identifier}", json={"body": text})
 
+    @writes("forge")
     def close(self, number: int) -> None:
         """Close a pull request without merging it."""
-        self._call("PATCH", f"/pulls/{number}", json={"state": "closed"})
-
-    def _call(self, method: str, path: str, **arguments: Any) -> Any:
-        try:
-            answer = self._client.request(method, path, **arguments)
-        except httpx.HTTPError as error:
-            raise UnavailableError(f"{self._where}: {method} {path}: {error or type(error).__name__}") from error
-        if answer.status_code >= 500 or answer.status_code == 429:
-            raise UnavailableError(f"{self._where}: {method} {path}: {answer.status_code} {_message(answer)}")
-        if answer.is_error:
-            raise InputError(
-                f"{self._where}: {method} {path}: {answer.status_code} {_message(answer)}; "
-                "check the account's password and its access to the repository (the bootstrap Job sets both)"
-            )
-        return answer.json() if answer.content else None
+        self._connection.call("PATCH", f"/pulls/{number}", json={"state": "closed"})
 
 
 def read_pull_request(found: Mapping[str, Any]) -> PullRequest:
@@ -110,11 +96,3 @@ def read_pull_request(found: Mapping[str, Any]) -> PullRequest:
         merge_commit=str(found.get("merge_commit_sha") or "") if found.get("merged") else "",
         topic=str(head.get("label") or head.get("ref") or "").rpartition("/")[2],
     )
-
-
-def _message(answer: httpx.Response) -> str:
-    try:
-        body = answer.json()
-    except ValueError:
-        return answer.text[:200]
-    return str(body.get("message", body) if isinstance(body, dict) else body)[:500]
