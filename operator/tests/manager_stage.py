@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -31,9 +32,19 @@ from robotkube.testing.forges import MemoryForge, MemoryRepository
 from robotkube.testing.leadership import MemoryLeadership
 
 REGISTRY = Path(__file__).parents[2] / "registry"
+CHART_SOURCES = Path(__file__).parents[2] / "charts"
 CHARTS = "oci://forge.robotkube.svc.cluster.local:3000/verified"
 MEETING = "cloud-0/meeting"
 START_NS = 1795250000_000000000
+
+
+def schema_file(chart: str, version: str) -> dict[str, str]:
+    """The values schema of a chart of this project, with its values as default, as the gate publishes it."""
+    found = [CHART_SOURCES / folder / chart for folder in ("apps", "earlier")]
+    source = next(f for f in found if yaml.safe_load((f / "Chart.yaml").read_text())["version"] == version)
+    schema = json.loads((source / "values.schema.json").read_text())
+    schema["default"] = yaml.safe_load((source / "values.yaml").read_text())
+    return {f"charts/{chart}/{version}.schema.json": json.dumps(schema, indent=1, sort_keys=True) + "\n"}
 
 
 def catalogue_files(signing: Signing) -> dict[str, str]:
@@ -42,13 +53,14 @@ def catalogue_files(signing: Signing) -> dict[str, str]:
     for index, path in enumerate(sorted(REGISTRY.glob("charts/*/*.yaml"))):
         document = yaml.safe_load(path.read_text())
         about = Artefact(path.parent.name, document["spec"]["version"], f"sha256:{index:064x}", PLATFORM)
-        signing.listed = Listing(published_digest(document["spec"], []))
+        schema = schema_file(about.chart, about.version)
+        signing.listed = Listing(published_digest(document["spec"], []), sha256("".join(schema.values()).encode()))
         envelopes = signing.sign(about)
         files |= {f"{about.folder}/{name}.json": data.decode() for name, data in envelopes.items()}
         evidence = sha256(envelopes["summary"])
         status = {"state": "verified", "digest": about.digest, "images": [], "evidence": evidence}
         document["status"] = {**status, "policy": signing.policy.digest}
-        files[str(path.relative_to(REGISTRY))] = yaml.safe_dump(document)
+        files |= {str(path.relative_to(REGISTRY)): yaml.safe_dump(document), **schema}
     return {**files, "policies/release.yaml": "assurance: verified\n", "policies/verification.yaml": POLICY_TEXT}
 
 

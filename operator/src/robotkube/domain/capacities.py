@@ -34,13 +34,13 @@ class Room:
     largest: Resources
 
 
-def read_requests(written: Mapping[str, str]) -> Resources:
-    """`{cpu: 30m, memory: 64Mi}` of a chart version; what is missing or no quantity counts as nothing."""
-    return _requests(written.get("cpu", ""), written.get("memory", ""))
+def read_resources(written: Mapping[str, str]) -> Resources:
+    """`{cpu: 30m, memory: 64Mi}` of a chart version or a Node; what is missing or no quantity counts as nothing."""
+    return _resources(written.get("cpu", ""), written.get("memory", ""))
 
 
 @lru_cache(1024)
-def _requests(cpu: str, memory: str) -> Resources:
+def _resources(cpu: str, memory: str) -> Resources:
     cores, size = quantity(cpu), quantity(memory)
     return Resources(ceil(cores * 1000) if cores else 0, ceil(size) if size else 0)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
-from robotkube.domain.capacities import read_requests
+from robotkube.domain.capacities import read_resources
 from robotkube.domain.catalogue import Pin
 from robotkube.domain.drafts import Draft, Drafter, make_release
 from robotkube.domain.errors import DocumentError, RefusalError
@@ -26,6 +26,8 @@ from robotkube.domain.values_schemas import Validate
 from robotkube.domain.worlds import Demand, Desired, Met, Refused, World
 
 __all__ = ["Composer", "Demand", "Desired", "Met", "Refused", "Validate", "World", "compose"]
+
+DRAFTS_KEPT_MAX = 4096
 
 
 class _StaleError(Exception):
@@ -116,8 +118,16 @@ class Composer:
         while desired is None:  # a bridge cannot be: each time one demand more is left out
             composition = _Composition(scene, self._drafts, self._known, composition.spoilers)
             desired = composition.run(asked)
-        self._drafts = composition.drafts
+        self._keep(composition.drafts)
         return desired
+
+    def _keep(self, drafts: Mapping[str, Draft]) -> None:
+        """Those of this run are the newest; demands that were left out of it for a trial may come back."""
+        for key, draft in drafts.items():
+            self._drafts.pop(key, None)
+            self._drafts[key] = draft
+        while len(self._drafts) > max(DRAFTS_KEPT_MAX, len(drafts)):
+            self._drafts.pop(next(iter(self._drafts)))
 
 
 def compose(demands: Iterable[Demand], world: World) -> Desired:
@@ -230,7 +240,7 @@ class _Composition:
                 continue
             service = self._scene.selector.bridge(kind)
             chart = self._scene.selector.chart(service.chart)[0]
-            need = read_requests(chart.resources)
+            need = read_resources(chart.resources)
             occupancy, room = self._total.seating.occupancy, self._scene.fleet.rooms.get(agent)
             if room and not occupancy.fits(agent, room, need) and not self._scene.runs(agent, chart.chart):
                 shortage = occupancy.shortage(agent, room, need)

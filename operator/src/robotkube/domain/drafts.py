@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from robotkube.domain.capacities import Resources, read_requests
+from robotkube.domain.capacities import Resources, read_resources
 from robotkube.domain.catalogue import Pin
 from robotkube.domain.catalogue_applications import TOPIC_KEYS, Link
 from robotkube.domain.catalogue_charts import ChartVersion
@@ -134,7 +134,7 @@ class Drafter:
         chosen = self._scene.selector.chart(service.chart, self._demand.requirements, platforms, pinned)
         chart = chosen[0]
         apart = f"{self._draft.application}/{service.name}" if service.placement.spread else ""
-        need = read_requests(chart.resources)
+        need = read_resources(chart.resources)
         return chosen, Seat(
             service.name, service.placement, agent, kept, need, chart.platforms, apart, bool(service.unite)
         )
@@ -154,7 +154,7 @@ class Drafter:
         if key in draft.releases:
             raise RefusalError("CompositionFailed", f"two services of {draft.application} make the release {key}")
         draft.releases[key], draft.agents[key] = release, agent.name
-        draft.needs[key], draft.unite[key] = read_requests(chart.resources), service.unite
+        draft.needs[key], draft.unite[key] = read_resources(chart.resources), service.unite
         draft.words += [(f"{service.name} -> {key}", *chosen[1]), step]
 
     def _add_link(self, link: Link, scope: Mapping[str, Any], placed: Mapping[str, list[Agent]]) -> None:

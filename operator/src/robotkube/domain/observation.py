@@ -37,7 +37,8 @@ class ApplicationState:
 @dataclass(frozen=True)
 class PodState:
     """A pod of a release: `deleting` when it has a deletion time; `node_silent_seconds` is how long its Node has not
-    reported (0 while it reports); `images` are the digests that its containers run."""
+    reported (0 while it reports), `node_gone` that there is no such Node any more; `images` are the digests that its
+    containers run."""
 
     namespace: str
     name: str
@@ -46,19 +47,22 @@ class PodState:
     deleting: bool = False
     node_silent_seconds: float = 0.0
     images: tuple[str, ...] = ()
+    node_gone: bool = False
 
 
 @dataclass(frozen=True)
 class Verdict:
     """`annotated`: Argo CD knows the plan. `synced`: it compared and applied it. `done`: observed. `message` says what
     is still missing, or which pods are out of reach. `stuck`: Argo CD could not compare (the forge was away, say) and
-    looks again by itself only after minutes."""
+    looks again by itself only after minutes. `unreachable`: deleted pods on silent nodes, which nobody can ask; they
+    hold nobody up, and what is done is closed when there are none left."""
 
     annotated: bool
     synced: bool
     done: bool
     message: str
     stuck: bool = False
+    unreachable: tuple[str, ...] = ()
 
 
 def judge_present(application: ApplicationState | None, plan: str) -> Verdict:
@@ -89,14 +93,17 @@ def judge_present(application: ApplicationState | None, plan: str) -> Verdict:
 
 
 def judge_removed(application: ApplicationState | None, pods: Sequence[PodState]) -> Verdict:
-    """A release that a plan removed: Application and pods are gone; a deleted pod on a silent node is out of reach and
-    named, it does not hold the plan back."""
-    if application is not None:
+    """A release that a plan removed: Application and pods are gone. A deleted pod on a node that has been silent for
+    longer than NODE_SILENT_SECONDS_MAX is out of reach and named; it does not hold the plan back, nor does an
+    Application whose deletion waits for such pods only. A pod of a Node that was deleted counts as gone."""
+    there = [pod for pod in pods if not (pod.deleting and pod.node_gone)]
+    lost = [pod for pod in there if pod.deleting and pod.node_silent_seconds > NODE_SILENT_SECONDS_MAX]
+    waits_for_lost = application is not None and application.deleting and bool(lost) and len(lost) == len(there)
+    if application is not None and not waits_for_lost:
         what = "is being deleted" if application.deleting else "still exists"
         return Verdict(application.deleting, False, False, f"its Argo CD Application {what}")
-    lost = [pod for pod in pods if pod.deleting and pod.node_silent_seconds > NODE_SILENT_SECONDS_MAX]
-    alive = [pod.name for pod in pods if pod not in lost]
+    alive = [pod.name for pod in there if pod not in lost]
     if alive:
         return Verdict(True, True, False, f"pods still exist: {', '.join(sorted(alive))}")
     message = ", ".join(f"pod {pod.name} is out of reach on silent node {pod.node}" for pod in lost)
-    return Verdict(True, True, True, message)
+    return Verdict(True, True, True, message, unreachable=tuple(f"{pod.namespace}/{pod.name}" for pod in lost))

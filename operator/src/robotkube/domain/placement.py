@@ -23,6 +23,7 @@ SECOND_NS = 1_000_000_000
 Reason = tuple[str, str]
 """Why a candidate is taken or not: what many have in common, and the rest of the sentence."""
 
+LOST = "its Node is lost"
 POSSIBLE: Reason = ("possible", "")
 
 
@@ -121,12 +122,14 @@ class Wanted:
 
 @dataclass(frozen=True)
 class Candidates:
-    """Agents for one `Wanted`, by name: who can take something new, who may keep what it has, and why not."""
+    """Agents for one `Wanted`, by name: who can take something new, who may keep what it has, and why not; `lost` are
+    those that have nothing against them but that their nodes are lost."""
 
     free: tuple[Agent, ...]
     stay: frozenset[str]
     obstacles: Mapping[str, Reason]
     agents: tuple[Agent, ...]
+    lost: frozenset[str] = frozenset()
     _stays: dict[str, Placement] = field(default_factory=dict, compare=False)
 
     def stays(self, agent: Agent, together: Sequence[str]) -> Placement:
@@ -157,6 +160,16 @@ class Fleet:
         if not self.nodes.get(name):
             raise RefusalError("NoCapableNode", f"agent {name!r} has no Node with label robotkube.io/agent={name}")
         return self.agents[name]
+
+    def loss(self, agent: str, now_ns: int) -> str:
+        """Why nothing of an agent can be reached for longer than is waited for; empty when it can."""
+        nodes = self.nodes.get(agent, ())
+        if not nodes:
+            return f"agent {agent} has no node"
+        if not all(node.lost for node in nodes):
+            return ""
+        since = max(node.not_ready_since or 0 for node in nodes)
+        return f"node {', '.join(node.name for node in nodes)} lost for {(now_ns - since) // SECOND_NS} s"
 
     @cached_property
     def of_role(self) -> Mapping[str, tuple[Agent, ...]]:
@@ -274,13 +287,15 @@ def group(seats: Sequence[Seat], fleet: Fleet, narrowing: Narrowing = ANYWHERE) 
 @dataclass(frozen=True)
 class Circumstances:
     """What counts beside the group itself: what is planned on each agent, what the group asks for (`special`: less on
-    these agents, where others asked for a part of it), and `avoided` agents with why they must not be taken."""
+    these agents, where others asked for a part of it), and `avoided` agents with why they must not be taken.
+    `waits`: what runs on a lost node stays there when nobody else can take it."""
 
     fleet: Fleet
     occupancy: Occupancy
     need: Resources = NOTHING
     special: Mapping[str, Resources] = field(default_factory=dict)
     avoided: Mapping[str, str] = field(default_factory=dict)
+    waits: bool = True
 
     def takes(self, name: str) -> bool:
         """Whether nothing of this stands against an agent."""
@@ -304,7 +319,8 @@ def place(asked: Group, around: Circumstances, kept: Mapping[str, int] | None = 
     A named agent is taken; else the agents of the role that is asked for, or all, are candidates. One that runs most of
     the releases already stays, even when it is not ready at the moment, as long as it is not lost. Else the one with
     the least releases placed so far, then the first by name. What runs is not taken away because room has become too
-    little when there is no better place. RefusalError(NoCapableNode or InsufficientResources) gives the reasons.
+    little, or because its node is lost, when there is no better place. RefusalError(NoCapableNode or
+    InsufficientResources) gives the reasons.
     """
     candidates = around.fleet.candidates(asked.wanted)
     kept, load = asked.kept if kept is None else kept, around.occupancy.load
@@ -319,6 +335,9 @@ def place(asked: Group, around: Circumstances, kept: Mapping[str, int] | None = 
     for name in running:
         if name not in around.avoided:
             return candidates.stays(around.fleet.agents[name], asked.together)
+    for name in sorted(candidates.lost & kept.keys()) if around.waits else ():
+        agent = around.fleet.agents[name]
+        return Placement(agent, (*asked.together, f"{name}: its Node is lost, and nobody else can take it: it waits"))
     raise _refusal(asked, candidates, around)
 
 
@@ -364,7 +383,8 @@ def _candidates(fleet: Fleet, wanted: Wanted) -> Candidates:
                 obstacles[agent.name] = ("no Node is Ready and schedulable", "")
         else:
             obstacles[agent.name] = reason
-    return Candidates(tuple(free), frozenset(stay), obstacles, tuple(agents))
+    lost = frozenset(name for name, (kind, _) in obstacles.items() if kind == LOST)
+    return Candidates(tuple(free), frozenset(stay), obstacles, tuple(agents), lost)
 
 
 def _lack(agent: Agent, nodes: Sequence[NodeState], wanted: Wanted) -> Reason | None:
@@ -385,7 +405,7 @@ def _lack(agent: Agent, nodes: Sequence[NodeState], wanted: Wanted) -> Reason | 
         own = ", ".join(sorted({node.platform for node in nodes}))
         return f"is {own}, the chart runs on {', '.join(foreign[0])}", ""
     if not wanted.named and all(node.lost for node in nodes):
-        return "its Node is lost", f": {', '.join(node.name for node in nodes)}"
+        return LOST, f": {', '.join(node.name for node in nodes)}"
     return None
 
 

@@ -9,6 +9,7 @@ from hashlib import sha256
 
 from robotkube.domain.catalogue import Catalogue
 from robotkube.domain.composition import Desired, Met, Refused
+from robotkube.domain.placement import Fleet
 from robotkube.domain.proposals import INITIAL, ChartReference, CommitMessage
 from robotkube.domain.releases import Cause, Release, Source, Tree, write_release, write_source
 from robotkube.domain.tasks import TaskDescription
@@ -121,6 +122,21 @@ def _files(changes: Iterable[Change], tree: Tree, registry: str) -> dict[str, st
 
 def _source(release: Release, registry: str) -> Source:
     return Source(release.namespace, release.chart, release.digest, f"{registry}/{release.chart}")
+
+
+def lost_words(changes: Iterable[Change], fleet: Fleet, now_ns: int) -> str:
+    """What the changes move away from lost nodes, for the commit's subject: `node vehicle-03 lost for 41 s: recorder
+    moved to cloud-1`; empty when nothing moves for that."""
+    changes = tuple(changes)
+    targets = {c.release.name: c.release.namespace for c in changes if c.kind == ADD}
+    moved: dict[str, list[str]] = {}
+    for change in changes:
+        namespace, name = change.release.namespace, change.release.name
+        if change.kind == REMOVE and name in targets:
+            for agent in fleet.by_namespace.get(namespace, ()):
+                if why := fleet.loss(agent, now_ns):
+                    moved.setdefault(why, []).append(f"{name} moved to {targets[name]}")
+    return "; ".join(f"{why}: {', '.join(found)}" for why, found in sorted(moved.items()))
 
 
 def come_and_go(changes: Iterable[Change]) -> tuple[frozenset[Cause], frozenset[Cause]]:

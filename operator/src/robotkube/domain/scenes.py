@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
-from robotkube.domain.capacities import NOTHING, Occupancy, Resources, read_requests
+from robotkube.domain.capacities import NOTHING, Occupancy, Resources, read_resources
 from robotkube.domain.catalogue import Catalogue, Pin
 from robotkube.domain.loops import Render
 from robotkube.domain.placement import Fleet
@@ -21,6 +21,11 @@ _NOWHERE: frozenset[str] = frozenset()
 
 class Scene:
     """A World and its indexes; takes over from the scene `before` what has not changed."""
+
+    _places: Mapping[tuple[str, str], frozenset[str]]
+    _applications: Mapping[str, str]
+    _charts: Collection[tuple[str, str]]
+    occupied: Occupancy
 
     def __init__(self, world: World, before: Scene | None = None) -> None:
         self.render: Render = world.render
@@ -112,4 +117,4 @@ def _occupied(others: Mapping[str, Release], fleet: Fleet, catalogue: Catalogue)
 def need_of(release: Release, catalogue: Catalogue) -> Resources:
     """What a release asks for, as the catalogue says it of its chart version; nothing when it is not known there."""
     version = catalogue.version(release.chart, release.version)
-    return read_requests(version.resources) if version else NOTHING
+    return read_resources(version.resources) if version else NOTHING

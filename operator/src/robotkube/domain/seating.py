@@ -8,6 +8,7 @@ from typing import Any
 from robotkube.domain.capacities import NOTHING, Resources
 from robotkube.domain.placement import Circumstances, Group, Placement, place
 from robotkube.domain.scenes import Scene
+from robotkube.domain.tasks import OFFLOAD
 from robotkube.domain.worlds import Demand
 
 _NOBODY: Mapping[str, str] = {}
@@ -69,6 +70,7 @@ class Seating:
             needs[0] if len(needs) == 1 else sum(needs, NOTHING),
             {agent: _rest(names, needs, found) for agent, found in shared.items()},
             self._avoided(demand, group, names),
+            waits=demand.task is None or demand.task.conflict_policy != OFFLOAD,
         )
         placement = place(group, around, self._kept(demand, group, names, scene))
         agent = placement.agent.name

@@ -6,10 +6,12 @@ evidence that is broken makes its own chart version doubtful and nothing else.
 
 from __future__ import annotations
 
+import json
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 from robotkube.domain.catalogue import FOLDERS, Catalogue, ChartVersion, read_catalogue
 from robotkube.domain.charts_packing import sha256
@@ -22,6 +24,7 @@ from robotkube.ports.git import RepositoryFiles
 
 PLATFORMS = ("linux/amd64",)
 ENVELOPES_KEPT_MAX = 8192
+SCHEMAS_KEPT_MAX = 512
 
 _Known = tuple[ChartVersion, str, tuple[str | None, ...]]
 
@@ -126,6 +129,11 @@ class AssuredCatalogue:
             self._seen = seen
         return self.tip, self.catalogue
 
+    def schema(self, chart: str, version: str) -> Mapping[str, Any] | None:
+        """The values schema of a chart version as published; None when the catalogue has none that is a JSON object."""
+        text = self.files.get(f"charts/{chart}/{version}.schema.json")
+        return None if text is None else _read_schema(text)
+
     def _take(self, newest: str) -> None:
         files = self._repository.files(newest, FOLDERS)
         found = self._reader.read(files)
@@ -137,3 +145,12 @@ class AssuredCatalogue:
             raise InputError(f"catalogue {newest[:12]}: {found.problems[0]}; nothing is planned until it is repaired")
         else:  # the commit that stays, under the keys trusted now
             self.catalogue = self._reader.read(self.files)
+
+
+@lru_cache(SCHEMAS_KEPT_MAX)
+def _read_schema(text: str) -> Mapping[str, Any] | None:
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError):
+        return None
+    return found if isinstance(found, dict) else None

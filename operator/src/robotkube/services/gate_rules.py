@@ -5,12 +5,10 @@ Nothing here comes from the branch that is judged.
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 from robotkube.domain import checks
 from robotkube.domain.checks_releases import Rules
@@ -23,8 +21,6 @@ from robotkube.domain.values_schemas import Validate
 from robotkube.ports.git import Commit, MainBranch
 from robotkube.services.assured_catalogue import AssuredCatalogue
 from robotkube.services.main_history import Terms, older_files, release_files
-
-SCHEMAS_KEPT_MAX = 512
 
 log = logging.getLogger(__name__)
 
@@ -74,7 +70,7 @@ class RuleBook:
             namespaces=namespaces,
             charts_url=self._settings.charts_url,
             catalogue=self._catalogue.catalogue,
-            schema=self._schema,
+            schema=self._catalogue.schema,
             validate=self._validate,
             others=others,
             last_term=self._terms.last(account, self._main.tip),
@@ -87,10 +83,6 @@ class RuleBook:
             files = release_files(self._main, self._main.tip)
             self._repaired = (self._main.tip, repair(files, older_files(self._main)))
         return self._repaired[1]
-
-    def _schema(self, chart: str, version: str) -> Mapping[str, Any] | None:
-        text = self._catalogue.files.get(f"charts/{chart}/{version}.schema.json")
-        return None if text is None else _read_schema(text)
 
     def proposal(self, commit: Commit) -> checks.Proposal:
         """What a commit brings to main."""
@@ -126,13 +118,3 @@ class RuleBook:
 @lru_cache(16)
 def _read_policy(text: str) -> MergePolicy:
     return read_merge_policy(text)
-
-
-@lru_cache(SCHEMAS_KEPT_MAX)
-def _read_schema(text: str) -> Mapping[str, Any] | None:
-    """A schema of the catalogue; None when it is no JSON object."""
-    try:
-        found = json.loads(text)
-    except (ValueError, RecursionError):
-        return None
-    return found if isinstance(found, dict) else None

@@ -9,13 +9,14 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from typing import Any
 
-from robotkube.domain.composition import Demand, Desired, Met, Refused, Validate, World, compose
+from robotkube.domain.composition import Composer, Demand, Desired, Met, Refused, Validate, World
 from robotkube.domain.conflicts import History, Outcome, Postponed, Resolution, resolve
 from robotkube.domain.explanations import Explanation, explain
 from robotkube.domain.initial import initial_demands
 from robotkube.domain.loops import Render
-from robotkube.domain.placement import NODE_LOST_SECONDS, Agent, fleet
-from robotkube.domain.planning import Change, Plan, differences, fingerprint, make_plan
+from robotkube.domain.placement import NODE_LOST_SECONDS, Agent, Fleet, fleet, next_loss_ns
+from robotkube.domain.planning import Change, Plan, differences, fingerprint, lost_words, make_plan
+from robotkube.domain.proposals import NODE
 from robotkube.domain.releases import Release
 from robotkube.domain.scopes import Operators
 from robotkube.domain.tasks import POSTPONED, TaskDescription, object_key
@@ -64,7 +65,7 @@ class Planner:
         self._settings, self._store, self._cluster, self._holds = settings, tasks, cluster, holds
         self._bounds = Bounds(settings.agents, settings.operators)
         self._catalogue, self._main, self._render, self._validate = catalogue, main, render, validate
-        self._ledger, self._lock = DemandLedger(), threading.Lock()
+        self._ledger, self._lock, self._composer = DemandLedger(), threading.Lock(), Composer()
         self._tasks_per_plan = TASKS_PER_PLAN_MAX
         self._held: dict[str, tuple[str, PlanRecord]] = {}
         self._held_differences: dict[str, PlanRecord] = {}
@@ -76,6 +77,11 @@ class Planner:
         self.outcomes: Mapping[str, Outcome] = {}
         self.tasks: Mapping[str, TaskDescription] = {}
         self.next_due_ns: int | None = None
+
+    @property
+    def agents(self) -> Sequence[Agent]:
+        """All that are declared."""
+        return self._settings.agents
 
     @property
     def foreign(self) -> frozenset[str]:
@@ -145,6 +151,7 @@ class Planner:
         told = {key: _told(outcome) for key, outcome in self.outcomes.items()}
         self.desired = replace(resolution.desired, outcomes=told)
         times = [self._ledger.standing.next_due_ns, resolution.next_due_ns, self._now_ns if resolution.left else None]
+        times.append(next_loss_ns(self._cluster.nodes(), self._settings.node_lost_seconds, self._now_ns))
         self.next_due_ns = min((time for time in times if time is not None), default=None)
         self._say_refusals()
 
@@ -164,9 +171,9 @@ class Planner:
     def _made(self, changes: tuple[Change, ...], desired: Desired, tasks: Mapping[str, TaskDescription]) -> Plan:
         stamp = datetime.fromtimestamp(self._now_ns / 1e9, UTC).strftime("%Y%m%d-%H%M%S")
         catalogue, url = self._catalogue.catalogue, self._settings.charts_url
-        return make_plan(
-            changes, self._bounds.own(self._main.tree), desired, tasks, catalogue, url, self._main.tip, stamp
-        )
+        words = lost_words(changes, self._fleet(), self._now_ns)
+        own, cause = self._bounds.own(self._main.tree), NODE if words else ""
+        return make_plan(changes, own, desired, tasks, catalogue, url, self._main.tip, stamp, cause, words)
 
     def _answered(self) -> frozenset[str]:
         """Tasks that main answers."""
@@ -208,12 +215,24 @@ class Planner:
         return replace(resolution, outcomes={**resolution.outcomes, **refused})
 
     def _within(self, tasks: Sequence[TaskDescription], history: History) -> Resolution:
-        machines = self._bounds.fleet(fleet(self._settings.agents, self._cluster.nodes()))
-        present: Mapping[str, Release] = self._bounds.own(self._main.tree).releases
-        world = World(self._catalogue.catalogue, machines, present, self._render, self._validate)
+        machines, tree = self._bounds.fleet(self._fleet()), self._main.tree
+        present: Mapping[str, Release] = self._bounds.own(tree).releases
+        world = World(
+            self._catalogue.catalogue,
+            machines,
+            present,
+            self._render,
+            self._validate,
+            others={path: release for path, release in tree.releases.items() if path not in present},
+            schema=self._catalogue.schema,
+        )
         initial = initial_demands(self._catalogue.catalogue, self._main.policy, machines)
         wanted = [*initial, *(_demand(task) for task in tasks)]
-        return resolve(wanted, lambda demands: compose(demands, world), history, self._now_ns)
+        return resolve(wanted, lambda demands: self._composer.compose(demands, world), history, self._now_ns)
+
+    def _fleet(self) -> Fleet:
+        """All agents with their nodes; those that are lost by now are marked."""
+        return fleet(self._settings.agents, self._cluster.nodes(), self._now_ns, self._settings.node_lost_seconds)
 
     def _in_doubt(self, desired: Desired) -> dict[str, Release]:
         """Releases on main of demands that are refused for want of evidence only: what runs is not taken away because
