@@ -3,15 +3,17 @@
 .PHONY: help demo test test-thorough check bench cluster status down toolchain images lock golden reference
 
 PYTHON := ci/python
-SCENARIO ?= scenarios/pose-point-cloud-db-recording
+# the name of a folder below scenarios/, and a variant of its scenario.yaml: make demo SCENARIO=three-vehicles VARIANT=small
+SCENARIO ?= pose-point-cloud-db-recording
+VARIANT ?=
 # extra parameters, for example: make demo SET="vehicles=3 encounters=1"
 SET ?=
 
 help:           ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
-demo:           ## the paper's use case, end to end, on the embedded cluster
-	@$(PYTHON) -m ci.demo $(SCENARIO) $(addprefix --set ,$(SET))
+demo:           ## a scenario, end to end, on the embedded cluster; the paper's use case if none is named
+	@$(PYTHON) -m ci.demo $(SCENARIO) $(addprefix --variant ,$(VARIANT)) $(addprefix --set ,$(SET))
 
 test:           ## checks, unit, chart, forge and cluster tests (one small cluster, shared)
 	@$(PYTHON) -m ci.test
@@ -26,7 +28,7 @@ bench:          ## benchmarks: ratios against a baseline in the same run
 	@$(PYTHON) -m ci.benchmarks
 
 cluster:        ## only the embedded cluster with the platform installed
-	@$(PYTHON) -m ci.demo $(SCENARIO) --until platform $(addprefix --set ,$(SET))
+	@$(PYTHON) -m ci.demo $(SCENARIO) --until platform $(addprefix --variant ,$(VARIANT)) $(addprefix --set ,$(SET))
 
 status:         ## what runs
 	@$(PYTHON) -m ci.cluster status
@@ -46,5 +48,6 @@ lock:           ## write the lock files anew from operator/pyproject.toml
 golden:         ## write the charts' golden renderings anew
 	@ROBOTKUBE_GOLDEN=write $(PYTHON) -m pytest -c operator/pyproject.toml -p no:cacheprovider operator/tests/charts/test_rendering.py
 
-reference:      ## write docs/reference/schemas.md anew from registry/schemas
+reference:      ## write docs/reference/schemas.md and design-principles.md anew
 	@$(PYTHON) -m ci.reference
+	@$(PYTHON) -m ci.principles

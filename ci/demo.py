@@ -1,6 +1,6 @@
 """`make demo`: from nothing to the scenario's report. Every step is idempotent and says what it found in the cache.
 
-python -m ci.demo SCENARIO [--set vehicles=3] [--until cluster|platform] [--name demo]
+python -m ci.demo SCENARIO [--variant manager-killed] [--set vehicles=3] [--until cluster|platform] [--name demo]
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ci.errors import SetUpError
 from ci.installation import Installer
 from ci.steps import Steps
 from scenarios import definition
-from scenarios.definition import ScenarioError
+from scenarios.definition import Scenario, ScenarioError
 from scenarios.generator import routes
 from scenarios.runner import running
 
@@ -31,13 +31,18 @@ STEPS = {"cluster": 3, "platform": 6, "scenario": 7}
 @dataclass(frozen=True)
 class Request:
     """What is to be run: scenario folder, overrides of its parameters, cluster name, last step; `kept` is the folder of
-    evidence for the publication (default: the user's cache)."""
+    evidence for the publication (default: the user's cache); `variant` is a named set of parameters or steps."""
 
     scenario: Path
     settings: dict[str, str]
     name: str
     until: str
     kept: Path | None = None
+    variant: str | None = None
+
+    def settled(self) -> Scenario:
+        """The scenario with its parameters; ScenarioError."""
+        return definition.load(self.scenario, [f"{key}={value}" for key, value in self.settings.items()], self.variant)
 
 
 def bring_up(request: Request, steps: Steps) -> Installer:
@@ -45,8 +50,9 @@ def bring_up(request: Request, steps: Steps) -> Installer:
 
     Scenario and settings are checked before anything is started; raises ScenarioError or SetUpError.
     """
-    settled = definition.load(request.scenario, [f"{name}={value}" for name, value in request.settings.items()])
-    routes.duration_seconds(settled.parameters)
+    settled = request.settled()
+    if settled.players:
+        routes.duration_seconds(settled.parameters)
     counts = {"vehicles": str(settled.parameters.vehicles)}
     wanted = topology.read(request.scenario / "scenario.yaml", counts)
     with steps.step("tool chain"):
@@ -65,7 +71,8 @@ def bring_up(request: Request, steps: Steps) -> Installer:
     with steps.step("platform"):
         installer.platform(prepared.references(), wanted)
     with steps.step("catalogue") as step:
-        step.note = publish.publish(folders.kubeconfig, step.say, request.kept).outcome.verdict
+        published = publish.publish(folders.kubeconfig, step.say, request.kept, settled.extra_charts)
+        step.note = published.outcome.verdict
     return installer
 
 
@@ -77,20 +84,22 @@ def run(request: Request) -> int:
         print(f"export KUBECONFIG={installer.kubeconfig}")
         return 0
     with steps.step("scenario"):
-        return running.run(request.scenario, request.name, request.settings, set_up_seconds=dict(steps.seconds))
+        seconds = dict(steps.seconds)
+        return running.run(request.scenario, request.name, request.settings, request.variant, set_up_seconds=seconds)
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(
         prog="make demo", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("scenario", type=Path)
+    parser.add_argument("scenario", type=definition.find, help="its folder, or its name below scenarios/")
+    parser.add_argument("--variant", help="named set of parameters or steps in scenario.yaml")
     parser.add_argument("--set", action="append", default=[], metavar="PARAMETER=VALUE")
     parser.add_argument("--name", choices=sorted(PLANS), default="demo")
     parser.add_argument("--until", choices=STOPS, default="scenario")
     given = parser.parse_args()
     try:
-        return run(Request(given.scenario, overrides(given.set), given.name, given.until))
+        return run(Request(given.scenario, overrides(given.set), given.name, given.until, variant=given.variant))
     except (SetUpError, ScenarioError) as error:
         print(f"error: {error}", file=sys.stderr)
         return getattr(error, "exit_code", 1)

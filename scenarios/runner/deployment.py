@@ -113,6 +113,10 @@ class Deployment:
                 break
         return tuple(reversed(found))
 
+    def message(self, commit: str) -> str:
+        """The whole message of a commit of main."""
+        return str(self._repository[commit].peel(pygit2.Commit).message)
+
     def commits(self) -> tuple[Commit, ...]:
         """All commits of main, newest first."""
         walk = self._repository.walk(self._tip().id, pygit2.enums.SortMode.TOPOLOGICAL)

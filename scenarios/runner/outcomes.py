@@ -56,15 +56,18 @@ def preempted(inputs: RunInputs) -> tuple[TaskLife, ...]:
 
 
 def reasons_named(scenario: Scenario, inputs: RunInputs) -> float | None:
-    """The share of these tasks whose condition names a machine of the topology in its message."""
+    """The share of these tasks whose condition names a machine of the topology or another task in its message."""
     told = [
         *((task, "") for task in offloaded(scenario, inputs)),
         *((task, "Postponed") for task in postponed(inputs)),
         *((task, "InsufficientResources") for task in refused(inputs)),
         *((task, "Preempted") for task in preempted(inputs)),
     ]
-    names = [node.name for node in scenario.nodes]
-    said = [any(name in text for text in _messages(task, reason) for name in names) for task, reason in told]
+    names = [node.name for node in scenario.nodes] + [task.key for task in inputs.tasks]
+    said = [
+        any(name in text for text in _messages(task, reason) for name in names if name != task.key)
+        for task, reason in told
+    ]
     return sum(said) / len(said) if said else None
 
 

@@ -57,7 +57,7 @@ def page(done: Report) -> str:
 
 def page_of(document: Document) -> str:
     """The same from the document of report.json."""
-    sections = (
+    sections: tuple[tuple[str, str, str], ...] = (
         ("Timeline", "seconds since the players' start, and since the last event", _timeline(document["timeline"])),
         ("Expectations", "what must hold, over all encounters", _expectations(document["expectations"])),
         (

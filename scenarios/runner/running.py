@@ -16,7 +16,7 @@ from ci.folders import PROJECT
 from scenarios import definition
 from scenarios.definition import Scenario, cloud_topic, pose_topic
 from scenarios.generator import bags, checking, routes
-from scenarios.runner import collecting, evidence, looking_around, policy, report, timeline
+from scenarios.runner import asking, collecting, evidence, looking_around, policy, report, timeline
 from scenarios.runner.access import Access
 from scenarios.runner.acting import Actor, merge_plans
 from scenarios.runner.cpu import CpuSampler
@@ -33,7 +33,6 @@ PROVIDER = "embedded"
 REPORTS = PROJECT / "build" / "reports"
 EVIDENCE_FOLDER = "evidence"
 START_DELAY_SECONDS = 3
-MERGE_SECONDS_MAX = 60.0
 READY_SECONDS_MAX = 600.0
 PLAY_SECONDS_MARGIN = 60.0
 REMOVAL_SECONDS_MAX = 60.0
@@ -215,37 +214,9 @@ def ask(going: Run) -> None:
     if text is None:
         going.say(f"{policy.PATH} asks for everything already")
         return
-    subject = f"policy(initial): {going.scenario.name} with {going.scenario.parameters.vehicles} vehicles\n"
-    commit = going.deployment.propose(policy.PATH, text, subject, going.name)
-    number = _found(going, commit)
-    refusals = ["not asked yet"]
-
-    def merged() -> bool:
-        if not going.deployment.pull_request(number).merged:
-            refusals[0] = going.deployment.merge(number)
-        return going.deployment.pull_request(number).merged
-
-    wait_for(
-        f"pull request #{number} of {going.scenario.story.person} to be merged",
-        MERGE_SECONDS_MAX,
-        merged,
-        lambda: f"the forge's answer to merging it was: {refusals[0] or 'agreed'}",
-        poll_seconds=1.0,
-    )
+    subject = f"policy(initial): {going.scenario.name} with {going.scenario.parameters.vehicles} vehicles"
+    number = asking.change(going.deployment, policy.PATH, text, subject, going.name)
     going.say(f"pull request #{number} of {going.scenario.story.person} on {policy.PATH} is merged")
-
-
-def _found(going: Run, commit: str) -> int:
-    """The number of the pull request that the forge opened for a pushed commit."""
-    numbers: list[int] = []
-
-    def opened() -> bool:
-        number = going.deployment.number_of(commit)
-        numbers.extend([number] if number else [])
-        return bool(numbers)
-
-    wait_for("the forge to open the pull request", MERGE_SECONDS_MAX, opened, lambda: f"commit {commit} was pushed")
-    return numbers[0]
 
 
 def play(going: Run) -> None:

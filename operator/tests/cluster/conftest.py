@@ -5,7 +5,6 @@ ROBOTKUBE_KEEP_CLUSTER=1 leaves it running at the end, to look around or for the
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,15 +13,8 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from running_platform import NAME, SCENARIO, STEPS, VARIANT, Platform, spoken
+from running_platform import SCENARIO, VARIANT, Platform, shared, spoken, stop_demo, take_down
 from story import Story, play
-
-from ci import demo
-from ci.cluster import cleaning
-from ci.cluster.embedded import Embedded
-from ci.steps import Steps
-from scenarios import definition
-from scenarios.runner.access import Access
 
 # The first starts and removes clusters itself; the last ones leave the platform changed.
 ORDER = (
@@ -36,6 +28,9 @@ ORDER = (
     "test_story",
     "test_bridges",
     "test_restoring",
+    "test_three_vehicles",
+    "test_withdrawing",
+    "test_observing",
     "test_how_to",
     "test_refusals",
     "test_lifecycle",
@@ -56,27 +51,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture(scope="session")
 def no_demo(pytestconfig: pytest.Config) -> None:
     """A running demo is stopped, and that is said: only one cluster runs at a time."""
-    if cleaning.leftovers("demo"):
-        with spoken(pytestconfig):
-            print("\nstopping the cluster demo: only one can run at a time", file=sys.stderr, flush=True)
-            Embedded("demo", Path()).down()
+    stop_demo(pytestconfig)
 
 
 @pytest.fixture(scope="session")
 def platform(pytestconfig: pytest.Config, no_demo: None) -> Iterator[Platform]:
-    """The cluster of the small scenario with Argo CD, the platform, and images, charts and catalogue published."""
-    scenario = definition.load(SCENARIO, [], VARIANT)
-    with spoken(pytestconfig):
-        print(file=sys.stderr)
-        request = demo.Request(SCENARIO, {"vehicles": str(scenario.parameters.vehicles)}, NAME, "platform")
-        installer = demo.bring_up(request, Steps(STEPS))
-    provider = Embedded(NAME, installer.binaries)
-    access = Access(installer.kubeconfig)
-    yield Platform(installer, provider, access, scenario)
-    access.disconnect()
-    if os.environ.get("ROBOTKUBE_KEEP_CLUSTER") != "1":
-        provider.down()
-        assert cleaning.leftovers(NAME) == ()
+    """The cluster with Argo CD, the platform, and images, charts and catalogue published."""
+    yield shared(pytestconfig)
+    take_down()
 
 
 @pytest.fixture(scope="session")

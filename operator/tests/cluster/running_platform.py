@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import json
+import os
+import sys
 import time
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
@@ -13,12 +16,16 @@ from typing import Any
 import httpx
 import pytest
 
+from ci import demo
+from ci.cluster import cleaning
 from ci.cluster.embedded import Embedded
 from ci.errors import SetUpError
 from ci.folders import PROJECT
 from ci.installation import Installer
+from ci.steps import Steps
 from robotkube.adapters.git_clones import GitClone
 from robotkube.adapters.git_deployment import ProposalWriter
+from scenarios import definition
 from scenarios.definition import Scenario
 from scenarios.runner.access import Access
 from scenarios.runner.waiting import RunError
@@ -26,6 +33,7 @@ from scenarios.runner.waiting import RunError
 NAME = "test"
 VARIANT = "small"
 SCENARIO = PROJECT / "scenarios" / "pose-point-cloud-db-recording"
+WIDEST = Path(__file__).parent / "widest"
 STEPS = 6
 DEPLOYMENT = "robotkube/deployment"
 WAIT_SECONDS_MAX = 60.0
@@ -117,6 +125,32 @@ class Platform:
         clone = GitClone(self.forge_url(), DEPLOYMENT, account, self.password(account), folder)
         proposals = ProposalWriter(folder, account, self.password(account), account, time.time)
         return Writer(clone, proposals)
+
+
+@functools.cache
+def shared(config: pytest.Config) -> Platform:
+    """The one running platform of a test session, brought up by whoever asks first: machines of every role, among them
+    those of the small scenario."""
+    with spoken(config):
+        print(file=sys.stderr)
+        installer = demo.bring_up(demo.Request(WIDEST, {}, NAME, "platform"), Steps(STEPS))
+    access = Access(installer.kubeconfig)
+    return Platform(installer, Embedded(NAME, installer.binaries), access, definition.load(SCENARIO, [], VARIANT))
+
+
+def take_down() -> None:
+    """Remove the cluster and prove it, unless ROBOTKUBE_KEEP_CLUSTER=1; nothing to do is fine."""
+    if os.environ.get("ROBOTKUBE_KEEP_CLUSTER") != "1":
+        Embedded(NAME, Path()).down()
+        assert cleaning.leftovers(NAME) == ()
+
+
+def stop_demo(config: pytest.Config) -> None:
+    """Stop a demo that runs, and say so."""
+    if cleaning.leftovers("demo"):
+        with spoken(config):
+            print("\nstopping the cluster demo: only one can run at a time", file=sys.stderr, flush=True)
+            Embedded("demo", Path()).down()
 
 
 @dataclass(frozen=True)

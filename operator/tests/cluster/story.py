@@ -66,7 +66,7 @@ def play(platform: Platform, scenario: Path, variant: str, folder: Path) -> Stor
         finally:
             process.kill()
             code = process.wait()
-    report = folder / platform.scenario.name / "report.json"
+    report = folder / scenario.name / "report.json"
     document = json.loads(report.read_text()) if report.is_file() else {}
     after = collecting.input_counters(platform.access, platform.scenario)
     return Story(code, output.read_text(), talk.read_text(), document, pods, before, after)

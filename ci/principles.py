@@ -1,0 +1,87 @@
+"""docs/reference/design-principles.md: the rows of the paper's Table I, the story of each, and what became of it.
+
+Stories are the docstrings of operator/tests/table_one/test_p01.py to test_p10.py; results are those of their last run,
+which leaves them in build/reports/table-one.json.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ci.folders import PROJECT
+
+RESULTS = PROJECT / "build" / "reports" / "table-one.json"
+PAGE = PROJECT / "docs" / "reference" / "design-principles.md"
+TESTS = PROJECT / "operator" / "tests" / "table_one"
+NAMES = tuple(f"p{number:02}" for number in range(1, 11))
+WORDS = {"passed": "holds", "failed": "does not hold", "skipped": "not tried"}
+UNKNOWN = "not tried"
+HEAD = """# Design principles
+
+The ten rows of the paper's Table I, each with the paper's example told as a story on a real cluster. A story asserts on
+Git and on the cluster (pods, nodes, messages), not on the manager's answers. Written by `make reference` from the tests
+and from the results of their last run on the shared test cluster (`ci/python -m ci.test --only cluster`).
+"""
+
+
+@dataclass(frozen=True)
+class Principle:
+    """One row: name of the test, the principle, the paper's example, and the story."""
+
+    name: str
+    principle: str
+    example: str
+    story: str
+
+
+def read_principles(tests: Path = TESTS) -> tuple[Principle, ...]:
+    """The rows, in the order of the table. ValueError names a file that is missing, too many, or without its three
+    paragraphs."""
+    found = {path.stem.removeprefix("test_"): path for path in sorted(tests.glob("test_*.py"))}
+    if tuple(found) != NAMES:
+        raise ValueError(f"{tests}: must hold exactly {', '.join(NAMES)}; it holds {', '.join(found) or 'none'}")
+    return tuple(_principle(name, path) for name, path in found.items())
+
+
+def _principle(name: str, path: Path) -> Principle:
+    text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+    parts = [" ".join(part.split()) for part in text.split("\n\n")]
+    if len(parts) != 3 or not parts[1].startswith("Example: ") or not parts[2].startswith("Story: "):
+        raise ValueError(f"{path}: its docstring must be the principle, `Example: ...` and `Story: ...`")
+    return Principle(name, parts[0], parts[1].removeprefix("Example: "), parts[2].removeprefix("Story: "))
+
+
+def read_results(path: Path = RESULTS) -> dict[str, str]:
+    """Name -> passed, failed or skipped of the last run; empty when there was none."""
+    return dict(json.loads(path.read_text(encoding="utf-8"))) if path.is_file() else {}
+
+
+def page(principles: Sequence[Principle], results: Mapping[str, str]) -> str:
+    """The whole page."""
+    lines = [HEAD, "| | principle | last run |", "| --- | --- | --- |"]
+    lines += [
+        f"| [{one.name}](#{one.name}) | {one.principle} | {WORDS.get(results.get(one.name, ''), UNKNOWN)} |"
+        for one in principles
+    ]
+    return "\n".join([*lines, "", *(line for one in principles for line in _chapter(one))]).rstrip() + "\n"
+
+
+def _chapter(one: Principle) -> Iterator[str]:
+    test = f"../../operator/tests/table_one/test_{one.name}.py"
+    yield from (f"## {one.name}", "", one.principle, "")
+    yield from (f"*The paper's example.* {one.example}", "")
+    yield from (f"*The story* ([test]({test})). {one.story}", "")
+
+
+def write() -> Path:
+    """Write the page; returns its path."""
+    PAGE.write_text(page(read_principles(), read_results()), encoding="utf-8")
+    return PAGE
+
+
+if __name__ == "__main__":
+    print(write().relative_to(PROJECT))

@@ -1,0 +1,44 @@
+"""Application updates are conducted by updating the individual container images of an application.
+
+Example: The object detection microservice of an environment perception application is updated independently of other
+containers of that application.
+
+Story: A newer version of the detection is published while environment perception runs. One commit changes the
+detection's release alone; its pod is a new one, those of the tracking and of all bridges keep their identities.
+"""
+
+from __future__ import annotations
+
+from running_platform import eventually
+from stage import BRIDGE, Stage
+
+from ci import publish
+
+DETECTION, TRACKING = "roadside-0/object-detection-roadside-0", "roadside-0/object-tracking-roadside-0"
+OLD, NEW = "0.1.0", "0.2.0"
+UPDATED_SECONDS_MAX = 120.0
+
+
+def test_one_service_is_updated_and_the_others_stay(stage: Stage) -> None:
+    key = stage.submit(
+        "cloud-0", "p07-perception", application="environment-perception", parameters={"sensor": "roadside-0"}
+    )
+    before = stage.await_running(DETECTION, TRACKING)
+    assert {stage.annotation(release, "chart-version") for release in before} == {OLD}
+    neighbours = [name for name in stage.releases() if name != DETECTION]
+    kept = {name: {pod.uid for pod in stage.pods(name)} for name in neighbours}
+    assert any(name.endswith(f"/{BRIDGE}") for name in kept)
+    publish.publish(stage.platform.access.kubeconfig, extra=("object-detection",))
+
+    def updated() -> bool:
+        found = stage.pods(DETECTION)
+        version = stage.annotation(DETECTION, "chart-version")
+        return version == NEW and len(found) == 1 and found[0].ready and found[0].uid != before[DETECTION].uid
+
+    eventually("the detection runs in its new version", updated, UPDATED_SECONDS_MAX)
+    commit = stage.commit_of(DETECTION)
+    assert commit.trailers["Cause"] == ("update",)
+    assert [path for path in commit.paths if path.startswith("releases/")] == [f"releases/{DETECTION}.yaml"]
+    assert stage.annotation(TRACKING, "chart-version") == OLD
+    assert {name: {pod.uid for pod in stage.pods(name)} for name in neighbours} == kept
+    assert stage.seats(key) == {DETECTION, TRACKING}
