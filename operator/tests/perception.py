@@ -20,7 +20,7 @@ def cloud(
     """A serialised PointCloud2 of the lidar on a vehicle at `own`."""
     rays = scene.ray_directions(points)
     noise = np.random.default_rng(seed).standard_normal(len(rays), np.float32) * np.float32(scene.NOISE_M)
-    return messages.CloudWriter(FRAME, len(rays)).message(stamp, scene.cast(rays, MOUNT, own, other, noise))
+    return messages.CloudWriter(FRAME, len(rays)).message(stamp, scene.cast(rays, MOUNT, own, [other], noise))
 
 
 def seen_at(other: scene.Place) -> tuple[float, float]:

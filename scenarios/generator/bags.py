@@ -1,4 +1,4 @@
-"""One rosbag2 folder (metadata.yaml and one uncompressed MCAP file) per vehicle, kept under the user's cache.
+"""One rosbag2 folder (metadata.yaml and one uncompressed MCAP file) per player, kept under the user's cache.
 
 Times in a bag are offsets from the start of the run in ns: log_time = publish_time = header.stamp = offset + k *
 period.
@@ -10,6 +10,7 @@ import hashlib
 import heapq
 import importlib.metadata
 import json
+import math
 import os
 import shutil
 import tempfile
@@ -27,9 +28,10 @@ from scenarios.definition import Parameters, Scenario, cloud_topic, pose_topic, 
 from scenarios.generator import messages, routes, scene
 
 CLOUD_OFFSET_NS = 5_000_000  # between two poses
+SEEN_M = 350.0  # a lidar 3 m above the ground sees no farther
 CHUNK_BYTES = 1 << 20
 CACHE_ENTRIES_MAX = 4
-SOURCES = ("routes.py", "scene.py", "messages.py", "bags.py")
+SOURCES = ("drives.py", "routes.py", "three_vehicles.py", "intersection.py", "scene.py", "messages.py", "bags.py")
 
 Message = tuple[str, int, bytes]  # topic, time in ns, serialised message
 
@@ -45,7 +47,7 @@ class Topic:
 
 
 def topics_of(agent: str, lidar: bool) -> tuple[Topic, ...]:
-    """The topics in a vehicle's bag."""
+    """The topics in a player's bag."""
     pose = Topic(pose_topic(agent), messages.POSE_TYPE, "volatile", 1000)
     if not lidar:
         return (pose,)
@@ -68,7 +70,7 @@ def make_bags(scenario: Scenario, cache: Path | None = None, say: Callable[[str]
     else:
         _make(scenario, root, target, say)
         _forget_old(root, target)
-    return {agent: target / agent for agent in scenario.vehicles}
+    return {agent: target / agent for agent in scenario.players}
 
 
 def key(parameters: Parameters) -> str:
@@ -84,10 +86,10 @@ def key(parameters: Parameters) -> str:
 def _make(scenario: Scenario, root: Path, target: Path, say: Callable[[str], None]) -> None:
     begin = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="partial-", dir=root) as partial:
-        for number, agent in enumerate(scenario.vehicles):
+        for number, agent in enumerate(scenario.players):
             size = write_bag(Path(partial) / agent, scenario, number)
             say(
-                f"bags: {agent} {number + 1}/{len(scenario.vehicles)}, {size / 1e6:.0f} MB, "
+                f"bags: {agent} {number + 1}/{len(scenario.players)}, {size / 1e6:.0f} MB, "
                 f"{time.monotonic() - begin:.1f} s"
             )
         made = root / f"{Path(partial).name}.made"
@@ -110,10 +112,10 @@ def _forget_old(root: Path, target: Path) -> None:
 
 
 def write_bag(folder: Path, scenario: Scenario, number: int) -> int:
-    """Writes the bag of vehicle `number` into the new `folder`; returns its size in bytes."""
+    """Writes the bag of player `number` into the new `folder`; returns its size in bytes."""
     parameters = scenario.parameters
-    agent = scenario.vehicles[number]
-    lidar = number < parameters.lidar_vehicles
+    agent = scenario.players[number]
+    lidar = agent in scenario.lidar_agents
     topics = topics_of(agent, lidar)
     folder.mkdir(parents=True)
     file = folder / f"{agent}.mcap"
@@ -145,18 +147,28 @@ def _poses(parameters: Parameters, agent: str, number: int) -> Iterator[Message]
 def _lidar(parameters: Parameters, agent: str, number: int) -> Iterator[Message]:
     """The transform at offset 0, then the clouds."""
     base, frame = ros_name(agent), f"{ros_name(agent)}/lidar_center"
-    mount, rays = scene.MOUNTS[number], scene.ray_directions(parameters.points)
+    mount, rays = _mount(parameters, number), scene.ray_directions(parameters.points)
     yield transform_topic(agent), 0, messages.transform(0, base, frame, mount)
     stamps = _grid(parameters, parameters.point_cloud_hz, CLOUD_OFFSET_NS)
-    own, other = (routes.motion(parameters, index, stamps / messages.NANOSECONDS) for index in (number, 1 - number))
+    own, *others = (
+        routes.motion(parameters, index, stamps / messages.NANOSECONDS)
+        for index in (number, *(index for index in range(parameters.vehicles) if index != number))
+    )
     writer, topic, random = messages.CloudWriter(frame, len(rays)), cloud_topic(agent), np.random.default_rng(number)
     for index, stamp in enumerate(stamps.tolist()):
         noise = random.standard_normal(len(rays), np.float32) * np.float32(scene.NOISE_M)
-        yield (
-            topic,
-            stamp,
-            writer.message(stamp, scene.cast(rays, mount, _place(own, index), _place(other, index), noise)),
-        )
+        place = _place(own, index)
+        near = [_place(other, index) for other in others if _within(place, _place(other, index))]
+        yield topic, stamp, writer.message(stamp, scene.cast(rays, mount, place, near, noise))
+
+
+def _mount(parameters: Parameters, number: int) -> scene.Mount:
+    return scene.MOUNTS[number % len(scene.MOUNTS)] if number < parameters.vehicles else scene.ROADSIDE_MOUNT
+
+
+def _within(own: scene.Place, other: scene.Place) -> bool:
+    """Whether a box can be seen at all: rays end at the ground before SEEN_M."""
+    return math.hypot(own.x - other.x, own.y - other.y) < SEEN_M
 
 
 def _place(motion: routes.Motion, index: int) -> scene.Place:

@@ -18,7 +18,7 @@ METADATA_BYTES_MAX = 1_000_000
 def check_bag(folder: Path, scenario: Scenario, agent: str) -> None:
     """Raises `ScenarioError` naming file, topic and fix for a bag that is not what `agent` needs."""
     file = _data_file(folder)
-    topics = bags.topics_of(agent, agent in scenario.lidar_vehicles)
+    topics = bags.topics_of(agent, agent in scenario.lidar_agents)
     try:
         with file.open("rb") as stream:
             _check_file(file, stream, topics, scenario, agent)

@@ -1,4 +1,4 @@
-"""What a lidar sees: flat ground, walls along the road with gaps between them, and the other vehicle as a box.
+"""What a lidar sees: flat ground, walls along the road with gaps between them, and other vehicles as boxes.
 
 Every ray points below the horizon and so hits something; a cloud always has the same number of points. Frames: `map`;
 a vehicle's frame (origin on the ground at its centre, x ahead); the lidar's frame (offset and yaw against the
@@ -8,6 +8,7 @@ vehicle's).
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,7 +36,8 @@ class Mount:
     yaw: float
 
 
-MOUNTS = (Mount(1.2, 0.1, 1.9, 0.15), Mount(0.9, -0.2, 1.95, -0.25))
+MOUNTS = (Mount(1.2, 0.1, 1.9, 0.15), Mount(0.9, -0.2, 1.95, -0.25), Mount(1.1, 0.15, 1.85, 0.2))
+ROADSIDE_MOUNT = Mount(0.0, 0.0, 3.0, 0.3)
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,7 @@ def ray_directions(points_min: int) -> Floats32:
     return rays.reshape(-1, 3).astype(np.float32)
 
 
-def cast(rays: Floats32, mount: Mount, own: Place, other: Place, noise: Floats32) -> Floats32:
+def cast(rays: Floats32, mount: Mount, own: Place, others: Iterable[Place], noise: Floats32) -> Floats32:
     """The cloud one revolution gives: (n, 4) of x, y, z in m in the lidar's frame and intensity.
 
     `noise` holds one deviation of the range in m per ray.
@@ -73,7 +75,8 @@ def cast(rays: Floats32, mount: Mount, own: Place, other: Place, noise: Floats32
     intensity = np.full(len(rays), GROUND, np.float32)
     along_x, along_y = _turned(rays, own.yaw + mount.yaw)
     _nearest(ranges, intensity, _wall_ranges(origin, mount.z, along_x, along_y, rays[:, 2]), WALL)
-    _nearest(ranges, intensity, _box_ranges(origin, mount.z, rays, own.yaw + mount.yaw, other), VEHICLE)
+    for other in others:
+        _nearest(ranges, intensity, _box_ranges(origin, mount.z, rays, own.yaw + mount.yaw, other), VEHICLE)
     cloud = np.empty((len(rays), 4), np.float32)
     cloud[:, :3] = rays * (ranges + noise)[:, None]
     cloud[:, 3] = intensity
