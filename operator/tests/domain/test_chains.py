@@ -81,10 +81,9 @@ def test_a_parent_has_a_greatest_number_of_children_the_oldest_stay() -> None:
 def test_only_a_detector_that_the_parent_launched_may_name_it() -> None:
     tasks = by_key(task("p/t"), task("a/c", "p/t"))
     wrong = {
-        "no release": [],
         "in another namespace": [detector("b", "p/t")],
         "told of another task": [detector("a", "p/t", told="p/other")],
-        "launched by another task": [detector("a", "p/other", told="p/t")],
+        "launched by another task": [detector("a", "p/other", told="p/t"), detector("b", "p/t")],
         "another chart": [detector("a", "p/t", chart="mqtt-bridge")],
     }
     for name, releases in wrong.items():
@@ -92,6 +91,12 @@ def test_only_a_detector_that_the_parent_launched_may_name_it() -> None:
         assert reasons(found) == {"a/c": "OutsideScope"}, name
         assert "leave spec.chain out" in found["a/c"].message
     assert judge(tasks, {}, [detector("a", "p/t")]) == {}
+
+
+def test_a_parent_of_which_nothing_runs_has_no_children() -> None:
+    found = judge(by_key(task("p/t"), task("a/c", "p/t")), {}, [])
+    assert reasons(found) == {"a/c": "ParentWithdrawn"}
+    assert found["a/c"].message.endswith("at p/t: nothing of it is on main")
 
 
 def test_parents_in_a_ring_have_no_beginning() -> None:

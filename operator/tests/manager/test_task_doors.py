@@ -189,7 +189,8 @@ def test_a_door_that_closes_leaves_the_message_with_the_broker(house: House) -> 
 
 def test_only_the_process_that_leads_has_the_door_open(house: House) -> None:
     house.turn()
-    assert house.channel.topics == ["robotkube/tasks/cloud-0", "robotkube/tasks/vehicle-00"]
+    kinds = ("tasks", "holds")
+    assert house.channel.topics == [f"robotkube/{kind}/{name}" for kind in kinds for name in ("cloud-0", "vehicle-00")]
     house.leads = False
     house.say(ASKED)
     assert (house.channel.connected, house.tasks.objects, house.door.complaint) == (False, {}, "")

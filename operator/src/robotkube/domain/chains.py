@@ -56,26 +56,29 @@ def judge(
     `tasks` are the standing ones by key; `gone` says of tasks why they do not stand although they are there (refused,
     expired); `releases` are main's. What is refused here takes its children along.
     """
-    authors = _authors(releases)
+    releases = tuple(releases)
+    authors, running = _authors(releases), {cause.task for release in releases for cause in release.causes}
     found: dict[str, ChainRefusal] = {}
     children: dict[str, list[ChainTask]] = {}
     for task in sorted(tasks.values(), key=lambda t: t.created):
         if task.parent:
             children.setdefault(task.parent, []).append(task)
     for parent, listed in children.items():
-        found |= _of_parent(parent, sorted(listed), tasks, authors)
+        if parent in tasks and parent not in running:
+            gone = {parent: "nothing of it is on main", **gone}
+        elif parent in tasks and parent not in gone:
+            found |= _of_parent(sorted(listed), tasks, authors.get(parent, frozenset()))
     return found | _ended(tasks, {**gone, **{key: r.message for key, r in found.items()}}, found)
 
 
 def _of_parent(
-    parent: str, children: list[ChainTask], tasks: Mapping[str, ChainTask], authors: Mapping[str, frozenset[str]]
+    children: list[ChainTask], tasks: Mapping[str, ChainTask], authors: frozenset[str]
 ) -> dict[str, ChainRefusal]:
+    """Refusals among the children of one parent; `authors` are the namespaces in which it launched a detector."""
     found: dict[str, ChainRefusal] = {}
     counted = 0
     for child in children:
-        if parent not in tasks:
-            continue  # ended, said below
-        if child.namespace not in authors.get(parent, frozenset()):
+        if child.namespace not in authors:
             found[child.key] = _no_author(child)
         elif len(lineage(child.key, tasks)) > DEPTH_MAX + 1:
             found[child.key] = _too_deep(child)

@@ -49,6 +49,11 @@ class Scope:
         return Scope(*(_both(mine, theirs) for mine, theirs in zip(self._parts(), other._parts(), strict=True)))
 
     @property
+    def named_namespaces(self) -> frozenset[str]:
+        """The namespaces by name; none for all."""
+        return frozenset() if ALL in self.namespaces else self.namespaces
+
+    @property
     def is_narrow(self) -> bool:
         """Whether there are agents outside of it."""
         return ALL not in self.agents

@@ -25,7 +25,7 @@ HOLD_SECONDS_MAX = 4 * 3600
 PAYLOAD_BYTES_MAX = 4096
 REASON_CHARACTERS_MAX = 100
 HOLD, UNTIL = "robotkube.io/hold", "robotkube.io/hold-until"
-TOPIC_PREFIX = "robotkube/holds/"
+HOLDS_TOPIC = "robotkube/holds/"
 
 
 @dataclass(frozen=True, order=True)
@@ -68,10 +68,10 @@ def _set_at(metadata: Mapping[str, Any]) -> int:
 
 def message_hold(agent: str, payload: bytes, received_ns: int) -> Hold | None:
     """The hold in a retained message of `agent`; None when it is empty (released). DocumentError when it cannot be
-    read: the caller says so and keeps no hold. `until` is needed: a message does not tell when it was sent."""
+    read: the caller says so and keeps what it had. `until` is needed: a message does not tell when it was sent."""
     if not payload:
         return None
-    where = f"{TOPIC_PREFIX}{agent}"
+    where = f"{HOLDS_TOPIC}{agent}"
     if len(payload) > PAYLOAD_BYTES_MAX:
         raise DocumentError(where, [f"{len(payload)} bytes, at most {PAYLOAD_BYTES_MAX} are read"])
     try:

@@ -17,6 +17,7 @@ from robotkube.domain.documents import Reader
 from robotkube.entrypoints import settings as files
 from robotkube.ports.clusters import TaskStore
 from robotkube.ports.leadership import Leadership
+from robotkube.services.device_holds import DeviceHolds
 from robotkube.services.task_doors import TaskDoor
 
 STOP_SECONDS_MAX = 2.0
@@ -45,11 +46,16 @@ def read_broker(reader: Reader, value: Any) -> BrokerSettings | None:
 
 
 def task_door(
-    settings: BrokerSettings, operators: Mapping[str, str], api: ApiClient, store: TaskStore, leadership: Leadership
+    settings: BrokerSettings,
+    operators: Mapping[str, str],
+    api: ApiClient,
+    store: TaskStore,
+    leadership: Leadership,
+    holds: DeviceHolds,
 ) -> TaskDoor:
     """The door for `operators` (name -> namespace of its tasks), not open yet."""
     account = settings.account
     session = f"{account.username}-task-door"
     channel = PahoDoor(settings.host, settings.port, account.username, account.password, session)
     writer = KubernetesTasks(functools.partial(call, api))
-    return TaskDoor(operators, channel, store, writer, leadership, time.time_ns, time.monotonic)
+    return TaskDoor(operators, channel, store, writer, leadership, time.time_ns, time.monotonic, holds.receive)

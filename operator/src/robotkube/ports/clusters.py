@@ -39,3 +39,7 @@ class Cluster(Protocol):
     def pods(self, release: str) -> Sequence[PodState]:
         """Pods of a release, named `<namespace>/<release>` (label app.kubernetes.io/instance)."""
         ...
+
+    def tell_node(self, node: str, reason: str, text: str) -> None:
+        """Put a warning beside a Node (a Kubernetes Event in the platform's namespace); the same text once."""
+        ...

@@ -38,6 +38,7 @@ from robotkube.domain.door_messages import (
 )
 from robotkube.domain.errors import InputError, UnavailableError
 from robotkube.domain.tasks import object_key
+from robotkube.domain.vetoes import HOLDS_TOPIC
 from robotkube.ports.clusters import TaskStore
 from robotkube.ports.doors import DoorChannel, DoorMessage, TaskWriter
 from robotkube.ports.leadership import Leadership
@@ -64,7 +65,8 @@ class DoorStatistics:
 
 class TaskDoor:
     """The door for `operators` (name -> namespace of its tasks). `now_ns`: wall clock in ns since 1970; `monotonic`: a
-    clock in seconds that never goes back."""
+    clock in seconds that never goes back; `holds` gets agent, payload and size of messages in which devices hold
+    changes."""
 
     def __init__(
         self,
@@ -75,7 +77,9 @@ class TaskDoor:
         leadership: Leadership,
         now_ns: Callable[[], int],
         monotonic: Callable[[], float],
+        holds: Callable[[str, bytes, int], None] = lambda agent, payload, size: None,
     ) -> None:
+        self._holds = holds
         self._operators, self._channel, self._store, self._writer = dict(operators), channel, store, writer
         self._leadership, self._now_ns, self._monotonic = leadership, now_ns, monotonic
         self._open = False
@@ -114,7 +118,8 @@ class TaskDoor:
 
     def _set_open(self, wanted: bool) -> None:
         if wanted and not self._open:
-            self._channel.start([TASKS_TOPIC + operator for operator in sorted(self._operators)])
+            names = sorted(self._operators)
+            self._channel.start([prefix + name for prefix in (TASKS_TOPIC, HOLDS_TOPIC) for name in names])
         elif self._open and not wanted:
             self._channel.close()
             self._told.clear()
@@ -136,6 +141,12 @@ class TaskDoor:
     # -- orders ---------------------------------------------------------------------------------------------------
 
     def _handle(self, message: DoorMessage) -> None:
+        agent = message.topic.removeprefix(HOLDS_TOPIC)
+        if agent != message.topic:
+            if agent in self._operators:
+                self._holds(agent, message.payload, message.size)
+            self._channel.acknowledge(message)
+            return
         operator = operator_of(message.topic)
         if operator not in self._operators:
             self._channel.acknowledge(message)  # of a session older than our settings

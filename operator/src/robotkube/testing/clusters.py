@@ -14,15 +14,20 @@ from robotkube.domain.releases import Release, application_name
 
 @dataclass
 class MemoryTasks:
-    """TaskDescriptions by key."""
+    """TaskDescriptions by key; `namespaces`: those that are seen (none: all)."""
 
     objects: dict[str, dict[str, Any]] = field(default_factory=dict)
     patches: int = 0
     told: list[tuple[str, str, str]] = field(default_factory=list)
+    namespaces: frozenset[str] = frozenset()
 
     def tasks(self) -> Sequence[Mapping[str, Any]]:
         """The objects as they are."""
-        return [copy.deepcopy(found) for found in self.objects.values()]
+        return [
+            copy.deepcopy(found)
+            for found in self.objects.values()
+            if not self.namespaces or found["metadata"]["namespace"] in self.namespaces
+        ]
 
     def patch_status(self, namespace: str, name: str, status: Mapping[str, Any]) -> bool:
         """Merge into the status, as a merge patch does; False when the task is gone."""
@@ -64,6 +69,12 @@ class MemoryCluster:
     machines: list[NodeState] = field(default_factory=list)
     states: dict[str, ApplicationState] = field(default_factory=dict)
     running: dict[str, list[PodState]] = field(default_factory=dict)
+    reports: list[tuple[str, str, str]] = field(default_factory=list)
+
+    def tell_node(self, node: str, reason: str, text: str) -> None:
+        """Remember node, reason and text, once."""
+        if (node, reason, text) not in self.reports:
+            self.reports.append((node, reason, text))
 
     def nodes(self) -> Sequence[NodeState]:
         """Nodes of agents."""
