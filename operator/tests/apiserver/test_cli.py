@@ -1,9 +1,12 @@
 """The command line on a real API server: data on stdout, talk on stderr, exit codes."""
 
+import io
 import json
+import threading
+from pathlib import Path
 
 import pytest
-from api_calls import Api
+from api_calls import TASKS, Api
 from api_server import ApiServerProcess
 
 from robotkube.entrypoints.cli import main
@@ -44,6 +47,58 @@ def test_tasks(line: Line, api: Api) -> None:
     assert "there is no task cloud-0/one" in err
 
 
+TASK = """
+metadata: {name: from-file, namespace: cloud-0}
+spec: {application: recording, parameters: {vehicles: [vehicle-00]}, priority: 7}
+"""
+
+
+def test_submitting(line: Line, api: Api, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "task.yaml"
+    file.write_text(TASK)
+    submit = ("task", "submit", "-f", str(file), "--requester", "tester")
+    assert line.run(*submit, "--dry-run") == (0, "", "would be submitted: cloud-0/from-file\n")
+    assert line.run("task", "show", "cloud-0/from-file")[0] == 1
+    code, out, err = line.run(*submit, "--output", "json")
+    assert (code, json.loads(out), err) == (0, {"task": "cloud-0/from-file"}, "submitted: cloud-0/from-file\n")
+    assert line.run(*submit)[2] == "unchanged: cloud-0/from-file\n"
+    monkeypatch.setattr("sys.stdin", io.StringIO(TASK))
+    words = ("task", "submit", "-f", "-", "--requester", "tester", "--parameter", "vehicles=[vehicle-01]")
+    assert line.run(*words, "--policy", "Preempt")[2] == "changed: cloud-0/from-file\n"
+    found = json.loads(line.run("task", "show", "cloud-0/from-file", "--output", "json")[1])["spec"]
+    assert (found["parameters"], found["priority"], found["conflictPolicy"]) == (
+        {"vehicles": ["vehicle-01"]},
+        7,
+        "Preempt",
+    )
+    assert line.run("task", "withdraw", "cloud-0/from-file")[0] == 0
+
+
+def test_submitting_by_options_and_waiting(line: Line, api: Api) -> None:
+    words = ("task", "submit", "--namespace", "cloud-0", "--application", "recording", "--name", "waits")
+    code, out, err = line.run(*words, "--lease", "60", "--wait", "0.2", "--output", "json")
+    assert (code, json.loads(out)["lease_seconds"]) == (1, 60)
+    assert "not ready within 0.2 s: New" in err
+    condition = {"type": "Accepted", "status": "False", "reason": "NoCapableNode", "message": "no node with lidar"}
+    conditions = [{**condition, "lastTransitionTime": "2026-11-21T10:00:00Z"}]
+    api.merge(f"{TASKS}/waits/status", {"status": {"observedGeneration": 1, "conditions": conditions}})
+    code, out, err = line.run(*words, "--lease", "60", "--wait", "5")
+    assert (code, "NoCapableNode: no node with lidar" in err) == (1, True)
+    assert line.run("task", "withdraw", "cloud-0/waits")[0] == 0
+
+
+def test_watching(line: Line, api: Api) -> None:
+    api.task("watched")
+    condition = {"type": "Accepted", "status": "True", "reason": "Accepted", "message": "yes"}
+    conditions = [{**condition, "lastTransitionTime": "2026-11-21T10:00:00Z"}]
+    api.merge(f"{TASKS}/watched/status", {"status": {"conditions": conditions}})
+    threading.Timer(1.0, lambda: api.delete(f"{TASKS}/watched")).start()
+    code, out, _ = line.run("task", "watch", "cloud-0/watched", "--seconds", "20", "--output", "json")
+    found = [json.loads(text) for text in out.splitlines()]
+    assert (code, [row["condition"] for row in found]) == (0, ["Submitted", "Accepted", "Withdrawn"])
+    assert (found[1]["status"], found[1]["reason"], found[1]["message"]) == ("True", "Accepted", "yes")
+
+
 def test_releases_without_any(line: Line) -> None:
     assert line.run("release", "list")[0] == 0
 
@@ -52,6 +107,16 @@ def test_releases_without_any(line: Line) -> None:
     ("words", "code", "text"),
     [
         (("task", "show", "one"), 2, "must be <namespace>/<name>"),
+        (("task", "submit", "--application", "recording"), 2, "--namespace: name the agent"),
+        (("task", "submit", "--namespace", "cloud-0"), 2, "--application: name one"),
+        (("task", "submit", "--namespace", "cloud-0", "--application", "x", "--parameter", "x"), 2, "write KEY=VALUE"),
+        (("task", "submit", "--namespace", "nowhere", "--application", "x"), 2, "there is no namespace nowhere"),
+        (("task", "submit", "--namespace", "cloud-0", "--application", "x", "--priority", "1001"), 2, "spec.priority"),
+        (("task", "submit", "--namespace", "cloud-0", "--application", "x", "--wait", "0"), 2, "give seconds above 0"),
+        (("task", "submit", "-f", "nowhere.yaml"), 2, "--file nowhere.yaml"),
+        (("task", "watch", "--seconds", "0"), 2, "give seconds above 0"),
+        (("task", "explain"), 2, "name a task that is there, or describe a new one"),
+        (("trace", "abc", "--manager", "north"), 2, "no Service north in namespace robotkube"),
         (("plan", "list"), 2, "no Service manager in namespace robotkube"),
         (("registry", "search", "--platform", "--platform-namespace", "elsewhere"), 2, "in namespace elsewhere"),
     ],

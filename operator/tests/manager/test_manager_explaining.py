@@ -77,7 +77,7 @@ def test_a_task_that_is_there(stage: Stage, explainer: Explainer) -> None:
 )
 def test_what_is_no_question(explainer: Explainer, body: bytes, status: int, words: str) -> None:
     found, answer = explainer(body)
-    assert (found, words in answer["error"]) == (status, True)
+    assert (found, words in answer["message"]) == (status, True)
 
 
 def test_one_question_at_a_time_and_faults_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -97,4 +97,4 @@ def test_one_question_at_a_time_and_faults_in_words(monkeypatch: pytest.MonkeyPa
     assert explainer(question)[0] == 429
     answer.set()
     thread.join(10)
-    assert found == [(503, {"error": "the forge is away"})]
+    assert found == [(503, {"message": "the forge is away"})]

@@ -19,6 +19,7 @@ from robotkube.ports.writing import writes
 CONFLICT = 409
 JSON = "application/json"
 STRICT = (("fieldValidation", "Strict"),)
+DRY_RUN = (("dryRun", "All"),)
 
 Object = Mapping[str, Any]
 Query = Sequence[tuple[str, str]]
@@ -33,10 +34,10 @@ class Call(Protocol):
 
 
 class KubernetesTasks:
-    """See the port."""
+    """See the port. With `dry_run` the API server says what it would, and changes nothing."""
 
-    def __init__(self, call: Call) -> None:
-        self._call = call
+    def __init__(self, call: Call, dry_run: bool = False) -> None:
+        self._call, self._query = call, (*STRICT, *(DRY_RUN if dry_run else ()))
 
     def find(self, namespace: str, name: str) -> Object | None:
         """See the port."""
@@ -51,7 +52,7 @@ class KubernetesTasks:
         """See the port."""
         namespace = document["metadata"]["namespace"]
         try:
-            self._call("POST", task_path(namespace), STRICT, body=document)
+            self._call("POST", task_path(namespace), self._query, body=document)
         except UnavailableError as error:
             if getattr(error.__cause__, "status", None) == CONFLICT:
                 return False
@@ -74,14 +75,16 @@ class KubernetesTasks:
     def delete(self, namespace: str, name: str) -> bool:
         """See the port."""
         try:
-            self._call("DELETE", task_path(namespace, name))
+            self._call("DELETE", task_path(namespace, name), self._query)
         except KeyError:
             return False
         return True
 
     def _patch(self, namespace: str, name: str, body: Any, form: str) -> bool:
         try:
-            self._call("PATCH", task_path(namespace, name), STRICT, body=body, content_type=f"application/{form}+json")
+            self._call(
+                "PATCH", task_path(namespace, name), self._query, body=body, content_type=f"application/{form}+json"
+            )
         except KeyError:
             return False
         return True

@@ -141,7 +141,7 @@ def task_document(operator: str, namespace: str, ask: Ask, now: str) -> dict[str
     """The custom resource of a demand: asked for by the operator, in its namespace. A demand that names no event gets
     one, made from its own name."""
     spec = {**ask.spec, "requester": operator}
-    spec.setdefault("event", _own_event(namespace, ask.id, now))
+    spec.setdefault("event", own_event(namespace, ask.id, now))
     return {
         "apiVersion": f"{GROUP}/{VERSION}",
         "kind": "TaskDescription",
@@ -155,13 +155,14 @@ def changed_spec(present: Mapping[str, Any], operator: str, ask: Ask, now: str) 
     spec = {**ask.spec, "requester": operator}
     found = present.get("spec", {})
     if "event" not in spec:
-        spec["event"] = found.get("event") or _own_event(str(present["metadata"]["namespace"]), ask.id, now)
+        spec["event"] = found.get("event") or own_event(str(present["metadata"]["namespace"]), ask.id, now)
     if "chain" in found:
         spec["chain"] = found["chain"]
     return spec
 
 
-def _own_event(namespace: str, name: str, now: str) -> dict[str, Any]:
+def own_event(namespace: str, name: str, now: str) -> dict[str, Any]:
+    """The event of a demand that names none; `now` is the time of its asking."""
     trace = hashlib.sha256(f"{namespace}/{name}\0{now}".encode()).hexdigest()[:32]
     return {"rule": RULE, "id": name, "time": now, "trace": trace}
 

@@ -20,7 +20,7 @@ EXIT_DONE, EXIT_REFUSED, EXIT_USAGE, EXIT_UNREACHABLE = 0, 1, 2, 3
 
 @dataclass(frozen=True)
 class Command:
-    """One verb of a noun."""
+    """One verb of a noun; without a verb the noun is the command."""
 
     noun: str
     verb: str
@@ -32,19 +32,43 @@ class Command:
 def commands() -> Sequence[Command]:
     """Every command; other modules of the command line add theirs here."""
     from robotkube.entrypoints import (
+        cli_explaining,
         cli_plans,
         cli_recordings,
         cli_registry,
         cli_registry_new,
         cli_registry_submit,
+        cli_submit,
         cli_tasks,
+        cli_tracing,
+        cli_watching,
     )
 
     return [
+        Command(
+            "task",
+            "submit",
+            "ask for an application, or change what was asked",
+            cli_submit.submit_task,
+            cli_submit.submitting,
+        ),
         Command("task", "list", "tasks of all agents", cli_tasks.list_tasks, cli_tasks.listing),
         Command("task", "show", "everything about one task", cli_tasks.show_task, cli_tasks.naming),
+        Command(
+            "task",
+            "explain",
+            "a decision in words, also about a task that is not submitted",
+            cli_explaining.explain_task,
+            cli_explaining.explaining,
+        ),
+        Command("task", "watch", "conditions of tasks as they change", cli_watching.watch_tasks, cli_watching.watching),
         Command("task", "withdraw", "delete a task: its demand ends", cli_tasks.withdraw_task, cli_tasks.withdrawing),
-        Command("release", "list", "releases on main and what the cluster shows", cli_plans.list_releases),
+        Command(
+            "release", "list", "releases, the demands on them, and what the cluster shows", cli_plans.list_releases
+        ),
+        Command(
+            "trace", "", "from an event to the pods and recordings it led to", cli_tracing.trace, cli_tracing.tracing
+        ),
         Command("plan", "list", "plans of the manager with their times", cli_plans.list_plans),
         Command("recording", "list", "what was recorded", cli_recordings.list_all, cli_recordings.listing),
         Command("recording", "show", "everything about one recording", cli_recordings.show, cli_recordings.naming),
@@ -88,10 +112,13 @@ def parser(found: Sequence[Command]) -> argparse.ArgumentParser:
     nouns = root.add_subparsers(dest="noun", required=True, metavar="<noun>")
     parsers: dict[str, argparse._SubParsersAction[argparse.ArgumentParser]] = {}
     for command in found:
-        if command.noun not in parsers:
-            noun = nouns.add_parser(command.noun, help=", ".join(c.verb for c in found if c.noun == command.noun))
-            parsers[command.noun] = noun.add_subparsers(dest="verb", required=True, metavar="<verb>")
-        verb = parsers[command.noun].add_parser(command.verb, help=command.summary, description=command.summary)
+        if not command.verb:
+            verb = nouns.add_parser(command.noun, help=command.summary, description=command.summary)
+        else:
+            if command.noun not in parsers:
+                noun = nouns.add_parser(command.noun, help=", ".join(c.verb for c in found if c.noun == command.noun))
+                parsers[command.noun] = noun.add_subparsers(dest="verb", required=True, metavar="<verb>")
+            verb = parsers[command.noun].add_parser(command.verb, help=command.summary, description=command.summary)
         Platform.add_arguments(verb)
         verb.add_argument("--output", choices=FORMATS, default="table", help="form of the data on stdout")
         command.arguments(verb)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import argparse
 import base64
+import functools
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from robotkube.adapters import kubernetes_api
+from robotkube.adapters.kubernetes_tasks import KubernetesTasks
 from robotkube.domain.errors import InputError, RefusalError
 from robotkube.domain.tasks import GROUP, PLURAL, VERSION
 from robotkube.domain.texts import read_mapping
@@ -24,6 +26,7 @@ class Platform:
     def __init__(self, options: argparse.Namespace) -> None:
         self._api = kubernetes_api.api_client(options.kubeconfig, options.context)
         self._namespace, self._argocd = options.platform_namespace, options.argocd_namespace
+        self._manager = options.manager
 
     @staticmethod
     def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,6 +35,7 @@ class Platform:
         parser.add_argument("--context", help="context of the kubeconfig")
         parser.add_argument("--platform-namespace", default="robotkube", help="where the platform is installed")
         parser.add_argument("--argocd-namespace", default="argocd", help="where Argo CD is installed")
+        parser.add_argument("--manager", default="manager", help="which manager, where there are several")
 
     def tasks(self, namespace: str = "") -> Sequence[Mapping[str, Any]]:
         """TaskDescriptions of one or all namespaces."""
@@ -41,6 +45,22 @@ class Platform:
     def task(self, key: str) -> Mapping[str, Any]:
         """One task by `<namespace>/<name>`; RefusalError when there is none."""
         return self._one("GET", key)
+
+    def task_writer(self, dry_run: bool = False) -> KubernetesTasks:
+        """Writes tasks; with `dry_run` the API server only says whether it would."""
+        call = functools.partial(kubernetes_api.call, self._api)
+        return KubernetesTasks(call, dry_run)
+
+    def watch_tasks(
+        self, changed: Callable[[str, Any, Any], None], namespace: str = ""
+    ) -> kubernetes_api.ResourceWatch:
+        """Follows tasks, of one namespace or all: `changed` gets key, object before and now (None: not there)."""
+        scope = f"/namespaces/{namespace}" if namespace else ""
+        return kubernetes_api.ResourceWatch(self._api, f"/apis/{GROUP}/{VERSION}{scope}/{PLURAL}", "", dict, changed)
+
+    def pods(self) -> Sequence[Mapping[str, Any]]:
+        """Pods of agents' releases."""
+        return self._items("/api/v1/pods", [("labelSelector", AGENT_LABEL)])
 
     def withdraw(self, key: str, dry_run: bool) -> None:
         """Delete a task."""
@@ -52,11 +72,19 @@ class Platform:
 
     def page(self, path: str) -> Mapping[str, Any]:
         """A JSON page of the manager."""
-        where = f"/api/v1/namespaces/{self._namespace}/services/manager:8080/proxy{path}"
+        return self._of_manager("GET", path)
+
+    def explain(self, question: Mapping[str, Any]) -> Mapping[str, Any]:
+        """What the manager says would become of a task."""
+        return self._of_manager("POST", "/explain", question)
+
+    def _of_manager(self, method: str, path: str, body: Any = None) -> Mapping[str, Any]:
+        where = f"/api/v1/namespaces/{self._namespace}/services/{self._manager}:8080/proxy{path}"
         try:
-            return self._read("GET", where)
+            return self._read(method, where, body=body)
         except KeyError as error:
-            raise InputError(f"no Service manager in namespace {self._namespace}; see --platform-namespace") from error
+            missing = f"no Service {self._manager} in namespace {self._namespace}; see --platform-namespace"
+            raise InputError(f"{missing} and --manager") from error
 
     def database_accounts(self, agent: str = "") -> Mapping[str, Mapping[str, str]]:
         """Agent that records -> values of its Secret `database-account`; InputError when there is none."""
@@ -116,8 +144,10 @@ class Platform:
             raise InputError(f"the cluster has no {path}; is the platform installed?") from error
         return items
 
-    def _read(self, method: str, path: str, query: Sequence[tuple[str, str]] = ()) -> Mapping[str, Any]:
-        found: Mapping[str, Any] = json.loads(kubernetes_api.call(self._api, method, path, query).data)
+    def _read(
+        self, method: str, path: str, query: Sequence[tuple[str, str]] = (), body: Any = None
+    ) -> Mapping[str, Any]:
+        found: Mapping[str, Any] = json.loads(kubernetes_api.call(self._api, method, path, query, body).data)
         return found
 
 

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
-from robotkube.domain.tasks import CONDITIONS, is_withdrawn, object_key
+from robotkube.domain.tasks import CONDITIONS, PRIORITY_DEFAULT, is_withdrawn, object_key
 from robotkube.entrypoints.cli_output import Table
 from robotkube.entrypoints.cli_platform import Platform
 
@@ -37,12 +37,15 @@ def list_tasks(options: argparse.Namespace) -> Table:
 
 def row(task: Mapping[str, Any]) -> dict[str, Any]:
     """A task in one line."""
-    status = task.get("status", {})
+    status, spec = task.get("status", {}), task.get("spec", {})
     return {
         "task": object_key(task),
-        "application": task.get("spec", {}).get("application"),
+        "application": spec.get("application") or f"a {spec.get('provides')}",
         "state": state(task),
-        "reason": task.get("spec", {}).get("reason"),
+        "reason": spec.get("reason"),
+        "requester": spec.get("requester"),
+        "priority": spec.get("priority", PRIORITY_DEFAULT),
+        "lease_seconds": spec.get("lease", {}).get("seconds"),
         "plan": status.get("plan"),
         "pull_request": status.get("pullRequest", {}).get("number"),
         "releases": status.get("releases", []),

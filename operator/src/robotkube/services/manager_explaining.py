@@ -34,32 +34,32 @@ class Explainer:
         self._free = threading.Semaphore(1)
 
     def __call__(self, body: bytes) -> Answer:
-        """The answer to the question in `body`: 200 with the explanation, or an `error` in words with 400 (not a
+        """The answer to the question in `body`: 200 with the explanation, or a `message` with 400 (not a
         question), 404 (no such task), 413, 429 (another question is being answered) or 503 (not able to say)."""
         if len(body) > QUESTION_BYTES_MAX:
-            return 413, {"error": f"{len(body)} bytes; a task has at most {QUESTION_BYTES_MAX}"}
+            return 413, {"message": f"{len(body)} bytes; a task has at most {QUESTION_BYTES_MAX}"}
         try:
             question = json.loads(body)
         except (ValueError, RecursionError) as error:
-            return 400, {"error": f"no JSON: {str(error)[:200]}"}
+            return 400, {"message": f"no JSON: {str(error)[:200]}"}
         return self._answer(question)
 
     def _answer(self, question: Any) -> Answer:
         problems = json_problems(question, "") if isinstance(question, dict) else ["must be a JSON object"]
         if problems:
-            return 400, {"error": "; ".join(problems)[:2000]}
+            return 400, {"message": "; ".join(problems)[:2000]}
         asked = question.get("task")
         document = question if asked is None else self._find(asked)
         if document is None:
-            return 404, {"error": f"there is no task {asked!r:.400}"}
+            return 404, {"message": f"there is no task {asked!r:.400}"}
         if not _is_named(document):
-            return 400, {"error": "metadata: needs name and namespace, both text"}
+            return 400, {"message": "metadata: needs name and namespace, both text"}
         if not self._free.acquire(timeout=BUSY_SECONDS_MAX):
-            return 429, {"error": "other questions are being answered; ask again"}
+            return 429, {"message": "other questions are being answered; ask again"}
         try:
             return 200, explanation_document(self._what_if(document))
         except RobotKubeError as error:
-            return 503, {"error": str(error)}
+            return 503, {"message": str(error)}
         finally:
             self._free.release()
 

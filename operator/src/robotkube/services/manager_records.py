@@ -27,6 +27,7 @@ class PlanRecord:
     cause: str
     tasks: tuple[str, ...]
     events: tuple[str, ...]
+    traces: tuple[str, ...] = ()
     base: str = ""
     commit: str = ""
     created: tuple[str, ...] = ()
@@ -47,6 +48,7 @@ class PlanRecord:
             "cause": self.cause,
             "tasks": list(self.tasks),
             "events": list(self.events),
+            "traces": list(self.traces),
             "commit": self.commit or None,
             "pull_request": self.pull_request,
             "url": self.url or None,
@@ -100,6 +102,7 @@ def record_of(plan: Plan, demand_seen: int, started: int) -> PlanRecord:
         cause="task" if come else "withdrawal" if go else _kind(plan.message),
         tasks=tuple(c.task for c in plan.message.causes),
         events=tuple(c.event for c in plan.message.causes),
+        traces=tuple(c.trace for c in plan.message.causes),
         base=plan.base,
         created=keys[ADD],
         changed=keys[CHANGE],
@@ -125,6 +128,7 @@ def records_of(commits: Iterable[Commit], manager: str) -> Iterator[PlanRecord]:
             cause=_cause(message),
             tasks=tuple(c.task for c in message.causes),
             events=tuple(c.event for c in message.causes),
+            traces=tuple(c.trace for c in message.causes),
             base=commit.parents[0] if commit.parents else "",
             commit=commit.id,
             changed=tuple(_key(path) for path in paths if commit.changes[path] is not None),
