@@ -12,8 +12,10 @@ from pathlib import Path
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parents[1] / "table_one"))
 
 from running_platform import SCENARIO, VARIANT, Platform, shared, spoken, stop_demo, take_down
+from stage import Stage, on_stage
 from story import Story, play
 
 # The first starts and removes clusters itself; the last ones leave the platform changed.
@@ -67,3 +69,10 @@ def story(pytestconfig: pytest.Config, platform: Platform, tmp_path_factory: pyt
     with spoken(pytestconfig):
         print("\nthe small scenario runs, two minutes", file=sys.stderr, flush=True)
         return play(platform, SCENARIO, VARIANT, tmp_path_factory.mktemp("story"))
+
+
+@pytest.fixture
+def stage(platform: Platform) -> Iterator[Stage]:
+    """Begins with everything as main asks for, and ends with main asking for what it did before."""
+    with on_stage(platform) as stage:
+        yield stage

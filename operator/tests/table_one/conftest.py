@@ -12,14 +12,12 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(0, str(Path(__file__).parents[1] / "cluster"))
 
-from running_platform import Platform, eventually, shared, stop_demo, take_down
-from stage import Stage
+from running_platform import Platform, shared, stop_demo, take_down
+from stage import Stage, on_stage
 
 from ci.principles import RESULTS
-from scenarios.runner.deployment import Deployment
 
 HERE = Path(__file__).parent
-SETTLED_SECONDS_MAX = 120.0
 outcomes: dict[str, str] = {}
 
 
@@ -59,12 +57,5 @@ def platform(pytestconfig: pytest.Config) -> Iterator[Platform]:
 @pytest.fixture
 def stage(platform: Platform) -> Iterator[Stage]:
     """Begins with everything as main asks for, and ends with main asking for what it did before."""
-    eventually("all Applications synced and healthy", platform.settled, SETTLED_SECONDS_MAX)
-    forge, person = platform.access.endpoint("forge"), platform.scenario.story.person
-    with Deployment(forge, person, platform.password(person)) as deployment:
-        stage = Stage(platform, deployment)
-        before = set(stage.releases())
+    with on_stage(platform) as stage:
         yield stage
-        for key in stage.submitted:
-            stage.withdraw(key)
-        eventually("main asks for what it did before", lambda: set(stage.releases()) == before, SETTLED_SECONDS_MAX)

@@ -29,6 +29,7 @@ HEARD_SECONDS_MAX = 30
 SPOKEN_SECONDS_MAX = 300
 ENDED_SECONDS_MAX = 15
 READY_SECONDS_MAX = 120.0
+SETTLED_SECONDS_MAX = 120.0
 TEXT, NUMBER, POSES = "std_msgs/msg/String", "std_msgs/msg/Float64", "geometry_msgs/msg/PoseArray"
 BRIDGE = "mqtt-bridge"
 
@@ -243,6 +244,20 @@ class Stage:
         kubectl = [str(self.platform.installer.binaries / "kubectl"), f"--kubeconfig={self.platform.access.kubeconfig}"]
         words = [*kubectl, "-n", namespace, "exec", *(["-i"] if stdin else []), f"deployment/{name}", "--"]
         return [*words, "python3", "-c", program, *arguments]
+
+
+@contextmanager
+def on_stage(platform: Platform) -> Iterator[Stage]:
+    """A stage that begins with everything as main asks for, and ends with main asking for what it did before."""
+    eventually("all Applications synced and healthy", platform.settled, SETTLED_SECONDS_MAX)
+    forge, person = platform.access.endpoint("forge"), platform.scenario.story.person
+    with Deployment(forge, person, platform.password(person)) as deployment:
+        stage = Stage(platform, deployment)
+        before = set(stage.releases())
+        yield stage
+        for key in stage.submitted:
+            stage.withdraw(key)
+        eventually("main asks for what it did before", lambda: set(stage.releases()) == before, SETTLED_SECONDS_MAX)
 
 
 def _end(process: subprocess.Popen[str]) -> None:
