@@ -40,12 +40,12 @@ REPOSITORY = "robotkube/deployment"
 VEHICLES = ["vehicle-00", "vehicle-01"]
 
 
-def until(condition: Callable[[], object], what: str) -> None:
+def until(condition: Callable[[], object], what: str, seconds_max: float = WAIT_SECONDS_MAX) -> None:
     """Until it is true; looks often, since what it waits for is being measured."""
-    end = time.monotonic() + WAIT_SECONDS_MAX
+    end = time.monotonic() + seconds_max
     while not condition():
         if time.monotonic() > end:
-            raise TimeoutError(f"not within {WAIT_SECONDS_MAX:.0f} s: {what}")
+            raise TimeoutError(f"not within {seconds_max:.0f} s: {what}")
         time.sleep(LOOK_SECONDS)
 
 

@@ -11,7 +11,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from robotkube.adapters.metrics_prometheus import METRICS, OTHER, PREFIX, PrometheusMetrics
 from robotkube.adapters.traces_opentelemetry import OpenTelemetryTraces
 from robotkube.domain.placement import NodeState
-from robotkube.ports.telemetry import PlanFacts, Together
+from robotkube.ports.telemetry import PlanFacts
 from robotkube.services.manager_figures import FigureReader, Figures
 from robotkube.testing.clusters import MemoryCluster, MemoryTasks
 
@@ -28,12 +28,11 @@ def samples(text: str) -> dict[tuple[str, tuple[tuple[str, str], ...]], float]:
 def test_metrics_count_time_and_show_states() -> None:
     figures = Figures({("Accepted", "True", "Accepted"): 3}, 2, 1, 4, 5, False)
     metrics = PrometheusMetrics(lambda: figures)
-    listeners = Together(metrics)
-    listeners.step(False)
-    listeners.step(True)
-    listeners.decided(0.004)
-    listeners.plan(PLAN, "merged")
-    listeners.plan(PlanFacts("p2", "a kind that nobody knows"), "refused")
+    metrics.step(False)
+    metrics.step(True)
+    metrics.decided(0.004)
+    metrics.plan(PLAN, "merged")
+    metrics.plan(PlanFacts("p2", "a kind that nobody knows"), "refused")
     found = samples(metrics.text())
     assert found[f"{PREFIX}steps_total", ()] == 2
     assert found[f"{PREFIX}step_failures_total", ()] == 1

@@ -26,7 +26,7 @@ from robotkube.ports.telemetry import PlanFacts
 
 EXPORT_SECONDS_MAX = 5
 TRACES_MAX = 100
-ENDS = frozenset({"observed", "given_up", "refused", "outdated"})
+ENDS = frozenset({"observed", "refused", "outdated", "superseded"})
 STAGES = (("decide", "started", "proposed"), ("merge", "proposed", "merged"), ("observe", "merged", "observed"))
 
 

@@ -32,6 +32,7 @@ from robotkube.entrypoints import settings as files
 from robotkube.entrypoints.bounded_schemas import BoundedSchemas
 from robotkube.entrypoints.forges import ForgeAddress, read_address
 from robotkube.entrypoints.manager_doors import STOP_SECONDS_MAX, BrokerSettings, read_broker, task_door
+from robotkube.entrypoints.manager_telemetry import ManagerTelemetry, read_traces
 from robotkube.entrypoints.processes import Process, run
 from robotkube.entrypoints.scope_settings import read_operators, read_seconds
 from robotkube.ports.leadership import Leadership
@@ -96,7 +97,6 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ManagerCo
     lease = reader.mapping(root.get("lease") or {}, "lease", ["namespace", "name"])
     webhook = reader.mapping(root.get("webhook") or {}, "webhook", ["secret"])
     evidence = reader.mapping(root.get("evidence") or {}, "evidence", ["keys"])
-    traces = reader.mapping(root["traces"], "traces", ["endpoint"]) if root.get("traces") else {"endpoint": ""}
     return ManagerConfiguration(
         listen=files.listen(reader, root.get("listen")),
         log_level=files.log_level(reader, root.get("log_level")),
@@ -116,7 +116,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ManagerCo
         lease_name=reader.word(lease.get("name"), "lease.name", files.WORD),
         broker=read_broker(reader, root.get("broker")),
         evidence_keys=Path(reader.word(evidence.get("keys"), "evidence.keys", files.PATH)),
-        traces=reader.word(traces.get("endpoint") or None, "traces.endpoint", files.HTTP_ADDRESS, default=""),
+        traces=read_traces(reader, root.get("traces")),
         manager=ManagerSettings(
             agents=_agents(reader, root.get("agents")),
             charts_url=reader.word(registry.get("charts"), "registry.charts", files.CHARTS_URL),
@@ -208,7 +208,10 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     holds = DeviceHolds(time.time_ns, lambda: waker(NODES))
     manager = build_manager(found, cluster, work, schemas, election, holds)
     door = _door(found, api, cluster, election, holds)
-    server = _server(found, manager, cluster, door)
+    names = [agent.name for agent in found.manager.agents]
+    account = found.account.username
+    telemetry = ManagerTelemetry(manager, cluster, cluster, names, holds, found.traces, account)
+    server = _server(found, manager, cluster, door, telemetry)
     server.start()
     cluster.start()
     election.start()
@@ -225,6 +228,7 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     election.stop()
     cluster.stop()
     server.stop()
+    telemetry.close()
     schemas.close()
 
 
@@ -262,14 +266,18 @@ def news(delivery: Delivery, catalogue: str) -> tuple[str, str] | None:
 
 
 def _server(
-    found: ManagerConfiguration, manager: ApplicationManager, cluster: KubernetesWorld, door: TaskDoor | None
+    found: ManagerConfiguration,
+    manager: ApplicationManager,
+    cluster: KubernetesWorld,
+    door: TaskDoor | None,
+    telemetry: ManagerTelemetry,
 ) -> WebServer:
     def deliver(delivery: Delivery) -> None:
         if heard := news(delivery, found.catalogue):
             manager.wake(*heard)
 
     def metrics() -> str:
-        return metrics_text(manager.statistics) + (door_metrics(door) if door else "")
+        return telemetry.text() + (door_metrics(door) if door else "")
 
     return WebServer(
         found.listen.address,

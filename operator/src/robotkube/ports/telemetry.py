@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
-OUTCOMES = ("proposed", "merged", "refused", "outdated", "observed", "given_up")
+OUTCOMES = ("proposed", "taken_over", "merged", "refused", "outdated", "superseded", "observed")
 
 
 @dataclass(frozen=True)
@@ -38,25 +38,3 @@ class Telemetry(Protocol):
     def plan(self, plan: PlanFacts, outcome: str) -> None:
         """A plan has come one step further (one of OUTCOMES)."""
         ...
-
-
-class Together:
-    """Several listeners as one."""
-
-    def __init__(self, *listeners: Telemetry) -> None:
-        self._listeners = listeners
-
-    def step(self, failed: bool) -> None:
-        """Tell all."""
-        for listener in self._listeners:
-            listener.step(failed)
-
-    def decided(self, seconds: float) -> None:
-        """Tell all."""
-        for listener in self._listeners:
-            listener.decided(seconds)
-
-    def plan(self, plan: PlanFacts, outcome: str) -> None:
-        """Tell all."""
-        for listener in self._listeners:
-            listener.plan(plan, outcome)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from robotkube.domain.errors import RefusalError, RobotKubeError, UnavailableError
@@ -26,6 +26,7 @@ from robotkube.ports.git import DeploymentRepository, Proposals
 from robotkube.ports.leadership import Leadership
 from robotkube.services.assured_catalogue import AssuredCatalogue, read_policy
 from robotkube.services.main_history import Terms
+from robotkube.services.manager_agents import UnknownAgents
 from robotkube.services.manager_decisions import Decisions, Proposal
 from robotkube.services.manager_leading import OpenProposals, asked_for, superseded
 from robotkube.services.manager_observing import PlanObserver
@@ -33,6 +34,7 @@ from robotkube.services.manager_planning import Planner
 from robotkube.services.manager_reading import MainReader, catalogue_page
 from robotkube.services.manager_records import PlanRecord, PlanRecords, record_of, records_of
 from robotkube.services.manager_repairing import Repairing
+from robotkube.services.manager_statistics import ManagerStatistics
 from robotkube.services.manager_statuses import Situation, StatusWriter
 from robotkube.services.manager_telling import Telling
 
@@ -50,7 +52,6 @@ FAILURE_SECONDS = 1.0
 SILENT_SECONDS_MAX = 30.0
 SAID_SECONDS = 15.0  # after so long without the forge the tasks are told
 TASKS, NODES, APPLICATIONS, DEPLOYMENT, CATALOGUE = "tasks", "nodes", "applications", "deployment", "catalogue"
-PLAN_STEPS = ("proposed", "merged", "refused", "outdated", "superseded", "taken_over", "repaired", "observed")
 PLANNED_FOR = frozenset({TASKS, NODES, DEPLOYMENT, CATALOGUE})
 
 log = logging.getLogger(__name__)
@@ -67,17 +68,6 @@ class World:
     forge: Forge
     leadership: Leadership
     name: str = "manager"
-
-
-@dataclass
-class ManagerStatistics:
-    """Counted since the start; `term` is 0 while another process leads, `broken_files` are main's."""
-
-    plans: dict[str, int] = field(default_factory=lambda: dict.fromkeys(PLAN_STEPS, 0))
-    steps: int = 0
-    failures: int = 0
-    term: int = 0
-    broken_files: int = 0
 
 
 class ApplicationManager:
@@ -109,6 +99,7 @@ class ApplicationManager:
         self._open = OpenProposals(world.deployment, world.forge, world.name)
         self._repairing = Repairing(main, planner.foreign)
         self._telling = Telling(world.cluster, world.forge)
+        self._strangers = UnknownAgents(world.cluster, planner.agents)
         self._terms = Terms(world.deployment, [world.name])
         self._term: int | None = None
         self._proposal: Proposal | None = None
@@ -178,7 +169,7 @@ class ApplicationManager:
         return term is not None
 
     def _failed(self, error: RobotKubeError) -> None:
-        self.statistics.failures += 1
+        self.statistics.step(failed=True)
         if self._problem != str(error):
             log.error("step failed reason=%r", str(error))
         self._problem = str(error)
@@ -206,7 +197,6 @@ class ApplicationManager:
         Nothing of that while another process leads."""
         if not self._leads():
             return STANDBY_SECONDS
-        self.statistics.steps += 1
         with self._lock:
             flags, self._flags = self._flags, set()
             told, self._told_tip = self._told_tip, ""
@@ -224,11 +214,14 @@ class ApplicationManager:
             self._supersede(self._proposal)
         if flags & PLANNED_FOR or self._flags & PLANNED_FOR:
             self._plan_if_free()
+        if flags & PLANNED_FOR:
+            self._strangers.look()
         for record in self._observer.look(self._main.tree.releases, self._main.tip):
             self._observed(record)
         self._statuses.write(self._situation())
         if self._proposal is None and self._monotonic() - self._planned_at > QUIET_SECONDS:
             self._telling.tell_one()
+        self.statistics.step()
         return self._pause()
 
     def _pause(self) -> float:
@@ -296,7 +289,7 @@ class ApplicationManager:
         record.error, record.on_main = None, True
         if not record.url:
             self._decisions.pull_request(record)
-        self.statistics.plans["merged"] += 1
+        self.statistics.plan(record, "merged")
         self._observer.watch(record)
         log.info("plan merged plan=%s commit=%s pull_request=%s", record.id, record.commit[:12], record.pull_request)
 
@@ -314,15 +307,15 @@ class ApplicationManager:
         pull = self._decisions.pull_request(proposal.record)
         if pull is not None and not pull.merged:
             self._open.close(pull.number, "every task of this plan was withdrawn or changed")
-        self.statistics.plans["superseded"] += 1
         proposal.record.error = "every task of this plan was withdrawn or changed"
+        self.statistics.plan(proposal.record, "superseded")
         log.info("plan superseded plan=%s pull_request=%s", proposal.plan.id, proposal.record.pull_request)
         self._put_aside(proposal, 0.0)
 
     def _outdated(self, proposal: Proposal) -> None:
-        self.statistics.plans["outdated"] += 1
         self._attempts += 1
         proposal.record.error = "main moved before the gate decided; built again"
+        self.statistics.plan(proposal.record, "outdated")
         log.info("plan outdated plan=%s attempts=%d", proposal.plan.id, self._attempts)
         if exhausted := self._attempts >= ATTEMPTS_MAX:
             self._attempts, self._exhausted = 0, True
@@ -335,24 +328,27 @@ class ApplicationManager:
         self._again(DEPLOYMENT)
 
     def _refused(self, proposal: Proposal, text: str) -> None:
-        self.statistics.plans["refused"] += 1
         proposal.record.error = text
+        self.statistics.plan(proposal.record, "refused")
         number = proposal.record.pull_request
         log.error("plan refused plan=%s pull_request=%s reason=%r", proposal.plan.id, number, text)
-        self._overtake()
-        if REPAIR in proposal.plan.message.kinds:
+        if self._is_behind():
+            pass  # it was refused for its term, not for what it does
+        elif REPAIR in proposal.plan.message.kinds:
             self._repairing.refused(proposal.plan)
         elif not self._main.tree.problems:
             self._planner.refused(proposal.plan, proposal.record)
         self._proposal = None
         self._again(DEPLOYMENT)
 
-    def _overtake(self) -> None:
-        """Main may have a higher term of this manager than this process has: after the Lease was lost with its cluster,
-        say. When another process leads, the election says so."""
+    def _is_behind(self) -> bool:
+        """Whether main has a higher term of this manager than this process: another one leads, and the election will
+        say so; or the Lease was lost with its cluster, and this one has to be elected with a higher one."""
         last = self._terms.last(self._world.name, self._main.tip)
-        if self._term is not None and last > self._term:
-            self._world.leadership.overtake(last)
+        if self._term is None or last <= self._term:
+            return False
+        self._world.leadership.overtake(last)
+        return True
 
     # -- planning -------------------------------------------------------------------------------------------------
 
@@ -364,8 +360,9 @@ class ApplicationManager:
         with self._lock:
             self._flags -= PLANNED_FOR
             seen, self._demand_seen = self._demand_seen, None
-        started = self._now_ns()
+        started, begun = self._now_ns(), self._monotonic()
         plan = self._planner.plan(started) if not self._main.tree.problems else self._repairing.plan(started)
+        self.statistics.decided(self._monotonic() - begun)
         self._problem = ""
         if self._took_over(plan, seen or started, started) or plan is None:
             return
@@ -374,9 +371,11 @@ class ApplicationManager:
 
     def _took_over(self, plan: Plan | None, seen: int, started: int) -> bool:
         """Once per term: whether a proposal that is open already does what `plan` does; it is followed as if it had
-        been made here."""
+        been made here. A process that is behind main proposes nothing either."""
         if self._begun:
             return False
+        if self._is_behind():
+            return True
         pull = self._open.find(plan)
         self._begun = True
         if plan is None or pull is None:
@@ -386,7 +385,7 @@ class ApplicationManager:
         record.pull_request, record.url = pull.number, pull.url
         record.times["proposed"] = started
         self.records.add(record)
-        self.statistics.plans["taken_over"] += 1
+        self.statistics.plan(record, "taken_over")
         self._proposal = Proposal(plan, record, self._monotonic(), asked=asked_for(plan, self._planner.tasks))
         log.info("plan taken over plan=%s pull_request=%d", record.id, pull.number)
         return True
@@ -406,7 +405,7 @@ class ApplicationManager:
             self._refused(proposal, error.message)
             return
         record.times["proposed"] = self._now_ns()
-        self.statistics.plans["proposed"] += 1
+        self.statistics.plan(record, "proposed")
         self._proposal, self._planned_at = proposal, self._monotonic()
         log.info(
             "plan proposed plan=%s pull_request=%s created=%d changed=%d removed=%d milliseconds=%.0f subject=%r",
@@ -447,7 +446,7 @@ class ApplicationManager:
 
     def _observed(self, record: PlanRecord) -> None:
         """The one line per plan."""
-        self.statistics.plans["observed"] += 1
+        self.statistics.plan(record, "observed")
         self._telling.observed(record)
         begin = record.times.get("demand_seen", 0)
         steps = " ".join(f"{name}_ms={(at - begin) / 1e6:.0f}" for name, at in record.times.items() if begin)
@@ -456,20 +455,3 @@ class ApplicationManager:
             *(record.id, record.commit[:12], record.pull_request, steps, ",".join(record.tasks)),
             *(record.subject, record.error or ""),
         )
-
-
-def metrics_text(statistics: ManagerStatistics) -> str:
-    """The statistics as Prometheus text."""
-    lines = [
-        "# TYPE robotkube_manager_plans_total counter",
-        *(f'robotkube_manager_plans_total{{step="{k}"}} {v}' for k, v in statistics.plans.items()),
-        "# TYPE robotkube_manager_steps_total counter",
-        f"robotkube_manager_steps_total {statistics.steps}",
-        "# TYPE robotkube_manager_term gauge",
-        f"robotkube_manager_term {statistics.term}",
-        "# TYPE robotkube_manager_broken_files gauge",
-        f"robotkube_manager_broken_files {statistics.broken_files}",
-        "# TYPE robotkube_manager_failures_total counter",
-        f"robotkube_manager_failures_total {statistics.failures}",
-    ]
-    return "\n".join(lines) + "\n"
