@@ -130,6 +130,29 @@ def test_the_player_opens_the_topics_of_a_bag_of_its_own_image(room: LocalRoom) 
     assert ledgers == ["suite-first", "suite-second"], "the ordered runs were not played"
 
 
+PERCEPTION = {"object-detection": "detection", "object-tracking": "tracking"}
+OLDER: dict[str, dict[str, Any]] = {"object-detection": {"method": "size"}, "object-tracking": {"motion": "still"}}
+
+
+@pytest.mark.parametrize(("place", "version"), [("apps", "0.2.0"), ("earlier", "0.1.0")])
+@pytest.mark.parametrize("name", PERCEPTION)
+def test_perception_is_what_its_entry_declares(room: LocalRoom, name: str, place: str, version: str) -> None:
+    chart = TOP / "charts" / place / name
+    entry = yaml.safe_load((TOP / f"registry/charts/{name}/{version}.yaml").read_text())
+    defaults = yaml.safe_load((chart / "values.yaml").read_text())
+
+    def objects(values: Mapping[str, Any], release: str) -> list[dict[str, Any]]:
+        settings = {**(OLDER[name] if place == "earlier" else {}), **overlay(defaults, values)[PERCEPTION[name]]}
+        command = ["python3", "-m", f"robotkube.entrypoints.{name.replace('-', '_')}"]
+        return deployment(release, command, {"config.yaml": yaml.safe_dump(settings)})
+
+    checks = list(suite().run(subject(chart, entry, objects), room))
+    assert said([check for check in checks if not check.passed]) == ""
+    source = "lidar_center/pointcloud" if name == "object-detection" else "objects"
+    assert f"set second: ros in /vehicles/suite_b/{source} leads to an output" in {check.name for check in checks}
+    assert room.leftovers() == []
+
+
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     for place in ("charts", "registry/applications", "registry/charts"):
