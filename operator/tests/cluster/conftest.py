@@ -33,6 +33,7 @@ ORDER = (
     "test_three_vehicles",
     "test_withdrawing",
     "test_observing",
+    "test_doors",
     "test_how_to",
     "test_refusals",
     "test_lifecycle",
