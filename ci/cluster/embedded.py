@@ -10,7 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TypeVar
 
-from ci.cluster import cleaning, control_plane, images, network, node_processes, objects, outages, status
+from ci.cluster import cleaning, control_plane, images, joining, network, node_processes, objects, outages, status
 from ci.cluster.addresses import PLANS, AddressPlan, plan_of
 from ci.cluster.api import Api
 from ci.cluster.node_processes import Node
@@ -18,7 +18,7 @@ from ci.cluster.pki import Authority
 from ci.cluster.processes import Launcher, Process, recorded, wait_until
 from ci.cluster.provider import NodeState
 from ci.cluster.records import ClusterFolders, Record, one_at_a_time
-from ci.cluster.topology import Topology
+from ci.cluster.topology import NodeSpec, Topology
 from ci.errors import SetUpError
 from ci.steps import Step, Steps
 
@@ -98,6 +98,11 @@ class Embedded:
     def start_node(self, name: str) -> None:
         """Let a stopped node come back."""
         outages.start(self.name, name)
+
+    def join(self, spec: NodeSpec, wanted: Sequence[images.Image]) -> None:
+        """Add a node to the running cluster; see joining.join."""
+        with one_at_a_time():
+            joining.join(self.launcher, self.api(), spec, wanted)
 
     def volume_path(self, namespace: str, claim: str) -> Path:
         """See Provider.volume_path."""

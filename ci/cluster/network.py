@@ -106,20 +106,38 @@ table inet {bridge} {{
 
 def connect(plan: AddressPlan, pids: Sequence[int]) -> None:
     """A cable from the bridge into the network namespace of each process of `pids` (one per node, in order)."""
-    commands = []
+    cables = [command for index, pid in enumerate(pids) for command in _cable(plan, index, pid)]
+    run(["ip", "-batch", "-"], "\n".join(cables))
     for index, pid in enumerate(pids):
-        link = plan.link(index)
-        commands += [
-            f"link add {link} type veth peer name eth0 netns {pid}",
-            f"link set {link} master {plan.bridge} up",
-        ]
-    run(["ip", "-batch", "-"], "\n".join(commands))
-    for index, pid in enumerate(pids):
-        run(["nsenter", f"--net=/proc/{pid}/ns/net", "ip", "-batch", "-"], "\n".join(_inside(plan, index, len(pids))))
+        run_inside(pid, _inside(plan, index, len(pids)))
     # A Service's address means something in a node's namespace only: the first node (platform-0) stands for all.
-    routes = [f"route add {plan.pod_subnet(index)} via {plan.node(index)}" for index in range(len(pids))]
+    routes = [_way(plan, index) for index in range(len(pids))]
     routes.append(f"route add {plan.services} via {plan.node(0)}")
     run(["ip", "-batch", "-"], "\n".join(routes))
+
+
+def join(plan: AddressPlan, index: int, pid: int, others: Sequence[int]) -> None:
+    """The cable of one more node, number `index`, held by process `pid`; and the way to its pods for the host and for
+    the nodes that are there (`others`: the processes that hold them)."""
+    run(["ip", "-batch", "-"], "\n".join([*_cable(plan, index, pid), _way(plan, index)]))
+    run_inside(pid, _inside(plan, index, index + 1))
+    for other in others:
+        run_inside(other, [_way(plan, index)])
+
+
+def run_inside(pid: int, commands: Iterable[str]) -> None:
+    """Commands of `ip` in a node's network namespace."""
+    run(["nsenter", f"--net=/proc/{pid}/ns/net", "ip", "-batch", "-"], "\n".join(commands))
+
+
+def _cable(plan: AddressPlan, index: int, pid: int) -> Iterable[str]:
+    link = plan.link(index)
+    yield f"link add {link} type veth peer name eth0 netns {pid}"
+    yield f"link set {link} master {plan.bridge} up"
+
+
+def _way(plan: AddressPlan, index: int) -> str:
+    return f"route add {plan.pod_subnet(index)} via {plan.node(index)}"
 
 
 def _inside(plan: AddressPlan, index: int, count: int) -> Iterable[str]:
@@ -127,7 +145,7 @@ def _inside(plan: AddressPlan, index: int, count: int) -> Iterable[str]:
     yield "link set eth0 up"
     for other in range(count):
         if other != index:
-            yield f"route add {plan.pod_subnet(other)} via {plan.node(other)}"
+            yield _way(plan, other)
     # Without it kube-proxy's rules do not see packets to Services: they are dropped before, having no route.
     yield f"route add {plan.services} via {plan.gateway}"
 

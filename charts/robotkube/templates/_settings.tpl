@@ -35,6 +35,9 @@ broker:
 scope: {{ toJson $manager.scope }}
 operators: {{ toJson $manager.operators }}
 node_lost_seconds: {{ $manager.nodeLostSeconds }}
+{{- with .Values.traces.endpoint }}
+traces: {endpoint: {{ . }}}
+{{- end }}
 {{- end }}
 {{- end }}
 

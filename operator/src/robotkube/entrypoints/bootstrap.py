@@ -38,7 +38,7 @@ from robotkube.services.bootstrapping import (
 GRACE_SECONDS = 5.0
 WAIT_SECONDS_MAX = 3600
 DATABASE_KINDS = ("mongo", "ferretdb")
-EVENTS = ("push", "pull_request")
+EVENTS = ("push", "pull_request", "pull_request_comment")
 SEED_BYTES_MAX = 1024 * 1024
 SEED_FILES_MAX = 500
 
