@@ -108,7 +108,7 @@ class Fleet:
             made = (f"commit {len(self.commits)}", at_ns)
             self.memory = self.memory.updated(move.chart, (move.version, found.digest), before, made)
         else:
-            self.memory = self.memory.reverted(move.chart, move.reason)
+            self.memory = self.memory.reverted(move.chart, move.keys, move.reason)
         self.commits.append(move)
         return move
 
@@ -186,6 +186,19 @@ def test_a_canary_that_fails_is_taken_back_and_the_digest_is_never_tried_again(s
     assert "0.2.0 back" in fleet.decide().withheld[DETECTION, "0.2.0"]
     fleet.memory = fleet.memory.policy_changed()
     assert fleet.commit() is not None
+
+
+def test_what_a_device_held_goes_back_later() -> None:
+    fleet = Fleet(VEHICLES, UpdatePolicy())
+    fleet.commit()
+    fleet.show("vehicle-00/object-detection", DEGRADED)
+    move = fleet.decide().move
+    assert move is not None
+    fleet.memory = fleet.memory.reverted(DETECTION, move.keys[:2], "failed")
+    late = fleet.decide().move
+    assert late is not None
+    assert (late.cause, late.keys) == ("revert", ("vehicle-02/object-detection",))
+    assert late.pins["vehicle-02/object-detection"] == (DETECTION, "0.1.0")
 
 
 def test_a_newer_version_than_the_bad_one_is_tried() -> None:

@@ -63,11 +63,15 @@ class UpdateMemory:
         run = Run(*target, {**run.before, **before}, times, (*run.commits, made[0]))
         return replace(self, runs={**self.runs, chart: run})
 
-    def reverted(self, chart: str, why: str) -> Self:
-        """After a commit that took the last update of a chart back."""
-        runs = dict(self.runs)
-        run = runs.pop(chart, None)
-        return replace(self, runs=runs, barred={**self.barred, run.digest: why}) if run else self
+    def reverted(self, chart: str, keys: Iterable[str], why: str) -> Self:
+        """After a commit that took the last update of a chart back for `keys`; the others of it are still due."""
+        run = self.runs.get(chart)
+        if run is None:
+            return self
+        left = {key: pin for key, pin in run.before.items() if key not in set(keys)}
+        return replace(
+            self, runs={**self.runs, chart: replace(run, before=left)}, barred={**self.barred, run.digest: why}
+        )
 
     def policy_changed(self) -> Self:
         """After people changed policies/updates.yaml: what was reverted may be tried again."""
@@ -165,7 +169,7 @@ def decide(
         for version in versions
         if (why := memory.barred.get(version.digest))
     }
-    moves: list[Move] = []
+    moves = list(_left_over(present.values(), memory, pins))
     words: list[str] = []
     for rollout in _rollouts(present.values(), catalogue, policy, memory):
         tally = _tally(rollout, memory.runs.get(rollout.chart), sight, now_ns)
@@ -281,6 +285,17 @@ def _failed(
     reason = f"{name} back: {fault}"
     move = Move(REVERT, rollout.chart, rollout.target.version, keys, {**pins, **back}, reason, run.commits)
     return move, f"{name} has failed ({fault}) and is taken back"
+
+
+def _left_over(present: Iterable[Release], memory: UpdateMemory, pins: Mapping[str, Pin]) -> Iterable[Move]:
+    """Releases that could not go back with the others, since a device held them."""
+    for chart, run in sorted(memory.runs.items()):
+        found = [r for r in present if r.chart == chart and r.digest == run.digest and r.key in run.before]
+        if found and run.digest in memory.barred:
+            keys = tuple(sorted(release.key for release in found))
+            back = {key: run.before[key] for key in keys}
+            reason = f"{chart} {run.version} back where it could not go before"
+            yield Move(REVERT, chart, run.version, keys, {**pins, **back}, reason, run.commits)
 
 
 def _forward(

@@ -16,10 +16,11 @@ from robotkube.domain.initial import initial_demands
 from robotkube.domain.loops import Render
 from robotkube.domain.placement import NODE_LOST_SECONDS, Agent, Fleet, fleet, next_loss_ns
 from robotkube.domain.planning import Change, Plan, differences, fingerprint, lost_words, make_plan
-from robotkube.domain.proposals import NODE
+from robotkube.domain.proposals import NODE, REVERTS_MAX
 from robotkube.domain.releases import Release
 from robotkube.domain.scopes import Operators
 from robotkube.domain.tasks import POSTPONED, TaskDescription, object_key
+from robotkube.domain.updates import Pin
 from robotkube.domain.vetoes import Hold
 from robotkube.ports.clusters import Cluster, TaskStore
 from robotkube.services.assured_catalogue import AssuredCatalogue
@@ -27,6 +28,7 @@ from robotkube.services.manager_bounds import Bounds
 from robotkube.services.manager_ledger import DemandLedger
 from robotkube.services.manager_reading import MainReader
 from robotkube.services.manager_records import PlanRecord
+from robotkube.services.manager_updates import Updating
 
 TASKS_PER_PLAN_MAX = 100
 HELD_MAX = 1000
@@ -66,6 +68,7 @@ class Planner:
         self._bounds = Bounds(settings.agents, settings.operators)
         self._catalogue, self._main, self._render, self._validate = catalogue, main, render, validate
         self._ledger, self._lock, self._composer = DemandLedger(), threading.Lock(), Composer()
+        self._updating = Updating(main.repository, cluster)
         self._tasks_per_plan = TASKS_PER_PLAN_MAX
         self._held: dict[str, tuple[str, PlanRecord]] = {}
         self._held_differences: dict[str, PlanRecord] = {}
@@ -112,13 +115,34 @@ class Planner:
             self.tasks = self._ledger.look(self._store.tasks(), started_ns).live
             answered = self._answered()
             self._looked_at = self._wanted(answered)
+            self._look_for_updates()
             resolution = self._resolve(self._looked_at, self._ledger.history(answered))
             self._ledger.keep(resolution)
             self._take(resolution)
             changes = self._going(self._changes(resolution.desired))
-            if not changes or fingerprint(changes) in self._held_differences:
-                return None
-            return self._made(changes, self.desired, self.tasks)
+            waits = bool(changes) and fingerprint(changes) not in self._held_differences
+            update = self._update(resolution.desired, waits, self._ledger.history(answered))
+            return update or (self._made(changes, self.desired, self.tasks) if waits else None)
+
+    def _look_for_updates(self) -> None:
+        """Which versions main's releases keep this time, and whether one chart may be updated or taken back."""
+        present, machines = self._bounds.own(self._main.tree).releases, self._bounds.fleet(self._fleet())
+        held = frozenset(hold.agent for hold in self._all_holds())
+        self._updating.look(present, self._main.tip, self._catalogue, machines, held, self._now_ns)
+
+    def _update(self, steady: Desired, others_wait: bool, history: History) -> Plan | None:
+        """The plan of one update or revert, when it may be made now."""
+
+        def compose(pins: Mapping[str, Pin]) -> Desired:
+            return self._resolve(self._looked_at, history, pins).desired
+
+        own = self._bounds.own(self._main.tree).releases
+        found = self._updating.step(steady, own, others_wait, compose)
+        changes = self._going(found[1]) if found else ()
+        if found is None or not changes or fingerprint(changes) in self._held_differences:
+            return None
+        plan, move = self._made(changes, self.desired, self.tasks, found[0].cause, found[0].reason), found[0]
+        return replace(plan, message=replace(plan.message, causes=(), reverts=move.undone[-REVERTS_MAX:]))
 
     def what_if(self, document: Mapping[str, Any]) -> Explanation:
         """What would become of a TaskDescription (a new one, or one in place of that of its name) beside what was
@@ -162,17 +186,28 @@ class Planner:
 
     def _going(self, changes: tuple[Change, ...]) -> tuple[Change, ...]:
         """The changes that no device holds; the others go on when the first hold ends, or when it is released."""
-        said = [node.hold for node in self._cluster.nodes() if node.hold is not None]
-        going = self._bounds.going(changes, [*said, *self._holds()], self._now_ns)
+        going = self._bounds.going(changes, self._all_holds(), self._now_ns)
         times = [self.next_due_ns, self._bounds.holds_end_ns]
         self.next_due_ns = min((time for time in times if time is not None), default=None)
         return going
 
-    def _made(self, changes: tuple[Change, ...], desired: Desired, tasks: Mapping[str, TaskDescription]) -> Plan:
+    def _all_holds(self) -> Sequence[Hold]:
+        """The vetoes on Nodes, and those said by message."""
+        said = [node.hold for node in self._cluster.nodes() if node.hold is not None]
+        return [*said, *self._holds()]
+
+    def _made(
+        self,
+        changes: tuple[Change, ...],
+        desired: Desired,
+        tasks: Mapping[str, TaskDescription],
+        cause: str = "",
+        words: str = "",
+    ) -> Plan:
         stamp = datetime.fromtimestamp(self._now_ns / 1e9, UTC).strftime("%Y%m%d-%H%M%S")
         catalogue, url = self._catalogue.catalogue, self._settings.charts_url
-        words = lost_words(changes, self._fleet(), self._now_ns)
-        own, cause = self._bounds.own(self._main.tree), NODE if words else ""
+        words = words or lost_words(changes, self._fleet(), self._now_ns)
+        own, cause = self._bounds.own(self._main.tree), cause or (NODE if words else "")
         return make_plan(changes, own, desired, tasks, catalogue, url, self._main.tip, stamp, cause, words)
 
     def _answered(self) -> frozenset[str]:
@@ -197,16 +232,19 @@ class Planner:
         """What a refusal depended on: it stands until one of these changes."""
         return f"{task.identity} {task.generation} {self._catalogue.tip} {self._main.policy_text}"
 
-    def _resolve(self, tasks: Sequence[TaskDescription], history: History) -> Resolution:
+    def _resolve(
+        self, tasks: Sequence[TaskDescription], history: History, pins: Mapping[str, Pin] | None = None
+    ) -> Resolution:
         """What the initial configuration and the tasks lead to within the manager's bounds, besides what main holds
-        now; changes nothing here. Every round leaves out tasks that the one before showed to be out of bounds."""
+        now; changes nothing here. `pins` are the versions that releases keep (None: those of main). Every round leaves
+        out tasks that the one before showed to be out of bounds."""
         live = {**self.tasks, **{task.key: task for task in tasks}}
         looked_at, releases = {task.key for task in tasks}, tuple(self._main.tree.releases.values())
         gone = _gone({k: o for k, o in self._ledger.outcomes.items() if k not in looked_at})
         refused = self._bounds.refused_before(tasks, live, gone, releases)
         for _ in range(len(tasks) + 1):
             inside = [task for task in tasks if task.key not in refused]
-            resolution = self._within(inside, history)
+            resolution = self._within(inside, history, self._updating.updates.pins if pins is None else pins)
             now_gone = {**gone, **_gone({**resolution.outcomes, **refused})}
             found = self._bounds.refused_after(inside, live, now_gone, releases, resolution.outcomes)
             if not found:
@@ -214,7 +252,7 @@ class Planner:
             refused |= found
         return replace(resolution, outcomes={**resolution.outcomes, **refused})
 
-    def _within(self, tasks: Sequence[TaskDescription], history: History) -> Resolution:
+    def _within(self, tasks: Sequence[TaskDescription], history: History, pins: Mapping[str, Pin]) -> Resolution:
         machines, tree = self._bounds.fleet(self._fleet()), self._main.tree
         present: Mapping[str, Release] = self._bounds.own(tree).releases
         world = World(
@@ -224,6 +262,8 @@ class Planner:
             self._render,
             self._validate,
             others={path: release for path, release in tree.releases.items() if path not in present},
+            pins=pins,
+            withheld=self._updating.updates.withheld,
             schema=self._catalogue.schema,
         )
         initial = initial_demands(self._catalogue.catalogue, self._main.policy, machines)

@@ -52,6 +52,11 @@ class MainReader:
         self._wanted_first: dict[str, str] = {}
         self._policy_good = False
 
+    @property
+    def repository(self) -> DeploymentRepository:
+        """Where it is read from."""
+        return self._repository
+
     def read(self, known: str = "") -> bool:
         """Take the newest commit (`known` when its id is known and it is here, else fetched); whether main has moved.
         InputError as long as main or its policy cannot be read at all."""

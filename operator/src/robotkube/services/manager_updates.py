@@ -23,6 +23,7 @@ from robotkube.domain.updates import (
     HEALTHY,
     PROGRESSING,
     Health,
+    Move,
     Pin,
     Sight,
     UpdateMemory,
@@ -38,6 +39,7 @@ from robotkube.services.assured_catalogue import AssuredCatalogue
 COMMITS_MAX = 10_000
 WORDS = (f"RobotKube-Cause: {UPDATE}\n", f"RobotKube-Cause: {REVERT}\n")
 PLAN_TRAILER = re.compile(rf"^RobotKube-Plan: ({PLAN.pattern})$", re.MULTILINE)
+PASSED_MAX = 5
 UNREADABLE = f"{PATH} cannot be read; nothing is updated"
 
 log = logging.getLogger(__name__)
@@ -65,7 +67,8 @@ class UpdateHistory:
         subject = commit.message.partition("\n")[0]
         if WORDS[1] in commit.message:
             for chart in {release.chart for release in changed}:
-                memory = memory.reverted(chart, f"{subject} ({commit.id[:12]}); change {PATH} to try it again")
+                keys = [release.key for release in changed if release.chart == chart]
+                memory = memory.reverted(chart, keys, f"{subject} ({commit.id[:12]}); change {PATH} to try it again")
         elif WORDS[0] in commit.message:
             before = self._before(commit, changed)
             for target in {(release.chart, release.version, release.digest) for release in changed}:
@@ -110,16 +113,24 @@ class Updating:
         self._history, self._policy, self._cluster = UpdateHistory(repository), PolicyReader(repository), cluster
         self._unfit: tuple[str, frozenset[str]] = ("", frozenset())
         self._said: frozenset[str] = frozenset()
+        self._passed = 0
         self.updates = Updates()
 
     def look(
-        self, present: Mapping[str, Release], tip: str, catalogue: AssuredCatalogue, machines: Fleet, now_ns: int
+        self,
+        present: Mapping[str, Release],
+        tip: str,
+        catalogue: AssuredCatalogue,
+        machines: Fleet,
+        held: frozenset[str],
+        now_ns: int,
     ) -> Updates:
-        """Decide about main's releases (`present`, by path) at its `tip`; the words are logged when they are new."""
+        """Decide about main's releases (`present`, by path) at its `tip`; the words are logged when they are new.
+        Agents that hold changes (`held`) count like those that are offline."""
         inputs = f"{tip} {catalogue.tip}"
         self._unfit = self._unfit if self._unfit[0] == inputs else (inputs, frozenset())
         policy, memory = self._policy.read(tip), self._history.read(tip)
-        sight = sight_of(present, self._cluster.applications(), machines)
+        sight = sight_of(present, self._cluster.applications(), machines, held)
         found = decide(present, catalogue.catalogue, policy or UpdatePolicy(), memory, sight, now_ns, self._unfit[1])
         self.updates = found if policy else replace(found, move=None, words=(UNREADABLE,))
         for text in sorted(frozenset(self.updates.words) - self._said):
@@ -128,18 +139,28 @@ class Updating:
         return self.updates
 
     def step(
-        self, steady: Desired, present: Mapping[str, Release], compose: Callable[[Mapping[str, Pin]], Desired]
-    ) -> tuple[Change, ...]:
-        """The changes of the move that was decided, tried by composing with its pins; none when there is no move or it
-        does not fit, which is said and not tried again before main or catalogue change."""
+        self,
+        steady: Desired,
+        present: Mapping[str, Release],
+        others_wait: bool,
+        compose: Callable[[Mapping[str, Pin]], Desired],
+    ) -> tuple[Move, tuple[Change, ...]] | None:
+        """The move that was decided and its changes, tried by composing with its pins. None when there is none, when it
+        does not fit (which is said, and not tried again before main or catalogue change), and while changes that tasks
+        ask for wait: these come before an update, though not more than PASSED_MAX times; a revert waits for nobody."""
         move = self.updates.move
         if move is None:
-            return ()
+            return None
+        if others_wait and move.cause == UPDATE and self._passed < PASSED_MAX:
+            self._passed += 1
+            return None
+        self._passed = 0
         changes, problem = moved(move, compose(move.pins), steady, present)
         if not changes:
             log.warning("update not made text=%r", problem)
             self._unfit = (self._unfit[0], self._unfit[1] | frozenset(move.keys))
-        return changes
+            return None
+        return move, changes
 
 
 def _releases(files: Mapping[str, str | None]) -> list[Release]:
@@ -160,8 +181,13 @@ def commit_ns(message: str) -> int:
     return plan_ns(match[1]) if match else 0
 
 
-def sight_of(present: Mapping[str, Release], applications: Mapping[str, ApplicationState], fleet: Fleet) -> Sight:
-    """How main's releases fare, and which agents' namespaces can be reached."""
+def sight_of(
+    present: Mapping[str, Release],
+    applications: Mapping[str, ApplicationState],
+    fleet: Fleet,
+    held: frozenset[str] = frozenset(),
+) -> Sight:
+    """How main's releases fare, and which agents' namespaces can be reached and are not `held`."""
     health = {}
     for release in present.values():
         found = applications.get(application_name(release.namespace, release.name))
@@ -169,7 +195,7 @@ def sight_of(present: Mapping[str, Release], applications: Mapping[str, Applicat
     online = {}
     for name, agent in fleet.agents.items():
         ready = [node.ready_since or 0 for node in fleet.nodes.get(name, ()) if node.ready]
-        if ready:
+        if ready and name not in held:
             online[agent.namespace] = min(ready)
     return Sight(health, online)
 
