@@ -235,14 +235,14 @@ class _Composition:
 
     def _seat_bridges(self, draft: Draft) -> None:
         """Bridges that nobody asked for yet need room as well; those that run already keep it."""
-        for kind, agent in draft.topics.ends:
-            if (kind, agent) in self._total.bridged:
+        total, scene = self._total, self._scene
+        for end in draft.topics.ends:
+            if end in total.bridged:
                 continue
-            service = self._scene.selector.bridge(kind)
-            chart = self._scene.selector.chart(service.chart)[0]
-            need = read_resources(chart.resources)
-            occupancy, room = self._total.seating.occupancy, self._scene.fleet.rooms.get(agent)
-            if room and not occupancy.fits(agent, room, need) and not self._scene.runs(agent, chart.chart):
+            chart, agent = scene.selector.bridge(end[0])[1][0], end[1]
+            need, room = read_resources(chart.resources), scene.fleet.rooms.get(agent)
+            occupancy = total.seating.occupancy
+            if room and not occupancy.fits(agent, room, need) and not scene.runs(agent, chart.chart):
                 shortage = occupancy.shortage(agent, room, need)
                 text = f"{agent} has no room for its bridge ({shortage}); withdraw something that runs there"
                 raise RefusalError(INSUFFICIENT_RESOURCES, text)
@@ -281,7 +281,7 @@ class _Composition:
         return release
 
     def _make_bridge(self, end: End, topics: Mapping[str, object]) -> Release:
-        scene, service = self._scene, self._scene.selector.bridge(end[0])
+        scene, service = self._scene, self._scene.selector.bridge(end[0])[0]
         agent, names = scene.fleet.agent(end[1]), {"agent": end[1], "topics": topics}
         name = scene.render(service.release, names)
         pin = scene.pins.get(f"{agent.namespace}/{name}")

@@ -80,7 +80,7 @@ class Drafter:
         placed = self._add_services(choice.application, names)
         for link in choice.application.links:
             if link.kind != "ros":
-                scene.selector.chart(scene.selector.bridge(link.kind).chart)
+                scene.selector.bridge(link.kind)
                 for scope in loop(link.for_each, names, self._render):
                     self._add_link(link, scope, placed)
         self._draft.choose()

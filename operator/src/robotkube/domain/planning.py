@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
 from hashlib import sha256
 
 from robotkube.domain.catalogue import Catalogue
@@ -15,6 +16,7 @@ from robotkube.domain.releases import Cause, Release, Source, Tree, write_releas
 from robotkube.domain.tasks import TaskDescription
 
 ADD, CHANGE, REMOVE = "add", "change", "remove"
+SOURCES_KEPT_MAX = 4096
 
 
 @dataclass(frozen=True)
@@ -112,16 +114,18 @@ def _files(changes: Iterable[Change], tree: Tree, registry: str) -> dict[str, st
             releases[change.path] = change.after
         else:
             releases.pop(change.path, None)
-    needed = {s.path: s for s in (_source(release, registry) for release in releases.values())}
-    for path, source in needed.items():
+    wanted = {(release.namespace, release.chart, release.digest) for release in releases.values()}
+    needed = {s.path: s for s in (_source(*one, registry) for one in wanted)}
+    for path, source in sorted(needed.items()):
         if tree.sources.get(path) != source:
             files[path] = write_source(source)
     files |= {path: None for path in tree.sources if path not in needed}
     return files
 
 
-def _source(release: Release, registry: str) -> Source:
-    return Source(release.namespace, release.chart, release.digest, f"{registry}/{release.chart}")
+@lru_cache(SOURCES_KEPT_MAX)
+def _source(namespace: str, chart: str, digest: str, registry: str) -> Source:
+    return Source(namespace, chart, digest, f"{registry}/{chart}")
 
 
 def lost_words(changes: Iterable[Change], fleet: Fleet, now_ns: int) -> str:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -86,7 +86,20 @@ class Release:
 
     def same_but_plan(self, other: Release) -> bool:
         """Whether both ask for the same, whichever plan wrote them."""
-        return replace(self, plan="") == replace(other, plan="")
+        return self._content == other._content
+
+    @property
+    def _content(self) -> tuple[Any, ...]:
+        return (
+            self.namespace,
+            self.name,
+            self.chart,
+            self.version,
+            self.digest,
+            self.evidence,
+            self.causes,
+            self.values,
+        )
 
 
 @dataclass(frozen=True)

@@ -42,6 +42,7 @@ class Selector:
     ) -> None:
         self.catalogue, self.withheld, self.validate, self.schema = catalogue, dict(withheld), validate, schema
         self._known: dict[Any, Chosen | RefusalError] = {}
+        self._bridges: dict[str, tuple[Service, Chosen]] = {}
 
     def serves(self, catalogue: Catalogue, withheld: Mapping[Pin, str], schema: Schema | None) -> bool:
         """Whether answers given so far hold for these inputs."""
@@ -68,14 +69,17 @@ class Selector:
             raise RefusalError(found.reason, found.message)
         return found
 
-    def bridge(self, kind: str) -> Service:
-        """The service that bridges links of a kind; RefusalError when the catalogue has not exactly one."""
-        application = self.catalogue.bridge(kind)
-        if len(application.services) != 1:
-            raise RefusalError(
-                "CompositionFailed", f"bridge application {application.name} must have exactly one service"
-            )
-        return application.services[0]
+    def bridge(self, kind: str) -> tuple[Service, Chosen]:
+        """The service that bridges links of a kind, and its chart if nothing else is asked of it; RefusalError when the
+        catalogue has not exactly one, or no version of its chart."""
+        if kind not in self._bridges:
+            application = self.catalogue.bridge(kind)
+            if len(application.services) != 1:
+                raise RefusalError(
+                    "CompositionFailed", f"bridge application {application.name} must have exactly one service"
+                )
+            self._bridges[kind] = application.services[0], self.chart(application.services[0].chart)
+        return self._bridges[kind]
 
     def application(self, demand: Demand, kept: str = "") -> Choice:
         """The application that is named, or the best that provides what is asked for: the one that answers the task
