@@ -35,6 +35,7 @@ ORDER = (
     "test_observing",
     "test_doors",
     "test_how_to",
+    "test_agents",
     "test_refusals",
     "test_lifecycle",
     "test_interrupting",
