@@ -48,6 +48,6 @@ lock:           ## write the lock files anew from operator/pyproject.toml
 golden:         ## write the charts' golden renderings anew
 	@ROBOTKUBE_GOLDEN=write $(PYTHON) -m pytest -c operator/pyproject.toml -p no:cacheprovider operator/tests/charts/test_rendering.py
 
-reference:      ## write docs/reference/schemas.md and design-principles.md anew
+reference:      ## write the generated pages of docs/reference anew
 	@$(PYTHON) -m ci.reference
 	@$(PYTHON) -m ci.principles

@@ -1,4 +1,6 @@
-"""`make reference`: docs/reference/schemas.md from the JSON Schemas of registry/schemas/, metrics.md from the code."""
+"""`make reference`: docs/reference/schemas.md from the JSON Schemas of registry/schemas/, metrics.md from the code, and
+the commands of command-line.md from the command line's parser.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from ci import command_reference
 from robotkube.adapters.metrics_prometheus import reference
 
 TOP = Path(__file__).resolve().parent.parent
@@ -166,4 +169,6 @@ def _bounds(schema: Schema, least: str, most: str) -> str:
 if __name__ == "__main__":
     PAGE.write_text(page(read_schemas()), encoding="utf-8")
     METRICS_PAGE.write_text(metrics_page(), encoding="utf-8")
-    print(PAGE.relative_to(TOP), METRICS_PAGE.relative_to(TOP))
+    commands = command_reference.PAGE
+    commands.write_text(command_reference.page(commands.read_text(encoding="utf-8")), encoding="utf-8")
+    print(PAGE.relative_to(TOP), METRICS_PAGE.relative_to(TOP), commands.relative_to(TOP))

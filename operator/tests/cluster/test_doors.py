@@ -111,7 +111,7 @@ def _carries(platform: Platform) -> bool:
 def test_a_ros_pod_on_a_vehicle_asks_hears_and_withdraws(stage: Stage, asker: Asker) -> None:
     key = f"{AGENT}/asked-by-ros"
     stage.submitted.append(key)
-    answers = asker.say(json.dumps(TASK), '"type": "Ready"')
+    answers = asker.say(json.dumps(TASK), '"status": "True", "type": "Ready"')
     assert {answer["id"] for answer in answers} == {"asked-by-ros"}
     task = stage.tasks(AGENT)[key]
     assert (task["spec"]["requester"], task["spec"]["event"]["rule"]) == (AGENT, "asked")

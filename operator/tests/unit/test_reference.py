@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import copy
 
-from ci import reference
+import pytest
+
+from ci import command_reference, reference
 
 
 def test_the_page_is_current() -> None:
@@ -13,6 +15,23 @@ def test_the_page_is_current() -> None:
 
 def test_the_page_of_metrics_is_current() -> None:
     assert reference.METRICS_PAGE.read_text(encoding="utf-8") == reference.metrics_page(), "run: make reference"
+
+
+def test_the_commands_are_current() -> None:
+    text = command_reference.PAGE.read_text(encoding="utf-8")
+    assert text == command_reference.page(text), "run: make reference"
+
+
+def test_commands_are_written_between_the_marks_only() -> None:
+    begin, end = command_reference.BEGIN, command_reference.END
+    found = command_reference.page(f"before\n{begin}\nold\n{end}\nafter\n")
+    assert found.startswith(f"before\n{begin}\n")
+    assert found.endswith(f"{end}\nafter\n")
+    assert "old\n" not in found.partition(begin)[2].partition("###")[0]
+    assert "### robotkube task submit" in found
+    assert "`--policy Reject\\|Postpone\\|Offload\\|Preempt`" in found
+    with pytest.raises(ValueError, match="needs both marks"):
+        command_reference.page("nothing")
 
 
 def test_every_schema_has_a_chapter() -> None:
