@@ -39,6 +39,7 @@ ORDER = (
     "test_refusals",
     "test_lifecycle",
     "test_interrupting",
+    "test_scenarios",
 )
 
 

@@ -46,7 +46,9 @@ def test_bad_overrides_are_refused(override: str, message: str) -> None:
 
 
 def test_an_unknown_variant_is_refused() -> None:
-    with pytest.raises(definition.ScenarioError, match=r"variants: there is no variant 'tiny'; there is: manager-killed, small"):
+    with pytest.raises(
+        definition.ScenarioError, match=r"variants: there is no variant 'tiny'; there is: manager-killed, small"
+    ):
         definition.load(FOLDER, variant="tiny")
 
 
