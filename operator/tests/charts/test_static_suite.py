@@ -22,7 +22,11 @@ from robotkube.ports.suites import Subject
 from robotkube.services.suite_static import StaticSuite
 
 REPOSITORY = Path(__file__).resolve().parents[3]
-PACKAGED = ("mqtt-bridge", "event-detector", "bag-player")
+PACKAGED = [
+    *(("apps", name, "0.1.0") for name in ("mqtt-bridge", "event-detector", "bag-player")),
+    *(("apps", name, "0.2.0") for name in ("object-detection", "object-tracking")),
+    *(("earlier", name, "0.1.0") for name in ("object-detection", "object-tracking")),
+]
 STATIC = [name for name, mistake in MISTAKES.items() if mistake.suite == "static"]
 OTHERS = [name for name, mistake in MISTAKES.items() if mistake.suite != "static"]
 
@@ -44,10 +48,10 @@ def failed(subject: Subject) -> dict[str, str]:
     return {name: check.found for name, check in checks_of(subject).items() if not check.passed}
 
 
-@pytest.mark.parametrize("chart", PACKAGED)
-def test_the_packaged_charts_pass(read: Read, chart: str) -> None:
-    folder = REPOSITORY / "charts" / "apps" / chart
-    assert failed(read(folder, REPOSITORY / "registry" / "charts" / chart / "0.1.0.yaml")) == {}
+@pytest.mark.parametrize(("place", "chart", "version"), PACKAGED)
+def test_the_packaged_charts_pass(read: Read, place: str, chart: str, version: str) -> None:
+    folder = REPOSITORY / "charts" / place / chart
+    assert failed(read(folder, REPOSITORY / "registry" / "charts" / chart / f"{version}.yaml")) == {}
 
 
 def test_a_new_application_passes_as_it_is(read: Read, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,8 @@ from robotkube.domain.catalogue import (
     read_catalogue,
     read_chart_version,
 )
-from robotkube.domain.composition import Demand, World, compose
+from robotkube.domain.composition import Demand, Met, World, compose
+from robotkube.domain.detector_settings import read_detector_settings
 from robotkube.domain.errors import DocumentError, RefusalError
 from robotkube.domain.initial import initial_demands, read_initial_policy
 from robotkube.domain.placement import Agent, NodeState, fleet
@@ -59,15 +61,15 @@ def test_applications_are_valid(path: Path) -> None:
     assert application.parameters["additionalProperties"] is False
 
 
-@pytest.mark.parametrize("path", CHARTS, ids=lambda p: p.parent.name)
+@pytest.mark.parametrize("path", CHARTS, ids=lambda p: f"{p.parent.name}-{p.stem}")
 def test_chart_versions_are_valid_with_and_without_a_status(path: Path) -> None:
     assert validate(schema("chart-version"), load(path)) == []
     published = {**load(path), "status": STATUS}
     assert validate(schema("chart-version"), published) == []
     found = read_chart_version(write_mapping(published), str(path.relative_to(REGISTRY)))
     assert (found.chart, found.version) == (path.parent.name, path.stem)
-    chart = load(ROOT / "charts" / "apps" / found.chart / "Chart.yaml")
-    assert (chart["name"], chart["version"]) == (found.chart, found.version)
+    folders = [load(file) for file in ROOT.glob(f"charts/*/{found.chart}/Chart.yaml")]
+    assert (found.chart, found.version) in [(chart["name"], chart["version"]) for chart in folders]
 
 
 def test_the_release_policy_is_valid() -> None:
@@ -108,27 +110,41 @@ def test_schema_and_reader_refuse_the_same(key: str, value: Any) -> None:
         read_application(write_mapping(document), "applications/pose-point-cloud-recording.yaml")
 
 
-def everything() -> dict[str, Any]:
-    """All releases of a small fleet with players and one recording."""
+TASKS: dict[str, dict[str, Any]] = {
+    "pose-point-cloud-recording": {"vehicles": ["vehicle-00"]},
+    "environment-perception": {"sensor": "roadside-0"},
+    "roadside-operator": {"site": "roadside-0", "vehicle": "vehicle-00"},
+    "uncertainty-operator": {"site": "roadside-0", "vehicle": "vehicle-00"},
+}
+INITIAL = """add:
+- {application: bag-player, forRole: vehicle}
+- {application: intersection-operator, forRole: cloud}
+"""
+
+
+def everything(tasks: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """All releases of a small fleet: players, an operator at an intersection, and what `tasks` (application ->
+    parameters) ask for."""
     files = {str(p.relative_to(REGISTRY)): p.read_text() for p in APPLICATIONS}
     files |= {str(p.relative_to(REGISTRY)): write_mapping({**load(p), "status": STATUS}) for p in CHARTS}
     catalogue = read_catalogue({**files, "policies/release.yaml": "assurance: none\n"})
-    agents = [Agent("cloud-0", "cloud", "cloud-0"), Agent("vehicle-00", "vehicle", "vehicle-00")]
+    roles = {"cloud-0": "cloud", "roadside-0": "roadside", "vehicle-00": "vehicle"}
+    agents = [Agent(name, role, name) for name, role in roles.items()]
     nodes = [NodeState(a.name, a.name, a.role, frozenset({"recording"}), True) for a in agents]
-    policy = read_initial_policy("add: [{application: bag-player, forRole: vehicle}]\n")
-    event = {"rule": "near", "id": "e1", "trace": "0" * 32, "time": "2026-11-21T10:00:00Z"}
-    spec = {"event": event, "application": "pose-point-cloud-recording", "parameters": {"vehicles": ["vehicle-00"]}}
-    task = read_task({"metadata": {"namespace": "cloud-0", "name": "t"}, "spec": spec})
     machines = fleet(agents, nodes)
-    demands = [
-        *initial_demands(catalogue, policy, machines),
-        Demand(task.key, task.application, task.parameters, task=task),
-    ]
+    demands = initial_demands(catalogue, read_initial_policy(INITIAL), machines)
+    for application, parameters in tasks.items():
+        event = {"rule": "near", "id": "e1", "trace": "0" * 32, "time": "2026-11-21T10:00:00Z"}
+        spec = {"event": event, "application": application, "parameters": parameters}
+        task = read_task({"metadata": {"namespace": "cloud-0", "name": application}, "spec": spec})
+        demands.append(Demand(task.key, task.application, task.parameters, task=task))
     desired = compose(demands, World(catalogue, machines, {}, Jinja2Templates().render, validate))
+    refused = {key: outcome for key, outcome in desired.outcomes.items() if not isinstance(outcome, Met)}
+    assert refused == {}
     return dict(desired.releases)
 
 
-RELEASES = everything()
+RELEASES = everything(TASKS)
 
 
 @pytest.mark.parametrize("path", sorted(RELEASES))
@@ -141,7 +157,45 @@ def test_composed_values_fit_the_charts(path: str) -> None:
 
 def test_every_chart_is_used() -> None:
     assert {release.chart for release in RELEASES.values()} == {path.parent.name for path in CHARTS}
-    assert len(RELEASES) == 5
+    assert {release.version for release in RELEASES.values() if release.chart.startswith("object-")} == {"0.2.0"}
+    assert sorted(release.key for release in RELEASES.values()) == [
+        "cloud-0/event-detector",
+        "cloud-0/intersection-operator",
+        "cloud-0/mqtt-bridge",
+        "cloud-0/recorder-vehicle-00",
+        "roadside-0/mqtt-bridge",
+        "roadside-0/object-detection-roadside-0",
+        "roadside-0/object-tracking-roadside-0",
+        "roadside-0/roadside-operator-vehicle-00",
+        "vehicle-00/bag-player",
+        "vehicle-00/mqtt-bridge",
+        "vehicle-00/object-detection-vehicle-00",
+        "vehicle-00/uncertainty-operator-roadside-0",
+    ]
+
+
+@pytest.mark.parametrize(("sensor", "sent"), [("roadside-0", ["objects", "uncertainty"]), ("vehicle-00", [])])
+def test_results_leave_a_node_only_from_the_sensor_s_own_agent(sensor: str, sent: list[str]) -> None:
+    """The broker takes an agent's topics from that agent alone; another one's clouds are fetched."""
+    found = {release.key: release for release in everything({"object-detection": {"sensor": sensor}}).values()}
+    assert f"roadside-0/object-detection-{sensor}" in found
+    bridge = found["roadside-0/mqtt-bridge"].values["bridge"]
+    own = [topic["name"] for topic in bridge["out"] if not topic["name"].endswith("/pose")]
+    assert own == [f"/vehicles/roadside_0/{word}" for word in sent]
+    clouds = [topic["name"] for topic in bridge["in"]]
+    assert clouds == ([] if sent else ["/vehicles/vehicle_00/lidar_center/pointcloud"])
+
+
+def test_composed_detectors_read_their_settings() -> None:
+    """What the charts write from these values, the detector takes; operators of a chain name the task above them."""
+    tasks = {}
+    for release in RELEASES.values():
+        if release.chart == "event-detector":
+            settings = read_detector_settings({"name": release.key, **release.values["detector"]}, release.key)
+            tasks[release.name] = settings.task
+    assert tasks["roadside-operator-vehicle-00"] == "cloud-0/roadside-operator"
+    assert tasks["uncertainty-operator-roadside-0"] == "cloud-0/uncertainty-operator"
+    assert tasks["intersection-operator"] == ""
 
 
 @pytest.mark.parametrize(
