@@ -1,0 +1,113 @@
+"""A ROS process asks for a task: over ROS to the real bridge of its node, over mosquitto to the door, and back."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from waiting import until
+
+from ci.benchmarks import pods
+from robotkube.adapters.mqtt_doors import PahoDoor
+from robotkube.services.task_doors import TaskDoor
+from robotkube.testing.clusters import MemoryTasks
+from robotkube.testing.doors import MemoryTaskWriter
+
+AGENT = "vehicle-00"
+TASK = {"metadata": {"name": "look"}, "spec": {"application": "recording", "parameters": {"vehicles": [AGENT]}}}
+STRING = "std_msgs/msg/String"
+
+# Says its task once the bridge is there, takes it back at the first answer, and prints all answers until the last.
+ASKER = """
+import sys, time
+from robotkube.adapters.ros_rclpy import RosNode
+from robotkube.domain.messages import string_message, string_text
+node, end, said = RosNode("asker"), time.monotonic() + 25, 0
+out, into = node.advertise("/robotkube/tasks", "std_msgs/msg/String"), node.subscribe(
+    "/robotkube/task_status", "std_msgs/msg/String")
+while time.monotonic() < end:
+    if not said and out.matched and into.matched:
+        said = out.publish(string_message(sys.argv[1].encode())) or 1
+    for data in into.take():
+        line = string_text(data).decode()
+        print(line, flush=True)
+        if "withdrawn" in line:
+            sys.exit(0)
+        out.publish(string_message(b'{"withdraw": "look"}'))
+    time.sleep(0.02)
+sys.exit("no last answer")
+"""
+
+
+class Leading:
+    """This process has the door."""
+
+    def term(self) -> int | None:
+        return 1
+
+    def overtake(self, term: int) -> None:
+        raise AssertionError("nobody asks the door")
+
+
+@pytest.fixture
+def nodes() -> Iterator[pods.Nodes]:
+    found = pods.Nodes()
+    yield found
+    found.close()
+
+
+@pytest.fixture
+def broker(tmp_path: Path) -> Iterator[pods.Broker]:
+    rules = {
+        "manager": ["topic read robotkube/tasks/#", "topic write robotkube/task_status/#"],
+        AGENT: [f"topic write robotkube/tasks/{AGENT}", f"topic read robotkube/task_status/{AGENT}"],
+    }
+    found = pods.Broker(tmp_path / "broker", rules)
+    found.start()
+    yield found
+    found.stop()
+
+
+@pytest.fixture
+def tasks(broker: pods.Broker) -> Iterator[MemoryTasks]:
+    """What the door writes."""
+    found = MemoryTasks()
+    channel = PahoDoor("127.0.0.1", broker.port, "manager", pods.password("manager"), "manager-task-door")
+    writer = MemoryTaskWriter(found)
+    door = TaskDoor({AGENT: AGENT}, channel, found, writer, Leading(), time.time_ns, time.monotonic)
+    door.start()
+    until(lambda: door.is_open, "the door open")
+    yield found
+    door.stop(5.0)
+
+
+def test_a_ros_process_asks_hears_and_withdraws(
+    nodes: pods.Nodes, broker: pods.Broker, tasks: MemoryTasks, tmp_path: Path
+) -> None:
+    node = nodes.node()
+    settings = {
+        "agent": AGENT,
+        "out": [{"name": "/robotkube/tasks", "type": STRING, "depth": 100}],
+        "in": [{"name": "/robotkube/task_status", "type": STRING, "depth": 100}],
+    }
+    (tmp_path / "config.yaml").write_text(json.dumps(settings))
+    secrets = broker.secret(AGENT, nodes.gateway(node))
+    environment = {"ROBOTKUBE_CONFIG": str(tmp_path / "config.yaml"), "ROBOTKUBE_SECRETS": str(secrets)}
+    command = pods.python("robotkube.entrypoints.bridge")
+    bridge = pods.start("bridge", command, environment, tmp_path / "bridge.log", nodes.pod(node))
+    command = [pods.python("x")[0], "-c", ASKER, json.dumps(TASK)]
+    asker = pods.start("asker", command, {}, tmp_path / "asker.log", nodes.pod(node))
+    try:
+        until(lambda: asker.process.poll() is not None, "the asker's end")
+    finally:
+        asker.stop()
+        bridge.stop()
+    log = (tmp_path / "asker.log").read_text()
+    assert asker.process.returncode == 0, f"{log}\n{(tmp_path / 'bridge.log').read_text()}"
+    answers = [json.loads(line) for line in log.splitlines()]
+    assert answers[0] == {"id": "look", "conditions": []}
+    assert answers[-1] == {"id": "look", "conditions": [], "withdrawn": True}
+    assert tasks.objects == {}
