@@ -1,4 +1,4 @@
-"""A new version of a chart on its way to the releases: in plans of its own, taken back when it fails, after restarts."""
+"""A new version of a chart on its way to the releases: in plans of its own, and taken back when it fails."""
 
 from __future__ import annotations
 
