@@ -123,9 +123,8 @@ class ProposalWriter:
         """What the forge said about the pushed commit; a branch of one's own may be pushed again, so with `force`."""
         callbacks = _Callbacks(*self._account)
         specification = f"{'+' if force else ''}{PROPOSAL_REFERENCE}:{target}"
-        further = {"push_options": options} if options else {}
         try:
-            self._repository.remotes["origin"].push([specification], callbacks=callbacks, **further)
+            self._repository.remotes["origin"].push([specification], callbacks=callbacks, push_options=options or None)
         except (pygit2.GitError, PermissionError, OSError) as error:
             raise UnavailableError(f"proposal {topic}: push: {error}") from error
         if callbacks.refusal:
