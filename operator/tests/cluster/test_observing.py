@@ -19,7 +19,10 @@ BROKEN = "releases/vehicle-02/broken.yaml"
 
 def asked(stage: Stage, name: str, sensor: str) -> str:
     """A small demand: one pod on the road-side unit."""
-    return stage.submit("cloud-0", name, application="object-detection", parameters={"sensor": sensor})
+    placement = {"roles": ["roadside"]}
+    return stage.submit(
+        "cloud-0", name, application="object-detection", parameters={"sensor": sensor}, placement=placement
+    )
 
 
 def await_observed(stage: Stage, key: str, repaired: float) -> None:
