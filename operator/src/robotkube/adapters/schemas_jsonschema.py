@@ -7,18 +7,19 @@ and again.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from itertools import islice
 from typing import Any
 
 import jsonschema
-from jsonschema import Draft202012Validator
+from jsonschema import Draft202012Validator, validators
 from jsonschema.validators import validator_for
 from referencing import Registry
 
 PROBLEMS_MAX = 20
 SCHEMAS_KEPT_MAX = 512
+ITEMS_KEPT_MAX = 20_000
 
 
 def check_schema(schema: Mapping[str, Any]) -> Sequence[str]:
@@ -37,13 +38,50 @@ def _compiled(text: str) -> tuple[Any, Sequence[str]]:
     """The validator of a schema's JSON text, None when something is wrong with the schema, and what."""
     schema = json.loads(text)
     broken = check_schema(schema)
-    return None if broken else validator_for(schema, default=Draft202012Validator)(schema, registry=Registry()), broken
+    if broken:
+        return None, broken
+    plain = validator_for(schema, default=Draft202012Validator)
+    return validators.extend(plain, {"items": _items_once(plain.VALIDATORS["items"])})(
+        schema, registry=Registry()
+    ), broken
+
+
+def _items_once(plain: Any) -> Any:
+    """The keyword `items` for one schema; what is valid is looked at once: long lists grow by few items at a time."""
+    valid: dict[tuple[int, str], None] = {}
+
+    def check(validator: Any, items: Any, instance: Any, schema: Any) -> Iterator[Any]:
+        if not isinstance(items, dict) or not isinstance(instance, list) or "prefixItems" in schema:
+            yield from plain(validator, items, instance, schema)
+            return
+        for index, item in enumerate(instance):
+            key = (id(items), json.dumps(item, sort_keys=True))  # the schema stays as long as this dictionary
+            if key not in valid:
+                errors = list(validator.descend(item, items, path=index))
+                yield from errors
+                if not errors and len(valid) < ITEMS_KEPT_MAX:
+                    valid[key] = None
+
+    return check
+
+
+_found: dict[int, tuple[Mapping[str, Any], Any, Sequence[str]]] = {}
+
+
+def _validator(schema: Mapping[str, Any]) -> tuple[Any, Sequence[str]]:
+    """As _compiled; the same object is asked for again and again, and need not be written out each time."""
+    known = _found.get(id(schema))
+    if known is None or known[0] is not schema:
+        while len(_found) >= SCHEMAS_KEPT_MAX:
+            _found.pop(next(iter(_found)))
+        known = _found[id(schema)] = (schema, *_compiled(json.dumps(schema, sort_keys=True)))
+    return known[1], known[2]
 
 
 def validate(schema: Mapping[str, Any], value: Any, name: str = "parameters") -> Sequence[str]:
     """Problems of `value`, which is called `name` in them, under `schema`, at most PROBLEMS_MAX; a broken schema is one
     problem."""
-    validator, broken = _compiled(json.dumps(schema, sort_keys=True))
+    validator, broken = _validator(schema)
     if broken:
         return broken
     try:
@@ -56,7 +94,7 @@ def validate(schema: Mapping[str, Any], value: Any, name: str = "parameters") ->
 def violations(schema: Mapping[str, Any], value: Any) -> Sequence[tuple[tuple[str | int, ...], str]]:
     """Path and message of every place where `value` breaks `schema`, at most PROBLEMS_MAX; a broken schema is one
     violation at the empty path."""
-    validator, broken = _compiled(json.dumps(schema, sort_keys=True))
+    validator, broken = _validator(schema)
     if broken:
         return [((), message) for message in broken]
     try:

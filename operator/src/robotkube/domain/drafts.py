@@ -26,7 +26,7 @@ from robotkube.domain.topic_unions import IN, OUT, TopicUnion
 from robotkube.domain.worlds import Demand
 
 
-@dataclass
+@dataclass(frozen=True)
 class Step:
     """One group that was placed: its releases' names, what each asks for, and where it went."""
 
@@ -56,10 +56,11 @@ class Draft:
     choices: tuple[str, ...] = ()
     fleet: Fleet | None = None
 
-    def choose(self) -> None:
-        """Write down the choices: texts as they are, and the reasons of the step with that number."""
-        parts = [(self.steps[word].placement.reasons if isinstance(word, int) else word) for word in self.words]
-        self.choices = tuple(text for part in parts for text in part)
+
+def choices_of(words: Sequence[tuple[str, ...] | int], steps: Sequence[Step]) -> tuple[str, ...]:
+    """Every choice in words: texts as they are, and the reasons of the step with that number."""
+    parts = [(steps[word].placement.reasons if isinstance(word, int) else word) for word in words]
+    return tuple(text for part in parts for text in part)
 
 
 class Drafter:
@@ -83,7 +84,7 @@ class Drafter:
                 scene.selector.bridge(link.kind)
                 for scope in loop(link.for_each, names, self._render):
                     self._add_link(link, scope, placed)
-        self._draft.choose()
+        self._draft.choices = choices_of(self._draft.words, self._draft.steps)
         return self._draft
 
     def _add_services(self, application: Any, names: Mapping[str, Any]) -> dict[str, list[Agent]]:
@@ -112,11 +113,11 @@ class Drafter:
             charts.append(chosen)
             seats.append(seat)
         asked = group(seats, self._scene.fleet, self._demand.narrowing)
-        step = Step(asked, tuple(names), tuple(seat.need for seat in seats), Placement(Agent("", "", ""), ()))
-        step.placement = self._seating.seat(self._demand, step.group, step.names, step.needs, self._scene)
+        needs = tuple(seat.need for seat in seats)
+        placement = self._seating.seat(self._demand, asked, names, needs, self._scene)
         for member in members:
-            self._placements.setdefault(member.service.name, step.placement.agent.name)
-        self._draft.steps.append(step)
+            self._placements.setdefault(member.service.name, placement.agent.name)
+        self._draft.steps.append(Step(asked, tuple(names), needs, placement))
         return charts
 
     def _seat(self, instance: Instance, name: Any) -> tuple[Chosen, Seat]:

@@ -66,6 +66,8 @@ def differences(desired: Mapping[str, Release], present: Mapping[str, Release]) 
     changes = []
     for path in sorted(set(desired) | set(present)):
         before, after = present.get(path), desired.get(path)
+        if before is after:
+            continue
         if before is None or after is None or not before.same_but_plan(after):
             changes.append(Change(path, before, after))
     return tuple(sorted(changes, key=lambda c: (c.kind == REMOVE, c.path)))
@@ -116,9 +118,8 @@ def _files(changes: Iterable[Change], tree: Tree, registry: str) -> dict[str, st
             releases.pop(change.path, None)
     wanted = {(release.namespace, release.chart, release.digest) for release in releases.values()}
     needed = {s.path: s for s in (_source(*one, registry) for one in wanted)}
-    for path, source in sorted(needed.items()):
-        if tree.sources.get(path) != source:
-            files[path] = write_source(source)
+    missing = [path for path, source in needed.items() if tree.sources.get(path) != source]
+    files |= {path: write_source(needed[path]) for path in sorted(missing)}
     files |= {path: None for path in tree.sources if path not in needed}
     return files
 

@@ -45,6 +45,17 @@ class Scene:
         else:
             self.occupied = _occupied(self.others, self.fleet, self.selector.catalogue)
 
+    def same(self, other: Scene) -> bool:
+        """Whether every answer is the same in the other scene, which was made after this one or before it."""
+        return (
+            self.fleet is other.fleet
+            and self.selector is other.selector
+            and self.present is other.present
+            and self.occupied is other.occupied
+            and self.others == other.others
+            and self.pins == other.pins
+        )
+
     def kept(self, demand: Demand, name: Any) -> frozenset[str]:
         """Agents on which this demand's release of that name runs already."""
         if not isinstance(name, str):

@@ -5,13 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from robotkube.domain.capacities import NOTHING, Resources
+from robotkube.domain.capacities import NOTHING, Occupancy, Resources
 from robotkube.domain.placement import Circumstances, Group, Placement, place
 from robotkube.domain.scenes import Scene
 from robotkube.domain.tasks import OFFLOAD
 from robotkube.domain.worlds import Demand
 
+Words = dict[str, frozenset[str]]
+"""Word -> agents."""
+
 _NOBODY: Mapping[str, str] = {}
+_NOWHERE: frozenset[str] = frozenset()
 
 
 class Seating:
@@ -19,16 +23,24 @@ class Seating:
 
     `watched`: words that some demand keeps away from (Demand.keeps_away): only these are written down."""
 
-    def __init__(self, scene: Scene, watched: frozenset[str]) -> None:
+    def __init__(self, scene: Scene | None, watched: frozenset[str]) -> None:
         self._watched = watched
-        self.occupancy = scene.occupied.copy()
-        self._named: dict[str, set[str]] = {}
-        self._near: dict[str, set[str]] = {}
-        self._kept_away: dict[str, set[str]] = {}
-        self._apart: dict[str, set[str]] = {}
-        self._journal: list[tuple[dict[str, set[str]], str, str]] = []
-        if watched:
+        self._named: Words = {}
+        self._near: Words = {}
+        self._kept_away: Words = {}
+        self._apart: Words = {}
+        self._journal: list[tuple[Words, str, frozenset[str]]] = []
+        self.occupancy = scene.occupied.copy() if scene else Occupancy()
+        if scene and watched:
             self._see_others(scene)
+
+    def copy(self) -> Seating:
+        """A seating that can grow without changing this one; nothing before it can be undone in it."""
+        found = Seating(None, self._watched)
+        found._named, found._near = dict(self._named), dict(self._near)
+        found._kept_away, found._apart = dict(self._kept_away), dict(self._apart)
+        found.occupancy = self.occupancy.copy()
+        return found
 
     def _see_others(self, scene: Scene) -> None:
         for release in scene.others.values():
@@ -43,16 +55,16 @@ class Seating:
         """Take back everything since `mark`."""
         self.occupancy.undo(mark[0])
         while len(self._journal) > mark[1]:
-            words, word, agent = self._journal.pop()
-            words[word].discard(agent)
+            words, word, agents = self._journal.pop()
+            words[word] = agents
 
-    def _note(self, words: dict[str, set[str]], word: str, agent: str) -> None:
-        agents = words.setdefault(word, set())
+    def _note(self, words: Words, word: str, agent: str) -> None:
+        agents = words.get(word, _NOWHERE)
         if agent not in agents:
-            agents.add(agent)
-            self._journal.append((words, word, agent))
+            self._journal.append((words, word, agents))
+            words[word] = agents | {agent}
 
-    def _write(self, words: dict[str, set[str]], found: Iterable[str], agent: str) -> None:
+    def _write(self, words: Words, found: Iterable[str], agent: str) -> None:
         for word in found:
             if word in self._watched:
                 self._note(words, word, agent)

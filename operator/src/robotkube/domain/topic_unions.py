@@ -23,7 +23,14 @@ class TopicUnion:
     def __init__(self) -> None:
         self._topics: dict[End, Part] = {}
         self._own: set[End] = set()
-        self.parts: dict[End, list[Part]] = {}
+        self.parts: dict[End, tuple[Part, ...]] = {}
+
+    def copy(self) -> TopicUnion:
+        """A union of its own: both can grow without changing the other."""
+        found = TopicUnion()
+        self._own.clear()  # shared from now on
+        found._topics, found.parts = dict(self._topics), dict(self.parts)
+        return found
 
     @property
     def ends(self) -> Iterable[End]:
@@ -46,7 +53,7 @@ class TopicUnion:
             if mine is not None:
                 _agree(end[1], mine, part)
         for end, part in other._topics.items():
-            self.parts.setdefault(end, []).append(part)
+            self.parts[end] = (*self.parts.get(end, ()), part)
             mine = self._topics.setdefault(end, part)
             if mine is not part:
                 if end not in self._own:
