@@ -205,6 +205,15 @@ def test_an_agent_asks_on_its_own_topic_and_hears_its_own_answers(connect: Conne
     assert operator.publish(f"robotkube/task_status/{agent}") == NOT_AUTHORISED
 
 
+def test_an_agent_holds_changes_of_its_own_only(connect: Connect) -> None:
+    manager, vehicle = connect("manager"), connect("vehicle-00")
+    manager.subscribe("robotkube/holds/#")
+    assert vehicle.publish("robotkube/holds/vehicle-00") == 0
+    assert vehicle.publish("robotkube/holds/vehicle-01") == NOT_AUTHORISED
+    assert manager.topics(1) == ["robotkube/holds/vehicle-00"]
+    assert manager.publish("robotkube/holds/vehicle-00") == NOT_AUTHORISED
+
+
 def test_an_agent_does_not_hear_what_others_ask(connect: Connect) -> None:
     listener, other = connect("vehicle-01"), connect("vehicle-00")
     listener.subscribe("robotkube/tasks/#")

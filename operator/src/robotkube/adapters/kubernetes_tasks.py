@@ -52,7 +52,7 @@ class KubernetesTasks:
         """See the port."""
         namespace = document["metadata"]["namespace"]
         try:
-            self._call("POST", task_path(namespace), self._query, body=document)
+            self._send("POST", task_path(namespace), document)
         except UnavailableError as error:
             if getattr(error.__cause__, "status", None) == CONFLICT:
                 return False
@@ -75,19 +75,21 @@ class KubernetesTasks:
     def delete(self, namespace: str, name: str) -> bool:
         """See the port."""
         try:
-            self._call("DELETE", task_path(namespace, name), self._query)
+            self._send("DELETE", task_path(namespace, name))
         except KeyError:
             return False
         return True
 
     def _patch(self, namespace: str, name: str, body: Any, form: str) -> bool:
         try:
-            self._call(
-                "PATCH", task_path(namespace, name), self._query, body=body, content_type=f"application/{form}+json"
-            )
+            self._send("PATCH", task_path(namespace, name), body, f"application/{form}+json")
         except KeyError:
             return False
         return True
+
+    def _send(self, method: str, path: str, body: Any = None, content_type: str = JSON) -> None:
+        """A request whose answer says nothing more; read to its end, it leaves the connection to the next one."""
+        self._call(method, path, self._query, body=body, content_type=content_type).read()
 
 
 def task_path(namespace: str, name: str = "") -> str:
