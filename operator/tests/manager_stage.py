@@ -52,7 +52,8 @@ def catalogue_files(signing: Signing) -> dict[str, str]:
     files = {str(p.relative_to(REGISTRY)): p.read_text() for p in REGISTRY.glob("applications/*.yaml")}
     for index, path in enumerate(sorted(REGISTRY.glob("charts/*/*.yaml"))):
         document = yaml.safe_load(path.read_text())
-        about = Artefact(path.parent.name, document["spec"]["version"], f"sha256:{index + 1:012x}{index:052x}", PLATFORM)
+        digest = f"sha256:{index + 1:012x}{index:052x}"  # sources are named by the first twelve
+        about = Artefact(path.parent.name, document["spec"]["version"], digest, PLATFORM)
         schema = schema_file(about.chart, about.version)
         signing.listed = Listing(published_digest(document["spec"], []), sha256("".join(schema.values()).encode()))
         envelopes = signing.sign(about)
