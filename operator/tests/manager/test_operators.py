@@ -18,6 +18,7 @@ from robotkube.ports.doors import DoorMessage
 from robotkube.services.application_manager import DEPLOYMENT, LOOK_SECONDS, NODES
 from robotkube.services.device_holds import DeviceHolds
 from robotkube.services.manager_agents import TOLD_AT_ONCE_MAX
+from robotkube.services.manager_upkeep import ORPHAN_SECONDS
 from robotkube.services.task_doors import TaskDoor
 from robotkube.testing.clusters import MemoryTasks
 from robotkube.testing.doors import MemoryDoor, MemoryTaskWriter
@@ -154,6 +155,30 @@ def test_a_launched_operator_asks_for_services_and_they_go_with_it(tmp_path: Pat
     assert stage.tasks.condition(key, "Accepted") == ("False", "ParentWithdrawn")
     assert "its chain has ended at cloud-0/near: it is withdrawn" in message(stage, key, "Accepted")
     assert not any("object-" in path or "roadside-operator" in path for path in stage.releases())
+
+
+def test_a_task_without_its_parent_is_deleted_after_a_while(tmp_path: Path) -> None:
+    stage = intersection(tmp_path)
+    key, below = child(stage), child(stage, "below", parent="roadside-0/look")
+    stage.go()
+    stage.tasks.delete("cloud-0/near")
+    stage.go()
+    assert stage.tasks.condition(key, "Accepted") == ("False", "ParentWithdrawn")
+    assert stage.tasks.condition(below, "Accepted") == ("False", "ParentWithdrawn")
+    stage.go(1, seconds=ORPHAN_SECONDS)
+    stage.go(1, seconds=ORPHAN_SECONDS)
+    assert (key in stage.tasks.objects, below in stage.tasks.objects) == (False, True)
+    stage.go(1, seconds=ORPHAN_SECONDS)
+    stage.go(1)
+    assert below not in stage.tasks.objects
+
+
+def test_a_refused_parent_keeps_its_childrens_objects(tmp_path: Path) -> None:
+    stage = intersection(tmp_path)
+    key = child(stage)
+    stage.tasks.objects["cloud-0/near"]["spec"]["parameters"] = {}
+    stage.go(4, seconds=ORPHAN_SECONDS)
+    assert stage.tasks.condition(key, "Accepted") == ("False", "ParentWithdrawn")
 
 
 def test_what_a_refused_operator_launched_goes_in_the_same_plan(tmp_path: Path) -> None:

@@ -298,6 +298,15 @@ class KubernetesWorld:
             return False
         return True
 
+    @writes("task")
+    def withdraw(self, namespace: str, name: str) -> bool:
+        """Delete a task; False when it is gone already."""
+        try:
+            send(self._api, "DELETE", f"/apis/{GROUP}/{VERSION}/namespaces/{namespace}/{PLURAL}/{name}", {})
+        except KeyError:
+            return False
+        return True
+
     @writes("event")
     def tell(self, task: Object, reason: str, text: str) -> None:
         """A warning on the task. Its name is made from task, reason and text: saying it again is a conflict, and the

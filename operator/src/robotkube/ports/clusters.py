@@ -20,6 +20,10 @@ class TaskStore(Protocol):
         """Replace the given fields of the status; False when the task is gone."""
         ...
 
+    def withdraw(self, namespace: str, name: str) -> bool:
+        """Delete a task; False when it is gone already."""
+        ...
+
     def tell(self, task: Mapping[str, Any], reason: str, text: str) -> None:
         """Put a warning on the task (a Kubernetes Event); the same text on the same task once."""
         ...

@@ -26,7 +26,6 @@ from robotkube.ports.git import DeploymentRepository, Proposals
 from robotkube.ports.leadership import Leadership
 from robotkube.services.assured_catalogue import AssuredCatalogue, read_policy
 from robotkube.services.main_history import Terms
-from robotkube.services.manager_agents import UnknownAgents
 from robotkube.services.manager_decisions import Decisions, Proposal
 from robotkube.services.manager_leading import OpenProposals, asked_for, superseded
 from robotkube.services.manager_observing import PlanObserver
@@ -37,6 +36,7 @@ from robotkube.services.manager_repairing import Repairing
 from robotkube.services.manager_statistics import ManagerStatistics
 from robotkube.services.manager_statuses import Situation, StatusWriter
 from robotkube.services.manager_telling import Telling
+from robotkube.services.manager_upkeep import Upkeep
 
 DECISION_POLL_SECONDS = 1.0  # the forge's webhook is the normal way; asking costs the forge what the gate needs
 DECISION_EAGER_SECONDS = 5.0
@@ -99,7 +99,7 @@ class ApplicationManager:
         self._open = OpenProposals(world.deployment, world.forge, world.name)
         self._repairing = Repairing(main, planner.foreign)
         self._telling = Telling(world.cluster, world.forge)
-        self._strangers = UnknownAgents(world.cluster, planner.agents)
+        self._upkeep = Upkeep(world.cluster, world.tasks, planner.agents, monotonic)
         self._terms = Terms(world.deployment, [world.name])
         self._term: int | None = None
         self._proposal: Proposal | None = None
@@ -210,12 +210,13 @@ class ApplicationManager:
         self._look(flags, told)
         if self._proposal is not None:
             self._follow(self._proposal)
-        if self._proposal is not None and TASKS in flags:
-            self._supersede(self._proposal)
-        if flags & PLANNED_FOR or self._flags & PLANNED_FOR:
+        closed = self._proposal is not None and TASKS in flags and self._supersede(self._proposal)
+        if closed:
+            pass  # main is read first: the gate may have been faster
+        elif flags & PLANNED_FOR or self._flags & PLANNED_FOR:
             self._plan_if_free()
         if flags & PLANNED_FOR:
-            self._strangers.look()
+            self._upkeep.look()
         for record in self._observer.look(self._main.tree.releases, self._main.tip):
             self._observed(record)
         self._statuses.write(self._situation())
@@ -299,11 +300,11 @@ class ApplicationManager:
             self._undecided.remove(record)
             self._merged(record)
 
-    def _supersede(self, proposal: Proposal) -> None:
+    def _supersede(self, proposal: Proposal) -> bool:
         """Close a proposal when none of its tasks is wanted as it was; should the gate have been faster, it is on main,
         and the next plan takes it away again."""
         if not superseded(proposal.asked, self._world.tasks.tasks()):
-            return
+            return False
         pull = self._decisions.pull_request(proposal.record)
         if pull is not None and not pull.merged:
             self._open.close(pull.number, "every task of this plan was withdrawn or changed")
@@ -311,6 +312,7 @@ class ApplicationManager:
         self.statistics.plan(proposal.record, "superseded")
         log.info("plan superseded plan=%s pull_request=%s", proposal.plan.id, proposal.record.pull_request)
         self._put_aside(proposal, 0.0)
+        return True
 
     def _outdated(self, proposal: Proposal) -> None:
         self._attempts += 1

@@ -18,6 +18,7 @@ class MemoryTasks:
 
     objects: dict[str, dict[str, Any]] = field(default_factory=dict)
     patches: int = 0
+    created: int = 0
     told: list[tuple[str, str, str]] = field(default_factory=list)
     namespaces: frozenset[str] = frozenset()
 
@@ -39,6 +40,10 @@ class MemoryTasks:
         found["status"] = {key: value for key, value in merged.items() if value is not None}
         return True
 
+    def withdraw(self, namespace: str, name: str) -> bool:
+        """Gone at once."""
+        return self.objects.pop(f"{namespace}/{name}", None) is not None
+
     def tell(self, task: Mapping[str, Any], reason: str, text: str) -> None:
         """Remember task, reason and text, once."""
         said = (f"{task['metadata']['namespace']}/{task['metadata']['name']}", reason, text)
@@ -47,8 +52,20 @@ class MemoryTasks:
 
     def create(self, namespace: str, name: str, spec: Mapping[str, Any], created: str = "2026-11-21T10:00:00Z") -> None:
         """A new task."""
+        self.created += 1
         metadata = {"namespace": namespace, "name": name, "generation": 1, "creationTimestamp": created}
+        metadata |= {"uid": f"uid-{self.created}", "annotations": {}}
         self.objects[f"{namespace}/{name}"] = {"metadata": metadata, "spec": copy.deepcopy(dict(spec))}
+
+    def change(self, key: str, **spec: Any) -> None:
+        """Other values in the spec: a new generation."""
+        found = self.objects[key]
+        found["spec"] = {**found["spec"], **copy.deepcopy(spec)}
+        found["metadata"]["generation"] += 1
+
+    def annotate(self, key: str, name: str, text: str) -> None:
+        """Set an annotation, which is no new generation."""
+        self.objects[key]["metadata"]["annotations"][name] = text
 
     def delete(self, key: str) -> None:
         """The task is gone."""
