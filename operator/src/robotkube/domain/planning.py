@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from hashlib import sha256
 
@@ -77,9 +77,14 @@ def fingerprint(changes: Iterable[Change]) -> str:
     """Identifies a difference: 6 hexadecimal digits are its start in a plan's id."""
     digest = sha256()
     for change in changes:
-        content = json.dumps(asdict(replace(change.after, plan="")), sort_keys=True) if change.after else ""
+        content = _content(change.after) if change.after else ""
         digest.update(f"{change.kind} {change.path}\n{content}\n".encode())
     return digest.hexdigest()
+
+
+def _content(release: Release) -> str:
+    causes = [vars(cause) for cause in release.causes]
+    return json.dumps({**vars(release), "plan": "", "causes": causes}, sort_keys=True)
 
 
 def make_plan(
@@ -117,7 +122,7 @@ def _files(changes: Iterable[Change], tree: Tree, registry: str) -> dict[str, st
         else:
             releases.pop(change.path, None)
     wanted = {(release.namespace, release.chart, release.digest) for release in releases.values()}
-    needed = {s.path: s for s in (_source(*one, registry) for one in wanted)}
+    needed = dict(_source(*one, registry) for one in wanted)
     missing = [path for path, source in needed.items() if tree.sources.get(path) != source]
     files |= {path: write_source(needed[path]) for path in sorted(missing)}
     files |= {path: None for path in tree.sources if path not in needed}
@@ -125,8 +130,9 @@ def _files(changes: Iterable[Change], tree: Tree, registry: str) -> dict[str, st
 
 
 @lru_cache(SOURCES_KEPT_MAX)
-def _source(namespace: str, chart: str, digest: str, registry: str) -> Source:
-    return Source(namespace, chart, digest, f"{registry}/{chart}")
+def _source(namespace: str, chart: str, digest: str, registry: str) -> tuple[str, Source]:
+    found = Source(namespace, chart, digest, f"{registry}/{chart}")
+    return found.path, found
 
 
 def lost_words(changes: Iterable[Change], fleet: Fleet, now_ns: int) -> str:
