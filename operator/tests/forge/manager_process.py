@@ -1,4 +1,4 @@
-"""The manager as its pod runs it, for tests: settings, process, API server; and a process that ends at one of its writes.
+"""The manager as its pod runs it, for tests: settings, process; and a process that ends at one of its writes.
 
     python3 manager_process.py POINT FLAG      POINT: `<kill|stop> <before|after> <module.class.method>`
 

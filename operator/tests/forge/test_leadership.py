@@ -1,0 +1,169 @@
+"""Two processes of one manager on a real Lease: the second takes over in time, and the first can write nothing then."""
+
+import contextlib
+import os
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from api_calls import LEASES, TASKS, Api
+from installation import ApplicationSetController, Installation, RunningGate, message, outside, start_gate
+from manager_process import Pod, conditions, write_settings
+from programs import free_port
+from waiting import until
+
+from robotkube.domain.proposals import read_message
+
+pytestmark = [
+    pytest.mark.thorough,
+    pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning"),
+]
+TAKE_OVER_SECONDS_MAX = 15.0
+TERM_OF_MAIN = 41
+GRACE = 1.0  # seconds that looking itself may take
+PROPOSE = "robotkube.adapters.git_deployment.ProposalWriter.propose"
+MEETING = {"application": "pose-point-cloud-recording", "parameters": {"vehicles": ["vehicle-00", "vehicle-01"]}}
+
+
+@pytest.fixture
+def own_gate(
+    own_installation: Installation, controller: ApplicationSetController, tmp_path: Path
+) -> Iterator[RunningGate]:
+    running = start_gate(own_installation, controller.url, tmp_path / "gate")
+    until(lambda: not running.gate.reasons_not_ready(), "gate ready")
+    yield running
+    running.stop()
+
+
+class Replicas:
+    """Pods of one manager, on one Lease."""
+
+    def __init__(self, installation: Installation, api: Api, folder: Path) -> None:
+        self.installation, self.api, self.folder = installation, api, folder
+        self.lease = api.lease()
+        self.pods: list[Pod] = []
+
+    def start(self, point: str = "") -> Pod:
+        port, folder = free_port(), self.folder / f"pod-{len(self.pods)}"
+        folder.mkdir()
+        config = write_settings(outside(self.installation), folder, port, self.lease)
+        pod = Pod(config, self.api.kubeconfig, port, folder.name, point)
+        self.pods.append(pod)
+        return pod
+
+    def term(self) -> int:
+        spec: dict[str, Any] = self.api.get(f"{LEASES}/{self.lease}").get("spec") or {}
+        return int(spec.get("leaseTransitions", 0))
+
+    def stop(self) -> None:
+        for pod in self.pods:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pod.process.pid, signal.SIGCONT)
+            pod.kill()
+
+
+@pytest.fixture
+def replicas(own_installation: Installation, own_gate: RunningGate, api: Api, tmp_path: Path) -> Iterator[Replicas]:
+    found = Replicas(own_installation, api, tmp_path)
+    yield found
+    found.stop()
+    for item in api.get(TASKS)["items"]:
+        api.delete(f"{TASKS}/{item['metadata']['name']}")
+
+
+def committed(api: Api, name: str) -> bool:
+    return conditions(api.get(f"{TASKS}/{name}")).get("Committed") == ("True", "Merged")
+
+
+def settled(pod: Pod) -> bool:
+    """It leads, and has written what was to be written before the test began."""
+    return pod.ready() and all(plan["on_main"] or plan["error"] for plan in pod.plans())
+
+
+def terms_on_main(installation: Installation, task: str) -> list[int]:
+    """Terms of the plans that name a task, oldest first."""
+    clone = installation.clone("argocd")
+    at, found = clone.repository[clone.tip()], []
+    while at is not None:
+        if f"RobotKube-Task: {task}\n" in at.message:
+            found.append(read_message(at.message).term)
+        at = at.parents[0] if at.parents else None
+    return found[::-1]
+
+
+def test_a_leader_that_stood_still_before_its_push_is_refused_afterwards(
+    own_installation: Installation, replicas: Replicas, api: Api
+) -> None:
+    first = replicas.start(f"stop before {PROPOSE}")
+    until(lambda: first.hit, "the first leader stands before a push", 40)
+    term = replicas.term()
+    second = replicas.start()
+    stood = time.monotonic()
+    until(lambda: settled(second), "the second leads", 40)
+    api.task("meeting", **MEETING)
+    until(lambda: committed(api, "meeting"), "the second writes main", 40)
+    assert replicas.term() == term + 1
+    before = own_installation.clone("argocd").tip()
+    os.kill(first.process.pid, signal.SIGCONT)
+    pulls = own_installation.client("gate")
+
+    def refused() -> list[str]:
+        found = pulls.get("/pulls", params={"state": "closed", "poster": "manager", "limit": 50}).json()
+        unmerged = [int(item["number"]) for item in found if not item["merged"]]
+        return [own_installation.comments(number) for number in unmerged]
+
+    until(refused, "the first one's proposal is refused")
+    text = "\n".join(refused())
+    assert f"RobotKube-Term: {term} is lower than {term + 1}, manager's last on main" in text
+    assert own_installation.clone("argocd").tip() == before
+    assert terms_on_main(own_installation, "cloud-0/meeting") == [term + 1]
+    until(lambda: first.get("/readyz") is not None and not first.ready(), "the first knows that it does not lead")
+    assert "another process of this manager leads" in str((first.get("/readyz") or pytest.fail("gone")).text)
+    assert stood > 0
+
+
+def test_the_second_takes_over_in_time_and_goes_on(
+    own_installation: Installation, replicas: Replicas, api: Api
+) -> None:
+    first = replicas.start()
+    until(lambda: settled(first), "the first leads", 40)
+    second = replicas.start()
+    until(lambda: second.get("/readyz") is not None, "the second waits")
+    assert not second.ready()
+    api.task("before", **MEETING)
+    until(lambda: committed(api, "before"), "committed by the first")
+    term = replicas.term()
+    os.kill(first.process.pid, signal.SIGSTOP)
+    stood = time.monotonic()
+    until(second.ready, "the second leads", TAKE_OVER_SECONDS_MAX + GRACE)
+    assert time.monotonic() - stood < TAKE_OVER_SECONDS_MAX
+    assert replicas.term() == term + 1
+    api.delete(f"{TASKS}/before")
+    until(lambda: second.plans() and second.plans()[-1]["cause"] == "withdrawal", "the second withdraws")
+    until(lambda: second.plans()[-1]["on_main"], "on main")
+    assert terms_on_main(own_installation, "cloud-0/before") == [term, term + 1]
+
+
+def test_a_leader_that_ends_gives_its_lease_back(replicas: Replicas) -> None:
+    first = replicas.start()
+    until(lambda: settled(first), "the first leads", 40)
+    second = replicas.start()
+    until(lambda: second.get("/readyz") is not None, "the second waits")
+    assert first.end() == 0
+    until(second.ready, "the second leads at once", 5)
+
+
+def test_a_new_lease_does_not_fall_behind_main(own_installation: Installation, replicas: Replicas, api: Api) -> None:
+    """As in a new cluster on a repository that stayed: the Lease counts from the beginning, main has a higher term."""
+    gate = own_installation.clone("gate")
+    text = message(own_installation.plan(), term=TERM_OF_MAIN)
+    assert gate.push(gate.commit({"README.md": "as before\n"}, text, [gate.tip()]), "refs/heads/main") == ""
+    assert replicas.term() == 0
+    api.task("again", **MEETING)
+    pod = replicas.start()
+    until(lambda: committed(api, "again"), "committed under a higher term", 60)
+    assert terms_on_main(own_installation, "cloud-0/again")[-1] == replicas.term() > TERM_OF_MAIN
+    assert pod.ready()
