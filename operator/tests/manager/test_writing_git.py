@@ -1,4 +1,4 @@
-"""What the manager does with Git when others write it too: broken files, edits, changes of mind, other leaders.
+"""What the manager does with Git when others write it too: broken files, edits, changes of mind, other leaders."""
 
 from __future__ import annotations
 
