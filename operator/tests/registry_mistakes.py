@@ -177,11 +177,11 @@ REFERENCES = [
         needs(500, "ms"),
         RECORDING,
         f"{SERVICE}.chart.requirements[0]",
-        "8 s (claimed), which is not enough",
+        "10 s (claimed), which is not enough",
     ),
     Mistake(
         "verified guarantee",
-        needs(9, "s", verified=True),
+        needs(11, "s", verified=True),
         RECORDING,
         f"{SERVICE}.chart.requirements[0]",
         "no suite verifies guarantees yet",

@@ -130,7 +130,8 @@ def everything(tasks: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     catalogue = read_catalogue({**files, "policies/release.yaml": "assurance: none\n"})
     roles = {"cloud-0": "cloud", "roadside-0": "roadside", "vehicle-00": "vehicle"}
     agents = [Agent(name, role, name) for name, role in roles.items()]
-    nodes = [NodeState(a.name, a.name, a.role, frozenset({"recording"}), True) for a in agents]
+    capabilities = {"cloud-0": frozenset({"recording"}), "roadside-0": frozenset({"perception"})}
+    nodes = [NodeState(a.name, a.name, a.role, capabilities.get(a.name, frozenset()), True) for a in agents]
     machines = fleet(agents, nodes)
     demands = initial_demands(catalogue, read_initial_policy(INITIAL), machines)
     for application, parameters in tasks.items():

@@ -56,9 +56,16 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_the_project_has_no_mistakes() -> None:
-    sources = read_sources(ROOT / "registry", ROOT / "charts" / "apps")
-    assert set(sources.folders) >= {"bag-player", "event-detector", "mqtt-bridge"}
+@pytest.mark.parametrize(
+    ("place", "charts"),
+    [
+        ("apps", {"bag-player", "event-detector", "mqtt-bridge", "object-detection", "object-tracking"}),
+        ("earlier", {"object-detection", "object-tracking"}),
+    ],
+)
+def test_the_project_has_no_mistakes(place: str, charts: set[str]) -> None:
+    sources = read_sources(ROOT / "registry", ROOT / "charts" / place)
+    assert set(sources.folders) == charts
     assert validate_sources(sources, TOOLS) == []
 
 

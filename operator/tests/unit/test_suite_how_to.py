@@ -26,7 +26,7 @@ def run(chart: str, folder: Path) -> PodRun:
     return PodRun(done.stdout + done.stderr, done.returncode)
 
 
-@pytest.mark.parametrize(("chart", "passed", "seconds"), [("mqtt-bridge", True, 3), ("event-detector", False, 8)])
+@pytest.mark.parametrize(("chart", "passed", "seconds"), [("mqtt-bridge", True, 3), ("event-detector", False, 10)])
 def test_the_example_judges(tmp_path: Path, chart: str, passed: bool, seconds: int) -> None:
     [check] = read_result(run(chart, tmp_path))
     assert (check.name, check.passed) == ("short-grace", passed)
