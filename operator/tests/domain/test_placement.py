@@ -1,0 +1,500 @@
+"""Where services go: room, platform, distance, what a task says, lost nodes; and which chart version they run there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from robotkube.adapters.schemas_jsonschema import validate
+from robotkube.adapters.templates_jinja2 import Jinja2Templates
+from robotkube.domain.capacities import Resources
+from robotkube.domain.catalogue import Catalogue, read_catalogue
+from robotkube.domain.composition import Demand, Desired, Met, Refused, World, compose
+from robotkube.domain.guarantees import GuaranteeRequirement
+from robotkube.domain.placement import Agent, NodeState, fleet, next_loss_ns
+from robotkube.domain.planning import differences, lost_words
+from robotkube.domain.releases import Release
+from robotkube.domain.tasks import TaskDescription, TaskPlacement
+from robotkube.domain.texts import write_mapping
+
+RENDER = Jinja2Templates().render
+API = "registry.robotkube.io/v1alpha1"
+SECOND = 1_000_000_000
+ROOM = Resources(1000, 2**30)
+HALF = {"cpu": "500m", "memory": "256Mi"}
+AGENTS = [Agent(f"edge-{i}", "edge", f"edge-{i}") for i in range(3)] + [Agent("cloud-0", "cloud", "cloud-0")]
+NODES = [NodeState(a.name, a.name, a.role, frozenset({"gpu"}), True, allocatable=ROOM) for a in AGENTS]
+ONE = {"name": "a", "release": "a-{{ task.name }}", "placement": {"role": "edge"}}
+
+
+def chart(name: str = "worker", version: str = "0.1.0", **spec: Any) -> tuple[str, str]:
+    about = {"version": version, "description": "d", "channel": "stable", "platforms": ["linux/amd64"], "images": []}
+    document = {
+        "apiVersion": API,
+        "kind": "ChartVersion",
+        "metadata": {"name": name},
+        "spec": {**about, "resources": HALF, **spec},
+        "status": {"state": "staged", "digest": "sha256:" + "0" * 64},
+    }
+    return f"charts/{name}/{version}.yaml", write_mapping(document)
+
+
+def application(
+    *services: Mapping[str, Any], name: str = "app", links: Sequence[Any] = (), word: str = "x"
+) -> tuple[str, str]:
+    wanted = {"chart": {"name": "worker", "version": ">=0.1.0"}}
+    spec = {
+        "description": "d",
+        "provides": [word],
+        "parameters": {"type": "object", "properties": {"agents": {"type": "array"}}},
+        "services": [{**wanted, **service} for service in services],
+        "links": list(links),
+    }
+    return f"applications/{name}.yaml", write_mapping(
+        {"apiVersion": API, "kind": "Application", "metadata": {"name": name}, "spec": spec}
+    )
+
+
+def catalogue(*files: tuple[str, str]) -> Catalogue:
+    found = read_catalogue({"policies/release.yaml": "assurance: none\n", **dict([chart(), *files])})
+    assert found.problems == ()
+    return found
+
+
+PLAIN = catalogue(application(ONE))
+
+
+def task(name: str = "t", **changes: Any) -> TaskDescription:
+    found = TaskDescription(
+        "ops", name, 1, "2026-11-21T10:00:00Z", "ops", "rule", "e", "a" * 32, "why", "app", {"agents": [name]}
+    )
+    return replace(found, **changes)
+
+
+def demand(found: TaskDescription, **changes: Any) -> Demand:
+    return replace(Demand(found.key, found.application, found.parameters, task=found), **changes)
+
+
+def world(found: Catalogue = PLAIN, nodes: Sequence[NodeState] = NODES, now: int = 0, **more: Any) -> World:
+    known: World = World(found, fleet(AGENTS, nodes, now * SECOND), {}, RENDER, validate)
+    return replace(known, **more)
+
+
+def places(desired: Desired) -> dict[str, str]:
+    assert all(isinstance(o, Met) for o in desired.outcomes.values()), desired.outcomes
+    return {release.name: release.namespace for release in desired.releases.values()}
+
+
+def refusal(desired: Desired, key: str = "ops/t") -> Refused:
+    outcome = desired.outcomes[key]
+    assert isinstance(outcome, Refused), outcome
+    return outcome
+
+
+def choices(desired: Desired, key: str = "ops/t") -> tuple[str, ...]:
+    outcome = desired.outcomes[key]
+    assert isinstance(outcome, Met), outcome
+    return outcome.choices
+
+
+def several(count: int, **changes: Any) -> list[Demand]:
+    return [demand(task(f"t{number}", **changes)) for number in range(count)]
+
+
+# -- room -------------------------------------------------------------------------------------------------------------
+
+
+def test_a_node_takes_what_fits_and_the_rest_is_refused_with_every_reason() -> None:
+    found = compose(several(7), world())
+    assert sorted(r.namespace for r in found.releases.values()) == sorted(["edge-0", "edge-1", "edge-2"] * 2)
+    outcome = refusal(found, "ops/t6")
+    assert outcome.reason == "InsufficientResources"
+    assert "no agent for role edge has room: edge-0: has not enough room: cpu 500m of 0m free;" in outcome.message
+    assert outcome.message.endswith("ask for less, or withdraw something that runs there")
+
+
+def test_memory_counts_as_well_and_nobody_knows_of_a_node_without_numbers() -> None:
+    small = [replace(node, allocatable=Resources(4000, 300 * 2**20)) for node in NODES]
+    found = compose(several(4), world(nodes=small))
+    assert refusal(found, "ops/t3").message.count("memory 256Mi of 44Mi free") == 3
+    unknown = [replace(node, allocatable=None) for node in NODES]
+    assert len(places(compose(several(40), world(nodes=unknown)))) == 40
+
+
+def test_releases_of_others_take_room() -> None:
+    mine = compose(several(6), world()).releases
+    found = compose([demand(task())], world(others=mine))
+    assert refusal(found).reason == "InsufficientResources"
+    assert found.releases == {}
+    unknown = {path: replace(release, chart="stranger") for path, release in mine.items()}
+    assert places(compose([demand(task())], world(others=unknown))) == {"a-t": "edge-0"}
+
+
+def test_what_runs_keeps_its_place_before_anything_new_even_when_there_is_too_little_room() -> None:
+    before = compose(several(6), world())
+    small = [replace(node, allocatable=Resources(400, 2**30)) for node in NODES]
+    after = compose([*several(6), demand(task())], world(nodes=small, present=before.releases))
+    assert after.releases == before.releases
+    assert refusal(after).reason == "InsufficientResources"
+
+
+def test_a_group_needs_room_for_all_of_it_on_one_node() -> None:
+    linked = [{"kind": "ros", "from": {"service": "a"}, "to": {"service": "b"}}]
+    pair = catalogue(application(ONE, {**ONE, "name": "b", "release": "b-{{ task.name }}"}, links=linked))
+    found = compose(several(4), world(pair))
+    assert {r.name: r.namespace for r in found.releases.values()} == {
+        f"{letter}-t{number}": f"edge-{number}" for number in range(3) for letter in "ab"
+    }
+    assert "(a, b: on one node, linked by ros) has room" in refusal(found, "ops/t3").message
+
+
+def test_a_pod_must_fit_on_one_of_the_nodes_of_an_agent() -> None:
+    twins = [replace(NODES[0], name=f"n{i}", allocatable=Resources(600, 2**30)) for i in range(2)]
+    found = compose(several(3), world(nodes=twins))
+    assert places(replace(found, outcomes={})) == {"a-t0": "edge-0", "a-t1": "edge-0"}
+    thin = [replace(node, allocatable=Resources(400, 2**30)) for node in twins]
+    assert (
+        "edge-0: has not enough room: cpu 500m of 400m free"
+        in refusal(compose([demand(task())], world(nodes=thin))).message
+    )
+
+
+def test_a_named_agent_needs_room_too_and_so_does_its_bridge() -> None:
+    named = catalogue(application({**ONE, "placement": {"agent": "edge-1"}}))
+    outcome = refusal(compose(several(3), world(named)), "ops/t2")
+    assert outcome.reason == "InsufficientResources"
+    assert "edge-1: has not enough room" in outcome.message
+    topic = {
+        "name": "/t",
+        "type": "a/msg/B",
+        "channel": "telemetry",
+        "reliability": "reliable",
+        "durability": "volatile",
+        "depth": 1,
+    }
+    link = {"kind": "mqtt", "from": {"agent": "cloud-0"}, "to": {"service": "a"}, "topics": [topic]}
+    bridge = application(
+        {"name": "b", "release": "bridge", "placement": {"agent": "{{ agent }}"}}, name="bridge", word="link/mqtt"
+    )
+    linked = catalogue(application(ONE, links=[link]), bridge)
+    full = [replace(node, allocatable=Resources(900, 2**30)) for node in NODES]
+    found = compose([demand(task())], world(linked, full))
+    assert refusal(found).reason == "InsufficientResources"
+    assert "edge-0 has no room for its bridge (cpu 500m of 400m free)" in refusal(found).message
+    assert found.releases == {}
+    assert places(compose([demand(task())], world(linked)))["bridge"] in ("cloud-0", "edge-0")
+
+
+# -- what a task says -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("placement", "agent", "text"),
+    [
+        (TaskPlacement(agents=("edge-2",)), "edge-2", ""),
+        (TaskPlacement(roles=("edge",)), "edge-0", ""),
+        (TaskPlacement(agents=("cloud-0",)), "", "edge-0: is not among the agents of the task"),
+        (TaskPlacement(roles=("cloud",)), "", "edge-0: has role edge, the task wants cloud"),
+        (TaskPlacement(capabilities=("arm",)), "", "edge-2: lacks capability arm"),
+    ],
+)  # fmt: skip
+def test_a_task_narrows_the_rule_and_never_widens_it(placement: TaskPlacement, agent: str, text: str) -> None:
+    found = compose([demand(task(placement=placement))], world())
+    if agent:
+        assert places(found) == {"a-t": agent}
+    else:
+        assert refusal(found).reason == "NoCapableNode"
+        assert text in refusal(found).message
+
+
+def test_a_demand_that_is_offloaded_goes_to_other_roles_with_the_same_capabilities() -> None:
+    assert places(compose([demand(task(), roles=("cloud",))], world())) == {"a-t": "cloud-0"}
+    needs = catalogue(application({**ONE, "placement": {"role": "edge", "capabilities": ["gpu"]}}))
+    bare = [replace(node, capabilities=frozenset()) for node in NODES]
+    found = compose([demand(task(), roles=("cloud",))], world(needs, bare))
+    assert "one of the roles cloud capability gpu: cloud-0: lacks capability gpu" in refusal(found).message
+
+
+def test_tasks_keep_away_from_others_in_both_directions() -> None:
+    first, away = task("t0"), task("t1", placement=TaskPlacement(agents=("edge-0", "edge-1"), anti_affinity=("t0",)))
+    assert places(compose([demand(first), demand(away)], world())) == {"a-t0": "edge-0", "a-t1": "edge-1"}
+    late = task("t0", placement=TaskPlacement(agents=("edge-0",)))
+    backward = compose(
+        [demand(replace(away, placement=replace(away.placement, agents=("edge-0",)))), demand(late)], world()
+    )
+    assert "edge-0: runs what keeps away from ops/t0" in refusal(backward, "ops/t0").message
+    only = replace(away, placement=TaskPlacement(agents=("edge-0",), anti_affinity=("a-t0",)))
+    assert (
+        "edge-0: runs a-t0, which the task keeps away from"
+        in refusal(compose([demand(first), demand(only)], world()), "ops/t1").message
+    )
+    taken = compose([demand(first)], world()).releases
+    assert refusal(compose([demand(only)], world(others=taken)), "ops/t1").reason == "NoCapableNode"
+
+
+def test_instances_of_a_service_are_spread_where_the_application_asks_for_it() -> None:
+    spread = catalogue(application({**ONE, "placement": {"role": "edge", "spread": True}}))
+    found = compose(several(4), world(spread))
+    assert sorted(r.namespace for r in found.releases.values()) == ["edge-0", "edge-1", "edge-2"]
+    assert refusal(found, "ops/t3").reason == "NoCapableNode"
+    assert "edge-1: runs another instance, and instances are spread" in refusal(found, "ops/t3").message
+
+
+# -- nodes that go ----------------------------------------------------------------------------------------------------
+
+
+def test_a_service_leaves_a_lost_node_and_the_commit_says_why() -> None:
+    before = compose([demand(task())], world()).releases
+    gone = [replace(NODES[0], ready=False, not_ready_since=0, silent_since=0), *NODES[1:]]
+    waiting = world(nodes=gone, now=40, present=before)
+    assert compose([demand(task())], waiting).releases == before
+    assert next_loss_ns(gone, 40.0, 30 * SECOND) == 40 * SECOND + 1
+    lost = world(nodes=gone, now=41, present=before)
+    after = compose([demand(task())], lost)
+    assert places(after) == {"a-t": "edge-1"}
+    assert "edge-0: its Node is lost: edge-0" in choices(after)
+    changes = differences(after.releases, before)
+    assert lost_words(changes, lost.fleet, 41 * SECOND) == "node edge-0 lost for 41 s: a-t moved to edge-1"
+    assert next_loss_ns(gone, 40.0, 41 * SECOND) is None
+    back = world(present=after.releases)
+    assert compose([demand(task())], back).releases == after.releases  # it does not move again
+    assert lost_words(differences(after.releases, before), back.fleet, 0) == ""
+
+
+def test_a_service_whose_node_was_deleted_moves_at_once() -> None:
+    before = compose([demand(task())], world()).releases
+    without = world(nodes=NODES[1:], present=before)
+    after = compose([demand(task())], without)
+    assert places(after) == {"a-t": "edge-1"}
+    assert (
+        lost_words(differences(after.releases, before), without.fleet, 0)
+        == "agent edge-0 has no node: a-t moved to edge-1"
+    )
+
+
+def test_bound_services_wait_for_their_agent_and_others_when_nobody_else_can_take_them() -> None:
+    lost = [replace(node, ready=False, not_ready_since=0) for node in NODES]
+    named = catalogue(application({**ONE, "placement": {"agent": "edge-1"}}))
+    assert places(compose([demand(task())], world(named, lost, now=99))) == {"a-t": "edge-1"}
+    before = compose([demand(task())], world()).releases
+    stays = compose([demand(task())], world(nodes=lost, now=99, present=before))
+    assert stays.releases == before
+    assert "edge-0: its Node is lost, and nobody else can take it: it waits" in choices(stays)
+    elsewhere = compose([demand(task(conflict_policy="Offload"))], world(nodes=lost, now=99, present=before))
+    assert refusal(elsewhere).reason == "NoCapableNode"
+    assert refusal(compose([demand(task())], world(nodes=lost, now=99))).reason == "NoCapableNode"
+
+
+def test_a_cordoned_node_keeps_what_it_has_and_takes_nothing_new() -> None:
+    before = compose([demand(task())], world()).releases
+    cordoned = [replace(NODES[0], cordoned=True), *NODES[1:]]
+    found = compose([demand(task()), demand(task("u"))], world(nodes=cordoned, present=before))
+    assert places(found) == {"a-t": "edge-0", "a-u": "edge-1"}
+
+
+def test_one_of_two_nodes_is_enough_for_an_agent() -> None:
+    twins = [replace(NODES[0], name="old", ready=False, not_ready_since=0), replace(NODES[0], name="new")]
+    found = world(nodes=twins, now=99)
+    assert places(compose([demand(task())], found)) == {"a-t": "edge-0"}
+    assert found.fleet.loss("edge-0", 99 * SECOND) == ""
+    assert found.fleet.rooms["edge-0"].total == ROOM  # a lost node gives no room
+
+
+# -- platforms and versions -------------------------------------------------------------------------------------------
+
+ARM = {"platforms": ["linux/arm64"]}
+
+
+def test_a_chart_runs_on_nodes_of_its_platforms_only() -> None:
+    mixed = [replace(node, platform="linux/arm64" if node.name == "edge-0" else "linux/amd64") for node in NODES]
+    found = compose([demand(task())], world(nodes=mixed))
+    assert places(found) == {"a-t": "edge-1"}
+    assert "edge-0: is linux/arm64, the chart runs on linux/amd64" in choices(found)
+    foreign = [replace(node, platform="linux/arm64") for node in NODES]
+    outcome = refusal(compose([demand(task())], world(nodes=foreign)))
+    assert outcome.reason == "NoVerifiedVersion"
+    assert "worker 0.1.0 (staged): runs on linux/amd64, the nodes are linux/arm64" in outcome.message
+
+
+def test_the_highest_version_that_runs_there_is_taken() -> None:
+    both = catalogue(application(ONE), chart(version="0.2.0", **ARM))
+    amd = [replace(node, platform="linux/amd64") for node in NODES]
+    found = compose([demand(task())], world(both, amd))
+    assert next(iter(found.releases.values())).version == "0.1.0"
+    assert "worker 0.2.0 (staged): runs on linux/arm64, the nodes are linux/amd64" in choices(found)
+
+
+def test_a_pinned_release_keeps_its_version_while_it_may() -> None:
+    both = catalogue(application(ONE), chart(version="0.2.0"))
+    before = compose([demand(task())], world()).releases
+    pins = {"edge-0/a-t": ("worker", "0.1.0")}
+    kept = compose([demand(task())], world(both, present=before, pins=pins))
+    assert kept.releases == before
+    assert "worker 0.1.0 (staged): kept: the release runs it" in choices(kept)
+    assert "worker 0.2.0 (staged): possible; the release keeps its version" in choices(kept)
+    gone = replace(
+        both,
+        charts={
+            "worker": tuple(replace(c, state="withdrawn") if c.version == "0.1.0" else c for c in both.charts["worker"])
+        },
+    )
+    moved = compose([demand(task())], world(gone, present=before, pins=pins))
+    assert next(iter(moved.releases.values())).version == "0.2.0"
+
+
+def test_a_withheld_version_is_taken_by_nobody_who_is_not_pinned_to_it() -> None:
+    both = catalogue(application(ONE), chart(version="0.2.0"))
+    withheld = {("worker", "0.2.0"): "it failed on edge-1"}
+    found = compose([demand(task())], world(both, withheld=withheld))
+    assert next(iter(found.releases.values())).version == "0.1.0"
+    assert "worker 0.2.0 (staged): it failed on edge-1" in choices(found)
+    pinned = world(both, withheld=withheld, present=found.releases, pins={"edge-0/a-t": ("worker", "0.2.0")})
+    assert next(iter(compose([demand(task())], pinned).releases.values())).version == "0.2.0"
+
+
+# -- by what is provided ----------------------------------------------------------------------------------------------
+
+
+def delayed(name: str, version: str, delay: float) -> tuple[str, str]:
+    return chart(name, version, guarantees=[{"name": "delay", "atMost": delay, "unit": "ms"}])
+
+
+def see(name: str) -> tuple[str, str]:
+    return application(
+        {**ONE, "chart": {"name": name, "version": ">=0.1.0"}}, name=f"see-{name}", word="perception/detection"
+    )
+
+
+SEEING = catalogue(
+    see("fast"), see("slow"), delayed("fast", "0.2.0", 10), delayed("slow", "0.3.0", 100), delayed("fast", "0.1.0", 5)
+)
+
+
+def wants(name: str, at_most: float, unit: str) -> GuaranteeRequirement:
+    return GuaranteeRequirement(name, "atMost", at_most, unit)
+
+
+def provided(*requirements: GuaranteeRequirement, **more: Any) -> Demand:
+    return demand(task(application="", provides="perception/detection", requirements=requirements, **more))
+
+
+def test_the_application_with_the_highest_version_that_satisfies_everything_answers() -> None:
+    found = compose([provided()], world(SEEING))
+    outcome = found.outcomes["ops/t"]
+    assert isinstance(outcome, Met)
+    assert outcome.application == "see-slow"
+    assert outcome.choices[0] == "application see-slow: taken, it provides perception/detection"
+    release = next(iter(found.releases.values()))
+    assert [cause.application for cause in release.causes] == ["see-slow"]
+    strict = compose([provided(wants("delay", 20, "ms"))], world(SEEING))
+    assert next(iter(strict.releases.values())).chart == "fast"
+    assert any(text.startswith("application see-slow: GuaranteeNotMet") for text in choices(strict))
+    strictest = compose([provided(wants("delay", 7, "ms"))], world(SEEING))
+    assert next(iter(strictest.releases.values())).version == "0.1.0"
+
+
+def test_the_application_that_answers_already_stays() -> None:
+    fast = catalogue(see("fast"), delayed("fast", "0.1.0", 5))
+    before = compose([provided()], world(fast)).releases
+    found = compose([provided()], world(SEEING, present=before))
+    assert {release.chart for release in found.releases.values()} == {"fast"}
+
+
+@pytest.mark.parametrize(
+    ("wanted", "reason", "text"),
+    [
+        (demand(task(application="", provides="a/b")), "UnknownApplication", "provides a/b"),
+        (provided(wants("delay", 1, "ms")), "GuaranteeNotMet", "delay at most 1 ms (asked by"),
+        (provided(wants("loss", 1, "%")), "GuaranteeNotMet", "a guarantee for loss at most 1 %"),
+    ],
+)  # fmt: skip
+def test_what_nobody_provides_is_refused(wanted: Demand, reason: str, text: str) -> None:
+    outcome = refusal(compose([wanted], world(SEEING)))
+    assert outcome.reason == reason
+    assert text in outcome.message
+
+
+# -- values and shared releases ---------------------------------------------------------------------------------------
+
+
+def test_values_that_break_the_charts_schema_are_refused_before_anything_is_written() -> None:
+    service = {**ONE, "values": {"rate": "{{ task.name }}", "odd": 1}}
+    schema = {
+        "type": "object",
+        "additionalProperties": False,
+        "properties": {"rate": {"type": "number"}, "placement": {}, "global": {}},
+    }
+    found = compose([demand(task())], world(catalogue(application(service)), schema=lambda chart, version: schema))
+    assert refusal(found).reason == "CompositionFailed"
+    assert (
+        "chart worker 0.1.0: values: Additional properties are not allowed ('odd' was unexpected)"
+        in refusal(found).message
+    )
+    assert "values.rate: 't' is not of type 'number'" in refusal(found).message
+    assert found.releases == {}
+
+
+def test_without_a_schema_nothing_verified_is_written() -> None:
+    version = replace(
+        PLAIN.charts["worker"][0], state="verified", evidence="sha256:" + "e" * 64, assured=True, doubt=""
+    )
+    strict = replace(PLAIN, charts={"worker": (version,)}, assurance="verified")
+    found = compose([demand(task())], world(strict, schema=lambda chart, version: None))
+    assert (
+        "has no charts/worker/0.1.0.schema.json to check the values by; submit the chart again"
+        in refusal(found).message
+    )
+    assert places(compose([demand(task())], world(schema=lambda chart, version: None))) == {"a-t": "edge-0"}
+
+
+def test_demands_share_a_release_by_uniting_the_lists_that_may_be_united() -> None:
+    shared = {**ONE, "release": "shared", "values": {"topics": ["{{ task.name }}", "both"], "depth": 1}}
+    two = several(2)
+    found = compose(two, world(catalogue(application({**shared, "unite": ["topics"]}))))
+    release = next(iter(found.releases.values()))
+    assert len(found.releases) == 1
+    assert release.values["topics"] == ["both", "t0", "t1"]
+    assert [cause.task for cause in release.causes] == ["ops/t0", "ops/t1"]
+    apart = catalogue(application({**shared, "placement": {"agent": "edge-0"}}))
+    outcome = refusal(compose([demand(task("t0")), demand(task("t1"))], world(apart)), "ops/t1")
+    assert outcome.reason == "ReleaseInUse"
+    assert outcome.message == "release edge-0/shared is made by ops/t0 with other content"
+
+
+def test_a_release_that_is_shared_asks_for_room_once() -> None:
+    shared = {**ONE, "release": "shared", "values": {"topics": ["{{ task.name }}"]}, "unite": ["topics"]}
+    wanted = several(9)
+    found = compose(wanted, world(catalogue(application(shared))))
+    assert places(found) == {"shared": "edge-0"}
+    assert len(next(iter(found.releases.values())).values["topics"]) == 9
+
+
+# -- many -------------------------------------------------------------------------------------------------------------
+
+
+def test_the_reasons_of_many_candidates_are_counted() -> None:
+    agents = [Agent(f"edge-{i:04d}", "edge", f"edge-{i:04d}") for i in range(1000)]
+    nodes = [
+        NodeState(a.name, a.name, a.role, frozenset(), i % 2 == 0, allocatable=ROOM) for i, a in enumerate(agents[:900])
+    ]
+    crowd = replace(world(), fleet=fleet(agents, nodes))
+    text = "; ".join(choices(compose([demand(task())], crowd)))
+    assert "449 agents (edge-0002, edge-0004, edge-0006, edge-0008, edge-0010, ...): possible" in text
+    assert (
+        "450 agents (edge-0001, edge-0003, edge-0005, edge-0007, edge-0009, ...): no Node is Ready and schedulable"
+        in text
+    )
+    asked = task(placement=TaskPlacement(capabilities=("arm",)))
+    message = refusal(compose([demand(asked)], crowd)).message
+    assert "900 agents (edge-0000, edge-0001, edge-0002, edge-0003, edge-0004, ...): lacks capability arm" in message
+    assert "100 agents (edge-0900, edge-0901, edge-0902, edge-0903, edge-0904, ...): has no Node" in message
+    assert len(message) < 500
+
+
+def test_release_files_of_others_are_never_composed() -> None:
+    stranger = Release("edge-0", "stranger", "worker", "0.1.0", "sha256:" + "0" * 64, {})
+    found = compose([demand(task())], world(others={stranger.path: stranger}))
+    assert places(found) == {"a-t": "edge-1"}  # the emptiest
