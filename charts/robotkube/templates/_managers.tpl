@@ -95,6 +95,11 @@
 {{ printf "%s: scope.agents names %q, which is none of agents. Declare it there, or take it out here." $at $name }}
 {{- end }}
 {{- end }}
+{{- range $name := $manager.scope.namespaces }}
+{{- if has $name (list $.Release.Namespace $.Values.argocd.namespace) }}
+{{ printf "%s: scope.namespaces names %q, which belongs to the platform: no task can stand there. Take it out." $at $name }}
+{{- end }}
+{{- end }}
 {{- range $name := $declared }}
 {{- $agent := or (has "*" $manager.scope.agents) (has $name $manager.scope.agents) }}
 {{- $namespace := or (has "*" $manager.scope.namespaces) (has $name $manager.scope.namespaces) }}

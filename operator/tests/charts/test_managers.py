@@ -129,6 +129,10 @@ REFUSALS: dict[str, tuple[list[dict[str, Any]], str]] = {
         [NORTH, {**SOUTH, "scope": {**CLOUD, "namespaces": ["*"]}}],
         'namespace "vehicle-00" is in scope.namespaces, but its agent is not in scope.agents',
     ),
+    "a namespace of the platform": (
+        [NORTH, {**SOUTH, "scope": {**CLOUD, "namespaces": ["vehicle-01", "cloud-0", "robotkube"]}}],
+        'scope.namespaces names "robotkube", which belongs to the platform: no task can stand there. Take it out.',
+    ),
     "all and others": ([{"name": "a", "scope": {"agents": ["*", "cloud-0"]}}], "scope.agents names * and others."),
     "the name of a part": ([{"name": "gate"}], 'managers[0] "gate": this name belongs to a part of the platform.'),
     "the name of an agent": ([{"name": "cloud-0"}], 'managers[0] "cloud-0": an agent has this name'),

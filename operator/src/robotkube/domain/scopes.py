@@ -72,6 +72,9 @@ def _both(mine: frozenset[str], theirs: frozenset[str]) -> frozenset[str]:
     return mine if ALL in theirs else mine & theirs
 
 
+ANYTHING = Scope()
+
+
 @dataclass(frozen=True)
 class Operators:
     """The scope of a manager, and the scopes declared for operators: namespace of their tasks -> agents and
@@ -79,6 +82,11 @@ class Operators:
 
     manager: Scope = field(default_factory=Scope)
     declared: Mapping[str, Scope] = field(default_factory=dict)
+
+    @property
+    def unbounded(self) -> bool:
+        """Whether every task may ask for everything."""
+        return not self.declared and ANYTHING.subset(self.manager)
 
     def scope(self, namespaces: Sequence[str]) -> Scope:
         """What a task may ask for whose chain comes through these namespaces, its own included: never more than any

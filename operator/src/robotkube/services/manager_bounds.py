@@ -87,6 +87,8 @@ class Bounds:
     def _outside(
         self, task: TaskDescription, live: Tasks, application: str, namespaces: Sequence[str]
     ) -> Refused | None:
+        if self._operators.unbounded:
+            return None
         try:
             scope = self._scope(task, live)
             check_application(scope, task.key, application)
