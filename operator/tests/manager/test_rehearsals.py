@@ -194,3 +194,73 @@ def test_what_ran_on_a_lost_node_runs_on_another(tmp_path: Path) -> None:
     message = stage.repository.log(None, 1)[-1].message
     assert f"node {lost} lost for " in message
     assert "RobotKube-Cause: node" in message
+
+
+def test_a_chain_of_operators_is_launched_and_goes_from_its_top(tmp_path: Path) -> None:
+    """Intersection-support and Table I, p03 and p08: what its operators ask for, asked by hand."""
+    scenario = definition.load(definition.find("intersection-support"))
+    rehearsal = Rehearsal(staged(scenario, tmp_path))
+    before = set(rehearsal.releases())
+    top = {
+        "namespace": "cloud-0",
+        "name": "approach",
+        "application": "roadside-operator",
+        "parameters": {"site": "roadside-0", "vehicle": "vehicle-00"},
+    }
+    child = {
+        "namespace": "roadside-0",
+        "name": "near",
+        "application": "environment-perception",
+        "parameters": {"sensor": "roadside-0"},
+        "chain": {"parent": "cloud-0/approach"},
+    }
+    services = ("roadside-0/object-detection-roadside-0", "roadside-0/object-tracking-roadside-0")
+    told = [
+        {
+            "name": "top",
+            "do": {"submit": top},
+            "until": [{"release": "roadside-0/roadside-operator-vehicle-00", "is": "ready"}],
+        },
+        {"name": "child", "do": {"submit": child}, "until": [{"release": one, "is": "ready"} for one in services]},
+        {
+            "name": "gone",
+            "do": {"delete": "cloud-0/approach"},
+            "until": [
+                *({"release": one, "is": "absent"} for one in services),
+                {"release": "roadside-0/roadside-operator-vehicle-00", "is": "absent"},
+            ],
+        },
+    ]
+    inputs = rehearse(rehearsal, read_steps(told))
+    assert outcomes.steps_reached(inputs) == 1
+    assert outcomes.chain_depth(inputs) == 2
+    assert set(rehearsal.releases()) == before
+
+
+def test_two_recordings_share_the_uplink_of_the_vehicle_in_both(tmp_path: Path) -> None:
+    """Three-vehicles: one release with two demands, kept until the second ends, its clouds sent once."""
+    scenario = definition.load(definition.find("three-vehicles"), variant="small")
+    rehearsal = Rehearsal(staged(scenario, tmp_path))
+    before = rehearsal.releases()
+    named = []
+    for step in (
+        {"do": {"submit": record("first", "vehicle-00", "vehicle-01")}},
+        {"do": {"submit": record("second", "vehicle-01", "vehicle-02")}},
+        {"do": {"delete": "cloud-0/first"}},
+        {"do": {"delete": "cloud-0/second"}},
+    ):
+        actor = acting.Actor(rehearsal, rehearsal, rehearsal.releases, lambda _: None)  # type: ignore[arg-type]
+        actor._step(read_steps([{"name": "step", **step}])[0])
+        uplink = rehearsal.releases()["vehicle-01/mqtt-bridge"]
+        topics = [topic["name"] for topic in uplink.values["bridge"]["out"]]
+        named.append((len(uplink.causes), topics.count(definition.cloud_topic("vehicle-01"))))
+    assert named == [(1, 1), (2, 1), (1, 1), (0, 0)]
+    assert {name: release.values for name, release in rehearsal.releases().items()} == {
+        name: release.values for name, release in before.items()
+    }
+
+
+def record(name: str, *vehicles: str) -> dict[str, Any]:
+    """What the proximity rule asks for."""
+    application = "pose-point-cloud-recording"
+    return {"namespace": "cloud-0", "name": name, "application": application, "parameters": {"vehicles": [*vehicles]}}
