@@ -257,6 +257,38 @@ def test_who_was_restarted_resumes_the_same_task(
     assert [name for name, _ in tasks.renewals] == list(tasks.objects)
 
 
+def test_tasks_of_another_chain_are_withdrawn(make_stage: Callable[[Tasks], Stage]) -> None:
+    """The vehicle came again: another task launched the detector, under the same name, before the old ones had gone."""
+    tasks = Tasks()
+    first = make_stage(tasks)
+    first.apply(ALWAYS)
+    assert first.done() == ["start"]
+    [stale] = tasks.objects
+    first.operators[0].stop(5.0)
+    second = make_stage(tasks)
+    second.now += 1_000_000_000
+    second.apply({**ALWAYS, "task": "cloud-0/approach-2"})
+    assert second.done() == ["start"]
+    [(name, task)] = tasks.objects.items()
+    assert name != stale
+    assert task["spec"]["chain"] == {"parent": "cloud-0/approach-2"}
+
+
+@pytest.mark.parametrize("document", [DOCUMENT, ALWAYS])
+def test_another_task_above_a_running_detector_begins_anew(stage: Stage, document: Mapping[str, Any]) -> None:
+    stage.apply(document)
+    stage.send(0.3)
+    assert stage.done() == ["start"]
+    [before] = stage.tasks.objects
+    stage.now += 1_000_000_000
+    stage.apply({**document, "task": "cloud-0/approach-2"})
+    stage.send(0.3)
+    assert stage.done() == ["start", "stop", "start"]
+    [(name, task)] = stage.tasks.objects.items()
+    assert name != before
+    assert task["spec"]["chain"] == {"parent": "cloud-0/approach-2"}
+
+
 def test_leases_are_renewed_every_third_of_their_time(stage: Stage) -> None:
     stage.apply(DOCUMENT)
     stage.send(0.3)

@@ -47,6 +47,11 @@ def renewal(now: int) -> dict[str, Any]:
     return {"metadata": {"annotations": {RENEWED_ANNOTATION: time_text(now)}}}
 
 
+def parent_of(task: Mapping[str, Any]) -> str:
+    """The task that launched the detector that made this one; empty when none did."""
+    return str(task.get("spec", {}).get("chain", {}).get("parent", ""))
+
+
 def lease_seconds(task: Mapping[str, Any]) -> int | None:
     """How long a task counts without renewal; None when it has no lease."""
     seconds = task.get("spec", {}).get("lease", {}).get("seconds")

@@ -152,6 +152,8 @@ class EventDetector:
             return []
         before, self._settings = self._settings, settings
         self.problem = ""
+        if self._operator is not None:
+            self._operator.parent = settings.task
         self._close_topics(settings)
         self._renew_rules(before)
         self._subscribe(self._expected())
@@ -249,8 +251,11 @@ class EventDetector:
         if state is not None and state.adopt(edge):
             log.info("event %s: taken over rule=%s agents=%s", edge.id, edge.rule, ",".join(edge.agents))
             return
-        now = self._clock_ns()
         log.warning("event %s: no rule %s for %s any more; it ends", edge.id, edge.rule, ",".join(edge.agents))
+        self._end(edge)
+
+    def _end(self, edge: Edge) -> None:
+        now = self._clock_ns()
         self._raise(replace(edge, edge=STOP, time=now, stamp=now, distance_m=None))
 
     # settings and subscriptions --------------------------------------------------------------------------------------
@@ -266,7 +271,9 @@ class EventDetector:
         types, types_before = (
             {topic.pattern.text: topic.type for topic in settings.topics} for settings in (self._settings, before)
         )
-        unchanged = {rule for rule in self._settings.rules if rule in before.rules and types == types_before}
+        same_chain = self._settings.task == before.task
+        same = same_chain and types == types_before
+        unchanged = {rule for rule in self._settings.rules if rule in before.rules and same}
         self._rules = {
             rule.name: self._rules[rule.name] if rule in unchanged else rule_state(rule, types, self._settings.agent)
             for rule in self._settings.rules
@@ -274,7 +281,7 @@ class EventDetector:
         kept = {edge for state in self._rules.values() for edge in state.active}
         for edge in running:
             if edge not in kept:
-                self._keep_or_end(edge)
+                self._keep_or_end(edge) if same_chain else self._end(edge)
 
     def _renew_recorders(self) -> list[Recorder]:
         wanted = {reaction.recording: reaction for reaction in self._settings.recordings}

@@ -2,7 +2,8 @@
 
 One thread works through a bounded queue. At first it lists the detector's own tasks: their events are taken over
 (`adopted`), so that a detector that was restarted withdraws what its predecessor asked for. Until that list has been
-had, no rule may be evaluated, or the same event would be raised twice. The leases of its tasks are renewed by the same
+had, no rule may be evaluated, or the same event would be raised twice. A task of another chain, which another task
+launched this detector for, is withdrawn. The leases of its tasks are renewed by the same
 thread every third of their time.
 """
 
@@ -12,14 +13,14 @@ import contextlib
 import logging
 import queue
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from robotkube.domain.demands import demand, event_of, lease_seconds
+from robotkube.domain.demands import demand, event_of, lease_seconds, parent_of
 from robotkube.domain.detection import START, Edge, task_name
 from robotkube.domain.detector_settings import OperatorReaction
-from robotkube.domain.errors import RobotKubeError, UnavailableError
+from robotkube.domain.errors import RefusalError, RobotKubeError, UnavailableError
 
 if TYPE_CHECKING:
     from robotkube.ports.robots import OwnTasks
@@ -65,6 +66,7 @@ class _Order:
     record: EventRecord
     reaction: OperatorReaction | None
     reason: str
+    parent: str
 
 
 @dataclass
@@ -78,7 +80,7 @@ class _Lease:
 class OperatorReactions:
     """Creates and deletes the tasks of one detector (`requester`: `<namespace>/<release>`), and renews their leases.
 
-    `parent`: the task that launched the detector."""
+    `parent`: the task that launched the detector; it may be set anew."""
 
     def __init__(
         self,
@@ -89,7 +91,7 @@ class OperatorReactions:
         monotonic: Callable[[], float],
         parent: str = "",
     ) -> None:
-        self._requester, self._namespace, self._tasks, self._parent = requester, namespace, tasks, parent
+        self._requester, self._namespace, self._tasks, self.parent = requester, namespace, tasks, parent
         self._clock_ns, self._monotonic = clock_ns, monotonic
         self._orders: queue.Queue[_Order] = queue.Queue(QUEUE_MAX)
         self._stopping = threading.Event()
@@ -114,7 +116,7 @@ class OperatorReactions:
         if record.edge.edge != START:
             self._withdrawn.add(record.edge.id)
         try:
-            self._orders.put_nowait(_Order(record, reaction, reason))
+            self._orders.put_nowait(_Order(record, reaction, reason, self.parent))
         except queue.Full:
             record.error = f"{QUEUE_MAX} reactions wait for the API server; this one was dropped"
             log.error("event %s: %s", record.edge.id, record.error)
@@ -130,21 +132,35 @@ class OperatorReactions:
         pause = RETRY_SECONDS_FIRST
         while not self._stopping.is_set():
             try:
-                found = self._tasks.tasks()
+                found = [(task, edge) for task in self._tasks.tasks() if (edge := event_of(task, self._requester))]
+                for task, _ in found:
+                    if parent_of(task) != self.parent:
+                        self._withdraw(task["metadata"]["name"])
             except RobotKubeError as error:
                 log.warning("reading own tasks failed: %s; trying again in %.1f s", error, pause)
                 self._stopping.wait(pause)
                 pause = min(pause * 2, RETRY_SECONDS_MAX)
                 continue
-            edges = []
-            for task in found:
-                edge = event_of(task, self._requester)
-                if edge is not None:
-                    self._names[edge.id] = task["metadata"]["name"]
-                    self._keep_lease(task["metadata"]["name"], lease_seconds(task), self._monotonic())
-                    edges.append(edge)
-            self.adopted, self.reachable = sorted(edges, key=lambda edge: edge.time), True
+            self.adopted, self.reachable = self._taken_over(found), True
             return
+
+    def _withdraw(self, name: str) -> None:
+        """Delete what an earlier chain has left."""
+        try:
+            self._tasks.delete(name)
+            log.info("task %s/%s: withdrawn, it belongs to another chain", self._namespace, name)
+        except RefusalError as error:
+            log.error("task %s/%s: of another chain, cannot be withdrawn: %s", self._namespace, name, error)
+
+    def _taken_over(self, found: Sequence[tuple[Mapping[str, Any], Edge]]) -> list[Edge]:
+        """The events of this chain's tasks, the oldest first; their leases are renewed at once."""
+        edges = []
+        for task, edge in found:
+            if parent_of(task) == self.parent:
+                self._names[edge.id] = task["metadata"]["name"]
+                self._keep_lease(task["metadata"]["name"], lease_seconds(task), self._monotonic())
+                edges.append(edge)
+        return sorted(edges, key=lambda edge: edge.time)
 
     def _keep_lease(self, name: str, seconds: int | None, due: float) -> None:
         if seconds is not None:
@@ -198,7 +214,7 @@ class OperatorReactions:
             return  # the API server was away as long as the event lasted
         else:
             assert order.reaction is not None
-            self._tasks.create(demand(self._requester, order.reaction, edge, order.reason, self._parent))
+            self._tasks.create(demand(self._requester, order.reaction, edge, order.reason, order.parent))
             seconds = order.reaction.lease_seconds
             self._keep_lease(name, seconds, self._monotonic() + (seconds or 0) * RENEWED_SHARE)
         record.task, record.done, record.error = f"{self._namespace}/{name}", self._clock_ns(), None
