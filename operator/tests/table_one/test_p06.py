@@ -37,7 +37,6 @@ def test_what_ran_on_a_lost_node_runs_on_another(stage: Stage) -> None:
         assert stage.seats(key) == {moved}
         commit = stage.commit_of(moved)
         assert "node" in commit.trailers["Cause"]
-        assert key in commit.trailers["Task"]
         assert f"node {pod.node} lost for " in stage.message(commit)
         assert OTHER[lost] in stage.message(commit)
         assert f"releases/{release}.yaml" in commit.paths
