@@ -321,7 +321,12 @@ class RunningGate:
 
 
 def start_gate(
-    installation: Installation, hook_url: str, folder: Path, webhooks: bool = True, managers: Sequence[str] = ()
+    installation: Installation,
+    hook_url: str,
+    folder: Path,
+    webhooks: bool = True,
+    managers: Sequence[str] = (),
+    proposers: tuple[Proposer, ...] = PROPOSERS,
 ) -> RunningGate:
     """A new gate on `folder`; without `webhooks` it only polls; `managers` are the webhooks it tells of main."""
     account = ("gate", installation.passwords["gate"])
@@ -335,7 +340,7 @@ def start_gate(
             GitClone(installation.url, "robotkube/catalogue", *account, folder / "catalogue"), trusted_keys()
         ),
         hook,
-        GateSettings("gate", "robotkube/deployment", "robotkube/catalogue", PROPOSERS, CHARTS_URL),
+        GateSettings("gate", "robotkube/deployment", "robotkube/catalogue", proposers, CHARTS_URL),
         validate,
         time.monotonic,
         relays,
