@@ -2,9 +2,10 @@
 
     python -m ci.benchmarks [--only planning]
 
-Prints a table and writes build/reports/benchmarks.json, and what registry and gate cost in seconds to
-build/bench/registry.json. Exit code 1 when a ratio is beyond its bound. What a benchmark needs (tool chain; images, for
-`publication`) is made before its time begins, and cached.
+Prints a table and writes build/reports/benchmarks.json; what registry and gate cost in seconds goes to
+build/bench/registry.json, what the manager costs to build/bench/application-manager.json. Exit code 1 when a ratio is
+beyond its bound. What a benchmark needs (tool chain; images, for `publication`) is made before its time begins, and
+cached.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from collections.abc import Callable
 from dataclasses import asdict
 
 from ci import preparing
-from ci.benchmarks import bridging, files, gate, planning, publication, registry
+from ci.benchmarks import application_manager, bridging, files, gate, planning, publication, registry
 from ci.benchmarks.measuring import Figure
 from ci.errors import SetUpError
 from ci.folders import PROJECT
@@ -29,6 +30,7 @@ BENCHMARKS: dict[str, Callable[[], list[Figure]]] = {
     "bridging": bridging.figures,
     "registry": registry.figures,
     "gate": gate.figures,
+    "application-manager": application_manager.figures,
     "publication": publication.figures,
 }
 NEED_IMAGES = frozenset({"publication"})

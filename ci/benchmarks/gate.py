@@ -3,7 +3,7 @@
 `forge_floor_ms` is the p95 of proposing a one-line change by AGit and pushing it to main while manager and gate stand
 still: less is not possible on that forge. `task_to_merged_ms` is the median from a task's creation to the manager's
 knowing that its plan is on main, `gate_check_p95_ms` what the gate's checks take of that. All go to
-build/bench/registry.json.
+build/bench/registry.json, the way to main with all its quantiles to build/bench/application-manager.json.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import subprocess
 import sys
 
 from ci import preparing
+from ci.benchmarks.application_manager import record_way_to_main
 from ci.benchmarks.measuring import Figure
 from ci.benchmarks.registry import record
 from ci.errors import SetUpError
@@ -50,6 +51,7 @@ def figures() -> list[Figure]:
     """Task to main against the forge alone."""
     found = measure()
     ours, floor = statistics.median(found["tasks"]), p95(found["floor"])
+    record_way_to_main(found["tasks"], found["floor"])
     record(
         {
             "forge_floor_ms": round(floor, 1),

@@ -5,10 +5,13 @@ Only the ratio of the two is judged; seconds alone would say more about the mach
 
 from __future__ import annotations
 
+import json
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -41,3 +44,26 @@ def seconds(work: Callable[[], object], repetitions: int) -> float:
         work()
         times.append(time.perf_counter() - began)
     return statistics.median(times)
+
+
+@dataclass(frozen=True)
+class Quantiles:
+    """How many values, and what 50, 95 and 99 % of them do not exceed."""
+
+    n: int
+    p50: float
+    p95: float
+    p99: float
+
+
+def quantiles(values: Sequence[float]) -> Quantiles:
+    """Of at least one value, rounded to thousandths."""
+    ordered = sorted(values)
+    return Quantiles(len(ordered), *(round(ordered[round(q * (len(ordered) - 1))], 3) for q in (0.5, 0.95, 0.99)))
+
+
+def record(path: Path, values: Mapping[str, Any]) -> None:
+    """Add figures to a record, replacing those of the same name."""
+    kept = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(kept | dict(values), indent=1, sort_keys=True) + "\n", encoding="utf-8")

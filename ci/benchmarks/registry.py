@@ -5,7 +5,6 @@ Besides the ratios, the figures in seconds go to build/bench/registry.json; `rec
 
 from __future__ import annotations
 
-import json
 import shutil
 import subprocess
 import sys
@@ -18,6 +17,7 @@ import yaml
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 
+from ci.benchmarks import measuring
 from ci.benchmarks.measuring import Figure, seconds
 from ci.folders import PROJECT
 from robotkube.adapters.evidence_dsse import KeyFile, TrustedKeys
@@ -49,10 +49,8 @@ POLICY = {
 
 
 def record(values: Mapping[str, float | Mapping[str, float]]) -> None:
-    """Add figures to the record, replacing those of the same name."""
-    kept = json.loads(RECORD.read_text(encoding="utf-8")) if RECORD.exists() else {}
-    RECORD.parent.mkdir(parents=True, exist_ok=True)
-    RECORD.write_text(json.dumps(kept | dict(values), indent=1, sort_keys=True) + "\n", encoding="utf-8")
+    """Add figures to the record of registry and gate, replacing those of the same name."""
+    measuring.record(RECORD, values)
 
 
 def source(chart: str, version: str) -> dict[str, Any]:

@@ -24,6 +24,7 @@ from robotkube.domain.updates import (
     Health,
     Move,
     Sight,
+    Targets,
     UpdateMemory,
     Updates,
     decide,
@@ -83,8 +84,10 @@ class Fleet:
             self.online[agent] = 0
 
     def decide(self) -> Updates:
-        sight = Sight(self.health, self.online)
-        return decide(self.main, self.catalogue, self.policy, self.memory, sight, self.now * SECOND_NS)
+        def sight() -> Sight:
+            return Sight(self.health, self.online)
+
+        return decide(self.main, Targets(self.catalogue), self.policy, self.memory, sight, self.now * SECOND_NS)
 
     def commit(self) -> Move | None:
         """One plan, if there is one to make: what it moves starts anew."""

@@ -1,12 +1,12 @@
-"""A storm of demands on a real forge and a real API server, and the manager's recovery from SIGKILL in the middle of it.
+"""A storm of demands on a real forge and a real API server, and the manager's recovery from SIGKILL.
 
     PYTHONPATH=.:operator/src:operator/tests python3 operator/tests/forge/storm.py DEMANDS NODES
 
-Prints one JSON object: `storm_seconds` from the first demand's creation to the last one's being on main, `plans` it took,
-`rss_mib` of the manager's process after so many demands on main, `recovery_seconds` from the start of a new process to
-its first decision after the storm, and `decision_ms` by quantile as the manager's own metrics say it. Each demand makes
-a release of its own; the gate (in this process) checks every file for real. There is no Argo CD. NODES are Node objects
-of declared agents on the API server, without kubelets.
+Prints one JSON object: `storm_seconds` from the first demand's creation to the last one's being on main, `plans` it
+took, `rss_mib` of the manager's process after so many demands on main, and `recovery_seconds` from the start of a new
+process in the same pod, once the old one was killed, to its first decision. Each demand makes a release of its own; the
+gate (in this process) checks every file for real. There is no Argo CD. NODES are Node objects of declared agents on the
+API server, without kubelets.
 """
 
 from __future__ import annotations
@@ -26,17 +26,16 @@ from pathlib import Path
 from typing import Any
 
 import httpx
-import yaml
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "apiserver"))
 
 from api_calls import TASKS, Api, prepare
 from api_server import ApiServerProcess
 from evidence_of_tests import published_chart
-from installation import CATALOGUE, start_gate
+from installation import CATALOGUE, outside, start_gate
 from latency import Stage, until
+from manager_process import AGENTS, Pod, write_settings
 from prometheus_client.parser import text_string_to_metric_families
-from test_manager_process import AGENTS, Pod, settings
 
 from robotkube.adapters.kubernetes_api import api_client, call
 
@@ -44,6 +43,7 @@ WAIT_SECONDS_MAX = 120.0
 LOOK_SECONDS = 0.25
 WRITERS = 4
 MARKS = (100, 500)
+POD = "manager-0"  # a container that is restarted keeps the name of its pod, and with it the election
 DIGEST = "sha256:" + hashlib.sha256(b"bag-player").hexdigest()
 APPLICATION = """apiVersion: registry.robotkube.io/v1alpha1
 kind: Application
@@ -96,36 +96,22 @@ class Storm:
         return found
 
     def _settings(self) -> Path:
-        config = settings(self.stage.installation, self._folder("manager"), self.stage.manager_port)
-        document = yaml.safe_load(config.read_text())
-        document["agents"] = [
-            {"name": name, "role": role, "namespace": name, "records": role == "cloud"} for name, role in self.agents
-        ]
-        config.write_text(yaml.safe_dump(document))
-        return config
+        agents = [{"name": n, "role": role, "namespace": n, "records": role == "cloud"} for n, role in self.agents]
+        found = outside(self.stage.installation)
+        return write_settings(found, self._folder("manager"), self.stage.manager_port, self.api.lease(), agents=agents)
 
     def _make_nodes(self) -> None:
-        def make(agent: tuple[str, str]) -> None:
-            name, role = agent
-            labels = {"robotkube.io/agent": name, "robotkube.io/role": role}
-            self.api.post(
-                "/api/v1/nodes", {"apiVersion": "v1", "kind": "Node", "metadata": {"name": name, "labels": labels}}
-            )
-            ready = {"type": "Ready", "status": "True", "lastTransitionTime": "2026-11-21T10:00:00Z"}
-            self.api.merge(f"/api/v1/nodes/{name}/status", {"status": {"conditions": [ready]}})
-
         with ThreadPoolExecutor(WRITERS) as pool:
-            list(pool.map(make, self.agents))
+            list(pool.map(lambda agent: self.api.node(*agent), self.agents))
 
     def start(self) -> Pod:
         """A new process of the manager on the same settings and folder."""
-        pod = Pod(self.config, self.server.kubeconfig, self.folder / "manager", self.stage.manager_port)
+        pod = Pod(self.config, self.server.kubeconfig, self.stage.manager_port, POD)
         until(lambda: alive(pod), "the manager serves", WAIT_SECONDS_MAX)
         return pod
 
     def close(self) -> None:
-        self.pod.process.kill()
-        self.pod.process.wait(10)
+        self.pod.kill()
         self.gate.stop()
         self.api.client.rest_client.pool_manager.clear()
         self.server.stop()
@@ -159,7 +145,7 @@ class Storm:
             while (count := self.committed()) < demands:
                 for mark in (mark for mark in MARKS if count >= mark):
                     marks.setdefault(str(mark), self.rss_mib())
-                assert time.monotonic() - began < WAIT_SECONDS_MAX, f"{count} of {demands} on main: {self.pod.log}"
+                assert time.monotonic() - began < WAIT_SECONDS_MAX, f"{count} of {demands} on main"
                 time.sleep(LOOK_SECONDS)
             took = time.monotonic() - began
             for future in asked:
@@ -169,8 +155,7 @@ class Storm:
 
     def recover(self) -> float:
         """Seconds from the start of a new process, after SIGKILL, to its first decision."""
-        self.pod.process.kill()
-        self.pod.process.wait(10)
+        self.pod.kill()
         began = time.monotonic()
         self.pod = self.start()
         until(lambda: decisions(self.pod) > 0, "first decision", WAIT_SECONDS_MAX)

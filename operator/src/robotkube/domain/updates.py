@@ -11,13 +11,13 @@ Nothing is remembered here: `UpdateMemory` is read from main's commits, health a
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from itertools import groupby
 from typing import Self
 
 from robotkube.domain.catalogue import Catalogue
+from robotkube.domain.catalogue_applications import ChartRequirement
 from robotkube.domain.catalogue_charts import ChartVersion
 from robotkube.domain.composition import Desired, Met, Refused
 from robotkube.domain.guarantees import shortfall
@@ -151,88 +151,105 @@ class _Tally:
         return bool(self.good) and len(self.good) >= rule.threshold * count
 
 
+class Targets:
+    """The newest version of each chart in one catalogue, found once."""
+
+    def __init__(self, catalogue: Catalogue) -> None:
+        self.catalogue = catalogue
+        self._known: dict[tuple[str, tuple[str, ...], frozenset[str]], ChartVersion | None] = {}
+        self._bridges = [a for a in catalogue.applications.values() if a.bridges]
+
+    def newest(self, chart: str, applications: tuple[str, ...], barred: frozenset[str]) -> ChartVersion | None:
+        """The newest version that the release policy allows, that is not `barred` (digests), and that a service of the
+        applications (empty: of any) takes."""
+        asked = chart, applications, barred
+        if asked not in self._known:
+            self._known[asked] = self._find(*asked)
+        return self._known[asked]
+
+    def _find(self, chart: str, applications: tuple[str, ...], barred: frozenset[str]) -> ChartVersion | None:
+        known = self.catalogue.applications
+        chosen = [known[name] for name in applications if name in known]
+        offering = [*chosen, *self._bridges] if chosen else list(known.values())
+        wanted = {service.chart for application in offering for service in application.services}
+        versions = self.catalogue.charts.get(chart, ())
+        for version in sorted(versions, key=lambda found: version_key(found.version), reverse=True):
+            suits = any(_suits(version, requirement) for requirement in wanted)
+            if suits and version.digest not in barred and not self.catalogue.allows(version):
+                return version
+        return None
+
+
+def _suits(version: ChartVersion, requirement: ChartRequirement) -> bool:
+    named = requirement.name == version.chart or (not requirement.name and requirement.provides in version.provides)
+    weak = any(shortfall(one, version.guarantees) for one in requirement.requirements)
+    return named and not weak and in_range(version.version, requirement.version)
+
+
 def decide(
     present: Mapping[str, Release],
-    catalogue: Catalogue,
+    targets: Targets,
     policy: UpdatePolicy,
     memory: UpdateMemory,
-    sight: Sight,
+    sight: Callable[[], Sight],
     now_ns: int,
     fixed: frozenset[str] = frozenset(),
 ) -> Updates:
     """What every release on main (`present`, by path) keeps, and the one update or revert that may be made now: reverts
-    first, then by chart. `fixed`: release keys that were found unable to move (a newer version does not suit them)."""
+    first, then by chart. `fixed`: release keys that were found unable to move (a newer version does not suit them).
+    `sight` is asked only when something is under way."""
     pins = {release.key: (release.chart, release.version) for release in present.values()}
-    withheld = {
-        (version.chart, version.version): why
-        for versions in catalogue.charts.values()
-        for version in versions
-        if (why := memory.barred.get(version.digest))
-    }
+    withheld = _withheld(targets.catalogue, memory)
     moves = list(_left_over(present.values(), memory, pins))
     words: list[str] = []
-    for rollout in _rollouts(present.values(), catalogue, policy, memory):
-        tally = _tally(rollout, memory.runs.get(rollout.chart), sight, now_ns)
+    rollouts = _rollouts(present.values(), targets, policy, memory)
+    seen = sight() if rollouts else Sight()
+    for rollout in rollouts:
+        tally = _tally(rollout, memory.runs.get(rollout.chart), seen, now_ns)
         if rollout.behind and rollout.rule.canary and not tally.succeeded(rollout.rule):
             on_trial = f"{rollout.target.chart} {rollout.target.version} is on trial"
             withheld[rollout.chart, rollout.target.version] = f"{on_trial}; it is taken when its canary has succeeded"
         if tally.failed(rollout.rule):
             step, text = _failed(rollout, tally, memory.runs[rollout.chart], present.values(), pins)
         else:
-            step, text = _forward(rollout, tally, sight, fixed, pins)
+            step, text = _forward(rollout, tally, seen, fixed, pins)
         moves += [step] if step else []
         words += [text] if text else []
     chosen = min(moves, key=lambda move: (move.cause != REVERT, move.chart), default=None)
     return Updates(pins, withheld, chosen, tuple(words))
 
 
+def _withheld(catalogue: Catalogue, memory: UpdateMemory) -> dict[Pin, str]:
+    """Versions that were taken back."""
+    if not memory.barred:
+        return {}
+    versions = [version for found in catalogue.charts.values() for version in found]
+    return {(v.chart, v.version): memory.barred[v.digest] for v in versions if v.digest in memory.barred}
+
+
 def _rollouts(
-    present: Iterable[Release], catalogue: Catalogue, policy: UpdatePolicy, memory: UpdateMemory
-) -> Iterable[_Rollout]:
+    present: Iterable[Release], targets: Targets, policy: UpdatePolicy, memory: UpdateMemory
+) -> list[_Rollout]:
     """Every chart and rule under which a release is behind, or was moved by the chart's last update."""
-    targets: dict[tuple[str, tuple[str, ...]], ChartVersion | None] = {}
-    members: list[tuple[str, str, str, Release]] = []
-    rules: dict[str, UpdateRule] = {}
-    for release in present:
+    barred = frozenset(memory.barred)
+    found: dict[tuple[str, str, str], _Rollout] = {}
+    for release in sorted(present, key=lambda one: one.key):
         applications = tuple(sorted({cause.application for cause in release.causes}))
-        asked = release.chart, applications
-        if asked not in targets:
-            targets[asked] = _newest(release.chart, applications, catalogue, memory.barred)
-        target = targets[asked]
-        if target is not None:
-            name, rules[name] = policy.rule(release)
-            members.append((release.chart, name, target.version, release))
-    members.sort(key=lambda member: (*member[:3], member[3].key))
-    for (chart, name, version), found in groupby(members, key=lambda member: member[:3]):
-        releases = [member[3] for member in found]
-        target = catalogue.version(chart, version)
-        run = memory.runs.get(chart)
-        assert target is not None
-        behind = tuple(r for r in releases if version_key(r.version) < version_key(version))
-        on_target = run is not None and run.digest == target.digest
-        updated = tuple(r for r in releases if on_target and run and r.key in run.before and r.digest == target.digest)
-        if behind or updated:
-            yield _Rollout(chart, target, rules[name], behind, updated)
-
-
-def _newest(
-    chart: str, applications: Sequence[str], catalogue: Catalogue, barred: Mapping[str, str]
-) -> ChartVersion | None:
-    """The newest version that the release policy allows, that was not reverted, and that a service of the applications
-    (empty: of any) takes."""
-    chosen = [catalogue.applications[name] for name in applications if name in catalogue.applications]
-    bridges = [a for a in catalogue.applications.values() if a.bridges]
-    offering = [*chosen, *bridges] if chosen else list(catalogue.applications.values())
-    wanted = {service.chart for application in offering for service in application.services}
-    for version in sorted(catalogue.charts.get(chart, ()), key=lambda v: version_key(v.version), reverse=True):
-        if version.digest in barred or catalogue.allows(version):
+        target, run = targets.newest(release.chart, applications, barred), memory.runs.get(release.chart)
+        if target is None:
             continue
-        for requirement in wanted:
-            named = requirement.name == chart or (not requirement.name and requirement.provides in version.provides)
-            weak = any(shortfall(one, version.guarantees) for one in requirement.requirements)
-            if named and not weak and in_range(version.version, requirement.version):
-                return version
-    return None
+        differs = release.version != target.version
+        behind = differs and version_key(release.version) < version_key(target.version)
+        updated = run is not None and release.digest == run.digest == target.digest and release.key in run.before
+        if behind or updated:
+            name, rule = policy.rule(release)
+            place = release.chart, name, target.version
+            rollout = found.get(place) or _Rollout(release.chart, target, rule, (), ())
+            if behind:
+                found[place] = replace(rollout, behind=(*rollout.behind, release))
+            else:
+                found[place] = replace(rollout, updated=(*rollout.updated, release))
+    return [found[place] for place in sorted(found)]
 
 
 def _tally(rollout: _Rollout, run: Run | None, sight: Sight, now_ns: int) -> _Tally:

@@ -14,7 +14,7 @@ from robotkube.domain.conflicts import History, Outcome, Postponed, Resolution, 
 from robotkube.domain.explanations import Explanation, explain
 from robotkube.domain.initial import initial_demands
 from robotkube.domain.loops import Render
-from robotkube.domain.placement import NODE_LOST_SECONDS, Agent, Fleet, fleet, next_loss_ns
+from robotkube.domain.placement import NODE_LOST_SECONDS, Agent, Fleet, NodeState, fleet, next_loss_ns
 from robotkube.domain.planning import Change, Plan, differences, fingerprint, lost_words, make_plan
 from robotkube.domain.proposals import NODE, REVERTS_MAX
 from robotkube.domain.releases import Release
@@ -69,6 +69,7 @@ class Planner:
         self._catalogue, self._main, self._render, self._validate = catalogue, main, render, validate
         self._ledger, self._lock, self._composer = DemandLedger(), threading.Lock(), Composer()
         self._updating = Updating(main.repository, cluster)
+        self._machines: tuple[tuple[int, tuple[NodeState, ...]], Fleet] | None = None
         self._tasks_per_plan = TASKS_PER_PLAN_MAX
         self._held: dict[str, tuple[str, PlanRecord]] = {}
         self._held_differences: dict[str, PlanRecord] = {}
@@ -126,8 +127,8 @@ class Planner:
 
     def _look_for_updates(self) -> None:
         """Which versions main's releases keep this time, and whether one chart may be updated or taken back."""
-        present, machines = self._bounds.own(self._main.tree).releases, self._bounds.fleet(self._fleet())
-        held = frozenset(hold.agent for hold in self._all_holds())
+        present, machines = self._bounds.own(self._main.tree).releases, self._fleet()
+        held = {hold.agent for hold in self._all_holds()}
         self._updating.look(present, self._main.tip, self._catalogue, machines, held, self._now_ns)
 
     def _update(self, steady: Desired, others_wait: bool, history: History) -> Plan | None:
@@ -272,7 +273,11 @@ class Planner:
 
     def _fleet(self) -> Fleet:
         """All agents with their nodes; those that are lost by now are marked."""
-        return fleet(self._settings.agents, self._cluster.nodes(), self._now_ns, self._settings.node_lost_seconds)
+        inputs = (self._now_ns, tuple(self._cluster.nodes()))
+        if self._machines is None or self._machines[0] != inputs:
+            found = fleet(self._settings.agents, inputs[1], self._now_ns, self._settings.node_lost_seconds)
+            self._machines = (inputs, found)
+        return self._machines[1]
 
     def _in_doubt(self, desired: Desired) -> dict[str, Release]:
         """Releases on main of demands that are refused for want of evidence only: what runs is not taken away because

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
+from robotkube.domain.catalogue import Catalogue
 from robotkube.domain.composition import Desired
 from robotkube.domain.errors import DocumentError
 from robotkube.domain.observation import ApplicationState, judge_present
@@ -26,6 +27,7 @@ from robotkube.domain.updates import (
     Move,
     Pin,
     Sight,
+    Targets,
     UpdateMemory,
     Updates,
     decide,
@@ -113,6 +115,7 @@ class Updating:
         self._history, self._policy, self._cluster = UpdateHistory(repository), PolicyReader(repository), cluster
         self._unfit: tuple[str, frozenset[str]] = ("", frozenset())
         self._said: frozenset[str] = frozenset()
+        self._targets = Targets(Catalogue())
         self._passed = 0
         self.updates = Updates()
 
@@ -122,7 +125,7 @@ class Updating:
         tip: str,
         catalogue: AssuredCatalogue,
         machines: Fleet,
-        held: frozenset[str],
+        held: Collection[str],
         now_ns: int,
     ) -> Updates:
         """Decide about main's releases (`present`, by path) at its `tip`; the words are logged when they are new.
@@ -130,8 +133,13 @@ class Updating:
         inputs = f"{tip} {catalogue.tip}"
         self._unfit = self._unfit if self._unfit[0] == inputs else (inputs, frozenset())
         policy, memory = self._policy.read(tip), self._history.read(tip)
-        sight = sight_of(present, self._cluster.applications(), machines, held)
-        found = decide(present, catalogue.catalogue, policy or UpdatePolicy(), memory, sight, now_ns, self._unfit[1])
+        if self._targets.catalogue is not catalogue.catalogue:
+            self._targets = Targets(catalogue.catalogue)
+
+        def sight() -> Sight:
+            return sight_of(present, self._cluster.applications(), machines, held)
+
+        found = decide(present, self._targets, policy or UpdatePolicy(), memory, sight, now_ns, self._unfit[1])
         self.updates = found if policy else replace(found, move=None, words=(UNREADABLE,))
         for text in sorted(frozenset(self.updates.words) - self._said):
             log.info("update text=%r", text)
@@ -185,7 +193,7 @@ def sight_of(
     present: Mapping[str, Release],
     applications: Mapping[str, ApplicationState],
     fleet: Fleet,
-    held: frozenset[str] = frozenset(),
+    held: Collection[str] = (),
 ) -> Sight:
     """How main's releases fare, and which agents' namespaces can be reached and are not `held`."""
     health = {}
