@@ -268,6 +268,55 @@ def test_parents_decide_first() -> None:
     assert not checks.judge(replace(good, parents=()), TIP, RULES).accepted
 
 
+def test_a_lower_term_is_refused_before_anything_else() -> None:
+    good = proposal({}, files(replace(BRIDGE, plan=PLAN)), message())
+    later = replace(RULES, last_term=TERM + 1)
+    words = "another process of this manager leads now"
+    for tip in (TIP, "b" * 40):
+        found = checks.judge(good, tip, later)
+        assert (found.stale, len(found.problems)) == (False, 1)
+        assert f"RobotKube-Term: {TERM} is lower than {TERM + 1}, manager's last on main: {words}" in found.problems[0]
+    assert checks.judge(good, TIP, replace(RULES, last_term=TERM)).accepted
+
+
+def test_a_plan_in_the_name_of_another_manager_is_refused() -> None:
+    found = checks.judge(proposal({}, files(replace(BRIDGE, plan=PLAN)), message(manager="other")), TIP, RULES)
+    assert found.problems == ("RobotKube-Manager: 'other' must be the account that proposes, 'manager'",)
+
+
+BROKEN = {**files(BRIDGE), "releases/cloud-0/broken.yaml": "a: ["}
+REPAIRS = {"releases/cloud-0/broken.yaml": None}
+REPAIRING = replace(RULES, repair=REPAIRS)
+
+
+def repair_message(**changes: Any) -> str:
+    return message(**{"kinds": ("repair",), "charts": (), "evidence": (), "reverts": ("c" * 40,), **changes})
+
+
+def test_while_main_is_broken_only_its_repair_is_taken() -> None:
+    new = replace(BRIDGE, name="other", plan=PLAN)
+    plan = checks.judge(proposal(BROKEN, {**BROKEN, **files(new)}, message()), TIP, REPAIRING)
+    assert plan.problems == (
+        "main is broken (releases/cloud-0/broken.yaml): a plan with RobotKube-Cause: repair comes first",
+    )
+    found = checks.judge(proposal(BROKEN, files(BRIDGE), repair_message()), TIP, REPAIRING)
+    assert (found.accepted, found.repair) == (True, True)
+    more = checks.judge(proposal(BROKEN, {**files(BRIDGE), **files(new)}, repair_message()), TIP, REPAIRING)
+    assert not more.repair
+    assert "releases/cloud-0/other.yaml: a repair brings back what main last had" in "\n".join(more.problems)
+    other = {**files(BRIDGE), "releases/cloud-0/broken.yaml": "a: 1\n"}
+    assert "this is neither" in "\n".join(
+        checks.judge(proposal(BROKEN, other, repair_message()), TIP, REPAIRING).problems
+    )
+
+
+def test_a_repair_in_a_namespace_of_others_is_theirs() -> None:
+    broken = {**files(BRIDGE), "releases/edge-0/broken.yaml": "a: ["}
+    rules = replace(RULES, repair={"releases/edge-0/broken.yaml": None})
+    found = checks.judge(proposal(broken, files(BRIDGE), repair_message()), TIP, rules)
+    assert "'edge-0' is not a namespace that account manager may touch" in "\n".join(found.problems)
+
+
 def test_an_irregular_file_is_named() -> None:
     found = replace(proposal({}, files(replace(BRIDGE, plan=PLAN)), message()), irregular=("releases/cloud-0/x.yaml",))
     assert "releases/cloud-0/x.yaml: not an ordinary text file" in problems(found)
