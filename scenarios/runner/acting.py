@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import time
+import uuid
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+from robotkube.domain.demands import time_text
 from scenarios.runner.access import Access
 from scenarios.runner.inputs import Plan, StepDone
 from scenarios.runner.waiting import wait_for
@@ -142,7 +144,8 @@ def task(given: Mapping[str, Any]) -> dict[str, Any]:
     """The TaskDescription of a step: what it says, with a requester and an event of its own where it names none."""
     name = given["name"]
     spec = {key: value for key, value in given.items() if key not in ("namespace", "name")}
-    event = {"rule": "scenario", "id": f"{name}-event", "trace": f"{name}-trace"}
+    token, now = uuid.uuid4().hex, time_text(time.time_ns())
+    event = {"rule": "scenario", "id": token, "trace": token, "time": now}
     return {
         "apiVersion": "robotkube.io/v1alpha1",
         "kind": "TaskDescription",
