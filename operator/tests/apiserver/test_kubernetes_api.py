@@ -206,3 +206,77 @@ def test_errors_of_calls(api: Api) -> None:
         call(api.client, "GET", f"{TASKS}/nothing")
     with pytest.raises(InputError, match="no access to a cluster"):
         api_client("/nowhere/kubeconfig")
+
+
+def test_a_position_that_has_expired_is_listed_anew(server: ApiServerProcess, api: Api) -> None:
+    """410 Gone: etcd has forgotten what came after the position, as after a long silence."""
+    api.task("old")
+    version = api.get(TASKS)["metadata"]["resourceVersion"]
+    api.task("newer")
+    server.compact()
+    server.stop_server()
+    server.start_server()
+    client = api_client(str(server.kubeconfig))
+    seen: list[str] = []
+    watch = ExpiredWatch(
+        version, client, kubernetes_api.TASKS_PATH, "", dict, lambda key, before, now: seen.append(key)
+    )
+    watch.start()
+    try:
+        until(lambda: watch.lists > 1, "listed anew")
+        until(lambda: sorted(seen) == ["cloud-0/newer", "cloud-0/old"], "both seen")
+        api.task("newest")
+        until(lambda: "cloud-0/newest" in watch.values(), "followed again")
+        assert watch.complaint == ""
+        assert any("410" in text or "too old" in text for text in watch.complaints)
+    finally:
+        watch.stop()
+        client.rest_client.pool_manager.clear()
+        for name in ("old", "newer", "newest"):
+            api.delete(f"{TASKS}/{name}")
+
+
+class ExpiredWatch(kubernetes_api.ResourceWatch):
+    """Its first list ends at a position that the server no longer has."""
+
+    def __init__(self, version: str, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self.lists, self.complaints, self._expired = 0, [], version
+
+    @property
+    def complaint(self) -> str:
+        return self.complaints[-1] if self.complaints else ""
+
+    @complaint.setter
+    def complaint(self, text: str) -> None:
+        if hasattr(self, "complaints"):
+            self.complaints.append(text)
+
+    def _list(self) -> str:
+        version = super()._list()
+        self.lists += 1
+        return version if self.lists > 1 else self._expired
+
+
+def test_a_connection_that_breaks_in_the_middle_of_a_watch(server: ApiServerProcess, api: Api) -> None:
+    """Nothing is lost of what happened meanwhile, and nothing is told twice."""
+    client = api_client(str(server.kubeconfig))
+    seen: list[tuple[str, bool]] = []
+    watch = kubernetes_api.ResourceWatch(
+        client, kubernetes_api.TASKS_PATH, "", dict, lambda key, before, now: seen.append((key, now is not None))
+    )
+    watch.start()
+    try:
+        assert watch.synced.wait(20)
+        api.task("first")
+        until(lambda: seen == [("cloud-0/first", True)], "seen")
+        server.stop_server()
+        server.start_server()
+        api.delete(f"{TASKS}/first")
+        api.task("second")
+        until(lambda: len(seen) == 3, "both changes seen")
+        assert sorted(seen[1:]) == [("cloud-0/first", False), ("cloud-0/second", True)]
+    finally:
+        watch.stop()
+        client.rest_client.pool_manager.clear()
+        api.delete(f"{TASKS}/second")

@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from functools import cached_property
 from typing import Self
 
 from robotkube.domain.catalogue import Catalogue
@@ -167,6 +168,12 @@ class Targets:
             self._known[asked] = self._find(*asked)
         return self._known[asked]
 
+    @cached_property
+    def highest(self) -> Mapping[str, str]:
+        """The highest version of each chart, whoever may take it."""
+        charts = self.catalogue.charts.items()
+        return {chart: max((v.version for v in found), key=version_key) for chart, found in charts if found}
+
     def _find(self, chart: str, applications: tuple[str, ...], barred: frozenset[str]) -> ChartVersion | None:
         known = self.catalogue.applications
         chosen = [known[name] for name in applications if name in known]
@@ -233,7 +240,9 @@ def _rollouts(
     """Every chart and rule under which a release is behind, or was moved by the chart's last update."""
     barred = frozenset(memory.barred)
     found: dict[tuple[str, str, str], _Rollout] = {}
-    for release in sorted(present, key=lambda one: one.key):
+    current = targets.highest
+    moving = [r for r in present if r.chart in memory.runs or current.get(r.chart) != r.version]
+    for release in sorted(moving, key=lambda one: one.key):
         applications = tuple(sorted({cause.application for cause in release.causes}))
         target, run = targets.newest(release.chart, applications, barred), memory.runs.get(release.chart)
         if target is None:
