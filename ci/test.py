@@ -51,7 +51,7 @@ GROUPS = (
     Group("forge", ("forge", "database", "apiserver"), 240, "toolchain"),
     Group("cluster", ("cluster", "table_one"), 1320, "images"),
 )
-THOROUGH = Group("thorough", tuple(folder for group in GROUPS for folder in group.folders), 3600, "images")
+THOROUGH = Group("thorough", tuple(folder for group in GROUPS for folder in group.folders), 6000, "images")
 
 
 @dataclass(frozen=True)

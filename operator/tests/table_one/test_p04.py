@@ -10,7 +10,7 @@ same pods.
 
 from __future__ import annotations
 
-from crossing import SITE_SERVICES, VEHICLE, approached, operator
+from crossing import SITE_SERVICES, VEHICLE, approached, left, operator
 from stage import BRIDGE, Stage, pose
 
 from scenarios.definition import pose_topic
@@ -44,3 +44,6 @@ def test_two_operators_on_two_agents_do_not_touch_each_other(stage: Stage) -> No
                 stage.await_gone(RECORDER)
             left = stage.await_running(*SITE_SERVICES)
             assert {name: pod.uid for name, pod in left.items()} == {name: p.uid for name, p in supporting.items()}
+        with left(stage):
+            stage.await_gone(*SITE_SERVICES)
+            assert stage.tasks("cloud-0") == {}
