@@ -65,7 +65,12 @@ REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
         "broker.external.host is given, but broker.kind is mosquitto. Set the kind to external, or leave the host out.",
     ),
     "API of a forge that has none of its own": (
-        {"forge": {"kind": "external", "external": {"url": "https://git.example.com", "api": "https://git.example.com/x"}}},
+        {
+            "forge": {
+                "kind": "external",
+                "external": {"url": "https://git.example.com", "api": "https://git.example.com/x"},
+            }
+        },
         "forge.external.api is given, but forge.external.protocol is gitea, whose API stands below its url.",
     ),
     "API with a slash at the end": (

@@ -107,4 +107,5 @@ def test_releases_outside_the_scope_are_refused_with_the_agents() -> None:
 
 def test_nodes_of_undeclared_agents_are_found() -> None:
     stranger = NodeState("n-9", "v-9", "vehicle", frozenset(), True)
-    assert unknown_nodes((stranger, *NODES), AGENTS) == (stranger,)
+    machine = NodeState("platform-0", "platform-0", "platform", frozenset(), True)
+    assert unknown_nodes((stranger, machine, *NODES), NAMES) == (stranger,)

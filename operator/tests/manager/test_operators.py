@@ -341,6 +341,7 @@ def test_an_agent_whose_node_is_deleted_loses_it_and_one_of_two_keeps_it(late: S
 def test_a_node_of_an_undeclared_agent_gets_nothing_and_is_reported_once(stage: Stage) -> None:
     before = stage.releases()
     stage.cluster.machines.append(node("node-99", "vehicle-99"))
+    stage.cluster.machines.append(NodeState("platform-0", "platform-0", "platform", frozenset(), True))
     stage.go(wake=NODES)
     stage.go(wake=NODES)
     assert stage.releases() == before

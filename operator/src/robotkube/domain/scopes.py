@@ -16,6 +16,7 @@ from robotkube.domain.releases import Release, Source
 
 ALL = "*"
 OUTSIDE_SCOPE = "OutsideScope"
+PLATFORM = "platform"
 EVERYTHING = frozenset({ALL})
 
 
@@ -178,7 +179,8 @@ class _Own:
         return self._owned.get(namespace, self._rest)
 
 
-def unknown_nodes(nodes: Iterable[NodeState], agents: Iterable[Agent]) -> tuple[NodeState, ...]:
-    """Nodes whose agent is not declared, by name: nothing is placed on them."""
-    known = {agent.name for agent in agents}
-    return tuple(sorted((n for n in nodes if n.agent not in known), key=lambda node: node.name))
+def unknown_nodes(nodes: Iterable[NodeState], declared: Collection[str]) -> tuple[NodeState, ...]:
+    """Nodes whose agent is not among the `declared` names, by name: nothing is placed on them. Machines of role
+    PLATFORM carry the platform itself and are no agents."""
+    found = (node for node in nodes if node.agent not in declared and node.role != PLATFORM)
+    return tuple(sorted(found, key=lambda node: node.name))

@@ -20,13 +20,13 @@ class UnknownAgents:
     """Says of every such Node once what to do: in the log, and as an Event."""
 
     def __init__(self, cluster: Cluster, agents: Sequence[Agent]) -> None:
-        self._cluster, self._agents = cluster, agents
+        self._cluster, self._names = cluster, frozenset(agent.name for agent in agents)
         self._told: set[tuple[str, str]] = set()
 
     def look(self) -> tuple[NodeState, ...]:
         """The Nodes of undeclared agents that are there now; new ones are told, at most TOLD_AT_ONCE_MAX at once. What
         the API server does not take is tried again with the next look."""
-        found = unknown_nodes(self._cluster.nodes(), self._agents)
+        found = unknown_nodes(self._cluster.nodes(), self._names)
         self._told &= {(node.name, node.agent) for node in found}
         for node in [n for n in found if (n.name, n.agent) not in self._told][:TOLD_AT_ONCE_MAX]:
             self._tell(node)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from robotkube.domain.scopes import unknown_nodes
 from robotkube.domain.tasks import REASONS, is_withdrawn
 from robotkube.ports.clusters import Cluster, TaskStore
 
@@ -41,12 +42,12 @@ class FigureReader:
     def read(self) -> Figures:
         """The figures of this moment."""
         tasks = [task for task in self.store.tasks() if not is_withdrawn(task)]
-        nodes = {node.agent for node in self.cluster.nodes()}
+        unknown = {node.agent for node in unknown_nodes(self.cluster.nodes(), self.agents)}
         return Figures(
             tasks=counted(tasks),
             waiting=sum(_waits(task) for task in tasks),
             broken_files=self.broken(),
-            unknown_agents=len(nodes - self.agents),
+            unknown_agents=len(unknown),
             holds=self.holds(),
             leading=self.leading(),
         )
