@@ -41,9 +41,8 @@ def _compiled(text: str) -> tuple[Any, Sequence[str]]:
     if broken:
         return None, broken
     plain = validator_for(schema, default=Draft202012Validator)
-    return validators.extend(plain, {"items": _items_once(plain.VALIDATORS["items"])})(
-        schema, registry=Registry()
-    ), broken
+    once = {"items": _items_once(plain.VALIDATORS["items"])}
+    return validators.extend(plain, once)(schema, registry=Registry()), broken  # type: ignore[no-untyped-call]
 
 
 def _items_once(plain: Any) -> Any:

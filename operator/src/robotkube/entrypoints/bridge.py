@@ -16,7 +16,7 @@ from robotkube.adapters.ros_rclpy import RosNode
 from robotkube.domain.bridging import BULK, check_agent, read_bridge_settings
 from robotkube.domain.errors import DocumentError, InputError
 from robotkube.domain.texts import read_mapping
-from robotkube.entrypoints.processes import PodSettings, Process, read_secret, read_text, run
+from robotkube.entrypoints.processes import PodSettings, Process, read_secret, read_text, run, until_removed
 from robotkube.services.bridge import Bridge
 
 if TYPE_CHECKING:
@@ -105,14 +105,15 @@ class Follower:
         """Watch the ConfigMap from now on."""
         where = f"ConfigMap {namespace}/{name}, key {KEY}"
 
-        def changed(data: ConfigMapData | None) -> None:
-            if data is not None and KEY in data:
+        def take(data: ConfigMapData) -> None:
+            if KEY in data:
                 self._news.append((data[KEY], where))
 
         def failed(sentence: str) -> None:
             self._process.log("watch interrupted", error=sentence)
 
-        ConfigMapWatch(ApiServer.from_environment(os.environ), namespace, name, changed, failed).start()
+        changed, api = until_removed(self._process, take), ApiServer.from_environment(os.environ)
+        ConfigMapWatch(api, namespace, name, changed, failed).start()
 
     def apply_news(self) -> None:
         """Apply what the watch brought; called by the loop's thread."""

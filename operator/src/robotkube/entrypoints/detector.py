@@ -34,7 +34,7 @@ from robotkube.domain.detector_settings import (
 from robotkube.domain.errors import DocumentError, InputError, RefusalError
 from robotkube.domain.recordings import DOCUMENT
 from robotkube.domain.texts import read_mapping
-from robotkube.entrypoints.processes import PodSettings, Process, read_text, run
+from robotkube.entrypoints.processes import PodSettings, Process, read_text, run, until_removed
 from robotkube.services.event_detector import EventDetector
 from robotkube.services.operator_reactions import OperatorReactions
 from robotkube.services.recorder import Recorder, RecorderPlace
@@ -279,12 +279,13 @@ def _watch(pod: PodSettings, changes: deque[str], process: Process) -> ConfigMap
         return None
     from robotkube.adapters.kubernetes_http import ApiServer, ConfigMapWatch, split_name
 
-    def changed(data: Mapping[str, str] | None) -> None:
-        if data is not None and CONFIG_KEY in data:
+    def take(data: Mapping[str, str]) -> None:
+        if CONFIG_KEY in data:
             changes.append(data[CONFIG_KEY])
 
     namespace, name = split_name(pod.config_map)
     api = ApiServer.from_environment(os.environ)
+    changed = until_removed(process, take)
     watch = ConfigMapWatch(api, namespace, name, changed, lambda sentence: process.log("watch", problem=sentence))
     watch.start()
     return watch

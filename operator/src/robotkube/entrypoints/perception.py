@@ -16,7 +16,7 @@ from robotkube.adapters.kubernetes_http import ApiServer, ConfigMapData, ConfigM
 from robotkube.adapters.ros_rclpy import RosNode
 from robotkube.domain.errors import DocumentError
 from robotkube.domain.texts import read_mapping
-from robotkube.entrypoints.processes import PodSettings, Process, read_text
+from robotkube.entrypoints.processes import PodSettings, Process, read_text, until_removed
 from robotkube.services.perceiving import Log, Perceiving
 
 GRACE_SECONDS = 2.0
@@ -78,11 +78,12 @@ def _apply(
 
 
 def _watch(process: Process, news: deque[str], namespace: str, name: str) -> None:
-    def changed(data: ConfigMapData | None) -> None:
-        if data is not None and KEY in data:
+    def take(data: ConfigMapData) -> None:
+        if KEY in data:
             news.append(data[KEY])
 
     def failed(sentence: str) -> None:
         process.log("watch interrupted", error=sentence)
 
-    ConfigMapWatch(ApiServer.from_environment(os.environ), namespace, name, changed, failed).start()
+    changed, api = until_removed(process, take), ApiServer.from_environment(os.environ)
+    ConfigMapWatch(api, namespace, name, changed, failed).start()

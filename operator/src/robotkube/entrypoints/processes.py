@@ -31,6 +31,7 @@ from typing import Any, NoReturn
 
 from robotkube.domain.errors import InputError, UnavailableError
 
+LINGER_SECONDS_MAX = 600.0
 EXIT_DONE, EXIT_FAILED, EXIT_USAGE, EXIT_UNREACHABLE = 0, 1, 2, 3
 
 
@@ -75,11 +76,14 @@ def read_secret(folder: Path, key: str) -> str:
 
 @dataclass
 class Process:
-    """A running process: its name, its log and whether it shall end."""
+    """A running process: its name, its log and whether it shall end. `removed`: its release is gone, so that it must do
+    nothing any more, but not come back either; `told` when a signal asked it to end."""
 
     name: str
     grace_seconds: float
     stopping: threading.Event = field(default_factory=threading.Event)
+    removed: threading.Event = field(default_factory=threading.Event)
+    told: threading.Event = field(default_factory=threading.Event)
 
     def log(self, event: str, **fields: Any) -> None:
         """Write one canonical line to stderr: key=value on a terminal, JSON elsewhere."""
@@ -90,6 +94,28 @@ class Process:
         if not self.stopping.is_set():
             faulthandler.dump_traceback_later(self.grace_seconds, exit=True)
             self.stopping.set()
+
+
+def until_removed(
+    process: Process, take: Callable[[Mapping[str, str]], None]
+) -> Callable[[Mapping[str, str] | None], None]:
+    """What follows the process's ConfigMap: its data go to `take`; when it was there and is gone, the body is asked to
+    return, and the process does nothing more until it is told to end.
+
+    Then its release was removed. Usually the kubelet says so; on a node that was cut off and is back, this process
+    would go on publishing and recording beside its successor elsewhere until the kubelet knows."""
+    seen = threading.Event()
+
+    def changed(data: Mapping[str, str] | None) -> None:
+        if data is not None:
+            seen.set()
+            take(data)
+        elif seen.is_set() and not process.stopping.is_set():
+            process.log("removed", reason="the ConfigMap of the release is gone")
+            process.removed.set()
+            process.stop()
+
+    return changed
 
 
 def write_line(fields: Mapping[str, Any]) -> None:
@@ -117,11 +143,15 @@ def run(name: str, body: Callable[[Process], None], grace_seconds: float) -> NoR
     process = Process(name, grace_seconds)
 
     def handle(signal_number: int, frame: FrameType | None) -> None:
+        process.told.set()
         process.stop()
 
     signal.signal(signal.SIGTERM, handle)
     signal.signal(signal.SIGINT, handle)
     code = _outcome(process, body)
+    if process.removed.is_set():
+        faulthandler.cancel_dump_traceback_later()
+        process.told.wait(LINGER_SECONDS_MAX)  # ended now, the kubelet would start it again from the mounted settings
     sys.stderr.flush()
     sys.stdout.flush()
     os._exit(code)  # not sys.exit: the middleware's clean-up at the interpreter's end may hang
