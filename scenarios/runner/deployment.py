@@ -93,7 +93,7 @@ class Deployment:
         """Every release file of main as it stood at `commit` or at a later one: <namespace>/<release> and its content;
         None for one that is not YAML."""
         seen: set[tuple[str, str]] = set()
-        walk = self._repository.walk(self._tip().id, pygit2.enums.SortMode.TOPOLOGICAL)
+        walk = self._walk()
         for at, _ in zip(walk, range(COMMITS_MAX), strict=False):
             for name, blob in _releases(at):
                 if (name, str(blob.id)) not in seen:
@@ -104,7 +104,7 @@ class Deployment:
 
     def history(self, commit: str) -> tuple[MainState, ...]:
         """Which tasks each release named, at `commit` and at every later commit of main, the oldest first."""
-        walk = self._repository.walk(self._tip().id, pygit2.enums.SortMode.TOPOLOGICAL)
+        walk = self._walk()
         found: list[MainState] = []
         named: dict[str, tuple[str, ...]] = {}
         for at, _ in zip(walk, range(COMMITS_MAX), strict=False):
@@ -119,7 +119,7 @@ class Deployment:
 
     def commits(self) -> tuple[Commit, ...]:
         """All commits of main, newest first."""
-        walk = self._repository.walk(self._tip().id, pygit2.enums.SortMode.TOPOLOGICAL)
+        walk = self._walk()
         found = [self._commit(commit) for _, commit in zip(range(COMMITS_MAX), walk, strict=False)]
         return tuple(found)
 
@@ -181,6 +181,12 @@ class Deployment:
                 f"forge {self._url}: {method} {path} as {self._user}: {answer.status_code} {answer.text[:300]}"
             )
         return answer.json()
+
+    def _walk(self) -> Any:
+        """Main's commits from its tip on, by their first parents: what else they joined was never main."""
+        walk = self._repository.walk(self._tip().id, pygit2.enums.SortMode.TOPOLOGICAL)
+        walk.simplify_first_parent()
+        return walk
 
     def _tip(self) -> pygit2.Commit:
         return self._repository.references[f"refs/heads/{BRANCH}"].peel(pygit2.Commit)
