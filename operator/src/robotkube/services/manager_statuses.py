@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
@@ -38,6 +39,9 @@ NOTHING: Mapping[str, Any] = dict.fromkeys(("plan", "pullRequest", "commit", "re
 UNSEEN = {"Accepted": "Unknown", "Committed": "False"}  # conditions of a task that could not be looked at yet
 TOLD = frozenset({*REFUSAL_REASONS, PROPOSAL_REFUSED, *OBSTACLES})
 
+WRITERS = 4
+ALONE_MAX = 3  # so few statuses are written one after the other
+
 log = logging.getLogger(__name__)
 
 
@@ -59,6 +63,17 @@ class Situation:
     obstacle: tuple[str, str] | None = None
 
 
+@dataclass(frozen=True)
+class _Due:
+    """A status to be written: the task's object, its conditions as values and as they go out, those that it had."""
+
+    key: str
+    document: Mapping[str, Any]
+    conditions: Sequence[Condition]
+    status: dict[str, Any]
+    before: Sequence[Mapping[str, Any]]
+
+
 class StatusWriter:
     """Writes a task's status when it differs from what stands there."""
 
@@ -71,13 +86,27 @@ class StatusWriter:
         documents = {object_key(d): d for d in self._tasks.tasks() if not is_withdrawn(d)}
         same = {key for key, (identity, _) in self._written.items() if identity == _identity(documents.get(key))}
         self._written = {key: written for key, written in self._written.items() if key in same}
-        for key, document in documents.items():
-            self._write(key, document, situation)
+        due = [found for key, document in documents.items() if (found := self._due(key, document, situation))]
+        if len(due) <= ALONE_MAX:
+            for one in due:
+                self._send(one)
+        else:
+            self._send_together(due)
 
-    def _write(self, key: str, document: Mapping[str, Any], situation: Situation) -> None:
+    def _send_together(self, due: Sequence[_Due]) -> None:
+        """Several at once: the API server answers each after milliseconds, and a storm brings hundreds."""
+        with ThreadPoolExecutor(WRITERS) as pool:
+            try:
+                list(pool.map(self._send, due))
+            except RobotKubeError:
+                pool.shutdown(cancel_futures=True)
+                raise
+
+    def _due(self, key: str, document: Mapping[str, Any], situation: Situation) -> _Due | None:
+        """The status of a task that differs from what stands there."""
         conditions, facts = derive(key, situation)
         if not conditions:
-            return
+            return None
         generation = int(document["metadata"].get("generation", 1))
         before = self._written[key][1] if key in self._written else document.get("status") or {}
         now = datetime.fromtimestamp(self._now_ns() / 1e9, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
@@ -87,11 +116,15 @@ class StatusWriter:
             **facts,
         }
         if all(before.get(name) == value for name, value in status.items()):
-            return
-        if self._patch(key, status):
-            self._written[key] = (object_identity(document), status)
-            log.info("task %s", " ".join([f"task={key}", *(f"{c.type}={c.status}/{c.reason}" for c in conditions)]))
-            self._tell(document, conditions, before.get("conditions", []))
+            return None
+        return _Due(key, document, conditions, status, before.get("conditions", []))
+
+    def _send(self, due: _Due) -> None:
+        if self._patch(due.key, due.status):
+            self._written[due.key] = (object_identity(due.document), due.status)
+            words = [f"task={due.key}", *(f"{c.type}={c.status}/{c.reason}" for c in due.conditions)]
+            log.info("task %s", " ".join(words))
+            self._tell(due.document, due.conditions, due.before)
 
     def _tell(
         self, document: Mapping[str, Any], conditions: Sequence[Condition], before: Sequence[Mapping[str, Any]]
