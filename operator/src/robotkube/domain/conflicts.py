@@ -57,18 +57,21 @@ Outcome = Met | Refused | Postponed
 @dataclass(frozen=True)
 class History:
     """Earlier decisions about the demands' present generations: since when each waits (ns since 1970), refusals that
-    stand, demands that were offloaded, demands that main answers."""
+    stand, demands that were offloaded, demands that main answers; of those, `changed` are ones that asked otherwise."""
 
     waiting: Mapping[str, int] = field(default_factory=dict)
     settled: Mapping[str, Refused] = field(default_factory=dict)
     offloaded: frozenset[str] = frozenset()
     answered: frozenset[str] = frozenset()
+    changed: frozenset[str] = frozenset()
 
     def without(self, key: str) -> History:
-        """The same but for what was decided about one demand."""
+        """The same but for what was decided about one demand, which asks anew."""
         waiting = {k: since for k, since in self.waiting.items() if k != key}
         settled = {k: refused for k, refused in self.settled.items() if k != key}
-        return replace(self, waiting=waiting, settled=settled, offloaded=self.offloaded - {key})
+        return replace(
+            self, waiting=waiting, settled=settled, offloaded=self.offloaded - {key}, changed=self.changed | {key}
+        )
 
 
 @dataclass(frozen=True)
@@ -103,14 +106,15 @@ def resolve(demands: Sequence[Demand], compose: Compose, history: History, now_n
 
 
 def _order(demand: Demand, history: History, now_ns: int) -> tuple[int, float, str, str]:
-    """Initial configuration, what main answers by its creation, then new demands by priority."""
+    """Initial configuration, what main answers by its creation (what it answers as it was before comes after, since it
+    has no seat yet), then new demands by priority."""
     task = demand.task
     if task is None:
         return 0, 0.0, "", demand.key
     if demand.key in history.answered:
-        return 1, 0.0, task.created, demand.key
+        return 1 + (demand.key in history.changed), 0.0, task.created, demand.key
     waited = (now_ns - history.waiting.get(demand.key, now_ns)) / 1e9
-    return 2, -(task.priority + waited / AGING_SECONDS), task.created, demand.key
+    return 3, -(task.priority + waited / AGING_SECONDS), task.created, demand.key
 
 
 def _met(outcome: Outcome | None) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 from robotkube.domain.catalogue_entries import PROVIDES
@@ -164,7 +165,7 @@ class TaskDescription:
         """`<namespace>/<name>`."""
         return f"{self.namespace}/{self.name}"
 
-    @property
+    @cached_property
     def cause(self) -> Cause:
         """As release files and commits name it."""
         return Cause(self.key, self.event, self.rule, self.trace, self.application, canonical(self.parameters))

@@ -5,11 +5,12 @@ Earlier decisions are kept for one generation of one object; after a restart the
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 from robotkube.domain.conflicts import History, Outcome, Postponed, Resolution
 from robotkube.domain.ledger import Remembered, Standing, TaskReader, moment, remembered, standing
+from robotkube.domain.releases import Cause
 from robotkube.domain.tasks import SETTLED_REASONS, SUPERSEDED, TaskDescription, object_key
 from robotkube.domain.worlds import Met, Refused
 
@@ -49,14 +50,16 @@ class DemandLedger:
             return found.live.get(key) or found.refused[key]
         return Refused(SUPERSEDED, "it is being deleted")
 
-    def history(self, answered: frozenset[str]) -> History:
-        """Earlier decisions about the demands that stand."""
+    def history(self, causes: Collection[Cause]) -> History:
+        """Earlier decisions about the demands that stand; `causes` are those of main's releases."""
         found = {key: memory for key, (_, memory) in self._known.items()}
+        asked = {(cause.task, cause.parameters) for cause in causes}
         return History(
             {key: m.waiting_since_ns for key, m in found.items() if m.waiting_since_ns is not None},
             {key: m.settled for key, m in found.items() if m.settled is not None},
             self.offloaded,
-            answered,
+            frozenset(cause.task for cause in causes),
+            frozenset(key for key, task in self.standing.live.items() if (key, task.cause.parameters) not in asked),
         )
 
     def keep(self, resolution: Resolution) -> None:

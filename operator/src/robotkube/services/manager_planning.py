@@ -17,7 +17,7 @@ from robotkube.domain.loops import Render
 from robotkube.domain.placement import NODE_LOST_SECONDS, Agent, Fleet, NodeState, fleet, next_loss_ns
 from robotkube.domain.planning import Change, Plan, differences, fingerprint, lost_words, make_plan
 from robotkube.domain.proposals import NODE, REVERTS_MAX
-from robotkube.domain.releases import Release
+from robotkube.domain.releases import Cause, Release
 from robotkube.domain.scopes import Operators
 from robotkube.domain.tasks import POSTPONED, TaskDescription, object_key
 from robotkube.domain.updates import Pin
@@ -32,6 +32,7 @@ from robotkube.services.manager_updates import Updating
 
 TASKS_PER_PLAN_MAX = 100
 HELD_MAX = 1000
+UNDECIDED = Refused(POSTPONED, "other pre-emptions are decided first; ask again")
 DOUBTS = frozenset({"NoVerifiedVersion", "GuaranteeNotMet"})
 
 log = logging.getLogger(__name__)
@@ -117,12 +118,12 @@ class Planner:
             answered = self._answered()
             self._looked_at = self._wanted(answered)
             self._look_for_updates()
-            resolution = self._resolve(self._looked_at, self._ledger.history(answered))
+            resolution = self._resolve(self._looked_at, self._ledger.history(self._causes()))
             self._ledger.keep(resolution)
             self._take(resolution)
             changes = self._going(self._changes(resolution.desired))
             waits = bool(changes) and fingerprint(changes) not in self._held_differences
-            update = self._update(resolution.desired, waits, self._ledger.history(answered))
+            update = self._update(resolution.desired, waits, self._ledger.history(self._causes()))
             return update or (self._made(changes, self.desired, self.tasks) if waits else None)
 
     def _look_for_updates(self) -> None:
@@ -152,7 +153,7 @@ class Planner:
             key, task = object_key(document), self._ledger.foresee(document, self._now_ns)
             if isinstance(task, Refused):
                 return explain(key, task, {}, None, self._main.tree)
-            history = self._ledger.history(self._answered()).without(key)
+            history = self._ledger.history(self._causes()).without(key)
             tasks = [*(known for known in self._looked_at if known.key != key), task]
             resolution = self._resolve(tasks, history)
             others = {
@@ -161,7 +162,8 @@ class Planner:
                 if other != key and type(outcome) is not type(self.outcomes.get(other))
             }
             plan = self._difference(resolution.desired, {**self.tasks, key: task})
-            return explain(key, resolution.outcomes[key], others, plan, self._main.tree)
+            outcome = resolution.outcomes.get(key, UNDECIDED)
+            return explain(key, outcome, others, plan, self._main.tree)
 
     def _difference(self, desired: Desired, tasks: Mapping[str, TaskDescription]) -> Plan | None:
         """What `desired` changes on main besides what is going to change anyway."""
@@ -213,7 +215,10 @@ class Planner:
 
     def _answered(self) -> frozenset[str]:
         """Tasks that main answers."""
-        return frozenset(cause.task for release in self._main.tree.releases.values() for cause in release.causes)
+        return frozenset(cause.task for cause in self._causes())
+
+    def _causes(self) -> frozenset[Cause]:
+        return frozenset(cause for release in self._main.tree.releases.values() for cause in release.causes)
 
     def _wanted(self, answered: frozenset[str]) -> list[TaskDescription]:
         """The tasks of this plan: all that main answers, the new ones of the highest priority that are not held, and in
