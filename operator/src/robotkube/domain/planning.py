@@ -170,8 +170,7 @@ def _message(
     for change in changes:
         before = set(change.before.causes) if change.before else set()
         after = set(change.after.causes) if change.after else set()
-        if before == after:
-            causes |= after
+        causes |= after if before == after else before ^ after  # what moves comes here and goes there
         initial |= not (before | after) or (before == after and change.path in desired.initial)
     area, reason = _reason(changes, come, go, tasks, catalogue)
     evidence = _evidence(changes)
