@@ -34,7 +34,7 @@ class Bounds:
     """The bounds of one manager; `agents` are all that are declared."""
 
     def __init__(self, agents: Sequence[Agent], operators: Operators) -> None:
-        self._agents, self._operators = agents, operators
+        self._agents, self._operators, self._unbounded = agents, operators, operators.unbounded
         self._names = {agent.namespace: agent.name for agent in agents}
         self._said: Mapping[str, Hold] = {}
         self.waiting_tasks: Mapping[str, str] = {}
@@ -58,11 +58,11 @@ class Bounds:
         """The tasks that need not be composed: out of their chain, or for an application out of their scope. `live` are
         all that stand, `gone` says why others do not, `releases` are main's."""
         found = self._out_of_chain(live, gone, releases)
-        for task in tasks:
+        for task in () if self._unbounded else tasks:
             if task.application and task.key not in found:
                 refusal = self._outside(task, live, task.application, ())
                 found |= {task.key: refusal} if refusal else {}
-        return {task.key: found[task.key] for task in tasks if task.key in found}
+        return {task.key: found[task.key] for task in tasks if task.key in found} if found else {}
 
     def refused_after(
         self,
@@ -74,7 +74,7 @@ class Bounds:
     ) -> dict[str, Refused]:
         """The tasks that have to go after all: they led out of their scope, or a task above them was refused."""
         found: dict[str, Refused] = {}
-        for task in tasks:
+        for task in () if self._unbounded else tasks:
             outcome = outcomes.get(task.key)
             refusal = None
             if isinstance(outcome, Met):
@@ -82,13 +82,13 @@ class Bounds:
                 refusal = self._outside(task, live, outcome.application or task.application, places)
             found |= {task.key: refusal} if refusal else {}
         chains = self._out_of_chain(live, {**gone, **{key: r.message for key, r in found.items()}}, releases)
+        if not found and not chains:
+            return {}
         return {task.key: r for task in tasks if (r := found.get(task.key) or chains.get(task.key))}
 
     def _outside(
         self, task: TaskDescription, live: Tasks, application: str, namespaces: Sequence[str]
     ) -> Refused | None:
-        if self._operators.unbounded:
-            return None
         try:
             scope = self._scope(task, live)
             check_application(scope, task.key, application)
