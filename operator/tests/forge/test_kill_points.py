@@ -50,6 +50,7 @@ IN_EVERY_RUN = (  # one of each kind
     f"kill after {ADAPTERS}kubernetes_api.KubernetesWorld.patch_status",
     f"kill after {ADAPTERS}forges.gitea.GiteaForge.comment",
 )
+STORY_SECONDS_MAX = 25.0
 PRIMITIVES = frozenset({"push", "publish", "ack"})
 METHODS = frozenset({"POST", "PUT", "PATCH", "DELETE"})
 MEETING = {"application": "pose-point-cloud-recording", "parameters": {"vehicles": ["vehicle-00", "vehicle-01"]}}
@@ -157,7 +158,10 @@ class Story:
                 self.start()
             return bool(condition())
 
-        until(holds, what, 60)
+        try:
+            until(holds, what, STORY_SECONDS_MAX)
+        except AssertionError as error:
+            raise AssertionError(f"{error}\n{self.pods[-1].log.read_text()[-3000:]}") from error
 
     def condition(self, name: str, kind: str) -> tuple[str, str]:
         return conditions(self.api.get(f"{TASKS}/{name}")).get(kind, ("", ""))

@@ -242,3 +242,38 @@ def test_an_entry_edited_to_verified_without_evidence_is_no_verified_version(
                 "charts/event-detector/0.1.0.schema.json": CATALOGUE["charts/event-detector/0.1.0.schema.json"],
             }
         )
+
+
+def test_a_new_process_takes_an_open_proposal_over_and_closes_another(
+    installation: Installation,
+    manager: RunningManager,
+    gate: RunningGate,
+    controller: ApplicationSetController,
+    tmp_path: Path,
+) -> None:
+    gate.stop()
+    ask(manager.tasks)
+    manager.manager.wake(TASKS)
+    until(lambda: manager.tasks.condition(KEY, "Committed") == ("False", "Proposed"), "proposed")
+    number = manager.tasks.objects[KEY]["status"]["pullRequest"]["number"]
+    plan = manager.plans()[-1]["plan"]
+    manager.stop()
+    clone, topic = installation.clone("manager"), installation.plan()
+    unwanted = installation.propose(clone, clone.commit({"README.md": "x\n"}, "x\n", [clone.tip()]), topic)
+    again = start_manager(installation, tmp_path / "again", manager.tasks)
+    try:
+        until(lambda: again.manager.statistics.plans["taken_over"] == 1, "taken over")
+        assert again.plans()[-1]["plan"] == plan
+        until(lambda: installation.pull_request(unwanted)["state"] == "closed", "closed by its author")
+        assert "Superseded: the manager began anew" in installation.comments(unwanted)
+        running = start_gate(installation, controller.url, tmp_path / "gate-again")
+        try:
+            until(lambda: committed(again), "committed")
+            assert again.tasks.objects[KEY]["status"]["pullRequest"]["number"] == number
+            again.tasks.delete(KEY)
+            again.manager.wake(TASKS)
+            until(lambda: again.plans()[-1]["cause"] == "withdrawal" and again.last_plan_is("merged"), "withdrawn")
+        finally:
+            running.stop()
+    finally:
+        again.stop()

@@ -378,12 +378,13 @@ class ApplicationManager:
             return False
         if self._is_behind():
             return True
-        pull = self._open.find(plan)
+        found = self._open.find(plan)
         self._begun = True
-        if plan is None or pull is None:
+        if plan is None or found is None:
             return False
+        pull, identifier = found
         record = record_of(plan, seen, started)
-        record.id, record.commit = pull.topic, pull.head
+        record.id, record.commit = identifier, pull.head
         record.pull_request, record.url = pull.number, pull.url
         record.times["proposed"] = started
         self.records.add(record)

@@ -12,7 +12,7 @@ from typing import Any
 
 from robotkube.domain.errors import InputError
 from robotkube.domain.planning import Plan, come_and_go
-from robotkube.domain.releases import PLAN
+from robotkube.domain.proposals import read_message
 from robotkube.domain.tasks import TaskDescription, is_withdrawn, object_identity, object_key
 from robotkube.ports.forges import Forge, PullRequest
 from robotkube.ports.git import DeploymentRepository
@@ -28,20 +28,26 @@ class OpenProposals:
     def __init__(self, deployment: DeploymentRepository, forge: Forge, name: str) -> None:
         self._deployment, self._forge, self._name = deployment, forge, name
 
-    def find(self, plan: Plan | None) -> PullRequest | None:
-        """The one that does what `plan` does, on the same base; every other one is closed."""
+    def find(self, plan: Plan | None) -> tuple[PullRequest, str] | None:
+        """The one that does what `plan` does, on the same base, and its plan's id; every other one is closed."""
         found = None
         for pull in self._forge.pull_requests("open", self._name):
-            if found is None and plan is not None and self._same(pull, plan):
-                found = pull
-            elif PLAN.fullmatch(pull.topic):
+            identifier = self._same(pull, plan) if found is None and plan is not None else None
+            if identifier is not None:
+                found = (pull, identifier)
+            else:
                 self.close(pull.number, "the manager began anew, and does not want this any more")
         return found
 
-    def _same(self, pull: PullRequest, plan: Plan) -> bool:
-        if not PLAN.fullmatch(pull.topic) or pull.topic[-DIGITS:] != plan.id[-DIGITS:]:
-            return False
-        return self._deployment.proposal(pull.number).parents == (plan.base,)
+    def _same(self, pull: PullRequest, plan: Plan) -> str | None:
+        """The plan's id in the proposed commit, when it does what `plan` does. The forge does not tell it."""
+        try:
+            commit = self._deployment.proposal(pull.number)
+            identifier = read_message(commit.message).plan
+        except InputError:
+            return None
+        same = commit.id == pull.head and commit.parents == (plan.base,)
+        return identifier if same and identifier[-DIGITS:] == plan.id[-DIGITS:] else None
 
     def close(self, number: int, why: str) -> None:
         """Say why and close; nothing when the gate was faster."""
