@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import functools
 import json
+import os
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import paho.mqtt.client as mqtt
@@ -14,16 +16,19 @@ import pytest
 from api_calls import TASKS, Api
 from api_server import ApiServerProcess
 from paho.mqtt.enums import CallbackAPIVersion
+from random_orders import random_message
 from waiting import until
 
 from ci.benchmarks import pods
 from robotkube.adapters.kubernetes_api import KubernetesWorld, api_client, call
 from robotkube.adapters.kubernetes_tasks import KubernetesTasks
 from robotkube.adapters.mqtt_doors import PahoDoor
+from robotkube.domain.door_messages import DOOR_REASONS
 from robotkube.services.task_doors import TaskDoor
 
 SPEC = {"application": "recording", "parameters": {"vehicles": ["vehicle-00"]}}
 ANSWER_SECONDS_MAX = 20.0
+RANDOM_MESSAGES, THOROUGH_MESSAGES = 200, 1000
 
 
 class Operator:
@@ -169,6 +174,29 @@ def test_the_api_servers_refusal_is_answered(api: Api, operator: Operator, door:
     operator.say(b"[" + b" " * (10 * 1024 * 1024))
     assert operator.refusal(None).startswith("TooLarge: ")
     assert [task(api, name) for name in ("door-typo", "door-priority")] == [None, None]
+
+
+@pytest.mark.parametrize("count", [RANDOM_MESSAGES, pytest.param(THOROUGH_MESSAGES, marks=pytest.mark.thorough)])
+def test_random_messages_become_tasks_or_are_answered(api: Api, operator: Operator, door: Door, count: int) -> None:
+    before = resident_bytes()
+    for number in range(count):
+        operator.say(random_message(number))
+    outcomes = door.door.statistics.outcomes
+    until(lambda: sum(outcomes.values()) >= count, "every message handled", ANSWER_SECONDS_MAX + count / 2)
+    refused = sum(outcomes[reason] for reason in DOOR_REASONS)
+    until(lambda: len([a for a in operator.heard if refusal_of(a)]) == refused, "every refusal told")
+    assert {refusal_of(answer) for answer in operator.heard} - {""} <= set(DOOR_REASONS)
+    assert (outcomes["created"] > 0, outcomes["TooLarge"] > 0, outcomes["NotReached"]) == (True, True, 0)
+    assert resident_bytes() - before < 192 * 1024 * 1024  # client and door are one process here
+
+
+def refusal_of(answer: dict[str, Any]) -> str:
+    reasons = [condition["reason"] for condition in answer["conditions"] if condition["status"] == "False"]
+    return reasons[0] if reasons else ""
+
+
+def resident_bytes() -> int:
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
 def test_what_was_said_while_the_door_was_closed_is_heard_later(

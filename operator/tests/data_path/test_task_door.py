@@ -7,10 +7,13 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import paho.mqtt.client as mqtt
 import pytest
+from paho.mqtt.enums import CallbackAPIVersion
 from waiting import until
 
 from ci.benchmarks import pods
+from robotkube.adapters import mqtt_doors
 from robotkube.adapters.mqtt_doors import PahoDoor
 from robotkube.services.task_doors import TaskDoor
 from robotkube.testing.clusters import MemoryTasks
@@ -82,6 +85,37 @@ def tasks(broker: pods.Broker) -> Iterator[MemoryTasks]:
     until(lambda: door.is_open, "the door open")
     yield found
     door.stop(5.0)
+
+
+def test_a_broker_that_sends_more_than_is_kept_loses_nothing(
+    broker: pods.Broker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mqtt_doors, "WAITING_MAX", 5)
+    monkeypatch.setattr(mqtt_doors, "UNACKNOWLEDGED_MAX", 100)
+    door = PahoDoor("127.0.0.1", broker.port, "manager", pods.password("manager"), "manager-overrun")
+    door.start([f"robotkube/tasks/{AGENT}"])
+    until(lambda: not door.complaint, "the door open")
+    operator = mqtt.Client(CallbackAPIVersion.VERSION2, "operator", protocol=mqtt.MQTTv5)
+    operator.username_pw_set(AGENT, pods.password(AGENT))
+    operator.connect("127.0.0.1", broker.port)
+    operator.loop_start()
+    sent = [operator.publish(f"robotkube/tasks/{AGENT}", str(number), 1) for number in range(40)]
+    for one in sent:
+        one.wait_for_publish(10)
+    heard: list[int] = []
+    until(lambda: taken(door, heard) == 40, "all messages")
+    assert list(dict.fromkeys(heard)) == list(range(40))
+    operator.disconnect()
+    operator.loop_stop()
+    door.close()
+
+
+def taken(door: PahoDoor, heard: list[int]) -> int:
+    """Take and acknowledge what is here; how many different messages were heard so far."""
+    while (message := door.take(0.01)) is not None:
+        heard.append(int(message.payload))
+        door.acknowledge(message)
+    return len(set(heard))
 
 
 def test_a_ros_process_asks_hears_and_withdraws(

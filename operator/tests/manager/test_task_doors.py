@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-import random
 import tracemalloc
-from collections.abc import Callable
 from typing import Any
 
 import pytest
+from random_orders import ASKED, SPEC, random_message
 
 from robotkube.domain.door_messages import (
     DOOR_REASONS,
@@ -29,8 +28,6 @@ from robotkube.testing.clusters import MemoryTasks
 from robotkube.testing.doors import MemoryDoor, MemoryTaskWriter
 
 START_NS = 1795250000_000000000
-SPEC = {"application": "pose-point-cloud-recording", "parameters": {"vehicles": ["vehicle-00", "vehicle-01"]}}
-ASKED = {"metadata": {"name": "look"}, "spec": SPEC}
 RANDOM_MESSAGES, THOROUGH_MESSAGES = 200, 5000
 
 
@@ -235,48 +232,6 @@ def test_a_refusal_names_the_id_where_it_can() -> None:
     assert read_message(b'{"metadata": {"name": "a"}, "spec": 1}', 10) == Unreadable(
         NOT_READABLE, "spec: must be an object", "a"
     )
-
-
-def random_message(number: int) -> bytes:
-    """A message known by its number: good, damaged, huge, deep, of wrong types, full of strange characters."""
-    rng = random.Random(number)  # noqa: S311 - for tests
-    wrong: list[Any] = [
-        None,
-        True,
-        -1,
-        2**70,
-        1e308,
-        "",
-        "\u2028\ud800",
-        "\x00",
-        [],
-        {},
-        [[[[]]]],
-        "x" * 5000,
-        "Ж" * 300,
-    ]
-    document: dict[str, Any] = json.loads(json.dumps(ASKED))
-    places: list[Callable[[], Any]] = [
-        lambda: document.update(
-            {rng.choice(["metadata", "spec", "kind", "x", "withdraw", "renew"]): rng.choice(wrong)}
-        ),
-        lambda: document["spec"].update({rng.choice(list(SPEC)): rng.choice(wrong)}),
-        lambda: document["spec"]["parameters"].update({"\U0001f697" * rng.randrange(1, 9): rng.choice(wrong)}),
-        lambda: document["metadata"].update(name=rng.choice([*wrong, "a-b", "a" * 300, "../x", "vehicle-01/x"])),
-        lambda: None,
-    ]
-    rng.choice(places)()
-    data = json.dumps(document, ensure_ascii=rng.random() < 0.5).encode(errors="surrogatepass")
-    kind = rng.randrange(8)
-    if kind == 0:
-        return data[: rng.randrange(len(data))]
-    if kind == 1:
-        return bytes(rng.randrange(256) for _ in range(rng.choice((1, 50, 3000))))
-    if kind == 2:
-        return data.replace(b'"vehicles"', b'"v": ' + b'{"a":' * 20_000 + b"1" + b"}" * 20_000 + b', "vehicles"', 1)
-    if kind == 3 and number % 5 == 0:
-        return data + b" " * (10 * 1024 * 1024)
-    return data
 
 
 @pytest.mark.parametrize("count", [RANDOM_MESSAGES, pytest.param(THOROUGH_MESSAGES, marks=pytest.mark.thorough)])

@@ -1,13 +1,15 @@
 """The task door's session at the broker (MQTT 5): messages are acknowledged only when the door says so.
 
 Port DoorChannel. paho's own thread reads and connects again, with a bounded pause; the session stays at the broker
-for SESSION_SECONDS. At most UNACKNOWLEDGED_MAX messages are under way, and of one that is too long for a task only its
-size is kept, so memory is bounded by the broker's largest message.
+for SESSION_SECONDS. The broker is asked to have at most UNACKNOWLEDGED_MAX messages under way, and of one that is too
+long for a task only its size is kept. A broker that sends more nevertheless loses the connection at WAITING_MAX
+messages or WAITING_BYTES_MAX: what was not acknowledged comes again with the next one, in its order.
 """
 
 from __future__ import annotations
 
 import queue
+import socket
 import threading
 from collections.abc import Sequence
 from typing import Any
@@ -26,7 +28,7 @@ KEEPALIVE_SECONDS = 15
 CONNECT_SECONDS_MAX = 5.0
 PAUSE_SECONDS_MIN, PAUSE_SECONDS_MAX = 1, 10
 UNACKNOWLEDGED_MAX = 16
-WAITING_MAX = 2 * UNACKNOWLEDGED_MAX
+WAITING_MAX, WAITING_BYTES_MAX = 1000, 32 * 1024 * 1024
 ANSWERS_QUEUED_MAX = 1000
 QOS = 1
 FAILURE = 0x80
@@ -37,7 +39,8 @@ class PahoDoor:
 
     def __init__(self, host: str, port: int, username: str, password: str, client_id: str) -> None:
         self._host, self._port = host, port
-        self._waiting: queue.Queue[DoorMessage] = queue.Queue(WAITING_MAX)
+        self._waiting: queue.Queue[DoorMessage] = queue.Queue()
+        self._waiting_bytes, self._overrun = 0, False
         self._topics: list[str] = []
         self._lock = threading.Lock()
         self._connection = 0
@@ -69,9 +72,12 @@ class PahoDoor:
     def take(self, seconds: float) -> DoorMessage | None:
         """See the port."""
         try:
-            return self._waiting.get(timeout=seconds)
+            message = self._waiting.get(block=seconds > 0, timeout=seconds)
         except queue.Empty:
             return None
+        with self._lock:
+            self._waiting_bytes -= len(message.payload)
+        return message
 
     @writes("message")
     def acknowledge(self, message: DoorMessage) -> None:
@@ -99,6 +105,7 @@ class PahoDoor:
             return
         with self._lock:
             self._connection += 1
+            self._overrun = False
         client.subscribe([(topic, QOS) for topic in self._topics])
 
     def _subscribed(self, client: Any, userdata: Any, mid: Any, reasons: Any, properties: Any) -> None:
@@ -123,17 +130,19 @@ class PahoDoor:
 
     def _forget(self) -> None:
         """What was not acknowledged comes again with the next connection."""
-        while True:
-            try:
-                self._waiting.get_nowait()
-            except queue.Empty:
-                return
+        while self.take(0.0) is not None:
+            pass
 
     def _received(self, client: Any, userdata: Any, message: Any) -> None:
         size = len(message.payload)
         payload = bytes(message.payload) if size <= MESSAGE_BYTES_MAX else b""
-        token = (self._connection, message.mid, message.qos)
-        try:
-            self._waiting.put_nowait(DoorMessage(message.topic, payload, size, token))
-        except queue.Full:  # beyond what the broker may have under way: without an acknowledgement it comes again
-            return
+        with self._lock:
+            full = self._waiting.qsize() >= WAITING_MAX or self._waiting_bytes + len(payload) > WAITING_BYTES_MAX
+            first, self._overrun = full and not self._overrun, self._overrun or full
+            if not self._overrun:
+                self._waiting_bytes += len(payload)
+                self._waiting.put(
+                    DoorMessage(message.topic, payload, size, (self._connection, message.mid, message.qos))
+                )
+        if first and (connection := client.socket()) is not None:
+            connection.shutdown(socket.SHUT_RDWR)  # paho sees it as lost, and connects again
