@@ -10,6 +10,7 @@ from scenarios.runner.inputs import Commit, PullRequest, RunInputs
 
 PLAN_TRAILERS = ("Plan", "Trace", "Chart", "Evidence")
 TASK_TRAILERS = ("Task", "Event", "Rule")
+REPAIR, REPAIR_TRAILERS = "repair", ("Plan", "Trace", "Reverts")  # brings nothing that was not on main before
 PEOPLE_MAY_TOUCH = "policies/"
 
 
@@ -67,8 +68,10 @@ def _of_a_person(commit: Commit) -> bool:
 
 
 def _missing_trailers(trailers: Mapping[str, tuple[str, ...]]) -> list[str]:
+    if REPAIR in trailers.get("Cause", ()):
+        return [name for name in REPAIR_TRAILERS if not trailers.get(name)]
     missing = [name for name in PLAN_TRAILERS if not trailers.get(name)]
     if trailers.get("Cause") and not trailers.get("Task"):
-        return missing  # initial configuration, update, lost node, repair: nobody's task
+        return missing  # initial configuration, update, lost node: nobody's task
     tasks = len(trailers.get("Task", ()))
     return missing + [name for name in TASK_TRAILERS if len(trailers.get(name, ())) != tasks or not tasks]

@@ -9,12 +9,14 @@ from typing import Any
 import pytest
 
 from scenarios import definition
-from scenarios.runner import outcomes, page, report, sharing
+from scenarios.runner import audit, outcomes, page, report, sharing
 from scenarios.runner.inputs import (
     BrokerLog,
     BrokerResult,
+    Commit,
     MainState,
     Pod,
+    PullRequest,
     RunInputs,
     StepDone,
     TaskCondition,
@@ -225,3 +227,24 @@ def test_without_an_overlap_nothing_is_shared(run: Any) -> None:
     assert sharing.pods(inputs, met) is None
     assert sharing.recordings(met) == 2
     assert sharing.pairs_recorded(met) == 1
+
+
+# the audit of what is nobody's task -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("trailers", "missing"),
+    [
+        ({"Cause": "node", "Plan": "p", "Trace": "t", "Chart": "c", "Evidence": "e"}, ()),
+        ({"Cause": "update", "Plan": "p", "Trace": "t", "Chart": "c"}, ("RobotKube-Evidence",)),
+        ({"Cause": "repair", "Plan": "p", "Trace": "t", "Reverts": "abc"}, ()),
+        ({"Cause": "repair", "Plan": "p", "Trace": "t"}, ("RobotKube-Reverts",)),
+        ({"Plan": "p", "Trace": "t", "Chart": "c", "Evidence": "e"}, ("RobotKube-Task", "RobotKube-Event")),
+    ],
+)
+def test_commits_without_a_task_say_their_cause(trailers: dict[str, str], missing: tuple[str, ...]) -> None:
+    found = {name: (value,) for name, value in trailers.items()}
+    commit = Commit("a" * 40, ("b" * 40,), "manager", "deploy", 1, found, ("releases/a/b.yaml",))
+    entry = audit.entry(commit, PullRequest(1, "deploy", True, commit.sha))
+    assert entry.missing[: len(missing)] == missing
+    assert bool(entry.missing) == bool(missing)
