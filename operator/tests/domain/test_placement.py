@@ -196,7 +196,8 @@ def test_a_named_agent_needs_room_too_and_so_does_its_bridge() -> None:
     [
         (TaskPlacement(agents=("edge-2",)), "edge-2", ""),
         (TaskPlacement(roles=("edge",)), "edge-0", ""),
-        (TaskPlacement(agents=("cloud-0",)), "", "edge-0: is not among the agents of the task"),
+        (TaskPlacement(agents=("cloud-0",)), "", "one of the agents cloud-0: cloud-0: has role cloud, not edge"),
+        (TaskPlacement(agents=("edge-9",)), "", "one of the agents edge-9: no such agent is declared"),
         (TaskPlacement(roles=("cloud",)), "", "edge-0: has role edge, the task wants cloud"),
         (TaskPlacement(capabilities=("arm",)), "", "edge-2: lacks capability arm"),
     ],

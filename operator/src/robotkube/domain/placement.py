@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 NODE_LOST_SECONDS = 40.0
 LISTED_MAX = 10  # candidates that are listed one by one; more are counted by reason
 NAMED_MAX = 5
-CANDIDATES_KEPT_MAX = 1024
+CANDIDATES_KEPT_MAX = 256
 SECOND_NS = 1_000_000_000
 
 Reason = tuple[str, str]
@@ -355,7 +355,7 @@ def _reason(agent: Agent, candidates: Candidates, around: Circumstances) -> tupl
 
 def _refusal(asked: Group, candidates: Candidates, around: Circumstances) -> RefusalError:
     found = [_reason(agent, candidates, around) for agent in candidates.agents]
-    detail = "; ".join(listed(found)) or "no agent of that role is declared"
+    detail = "; ".join(listed(found)) or "no such agent is declared"
     group = f"{asked.wanted}{''.join(f' ({text})' for text in asked.together)}"
     if any(agent.name not in around.avoided for agent in candidates.free):
         text = f"no agent for {group} has room: {detail}; ask for less, or withdraw something that runs there"
@@ -364,9 +364,12 @@ def _refusal(asked: Group, candidates: Candidates, around: Circumstances) -> Ref
 
 
 def _candidates(fleet: Fleet, wanted: Wanted) -> Candidates:
-    """Agents of the role or of the roles are looked at, a named agent alone; what they lack are obstacles."""
+    """A named agent is looked at alone, or those that the task names, or else those of the role or of the roles; what
+    they lack are obstacles."""
     if wanted.named:
         agents: Sequence[Agent] = [fleet.agents[wanted.named]]
+    elif wanted.agents:
+        agents = [fleet.agents[name] for name in sorted(set(wanted.agents)) if name in fleet.agents]
     elif wanted.role or not wanted.roles:
         agents = fleet.of_role.get(wanted.role, ())
     else:
