@@ -95,7 +95,7 @@ def resolve(demands: Sequence[Demand], compose: Compose, history: History, now_n
     wanted, desired, why = _offload(wanted, desired, compose)
     wanted, desired, gave_way, left = _preempt(wanted, desired, compose)
     outcomes: dict[str, Outcome] = {
-        d.key: _worded(d, desired.outcomes[d.key], why, gave_way) for d in wanted if d.key not in left
+        d.key: _worded(d, desired.outcomes[d.key], why, gave_way, settled) for d in wanted if d.key not in left
     }
     outcomes |= {k: Refused(PREEMPTED, _gave_way(by)) for k, by in gave_way.items() if not _met(outcomes.get(k))}
     queue = _queue([d for d in demands if d.key in outcomes], outcomes, history, now_ns)
@@ -222,14 +222,20 @@ def _gave_way(claim: Demand) -> str:
 
 
 def _worded(
-    demand: Demand, outcome: Met | Refused, why: Mapping[str, Refused], gave_way: Mapping[str, Demand]
+    demand: Demand,
+    outcome: Met | Refused,
+    why: Mapping[str, Refused],
+    gave_way: Mapping[str, Demand],
+    settled: Mapping[str, Refused],
 ) -> Met | Refused:
     """The outcome with what was decided about its conflict."""
     refusal = why.get(demand.key)
     if isinstance(outcome, Refused):
         text = f"{refusal.message}; on {_elsewhere(demand)} instead: {outcome.message}" if refusal else outcome.message
         return replace(outcome, message=text)
-    words = [f"{key} gave way to it" for key, claim in sorted(gave_way.items()) if claim.key == demand.key]
+    before = [key for key, earlier in settled.items() if earlier == Refused(PREEMPTED, _gave_way(demand))]
+    now = [key for key, claim in gave_way.items() if claim.key == demand.key]
+    words = [f"{key} gave way to it" for key in sorted({*before, *now})]
     if demand.roles:
         reason = f": {refusal.reason}: {refusal.message}" if refusal else ""
         by = f"; it {_gave_way(gave_way[demand.key])}" if demand.key in gave_way else ""
