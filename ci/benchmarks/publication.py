@@ -70,8 +70,9 @@ def _stated_seconds(envelope: str) -> float:
 
 
 @contextmanager
-def new_cluster(kept: Path, steps: Steps) -> Iterator[Path]:
-    """The kubeconfig of a cluster on which everything was just published, with evidence from and to `kept`."""
+def new_cluster(kept: Path | None, steps: Steps) -> Iterator[Path]:
+    """The kubeconfig of a cluster on which everything was just published, with evidence from and to `kept` (None: the
+    user's cache)."""
     parameters = definition.load(SCENARIO, [], VARIANT).parameters
     for name in PLANS:
         if cleaning.leftovers(name):
