@@ -8,7 +8,7 @@ import yaml
 from installation import CAUSE, DIGESTS, Installation, RunningGate, message, release_files
 from waiting import until
 
-from scenarios.runner import audit, evidence
+from scenarios.runner import asking, audit, evidence
 from scenarios.runner.access import Endpoint
 from scenarios.runner.deployment import CATALOGUE, REPOSITORY, Deployment, specification_digests
 from scenarios.runner.waiting import RunError
@@ -41,6 +41,18 @@ def test_a_person_s_pull_request_is_merged_as_it_was_proposed(installation: Inst
         assert newest.paths == (POLICY,)
         assert audit.entry(newest, deployment.pull_request(number)).missing == ()
         assert deployment.commits()[-1].parents == ()
+
+
+def test_a_change_is_asked_for_and_merged_in_one_go(installation: Installation, gate: RunningGate) -> None:
+    with person(installation) as deployment:
+        deployment.fetch()
+        text = f"add: []\nremove: []\n# {time.time_ns()}\n"
+        number = asking.change(deployment, POLICY, text, "policy(initial): in one go", f"run-{time.time_ns()}")
+        assert deployment.pull_request(number).merged
+        tip = deployment.fetch()
+        assert deployment.file(POLICY) == text
+        assert deployment.message(tip) == "policy(initial): in one go\n"
+        assert deployment.history(tip)[0].commit == tip
 
 
 def test_a_person_s_pull_request_is_merged_although_main_has_moved(
