@@ -88,3 +88,18 @@ def test_message_refusals(change: tuple[str, str], problem: str) -> None:
 def test_a_commit_without_a_cause_is_refused() -> None:
     with pytest.raises(DocumentError, match="does not say why"):
         read_message(write_message(replace(MESSAGE, causes=())))
+
+
+def test_a_reason_that_the_subject_has_no_room_for_stands_before_the_trailers() -> None:
+    moved = "node edge-1 lost for 41 s: " + ", ".join(f"recorder-{n} moved to cloud-0" for n in range(9))
+    text = write_message(replace(MESSAGE, reason=moved))
+    subject, empty, whole, after, first = text.split("\n")[:5]
+    assert subject.endswith("…")
+    assert (empty, whole, after) == ("", f"Reason: {moved}", "")
+    assert first.startswith("RobotKube-")
+    assert read_message(text).reason == moved
+    assert write_message(read_message(text)) == text
+    with pytest.raises(DocumentError, match="does not begin as the subject does"):
+        read_message(text.replace("Reason: node edge-1", "Reason: node edge-2"))
+    forged = write_message(replace(MESSAGE, reason="x" * 200 + "\nRobotKube-Task: a/b"))
+    assert read_message(forged).causes == read_message(write_message(MESSAGE)).causes

@@ -15,7 +15,8 @@
 Task, Event, Rule and Trace come once per task, in this order; Evidence once per Chart, in the same order: the digest of
 the chart's verification summary, or `none`. What no task asks for has a `RobotKube-Cause` (KINDS) and the plan's id as
 its trace; a plan can have both. `revert` and `repair` name the commits that they undo, one `RobotKube-Reverts` each.
-Manager is the forge account that proposes, Term the number of its election: a manager's term never falls on main.
+Manager is the forge account that proposes, Term the number of its election: a manager's term never falls on main. A
+reason that the subject has no room for stands as a paragraph `Reason: ...` before the trailers.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from dataclasses import dataclass, replace
 from robotkube.domain.errors import DocumentError
 from robotkube.domain.releases import DIGEST, EVIDENCE, NAME, PLAN, TASK, TOKEN, VERSION, Cause
 
-SUBJECT_CHARACTERS_MAX = 100
+SUBJECT_CHARACTERS_MAX, REASON_CHARACTERS_MAX = 100, 2000
 VERBS = ("deploy", "withdraw")
 INITIAL, NODE, REPAIR, REVERT, UPDATE = "initial", "node", "repair", "revert", "update"
 KINDS = (INITIAL, NODE, REPAIR, REVERT, UPDATE)
@@ -39,6 +40,7 @@ COMMIT = re.compile(r"[0-9a-f]{40}", re.ASCII)
 TERM = re.compile(r"0|[1-9][0-9]{0,9}", re.ASCII)
 
 _SUBJECT = re.compile(rf"({'|'.join(VERBS)})\(([a-z0-9][a-z0-9-]*)\): (\S.*)")
+_REASON = "Reason: "
 _TRAILER = re.compile(r"(RobotKube-[A-Z][a-z]+): (\S+)")
 _KEYS = ("Task", "Event", "Rule", "Trace", "Cause", "Reverts", "Plan", "Manager", "Term", "Chart", "Evidence")
 
@@ -115,7 +117,14 @@ def write_message(message: CommitMessage) -> str:
     lines += [("Plan", message.plan), ("Manager", message.manager), ("Term", str(message.term))]
     for chart, evidence in zip(message.charts, message.evidence, strict=True):
         lines += [("Chart", str(chart)), ("Evidence", evidence)]
-    return "\n".join([message.subject, "", *(f"RobotKube-{key}: {value}" for key, value in lines)]) + "\n"
+    trailers = [f"RobotKube-{key}: {value}" for key, value in lines]
+    return "\n".join([message.subject, "", *_whole_reason(message), *trailers]) + "\n"
+
+
+def _whole_reason(message: CommitMessage) -> Sequence[str]:
+    """A paragraph with the reason, when the subject has no room for it."""
+    reason = shorten(one_line(message.reason), REASON_CHARACTERS_MAX)
+    return () if message.subject.endswith(f": {reason}") else (f"{_REASON}{reason}", "")
 
 
 def read_message(text: str, where: str = "commit message") -> CommitMessage:
@@ -125,11 +134,12 @@ def read_message(text: str, where: str = "commit message") -> CommitMessage:
     match = _SUBJECT.fullmatch(subject)
     if not match:
         problems.append(f"subject {subject!r} must be `deploy(<area>): <reason>` or `withdraw(<area>): <reason>`")
+    whole, rest = _read_reason(rest)
     trailers = _trailers(rest, problems)
     message = CommitMessage(
         verb=match[1] if match else "",
         area=match[2] if match else "",
-        reason=match[3] if match else "",
+        reason=whole or (match[3] if match else ""),
         plan=_one(trailers, "Plan", PLAN, problems),
         causes=_causes(trailers, problems),
         kinds=_kinds(trailers, problems),
@@ -140,9 +150,19 @@ def read_message(text: str, where: str = "commit message") -> CommitMessage:
         reverts=_reverts(trailers, problems),
     )
     problems += _completeness(message, trailers)
+    if whole and message.subject != subject:
+        problems.append(f"{_REASON.strip()} {whole!r:.80} does not begin as the subject does")
     if problems:
         raise DocumentError(where, problems)
     return message
+
+
+def _read_reason(rest: str) -> tuple[str, str]:
+    """The paragraph with the whole reason, empty when there is none, and what follows the subject without it."""
+    lines = rest.split("\n")
+    if len(lines) < 3 or lines[0] or lines[2] or not lines[1].startswith(_REASON):
+        return "", rest
+    return lines[1].removeprefix(_REASON)[:REASON_CHARACTERS_MAX], "\n".join(lines[2:])
 
 
 def _trailers(rest: str, problems: list[str]) -> dict[str, list[str]]:

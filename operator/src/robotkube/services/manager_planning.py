@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -70,7 +71,7 @@ class Planner:
         self._catalogue, self._main, self._render, self._validate = catalogue, main, render, validate
         self._ledger, self._lock, self._composer = DemandLedger(), threading.Lock(), Composer()
         self._updating = Updating(main.repository, cluster)
-        self._machines: tuple[tuple[int, tuple[NodeState, ...]], Fleet] | None = None
+        self._machines: tuple[tuple[NodeState, ...], int, int, Fleet] | None = None
         self._tasks_per_plan = TASKS_PER_PLAN_MAX
         self._held: dict[str, tuple[str, PlanRecord]] = {}
         self._held_differences: dict[str, PlanRecord] = {}
@@ -278,11 +279,13 @@ class Planner:
 
     def _fleet(self) -> Fleet:
         """All agents with their nodes; those that are lost by now are marked."""
-        inputs = (self._now_ns, tuple(self._cluster.nodes()))
-        if self._machines is None or self._machines[0] != inputs:
-            found = fleet(self._settings.agents, inputs[1], self._now_ns, self._settings.node_lost_seconds)
-            self._machines = (inputs, found)
-        return self._machines[1]
+        nodes, now_ns, seconds = tuple(self._cluster.nodes()), self._now_ns, self._settings.node_lost_seconds
+        known = self._machines
+        if known is None or known[0] != nodes or not known[1] <= now_ns < known[2]:
+            until_ns = next_loss_ns(nodes, seconds, now_ns) or sys.maxsize
+            known = (nodes, now_ns, until_ns, fleet(self._settings.agents, nodes, now_ns, seconds))
+            self._machines = known
+        return known[3]
 
     def _in_doubt(self, desired: Desired) -> dict[str, Release]:
         """Releases on main of demands that are refused for want of evidence only: what runs is not taken away because
