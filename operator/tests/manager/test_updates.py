@@ -168,3 +168,20 @@ def test_a_policy_that_cannot_be_read_holds_updates_and_nothing_else(stage: Stag
     policy(stage, "{}\n")
     go(stage)
     assert set(versions(stage).values()) == {number}
+
+
+def test_a_persons_edit_that_is_reverted_bars_no_version(stage: Stage, release_of: str) -> None:
+    go(stage)
+    assert set(versions(stage).values()) == {release_of}
+    settle(stage)
+    [path] = [r.path for r in stage.releases().values() if r.chart == BRIDGE and r.namespace == "vehicle-00"]
+    text = stage.repository.files(stage.repository.tip, ("releases",))[path]
+    edit = stage.repository.push({path: text.replace("  values:\n", "  values:\n    edited: by hand\n")}, "by hand")
+    go(stage)
+    assert last(stage).reverts == (edit,)
+    stage.manager = stage.start()
+    go(stage)
+    assert set(versions(stage).values()) == {release_of}
+    stage.go(30, seconds=10)
+    assert last(stage).kinds != ("revert", "update")
+    assert set(versions(stage).values()) == {release_of}

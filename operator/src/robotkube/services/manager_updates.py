@@ -41,6 +41,7 @@ from robotkube.services.assured_catalogue import AssuredCatalogue
 COMMITS_MAX = 10_000
 WORDS = (f"RobotKube-Cause: {UPDATE}\n", f"RobotKube-Cause: {REVERT}\n")
 PLAN_TRAILER = re.compile(rf"^RobotKube-Plan: ({PLAN.pattern})$", re.MULTILINE)
+REVERTS_TRAILER = re.compile(r"^RobotKube-Reverts: ([0-9a-f]{40})$", re.MULTILINE)
 PASSED_MAX = 5
 UNREADABLE = f"{PATH} cannot be read; nothing is updated"
 
@@ -67,8 +68,9 @@ class UpdateHistory:
         memory = self._memory.policy_changed() if PATH in commit.changes else self._memory
         changed = _releases(commit.changes)
         subject = commit.message.partition("\n")[0]
-        if WORDS[1] in commit.message:
-            for chart in {release.chart for release in changed}:
+        undone = self._undone(memory, commit)
+        if undone:
+            for chart in undone:
                 keys = [release.key for release in changed if release.chart == chart]
                 memory = memory.reverted(chart, keys, f"{subject} ({commit.id[:12]}); change {PATH} to try it again")
         elif WORDS[0] in commit.message:
@@ -78,6 +80,12 @@ class UpdateHistory:
                 pins = {r.key: before[r.key] for r in moved if before[r.key][0] == r.chart}
                 memory = memory.updated(target[0], target[1:], pins, (commit.id, commit_ns(commit.message)))
         return memory
+
+    @staticmethod
+    def _undone(memory: UpdateMemory, commit: Commit) -> list[str]:
+        """Charts whose last update the commit takes back; a revert of people's edits takes back none."""
+        named = set(REVERTS_TRAILER.findall(commit.message))
+        return [chart for chart, run in memory.runs.items() if named & set(run.commits)]
 
     def _before(self, commit: Commit, changed: Sequence[Release]) -> Mapping[str, tuple[str, str]]:
         """Chart and version that the changed releases had in the commit's parent."""
