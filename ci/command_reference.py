@@ -6,7 +6,8 @@ import argparse
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from robotkube.entrypoints import cli
+from robotkube.entrypoints.cli import commands as known_commands
+from robotkube.entrypoints.cli import parser as grammar
 from robotkube.entrypoints.cli_output import FORMATS
 from robotkube.entrypoints.cli_platform import Platform
 
@@ -45,7 +46,7 @@ def lines() -> Iterator[str]:
 def commands() -> Mapping[str, argparse.ArgumentParser]:
     """`<noun> <verb>` (or the noun alone) -> its parser, in the order of the help."""
     found: dict[str, argparse.ArgumentParser] = {}
-    for noun, parser in _choices(cli.parser(cli.commands())).items():
+    for noun, parser in _choices(grammar(known_commands())).items():
         verbs = _choices(parser)
         found |= {f"{noun} {verb}": inner for verb, inner in verbs.items()} if verbs else {noun: parser}
     return found
@@ -89,7 +90,8 @@ def _table(actions: list[argparse.Action]) -> Iterator[str]:
     yield from ["| argument | meaning |", "| --- | --- |"]
     for action in actions:
         default = f" (default: {action.default})" if _shows_default(action) else ""
-        cells = (f"`{_words(action)}`".replace("|", "\\|"), f"{action.help or ''}{default}".replace("|", "\\|").replace("<", "&lt;"))
+        meaning = f"{action.help or ''}{default}".replace("<", "&lt;")
+        cells = [text.replace("|", "\\|") for text in (f"`{_words(action)}`", meaning)]
         yield f"| {' | '.join(cells)} |"
     yield ""
 
