@@ -6,7 +6,7 @@ The cluster is in memory: it shows what main asks for as soon as a test says so.
 import threading
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from robotkube.adapters.schemas_jsonschema import validate
 from robotkube.adapters.templates_jinja2 import Jinja2Templates
 from robotkube.domain.placement import Agent, NodeState
 from robotkube.domain.proposals import read_message
-from robotkube.domain.releases import Release, read_tree
+from robotkube.domain.releases import Release, read_tree, write_release
 from robotkube.services.application_manager import APPLICATIONS, DEPLOYMENT, TASKS, ApplicationManager, World
 from robotkube.services.application_manager import CATALOGUE as CATALOGUE_MOVED
 from robotkube.services.assured_catalogue import AssuredCatalogue
@@ -35,6 +35,7 @@ from robotkube.testing.leadership import MemoryLeadership
 AGENTS = (("cloud-0", "cloud"), ("vehicle-00", "vehicle"), ("vehicle-01", "vehicle"))
 KEY = "cloud-0/meeting"
 PROPOSE_SECONDS_MAX = 3.0
+NAMED_SECONDS_MAX = 10.0
 
 
 @dataclass
@@ -277,3 +278,55 @@ def test_a_new_process_takes_an_open_proposal_over_and_closes_another(
             running.stop()
     finally:
         again.stop()
+
+
+def test_a_file_broken_past_the_gate_is_named_and_repaired(
+    installation: Installation,
+    manager: RunningManager,
+    gate: RunningGate,
+    controller: ApplicationSetController,
+    tmp_path: Path,
+) -> None:
+    path = "releases/vehicle-00/mqtt-bridge.yaml"
+    before = releases(installation)[path]
+    gate.stop()
+    person = installation.clone("gate")
+    broken = person.commit({path: "kind: [\n", "releases/vehicle-01/empty.yaml": ""}, "By hand\n", [person.tip()])
+    assert person.push(broken, "refs/heads/main") == ""
+    began = time.monotonic()
+    ask(manager.tasks)
+    manager.manager.wake(TASKS)
+    until(lambda: manager.tasks.condition(KEY, "Committed") == ("False", "MainBroken"), "named", NAMED_SECONDS_MAX)
+    assert time.monotonic() - began < NAMED_SECONDS_MAX
+    assert manager.manager.statistics.broken_files == 2
+    again = start_gate(installation, controller.url, tmp_path / "gate-again")
+    try:
+        until(lambda: committed(manager), "repaired, and the task answered")
+        repair = next(c for c in manager.deployment.log(broken, 10) if "RobotKube-Cause: repair" in c.message)
+        assert repair.parents == (broken,)
+        assert read_message(repair.message).reverts == (broken,)
+        assert repair.changes["releases/vehicle-01/empty.yaml"] is None
+        verdicts = again.gate.statistics.verdicts
+        until(lambda: (verdicts["accepted"], verdicts["refused"]) == (2, 0), "nothing else was merged or refused")
+        manager.tasks.delete(KEY)
+        manager.manager.wake(TASKS)
+        until(lambda: manager.plans()[-1]["cause"] == "withdrawal" and manager.last_plan_is("merged"), "withdrawn")
+        assert releases(installation)[path].same_but_plan(before)
+    finally:
+        again.stop()
+
+
+def test_an_edit_by_hand_is_reverted_by_a_commit_that_names_it(
+    installation: Installation, manager: RunningManager
+) -> None:
+    path = "releases/vehicle-00/mqtt-bridge.yaml"
+    before = releases(installation)[path]
+    person = installation.clone("gate")
+    edited = write_release(replace(before, values={**before.values, "placement": {"agent": "vehicle-01"}}))
+    commit = person.commit({path: edited}, "By hand\n", [person.tip()])
+    assert person.push(commit, "refs/heads/main") == ""
+    manager.manager.wake(DEPLOYMENT)
+    until(lambda: releases(installation)[path].same_but_plan(before), "reverted")
+    found = manager.deployment.log(commit, 10) or [manager.deployment.commit(installation.clone("gate").tip())]
+    message = read_message(found[-1].message)
+    assert ("revert" in message.kinds, message.reverts) == (True, (commit,))

@@ -50,7 +50,7 @@ STANDBY_SECONDS = 0.5
 OBSERVE_POLL_SECONDS = 1.0
 FAILURE_SECONDS = 1.0
 SILENT_SECONDS_MAX = 30.0
-SAID_SECONDS = 15.0  # after so long without the forge the tasks are told
+SAID_SECONDS = 3.0  # after so long without the forge the tasks are told
 TASKS, NODES, APPLICATIONS, DEPLOYMENT, CATALOGUE = "tasks", "nodes", "applications", "deployment", "catalogue"
 PLANNED_FOR = frozenset({TASKS, NODES, DEPLOYMENT, CATALOGUE})
 
