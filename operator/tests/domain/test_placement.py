@@ -19,6 +19,7 @@ from robotkube.domain.planning import differences, lost_words
 from robotkube.domain.releases import Release
 from robotkube.domain.tasks import TaskDescription, TaskPlacement
 from robotkube.domain.texts import write_mapping
+from robotkube.domain.unions import united
 
 RENDER = Jinja2Templates().render
 API = "registry.robotkube.io/v1alpha1"
@@ -463,6 +464,26 @@ def test_demands_share_a_release_by_uniting_the_lists_that_may_be_united() -> No
     outcome = refusal(compose([demand(task("t0")), demand(task("t1"))], world(apart)), "ops/t1")
     assert outcome.reason == "ReleaseInUse"
     assert outcome.message == "release edge-0/shared is made by ops/t0 with other content"
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "both"),
+    [
+        ({"a": {"x": [1, 2]}}, {"a": {"x": [2, 3]}}, {"a": {"x": [1, 2, 3]}}),
+        ({"a": {"x": [{"k": 1}]}, "b": None}, {"a": {"x": []}, "b": None}, {"a": {"x": [{"k": 1}]}, "b": None}),
+        ({"a": {"x": [1]}, "b": None}, {"a": {"x": [1]}, "b": 5}, None),
+        ({"a": {"x": [1]}, "b": [1]}, {"a": {"x": [1]}, "b": [2]}, None),
+        ({"a": {"x": [1]}}, {"a": {"x": 1}}, None),
+        ({"a": {"x": [1]}}, {"a": {"x": [1], "y": 1}}, None),
+    ],
+)
+def test_what_can_be_united(first: dict[str, Any], second: dict[str, Any], both: dict[str, Any] | None) -> None:
+    one, two = (Release("n", "r", "c", "0.1.0", "d", values) for values in (first, second))
+    for left, right in ((one, two), (two, one)):
+        found = united(left, right, ["a.x"])
+        assert (found and found.values) == both
+    assert united(one, replace(two, version="0.2.0"), ["a.x"]) is None
+    assert united(one, two, []) is None
 
 
 def test_a_release_that_is_shared_asks_for_room_once() -> None:

@@ -20,6 +20,7 @@ from referencing import Registry
 PROBLEMS_MAX = 20
 SCHEMAS_KEPT_MAX = 512
 ITEMS_KEPT_MAX = 20_000
+OBJECTS_KEPT_MAX = 64
 
 
 def check_schema(schema: Mapping[str, Any]) -> Sequence[str]:
@@ -71,7 +72,7 @@ def _validator(schema: Mapping[str, Any]) -> tuple[Any, Sequence[str]]:
     """As _compiled; the same object is asked for again and again, and need not be written out each time."""
     known = _found.get(id(schema))
     if known is None or known[0] is not schema:
-        while len(_found) >= SCHEMAS_KEPT_MAX:
+        while len(_found) >= OBJECTS_KEPT_MAX:
             _found.pop(next(iter(_found)))
         known = _found[id(schema)] = (schema, *_compiled(json.dumps(schema, sort_keys=True)))
     return known[1], known[2]

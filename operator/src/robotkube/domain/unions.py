@@ -16,8 +16,14 @@ def united(first: Release, second: Release, paths: Sequence[str]) -> Release | N
     A united list holds every item once, sorted by its JSON text, so that the order of demands does not matter."""
     if not paths or replace(first, values={}) != replace(second, values={}):
         return None
-    found = _united(first.values, second.values, frozenset(paths), "")
-    return None if found is None else replace(first, values=found)
+    try:
+        return replace(first, values=_united(first.values, second.values, frozenset(paths), ""))
+    except _DifferentError:
+        return None
+
+
+class _DifferentError(Exception):
+    """Two values differ where nothing may be united."""
 
 
 def _united(first: Any, second: Any, paths: frozenset[str], path: str) -> Any:
@@ -25,6 +31,7 @@ def _united(first: Any, second: Any, paths: frozenset[str], path: str) -> Any:
         items = {json.dumps(item, sort_keys=True): item for item in [*first, *second]}
         return [items[text] for text in sorted(items)]
     if isinstance(first, Mapping) and isinstance(second, Mapping) and first.keys() == second.keys():
-        found = {k: _united(first[k], second[k], paths, f"{path}.{k}" if path else k) for k in first}
-        return None if any(found[key] is None and first[key] is not None for key in found) else found
-    return first if first == second else None
+        return {key: _united(first[key], second[key], paths, f"{path}.{key}" if path else key) for key in first}
+    if first != second:
+        raise _DifferentError
+    return first
