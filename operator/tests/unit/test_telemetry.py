@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
+import gzip
 import subprocess
 import sys
+import threading
+import time
+from collections.abc import Sequence
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import ClassVar
 
+from opentelemetry.proto.collector.trace.v1.trace_service_pb2 import ExportTraceServiceRequest
+from opentelemetry.sdk.trace import ReadableSpan
+from opentelemetry.sdk.trace.export import SpanExporter, SpanExportResult
 from opentelemetry.sdk.trace.export.in_memory_span_exporter import InMemorySpanExporter
 from prometheus_client.parser import text_string_to_metric_families
 
@@ -100,6 +109,57 @@ def test_a_refused_plan_is_an_error_and_an_odd_trace_still_a_trace() -> None:
     [root] = [span for span in exporter.get_finished_spans() if span.name == "plan"]
     assert root.status.description == "no"
     assert root.context.trace_id != 0
+
+
+class Collector(BaseHTTPRequestHandler):
+    """Takes spans by OTLP over HTTP."""
+
+    received: ClassVar[list[ExportTraceServiceRequest]] = []
+
+    def do_POST(self) -> None:
+        body = self.rfile.read(int(self.headers["Content-Length"]))
+        body = gzip.decompress(body) if self.headers.get("Content-Encoding") == "gzip" else body
+        self.received.append(ExportTraceServiceRequest.FromString(body))
+        self.send_response(200)
+        self.send_header("Content-Length", "0")
+        self.end_headers()
+
+    def log_message(self, format: str, *args: object) -> None:  # noqa: A002
+        pass
+
+
+def test_spans_reach_a_collector_and_one_that_is_away_costs_nothing() -> None:
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Collector)
+    threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.05}, daemon=True).start()
+    try:
+        traces = OpenTelemetryTraces(f"http://127.0.0.1:{server.server_address[1]}/v1/traces", "manager")
+        traces.plan(PLAN, "refused")
+        traces.close()
+    finally:
+        server.shutdown()
+        server.server_close()
+    spans = [
+        span
+        for request in Collector.received
+        for resource in request.resource_spans
+        for scope in resource.scope_spans
+        for span in scope.spans
+    ]
+    assert {span.name for span in spans} == {"plan", "decide", "merge"}
+    assert {span.trace_id.hex() for span in spans} == set(TRACES)
+    away = OpenTelemetryTraces("http://127.0.0.1:1/v1/traces", "manager", NoExporter())
+    began = time.monotonic()
+    for _ in range(1000):
+        away.plan(PLAN, "refused")
+    assert time.monotonic() - began < 10
+    away.close()
+
+
+class NoExporter(SpanExporter):
+    """A collector that is away."""
+
+    def export(self, spans: Sequence[ReadableSpan]) -> SpanExportResult:
+        return SpanExportResult.FAILURE
 
 
 def test_the_library_is_not_imported_while_traces_are_off() -> None:
