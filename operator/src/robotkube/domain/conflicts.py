@@ -214,6 +214,10 @@ def _victims(claim: Demand, accepted: Sequence[Demand], compose: Compose) -> lis
     return smallest([], False, candidates) if candidates and fits(candidates) else []
 
 
+def _by(refused: Refused, claim: Demand) -> bool:
+    return refused.reason == PREEMPTED and refused.message == _gave_way(claim)
+
+
 def _gave_way(claim: Demand) -> str:
     return f"gave way to {claim.key} of priority {_priority(claim)}"
 
@@ -233,14 +237,14 @@ def _worded(
     if isinstance(outcome, Refused):
         text = f"{refusal.message}; on {_elsewhere(demand)} instead: {outcome.message}" if refusal else outcome.message
         return replace(outcome, message=text)
-    before = [key for key, earlier in settled.items() if earlier == Refused(PREEMPTED, _gave_way(demand))]
+    before = [key for key, earlier in settled.items() if _by(earlier, demand)]
     now = [key for key, claim in gave_way.items() if claim.key == demand.key]
     words = [f"{key} gave way to it" for key in sorted({*before, *now})]
     if demand.roles:
         reason = f": {refusal.reason}: {refusal.message}" if refusal else ""
         by = f"; it {_gave_way(gave_way[demand.key])}" if demand.key in gave_way else ""
         words.append(f"offloaded to {_elsewhere(demand)}{by}{reason}")
-    return replace(outcome, choices=(*words, *outcome.choices))
+    return replace(outcome, choices=(*words, *outcome.choices)) if words else outcome
 
 
 def _elsewhere(demand: Demand) -> str:
@@ -252,9 +256,12 @@ def _queue(
 ) -> dict[str, Outcome]:
     """Places of those that wait: who waits already keeps its place; the others take what is left, in their order."""
     waiting = [d.task for d in demands if d.task and _waits(d, outcomes[d.key])]
+    if not waiting:
+        return {}
     end = {t.key: history.waiting.get(t.key, now_ns) + t.queue_seconds_max * 1_000_000_000 for t in waiting}
     found: dict[str, Outcome] = {t.key: _too_long(t, outcomes[t.key]) for t in waiting if end[t.key] <= now_ns}
-    by_order = {d.key: _order(d, replace(history, answered=frozenset()), now_ns) for d in demands}
+    as_new = replace(history, answered=frozenset())
+    by_order = {d.key: _order(d, as_new, now_ns) for d in demands}
     line = sorted((t for t in waiting if t.key not in found), key=lambda t: by_order[t.key])
     known = [t for t in line if t.key in history.waiting]
     places = {t.key for t in [*known, *(t for t in line if t.key not in history.waiting)][:QUEUE_MAX]}

@@ -18,7 +18,7 @@ from robotkube.domain.loops import Render
 from robotkube.domain.placement import NODE_LOST_SECONDS, Agent, Fleet, NodeState, fleet, next_loss_ns
 from robotkube.domain.planning import Change, Plan, differences, fingerprint, lost_words, make_plan
 from robotkube.domain.proposals import NODE, REVERTS_MAX
-from robotkube.domain.releases import Cause, Release
+from robotkube.domain.releases import Cause, Release, Tree
 from robotkube.domain.scopes import Operators
 from robotkube.domain.tasks import POSTPONED, TaskDescription, object_key
 from robotkube.domain.updates import Pin
@@ -78,6 +78,7 @@ class Planner:
         self._said: frozenset[str] = frozenset()
         self._turn = 0
         self._now_ns = 0
+        self._told: tuple[Tree, frozenset[Cause]] = Tree({}, {}), frozenset()
         self._looked_at: list[TaskDescription] = []
         self.desired = Desired({}, {})
         self.outcomes: Mapping[str, Outcome] = {}
@@ -219,7 +220,11 @@ class Planner:
         return frozenset(cause.task for cause in self._causes())
 
     def _causes(self) -> frozenset[Cause]:
-        return frozenset(cause for release in self._main.tree.releases.values() for cause in release.causes)
+        """The causes of main's releases; looked up once per main."""
+        tree = self._main.tree
+        if self._told[0] is not tree:
+            self._told = tree, frozenset(cause for release in tree.releases.values() for cause in release.causes)
+        return self._told[1]
 
     def _wanted(self, answered: frozenset[str]) -> list[TaskDescription]:
         """The tasks of this plan: all that main answers, the new ones of the highest priority that are not held, and in
@@ -291,6 +296,8 @@ class Planner:
         """Releases on main of demands that are refused for want of evidence only: what runs is not taken away because
         a policy, a key or an envelope changed, but it is not changed either."""
         refused = {k for k, o in desired.outcomes.items() if isinstance(o, Refused) and o.reason in DOUBTS}
+        if not refused:
+            return {}
         agents = {k.split("/")[2] for k in refused if k.startswith("initial/")}
         namespaces = {agent.namespace for agent in self._settings.agents if agent.name in agents}
         return {
