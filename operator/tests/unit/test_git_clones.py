@@ -34,8 +34,8 @@ class Stage:
                 builder.insert(name, self.tree(found) if isinstance(found, dict) else found, FileMode.TREE)
         return builder.write()
 
-    def commit(self, content: Tree, *parents: str) -> str:
-        return str(self.repository.create_commit(None, AUTHOR, AUTHOR, "some\n", self.tree(content), list(parents)))
+    def commit(self, content: Tree, *parents: str, message: str = "some\n") -> str:
+        return str(self.repository.create_commit(None, AUTHOR, AUTHOR, message, self.tree(content), list(parents)))
 
     def read(self, content: Tree, *parents: str) -> Commit:
         return self.clone.commit(self.commit(content, *parents))
@@ -87,3 +87,27 @@ def test_texts_beyond_the_bound_together_are_refused(stage: Stage, monkeypatch: 
     assert stage.read({"a": "x" * 500, "b": "y" * 500}).irregular == ()
     with pytest.raises(DocumentError, match="brings more than 1000 characters"):
         stage.read({"a": "x" * 500, "b": "y" * 501})
+
+
+def test_commits_that_touch_a_path_or_say_a_word(stage: Stage) -> None:
+    policy, path = "policies/updates.yaml", "RobotKube-Cause: update\n"
+    first = stage.commit({"a": "1"})
+    second = stage.commit({"a": "1", "policies": {"updates.yaml": "{}"}}, first)
+    third = stage.commit({"a": "2", "policies": {"updates.yaml": "{}"}}, second, message=f"deploy\n\n{path}")
+    fourth = stage.commit({"a": "3", "policies": {"updates.yaml": "{}"}}, third)
+    fifth = stage.commit({"a": "3"}, fourth)
+    stage.clone.moved_to(fifth)
+    assert [commit.id for commit in stage.clone.touching(None, 10, policy, [path])] == [second, third, fifth]
+    assert [commit.id for commit in stage.clone.touching(second, 10, policy, [path])] == [third, fifth]
+    assert [commit.id for commit in stage.clone.touching(None, 3, policy, [path])] == [third, fifth]
+    assert stage.clone.touching(None, 10, policy, [path])[1].changes == {"a": "2"}
+
+
+def test_a_long_history_is_looked_through_at_once(stage: Stage) -> None:
+    tree, commit = {"releases": {"a": "1"}}, ""
+    for _ in range(2000):
+        commit = stage.commit(tree, *([commit] if commit else []))  # type: ignore[arg-type]
+    stage.clone.moved_to(commit)
+    began = time.monotonic()
+    assert stage.clone.touching(None, 10_000, "policies/updates.yaml", ["RobotKube-Cause: update\n"]) == []
+    assert time.monotonic() - began < SECONDS_MAX
