@@ -50,7 +50,7 @@ IN_EVERY_RUN = (  # one of each kind
     f"kill after {ADAPTERS}kubernetes_api.KubernetesWorld.patch_status",
     f"kill after {ADAPTERS}forges.gitea.GiteaForge.comment",
 )
-STORY_SECONDS_MAX = 25.0
+STORY_SECONDS_MAX = 60.0
 PRIMITIVES = frozenset({"push", "publish", "ack"})
 METHODS = frozenset({"POST", "PUT", "PATCH", "DELETE"})
 MEETING = {"application": "pose-point-cloud-recording", "parameters": {"vehicles": ["vehicle-00", "vehicle-01"]}}

@@ -25,9 +25,7 @@ log = logging.getLogger(__name__)
 class NoteKeeper:
     """`managers` are the accounts whose words count; `monotonic` is a clock in seconds that never goes back."""
 
-    def __init__(
-        self, forge: Forge, notes: Notes, managers: Collection[str], monotonic: Callable[[], float]
-    ) -> None:
+    def __init__(self, forge: Forge, notes: Notes, managers: Collection[str], monotonic: Callable[[], float]) -> None:
         self._forge, self._notes, self._managers, self._monotonic = forge, notes, frozenset(managers), monotonic
         self._hints: dict[int, None] = {}
         self._lock, self._woken = threading.Lock(), threading.Event()

@@ -19,6 +19,7 @@ from robotkube.domain.tasks import (
     HELD_BY_AGENT,
     MERGED,
     OBSTACLES,
+    OLD_POD_UNREACHABLE,
     POSTPONED,
     PROPOSAL_REFUSED,
     PROPOSED,
@@ -120,11 +121,11 @@ class StatusWriter:
         return _Due(key, document, conditions, status, before.get("conditions", []))
 
     def _send(self, due: _Due) -> None:
+        self._tell(due.document, due.conditions, due.before)  # first: a status that stands is not looked at again
         if self._patch(due.key, due.status):
             self._written[due.key] = (object_identity(due.document), due.status)
             words = [f"task={due.key}", *(f"{c.type}={c.status}/{c.reason}" for c in due.conditions)]
             log.info("task %s", " ".join(words))
-            self._tell(due.document, due.conditions, due.before)
 
     def _tell(
         self, document: Mapping[str, Any], conditions: Sequence[Condition], before: Sequence[Mapping[str, Any]]
@@ -174,7 +175,7 @@ def derive(key: str, situation: Situation) -> tuple[list[Condition], dict[str, A
     verdicts = _verdicts(outcome, situation)
     conditions = [accepted, committed]
     if committed.status == "True":
-        conditions += [_synced(verdicts), _ready(verdicts)]
+        conditions += [_synced(verdicts), _ready(verdicts, record)]
     offloaded = True if key in situation.offloaded else None
     return conditions, {"releases": list(outcome.releases), "queue": None, "offloaded": offloaded, **_facts(record)}
 
@@ -246,8 +247,13 @@ def _synced(verdicts: Mapping[str, Verdict]) -> Condition:
     return Condition("Synced", "True", "Applied", "Argo CD compared and applied every release")
 
 
-def _ready(verdicts: Mapping[str, Verdict]) -> Condition:
+def _ready(verdicts: Mapping[str, Verdict], record: PlanRecord | None) -> Condition:
     missing = [f"{key}: {verdict.message}" for key, verdict in verdicts.items() if not verdict.done]
     if missing:
         return Condition("Ready", "False", "Progressing", _bounded("; ".join(missing)))
+    if record is not None and record.unreachable:
+        pods = ", ".join(record.unreachable)
+        return Condition(
+            "Ready", "True", OLD_POD_UNREACHABLE, _bounded(f"observed, but on dead nodes there are {pods}")
+        )
     return Condition("Ready", "True", "Observed", "every release is observed")
