@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, settings
+from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule, run_state_machine_as_test
 from manager_stage import START_NS, Stage
@@ -314,6 +314,7 @@ def run(examples: int, derandomize: bool) -> None:
         deadline=None,
         suppress_health_check=list(HealthCheck),
         database=None,
+        phases=[Phase.explicit, Phase.generate],  # to shrink a history takes longer than to read it
     )
     with silent():
         run_state_machine_as_test(Histories, settings=found)  # type: ignore[no-untyped-call]

@@ -138,6 +138,16 @@ def test_the_more_urgent_task_takes_the_place_and_both_say_so(narrow: Stage) -> 
     assert narrow.tasks.condition(low, "Accepted") == ("False", "Preempted")
 
 
+def test_who_gives_way_is_not_offloaded_to_where_it_is(narrow: Stage) -> None:
+    low = ask(narrow, "low", priority=10, conflictPolicy="Offload")
+    narrow.settle()
+    high = ask(narrow, "high", SECOND, priority=500, conflictPolicy="Preempt")
+    narrow.settle()
+    assert recorders(narrow) == {"recorder-vehicle-01-vehicle-02"}
+    assert narrow.tasks.condition(high, "Ready") == ("True", "Observed")
+    assert narrow.tasks.condition(low, "Accepted") == ("False", "Preempted")
+
+
 def test_a_changed_task_takes_no_place_from_one_that_stands(narrow: Stage) -> None:
     first, same = ask(narrow, "first"), ask(narrow, "same")
     narrow.settle()

@@ -170,14 +170,23 @@ def _preempt(
             gave_way |= {victim.key: claim for victim in victims}
             accepted = [d for d in accepted if d.key not in gave_way] + [claim]
     if gave_way:
-        wanted = _again(wanted, accepted, gave_way)
+        before, wanted = desired.outcomes, _again(wanted, accepted, gave_way)
         desired = compose(wanted)
+        stuck = {key for key in gave_way if key in desired.outcomes and _same_place(before[key], desired.outcomes[key])}
+        if stuck:
+            wanted = [d for d in wanted if d.key not in stuck]
+            desired = compose(wanted)
     return wanted, desired, gave_way, {d.key for d in claims[PREEMPTIONS_MAX:]} - {d.key for d in accepted}
 
 
 def _reason(desired: Desired, demand: Demand) -> str:
     outcome = desired.outcomes[demand.key]
     return outcome.reason if isinstance(outcome, Refused) else ""
+
+
+def _same_place(before: Met | Refused, after: Met | Refused) -> bool:
+    """Whether what gave way would stay where it is: what runs may stay though there is no room, so it would."""
+    return isinstance(before, Met) and isinstance(after, Met) and before.releases == after.releases
 
 
 def _again(wanted: Iterable[Demand], accepted: list[Demand], gave_way: Mapping[str, Demand]) -> list[Demand]:
