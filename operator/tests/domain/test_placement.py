@@ -1,109 +1,35 @@
-"""Where services go: room, platform, distance, what a task says, lost nodes; and which chart version they run there."""
+"""Where services go: room, distance, what a task says, lost nodes; and what they share there."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import pytest
+from placing import (
+    NODES,
+    ONE,
+    PLAIN,
+    ROOM,
+    SECOND,
+    application,
+    catalogue,
+    choices,
+    demand,
+    places,
+    refusal,
+    several,
+    task,
+    world,
+)
 
-from robotkube.adapters.schemas_jsonschema import validate
-from robotkube.adapters.templates_jinja2 import Jinja2Templates
 from robotkube.domain.capacities import Resources
-from robotkube.domain.catalogue import Catalogue, read_catalogue
-from robotkube.domain.composition import Demand, Desired, Met, Refused, World, compose
-from robotkube.domain.guarantees import GuaranteeRequirement
+from robotkube.domain.composition import compose
 from robotkube.domain.placement import Agent, NodeState, fleet, next_loss_ns
 from robotkube.domain.planning import differences, lost_words
 from robotkube.domain.releases import Release
-from robotkube.domain.tasks import TaskDescription, TaskPlacement
-from robotkube.domain.texts import write_mapping
+from robotkube.domain.tasks import TaskPlacement
 from robotkube.domain.unions import united
-
-RENDER = Jinja2Templates().render
-API = "registry.robotkube.io/v1alpha1"
-SECOND = 1_000_000_000
-ROOM = Resources(1000, 2**30)
-HALF = {"cpu": "500m", "memory": "256Mi"}
-AGENTS = [Agent(f"edge-{i}", "edge", f"edge-{i}") for i in range(3)] + [Agent("cloud-0", "cloud", "cloud-0")]
-NODES = [NodeState(a.name, a.name, a.role, frozenset({"gpu"}), True, allocatable=ROOM) for a in AGENTS]
-ONE = {"name": "a", "release": "a-{{ task.name }}", "placement": {"role": "edge"}}
-
-
-def chart(name: str = "worker", version: str = "0.1.0", **spec: Any) -> tuple[str, str]:
-    about = {"version": version, "description": "d", "channel": "stable", "platforms": ["linux/amd64"], "images": []}
-    document = {
-        "apiVersion": API,
-        "kind": "ChartVersion",
-        "metadata": {"name": name},
-        "spec": {**about, "resources": HALF, **spec},
-        "status": {"state": "staged", "digest": "sha256:" + "0" * 64},
-    }
-    return f"charts/{name}/{version}.yaml", write_mapping(document)
-
-
-def application(
-    *services: Mapping[str, Any], name: str = "app", links: Sequence[Any] = (), word: str = "x"
-) -> tuple[str, str]:
-    wanted = {"chart": {"name": "worker", "version": ">=0.1.0"}}
-    spec = {
-        "description": "d",
-        "provides": [word],
-        "parameters": {"type": "object", "properties": {"agents": {"type": "array"}}},
-        "services": [{**wanted, **service} for service in services],
-        "links": list(links),
-    }
-    return f"applications/{name}.yaml", write_mapping(
-        {"apiVersion": API, "kind": "Application", "metadata": {"name": name}, "spec": spec}
-    )
-
-
-def catalogue(*files: tuple[str, str]) -> Catalogue:
-    found = read_catalogue({"policies/release.yaml": "assurance: none\n", **dict([chart(), *files])})
-    assert found.problems == ()
-    return found
-
-
-PLAIN = catalogue(application(ONE))
-
-
-def task(name: str = "t", **changes: Any) -> TaskDescription:
-    found = TaskDescription(
-        "ops", name, 1, "2026-11-21T10:00:00Z", "ops", "rule", "e", "a" * 32, "why", "app", {"agents": [name]}
-    )
-    return replace(found, **changes)
-
-
-def demand(found: TaskDescription, **changes: Any) -> Demand:
-    return replace(Demand(found.key, found.application, found.parameters, task=found), **changes)
-
-
-def world(found: Catalogue = PLAIN, nodes: Sequence[NodeState] = NODES, now: int = 0, **more: Any) -> World:
-    known: World = World(found, fleet(AGENTS, nodes, now * SECOND), {}, RENDER, validate)
-    return replace(known, **more)
-
-
-def places(desired: Desired) -> dict[str, str]:
-    assert all(isinstance(o, Met) for o in desired.outcomes.values()), desired.outcomes
-    return {release.name: release.namespace for release in desired.releases.values()}
-
-
-def refusal(desired: Desired, key: str = "ops/t") -> Refused:
-    outcome = desired.outcomes[key]
-    assert isinstance(outcome, Refused), outcome
-    return outcome
-
-
-def choices(desired: Desired, key: str = "ops/t") -> tuple[str, ...]:
-    outcome = desired.outcomes[key]
-    assert isinstance(outcome, Met), outcome
-    return outcome.choices
-
-
-def several(count: int, **changes: Any) -> list[Demand]:
-    return [demand(task(f"t{number}", **changes)) for number in range(count)]
-
 
 # -- room -------------------------------------------------------------------------------------------------------------
 
@@ -303,120 +229,6 @@ def test_one_of_two_nodes_is_enough_for_an_agent() -> None:
     assert places(compose([demand(task())], found)) == {"a-t": "edge-0"}
     assert found.fleet.loss("edge-0", 99 * SECOND) == ""
     assert found.fleet.rooms["edge-0"].total == ROOM  # a lost node gives no room
-
-
-# -- platforms and versions -------------------------------------------------------------------------------------------
-
-ARM = {"platforms": ["linux/arm64"]}
-
-
-def test_a_chart_runs_on_nodes_of_its_platforms_only() -> None:
-    mixed = [replace(node, platform="linux/arm64" if node.name == "edge-0" else "linux/amd64") for node in NODES]
-    found = compose([demand(task())], world(nodes=mixed))
-    assert places(found) == {"a-t": "edge-1"}
-    assert "edge-0: is linux/arm64, the chart runs on linux/amd64" in choices(found)
-    foreign = [replace(node, platform="linux/arm64") for node in NODES]
-    outcome = refusal(compose([demand(task())], world(nodes=foreign)))
-    assert outcome.reason == "NoVerifiedVersion"
-    assert "worker 0.1.0 (staged): runs on linux/amd64, the nodes are linux/arm64" in outcome.message
-
-
-def test_the_highest_version_that_runs_there_is_taken() -> None:
-    both = catalogue(application(ONE), chart(version="0.2.0", **ARM))
-    amd = [replace(node, platform="linux/amd64") for node in NODES]
-    found = compose([demand(task())], world(both, amd))
-    assert next(iter(found.releases.values())).version == "0.1.0"
-    assert "worker 0.2.0 (staged): runs on linux/arm64, the nodes are linux/amd64" in choices(found)
-
-
-def test_a_pinned_release_keeps_its_version_while_it_may() -> None:
-    both = catalogue(application(ONE), chart(version="0.2.0"))
-    before = compose([demand(task())], world()).releases
-    pins = {"edge-0/a-t": ("worker", "0.1.0")}
-    kept = compose([demand(task())], world(both, present=before, pins=pins))
-    assert kept.releases == before
-    assert "worker 0.1.0 (staged): kept: the release runs it" in choices(kept)
-    assert "worker 0.2.0 (staged): possible; the release keeps its version" in choices(kept)
-    gone = replace(
-        both,
-        charts={
-            "worker": tuple(replace(c, state="withdrawn") if c.version == "0.1.0" else c for c in both.charts["worker"])
-        },
-    )
-    moved = compose([demand(task())], world(gone, present=before, pins=pins))
-    assert next(iter(moved.releases.values())).version == "0.2.0"
-
-
-def test_a_withheld_version_is_taken_by_nobody_who_is_not_pinned_to_it() -> None:
-    both = catalogue(application(ONE), chart(version="0.2.0"))
-    withheld = {("worker", "0.2.0"): "it failed on edge-1"}
-    found = compose([demand(task())], world(both, withheld=withheld))
-    assert next(iter(found.releases.values())).version == "0.1.0"
-    assert "worker 0.2.0 (staged): it failed on edge-1" in choices(found)
-    pinned = world(both, withheld=withheld, present=found.releases, pins={"edge-0/a-t": ("worker", "0.2.0")})
-    assert next(iter(compose([demand(task())], pinned).releases.values())).version == "0.2.0"
-
-
-# -- by what is provided ----------------------------------------------------------------------------------------------
-
-
-def delayed(name: str, version: str, delay: float) -> tuple[str, str]:
-    return chart(name, version, guarantees=[{"name": "delay", "atMost": delay, "unit": "ms"}])
-
-
-def see(name: str) -> tuple[str, str]:
-    return application(
-        {**ONE, "chart": {"name": name, "version": ">=0.1.0"}}, name=f"see-{name}", word="perception/detection"
-    )
-
-
-SEEING = catalogue(
-    see("fast"), see("slow"), delayed("fast", "0.2.0", 10), delayed("slow", "0.3.0", 100), delayed("fast", "0.1.0", 5)
-)
-
-
-def wants(name: str, at_most: float, unit: str) -> GuaranteeRequirement:
-    return GuaranteeRequirement(name, "atMost", at_most, unit)
-
-
-def provided(*requirements: GuaranteeRequirement, **more: Any) -> Demand:
-    return demand(task(application="", provides="perception/detection", requirements=requirements, **more))
-
-
-def test_the_application_with_the_highest_version_that_satisfies_everything_answers() -> None:
-    found = compose([provided()], world(SEEING))
-    outcome = found.outcomes["ops/t"]
-    assert isinstance(outcome, Met)
-    assert outcome.application == "see-slow"
-    assert outcome.choices[0] == "application see-slow: taken, it provides perception/detection"
-    release = next(iter(found.releases.values()))
-    assert [cause.application for cause in release.causes] == ["see-slow"]
-    strict = compose([provided(wants("delay", 20, "ms"))], world(SEEING))
-    assert next(iter(strict.releases.values())).chart == "fast"
-    assert any(text.startswith("application see-slow: GuaranteeNotMet") for text in choices(strict))
-    strictest = compose([provided(wants("delay", 7, "ms"))], world(SEEING))
-    assert next(iter(strictest.releases.values())).version == "0.1.0"
-
-
-def test_the_application_that_answers_already_stays() -> None:
-    fast = catalogue(see("fast"), delayed("fast", "0.1.0", 5))
-    before = compose([provided()], world(fast)).releases
-    found = compose([provided()], world(SEEING, present=before))
-    assert {release.chart for release in found.releases.values()} == {"fast"}
-
-
-@pytest.mark.parametrize(
-    ("wanted", "reason", "text"),
-    [
-        (demand(task(application="", provides="a/b")), "UnknownApplication", "provides a/b"),
-        (provided(wants("delay", 1, "ms")), "GuaranteeNotMet", "delay at most 1 ms (asked by"),
-        (provided(wants("loss", 1, "%")), "GuaranteeNotMet", "a guarantee for loss at most 1 %"),
-    ],
-)  # fmt: skip
-def test_what_nobody_provides_is_refused(wanted: Demand, reason: str, text: str) -> None:
-    outcome = refusal(compose([wanted], world(SEEING)))
-    assert outcome.reason == reason
-    assert text in outcome.message
 
 
 # -- values and shared releases ---------------------------------------------------------------------------------------

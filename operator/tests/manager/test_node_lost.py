@@ -6,8 +6,9 @@ from dataclasses import replace
 
 from manager_stage import MEETING, START_NS, Stage
 
+from robotkube.domain.observation import PodState
 from robotkube.domain.placement import Agent, NodeState
-from robotkube.services.application_manager import NODES
+from robotkube.services.application_manager import APPLICATIONS, NODES
 
 RECORDER = "recorder-vehicle-00-vehicle-01"
 
@@ -63,6 +64,22 @@ def test_a_recorder_leaves_a_lost_node_and_nothing_leaves_before(stage: Stage) -
     assert f"{RECORDER} moved to {other}" in text.splitlines()[0]
     assert "RobotKube-Cause: node" in text
     assert f"RobotKube-Task: {MEETING}" in text
+
+
+def test_an_old_pod_on_the_dead_node_holds_nobody_up_and_is_named_until_it_is_gone(stage: Stage) -> None:
+    two_clouds(stage)
+    first = place(stage)
+    silence(stage, first)
+    stage.seconds += 50
+    stage.go(wake=NODES)
+    old = PodState(first, "old-pod", f"{first}/{RECORDER}", first, deleting=True, node_silent_seconds=51.0)
+    stage.cluster.settle(stage.releases())
+    stage.cluster.running[old.release] = [old]
+    stage.go(wake=APPLICATIONS)
+    assert stage.tasks.condition(MEETING, "Ready") == ("True", "OldPodUnreachable")
+    stage.cluster.running[old.release] = [replace(old, node_gone=True)]
+    stage.go(wake=APPLICATIONS)
+    assert stage.tasks.condition(MEETING, "Ready") == ("True", "Observed")
 
 
 def test_it_stays_where_it_is_when_the_node_is_back(stage: Stage) -> None:

@@ -35,6 +35,7 @@ class PlanObserver:
         self._cluster, self._argocd, self._aside = cluster, argocd, aside
         self._now_ns, self._monotonic = now_ns, monotonic
         self._watched: dict[str, tuple[PlanRecord, float]] = {}
+        self._open: dict[str, PlanRecord] = {}
         self._asked_at = 0.0
         self._turn = 0
 
@@ -53,12 +54,25 @@ class PlanObserver:
     def forget_observed(self, present: Mapping[str, Release]) -> None:
         """Drop what is observed already: after a restart nobody knows when that was."""
         for record, _ in list(self._watched.values()):
-            if all(verdict.done for verdict in self._verdicts(record, present).values()):
+            verdicts = self._verdicts(record, present)
+            if all(verdict.done for verdict in verdicts.values()):
                 self._watched.pop(record.id)
+                self._leave_open(record, verdicts)
+
+    def _leave_open(self, record: PlanRecord, verdicts: Mapping[str, Verdict]) -> None:
+        """What is observed is closed, unless old pods on dead nodes are out of reach."""
+        record.unreachable = tuple(pod for verdict in verdicts.values() for pod in verdict.unreachable)
+        self._open.pop(record.id, None)
+        if record.unreachable:
+            self._open[record.id] = record
+        while len(self._open) > PLANS_MAX:
+            self._open.pop(next(iter(self._open)))
 
     def look(self, present: Mapping[str, Release], tip: str) -> list[PlanRecord]:
         """Compare every followed plan with the cluster; those now observed. `present` are main's releases."""
         applications = self._cluster.applications()
+        for record in list(self._open.values()):
+            self._leave_open(record, self._verdicts(record, present))
         done: list[PlanRecord] = []
         unheard: list[str] = []
         stuck: list[str] = []
@@ -72,6 +86,7 @@ class PlanObserver:
                 record.error = "; ".join(v.message for v in verdicts.values() if v.message) or None
                 done.append(record)
                 self._watched.pop(record.id)
+                self._leave_open(record, verdicts)
             elif self._monotonic() - since > OBSERVE_SECONDS_MAX:
                 self._give_up(record, verdicts)
             else:

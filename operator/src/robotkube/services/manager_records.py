@@ -20,7 +20,8 @@ TIMES = ("demand_seen", "started", "proposed", "merged", "synced", "observed")
 @dataclass
 class PlanRecord:
     """One plan. `times` are ns since 1970, by the names in TIMES; `created`, `changed`, `removed` are release keys;
-    `waits` is reason and message for the tasks of a proposal that waits longer than usual."""
+    `waits` is reason and message for the tasks of a proposal that waits longer than usual; `unreachable` are old pods
+    on dead nodes: the plan is observed but for them."""
 
     id: str
     subject: str
@@ -38,6 +39,7 @@ class PlanRecord:
     error: str | None = None
     on_main: bool = False
     waits: tuple[str, str] | None = None
+    unreachable: tuple[str, ...] = ()
     times: dict[str, int] = field(default_factory=dict)
 
     def as_json(self) -> dict[str, Any]:
