@@ -130,7 +130,8 @@ class Histories(RuleBasedStateMachine):
         extra: dict[str, Any] = {"lease": {"seconds": lease}} if lease else {}
         extra |= {"queue": {"secondsMax": 20}} if policy == "Postpone" else {}
         event = {"rule": "near", "id": f"event-{name}", "trace": "a" * 32, "time": moment(self.world.now_ns)}
-        spec = {"requester": "someone", "event": event, "application": "pose-point-cloud-recording"}
+        spec: dict[str, Any] = {"requester": "someone", "event": event}
+        spec |= {"application": "pose-point-cloud-recording"}
         spec |= {"parameters": {"vehicles": pair}, "priority": priority, "conflictPolicy": policy, **extra}
         self.world.tasks.create("cloud-0", name, spec, moment(self.world.now_ns))
         self.model[f"cloud-0/{name}"] = Entry(pair, priority, policy, lease, self.world.now_ns // SECOND, refused)
