@@ -15,7 +15,7 @@ from robotkube.domain.checks_releases import Rules
 from robotkube.domain.errors import DocumentError
 from robotkube.domain.merging import PATH as MERGE_PATH
 from robotkube.domain.merging import MergePolicy, read_merge_policy
-from robotkube.domain.releases import read_tree
+from robotkube.domain.releases import Tree, read_tree
 from robotkube.domain.repairs import repair
 from robotkube.domain.values_schemas import Validate
 from robotkube.ports.git import Commit, MainBranch
@@ -46,6 +46,16 @@ class GateSettings:
         return [proposer.account for proposer in self.proposers]
 
 
+@dataclass(frozen=True)
+class _Main:
+    """releases/ and sources/ at one tip, as text and read, and what would bring them back (see repairs.repair)."""
+
+    tip: str
+    files: Mapping[str, str]
+    tree: Tree
+    repair: Mapping[str, str | None]
+
+
 class RuleBook:
     """Rules for whoever proposes, while main stands where `main` has it."""
 
@@ -54,7 +64,7 @@ class RuleBook:
     ) -> None:
         self._settings, self._main, self._catalogue, self._validate = settings, main, catalogue, validate
         self._terms = Terms(main, settings.accounts)
-        self._repaired: tuple[str, Mapping[str, str | None]] = ("", {})
+        self._main_now = _Main("", {}, Tree({}, {}), {})
 
     def refresh(self) -> bool:
         """Read the catalogue and the keys again; whether anything changed."""
@@ -74,22 +84,24 @@ class RuleBook:
             validate=self._validate,
             others=others,
             last_term=self._terms.last(account, self._main.tip),
-            repair=self._repair(),
+            repair=self._known().repair,
         )
 
-    def _repair(self) -> Mapping[str, str | None]:
-        """What would bring main back; computed once per tip, and looked back for only when something is broken."""
-        if self._repaired[0] != self._main.tip:
+    def _known(self) -> _Main:
+        """Main's files as they are, read once per tip; its history is looked at only when something is broken."""
+        if self._main_now.tip != self._main.tip:
             files = release_files(self._main, self._main.tip)
-            self._repaired = (self._main.tip, repair(files, older_files(self._main)))
-        return self._repaired[1]
+            tree = read_tree(files)
+            changes = repair(files, older_files(self._main)) if tree.problems else {}
+            self._main_now = _Main(self._main.tip, files, tree, changes)
+        return self._main_now
 
     def proposal(self, commit: Commit) -> checks.Proposal:
         """What a commit brings to main."""
-        files = release_files(self._main, self._main.tip)
-        after = checks.folders_of(checks.apply_changes(files, commit.changes))
+        main = self._known()
+        after = checks.folders_of(checks.apply_changes(main.files, commit.changes))
         return checks.Proposal(
-            commit.parents, commit.message, commit.changes, commit.irregular, read_tree(files), read_tree(after)
+            commit.parents, commit.message, commit.changes, commit.irregular, main.tree, read_tree(after)
         )
 
     def judge(self, account: str, proposal: checks.Proposal) -> checks.Verdict:
