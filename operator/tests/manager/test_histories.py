@@ -214,19 +214,19 @@ class Histories(RuleBasedStateMachine):
             entry.in_trouble |= len(pairs) > ROOM or bool({"cloud-0", *entry.pair} & set(self.away))
 
     def come_to_rest(self) -> None:
-        """Turns until nothing happens any more, the last one without time passing."""
+        """Turns until nothing happens any more, the last steps of each without time passing."""
         world = self.world
         for _ in range(QUIET_TURNS_MAX):
             before = world.repository.tip
             world.go(3, wake=TASKS)
             world.cluster.settle(world.releases())
             world.go(1, wake=APPLICATIONS)
+            world.go(2, seconds=0.0)
             if world.repository.tip == before and not any(p.state == "open" for p in world.forge.pulls.values()):
                 break
         else:
             raise AssertionError(f"no rest after {QUIET_TURNS_MAX} turns")
         self.note_trouble()
-        world.go(1, seconds=0.0)
 
     def decide(self, pull: PullRequest) -> None:
         """The gate: away, or against tasks that main does not answer yet and that the model says it refuses."""
