@@ -26,8 +26,7 @@ def test_what_ran_on_a_lost_node_runs_on_another(stage: Stage) -> None:
         parameters={"sensor": "vehicle-02"},
         placement={"roles": ["roadside", "edge"]},
     )
-    stage.await_told(key, "Committed")
-    [release] = stage.seats(key)
+    [release] = eventually(f"{key} has its seat on main", lambda: stage.seats(key))
     pod = stage.await_running(release)[release]
     lost = release.partition("/")[0]
     moved = f"{OTHER[lost]}/{NAME}"
