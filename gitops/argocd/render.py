@@ -61,10 +61,14 @@ SERVER_KEY = {
     "name": "ROBOTKUBE_START_AFTER_SERVER_KEY",
     "valueFrom": {"secretKeyRef": {"name": "argocd-secret", "key": "server.secretkey"}},
 }
+# Less collecting of garbage while memory is there, as much as is needed towards the limit.
+COLLECTING = [{"name": "GOGC", "value": "400"}]
+LARGE, SMALL = ([*COLLECTING, {"name": "GOMEMLIMIT", "value": limit}] for limit in ("800MiB", "300MiB"))
 ENVIRONMENT: dict[str, list[Object]] = {
-    "argocd-applicationset-controller": [SERVER_KEY],
-    "argocd-repo-server": [{"name": "ARGOCD_GPG_ENABLED", "value": "false"}],
-    "argocd-server": [{"name": "ARGOCD_GPG_ENABLED", "value": "false"}],
+    "argocd-application-controller": LARGE,
+    "argocd-applicationset-controller": [SERVER_KEY, *SMALL],
+    "argocd-repo-server": [{"name": "ARGOCD_GPG_ENABLED", "value": "false"}, *LARGE],
+    "argocd-server": [{"name": "ARGOCD_GPG_ENABLED", "value": "false"}, *SMALL],
 }
 
 
