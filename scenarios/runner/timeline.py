@@ -24,7 +24,8 @@ def timeline(inputs: RunInputs, encounters: Sequence[Encounter]) -> tuple[Moment
     begin = "story begins" if inputs.steps and not inputs.ledgers else "players start"
     moments = [Moment(inputs.started, begin), Moment(inputs.ended, "run ends")]
     moments += [moment for step in inputs.steps for moment in _of_step(step)]
-    moments += [moment for task in inputs.tasks for moment in _of_task(task)]
+    told = {encounter.start.task for encounter in encounters}  # by the detector that made and withdrew them
+    moments += [moment for task in inputs.tasks if task.key not in told for moment in _of_task(task)]
     for number, encounter in enumerate(encounters, 1):
         moments += _of_encounter(number, encounter)
     return tuple(sorted(moments, key=lambda moment: moment.time))
@@ -39,9 +40,11 @@ def _of_step(step: StepDone) -> Iterator[Moment]:
 def _of_task(task: TaskLife) -> Iterator[Moment]:
     """Its life and what the manager decided; that it is carried out is told by the plans."""
     yield Moment(task.created, f"task {task.key} created")
+    reason = ""
     for condition in task.conditions:
-        if condition.type == "Accepted":
-            yield Moment(condition.time, f"task {task.key}: {condition.reason}: {condition.message}")
+        if condition.type == "Accepted" and condition.reason != reason:
+            reason = condition.reason
+            yield Moment(condition.time, f"task {task.key}: {reason}: {condition.message}")
     if task.deleted is not None:
         yield Moment(task.deleted, f"task {task.key} gone")
 
