@@ -14,6 +14,7 @@ from ci.cluster.records import ClusterFolders
 from ci.errors import SetUpError
 
 ENTER = ("/usr/bin/nsenter", "--net=/proc/1/ns/net", "--mount=/proc/1/ns/mnt")
+CLUSTER = "outages"  # never the name of one that may run: its processes would be killed
 BINARIES = "/somewhere/toolchain/bin"
 
 
@@ -21,7 +22,7 @@ BINARIES = "/somewhere/toolchain/bin"
 def folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ClusterFolders:
     """The records of a cluster with one node whose processes have all ended."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    found = ClusterFolders("test")
+    found = ClusterFolders(CLUSTER)
     found.processes.mkdir(parents=True)
     for name in ("node", *outages.DAEMONS):
         command = (*ENTER, f"{BINARIES}/{name}", "--config", "x")
@@ -37,9 +38,9 @@ def test_daemons_come_in_the_order_in_which_they_start(folders: ClusterFolders) 
 
 
 def test_stopping_what_has_stopped_is_fine(folders: ClusterFolders) -> None:
-    outages.stop("test", "vehicle-00")
+    outages.stop(CLUSTER, "vehicle-00")
 
 
 def test_what_is_no_node_is_refused(folders: ClusterFolders) -> None:
     with pytest.raises(SetUpError, match=r"no process vehicle-01\.containerd; name a node of its topology"):
-        outages.stop("test", "vehicle-01")
+        outages.stop(CLUSTER, "vehicle-01")

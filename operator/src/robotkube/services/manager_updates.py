@@ -183,7 +183,7 @@ def _releases(files: Mapping[str, str | None]) -> list[Release]:
     """Readable release files."""
     found = []
     for path, text in files.items():
-        if text is not None and path.startswith(f"{RELEASES}/"):
+        if text is not None and path.startswith(f"{RELEASES}/") and path.endswith(".yaml"):
             try:
                 found.append(read_release(text, path))
             except DocumentError as error:
