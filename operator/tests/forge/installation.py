@@ -26,10 +26,9 @@ from evidence_of_tests import (
 from manager_process import Outside
 from programs import free_port
 
-from robotkube.adapters.argocd import PushHook
 from robotkube.adapters.forges.gitea import GiteaForge
 from robotkube.adapters.git_clones import GitClone
-from robotkube.adapters.push_relay import PushRelay
+from robotkube.adapters.push_hooks import PushHook, PushRelay
 from robotkube.adapters.schemas_jsonschema import validate
 from robotkube.adapters.webhooks import WebServer
 from robotkube.domain.checks import Proposer

@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 
-from robotkube.adapters.argocd import ArgoCDServer, PushHook
+from robotkube.adapters.argocd import ArgoCDServer
+from robotkube.adapters.push_hooks import PushHook
 
 
 class Server:

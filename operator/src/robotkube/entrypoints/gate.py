@@ -15,11 +15,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from robotkube.adapters.argocd import PushHook
 from robotkube.adapters.evidence_dsse import KeyFile, TrustedKeys
 from robotkube.adapters.git_notes import GitNotes
 from robotkube.adapters.oci_registry import Registry
-from robotkube.adapters.push_relay import PushRelay
+from robotkube.adapters.push_hooks import PushHook, PushRelay
 from robotkube.adapters.suite_runner_http import SuiteRunnerClient
 from robotkube.adapters.webhooks import Delivery, WebServer
 from robotkube.domain.checks import Proposer

@@ -19,10 +19,11 @@ from typing import Any
 
 from kubernetes.client import ApiClient
 
-from robotkube.adapters.argocd import ArgoCDServer, PushHook
+from robotkube.adapters.argocd import ArgoCDServer
 from robotkube.adapters.evidence_dsse import TrustedKeys
 from robotkube.adapters.kubernetes_api import KubernetesWorld, api_client
 from robotkube.adapters.lease_kubernetes import LeaseElection
+from robotkube.adapters.push_hooks import PushHook
 from robotkube.adapters.templates_jinja2 import Jinja2Templates
 from robotkube.adapters.webhooks import Delivery, WebServer
 from robotkube.domain.documents import Reader

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from robotkube.adapters.push_relay import PushRelay
+from robotkube.adapters.push_hooks import PushRelay
 from robotkube.adapters.webhooks import Delivery, WebServer
 from robotkube.entrypoints.manager import news
 from robotkube.services.application_manager import CATALOGUE, DEPLOYMENT

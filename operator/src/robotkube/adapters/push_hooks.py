@@ -1,0 +1,80 @@
+"""Telling others that main moved: signed push events, as the forges send them. Best effort: a hook says whether it was
+taken and logs why not; who was not reached looks by himself, or hears it from the forge.
+
+`PushHook` tells the ApplicationSet controller, which takes GitHub's shape only. `PushRelay` tells a manager in the
+words of Gitea, whose own delivery comes about a fifth of a second after the push: it computes its records first.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import json
+import logging
+from collections.abc import Callable, Mapping
+
+import httpx
+
+HOOK_SECONDS_MAX = 5.0
+RELAY_SECONDS_MAX = 1.0  # the gate's next decision waits for it
+
+log = logging.getLogger(__name__)
+
+
+class _SignedPush:
+    """`repository` is how the event names it, `headers` names the event and signs it (from the signature in hex)."""
+
+    def __init__(
+        self,
+        url: str,
+        secret: bytes,
+        repository: Mapping[str, str],
+        branch: str,
+        seconds_max: float,
+        headers: Callable[[str], Mapping[str, str]],
+    ) -> None:
+        self._url, self._secret, self._repository, self._branch = url, secret, repository, branch
+        self._headers, self._client = headers, httpx.Client(timeout=seconds_max)
+
+    def disconnect(self) -> None:
+        """Give the connection back."""
+        self._client.close()
+
+    def hook(self, before: str, after: str) -> bool:
+        """Whether the event was taken (HTTP 2xx)."""
+        reference = f"refs/heads/{self._branch}"
+        event = {"ref": reference, "before": before, "after": after, "repository": self._repository}
+        body = json.dumps(event).encode()
+        signature = hmac.new(self._secret, body, hashlib.sha256).hexdigest()
+        headers = {"Content-Type": "application/json", **self._headers(signature)}
+        try:
+            answer = self._client.post(self._url, content=body, headers=headers)
+        except httpx.HTTPError as error:
+            log.warning("hook not delivered url=%s after=%s reason=%s", self._url, after, error or type(error).__name__)
+            return False
+        if answer.is_error:
+            reason = answer.text[:200].strip()
+            log.warning("hook refused url=%s status=%d reason=%s", self._url, answer.status_code, reason)
+        return answer.is_success
+
+
+class PushHook(_SignedPush):
+    """`repository_url` must be the URL that the ApplicationSet names (without .git); the key is
+    `webhook.github.secret`."""
+
+    def __init__(self, url: str, secret: bytes, repository_url: str, branch: str = "main") -> None:
+        def headers(signature: str) -> Mapping[str, str]:
+            return {"X-GitHub-Event": "push", "X-Hub-Signature-256": f"sha256={signature}"}
+
+        repository = {"html_url": repository_url, "default_branch": branch}
+        super().__init__(url, secret, repository, branch, HOOK_SECONDS_MAX, headers)
+
+
+class PushRelay(_SignedPush):
+    """`repository` is `<organisation>/<name>`, `secret` the one that the manager shares with the forge."""
+
+    def __init__(self, url: str, secret: bytes, repository: str, branch: str = "main") -> None:
+        def headers(signature: str) -> Mapping[str, str]:
+            return {"X-Gitea-Event": "push", "X-Gitea-Signature": signature}
+
+        super().__init__(url, secret, {"full_name": repository}, branch, RELAY_SECONDS_MAX, headers)
