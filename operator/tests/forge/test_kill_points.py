@@ -93,7 +93,7 @@ def test_nothing_is_written_without_the_mark() -> None:
 UNCHECKED = frozenset(
     {
         "oci_registry.registry", "oci_registry.attachments", "oci_registry.connections",  # publication's own points
-        "push_relay", "argocd", "suite_runner_http",  # they ask others to look or to begin, and change nothing
+        "push_hooks", "argocd", "suite_runner_http",  # they ask others to look or to begin, and change nothing
     }
 )  # fmt: skip
 
