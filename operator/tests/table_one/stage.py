@@ -148,6 +148,10 @@ class Stage:
             if key in self.annotation_of(release).split() and release.rpartition("/")[2] != BRIDGE
         }
 
+    def await_seats(self, key: str) -> set[str]:
+        """`seats` once there are any: a task is accepted before its plan is on main."""
+        return set(eventually(f"{key} has its seats on main", lambda: self.seats(key)))
+
     def annotation_of(self, release: str) -> str:
         """Tasks that a release names, in the clone as it was fetched last."""
         found = self.deployment.releases().get(release, {})

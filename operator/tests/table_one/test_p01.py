@@ -29,8 +29,7 @@ def test_every_role_offers_nodes_and_takes_services(stage: Stage) -> None:
         for role, sensor in SENSORS.items()
     }
     for role, key in keys.items():
-        stage.await_told(key, "Accepted")
-        [release] = stage.seats(key)
+        [release] = stage.await_seats(key)
         pod = stage.await_running(release)[release]
         agent, _, name = release.partition("/")
         assert name == f"object-detection-{SENSORS[role]}"

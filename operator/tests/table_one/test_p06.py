@@ -26,7 +26,7 @@ def test_what_ran_on_a_lost_node_runs_on_another(stage: Stage) -> None:
         parameters={"sensor": "vehicle-02"},
         placement={"roles": ["roadside", "edge"]},
     )
-    [release] = eventually(f"{key} has its seat on main", lambda: stage.seats(key))
+    [release] = stage.await_seats(key)
     pod = stage.await_running(release)[release]
     lost = release.partition("/")[0]
     moved = f"{OTHER[lost]}/{NAME}"
