@@ -102,6 +102,7 @@ def test_after_the_forge_was_away_the_demands_are_carried_out_in_their_order(pla
     back = time.monotonic()
     for key in (first, second):
         await_observed(stage, key, back)
-    made = [commit for commit in stage.commits() if {first, second} & set(commit.trailers.get("Task", ()))]
+    commits = eventually("main can be read again", stage.commits)
+    made = [commit for commit in commits if {first, second} & set(commit.trailers.get("Task", ()))]
     assert {task for commit in made for task in commit.trailers["Task"]} == {first, second}
     assert first in made[-1].trailers["Task"]
