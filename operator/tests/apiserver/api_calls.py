@@ -97,7 +97,7 @@ def prepare(api: Api) -> None:
     text = "".join(line for line in DEFINITION.read_text().splitlines(True) if "{{" not in line)
     for definition in (yaml.safe_load(text), applications_definition()):
         api.post("/apis/apiextensions.k8s.io/v1/customresourcedefinitions", definition)
-    for name in ("cloud-0", "argocd"):
+    for name in ("cloud-0", "argocd", "robotkube"):
         api.post("/api/v1/namespaces", {"apiVersion": "v1", "kind": "Namespace", "metadata": {"name": name}})
     for path in (TASKS, ARGOCD):
         until(lambda path=path: served(api, path), f"{path} served")

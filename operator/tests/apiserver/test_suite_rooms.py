@@ -69,7 +69,6 @@ def pool(server: ApiServerProcess) -> ApiServerProcess:
     ]
     done = subprocess.run([program("helm"), *words], capture_output=True, text=True, timeout=60, check=True)
     api = Api(api_client(str(server.kubeconfig)))
-    api.post(PATHS["Namespace"], {"apiVersion": "v1", "kind": "Namespace", "metadata": {"name": "robotkube"}})
     found = [item for item in yaml.load_all(done.stdout, Loader=yaml.CSafeLoader) if item and item["kind"] in KINDS]
     for item in sorted(found, key=lambda item: KINDS.index(item["kind"])):
         namespace = item["metadata"].get("namespace", "robotkube")
