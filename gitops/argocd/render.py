@@ -51,7 +51,10 @@ SETTINGS: dict[str, dict[str, str]] = {
         "controller.status.processors": "10",
         "controller.operation.processors": "5",
         "controller.kubectl.parallelism.limit": "5",
+        # A chart's registry that goes away in the middle of an answer holds its releases for that long.
+        "controller.repo.server.timeout.seconds": "15",
         "reposerver.parallelism.limit": "4",
+        "reposerver.git.request.timeout": "5s",
     },
 }
 READINESS = {"initialDelaySeconds": 1, "periodSeconds": 5}
@@ -64,10 +67,12 @@ SERVER_KEY = {
 # Less collecting of garbage while memory is there, as much as is needed towards the limit.
 COLLECTING = [{"name": "GOGC", "value": "400"}]
 LARGE, SMALL = ([*COLLECTING, {"name": "GOMEMLIMIT", "value": limit}] for limit in ("800MiB", "300MiB"))
+# A forge that goes away in the middle of an answer holds all releases for that long: 90 s by default.
+IMPATIENT = [{"name": "ARGOCD_EXEC_TIMEOUT", "value": "10s"}]
 ENVIRONMENT: dict[str, list[Object]] = {
     "argocd-application-controller": LARGE,
     "argocd-applicationset-controller": [SERVER_KEY, *SMALL],
-    "argocd-repo-server": [{"name": "ARGOCD_GPG_ENABLED", "value": "false"}, *LARGE],
+    "argocd-repo-server": [{"name": "ARGOCD_GPG_ENABLED", "value": "false"}, *IMPATIENT, *LARGE],
     "argocd-server": [{"name": "ARGOCD_GPG_ENABLED", "value": "false"}, *SMALL],
 }
 
