@@ -69,12 +69,13 @@ class Composer:
             self._drafts, self._known, self._last = {}, Known(), None
         self._scene = scene
         spoilers: dict[str, Refused] = {}
-        while True:  # a bridge that cannot be: each time at least one demand more is left out
+        for _ in range(len(asked)):  # a bridge that cannot be: each time at least one demand more is left out
             try:
                 return self._run(asked, spoilers)
             except SpoiledError as error:
                 spoilers.update(dict.fromkeys(error.demands, error.refused))
                 self._last = None
+        return self._run(asked, spoilers)
 
     def _run(self, demands: list[Demand], spoilers: Mapping[str, Refused]) -> Desired:
         assert self._scene is not None
