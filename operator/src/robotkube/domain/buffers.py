@@ -1,68 +1,323 @@
-"""The ring buffer of a topic: its latest serialised messages in the order of their stamps, within three bounds."""
+"""Ring buffers: the latest serialised messages of each topic in the order of their stamps, within bounds.
+
+One thread inserts. Every reading method may be called from any thread and sees the buffer as it was at one moment.
+How time, order, duplicates and jumps are treated stands in docs/explanation/buffer-and-time.md.
+"""
 
 from __future__ import annotations
 
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections import deque
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from heapq import heapify, heappop, heapreplace
 from operator import attrgetter
+from types import MappingProxyType
+from typing import NamedTuple
+
+KEPT, LATE, DUPLICATE, JUMPED = "kept", "late", "duplicate", "jumped"
+"""What became of a message: taken in; older (or wrongly newer) than the window; known already; time jumped."""
+
+DUPLICATES_DROP, DUPLICATES_KEEP = "drop", "keep"
+JUMP_RESTART, JUMP_KEEP = "restart", "keep"
+DROP_OLDEST = "oldest"
+"""What leaves when a bound is reached; there is no other way."""
+
+COUNT_DEFAULT = 100_000
+DUPLICATES_COMPARED_MAX = 100
+BEHIND_COUNT, BEHIND_NS = 10, 1_000_000_000
+"""So many messages in a row for so long, all behind the newest: time went back by less than the window."""
+
+COUNTERS = (
+    "received", "late", "disordered", "duplicates", "jumps", "cleared",
+    "evicted_seconds", "evicted_bytes", "evicted_count", "evicted_process",
+)  # fmt: skip
+
+_FOREVER = 1 << 80
+_RELIEF_SHARE = 64
+_READS_MAX = 100
 
 _stamp = attrgetter("stamp")
 
 
-@dataclass(frozen=True, slots=True)
-class Sample:
-    """One received message: source stamp and time of reception (ns since 1970), serialised bytes."""
+class Sample(NamedTuple):
+    """One message: when it was measured (header stamp, else reception) and received, ns since 1970, and its CDR bytes.
+
+    A named tuple, because it costs a quarter of a frozen dataclass and the garbage collector lets go of it.
+    """
 
     stamp: int
     received: int
     data: bytes
 
 
-class RingBuffer:
-    """Keeps messages no older than `seconds` before the newest, at most `bytes_max` and `count_max` of them.
+@dataclass(frozen=True, slots=True)
+class BufferBounds:
+    """How much a buffer holds: `seconds` before its newest stamp, `bytes` of serialised messages, `count` messages."""
 
-    Messages may come in any order and are kept in the order of their stamps; one that is older than the window is
-    counted in `late` and dropped. A `latched` buffer has no window: its topic says something once. `evicted` counts
-    what left because of bytes or count, before its time.
+    seconds: float
+    bytes: int
+    count: int = COUNT_DEFAULT
+
+
+@dataclass(slots=True)
+class _Budget:
+    """What several buffers hold together, and the most they may."""
+
+    bytes_max: int
+    buffers: list[RingBuffer]
+    bytes: int = 0
+
+    def relieve(self) -> None:
+        """Drop oldest messages of whatever buffer holds most; a little more than needed, so that it is rarely done."""
+        target = self.bytes_max - self.bytes_max // _RELIEF_SHARE
+        heap = [(-buffer.bytes, order, buffer) for order, buffer in enumerate(self.buffers) if buffer.bytes]
+        heapify(heap)
+        while self.bytes > target and heap:
+            _, order, buffer = heap[0]
+            buffer.give_way()
+            if buffer.bytes:
+                heapreplace(heap, (-buffer.bytes, order, buffer))
+            else:
+                heappop(heap)
+
+
+class RingBuffer:
+    """The messages of one topic.
+
+    Counters, all of which only grow: `received` = kept + late + duplicates; of those kept, `disordered` came after a
+    newer one; `evicted_*` and `cleared` left because of age, bytes, count, the process's bytes or a jump; `jumps`.
+    A `latched` buffer has no window and no part in the process's bytes: its topic says something once.
     """
 
-    def __init__(self, seconds: float, bytes_max: int, count_max: int, latched: bool = False) -> None:
-        self._window_ns = None if latched else int(seconds * 1e9)
-        self._bytes_max, self._count_max = bytes_max, count_max
+    __slots__ = (
+        *COUNTERS, "_ahead", "_behind_at", "_behind_count", "_behind_since", "_budget", "_bytes_max", "_count_max",
+        "_newest", "_newest_received", "_samples", "_suspect", "_suspect_at", "_window_ns", "bytes",
+        "duplicate_policy", "jump_policy", "latched",
+    )  # fmt: skip
+
+    def __init__(
+        self,
+        bounds: BufferBounds,
+        latched: bool = False,
+        duplicates: str = DUPLICATES_DROP,
+        jump: str = JUMP_RESTART,
+        budget: _Budget | None = None,
+    ) -> None:
+        self.latched = latched
+        self.duplicate_policy, self.jump_policy = duplicates, jump
+        self._window_ns = _FOREVER if latched else int(bounds.seconds * 1e9)
+        self._bytes_max, self._count_max = bounds.bytes, bounds.count
+        self._budget = budget or _Budget(_FOREVER, [])
         self._samples: deque[Sample] = deque()
-        self.bytes = 0
-        self.late = 0
-        self.disordered = 0
-        self.evicted = 0
+        self.bytes = self.received = self.late = self.disordered = self.duplicates = self.jumps = self.cleared = 0
+        self.evicted_seconds = self.evicted_bytes = self.evicted_count = self.evicted_process = 0
+        self._newest, self._ahead, self._newest_received = -_FOREVER, _FOREVER, 0
+        self._suspect = self._suspect_at = self._behind_at = self._behind_count = self._behind_since = -1
 
     def __len__(self) -> int:
         return len(self._samples)
 
-    def insert(self, sample: Sample) -> None:
-        """Take a message in; older ones leave as the bounds ask."""
-        samples = self._samples
-        if not samples or sample.stamp >= samples[-1].stamp:
-            samples.append(sample)
-        elif self._window_ns is not None and sample.stamp < samples[-1].stamp - self._window_ns:
-            self.late += 1
-            return
-        else:
-            self.disordered += 1
-            samples.insert(bisect_right(samples, sample.stamp, key=_stamp), sample)
-        self.bytes += len(sample.data)
-        self._evict()
+    @property
+    def kept(self) -> int:
+        """How many messages were taken in."""
+        return self.received - self.late - self.duplicates
 
-    def since(self, stamp: int) -> list[Sample]:
+    def insert(self, sample: Sample) -> str:
+        """Take a message in; older ones leave as the bounds ask. KEPT, LATE, DUPLICATE or JUMPED (taken in, too)."""
+        stamp, received, data = sample
+        self.received += 1
+        outcome = KEPT
+        samples = self._samples
+        if self._newest < stamp <= self._ahead:
+            samples.append(sample)
+            self._newest, self._newest_received, self._ahead = stamp, received, stamp + self._window_ns
+        else:
+            outcome = self._place(sample)
+            if outcome is LATE or outcome is DUPLICATE:
+                return outcome
+        size, budget = len(data), self._budget
+        self.bytes += size
+        budget.bytes += size
+        if (
+            samples[0].stamp < self._newest - self._window_ns
+            or self.bytes > self._bytes_max
+            or len(samples) > self._count_max
+        ):
+            self._evict()
+        if budget.bytes > budget.bytes_max:
+            budget.relieve()
+        return outcome
+
+    def latest(self) -> Sample | None:
+        """The newest message."""
+        try:
+            return self._samples[-1]
+        except IndexError:
+            return None
+
+    def since(self, stamp: int) -> Sequence[Sample]:
         """The messages with this stamp or a later one, oldest first."""
-        return [sample for sample in self._samples if sample.stamp >= stamp]
+        samples = self.samples()
+        return samples[bisect_left(samples, stamp, key=_stamp) :]
+
+    def between(self, first: int, last: int) -> Sequence[Sample]:
+        """The messages with stamps from `first` to `last`, both included, oldest first."""
+        samples = self.samples()
+        begin = bisect_left(samples, first, key=_stamp)
+        return samples[begin : bisect_right(samples, last, begin, key=_stamp)]
+
+    def samples(self) -> Sequence[Sample]:
+        """All messages, oldest first."""
+        for _ in range(_READS_MAX):
+            try:
+                return tuple(self._samples)
+            except RuntimeError:  # the inserting thread came in between
+                continue
+        raise RuntimeError(f"a buffer changed {_READS_MAX} times while it was read")
+
+    def clear(self) -> None:
+        """Forget all messages and the time; counters stay."""
+        self.cleared += len(self._samples)
+        self._samples.clear()
+        self._budget.bytes -= self.bytes
+        self.bytes = 0
+        self._newest, self._ahead = -_FOREVER, _FOREVER
+
+    def give_way(self) -> None:
+        """Drop the oldest message for the sake of the process's bytes."""
+        self._drop()
+        self.evicted_process += 1
+
+    def counters(self) -> Mapping[str, int]:
+        """What `/status` shows: messages and bytes held, and every counter."""
+        held = {"messages": len(self._samples), "bytes": self.bytes, "kept": self.kept}
+        return held | {name: getattr(self, name) for name in COUNTERS}
+
+    def _place(self, sample: Sample) -> str:
+        """Deal with a message that is not simply the next one."""
+        stamp = sample.stamp
+        if stamp > self._newest:
+            waited = sample.received - self._newest_received
+            if stamp - self._newest - waited <= self._window_ns:  # silence: the clock of reception went on as well
+                return self._append(sample)
+            return self._restart(sample) if self._again(sample) else self._drop_late()
+        if stamp < self._newest and self._runs_behind(sample) and self.jump_policy == JUMP_RESTART:
+            return self._restart(sample)
+        if stamp < self._newest - self._window_ns:
+            jumped = self._again(sample) and self.jump_policy == JUMP_RESTART
+            return self._restart(sample) if jumped else self._drop_late()
+        return self._put_between(sample)
+
+    def _put_between(self, sample: Sample) -> str:
+        samples, stamp = self._samples, sample.stamp
+        place = bisect_right(samples, stamp, key=_stamp)
+        if self.duplicate_policy == DUPLICATES_DROP:
+            for index in range(place - 1, max(place - 1 - DUPLICATES_COMPARED_MAX, -1), -1):
+                known = samples[index]
+                if known.stamp != stamp:
+                    break
+                if known.data == sample.data:
+                    self.duplicates += 1
+                    return DUPLICATE
+        samples.insert(place, sample)
+        self.disordered += stamp < self._newest
+        return KEPT
+
+    def _append(self, sample: Sample) -> str:
+        self._samples.append(sample)
+        self._newest, self._newest_received = sample.stamp, sample.received
+        self._ahead = sample.stamp + self._window_ns
+        return KEPT
+
+    def _restart(self, sample: Sample) -> str:
+        self.clear()
+        self.jumps += 1
+        self._append(sample)
+        return JUMPED
+
+    def _drop_late(self) -> str:
+        self.late += 1
+        return LATE
+
+    def _again(self, sample: Sample) -> bool:
+        """Whether the message before this one was far off in the same way: two in a row are no outlier."""
+        suspect, in_a_row = self._suspect, self._suspect_at == self.received - 1
+        self._suspect, self._suspect_at = sample.stamp, self.received
+        return in_a_row and sample.stamp != suspect and abs(sample.stamp - suspect) <= self._window_ns
+
+    def _runs_behind(self, sample: Sample) -> bool:
+        """Whether messages have been behind the newest for so long that it is not a matter of order any more."""
+        if self._behind_at != self.received - 1:
+            self._behind_since, self._behind_count = sample.received, 0
+        self._behind_at = self.received
+        self._behind_count += 1
+        lasted = sample.received - self._behind_since >= BEHIND_NS and self._behind_count >= BEHIND_COUNT
+        return lasted and not self.latched
 
     def _evict(self) -> None:
-        samples = self._samples
-        if self._window_ns is not None:
-            oldest = samples[-1].stamp - self._window_ns
-            while samples[0].stamp < oldest:
-                self.bytes -= len(samples.popleft().data)
-        while samples and (self.bytes > self._bytes_max or len(samples) > self._count_max):
-            self.bytes -= len(samples.popleft().data)
-            self.evicted += 1
+        samples, oldest = self._samples, self._newest - self._window_ns
+        while samples[0].stamp < oldest:
+            self._drop()
+            self.evicted_seconds += 1
+        while self.bytes > self._bytes_max:
+            self._drop()
+            self.evicted_bytes += 1
+        while len(samples) > self._count_max:
+            self._drop()
+            self.evicted_count += 1
+
+    def _drop(self) -> None:
+        size = len(self._samples.popleft().data)
+        self.bytes -= size
+        self._budget.bytes -= size
+
+
+class BufferPool:
+    """The buffers of a process by topic; those that are not latched hold at most `bytes_max` together.
+
+    When that is exceeded, the oldest messages of the buffer that holds most leave first.
+    """
+
+    def __init__(self, bytes_max: int) -> None:
+        self._budget = _Budget(bytes_max, [])
+        self._buffers: dict[str, RingBuffer] = {}
+
+    @property
+    def buffers(self) -> Mapping[str, RingBuffer]:
+        """A live view: topic -> buffer."""
+        return MappingProxyType(self._buffers)
+
+    @property
+    def bytes(self) -> int:
+        """What all buffers but the latched ones hold."""
+        return self._budget.bytes
+
+    def make(
+        self,
+        name: str,
+        bounds: BufferBounds,
+        latched: bool = False,
+        duplicates: str = DUPLICATES_DROP,
+        jump: str = JUMP_RESTART,
+    ) -> RingBuffer:
+        """A new, empty buffer for a topic; ValueError when the topic has one."""
+        if name in self._buffers:
+            raise ValueError(f"{name} has a buffer already; remove it first")
+        buffer = RingBuffer(bounds, latched, duplicates, jump, None if latched else self._budget)
+        self._buffers[name] = buffer
+        if not latched:
+            self._budget.buffers.append(buffer)
+        return buffer
+
+    def remove(self, name: str) -> None:
+        """Forget a topic and what its buffer holds; nothing happens when it has none."""
+        buffer = self._buffers.pop(name, None)
+        if buffer is None:
+            return
+        buffer.clear()
+        self._budget.buffers = [other for other in self._budget.buffers if other is not buffer]
+
+    def snapshot(self) -> Mapping[str, Mapping[str, int]]:
+        """Topic -> its buffer's counters, for `/status`."""
+        return {name: buffer.counters() for name, buffer in list(self._buffers.items())}

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from robotkube.domain.buffers import RingBuffer, Sample
+from robotkube.domain.buffers import BufferBounds, RingBuffer, Sample
 from robotkube.domain.detection import STOP, Always, Edge, RuleState, rule_state
 from robotkube.domain.detector_settings import (
     AlwaysRule,
@@ -327,7 +327,8 @@ class EventDetector:
                 log.error("%s", error)
                 continue
             count_max = settings.depth if settings.latched else BUFFER_MESSAGES_MAX
-            buffer = RingBuffer(settings.buffer_seconds, settings.buffer_bytes, count_max, settings.latched)
+            bounds = BufferBounds(settings.buffer_seconds, settings.buffer_bytes, count_max)
+            buffer = RingBuffer(bounds, settings.latched)
             stamped = settings.type in STAMPED_TYPES
             topic = _Topic(name, settings, source, InputCounter(settings.type), buffer, stamped)
             self._connect(topic)
