@@ -1,0 +1,264 @@
+"""From the paths somebody wants of a type to the steps that read them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from struct import Struct, calcsize
+
+from robotkube.domain import layout_steps as steps_of
+from robotkube.domain.layout_shapes import CODES, TEXTS, TIMES, Shapes, Sizes, after, aligned, padding
+from robotkube.domain.layout_steps import Step
+from robotkube.domain.message_definitions import ARRAY, SEQUENCE, SINGLE, Field
+
+NUMBER, TRUTH, TEXT, SERIES = "number", "bool", "text", "series"
+"""What a path leads to: int or float; bool; str; several values (array.array of numbers, else a tuple)."""
+
+PATH_PARTS_MAX = 64
+INLINE_FIELDS_MAX = 200
+
+_PART = re.compile(r"(?P<name>[A-Za-z][A-Za-z0-9_]*)(?P<selector>\[\d{0,9}\])?")
+
+
+@dataclass
+class Want:
+    """What is wanted of a value: itself (`slot`), fields of it, elements of it (None: of every one).
+
+    `code`: of the value in an array; empty when it is a text or has several elements.
+    """
+
+    slot: int | None = None
+    code: str = ""
+    fields: dict[str, Want] = field(default_factory=dict)
+    elements: dict[int | None, Want] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Leaf:
+    """Where a path leads: `kind` is NUMBER, TRUTH, TEXT or SERIES, its value gets into `slot`.
+
+    `code`: that of `struct` for a number or bool, else empty.
+    """
+
+    kind: str
+    slot: int
+    code: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Take:
+    """A value of fixed size that is wanted."""
+
+    code: str
+    slot: int
+
+
+def add_path(shapes: Shapes, type_name: str, path: str, want: Want, slot: int) -> Leaf:
+    """Enter a path into what is wanted of a type; a path that is there already keeps its slot.
+
+    ValueError says which part is wrong and what there is.
+    """
+    parts = path.split(".")
+    if len(parts) > PATH_PARTS_MAX:
+        raise ValueError(f"{path[:80]}: more than {PATH_PARTS_MAX} parts")
+    every = whole = False
+    for place, part in enumerate(parts):
+        last = place == len(parts) - 1
+        member, selector = _member(shapes, type_name, path, part)
+        want, type_name = want.fields.setdefault(member.name, Want()), member.type
+        simple = type_name in CODES or type_name in TEXTS
+        if not last and simple:
+            raise ValueError(f"{path}: {part} is of type {type_name} and has no fields")
+        whole = last and member.kind != SINGLE and (not selector or (simple and selector == "[]"))
+        if member.kind != SINGLE and not whole:
+            index = _index(path, member, selector)
+            every = every or index is None
+            want = want.elements.setdefault(index, Want())
+    if type_name not in CODES and type_name not in TEXTS and (whole or type_name not in TIMES):
+        names = (f"{parts[-1]}{'[]' if whole else ''}.{member.name}" for member in shapes.fields(type_name))
+        raise ValueError(f"{path}: it is of type {type_name}; name one of its fields: {', '.join(names)}")
+    return _enter(want, type_name, whole, whole or every, slot)
+
+
+def _member(shapes: Shapes, type_name: str, path: str, part: str) -> tuple[Field, str]:
+    """The field that a part names, and what stands in brackets behind it (with them)."""
+    found = _PART.fullmatch(part)
+    members = shapes.fields(type_name)
+    member = next((member for member in members if found and member.name == found["name"]), None)
+    if found is None or member is None:
+        there = ", ".join(member.name for member in members)
+        raise ValueError(f"{path}: {type_name} has no field {part}; it has {there}")
+    selector = found["selector"] or ""
+    if selector and member.kind == SINGLE:
+        raise ValueError(f"{path}: {member.name} of {type_name} is one value; leave {selector} away")
+    return member, selector
+
+
+def _index(path: str, member: Field, selector: str) -> int | None:
+    if not selector:
+        raise ValueError(f"{path}: {member.name} has several elements; write {member.name}[] or {member.name}[0]")
+    index = int(selector[1:-1]) if selector != "[]" else None
+    if member.kind == ARRAY and index is not None and index >= member.count:
+        raise ValueError(f"{path}: {member.name} has {member.count} elements")
+    return index
+
+
+def _enter(want: Want, type_name: str, whole: bool, several: bool, slot: int) -> Leaf:
+    code = "" if type_name in TEXTS else "q" if type_name in TIMES else CODES[type_name][0]
+    if want.slot is None:
+        want.slot, want.code = slot, "" if whole else code
+    kind = SERIES if several else TEXT if not code else TRUTH if code == "?" else NUMBER
+    return Leaf(kind, want.slot, code if kind in (NUMBER, TRUTH) else "")
+
+
+def _within_element(want: Want, columns: list[tuple[str, int]], several: bool = False) -> Want:
+    """The same wants with slots from 0 on, for one element; `columns` gets the code and the slot of each outside."""
+    inner = Want(code=want.code)
+    if want.slot is not None:
+        inner.slot = len(columns)
+        columns.append(("" if several else want.code, want.slot))
+    for name, part in want.fields.items():
+        inner.fields[name] = _within_element(part, columns, several)
+    for index, part in want.elements.items():
+        inner.elements[index] = _within_element(part, columns, several or index is None)
+    return inner
+
+
+class Compiler:
+    """Makes the steps for one byte order (`<` or `>`). `walks` keeps the steps over whole values, type by type."""
+
+    def __init__(self, shapes: Shapes, order: str, walks: dict[str, Sequence[Step]]) -> None:
+        self._shapes, self._order, self._walks = shapes, order, walks
+        self._steps: list[Step] = []
+        self._run: list[Sizes | _Take] = []
+        self._inlined = 0
+
+    def program(self, type_name: str, want: Want, to_the_end: bool = False) -> Sequence[Step]:
+        """The steps over a value up to what is wanted last, or to its end; once per compiler."""
+        self._take(Field("", type_name), want, to_the_end)
+        rest = self._flush()
+        if to_the_end and any(rest):
+            self._steps.append(steps_of.skip_fixed(rest))
+        return self._steps
+
+    def _fields(self, type_name: str, want: Want, to_the_end: bool) -> None:
+        waiting = set(want.fields)
+        for member in self._shapes.fields(type_name):
+            if not waiting and not to_the_end:
+                return
+            waiting.discard(member.name)
+            if member.name in want.fields:
+                self._take(member, want.fields[member.name], to_the_end or bool(waiting))
+            else:
+                self._skip(member)
+
+    # skipping --------------------------------------------------------------------------------------------------------
+
+    def _skip(self, member: Field) -> None:
+        sizes = self._shapes.of_field(member).sizes
+        if sizes is not None:
+            self._run.append(sizes)
+        elif member.kind != SINGLE:
+            element, extent = self._shapes.of_type(member.type), self._extent(member)
+            if element.sizes is not None:
+                self._steps.append(steps_of.skip_alike(extent, element.sizes))
+            else:
+                self._steps.append(steps_of.skip_each(extent, self._walk(member.type)))
+        elif member.type in TEXTS:
+            self._steps.append(steps_of.skip_text(self._heads(4), self._order, TEXTS[member.type]))
+        elif self._inlined < INLINE_FIELDS_MAX:
+            self._inlined += 1
+            self._fields(member.type, Want(), to_the_end=True)
+        else:
+            self._steps += [steps_of.skip_fixed(self._flush()), *self._walk(member.type)]
+
+    def _walk(self, type_name: str) -> Sequence[Step]:
+        """The steps over one value of a type whose size depends on the message."""
+        if type_name not in self._walks:
+            compiler = Compiler(self._shapes, self._order, self._walks)
+            compiler._skip(Field("", type_name))
+            rest = compiler._flush()
+            self._walks[type_name] = [*compiler._steps, steps_of.skip_fixed(rest)]
+        return self._walks[type_name]
+
+    # reading ---------------------------------------------------------------------------------------------------------
+
+    def _take(self, member: Field, want: Want, to_the_end: bool) -> None:
+        if member.kind != SINGLE:
+            self._take_elements(member, want)
+        elif member.type in CODES and want.slot is not None:
+            self._run.append(_Take(CODES[member.type][0], want.slot))
+        elif member.type in TEXTS and want.slot is not None:
+            unit = TEXTS[member.type]
+            self._steps.append(steps_of.take_text(self._heads(4), self._order, unit, want.slot))
+        elif member.type in TIMES and want.slot is not None:
+            parts = [want.fields[name].slot if name in want.fields else None for name in ("sec", "nanosec")]
+            self._steps.append(steps_of.take_time(self._heads(4), self._order, want.slot, parts))
+        else:
+            self._fields(member.type, want, to_the_end)
+
+    def _take_elements(self, member: Field, want: Want) -> None:
+        extent = self._extent(member)
+        slots = {index: part.slot for index, part in want.elements.items() if part.slot is not None}
+        whole = slots if want.slot is None else {None: want.slot, **slots}
+        if member.type in CODES:
+            self._steps.append(steps_of.take_numbers(extent, CODES[member.type][0], self._order, whole))
+        elif member.type in TEXTS:
+            read = steps_of.take_text(aligned(4), self._order, TEXTS[member.type], 0)
+            self._steps.append(steps_of.take_texts(extent, read, whole))
+        else:
+            self._take_structures(member.type, want, extent)
+
+    def _take_structures(self, type_name: str, want: Want, extent: steps_of.Extent) -> None:
+        sizes = self._shapes.of_type(type_name).sizes
+        picks = {i: self._part(type_name, part) for i, part in want.elements.items() if i is not None}
+        every = self._every(type_name, want.elements[None]) if None in want.elements else None
+        if every is None and sizes is not None:
+            self._steps.append(steps_of.pick_alike(extent, sizes, picks))
+        else:
+            walk = [steps_of.skip_fixed(sizes)] if sizes is not None else self._walk(type_name)
+            self._steps.append(steps_of.take_each(extent, walk, picks, every))
+
+    def _every(self, type_name: str, want: Want) -> steps_of.Every:
+        columns: list[tuple[str, int]] = []
+        inner = _within_element(want, columns)
+        return steps_of.Every(self._part(type_name, inner, to_the_end=True), columns)
+
+    def _part(self, type_name: str, want: Want, to_the_end: bool = False) -> Sequence[Step]:
+        return Compiler(self._shapes, self._order, self._walks).program(type_name, want, to_the_end)
+
+    # runs of values of fixed size ------------------------------------------------------------------------------------
+
+    def _extent(self, member: Field) -> steps_of.Extent:
+        least = self._shapes.of_type(member.type).least
+        if member.kind == SEQUENCE:
+            return steps_of.counted(self._heads(4), self._order, least)
+        return steps_of.fixed(self._flush(), member.count, least)
+
+    def _heads(self, size: int) -> Sizes:
+        """Bytes to skip up to the next value of `size` bytes."""
+        return after([self._flush(), aligned(size)])
+
+    def _flush(self) -> Sizes:
+        """Make the read of the values that are waiting; returns the bytes to skip behind the last of them."""
+        last = max((place for place, item in enumerate(self._run) if isinstance(item, _Take)), default=-1)
+        taken, rest = self._run[: last + 1], self._run[last + 1 :]
+        self._run = []
+        if taken:
+            slots = tuple(item.slot for item in taken if isinstance(item, _Take))
+            structs = tuple(Struct(self._format(taken, position)) for position in range(8))
+            self._steps.append(steps_of.TakeRun(structs, slots))
+        return after(item for item in rest if not isinstance(item, _Take))
+
+    def _format(self, items: Sequence[Sizes | _Take], position: int) -> str:
+        parts, skipped = [self._order], 0
+        for item in items:
+            if isinstance(item, _Take):
+                size = calcsize(item.code)
+                skipped += padding(position + skipped, size)
+                parts.append(f"{skipped}x{item.code}")
+                position, skipped = position + skipped + size, 0
+            else:
+                skipped += item[(position + skipped) & 7]
+        return "".join(parts)
