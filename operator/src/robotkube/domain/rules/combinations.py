@@ -1,0 +1,142 @@
+"""What rules say together. A combination follows the edges of its parts; it reads no messages of its own.
+
+A part holds for a member when it has an event whose agents are among the member's, or the other way round: an event
+of a pair says something about each of the two, and an event of one about every pair he belongs to. An event of a
+group, or of a rule that always holds, counts for everybody.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from itertools import combinations
+
+from robotkube.domain.rules.checking import universal
+from robotkube.domain.rules.conditions import Condition
+from robotkube.domain.rules.edges import START, Cause, Edge
+from robotkube.domain.rules.messages import FALL, RISE, Agents, Finding, Member, Reading
+from robotkube.domain.rules.specifications import ALL, GROUP, PAIR, SEQUENCE, Combination, Part, Rule
+
+STARTS_MAX = 10_000
+"""So many starts of a sequence's part are remembered."""
+STATIC_AGENTS_MAX = 100
+CAUSES_MAX = 8
+
+
+class CombinationCondition(Condition):
+    """All, any, or one after the other. `rules`: the parts' rules by name."""
+
+    def __init__(self, rule: Rule, settings: Combination, rules: Mapping[str, Rule]) -> None:
+        super().__init__()
+        self._rule, self._settings = rule, settings
+        self.names = frozenset(part.rule for part in settings.parts)
+        self._everybody = {name for name in self.names if universal(rules[name])}
+        self._active: dict[str, dict[Agents, Edge]] = {name: {} for name in self.names}
+        self._starts: list[deque[tuple[int, Agents]]] = [deque(maxlen=STARTS_MAX) for _ in settings.parts]
+
+    def observe(self, reading: Reading) -> Sequence[Finding]:
+        """Messages change nothing."""
+        return ()
+
+    def begin(self, stamp: int, received: int) -> Sequence[Finding]:
+        """What holds before anything has happened: that something does not."""
+        if self._settings.mode == SEQUENCE:
+            return ()
+        listed = [()] if self._rule.scope == GROUP else self._listed()
+        return [
+            Finding(member, RISE, stamp, received)
+            for member in listed
+            if member not in self.holding and self._holds(member)
+        ]
+
+    def follow(self, edge: Edge) -> list[Finding]:
+        """What the edge of a part changes."""
+        events = self._active[edge.rule]
+        if edge.edge == START:
+            events[edge.agents] = edge
+        else:
+            events.pop(edge.agents, None)
+        if self._settings.mode == SEQUENCE:
+            return list(self._sequence(edge))
+        found = []
+        for member in self._concerned(edge):
+            holds = self._holds(member)
+            if holds != (member in self.holding):
+                found.append(self._finding(member, RISE if holds else FALL, edge))
+        return found
+
+    def _holds(self, member: Member) -> bool:
+        truths = (self._part_holds(part, member) for part in self._settings.parts)
+        return all(truths) if self._settings.mode == ALL else any(truths)
+
+    def _part_holds(self, part: Part, member: Member) -> bool:
+        return any(self._about(part.rule, agents, member) for agents in self._active[part.rule]) != part.negated
+
+    def _about(self, name: str, agents: Agents, member: Member) -> bool:
+        if name in self._everybody or not member:
+            return True
+        mine, theirs = set(member), set(agents)
+        return mine <= theirs or theirs <= mine
+
+    def _concerned(self, edge: Edge) -> Collection[Member]:
+        """The members that an edge may say something about."""
+        if self._rule.scope == GROUP:
+            return [()]
+        known = dict.fromkeys([*self._known(edge), *self.holding, *self._listed()])
+        return [member for member in known if self._about(edge.rule, edge.agents, member)]
+
+    def _known(self, edge: Edge) -> Iterator[Member]:
+        """The members that the parts' events name."""
+        names = [name for name in self.names if name not in self._everybody]
+        events = [edge.agents] if edge.rule not in self._everybody and self._rule.scope != PAIR else None
+        for agents in events or [agents for name in names for agents in (*self._active[name], *self._own(name, edge))]:
+            yield from self._members(agents)
+
+    def _own(self, name: str, edge: Edge) -> Sequence[Agents]:
+        return [edge.agents] if edge.rule == name else []
+
+    def _members(self, agents: Agents) -> Iterator[Member]:
+        pairs = [agents] if len(agents) == 2 else []
+        found = pairs if self._rule.scope == PAIR else [(agent,) for agent in agents]
+        allowed = set(self._rule.agents)
+        yield from (member for member in found if not allowed or set(member) <= allowed)
+
+    def _listed(self) -> Sequence[Member]:
+        agents = sorted(self._rule.agents)[:STATIC_AGENTS_MAX]
+        return list(combinations(agents, 2)) if self._rule.scope == PAIR else [(agent,) for agent in agents]
+
+    def _sequence(self, edge: Edge) -> Iterator[Finding]:
+        parts = self._settings.parts
+        if edge.edge != START:
+            if edge.rule == parts[-1].rule:
+                for member in [member for member in self.holding if self._about(edge.rule, edge.agents, member)]:
+                    if not self._part_holds(parts[-1], member):
+                        yield self._finding(member, FALL, edge)
+            return
+        if edge.rule == parts[-1].rule:
+            members = [()] if self._rule.scope == GROUP else list(self._members(edge.agents))
+            for member in members:
+                if member not in self.holding and self._complete(member, edge.stamp):
+                    yield self._finding(member, RISE, edge)
+        for part, starts in zip(parts, self._starts, strict=True):
+            if part.rule == edge.rule:
+                starts.append((edge.stamp, edge.agents))
+
+    def _complete(self, member: Member, stamp: int) -> bool:
+        """Whether the earlier parts began one after the other before `stamp`, all within the time; looked for
+        backwards, each as late as can be."""
+        bound = stamp
+        for part, starts in reversed(list(zip(self._settings.parts, self._starts, strict=True))[:-1]):
+            earlier = [at for at, agents in starts if at < bound and self._about(part.rule, agents, member)]
+            if not earlier:
+                return False
+            bound = max(earlier)
+        return stamp - bound <= int(self._settings.within_seconds * 1e9)
+
+    def _finding(self, member: Member, verdict: int, edge: Edge) -> Finding:
+        causes: list[Cause] = list(edge.causes)
+        for part in self._settings.parts:
+            for agents, active in self._active[part.rule].items():
+                if active is not edge and self._about(part.rule, agents, member):
+                    causes += active.causes
+        return Finding(member, verdict, edge.stamp, edge.time, edge.detail, tuple(causes[:CAUSES_MAX]))

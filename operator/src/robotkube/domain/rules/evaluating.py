@@ -1,0 +1,231 @@
+"""One rule at work: its condition, its events, and when each agent was last heard of."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from robotkube.domain.rules.asking import Ask, ExpressionCondition, PluginCondition, Verdict
+from robotkube.domain.rules.combinations import CombinationCondition
+from robotkube.domain.rules.conditions import (
+    GRACE_NS,
+    Condition,
+    GeofenceCondition,
+    ThresholdCondition,
+    Timers,
+)
+from robotkube.domain.rules.edges import Edge
+from robotkube.domain.rules.messages import FALL, KEEP, RISE, Agents, Finding, Member, Reading
+from robotkube.domain.rules.occurrences import Occurrences
+from robotkube.domain.rules.proximities import ProximityCondition
+from robotkube.domain.rules.rates import AbsenceCondition, RateCondition
+from robotkube.domain.rules.specifications import (
+    GROUP,
+    Absence,
+    Always,
+    Cel,
+    Combination,
+    Geofence,
+    Proximity,
+    Python,
+    Rate,
+    Rule,
+    Threshold,
+)
+
+AGENTS_MAX = 10_000
+"""So many agents are looked at by one rule; what others send is counted in `ignored`."""
+
+
+class AlwaysCondition(Condition):
+    """Holds from the first moment on."""
+
+    def observe(self, reading: Reading) -> list[Finding]:
+        """Messages change nothing."""
+        return []
+
+
+def condition_of(rule: Rule, rules: Mapping[str, Rule], ask: Ask) -> Condition:
+    """The beginning of a rule's condition."""
+    match rule.condition:
+        case Proximity() as settings:
+            return ProximityCondition(settings)
+        case Geofence() as settings:
+            return GeofenceCondition(settings)
+        case Threshold() as settings:
+            return ThresholdCondition(settings)
+        case Rate() as settings:
+            return RateCondition(settings)
+        case Absence() as settings:
+            return AbsenceCondition(settings, rule.agents)
+        case Combination() as settings:
+            return CombinationCondition(rule, settings, rules)
+        case Cel() as settings:
+            return ExpressionCondition(rule, settings, ask)
+        case Python():
+            return PluginCondition(rule, ask)
+        case Always():
+            return AlwaysCondition()
+
+
+class Evaluator:
+    """A rule with what it remembers. `agent`: whose detector it is."""
+
+    def __init__(self, rule: Rule, rules: Mapping[str, Rule], agent: str, ask: Ask) -> None:
+        self.rule, self._agent = rule, agent
+        self.condition = condition_of(rule, rules, ask)
+        self.occurrences = Occurrences(rule)
+        self.ignored = 0
+        self._asked = isinstance(rule.condition, (Cel, Python))
+        self._expire_ns, self._every_ns = int(rule.timing.expire * 1e9), int(rule.timing.every * 1e9)
+        self._only = frozenset(rule.agents)
+        self._seen: dict[str, tuple[int, int]] = {}
+        self._slots: dict[str, int] = {}
+        self._silences = Timers(self._silent_at)
+        self._unseen: set[str] = set()
+        self._begun = False
+
+    def begin(self, stamp: int, received: int) -> list[Edge]:
+        """What holds from the first moment on; to be called before anything else, again and again if need be."""
+        if self._begun:
+            return []
+        self._begun = True
+        if isinstance(self.condition, AbsenceCondition):
+            self.condition.begin(stamp, received)
+        if isinstance(self.condition, CombinationCondition):
+            return self._take(self.condition.begin(stamp, received))
+        if isinstance(self.condition, AlwaysCondition) and not self.occurrences.active:
+            return self._take([Finding((self._agent,), RISE, stamp, received)])
+        return []
+
+    def observe(self, reading: Reading) -> list[Edge]:
+        """The edges that a message causes; ValueError when its fields are not what the rule compares."""
+        agent, stamp = reading.agent, reading.stamp
+        if self._only and agent not in self._only:
+            return []
+        if self._asked:
+            self._ask(reading)
+            return []
+        found = self._hear(agent, stamp, reading.received)
+        if agent not in self._seen or (self._every_ns and self._repeated(agent, stamp)):
+            return found
+        findings = self.condition.observe(reading)
+        if findings:
+            found += self._take(findings)
+        if self.occurrences.pending:
+            found += self._mature(agent, stamp, reading.received)
+        return found
+
+    def answer(self, verdict: Verdict) -> list[Edge]:
+        """The edges that come of the answers to a question."""
+        question = verdict.question
+        found: list[Edge] = []
+        agents = {*question.member, *(agent for answer in verdict.answers for agent in answer.member)}
+        for agent in sorted(agents):
+            found += self._hear(agent, question.stamp, question.received)
+        for answer in verdict.answers:
+            member, holding = tuple(sorted(answer.member)), self.condition.holding
+            if answer.verdict == KEEP or (answer.verdict == RISE) == (member in holding):
+                continue
+            finding = Finding(member, answer.verdict, question.stamp, question.received, answer.detail, answer.causes)
+            found += self._take([finding])
+        for agent in sorted(agents):
+            found += self._mature(agent, question.stamp, question.received)
+        return found
+
+    def follow(self, edge: Edge) -> list[Edge]:
+        """The edges that an edge of a part causes."""
+        assert isinstance(self.condition, CombinationCondition)
+        return self._take(self.condition.follow(edge))
+
+    def elapse(self, now: int) -> list[Edge]:
+        """The edges that the time alone causes, up to `now` on this machine's clock."""
+        found: list[Edge] = []
+        for agent in self._unseen - self._seen.keys():
+            found += self._hear(agent, now, now)
+        self._unseen.clear()
+        for (agent,) in list(self._silences.passed(now)):
+            found += self._expire(agent, now)
+        found += self._take(self.condition.elapse(now))
+        return found + self.occurrences.elapse(now)
+
+    def due(self) -> int | None:
+        """When `elapse` may have something to say."""
+        if self._unseen:
+            return 0
+        moments = (self._silences.due(), self.condition.due(), self.occurrences.due())
+        return min((moment for moment in moments if moment is not None), default=None)
+
+    def adopt(self, edge: Edge) -> bool:
+        """Take over an event that began earlier; False when the rule cannot have it or has it already."""
+        agents = self.occurrences.adopt(edge)
+        if agents is None:
+            return False
+        if self.rule.scope != GROUP:
+            self.condition.mark(agents, True)
+            self._unseen |= set(agents) if self._expire_ns else set()
+        return True
+
+    def restart(self, agent: str, stamp: int) -> None:
+        """The agent's time begins anew."""
+        self._seen.pop(agent, None)
+        self._slots.pop(agent, None)
+        self.condition.forget(agent)
+        self.occurrences.restart(agent, stamp)
+
+    def _ask(self, reading: Reading) -> None:
+        repeated = bool(self._every_ns) and self._repeated(reading.agent, reading.stamp)
+        if isinstance(self.condition, PluginCondition):
+            self.condition.show(reading, not repeated)
+        elif not repeated:
+            self.condition.observe(reading)
+
+    def _hear(self, agent: str, stamp: int, received: int) -> list[Edge]:
+        """Note that an agent was heard of; its events end first when it was silent for too long."""
+        last = self._seen.get(agent)
+        found: list[Edge] = []
+        if last is not None and self._expire_ns and stamp - last[0] > self._expire_ns:
+            found = self._expire(agent, received)
+        elif last is None and len(self._seen) >= AGENTS_MAX:
+            self.ignored += 1
+            return found
+        self._seen[agent] = (stamp, received)
+        if self._expire_ns:
+            self._silences.watch((agent,), received + self._expire_ns + GRACE_NS)
+        return found
+
+    def _expire(self, agent: str, now: int) -> list[Edge]:
+        stamp, _ = self._seen.pop(agent)
+        self._slots.pop(agent, None)
+        self.condition.forget(agent)
+        gone = sorted(member for member in self.condition.holding if agent in member)
+        return self._take([Finding(member, FALL, stamp + self._expire_ns, now) for member in gone])
+
+    def _silent_at(self, member: Member) -> int | None:
+        last = self._seen.get(member[0])
+        return None if last is None else last[1] + self._expire_ns + GRACE_NS
+
+    def _repeated(self, agent: str, stamp: int) -> bool:
+        """Whether the agent has been looked at in this span of time."""
+        slot = stamp // self._every_ns
+        repeated = self._slots.get(agent) == slot
+        self._slots[agent] = slot
+        return repeated
+
+    def _take(self, findings: Iterable[Finding]) -> list[Edge]:
+        found: list[Edge] = []
+        for finding in findings:
+            self.condition.mark(finding.member, finding.verdict == RISE)
+            found += self.occurrences.take(finding)
+        return found
+
+    def _mature(self, agent: str, stamp: int, received: int) -> list[Edge]:
+        """Begin what has held for long enough for all of its agents."""
+        found: list[Edge] = []
+        for agents in self.occurrences.waiting(agent):
+            found += self.occurrences.mature(agents, self._progress(agents, stamp), received)
+        return found
+
+    def _progress(self, agents: Agents, stamp: int) -> int:
+        if self.rule.scope == GROUP:
+            return stamp
+        return min((self._seen[agent][0] for agent in agents if agent in self._seen), default=stamp)

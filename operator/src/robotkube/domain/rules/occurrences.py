@@ -1,0 +1,192 @@
+"""From what holds to events: for whom it holds, for how long it must, and when the next event may begin."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+from robotkube.domain.rules.conditions import GRACE_NS, Timers
+from robotkube.domain.rules.edges import START, STOP, Edge, event_identity
+from robotkube.domain.rules.messages import FALL, RISE, Agents, Finding, Member
+from robotkube.domain.rules.specifications import GROUP, PAIR, Rule
+
+ADOPTED_NS = 60_000_000_000
+IDLE_MAX = 10_000
+"""So many agents (or pairs) whose last event is remembered, for cooldown and minimum interval."""
+
+
+@dataclass(slots=True)
+class _State:
+    """One event's agents: since when the condition holds, the event that lasts, when the last one began and ended."""
+
+    since: Finding | None = None
+    active: Edge | None = None
+    stamp: int = -1
+    started: int | None = None
+    stopped: int | None = None
+
+
+class Occurrences:
+    """The events of one rule. Findings go in, edges come out."""
+
+    def __init__(self, rule: Rule) -> None:
+        self.rule = rule
+        timing = rule.timing
+        self._sustained, self._cooldown = int(timing.sustained * 1e9), int(timing.cooldown * 1e9)
+        self._interval = int(timing.minimum_interval * 1e9)
+        self._states: dict[Agents, _State] = {}
+        self._idle: OrderedDict[Agents, _State] = OrderedDict()
+        self._pending: set[Agents] = set()
+        self._members: set[Member] = set()
+        self._group: Agents = tuple(sorted(rule.agents))
+        self._adopted: dict[Agents, int | None] = {}
+        self._timers = Timers(self._moment)
+
+    @property
+    def active(self) -> tuple[Edge, ...]:
+        """The start edges of the events that last."""
+        return tuple(state.active for state in self._states.values() if state.active is not None)
+
+    @property
+    def pending(self) -> bool:
+        """Whether something holds that is no event yet."""
+        return bool(self._pending)
+
+    def adopt(self, edge: Edge) -> Agents | None:
+        """Take over an event that began earlier; its agents, or None when the rule cannot have it or has one already.
+
+        An event of a group is taken over without its members: it ends when they have not shown themselves in a minute.
+        """
+        agents = tuple(sorted(edge.agents))
+        if agents in self._states or not self._fits(agents):
+            return None
+        started = replace(edge, edge=START, rule=self.rule.name)
+        self._states[agents] = _State(active=started, stamp=edge.stamp, started=edge.stamp)
+        if self.rule.scope == GROUP:
+            self._adopted[agents] = None
+        return agents
+
+    def take(self, finding: Finding) -> list[Edge]:
+        """What a finding makes of its member's event, or of the group's."""
+        if self.rule.scope != GROUP:
+            return self._change(finding.member, finding)
+        before = len(self._members) >= self.rule.at_least
+        if finding.verdict == RISE:
+            self._members.add(finding.member)
+        else:
+            self._members.discard(finding.member)
+        holds = len(self._members) >= self.rule.at_least
+        if holds == before:
+            return []
+        return self._change(self._group, finding._replace(verdict=RISE if holds else FALL))
+
+    def mature(self, agents: Agents, stamp: int, received: int) -> list[Edge]:
+        """The start of an event whose time has come at `stamp`, the agents' common progress."""
+        state = self._states.get(agents)
+        if agents not in self._pending or state is None or state.since is None:
+            return []
+        beginning = self._beginning(state)
+        return [self._start(agents, state, beginning, received)] if beginning <= stamp else []
+
+    def waiting(self, agent: str) -> Iterable[Agents]:
+        """Those with this agent whose event has still to begin."""
+        group = self.rule.scope == GROUP
+        return [agents for agents in self._pending if group or agent in agents] if self._pending else ()
+
+    def elapse(self, now: int) -> list[Edge]:
+        """The events that begin by the time alone, up to `now` on this machine's clock."""
+        found = []
+        for agents in list(self._timers.passed(now)):
+            state = self._states[agents]
+            found.append(self._start(agents, state, self._beginning(state), now))
+        for agents, until in list(self._adopted.items()):
+            if until is None:
+                self._adopted[agents] = now + ADOPTED_NS
+            elif until <= now:
+                found += self._change(agents, Finding(agents, FALL, now, now))
+        return found
+
+    def due(self) -> int | None:
+        """When `elapse` may have something to say."""
+        if self._adopted:
+            return min(until or 0 for until in self._adopted.values())
+        return self._timers.due()
+
+    def restart(self, agent: str, stamp: int) -> None:
+        """The agent's time begins anew at `stamp`: what its events remember of the old time is of no use."""
+        for states in (self._states, self._idle):
+            for agents, state in states.items():
+                if agent in agents:
+                    state.stamp, state.started, state.stopped = stamp, None, None
+                    if state.since is not None:
+                        state.since = state.since._replace(stamp=stamp)
+
+    def _fits(self, agents: Agents) -> bool:
+        if self.rule.scope == GROUP:
+            return agents == self._group
+        known = not self.rule.agents or set(agents) <= set(self.rule.agents)
+        return known and len(agents) == (2 if self.rule.scope == PAIR else 1)
+
+    def _change(self, agents: Agents, finding: Finding) -> list[Edge]:
+        state = self._states.get(agents)
+        if state is None:
+            state = self._states[agents] = self._idle.pop(agents, _State())
+        stamp = max(state.stamp, finding.stamp)
+        finding = finding._replace(stamp=stamp)
+        self._adopted.pop(agents, None)
+        if finding.verdict != RISE:
+            return self._cease(agents, state, finding)
+        state.stamp = stamp
+        if state.since is None:
+            state.since = finding
+        if state.active is not None:
+            return []
+        beginning = self._beginning(state)
+        if beginning <= stamp:
+            return [self._start(agents, state, beginning, finding.received)]
+        self._pending.add(agents)
+        self._timers.watch(agents, finding.received + beginning - stamp + GRACE_NS)
+        return []
+
+    def _cease(self, agents: Agents, state: _State, finding: Finding) -> list[Edge]:
+        found = self.mature(agents, finding.stamp - 1, finding.received)
+        self._pending.discard(agents)
+        if state.active is not None:
+            distance, causes, detail = finding.detail.get("distance_m"), finding.causes, finding.detail
+            edge = replace(state.active, edge=STOP, time=finding.received, stamp=finding.stamp)
+            found.append(replace(edge, distance_m=distance, causes=causes, detail=detail))
+            state.stopped = finding.stamp
+        state.since, state.active, state.stamp = None, None, finding.stamp
+        self._states.pop(agents, None)
+        if state.started is not None:
+            self._idle[agents] = state
+            if len(self._idle) > IDLE_MAX:
+                self._idle.popitem(last=False)
+        return found
+
+    def _beginning(self, state: _State) -> int:
+        """When the event may begin; two events of the same agents never begin at one stamp."""
+        assert state.since is not None
+        beginning = state.since.stamp + self._sustained
+        if state.started is not None:
+            beginning = max(beginning, state.started + max(self._interval, 1))
+        return beginning if state.stopped is None else max(beginning, state.stopped + self._cooldown)
+
+    def _start(self, agents: Agents, state: _State, beginning: int, received: int) -> Edge:
+        assert state.since is not None
+        event, trace = event_identity(self.rule.name, agents, beginning)
+        detail, causes = state.since.detail, state.since.causes
+        state.active = Edge(
+            self.rule.name, START, agents, event, trace, received, beginning, detail.get("distance_m"), causes, detail
+        )
+        state.started, state.stamp = beginning, max(state.stamp, beginning)
+        self._pending.discard(agents)
+        return state.active
+
+    def _moment(self, agents: Agents) -> int | None:
+        """When the event begins, on this machine's clock, if nothing comes that says otherwise."""
+        state = self._states.get(agents)
+        if agents not in self._pending or state is None or state.since is None:
+            return None
+        return state.since.received + self._beginning(state) - state.since.stamp + GRACE_NS

@@ -1,0 +1,196 @@
+"""What a rule document says, as values. How it is read and what is refused: `reading`; as JSON Schema: `schema`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from robotkube.domain.rules.edges import NOTHING
+from robotkube.domain.topics import TopicPattern
+
+PROXIMITY, GEOFENCE, THRESHOLD, RATE, ABSENCE = "proximity", "geofence", "threshold", "rate", "absence"
+COMBINATION, CEL, PYTHON, ALWAYS = "combination", "cel", "python", "always"
+KINDS = (PROXIMITY, GEOFENCE, THRESHOLD, RATE, ABSENCE, COMBINATION, CEL, PYTHON, ALWAYS)
+
+AGENT, PAIR, GROUP = "agent", "pair", "group"
+SCOPES = (AGENT, PAIR, GROUP)
+
+ALL, ANY, SEQUENCE = "all", "any", "sequence"
+
+STALE_SECONDS_DEFAULT = 1.0
+EXPIRE_SECONDS_DEFAULT = 60.0
+BUDGET_SECONDS_DEFAULT = 0.1
+PLUGIN_BUFFER_SECONDS_DEFAULT = 10.0
+
+Point = tuple[float, float]
+Ring = tuple[Point, ...]
+"""Corners; the last is joined to the first."""
+
+
+@dataclass(frozen=True)
+class Level:
+    """A number compared with two bounds. `above`: beyond is greater, else less."""
+
+    above: bool
+    start: float
+    stop: float
+
+
+@dataclass(frozen=True)
+class Proximity:
+    """Two agents nearer than `start_distance_m`; it ends when they are farther than `stop_distance_m`.
+
+    `position` is the path of x, y and z. Positions whose stamps differ by more than `stale_seconds` are not compared.
+    """
+
+    topic: TopicPattern
+    start_distance_m: float
+    stop_distance_m: float
+    stale_seconds: float = STALE_SECONDS_DEFAULT
+    position: str = "pose.position"
+
+
+@dataclass(frozen=True)
+class Geofence:
+    """An agent within an area (or outside it): polygons, each an outer ring and holes. Who has gone in counts as in up
+    to `margin` outside, and the other way round; in the unit of the coordinates."""
+
+    topic: TopicPattern
+    polygons: tuple[tuple[Ring, ...], ...]
+    inside: bool = True
+    margin: float = 0.0
+    x: str = "pose.position.x"
+    y: str = "pose.position.y"
+
+
+@dataclass(frozen=True)
+class Threshold:
+    """A number in a message beyond a bound."""
+
+    topic: TopicPattern
+    field: str
+    level: Level
+
+
+@dataclass(frozen=True)
+class Rate:
+    """Messages per second, counted over the last `window_seconds`, beyond a bound."""
+
+    topic: TopicPattern
+    level: Level
+    window_seconds: float
+
+
+@dataclass(frozen=True)
+class Absence:
+    """No message for `seconds`."""
+
+    topic: TopicPattern
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Part:
+    """A rule that a combination looks at; `negated`: it must not hold."""
+
+    rule: str
+    negated: bool = False
+
+
+@dataclass(frozen=True)
+class Combination:
+    """What other rules say together: all of them, any of them, or their starts one after the other within a time."""
+
+    mode: str
+    parts: tuple[Part, ...]
+    within_seconds: float = 0.0
+
+
+@dataclass(frozen=True)
+class Cel:
+    """An expression over `fields` (name -> path in the message); `until`: what has to hold for the end."""
+
+    topic: TopicPattern
+    fields: Mapping[str, str]
+    expression: str
+    until: str = ""
+    stale_seconds: float = STALE_SECONDS_DEFAULT
+    budget_seconds: float = BUDGET_SECONDS_DEFAULT
+
+
+@dataclass(frozen=True)
+class Python:
+    """A rule of an installed package, by its name in the entry point group `robotkube.rules`."""
+
+    plugin: str
+    topics: tuple[TopicPattern, ...]
+    settings: Mapping[str, Any] = field(default_factory=lambda: NOTHING)
+    budget_seconds: float = BUDGET_SECONDS_DEFAULT
+    buffer_seconds: float = PLUGIN_BUFFER_SECONDS_DEFAULT
+
+
+@dataclass(frozen=True)
+class Always:
+    """Holds from the first moment on."""
+
+
+Condition = Proximity | Geofence | Threshold | Rate | Absence | Combination | Cel | Python | Always
+
+
+@dataclass(frozen=True)
+class Timing:
+    """When what holds becomes an event. All in seconds of the messages' own time; 0 asks for nothing.
+
+    `sustained`: it has to hold for so long; `minimum_interval`: least time between two starts; `cooldown`: from a stop
+    to the next start; `every`: an agent's messages are looked at once in so long; `expire`: agents that say nothing
+    for so long have no event any more.
+    """
+
+    sustained: float = 0.0
+    minimum_interval: float = 0.0
+    cooldown: float = 0.0
+    every: float = 0.0
+    expire: float = EXPIRE_SECONDS_DEFAULT
+
+
+@dataclass(frozen=True)
+class Rule:
+    """One rule. `agents`: the only ones it looks at, all when empty. A `silent` rule raises no events of its own; it is
+    there for combinations. Of scope `group` it has one event, while it holds for at least `at_least` members."""
+
+    name: str
+    condition: Condition
+    scope: str = AGENT
+    agents: tuple[str, ...] = ()
+    at_least: int = 1
+    timing: Timing = field(default_factory=Timing)
+    silent: bool = False
+
+    @property
+    def kind(self) -> str:
+        """The word that the document uses."""
+        return type(self.condition).__name__.lower()
+
+    @property
+    def topics(self) -> tuple[TopicPattern, ...]:
+        """The topics it reads."""
+        if isinstance(self.condition, Python):
+            return self.condition.topics
+        topic = getattr(self.condition, "topic", None)
+        return () if topic is None else (topic,)
+
+
+def paths(rule: Rule) -> tuple[str, ...]:
+    """The fields that a rule reads in messages of its topic."""
+    condition = rule.condition
+    match condition:
+        case Proximity():
+            return tuple(f"{condition.position}.{axis}" for axis in "xyz")
+        case Geofence():
+            return (condition.x, condition.y)
+        case Threshold():
+            return (condition.field,)
+        case Cel():
+            return tuple(condition.fields.values())
+    return ()
