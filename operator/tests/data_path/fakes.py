@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from robotkube.domain.errors import InputError
+from robotkube.domain.interface_checks import Endpoint as GraphEndpoint
 from robotkube.ports.robots import ChannelEvents
 
 
@@ -35,6 +36,10 @@ class Network:
 
     def __init__(self) -> None:
         self.made: list[Endpoint] = []
+        self.others: list[GraphEndpoint] = []
+
+    def endpoints(self) -> list[GraphEndpoint]:
+        return self.others
 
     def subscribe(self, topic: str, type_name: str, *_: object, **__: object) -> Endpoint:
         if type_name.startswith("nowhere/"):
@@ -57,6 +62,7 @@ class Channel:
         self.name, self.events = name, events
         self.complaint: str | None = "not connected"
         self.sent: list[tuple[str, bytes, bool]] = []
+        self.properties: list[bytes] = []
         self.subscribed: list[str] = []
         self.unsubscribed: list[str] = []
         self.closed = False
@@ -79,7 +85,12 @@ class Channel:
 
     def flush(self) -> None: ...
 
-    def publish(self, topic: str, payload: bytes, retained: bool) -> int | None:
+    def reject(self, token: int) -> None:
+        """The broker does not take the frame."""
+        self.events.rejected(token, "not authorised")
+
+    def publish(self, topic: str, payload: bytes, retained: bool, properties: bytes = b"") -> int | None:
+        self.properties.append(properties)
         self.sent.append((topic, payload, retained))
         return len(self.sent)
 

@@ -7,9 +7,13 @@ from fakes import Channel, Network
 from robotkube.domain.bridging import DOOR_TYPE, BridgeSettings, read_bridge_settings
 from robotkube.domain.frames import decode_frame, encode_frame
 from robotkube.domain.messages import string_message, string_text
-from robotkube.services.bridge import FRAME_BYTES_MAX, Bridge
+from robotkube.services.bridge import Bridge
+from robotkube.services.bridge_flows import FRAME_BYTES_MAX, Sender
+
+TRACE = "ab" * 16
 
 POSE = {"name": "/vehicles/vehicle_00/pose", "type": "geometry_msgs/msg/PoseStamped"}
+EVERYBODY = {**POSE, "name": "/vehicles/{agent}/pose"}
 CLOUD = {"name": "/vehicles/vehicle_00/cloud", "type": "sensor_msgs/msg/PointCloud2", "channel": "bulk"}
 TRANSFORM = {
     "name": "/vehicles/vehicle_00/transform",
@@ -23,7 +27,9 @@ class World:
         self.network = Network()
         self.channels: dict[str, Channel] = {}
         self.lines: list[str] = []
-        self.bridge = Bridge(self.network, self.channel, 42, self.log)
+        self.now_ns = 1_000
+        sender = Sender(42, lambda: self.now_ns, lambda name: f"definition of {name}", TRACE)
+        self.bridge = Bridge(self.network, self.channel, sender, self.log)
 
     def channel(self, agent: str, name: str, events: Any) -> Channel:
         self.channels[name] = Channel(f"{agent}-{name}", events)
@@ -68,9 +74,9 @@ def test_the_task_door_carries_texts_as_they_are() -> None:
     world.bridge.turn(0.0)
     telemetry = world.channels["telemetry"]
     assert telemetry.sent == [("robotkube/tasks/vehicle-00", text, False) for text in asked]
-    assert 'robotkube_bridge_refused_frames_total{channel="telemetry"} 2' in world.bridge.metrics()
+    assert 'robotkube_bridge_malformed_messages_total{topic="/robotkube/tasks"} 2' in world.bridge.metrics()
     assert "robotkube/task_status/vehicle-00" in telemetry.subscribed
-    telemetry.events.received("robotkube/task_status/vehicle-00", b'{"id": "a"} \xff')
+    telemetry.events.received("robotkube/task_status/vehicle-00", b'{"id": "a"} \xff', b"")
     [published] = world.network.endpoint("/robotkube/task_status").published
     assert string_text(published) == b'{"id": "a"} ' + "\ufffd".encode()
 
@@ -91,7 +97,7 @@ def test_messages_are_published_once() -> None:
     channel = world.channels["telemetry"]
     assert channel.subscribed == ["mqtt/vehicles/vehicle_00/pose"]
     for sequence in (0, 1, 1, 0, 2):
-        channel.events.received("mqtt/vehicles/vehicle_00/pose", encode_frame(7, sequence, [b"%d" % sequence]))
+        channel.events.received("mqtt/vehicles/vehicle_00/pose", encode_frame(7, sequence, [b"%d" % sequence]), b"")
     assert world.network.endpoint(POSE["name"]).published == [b"0", b"1", b"2"]
     assert 'duplicate_frames_total{topic="/vehicles/vehicle_00/pose"} 2' in world.bridge.metrics()
 
@@ -100,7 +106,7 @@ def test_a_damaged_frame_is_counted_and_said_once() -> None:
     world = World()
     world.configure(into=[POSE])
     for _ in range(3):
-        world.channels["telemetry"].events.received("mqtt/vehicles/vehicle_00/pose", b"nonsense")
+        world.channels["telemetry"].events.received("mqtt/vehicles/vehicle_00/pose", b"nonsense", b"")
     assert 'refused_frames_total{channel="telemetry"} 3' in world.bridge.metrics()
     assert sum("frame refused" in line for line in world.lines) == 1
 
@@ -184,8 +190,19 @@ def test_topics_of_an_older_session_are_unsubscribed() -> None:
     world = World()
     world.configure(into=[POSE])
     world.connect()
-    world.channels["telemetry"].events.received("mqtt/long/gone", encode_frame(1, 1, [b"x"]))
-    assert world.channels["telemetry"].unsubscribed == ["mqtt/long/gone"]
+    world.channels["telemetry"].events.received("mqtt/long/gone", encode_frame(1, 1, [b"x"]), b"")
+    assert {"mqtt/long/gone", "mqtt/+/gone"} <= set(world.channels["telemetry"].unsubscribed)
+
+
+def test_what_is_subscribed_is_not_unsubscribed_for_a_message_that_is_for_nobody() -> None:
+    world = World()
+    world.configure(into=[EVERYBODY])
+    world.connect()
+    world.channels["telemetry"].events.received("mqtt/vehicles/vehicle_00/pose", encode_frame(1, 1, [b"x"]), b"")
+    world.channels["telemetry"].events.received("mqtt/other/vehicle_00/pose", encode_frame(1, 1, [b"x"]), b"")
+    gone = world.channels["telemetry"].unsubscribed
+    assert "mqtt/other/+/pose" in gone
+    assert "mqtt/vehicles/+/pose" not in gone
 
 
 def test_nothing_is_lost_over_a_reconnection() -> None:

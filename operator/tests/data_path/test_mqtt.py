@@ -29,6 +29,7 @@ class Events:
         self.sessions: list[bool] = []
         self.losses = 0
         self.refusals: list[str] = []
+        self.properties: list[bytes] = []
 
     def connected(self, session_kept: bool) -> None:
         self.sessions.append(session_kept)
@@ -42,8 +43,12 @@ class Events:
     def refused(self, topic: str, reason: str) -> None:
         self.refusals.append(reason)
 
-    def received(self, topic: str, payload: bytes) -> None:
+    def rejected(self, token: int, reason: str) -> None:
+        self.refusals.append(reason)
+
+    def received(self, topic: str, payload: bytes, properties: bytes) -> None:
         self.frames.append((topic, payload))
+        self.properties.append(properties)
 
 
 class Peer:
@@ -169,9 +174,9 @@ def test_lengths_are_written_as_they_are_read(length: int) -> None:
 @given(st.lists(st.binary(max_size=300), max_size=6), st.lists(st.integers(1, 400), min_size=1, max_size=20))
 def test_frames_are_put_together_from_any_pieces(payloads: list[bytes], cuts: list[int]) -> None:
     got: list[bytes] = []
-    client = mqtt_paho._Client("x", lambda topic, payload: got.append(payload), lambda mid, reason: None)
+    client = mqtt_paho._Client("x", lambda topic, payload, properties: got.append(payload), lambda mid, reason: None)
     for payload in payloads:
-        client.send_frame("mqtt/topic", payload, False)
+        client.send_frame("mqtt/topic", payload, False, b"")
     stream = b"".join(packet["packet"] for packet in client._out_packet)
     client._out_packet.clear()
     place, turn = 0, 0

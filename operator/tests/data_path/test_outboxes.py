@@ -5,7 +5,11 @@ from hypothesis import strategies as st
 
 from robotkube.domain.outboxes import SETTLING_RETRY_SECONDS, SETTLING_SECONDS, Bounds, Outbox, OutgoingFrame
 
-BOUNDS = Bounds(seconds_max=60, frames_max=5, inflight_max=2)
+BOUNDS = Bounds(seconds_max=60, frames_max=5, bytes_max=1000, inflight_max=2)
+
+
+def make(bounds: Bounds = BOUNDS) -> Outbox:
+    return Outbox(bounds, lambda gap: None)
 
 
 def frame(number: int, born: float = 0.0, retained: bool = False) -> OutgoingFrame:
@@ -20,7 +24,7 @@ def send(outbox: Outbox, token: int, now: float = 0.0) -> bytes | None:
 
 
 def test_frames_leave_in_order_within_the_window() -> None:
-    outbox = Outbox(BOUNDS)
+    outbox = make()
     outbox.connected(0)
     for number in range(3):
         outbox.put(frame(number))
@@ -33,7 +37,7 @@ def test_frames_leave_in_order_within_the_window() -> None:
 
 
 def test_the_oldest_go_and_are_counted() -> None:
-    outbox = Outbox(BOUNDS)
+    outbox = make()
     for number in range(8):
         outbox.put(frame(number))
     assert (outbox.dropped, len(outbox)) == (3, 5)
@@ -42,7 +46,7 @@ def test_the_oldest_go_and_are_counted() -> None:
 
 
 def test_unacknowledged_frames_are_sent_again_first() -> None:
-    outbox = Outbox(BOUNDS)
+    outbox = make()
     outbox.connected(0)
     for number in range(4):
         outbox.put(frame(number))
@@ -53,7 +57,7 @@ def test_unacknowledged_frames_are_sent_again_first() -> None:
 
 
 def test_after_a_reconnection_unheard_frames_are_tried_again_one_at_a_time() -> None:
-    outbox = Outbox(BOUNDS)
+    outbox = make()
     outbox.connected(0)
     outbox.put(frame(0))
     outbox.put(frame(1))
@@ -68,7 +72,7 @@ def test_after_a_reconnection_unheard_frames_are_tried_again_one_at_a_time() -> 
 
 
 def test_nobody_listening_ends_the_settling() -> None:
-    outbox = Outbox(BOUNDS)
+    outbox = make()
     outbox.connected(0)
     outbox.connected(10)
     outbox.put(frame(0, 10))
@@ -78,7 +82,7 @@ def test_nobody_listening_ends_the_settling() -> None:
 
 
 def test_the_first_connection_does_not_wait_for_listeners() -> None:
-    outbox = Outbox(BOUNDS)
+    outbox = make()
     outbox.connected(0)
     outbox.put(frame(0))
     assert send(outbox, 1) == b"0"
@@ -87,7 +91,7 @@ def test_the_first_connection_does_not_wait_for_listeners() -> None:
 
 
 def test_retained_frames_need_no_listener() -> None:
-    outbox = Outbox(BOUNDS)
+    outbox = make()
     outbox.connected(0)
     outbox.connected(1)
     outbox.put(frame(0, 1, retained=True))
@@ -97,7 +101,7 @@ def test_retained_frames_need_no_listener() -> None:
 
 
 def test_a_topic_that_is_not_carried_any_more_is_forgotten() -> None:
-    outbox = Outbox(BOUNDS)
+    outbox = make()
     outbox.put(frame(0))
     outbox.put(OutgoingFrame("other", b"1", 1))
     outbox.forget("topic")
@@ -107,7 +111,7 @@ def test_a_topic_that_is_not_carried_any_more_is_forgotten() -> None:
 @given(st.lists(st.sampled_from(["put", "send", "acknowledge", "reconnect"]), max_size=60))
 def test_what_arrives_first_arrives_in_order(actions: list[str]) -> None:
     """Whatever happens, a receiver that drops what it has seen gets ascending numbers."""
-    outbox = Outbox(Bounds(60, 10, 3))
+    outbox = make(Bounds(60, 10, 1000, 3))
     outbox.connected(0)
     number, token, flying, arrived = 0, 0, [], []
     for action in actions:

@@ -26,12 +26,20 @@ if "paho.mqtt.client" not in sys.modules and "dns" not in sys.modules:
     del sys.modules["dns"]
 else:
     import paho.mqtt.client as mqtt
+from paho.mqtt import MQTTException
 from paho.mqtt.enums import CallbackAPIVersion
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
+from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from robotkube.domain.errors import RobotKubeError
-from robotkube.domain.mqtt_packets import MalformedPacketError, packet_bounds, read_number, write_number
+from robotkube.domain.mqtt_packets import (
+    PACKET_BYTES_MAX,
+    MalformedPacketError,
+    packet_bounds,
+    read_number,
+    write_number,
+)
 
 if TYPE_CHECKING:  # the ports know every part's domain: 25 ms of a start
     from robotkube.ports.robots import ChannelEvents
@@ -42,6 +50,7 @@ BACKOFF_SECONDS_MIN, BACKOFF_SECONDS_MAX = 0.2, 5.0
 MISC_SECONDS = 1.0
 READS_PER_TURN_MAX = 1000
 RECEIVE_BYTES = 256 * 1024
+RECEIVE_MAXIMUM = 65535  # of a broker that names none (MQTT 5, section 3.2.2.3.3)
 MERGED_BYTES_MAX = 16 * 1024
 NO_MATCHING_SUBSCRIBERS = 0x10
 FAILURE = 0x80
@@ -51,7 +60,7 @@ PUBLISH, PUBLISH_QOS_1, PUBACK = 0x30, 0x32, 0x40
 _MID = struct.Struct("!H")
 _ACKNOWLEDGEMENT = struct.Struct("!BBH")
 
-FrameReceived = Callable[[str, bytes], None]
+FrameReceived = Callable[[str, bytes, bytes], None]
 FrameAcknowledged = Callable[[int, int], None]
 
 
@@ -101,12 +110,13 @@ class _Client(mqtt.Client):
             if len(data) < RECEIVE_BYTES:
                 return
 
-    def send_frame(self, topic: str, payload: bytes, retained: bool) -> int:
+    def send_frame(self, topic: str, payload: bytes, retained: bool, properties: bytes) -> int:
         """Queue a PUBLISH with QoS 1; its packet identifier."""
-        mid, name = self._mid_generate(), topic.encode()
-        length = write_number(len(name) + len(payload) + 5)
-        head = bytes((PUBLISH_QOS_1 | retained,)) + length + struct.pack(f"!H{len(name)}sHB", len(name), name, mid, 0)
-        self._out_packet.append(_packet(head + payload))
+        mid, name, size = self._mid_generate(), topic.encode(), write_number(len(properties))
+        length = write_number(len(name) + 4 + len(size) + len(properties) + len(payload))
+        head = struct.pack(f"!H{len(name)}sH", len(name), name, mid)
+        parts = (bytes((PUBLISH_QOS_1 | retained,)), length, head, size, properties, payload)
+        self._out_packet.append(_packet(b"".join(parts)))
         return mid
 
     def write_all(self) -> None:
@@ -128,6 +138,8 @@ class _Client(mqtt.Client):
             if command & 0xF0 == PUBLISH:
                 self._handle_frame(command, buffer, begin, end)
             elif command == PUBACK:
+                if end < begin + _MID.size:
+                    raise MalformedPacketError(f"an acknowledgement of {end - begin} bytes")
                 (mid,) = _MID.unpack_from(buffer, begin)
                 self._frame_acknowledged(mid, buffer[begin + 2] if end > begin + 2 else 0)
             elif not self._handle_other(command, bytes(buffer[begin:end])):
@@ -136,18 +148,19 @@ class _Client(mqtt.Client):
         return True
 
     def _handle_frame(self, command: int, buffer: bytearray, begin: int, end: int) -> None:
-        (length,) = _MID.unpack_from(buffer, begin)
-        place = begin + 2 + length
-        topic, quality = buffer[begin + 2 : place].decode(errors="replace"), command & 0x06
-        if quality:
-            (mid,) = _MID.unpack_from(buffer, place)
-            place += 2
+        place = begin + _MID.size
+        if place <= end:
+            place += _MID.unpack_from(buffer, begin)[0]
+        topic, quality = buffer[begin + _MID.size : place].decode(errors="replace"), command & 0x06
+        mid, place = place, place + (_MID.size if quality else 0)
         properties = read_number(buffer, place, end)
-        if properties is None:
-            raise MalformedPacketError
-        self._frame_received(topic, bytes(buffer[properties[1] + properties[0] : end]))
+        if properties is None or sum(properties) > end:
+            raise MalformedPacketError(f"a message of {end - begin} bytes ends before its content")
+        size, place = properties
+        self._frame_received(topic, bytes(buffer[place + size : end]), bytes(buffer[place : place + size]))
         if quality:
-            self._out_packet.append(_packet(_ACKNOWLEDGEMENT.pack(PUBACK, 2, mid)))
+            (number,) = _MID.unpack_from(buffer, mid)
+            self._out_packet.append(_packet(_ACKNOWLEDGEMENT.pack(PUBACK, 2, number)))
 
     def _handle_other(self, command: int, packet: bytes) -> bool:
         """Give a packet to paho in the form in which it reads one; False when the connection ended."""
@@ -161,7 +174,10 @@ class _Client(mqtt.Client):
             "to_process": 0,
             "pos": 0,
         }
-        code = self._packet_handle()
+        try:
+            code = self._packet_handle()
+        except (ValueError, IndexError, KeyError, struct.error, AssertionError, MQTTException) as error:
+            raise MalformedPacketError(f"packet {command:#x}: {error}") from error
         if code > 0:
             self._loop_rc_handle(code)
         return self._sock is not None
@@ -193,6 +209,7 @@ class PahoChannel:
         self._attempt: _Attempt | None = None
         self._backoff, self._retry_at, self._misc_at, self._now = BACKOFF_SECONDS_MIN, 0.0, 0.0, 0.0
         self._subscribing: dict[int, list[str]] = {}
+        self._unacknowledged, self._receive_maximum = 0, RECEIVE_MAXIMUM
         self._up = False
         self.complaint: str | None = f"{client_id}: not connected to the broker yet"
 
@@ -208,16 +225,18 @@ class PahoChannel:
             self._misc_at = now + MISC_SECONDS
             client.loop_misc()
 
-    def publish(self, topic: str, payload: bytes, retained: bool) -> int | None:
+    def publish(self, topic: str, payload: bytes, retained: bool, properties: bytes = b"") -> int | None:
         """See the port."""
-        if self._client is None or not self._up:
+        if self._client is None or not self._up or self._unacknowledged >= self._receive_maximum:
             return None
-        return self._client.send_frame(topic, payload, retained)
+        self._unacknowledged += 1
+        return self._client.send_frame(topic, payload, retained, properties)
 
     def subscribe(self, topics: Sequence[str]) -> None:
         """See the port."""
         if self._client is not None and self._up and topics:
-            code, mid = self._client.subscribe([(topic, QOS) for topic in topics])
+            options = SubscribeOptions(qos=QOS, noLocal=True)  # what this connection sent does not come back
+            code, mid = self._client.subscribe([(topic, options) for topic in topics])
             if code == mqtt.MQTT_ERR_SUCCESS and mid is not None:
                 self._subscribing[mid] = list(topics)
 
@@ -274,7 +293,8 @@ class PahoChannel:
         client.on_subscribe = self._on_subscribe
         properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
         properties.SessionExpiryInterval = self._session_seconds
-        properties.ReceiveMaximum = 65535
+        properties.ReceiveMaximum = RECEIVE_MAXIMUM
+        properties.MaximumPacketSize = PACKET_BYTES_MAX
         client.session_properties = properties  # type: ignore[attr-defined]
         return client
 
@@ -284,6 +304,8 @@ class PahoChannel:
             return
         self._up, self.complaint, self._backoff = True, None, BACKOFF_SECONDS_MIN
         self._subscribing.clear()
+        self._unacknowledged = 0
+        self._receive_maximum = getattr(properties, "ReceiveMaximum", RECEIVE_MAXIMUM)
         self._events.connected(bool(flags.session_present))
 
     def _on_disconnect(self, client: Any, userdata: Any, flags: Any, reason: Any, properties: Any) -> None:
@@ -295,9 +317,11 @@ class PahoChannel:
         self._lost()
 
     def _on_acknowledged(self, mid: int, reason: int) -> None:
+        self._unacknowledged = max(0, self._unacknowledged - 1)
         if reason >= FAILURE:
-            self._events.refused("", f"the broker refuses a frame (reason {reason:#x} of MQTT 5)")
-        self._events.acknowledged(mid, reason != NO_MATCHING_SUBSCRIBERS)
+            self._events.rejected(mid, f"the broker refuses a frame (reason {reason:#x} of MQTT 5)")
+        else:
+            self._events.acknowledged(mid, reason != NO_MATCHING_SUBSCRIBERS)
 
     def _on_subscribe(self, client: Any, userdata: Any, mid: int, reasons: Any, properties: Any) -> None:
         for topic, reason in zip(self._subscribing.pop(mid, []), reasons, strict=False):

@@ -1,9 +1,11 @@
 """What a bridge carries: its settings, and the difference between two of them.
 
 `out` topics go from the node's ROS network to MQTT, `in` topics the other way. A topic's MQTT name is `mqtt` + its ROS
-name, its payload frames of messages. Channels are MQTT connections of their own, so that large messages do not hold up
-small ones. The two topics of the task door (DOOR_TOPICS) are other: the agent's name follows theirs on MQTT, and the
-payload is the text of the std_msgs/msg/String, so that whoever speaks MQTT alone can use them, too.
+name, its payload frames of messages. `{agent}` in a name stands for any agent: under `out` topics are found in the ROS
+network while the bridge runs, under `in` the broker is asked for all of them; a bridge's own agent is never brought in
+that way, and what it brings in never goes out. Channels are MQTT connections of their own, so that large messages do
+not hold up small ones. The two topics of the task door (DOOR_TOPICS) are other: the agent's name follows theirs on
+MQTT, and the payload is the text of the std_msgs/msg/String, so that whoever speaks MQTT alone can use them, too.
 """
 
 from __future__ import annotations
@@ -16,17 +18,23 @@ from typing import Any
 from robotkube.domain.documents import Reader
 from robotkube.domain.errors import DocumentError
 from robotkube.domain.texts import join
+from robotkube.domain.topics import AGENT, TopicPattern
 
 TELEMETRY, BULK = "telemetry", "bulk"
 CHANNELS = (TELEMETRY, BULK)
+FRAMES, MQTT_CLIENT = "frames", "mqtt_client"
 DEPTH_DEFAULT, DEPTH_MAX = 1000, 100_000
 TOPICS_MAX = 500
 MQTT_PREFIX = "mqtt"
 DOOR_TOPICS = {"/robotkube/tasks": "out", "/robotkube/task_status": "in"}
 DOOR_TYPE = "std_msgs/msg/String"
+GAPS_TOPIC, GAPS_TYPE, GAPS_DEPTH = "/robotkube/gaps", "std_msgs/msg/String", 1000
 
 _AGENT = re.compile(r"[a-z0-9]([-a-z0-9]*[a-z0-9])?")
-_TOPIC = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
+_TOPIC = re.compile(r"(/([A-Za-z_]|\{agent\})([A-Za-z0-9_]|\{agent\})*)+")
+_MQTT_TOPIC = re.compile(r"[^\s+#$/][^\s+#]{0,254}")
+_TRACE = re.compile(r"[0-9a-f]{32}")
+_FORMAT = re.compile(f"{FRAMES}|{MQTT_CLIENT}")
 _TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
 _CHANNEL = re.compile("|".join(CHANNELS))
 _RELIABILITY = re.compile("reliable|best_effort")
@@ -35,8 +43,10 @@ _DURABILITY = re.compile("volatile|transient_local")
 
 @dataclass(frozen=True)
 class BridgedTopic:
-    """One topic with its type and quality of service on the ROS side; `door` is the agent's name for a topic of the
-    task door, empty for all others."""
+    """One topic with its type and quality of service on the ROS side, or one per agent when `name` holds `{agent}`.
+
+    `door` is the agent's name for a topic of the task door, empty for all others; `mqtt_topic` another MQTT name than
+    the usual one; `inject_timestamp` is of the format mqtt_client."""
 
     name: str
     type: str
@@ -44,26 +54,53 @@ class BridgedTopic:
     reliability: str = "reliable"
     durability: str = "volatile"
     depth: int = DEPTH_DEFAULT
+    format: str = FRAMES
+    inject_timestamp: bool = False
+    mqtt_topic: str = ""
     door: str = ""
 
     @property
     def mqtt(self) -> str:
         """The topic's MQTT name."""
-        return f"{self.name[1:]}/{self.door}" if self.door else MQTT_PREFIX + self.name
+        if self.door:
+            return f"{self.name[1:]}/{self.door}"
+        return self.mqtt_topic or MQTT_PREFIX + self.name
+
+    @property
+    def filter(self) -> str:
+        """What to ask the broker for: the level that names the agent is any."""
+        return "/".join("+" if AGENT in level else level for level in self.mqtt.split("/"))
+
+    @property
+    def general(self) -> bool:
+        """Whether it stands for one topic per agent."""
+        return AGENT in self.name
 
     @property
     def retained(self) -> bool:
         """Whether the broker keeps its last frame for late subscribers."""
         return self.durability == "transient_local"
 
+    def agent(self, name: str) -> str | None:
+        """The agent whose ROS topic this is, if it is one of these."""
+        return TopicPattern(self.name).agent(name)
+
+    def named(self, name: str) -> BridgedTopic:
+        """The one topic of that ROS name."""
+        return replace(self, name=name)
+
 
 @dataclass(frozen=True)
 class BridgeSettings:
-    """`config.yaml` of a bridge; topics by name."""
+    """`config.yaml` of a bridge; topics by name. `trace` goes with every message; `publish_types`: definitions of the
+    types are retained at the broker; `publish_gaps`: what is missing in what comes in is told on GAPS_TOPIC."""
 
     agent: str
     outgoing: Mapping[str, BridgedTopic]
     incoming: Mapping[str, BridgedTopic]
+    trace: str = ""
+    publish_types: bool = False
+    publish_gaps: bool = False
 
     @property
     def channels(self) -> frozenset[str]:
@@ -75,17 +112,28 @@ class BridgeSettings:
 def read_bridge_settings(document: Mapping[str, Any], where: str) -> BridgeSettings:
     """The settings; DocumentError names `where` and every problem."""
     reader = Reader(where)
-    values = reader.mapping(document, "", ["agent"], ["out", "in"])
+    values = reader.mapping(document, "", ["agent"], ["out", "in", "trace", "publish_types", "publish_gaps"])
     agent = reader.text(values.get("agent"), "agent", _AGENT)
     settings = BridgeSettings(
         agent=agent,
         outgoing=_topics(reader, values.get("out"), "out", agent),
         incoming=_topics(reader, values.get("in"), "in", agent),
+        trace=reader.word(values.get("trace") or None, "trace", _TRACE, ""),
+        publish_types=_switch(reader, values, "", "publish_types"),
+        publish_gaps=_switch(reader, values, "", "publish_gaps"),
     )
     for name in sorted(set(settings.outgoing) & set(settings.incoming)):
-        reader.problems.append(f"in: {name} stands under out as well and would go round in circles; keep one")
+        if not settings.incoming[name].general:
+            reader.problems.append(f"in: {name} stands under out as well and would go round in circles; keep one")
     reader.finish()
     return settings
+
+
+def _switch(reader: Reader, values: Mapping[str, Any], path: str, key: str) -> bool:
+    value = values.get(key, False)
+    if not isinstance(value, bool):
+        reader.problems.append(f"{join(path, key)}: {value!r} must be true or false")
+    return value is True
 
 
 def _topics(reader: Reader, value: Any, path: str, agent: str) -> dict[str, BridgedTopic]:
@@ -93,12 +141,17 @@ def _topics(reader: Reader, value: Any, path: str, agent: str) -> dict[str, Brid
     if len(items) > TOPICS_MAX:
         reader.problems.append(f"{path}: {len(items)} topics are more than {TOPICS_MAX}; split the bridge")
     topics: dict[str, BridgedTopic] = {}
+    names: dict[str, str] = {}
     for index, item in enumerate(items[:TOPICS_MAX]):
         topic = _topic(reader, item, f"{path}[{index}]")
         if topic.name in DOOR_TOPICS:
             topic = _door(reader, topic, path, index, agent)
         if topic.name in topics:
             reader.problems.append(f"{path}[{index}].name: {topic.name} stands twice; keep one")
+        elif names.setdefault(topic.mqtt, topic.name) != topic.name:
+            reader.problems.append(
+                f"{path}[{index}]: {topic.name} and {names[topic.mqtt]} are both {topic.mqtt} at the broker; keep one"
+            )
         topics[topic.name] = topic
     return topics
 
@@ -114,18 +167,36 @@ def _door(reader: Reader, topic: BridgedTopic, path: str, index: int, agent: str
 
 
 def _topic(reader: Reader, item: Any, path: str) -> BridgedTopic:
-    values = reader.mapping(item, path, ["name", "type"], ["channel", "reliability", "durability", "depth"])
+    optional = ["channel", "reliability", "durability", "depth", "format", "inject_timestamp", "mqtt_topic"]
+    values = reader.mapping(item, path, ["name", "type"], optional)
     depth = values.get("depth", DEPTH_DEFAULT)
     if not isinstance(depth, int) or isinstance(depth, bool) or not 1 <= depth <= DEPTH_MAX:
         reader.problems.append(f"{join(path, 'depth')}: {depth!r} must be a number of messages from 1 to {DEPTH_MAX}")
-    return BridgedTopic(
+    topic = BridgedTopic(
         name=reader.text(values.get("name"), join(path, "name"), _TOPIC),
         type=reader.text(values.get("type"), join(path, "type"), _TYPE),
         channel=reader.word(values.get("channel"), join(path, "channel"), _CHANNEL, TELEMETRY),
         reliability=reader.word(values.get("reliability"), join(path, "reliability"), _RELIABILITY, "reliable"),
         durability=reader.word(values.get("durability"), join(path, "durability"), _DURABILITY, "volatile"),
         depth=depth if isinstance(depth, int) else DEPTH_DEFAULT,
+        format=reader.word(values.get("format"), join(path, "format"), _FORMAT, FRAMES),
+        inject_timestamp=_switch(reader, values, path, "inject_timestamp"),
+        mqtt_topic=reader.word(values.get("mqtt_topic"), join(path, "mqtt_topic"), _MQTT_TOPIC, ""),
     )
+    reader.problems += [f"{path}.{problem}" for problem in _contradictions(topic, values)]
+    return topic
+
+
+def _contradictions(topic: BridgedTopic, values: Mapping[str, Any]) -> list[str]:
+    found = []
+    if topic.name.count(AGENT) > 1:
+        found.append(f"name: {topic.name} holds {AGENT} more than once; name it once")
+    if topic.general and topic.mqtt_topic:
+        found.append(f"mqtt_topic: goes with one topic only; name the agent in {topic.name}, or leave it out")
+    for key in ("inject_timestamp", "mqtt_topic"):
+        if values.get(key) and topic.format != MQTT_CLIENT:
+            found.append(f"{key}: is only of format {MQTT_CLIENT}; set that, or leave it out")
+    return found
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from robotkube.domain.errors import InputError
 
 MAGIC = b"RKF1"
+CONTENT_TYPE = "application/x-robotkube-frames"
 SESSIONS_MAX = 8
 MISSING_MAX = 10_000
 

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+PACKET_BYTES_MAX = 32 * 1024 * 1024  # a receiver's memory is bounded; brokers are told so
+
 
 class MalformedPacketError(Exception):
     """The peer sent what is no MQTT; the connection has to be made anew."""
 
 
 def packet_bounds(buffer: bytearray, place: int, size: int) -> tuple[int, int] | None:
-    """Begin and end of the content of the packet at `place`; None when its `size` bytes do not hold all of it yet."""
+    """Begin and end of the content of the packet at `place`; None when its `size` bytes do not hold all of it yet.
+    MalformedPacketError when it would be longer than PACKET_BYTES_MAX."""
     length = read_number(buffer, place + 1, size) if place < size else None
+    if length is not None and length[0] > PACKET_BYTES_MAX:
+        raise MalformedPacketError(f"a packet of {length[0]} bytes")
     if length is None or length[1] + length[0] > size:
         return None
     return length[1], length[1] + length[0]
 
 
-def read_number(buffer: bytearray, place: int, end: int) -> tuple[int, int] | None:
+def read_number(buffer: bytes | bytearray, place: int, end: int) -> tuple[int, int] | None:
     """The variable byte integer at `place` and where it ends; None when it goes on beyond `end`."""
     value = 0
     for shift in (0, 7, 14, 21):

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import gc
 import os
+import sys
 import time
 from collections import deque
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robotkube.adapters.health_http import HealthServer
@@ -17,14 +19,14 @@ from robotkube.domain.bridging import BULK, check_agent, read_bridge_settings
 from robotkube.domain.errors import DocumentError, InputError
 from robotkube.domain.texts import read_mapping
 from robotkube.entrypoints.processes import PodSettings, Process, read_secret, read_text, run, until_removed
-from robotkube.services.bridge import Bridge
+from robotkube.services.bridge import NODE_NAME, Bridge
+from robotkube.services.bridge_flows import Sender
 
 if TYPE_CHECKING:
     from robotkube.ports.robots import ChannelEvents
 
 GRACE_SECONDS = 2.0
 PERIOD_SECONDS = 0.04
-MATCH_SECONDS_MAX, MATCH_POLL_SECONDS = 1.5, 0.02
 SESSION_SECONDS = {"telemetry": 60, BULK: 5}
 KEY = "config.yaml"
 
@@ -33,7 +35,7 @@ def body(process: Process) -> None:
     """Wire the adapters to the service and turn it until the process shall end."""
     pod = PodSettings.from_environment()
     period = period_seconds(os.environ)
-    session = int.from_bytes(os.urandom(8), "little")
+    session, trace = int.from_bytes(os.urandom(8), "little"), os.urandom(16).hex()
 
     channels: dict[str, PahoChannel] = {}
 
@@ -41,23 +43,16 @@ def body(process: Process) -> None:
         channels[name] = PahoChannel(lambda: account(pod), f"{agent}-{name}", SESSION_SECONDS[name], events)
         return channels[name]
 
-    bridge = Bridge(RosNode("mqtt_bridge"), channel, session, process.log)
+    sender = Sender(session, time.time_ns, definition_of, trace)
+    bridge = Bridge(RosNode(NODE_NAME), channel, sender, process.log)
     follower = Follower(bridge, process)
     HealthServer(ready=lambda: follower.complaint, metrics=follower.metrics, port=pod.health_port).start()
     follower.apply(read_text(pod.config_file, "the bridge's settings"), str(pod.config_file))
     if pod.config_map is not None:
         follower.follow(*split_name(pod.config_map))
-    await_sinks(process, bridge)
     gc.freeze()
     loop(process, bridge, follower, channels, period)
     bridge.close()
-
-
-def await_sinks(process: Process, bridge: Bridge) -> None:
-    """Let the subscribers of this node find the new publishers before the broker hands over what it kept."""
-    deadline = time.monotonic() + MATCH_SECONDS_MAX
-    while not bridge.sinks_matched and time.monotonic() < deadline and not process.stopping.is_set():
-        time.sleep(MATCH_POLL_SECONDS)
 
 
 def loop(
@@ -134,6 +129,13 @@ class Follower:
         self._refused, self._applied = None, text
         if settings != self._bridge.settings:
             self._bridge.configure(settings)
+
+
+def definition_of(type_name: str) -> str:
+    """The definition of a type of this image with all it uses, or nothing."""
+    from robotkube.adapters.segments_mcap.definitions import definition  # only who publishes types needs it
+
+    return definition(type_name, Path(sys.prefix) / "share")
 
 
 def account(pod: PodSettings) -> BrokerAccount:

@@ -7,6 +7,7 @@ from typing import Any, Protocol
 
 from robotkube.domain.bags import BagTopic, LedgerState
 from robotkube.domain.detector_settings import TopicSettings
+from robotkube.domain.interface_checks import Endpoint
 
 
 class TopicInput(Protocol):
@@ -108,6 +109,10 @@ class RobotNetwork(Protocol):
         """Begin to offer a topic."""
         ...
 
+    def endpoints(self) -> Sequence[Endpoint]:
+        """Publishers and subscriptions of all other nodes that are known now."""
+        ...
+
 
 class ChannelEvents(Protocol):
     """What a connection tells its owner, from within `FrameChannel.turn`."""
@@ -124,8 +129,12 @@ class ChannelEvents(Protocol):
         """The broker has the frame of this token; `heard`: it has subscribers for it."""
         ...
 
-    def received(self, topic: str, payload: bytes) -> None:
-        """A frame arrived."""
+    def rejected(self, token: int, reason: str) -> None:
+        """The broker does not take the frame of this token."""
+        ...
+
+    def received(self, topic: str, payload: bytes, properties: bytes) -> None:
+        """A frame arrived; `properties` as in the packet (domain.mqtt_properties reads them)."""
         ...
 
     def refused(self, topic: str, reason: str) -> None:
@@ -145,12 +154,14 @@ class FrameChannel(Protocol):
         """Connect when that is due, read all that arrived, write what waits. `now` in monotonic seconds."""
         ...
 
-    def publish(self, topic: str, payload: bytes, retained: bool) -> int | None:
-        """Hand over a frame with QoS 1; the token of its acknowledgement, or None when it was not taken."""
+    def publish(self, topic: str, payload: bytes, retained: bool, properties: bytes = b"") -> int | None:
+        """Hand over a frame with QoS 1 and its MQTT 5 properties (domain.mqtt_properties writes them); the token of its
+        acknowledgement, or None when it was not taken."""
         ...
 
     def subscribe(self, topics: Sequence[str]) -> None:
-        """Subscribe with QoS 1; subscriptions do not outlive a lost connection."""
+        """Subscribe with QoS 1; what this connection published does not come back. Subscriptions are made anew after a
+        lost connection."""
         ...
 
     def unsubscribe(self, topics: Sequence[str]) -> None:

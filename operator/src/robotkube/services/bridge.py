@@ -6,158 +6,55 @@ is what makes it cheap: one frame, one packet, one acknowledgement for all messa
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from robotkube.domain.bridging import BULK, BridgedTopic, BridgeSettings, difference
-from robotkube.domain.errors import InputError, UnavailableError
-from robotkube.domain.frames import FrameError, SeenFrames, decode_frame, encode_frame
-from robotkube.domain.messages import string_message, string_text
-from robotkube.domain.outboxes import Bounds, Outbox, OutgoingFrame
+from robotkube.domain.audits import Gap
+from robotkube.domain.bridging import (
+    GAPS_DEPTH,
+    GAPS_TOPIC,
+    GAPS_TYPE,
+    MQTT_PREFIX,
+    TOPICS_MAX,
+    BridgedTopic,
+    BridgeSettings,
+    difference,
+)
+from robotkube.domain.bridging_properties import gap_text
+from robotkube.domain.errors import InputError
+from robotkube.domain.messages import string_message
+from robotkube.services.bridge_flows import Incoming, Outgoing, Sender
+from robotkube.services.bridge_links import Link
+from robotkube.services.bridge_metrics import Carried, metric_lines
 
 if TYPE_CHECKING:  # the ports know every part's domain: 25 ms of a start
-    from robotkube.ports.robots import ChannelEvents, FrameChannel, MessageSink, MessageSource, RobotNetwork
+    from robotkube.ports.robots import ChannelEvents, FrameChannel, RobotNetwork
 
     MakeChannel = Callable[[str, str, ChannelEvents], FrameChannel]
 
-FRAME_BYTES_MAX = 1_000_000
-MESSAGES_PER_TURN_MAX = 2000
+NODE_NAME = "mqtt_bridge"
+MESSAGES_PER_TURN_MAX = 20_000
 MATCHED_SECONDS = 2.0
-TELEMETRY_BOUNDS = Bounds(seconds_max=60.0, frames_max=60_000, inflight_max=200)
-BULK_BOUNDS = Bounds(seconds_max=2.0, frames_max=10, inflight_max=4)
+SEARCH_SECONDS = 1.0
+FORGET_SECONDS = 60.0
 
 Log = Callable[..., None]
-
-
-@dataclass
-class _Outgoing:
-    topic: BridgedTopic
-    source: MessageSource
-    messages: int = 0
-    matched: int = 0
-
-
-@dataclass
-class _Incoming:
-    topic: BridgedTopic
-    sink: MessageSink
-    messages: int = 0
-    matched: int = 0
-    seen: SeenFrames = field(default_factory=SeenFrames)
-
-
-class _Link:
-    """One connection with what it carries."""
-
-    def __init__(self, name: str, agent: str, make: MakeChannel, log: Log) -> None:
-        self.name = name
-        self.outbox = Outbox(BULK_BOUNDS if name == BULK else TELEMETRY_BOUNDS)
-        self.incoming: dict[str, _Incoming] = {}
-        self.retained: dict[str, OutgoingFrame] = {}
-        self.bad_frames = self.lost_sinks = self.connections = 0
-        self.refusals: dict[str, str] = {}
-        self._log, self._now = log, 0.0
-        self.channel = make(agent, name, self)
-
-    def connected(self, session_kept: bool) -> None:
-        """Subscribe anew; a broker without a session of ours has lost what it retained, too."""
-        self.connections += 1
-        self.refusals.clear()
-        self._log("connected", channel=self.name, session_kept=session_kept)
-        self.channel.subscribe(list(self.incoming))
-        self.outbox.connected(self._now)
-        if not session_kept:
-            waiting = {frame.payload for frame in self.outbox.waiting}
-            for frame in self.retained.values():
-                if frame.payload not in waiting:
-                    self.outbox.put(frame)
-
-    def disconnected(self) -> None:
-        """What was on its way waits again."""
-        self._log("disconnected", channel=self.name, reason=self.channel.complaint)
-        self.outbox.disconnected(self._now)
-
-    def acknowledged(self, token: int, heard: bool) -> None:
-        """The broker has a frame."""
-        self.outbox.acknowledged(token, heard, self._now)
-
-    def refused(self, topic: str, reason: str) -> None:
-        """Kept as a complaint until the next connection."""
-        if topic not in self.refusals:
-            self._log("refused by the broker", channel=self.name, topic=topic, reason=reason)
-        self.refusals[topic] = f"{topic or self.name}: {reason}; look at the broker's ACL for this agent"
-
-    def received(self, topic: str, payload: bytes) -> None:
-        """Publish a frame's messages, unless the frame was here before."""
-        incoming = self.incoming.get(topic)
-        if incoming is None:
-            self.channel.unsubscribe([topic])  # a session of the broker that is older than our settings
-            return
-        if not payload:
-            return  # a retained frame was taken back
-        if incoming.topic.door:
-            self._publish(incoming, [string_message(payload)])
-            return
-        try:
-            frame = decode_frame(payload)
-        except FrameError as error:
-            self.count_bad(topic, str(error))
-            return
-        if incoming.seen.fresh(frame.session, frame.sequence):
-            self._publish(incoming, frame.messages)
-
-    def count_bad(self, topic: str, error: str) -> None:
-        """Something that cannot be carried; only the first one is told."""
-        self.bad_frames += 1
-        if self.bad_frames == 1:
-            self._log("frame refused", topic=topic, error=error)
-
-    def _publish(self, incoming: _Incoming, messages: Sequence[bytes]) -> None:
-        publish = incoming.sink.publish
-        for message in messages:
-            try:
-                publish(message)
-                incoming.messages += 1
-            except UnavailableError as error:
-                self.lost_sinks += 1
-                if self.lost_sinks == 1:
-                    self._log("message lost", topic=incoming.topic.name, error=str(error))
-
-    def turn(self, now: float) -> None:
-        """Read, then hand over as much as the outbox lets go, then write. All events come within a turn."""
-        self._now = now
-        self.channel.turn(now)
-        if self.channel.complaint is None:
-            self._hand_over(now)
-        self.channel.flush()
-
-    def close(self) -> None:
-        """Hand over what the connection takes at once, then part from the broker."""
-        self.turn(self._now)
-        self.channel.close()
-
-    def _hand_over(self, now: float) -> None:
-        while (frame := self.outbox.next(now)) is not None:
-            token = self.channel.publish(frame.topic, frame.payload, frame.retained)
-            if token is None:
-                self.outbox.give_back(frame)
-                return
-            self.outbox.sent(token, frame)
 
 
 class Bridge:
     """Carries topics as `configure` says. All methods belong to one thread, `complaint` and `metrics` to any."""
 
-    def __init__(self, network: RobotNetwork, make_channel: MakeChannel, session: int, log: Log) -> None:
-        self._network, self._make_channel, self._session, self._log = network, make_channel, session, log
+    def __init__(self, network: RobotNetwork, make_channel: MakeChannel, sender: Sender, log: Log) -> None:
+        self._network, self._make_channel, self._sender, self._log = network, make_channel, sender, log
+        self._own_trace = sender.trace
         self._settings: BridgeSettings | None = None
-        self._outgoing: dict[str, _Outgoing] = {}
-        self._incoming: dict[str, _Incoming] = {}
-        self._links: dict[str, _Link] = {}
-        self._sequences: dict[str, int] = {}
+        self._outgoing: dict[str, Outgoing] = {}
+        self._incoming: dict[str, Incoming] = {}
+        self._found: dict[str, tuple[str, float]] = {}  # ROS topic -> the general one it is of, and when it was seen
+        self._gaps: Incoming | None = None
+        self._links: dict[str, Link] = {}
         self._problems: dict[str, str] = {}
-        self._matched_at = self._now = 0.0
+        self._matched_at = self._search_at = self._now = 0.0
 
     @property
     def settings(self) -> BridgeSettings | None:
@@ -169,15 +66,11 @@ class Bridge:
         """Names of the connections in use."""
         return tuple(self._links)
 
-    @property
-    def sinks_matched(self) -> bool:
-        """Whether every publisher has found a subscription."""
-        return all(incoming.sink.matched for incoming in self._incoming.values())
-
     def configure(self, settings: BridgeSettings) -> None:
         """Carry these topics from now on. Only what differs is closed and opened; a topic that cannot be opened
         (unknown type) is a complaint, and the others go on."""
-        old = self._settings
+        old, self._settings = self._settings, settings
+        self._sender.trace = settings.trace or self._own_trace
         outgoing = difference(old.outgoing if old else {}, settings.outgoing)
         incoming = difference(old.incoming if old else {}, settings.incoming)
         for name in outgoing.closed:
@@ -185,14 +78,15 @@ class Bridge:
         for name in incoming.closed:
             self._close_incoming(name)
         for name in sorted(settings.channels - set(self._links)):
-            self._links[name] = _Link(name, settings.agent, self._make_channel, self._log)
+            self._links[name] = self._link(name, settings.agent)
         for topic in outgoing.opened:
             self._try(topic, self._open_outgoing)
         for topic in incoming.opened:
             self._try(topic, self._open_incoming)
         for name in sorted(set(self._links) - settings.channels):
             self._links.pop(name).close()
-        self._settings = settings
+        self._tell_gaps(settings.publish_gaps)
+        self._search_at = self._now
         self._log(
             "configured",
             out=len(settings.outgoing),
@@ -208,15 +102,20 @@ class Bridge:
         for outgoing in self._outgoing.values():
             messages = outgoing.source.take(MESSAGES_PER_TURN_MAX)
             if messages:
-                self._send(outgoing, messages, now)
+                outgoing.messages += len(messages)
+                link = self._links[outgoing.topic.channel]
+                for frame in outgoing.frames(messages, now):
+                    link.put(frame)
         for link in self._links.values():
             link.turn(now)
+        if self._gaps is not None:
+            self._gaps.turn(now, self._sender.clock())
         if now >= self._matched_at:
             self._matched_at = now + MATCHED_SECONDS
-            for out in self._outgoing.values():
-                out.matched = out.source.matched
-            for into in self._incoming.values():
-                into.matched = into.sink.matched
+            self._count_matched()
+        if now >= self._search_at:
+            self._search_at = now + SEARCH_SECONDS
+            self._search()
 
     def turn_channel(self, name: str, now: float) -> None:
         """Move what waits on one connection."""
@@ -243,49 +142,25 @@ class Bridge:
         for link in list(self._links.values()):
             if link.channel.complaint is not None:
                 return link.channel.complaint
-        sentences = [*self._problems.values(), *(r for link in self._links.values() for r in link.refusals.values())]
-        return "; ".join(sentences) or None
+        refusals = (sentence for link in list(self._links.values()) for sentence in list(link.refusals.values()))
+        return "; ".join([*list(self._problems.values()), *refusals]) or None
 
     def metrics(self) -> str:
         """Counters in Prometheus' text format."""
-        return "".join(f"robotkube_bridge_{line}\n" for line in self._metric_lines())
+        carried = Carried(list(self._outgoing.values()), list(self._incoming.values()), list(self._links.values()))
+        lines = [*metric_lines(carried), f"topics_refused {len(self._problems)}"]
+        return "".join(f"robotkube_bridge_{line}\n" for line in lines)
 
-    def _metric_lines(self) -> Iterator[str]:
-        for out in list(self._outgoing.values()):
-            yield f'messages_total{{direction="out",topic="{out.topic.name}"}} {out.messages}'
-            yield f'matched_sources{{topic="{out.topic.name}"}} {out.matched}'
-        for into in list(self._incoming.values()):
-            name = into.topic.name
-            yield f'messages_total{{direction="in",topic="{name}"}} {into.messages}'
-            yield f'matched_sinks{{topic="{name}"}} {into.matched}'
-            yield f'duplicate_frames_total{{topic="{name}"}} {into.seen.duplicates}'
-            yield f'missing_frames{{topic="{name}"}} {into.seen.missing}'
-        for name, link in list(self._links.items()):
-            yield f'connected{{channel="{name}"}} {int(link.channel.complaint is None)}'
-            yield f'connections_total{{channel="{name}"}} {link.connections}'
-            yield f'queued_frames{{channel="{name}"}} {len(link.outbox)}'
-            yield f'dropped_messages_total{{channel="{name}"}} {link.outbox.dropped}'
-            yield f'refused_frames_total{{channel="{name}"}} {link.bad_frames}'
-            yield f'lost_messages_total{{channel="{name}"}} {link.lost_sinks}'
-        yield f"topics_refused {len(self._problems)}"
+    def _link(self, name: str, agent: str) -> Link:
+        return Link(name, agent, self._make_channel, self._log, self._sender.clock, self._open_found)
 
-    def _send(self, outgoing: _Outgoing, messages: Sequence[bytes], now: float) -> None:
-        topic = outgoing.topic
-        link = self._links[topic.channel]
-        outgoing.messages += len(messages)
-        if topic.door:
-            _send_texts(link, topic, messages, now)
-            return
-        for part in _parts(messages):
-            sequence = self._sequences.get(topic.name, 0)
-            self._sequences[topic.name] = sequence + 1
-            payload = encode_frame(self._session, sequence, part)
-            frame = OutgoingFrame(topic.mqtt, payload, len(part), topic.retained, now)
-            link.outbox.put(frame)
-            if topic.retained:
-                link.retained[topic.name] = frame
+    def _count_matched(self) -> None:
+        for out in self._outgoing.values():
+            out.matched = out.source.matched
+        for into in self._incoming.values():
+            into.matched = into.sink.matched
 
-    def _try(self, topic: BridgedTopic, opening: Callable[[BridgedTopic], None]) -> None:
+    def _try(self, topic: BridgedTopic, opening: Callable[[BridgedTopic], object]) -> None:
         try:
             opening(topic)
             self._problems.pop(topic.name, None)
@@ -293,54 +168,120 @@ class Bridge:
             self._problems[topic.name] = f"topic {topic.name} is not carried: {error}"
 
     def _open_outgoing(self, topic: BridgedTopic) -> None:
+        if topic.general:
+            return  # its topics are searched
         source = self._network.subscribe(topic.name, topic.type, topic.reliability, topic.durability, topic.depth)
-        self._outgoing[topic.name] = _Outgoing(topic, source)
+        self._outgoing[topic.name] = Outgoing(topic, source, self._sender)
+        for frame in self._outgoing[topic.name].introduction(
+            self._now, bool(self._settings and self._settings.publish_types)
+        ):
+            self._links[topic.channel].put(frame)
 
     def _open_incoming(self, topic: BridgedTopic) -> None:
+        incoming = None
+        if not topic.general:
+            if self._found.pop(topic.name, None) is not None:  # until now it came with a general one
+                self._drop_incoming(topic.name)
+            incoming = self._advertise(topic)
+        self._links[topic.channel].add(topic, incoming)
+
+    def _advertise(self, topic: BridgedTopic) -> Incoming:
         sink = self._network.advertise(topic.name, topic.type, topic.reliability, topic.durability, topic.depth)
-        incoming = _Incoming(topic, sink)
-        self._incoming[topic.name] = incoming
-        link = self._links[topic.channel]
-        link.incoming[topic.mqtt] = incoming
-        link.channel.subscribe([topic.mqtt])
+        self._incoming[topic.name] = Incoming(topic, sink, self._lost_at_ros, self._found_gap, self._now)
+        return self._incoming[topic.name]
+
+    def _open_found(self, general: BridgedTopic, mqtt_topic: str) -> Incoming | None:
+        """The topic that a message at the broker is for, when it is one of a general topic."""
+        name, settings = mqtt_topic.removeprefix(MQTT_PREFIX), self._settings
+        agent = general.agent(name)
+        if not agent or settings is None or agent == settings.agent:
+            return None
+        if name in self._outgoing or name in self._incoming or len(self._incoming) >= TOPICS_MAX:
+            return None
+        self._try(general.named(name), self._advertise)
+        incoming = self._incoming.get(name)
+        if incoming is not None:
+            self._found[name] = (general.name, self._now)
+            self._log("found", direction="in", topic=name)
+        return incoming
+
+    def _search(self) -> None:
+        """Begin to send topics that somebody publishes now, and stop when nobody did for FORGET_SECONDS."""
+        general = [topic for topic in self._settings.outgoing.values() if topic.general] if self._settings else []
+        if not general:
+            return
+        for endpoint in self._network.endpoints():
+            if endpoint.direction != "out" or not endpoint.node or endpoint.node.endswith(f"/{NODE_NAME}"):
+                continue  # what a bridge brought in does not go out again
+            for topic in general:
+                if topic.type == endpoint.type and topic.agent(endpoint.topic):
+                    self._send_found(topic, endpoint.topic)
+        for name, (_, seen) in list(self._found.items()):
+            if name in self._outgoing and self._now > seen + FORGET_SECONDS:
+                self._close_outgoing(name)
+
+    def _send_found(self, general: BridgedTopic, name: str) -> None:
+        if name in self._incoming or (name not in self._outgoing and len(self._outgoing) >= TOPICS_MAX):
+            return
+        if name not in self._outgoing:
+            self._try(general.named(name), self._open_outgoing)
+            self._log("found", direction="out", topic=name)
+        elif name not in self._found:
+            return  # it is named in the settings
+        self._found[name] = (general.name, self._now)
 
     def _close_outgoing(self, name: str) -> None:
+        """Stop sending a topic, or all of a general one."""
         self._problems.pop(name, None)
-        outgoing = self._outgoing.pop(name, None)
-        if outgoing is None:
-            return
-        outgoing.source.close()
-        link = self._links[outgoing.topic.channel]
-        link.outbox.forget(outgoing.topic.mqtt)
-        if link.retained.pop(name, None) is not None:
-            link.outbox.put(OutgoingFrame(outgoing.topic.mqtt, b"", 0, True, self._now))
+        for one in self._of(name, self._outgoing):
+            outgoing = self._outgoing.pop(one)
+            self._found.pop(one, None)
+            outgoing.source.close()
+            link = self._links[outgoing.topic.channel]
+            link.withdraw(outgoing.topic.mqtt)
+            for frame in outgoing.introduction(self._now, True):
+                link.withdraw(frame.topic)
 
     def _close_incoming(self, name: str) -> None:
+        """Do not bring in a topic any more, or all of a general one."""
         self._problems.pop(name, None)
-        incoming = self._incoming.pop(name, None)
-        if incoming is None:
-            return
-        link = self._links[incoming.topic.channel]
-        link.incoming.pop(incoming.topic.mqtt, None)
-        link.channel.unsubscribe([incoming.topic.mqtt])
+        assert self._settings is not None
+        for one in self._of(name, self._incoming):
+            self._drop_incoming(one)
+        for link in self._links.values():
+            if name in link.general:
+                link.remove(link.general[name])
+
+    def _drop_incoming(self, name: str) -> None:
+        incoming = self._incoming.pop(name)
+        self._found.pop(name, None)
+        self._links[incoming.topic.channel].remove(incoming.topic)
         incoming.sink.close()
 
+    def _of(self, name: str, carried: dict[str, Outgoing] | dict[str, Incoming]) -> list[str]:
+        """The topic of that name, or those that were found for it."""
+        found = [one for one, (general, _) in self._found.items() if general == name and one in carried]
+        return [name, *found] if name in carried else found
 
-def _send_texts(link: _Link, topic: BridgedTopic, messages: Sequence[bytes], now: float) -> None:
-    """The texts of String messages, each as it is."""
-    for message in messages:
-        try:
-            link.outbox.put(OutgoingFrame(topic.mqtt, string_text(message), 1, born=now))
-        except ValueError as error:
-            link.count_bad(topic.mqtt, str(error))
+    def _lost_at_ros(self, gap: Gap) -> None:
+        incoming = self._incoming.get(gap.topic)
+        if incoming is not None:
+            self._links[incoming.topic.channel].losses.add(gap)
+            if incoming.lost_messages == 1:
+                self._log("messages dropped", topic=gap.topic, **gap.document())
 
+    def _tell_gaps(self, wanted: bool) -> None:
+        """Open or close the topic on which gaps are told."""
+        if not wanted and self._gaps is not None:
+            self._gaps.sink.close()
+            self._gaps = None
+        elif wanted and self._gaps is None:
+            topic = BridgedTopic(GAPS_TOPIC, GAPS_TYPE, durability="transient_local", depth=GAPS_DEPTH)
+            sink = self._network.advertise(topic.name, topic.type, topic.reliability, topic.durability, topic.depth)
+            self._gaps = Incoming(topic, sink, self._lost_at_ros, self._found_gap, self._now)
 
-def _parts(messages: Sequence[bytes]) -> Iterator[Sequence[bytes]]:
-    """`messages` in runs of at most FRAME_BYTES_MAX bytes; a larger message stands alone."""
-    begin, size = 0, 0
-    for index, message in enumerate(messages):
-        size += len(message)
-        if size > FRAME_BYTES_MAX and index > begin:
-            yield messages[begin:index]
-            begin, size = index, len(message)
-    yield messages[begin:]
+    def _found_gap(self, gap: Gap) -> None:
+        """A sender told what is missing in what came in."""
+        self._log("messages missing", topic=gap.topic, **gap.document())
+        if self._gaps is not None:
+            self._gaps.publish([string_message(gap_text(gap).encode())], self._sender.clock())

@@ -1,0 +1,64 @@
+"""What a bridge says about its MQTT messages: type, stamp and trace as user properties, and what it gave up before.
+
+content type  application/x-robotkube-frames
+type          geometry_msgs/msg/PoseStamped
+stamp         1795250000010000000            of the first message in it, ns since 1970
+trace         32 hexadecimal digits
+gap           {"topic": ..., "where": ..., "why": ..., "count": ..., "first": ..., "last": ...}
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import Any
+
+from robotkube.domain.audits import Gap, read_gap
+from robotkube.domain.frames import CONTENT_TYPE, FrameError
+from robotkube.domain.mqtt_properties import content_type, user_property
+
+TYPE, STAMP, TRACE, GAP = "type", "stamp", "trace", "gap"
+TYPES_PREFIX = "robotkube/types/"
+GAP_CHARACTERS_MAX = 2000
+GAPS_PER_MESSAGE_MAX = 4
+
+
+def types_topic(topic: str) -> str:
+    """Where the definition of the type of an MQTT topic's messages is retained: text as in MCAP's `ros2msg`."""
+    return TYPES_PREFIX + topic
+
+
+def type_properties(type_name: str, trace: str, encoding: str = CONTENT_TYPE) -> bytes:
+    """The properties that all messages of a topic share."""
+    traced = user_property(TRACE, trace) if trace else b""
+    return (content_type(encoding) if encoding else b"") + user_property(TYPE, type_name) + traced
+
+
+def stamp_property(stamp: int) -> bytes:
+    """The stamp of a message, or of the first one in a frame."""
+    return user_property(STAMP, str(stamp))
+
+
+def gap_property(gaps: Sequence[Gap]) -> bytes:
+    """What was given up before this message, at most GAPS_PER_MESSAGE_MAX."""
+    return b"".join(user_property(GAP, gap_text(gap)) for gap in gaps[:GAPS_PER_MESSAGE_MAX])
+
+
+def gap_text(gap: Gap) -> str:
+    """A gap as a line of JSON."""
+    return json.dumps({"topic": gap.topic, **gap.document()})
+
+
+def read_gap_text(text: str) -> Gap:
+    """The gap in a line of JSON. FrameError when it is none."""
+    try:
+        values: Any = json.loads(text) if len(text) <= GAP_CHARACTERS_MAX else None
+        gap = read_gap(values["topic"], values)
+        numbers = (gap.count, gap.first, gap.last)
+        if not all(isinstance(text, str) for text in (gap.topic, gap.where, gap.why)):
+            raise TypeError("topic, where and why are texts")
+        if not all(type(number) is int and 0 <= number < 2**63 for number in numbers):
+            raise TypeError("count, first and last are numbers")
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise FrameError(f"{text[:100]!r} says of no gap what it is: {error}") from error
+    return gap

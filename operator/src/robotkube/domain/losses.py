@@ -1,0 +1,50 @@
+"""What a process gave up, by topic, place and reason: how much, and between which stamps (ns since 1970)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from robotkube.domain.audits import Gap
+
+TOPICS_MAX = 1000
+
+
+class Losses:
+    """Gaps that still grow, and sums of all there were. Both hold at most TOPICS_MAX entries; what is beyond goes to
+    the topic `others`."""
+
+    def __init__(self) -> None:
+        self._open: dict[tuple[str, str, str], Gap] = {}
+        self._sums: dict[tuple[str, str, str], Gap] = {}
+
+    def add(self, gap: Gap) -> None:
+        """Messages were given up; gaps of one topic, place and reason are one until it is closed."""
+        for known in (self._open, self._sums):
+            key = (gap.topic, gap.where, gap.why)
+            if key not in known and len(known) >= TOPICS_MAX:
+                key = ("others", *key[1:])
+            known[key] = _joined(known.get(key), gap, key[0])
+
+    def close(self, topic: str) -> list[Gap]:
+        """The gaps of a topic that has gone on, or that ends."""
+        if not self._open:
+            return []
+        return [self._open.pop(key) for key in [key for key in self._open if key[0] == topic]]
+
+    def close_all(self) -> list[Gap]:
+        """Every gap that still grew."""
+        found = list(self._open.values())
+        self._open.clear()
+        return found
+
+    @property
+    def sums(self) -> Iterator[Gap]:
+        """Per topic, place and reason all that was given up; counters may be read by any thread."""
+        return iter(list(self._sums.values()))
+
+
+def _joined(known: Gap | None, gap: Gap, topic: str) -> Gap:
+    if known is None:
+        return Gap(topic, gap.where, gap.why, gap.count, gap.first, gap.last)
+    count = None if known.count is None or gap.count is None else known.count + gap.count
+    return Gap(topic, gap.where, gap.why, count, min(known.first, gap.first), max(known.last, gap.last))

@@ -1,0 +1,220 @@
+"""One topic of a bridge: from serialised messages to what goes to the broker, and back."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from robotkube.domain import mqtt_client_format as ika
+from robotkube.domain.audits import Gap
+from robotkube.domain.bridging import MQTT_CLIENT, BridgedTopic
+from robotkube.domain.bridging_properties import (
+    GAP,
+    TYPE,
+    gap_property,
+    read_gap_text,
+    stamp_property,
+    type_properties,
+    types_topic,
+)
+from robotkube.domain.errors import UnavailableError
+from robotkube.domain.frames import FrameError, SeenFrames, decode_frame, encode_frame
+from robotkube.domain.messages import STAMPED_TYPES, header_stamp, string_message, string_text
+from robotkube.domain.mqtt_properties import read_properties
+from robotkube.domain.outboxes import OutgoingFrame
+
+if TYPE_CHECKING:  # the ports know every part's domain: 25 ms of a start
+    from robotkube.ports.robots import MessageSink, MessageSource
+
+FRAME_BYTES_MAX = 1_000_000
+HOLD_SECONDS_MAX = 1.5
+HELD_MESSAGES_MAX = 2_000
+HELD_BYTES_MAX = 32 * 1024 * 1024
+DEFINITION_ENCODING = "text/x-ros2msg"
+NOT_TAKEN = "not taken by the middleware"
+
+Lost = Callable[[Gap], None]
+
+
+@dataclass
+class Sender:
+    """What all outgoing topics share. `clock` gives ns since 1970; `definition` a type's definition, or nothing."""
+
+    session: int
+    clock: Callable[[], int]
+    definition: Callable[[str], str]
+    trace: str = ""
+    sequences: dict[str, int] = field(default_factory=dict)
+
+    def sequence(self, name: str) -> int:
+        """The next number of a topic."""
+        number = self.sequences.get(name, 0)
+        self.sequences[name] = number + 1
+        return number
+
+
+class Outgoing:
+    """A topic that goes to the broker."""
+
+    def __init__(self, topic: BridgedTopic, source: MessageSource, sender: Sender) -> None:
+        self.topic, self.source = topic, source
+        self.messages = self.matched = self.malformed = 0
+        self._sender, self._has_header = sender, topic.type in STAMPED_TYPES
+        self._properties = type_properties(topic.type, sender.trace)
+        forms = {True: self._texts, False: self._plain if topic.format == MQTT_CLIENT else self._frames}
+        self.frames: Callable[[Sequence[bytes], float], Iterator[OutgoingFrame]] = forms[bool(topic.door)]
+
+    def introduction(self, now: float, publish_types: bool) -> Iterator[OutgoingFrame]:
+        """What is retained at the broker beside the messages: what they are."""
+        topic = self.topic
+        if topic.format == MQTT_CLIENT:
+            kind = ika.encode_type(ika.RosMessageType(topic.type, topic.inject_timestamp))
+            yield OutgoingFrame(ika.type_topic(topic.mqtt), kind, 0, True, now)
+        elif publish_types and not topic.door and (text := self._sender.definition(topic.type)):
+            properties = type_properties(topic.type, "", DEFINITION_ENCODING)
+            yield OutgoingFrame(types_topic(topic.mqtt), text.encode(), 0, True, now, properties)
+
+    def _frames(self, messages: Sequence[bytes], now: float) -> Iterator[OutgoingFrame]:
+        sender, topic = self._sender, self.topic
+        for part in parts(messages):
+            payload = encode_frame(sender.session, sender.sequence(topic.name), part)
+            yield self._frame(payload, part, now)
+
+    def _plain(self, messages: Sequence[bytes], now: float) -> Iterator[OutgoingFrame]:
+        """One message each, as ika's mqtt_client writes it."""
+        for message in messages:
+            stamp = self._sender.clock() if self.topic.inject_timestamp else None
+            yield self._frame(ika.encode_message(message, stamp), (message,), now)
+
+    def _texts(self, messages: Sequence[bytes], now: float) -> Iterator[OutgoingFrame]:
+        """The texts of String messages, each as it is."""
+        for message in messages:
+            try:
+                yield OutgoingFrame(self.topic.mqtt, string_text(message), 1, born=now)
+            except ValueError:
+                self.malformed += 1
+
+    def _frame(self, payload: bytes, messages: Sequence[bytes], now: float) -> OutgoingFrame:
+        topic, first = self.topic, self._stamp(messages[0])
+        last = first if len(messages) == 1 else self._stamp(messages[-1])
+        properties = self._properties + stamp_property(first)
+        return OutgoingFrame(
+            topic.mqtt, payload, len(messages), topic.retained, now, properties, topic.name, first, last
+        )
+
+    def _stamp(self, message: bytes) -> int:
+        """The message's own stamp, else the time."""
+        if self._has_header:
+            try:
+                return max(0, header_stamp(message))
+            except ValueError:
+                self.malformed += 1
+        return self._sender.clock()
+
+
+class Incoming:
+    """A topic that comes from the broker. Until a subscription has found its publisher, or HOLD_SECONDS_MAX are over,
+    messages are held: the middleware gives them to nobody who comes later."""
+
+    def __init__(self, topic: BridgedTopic, sink: MessageSink, lost: Lost, found: Lost, now: float) -> None:
+        self.topic, self.sink = topic, sink
+        self.seen = SeenFrames()
+        self.messages = self.matched = self.lost_messages = 0
+        self.latency_seconds = 0.0
+        self.announced = self.stamped = False
+        self._lost, self._found = lost, found
+        self._has_header = topic.type in STAMPED_TYPES
+        self._held: deque[bytes] | None = deque()
+        self._held_bytes, self._until = 0, now + HOLD_SECONDS_MAX
+        forms = {True: self._text, False: self._plain if topic.format == MQTT_CLIENT else self._frame}
+        self._decode: Callable[[bytes, bytes, int], Sequence[bytes]] = forms[bool(topic.door)]
+
+    def receive(self, payload: bytes, properties: bytes, clock_ns: int) -> None:
+        """Publish what is in a payload, unless it was here before. FrameError: it is something else, and nothing was
+        published."""
+        self.publish(self._decode(payload, properties, clock_ns), clock_ns)
+
+    def publish(self, messages: Sequence[bytes], clock_ns: int) -> None:
+        """Publish serialised messages now, or once somebody listens."""
+        if self._held is None:
+            self._publish(messages, clock_ns)
+            return
+        self._held += messages
+        self._held_bytes += sum(map(len, messages))
+        if len(self._held) > HELD_MESSAGES_MAX or self._held_bytes > HELD_BYTES_MAX or self.sink.matched:
+            self._let_go(clock_ns)
+
+    def announce(self, kind: ika.RosMessageType) -> None:
+        """What mqtt_client's messages are; FrameError when they are not of the topic's type."""
+        if kind.name != self.topic.type:
+            raise FrameError(f"its type is {kind.name}, that of the topic {self.topic.type}; make the two the same")
+        self.announced, self.stamped = True, kind.stamped
+
+    @property
+    def holding(self) -> bool:
+        """Whether messages wait for a subscription to find the publisher."""
+        return self._held is not None
+
+    def turn(self, now: float, clock_ns: int) -> None:
+        """Let go what is held when its time has come."""
+        if self._held is not None and (now >= self._until or self.sink.matched):
+            self._let_go(clock_ns)
+
+    def _let_go(self, clock_ns: int) -> None:
+        held, self._held, self._held_bytes = self._held or (), None, 0
+        self._publish(held, clock_ns)
+
+    def _publish(self, messages: Sequence[bytes] | deque[bytes], clock_ns: int) -> None:
+        publish = self.sink.publish
+        for message in messages:
+            try:
+                publish(message)
+                self.messages += 1
+            except UnavailableError:
+                self.lost_messages += 1
+                stamp = self._stamp(message, clock_ns)
+                self._lost(Gap(self.topic.name, "ros", NOT_TAKEN, 1, stamp, stamp))
+
+    def _frame(self, payload: bytes, properties: bytes, clock_ns: int) -> Sequence[bytes]:
+        frame = decode_frame(payload)
+        user = read_properties(properties).user if properties else {}
+        if user.get(TYPE, self.topic.type) != self.topic.type:
+            raise FrameError(f"its type is {user[TYPE]}, that of the topic {self.topic.type}; make the two the same")
+        if not self.seen.fresh(frame.session, frame.sequence):
+            return ()
+        if GAP in user:
+            self._found(read_gap_text(user[GAP]))
+        return frame.messages
+
+    def _plain(self, payload: bytes, properties: bytes, clock_ns: int) -> Sequence[bytes]:
+        message, stamp = ika.decode_message(payload, self.stamped)
+        if stamp is not None:
+            self.latency_seconds = (clock_ns - stamp) / 1e9
+        return (message,)
+
+    def _text(self, payload: bytes, properties: bytes, clock_ns: int) -> Sequence[bytes]:
+        return (string_message(payload),)
+
+    def _stamp(self, message: bytes, clock_ns: int) -> int:
+        try:
+            return max(0, header_stamp(message)) if self._has_header else clock_ns
+        except ValueError:
+            return clock_ns
+
+
+def with_gaps(frame: OutgoingFrame, gaps: Sequence[Gap]) -> bytes:
+    """The frame's properties, and what was given up before it."""
+    return frame.properties + gap_property(gaps) if gaps else frame.properties
+
+
+def parts(messages: Sequence[bytes]) -> Iterator[Sequence[bytes]]:
+    """`messages` in runs of at most FRAME_BYTES_MAX bytes; a larger message stands alone."""
+    begin, size = 0, 0
+    for index, message in enumerate(messages):
+        size += len(message)
+        if size > FRAME_BYTES_MAX and index > begin:
+            yield messages[begin:index]
+            begin, size = index, len(message)
+    yield messages[begin:]

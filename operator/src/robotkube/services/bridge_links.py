@@ -1,0 +1,229 @@
+"""One connection of a bridge to the broker, with what it carries."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from robotkube.domain import mqtt_client_format as ika
+from robotkube.domain.audits import Gap
+from robotkube.domain.bridging import BULK, MQTT_CLIENT, BridgedTopic
+from robotkube.domain.errors import InputError
+from robotkube.domain.losses import Losses
+from robotkube.domain.outboxes import Bounds, Outbox, OutgoingFrame
+from robotkube.services.bridge_flows import Incoming, with_gaps
+
+if TYPE_CHECKING:  # the ports know every part's domain: 25 ms of a start
+    from robotkube.ports.robots import ChannelEvents, FrameChannel
+
+    MakeChannel = Callable[[str, str, ChannelEvents], FrameChannel]
+
+TELEMETRY_BOUNDS = Bounds(seconds_max=60.0, frames_max=60_000, bytes_max=96 * 1024 * 1024, inflight_max=200)
+BULK_BOUNDS = Bounds(seconds_max=2.0, frames_max=10, bytes_max=48 * 1024 * 1024, inflight_max=4)
+REFUSALS_MAX = 50
+
+Log = Callable[..., None]
+OpenIncoming = Callable[[BridgedTopic, str], Incoming | None]
+"""A general topic and the MQTT topic of a message that came for it: the one topic of that agent, or None."""
+
+
+class Link:
+    """The events of one connection. `opened` makes the topics that general ones find."""
+
+    def __init__(
+        self, name: str, agent: str, make: MakeChannel, log: Log, clock: Callable[[], int], opened: OpenIncoming
+    ) -> None:
+        self.name = name
+        self.losses = Losses()
+        bounds = BULK_BOUNDS if name == BULK else TELEMETRY_BOUNDS
+        self.outbox = Outbox(bounds, self.losses.add, f"mqtt-bridge of {agent}")
+        self.incoming: dict[str, Incoming] = {}
+        self.general: dict[str, BridgedTopic] = {}
+        self.retained: dict[str, OutgoingFrame] = {}
+        self.bad_frames = self.connections = 0
+        self.refusals: dict[str, str] = {}
+        self._log, self._clock, self._opened, self._now = log, clock, opened, 0.0
+        self.channel = make(agent, name, self)
+
+    @property
+    def filters(self) -> tuple[str, ...]:
+        """What the broker is asked for: nothing twice, so that nothing comes twice."""
+        general = tuple(self.general.values())
+        found = [name for topic in general for name in _filters(topic)]
+        for incoming in self.incoming.values():
+            if not any(topic.agent(incoming.topic.name) for topic in general):
+                found += _filters(incoming.topic)
+            if incoming.announced:
+                found.append(incoming.topic.mqtt)
+        return tuple(dict.fromkeys(found))
+
+    def add(self, topic: BridgedTopic, incoming: Incoming | None) -> None:
+        """Bring in a topic (with its publisher), or every one that a general topic stands for."""
+        before = self.filters
+        if incoming is None:
+            self.general[topic.name] = topic
+        else:
+            self.incoming[topic.mqtt] = incoming
+        self._ask(before)
+
+    def remove(self, topic: BridgedTopic) -> None:
+        """Do not bring in a topic any more."""
+        before = self.filters
+        if topic.general:
+            self.general.pop(topic.name, None)
+        else:
+            self.incoming.pop(topic.mqtt, None)
+        self._ask(before)
+
+    def _ask(self, before: tuple[str, ...]) -> None:
+        """Change what the broker sends; what stays, and what takes another's place, has no gap."""
+        after = self.filters
+        self.channel.subscribe([name for name in after if name not in before])
+        self.channel.unsubscribe([name for name in before if name not in after])
+
+    def put(self, frame: OutgoingFrame) -> None:
+        """Send a frame when its turn comes."""
+        self.outbox.put(frame)
+        if frame.retained:
+            self.retained[frame.topic] = frame
+
+    def withdraw(self, topic: str) -> None:
+        """Forget an MQTT topic, also at the broker."""
+        self.outbox.forget(topic)
+        if self.retained.pop(topic, None) is not None:
+            self.outbox.put(OutgoingFrame(topic, b"", 0, True, self._now))
+
+    def connected(self, session_kept: bool) -> None:
+        """Subscribe anew; a broker without a session of ours has lost what it retained, too."""
+        self.connections += 1
+        self.refusals.clear()
+        self._log("connected", channel=self.name, session_kept=session_kept)
+        self.channel.subscribe(self.filters)
+        self.outbox.connected(self._now)
+        if not session_kept:
+            waiting = {(frame.topic, frame.payload) for frame in self.outbox.waiting}
+            for frame in self.retained.values():
+                if (frame.topic, frame.payload) not in waiting:
+                    self.outbox.put(frame)
+
+    def disconnected(self) -> None:
+        """What was on its way waits again."""
+        self._log("disconnected", channel=self.name, reason=self.channel.complaint)
+        self.outbox.disconnected(self._now)
+
+    def acknowledged(self, token: int, heard: bool) -> None:
+        """The broker has a frame."""
+        self.outbox.acknowledged(token, heard, self._now)
+
+    def rejected(self, token: int, reason: str) -> None:
+        """The broker does not take a frame."""
+        frame = self.outbox.rejected(token)
+        self.refused("" if frame is None else frame.topic, reason)
+
+    def refused(self, topic: str, reason: str) -> None:
+        """Kept as a complaint until the next connection."""
+        if topic not in self.refusals:
+            if len(self.refusals) >= REFUSALS_MAX:
+                return
+            self._log("refused by the broker", channel=self.name, topic=topic, reason=reason)
+        self.refusals[topic] = f"{topic or self.name}: {reason}; look at the broker's ACL for this agent"
+
+    def received(self, topic: str, payload: bytes, properties: bytes) -> None:
+        """Publish a message's content, unless it was here before."""
+        incoming = self.incoming.get(topic)
+        if incoming is None:
+            incoming = self._find(topic, payload)
+        if incoming is None or not payload:
+            return  # a retained frame was taken back, or it is for nobody here
+        try:
+            incoming.receive(payload, properties, self._clock())
+        except InputError as error:
+            self.count_bad(topic, str(error))
+
+    def count_bad(self, topic: str, error: str) -> None:
+        """Something that cannot be carried; only the first one is told."""
+        self.bad_frames += 1
+        if self.bad_frames == 1:
+            self._log("frame refused", topic=topic, error=error)
+
+    def turn(self, now: float) -> None:
+        """Read, then hand over as much as the outbox lets go, then write. All events come within a turn."""
+        self._now = now
+        self.channel.turn(now)
+        if self.channel.complaint is None:
+            self._hand_over(now)
+        self.channel.flush()
+        for incoming in self.incoming.values():
+            if incoming.holding:
+                incoming.turn(now, self._clock())
+
+    def close(self) -> None:
+        """Hand over what the connection takes at once, then part from the broker."""
+        self.turn(self._now)
+        self.channel.close()
+        for gap in self.losses.close_all():
+            self._tell(gap.topic, [gap])
+
+    def _hand_over(self, now: float) -> None:
+        while (frame := self.outbox.next(now)) is not None:
+            gaps = self.losses.close(frame.name) if frame.name else []
+            if gaps:
+                self._tell(frame.name, gaps)
+                frame = replace(frame, properties=with_gaps(frame, gaps))
+            token = self.channel.publish(frame.topic, frame.payload, frame.retained, frame.properties)
+            if token is None:
+                self.outbox.give_back(frame)
+                return
+            self.outbox.sent(token, frame)
+
+    def _tell(self, topic: str, gaps: list[Gap]) -> None:
+        for gap in gaps:
+            self._log("messages dropped", channel=self.name, topic=topic, **gap.document())
+
+    def _find(self, topic: str, payload: bytes) -> Incoming | None:
+        """Where a message goes whose topic is not known by name."""
+        typed = topic.startswith(ika.TYPE_PREFIX)
+        name = topic.removeprefix(ika.TYPE_PREFIX) if typed else topic
+        incoming = self.incoming.get(name) or self._open(name)
+        if typed and incoming is not None and incoming.topic.format == MQTT_CLIENT:
+            self._announce(incoming, payload)
+        elif incoming is None and not any(_fits(one, topic) for one in self.filters):
+            kept = self.filters  # a session of the broker that is older than our settings
+            self.channel.unsubscribe([one for one in _wider(topic) if one not in kept])
+        return None if typed else incoming
+
+    def _open(self, topic: str) -> Incoming | None:
+        for general in self.general.values():
+            if _fits(general.filter, topic) and (incoming := self._opened(general, topic)) is not None:
+                self.incoming[topic] = incoming
+                return incoming
+        return None
+
+    def _announce(self, incoming: Incoming, payload: bytes) -> None:
+        """mqtt_client says what its messages are; then they are asked for."""
+        before = self.filters
+        try:
+            if payload:
+                incoming.announce(ika.decode_type(payload))
+        except InputError as error:
+            self.count_bad(incoming.topic.mqtt, str(error))
+        self._ask(before)
+
+
+def _filters(topic: BridgedTopic) -> Iterator[str]:
+    """What has to be subscribed at once: of mqtt_client the types, which say how to read the messages."""
+    yield ika.type_topic(topic.filter) if topic.format == MQTT_CLIENT else topic.filter
+
+
+def _fits(mqtt_filter: str, topic: str) -> bool:
+    levels, asked = topic.split("/"), mqtt_filter.split("/")
+    return len(levels) == len(asked) and all(a in ("+", b) for a, b in zip(asked, levels, strict=True))
+
+
+def _wider(topic: str) -> Iterator[str]:
+    """The filters of bridges that this topic fits."""
+    yield topic
+    levels = topic.split("/")
+    for place in range(len(levels)):
+        yield "/".join([*levels[:place], "+", *levels[place + 1 :]])
