@@ -10,7 +10,7 @@ import struct
 from dataclasses import dataclass, field
 
 ENCAPSULATION = 4
-LITTLE_ENDIAN = b"\x00\x01\x00\x00"
+LITTLE_ENDIAN, BIG_ENDIAN = b"\x00\x01\x00\x00", b"\x00\x00\x00\x00"
 NANOSECONDS = 1_000_000_000
 
 
@@ -67,15 +67,20 @@ class CdrReader:
 
 @dataclass
 class CdrWriter:
-    """Writes a little endian message; `data` is what was written so far."""
+    """Writes a message, little endian unless `data` begins as BIG_ENDIAN; `data` is what was written so far."""
 
     data: bytearray = field(default_factory=lambda: bytearray(LITTLE_ENDIAN))
+
+    @property
+    def order(self) -> str:
+        """The byte order as a code of `struct`."""
+        return "<" if self.data[1] & 1 else ">"
 
     def number(self, code: str, value: int | float) -> None:
         """Append a number."""
         size = struct.calcsize(code)
         self.data += bytes(_aligned(len(self.data), size) - len(self.data))
-        self.data += struct.pack("<" + code, value)
+        self.data += struct.pack(self.order + code, value)
 
     def text(self, value: str) -> None:
         """Append a text."""
