@@ -47,8 +47,7 @@ def segments() -> Figure:
 
         def ours() -> None:
             for number in range(CLOUDS):
-                writer.append(Received("/cloud", number, number, "", data), CLOUD_TYPE)
-                writer.synchronise()
+                writer.append([(Received("/cloud", number, number, "", data), CLOUD_TYPE)])
 
         with (Path(folder) / "plain").open("wb") as file:
 

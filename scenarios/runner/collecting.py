@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from robotkube.adapters.mongodb_pymongo import RECORDINGS, SAMPLES, SEGMENTS, Account, connect
+from robotkube.adapters.mongodb_pymongo import INDEX, RECORDINGS, SAMPLES, Account, connect
 from robotkube.domain.errors import RobotKubeError
 from scenarios.definition import Scenario, cloud_topic, pose_topic, transform_topic
 from scenarios.runner import storage
@@ -154,7 +154,7 @@ def stored(
         known = [storage.recording(document) for document in database[RECORDINGS].find()]
         mine = tuple(recording for recording in known if recording.event in events)
         names = {"recording": {"$in": [recording.name for recording in mine]}}
-        samples, index = list(database[SAMPLES].find(names)), list(database[SEGMENTS].find(names))
+        samples, index = list(database[SAMPLES].find(names)), list(database[INDEX].find(names))
         database.client.close()
     except Exception as error:
         raise RunError(f"database {account.host}:{account.port} as {account.username}: {error}") from error

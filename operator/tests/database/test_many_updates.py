@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from typing import Any
 
-from robotkube.adapters.mongodb_pymongo import SEGMENTS, PymongoRecordingStore
+from robotkube.adapters.mongodb_pymongo import INDEX, PymongoRecordingStore
 from robotkube.domain.recordings import Write
 
 RECORDERS, ENTRIES = 4, 150
@@ -18,8 +18,8 @@ def test_recorders_that_write_much_at_once_do_not_stop_the_database(server: Any)
     def record(number: int) -> None:
         store = PymongoRecordingStore(database)
         names = [f"{number}/{entry}" for entry in range(ENTRIES)]
-        store.write([Write(SEGMENTS, name, {"recording": str(number), "stored": None}) for name in names])
-        store.write([Write(SEGMENTS, name, {"stored": 1}, update=True) for name in names])
+        store.write([Write(INDEX, name, {"recording": str(number), "stored": None}) for name in names])
+        store.write([Write(INDEX, name, {"stored": 1}, update=True) for name in names])
 
     recorders = [threading.Thread(target=record, args=(number,), daemon=True) for number in range(RECORDERS)]
     for recorder in recorders:
@@ -27,4 +27,4 @@ def test_recorders_that_write_much_at_once_do_not_stop_the_database(server: Any)
     for recorder in recorders:
         recorder.join(SECONDS_MAX / RECORDERS)
     assert not any(recorder.is_alive() for recorder in recorders)
-    assert database[SEGMENTS].count_documents({"stored": 1}) == RECORDERS * ENTRIES
+    assert database[INDEX].count_documents({"stored": 1}) == RECORDERS * ENTRIES

@@ -3,27 +3,28 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from waiting import until
 
-from robotkube.adapters.mongodb_pymongo import (
-    Account,
-    BsonSpool,
-    PymongoRecordingReader,
-    PymongoRecordingStore,
-    connect,
-)
-from robotkube.adapters.segments_mcap import McapSegmentReader, McapSegments
-from robotkube.domain.detector_settings import RecordingReaction
+from robotkube.adapters.mongodb_pymongo import Account, PymongoRecordingReader, PymongoRecordingStore, connect
+from robotkube.adapters.segments_mcap import McapSegmentReader
+from robotkube.domain.buffers import Sample
+from robotkube.domain.recording_plans import RecordedTopic, RecordingPlan
 from robotkube.domain.recordings import LedgerLine
+from robotkube.domain.topics import TopicPattern
+from robotkube.entrypoints.claims import VolumeClaim
 from robotkube.ports.recordings import RecordingStore
-from robotkube.services.recorder import Recorder, RecorderPlace
+from robotkube.services.recording.places import BOUNDS, RecorderPlace, RecordingBounds
+from robotkube.services.recording.recorder import RecorderCounts
+from robotkube.services.recording.recordings import Recordings
 from robotkube.services.recordings import first_stored, list_recordings, stored_messages, verify
 
 DATABASE, VOLUME, RECORDING = "recordings_cloud_0", "cloud-0/recordings", "task-1"
@@ -31,14 +32,18 @@ POSE, CLOUD = "geometry_msgs/msg/PoseStamped", "sensor_msgs/msg/PointCloud2"
 POSES, CLOUDS = "/vehicles/vehicle_00/pose", "/vehicles/vehicle_00/cloud"
 BEGIN = 1_795_250_000_000_000_000
 MS = 1_000_000
-REACTION = RecordingReaction(
+PLAN = RecordingPlan(
     rule="everything",
     recording=RECORDING,
     volume="recordings",
-    storage={POSES: "document", CLOUDS: "segment"},
+    topics=(
+        RecordedTopic(TopicPattern(POSES), POSE, "document", latched=True),
+        RecordedTopic(TopicPattern(CLOUDS), CLOUD, "segment"),
+    ),
     trace="ab",
     provenance={"task": "cloud-0/t"},
 )
+STREAMING = replace(PLAN, topics=tuple(replace(topic, latched=False) for topic in PLAN.topics))
 
 
 class Bench:
@@ -47,7 +52,7 @@ class Bench:
     def __init__(self, server: Any, root: Path) -> None:
         self.server, self.root = server, root
         self.ledgers: dict[str, list[LedgerLine]] = {POSES: [], CLOUDS: []}
-        self.recorders: list[Recorder] = []
+        self.recorders: list[Recordings] = []
         self.account = Account("127.0.0.1", server.port, DATABASE, "recorder", "secret", DATABASE)
         server.create_account("recorder", "secret", DATABASE)
         self.database = connect(self.account)
@@ -55,25 +60,26 @@ class Bench:
     def open_store(self) -> RecordingStore:
         return PymongoRecordingStore(connect(self.account, answer_seconds_max=0.5))
 
-    def recorder(self, streams: frozenset[str] = frozenset(), **bounds: int) -> Recorder:
-        def open_segments() -> tuple[McapSegments, BsonSpool]:
-            return McapSegments(self.root, RECORDING, time.time_ns), BsonSpool(self.root, time.time_ns)
-
-        place = RecorderPlace(VOLUME, self.open_store, open_segments, time.time_ns, time.monotonic)
-        recorder = Recorder(REACTION, place, {POSES: POSE, CLOUDS: CLOUD}, streams, **bounds)
+    def recorder(self, plan: RecordingPlan = PLAN, bounds: RecordingBounds = BOUNDS) -> Recordings:
+        self.root.mkdir(exist_ok=True)
+        place = RecorderPlace(
+            VOLUME, self.open_store, lambda: VolumeClaim(self.root, RECORDING, time.time_ns), time.time_ns,
+            time.monotonic,
+        )  # fmt: skip
+        recorder = Recordings(plan, place, {}, bounds)
         self.recorders.append(recorder)
         recorder.start()
         return recorder
 
-    def offer(self, recorder: Recorder, topic: str, number: int, again: bool = False) -> None:
+    def offer(self, recorder: Recordings, topic: str, number: int, again: bool = False) -> None:
         large = topic == CLOUDS
         data = number.to_bytes(4, "little") * (80_000 if large else 30)
         stamp = BEGIN + number * (100 if large else 10) * MS
         if not again:
             self.ledgers[topic].append(LedgerLine(number, stamp, hashlib.sha256(data).hexdigest()))
-        recorder.offer(topic, CLOUD if large else POSE, REACTION.storage[topic], stamp, time.time_ns(), data)
+        recorder.offer(topic, CLOUD if large else POSE, Sample(stamp, time.time_ns(), data))
 
-    def second(self, recorder: Recorder, second: int) -> None:
+    def second(self, recorder: Recordings, second: int) -> None:
         """What arrives within one second."""
         for number in range(second * 100, second * 100 + 100):
             self.offer(recorder, POSES, number)
@@ -95,6 +101,11 @@ class Bench:
         assert verdict.topics[CLOUDS].stored == 10 * seconds
 
 
+def counts(recordings: Recordings) -> RecorderCounts:
+    (recorder,) = recordings.recorders
+    return recorder.counts
+
+
 @pytest.fixture
 def bench(server: Any, tmp_path: Path) -> Iterator[Bench]:
     bench = Bench(server, tmp_path / "claim")
@@ -105,8 +116,8 @@ def bench(server: Any, tmp_path: Path) -> Iterator[Bench]:
 
 
 def test_a_recording_is_complete_after_its_stop(bench: Bench) -> None:
-    recorder = bench.recorder()
     before = time.time_ns()
+    recorder = bench.recorder()
     for second in range(3):
         bench.second(recorder, second)
     assert recorder.stop(8.0)
@@ -128,7 +139,7 @@ def test_the_first_large_message_is_stored_at_once(bench: Bench) -> None:
     time.sleep(0.05)
     began = time.monotonic()
     bench.offer(recorder, CLOUDS, 0)
-    until(lambda: CLOUDS in recorder.counts.first_stored)
+    until(lambda: CLOUDS in counts(recorder).first_stored)
     assert time.monotonic() - began < 0.25
 
 
@@ -138,9 +149,9 @@ def test_messages_that_come_twice_are_stored_once(bench: Bench) -> None:
         for number in range(20):
             bench.offer(recorder, POSES, number, again=number in {line.sequence for line in bench.ledgers[POSES]})
             bench.offer(recorder, CLOUDS, number, again=number in {line.sequence for line in bench.ledgers[CLOUDS]})
-        until(lambda: recorder.counts.documents == 20)
+        until(lambda: recorder.counts()["documents"] == 20)
     assert recorder.stop(8.0)
-    assert recorder.counts.duplicates == 40
+    assert recorder.counts()["duplicates"] == 40
     verdict = verify(bench.reader, bench.segments, RECORDING, bench.ledgers, (BEGIN, BEGIN + 10**12))
     assert verdict.complete, verdict
 
@@ -164,8 +175,8 @@ def test_a_second_recorder_goes_on_without_storing_anything_again(bench: Bench) 
 def test_different_messages_of_one_stamp_are_both_kept(bench: Bench) -> None:
     recorder = bench.recorder()
     for data in (b"one" * 100, b"two" * 100):
-        recorder.offer(CLOUDS, CLOUD, "segment", BEGIN, BEGIN, data)
-        recorder.offer(POSES, POSE, "document", BEGIN, BEGIN, data)
+        recorder.offer(CLOUDS, CLOUD, Sample(BEGIN, BEGIN, data))
+        recorder.offer(POSES, POSE, Sample(BEGIN, BEGIN, data))
     assert recorder.stop(8.0)
     found = [(m.topic, m.sha256) for m in stored_messages(bench.reader, bench.segments, RECORDING)]
     assert len(set(found)) == len(found) == 4
@@ -180,12 +191,12 @@ def test_reception_goes_on_while_the_database_is_away(bench: Bench) -> None:
     for second in range(1, 4):
         bench.second(recorder, second)
     assert time.monotonic() - began < 1.0
-    until(lambda: recorder.counts.retries > 0 and recorder.counts.segments == 40)
+    until(lambda: recorder.counts()["retries"] > 0 and recorder.counts()["segments"] == 40)
     bench.server.start()
     until(lambda: recorder.waiting == 0)
     assert recorder.stop(8.0)
     bench.assert_complete(4)
-    assert recorder.counts.spooled == 0
+    assert recorder.counts()["spooled"] == 0
 
 
 def test_a_database_that_comes_late_gets_everything(bench: Bench) -> None:
@@ -209,8 +220,8 @@ def test_the_spool_carries_a_recording_over_a_missing_database(bench: Bench, dat
         until(lambda: first.ready)
         bench.server.kill()
     bench.second(first, 0)
-    assert not (first.stop(3.0) and first.counts.spooled == 0)
-    assert first.counts.spooled > 0
+    assert not (first.stop(3.0) and first.counts()["spooled"] == 0)
+    assert first.counts()["spooled"] > 0
     bench.server.start()
     second = bench.recorder()
     until(lambda: second.ready and second.waiting == 0)
@@ -221,13 +232,13 @@ def test_the_spool_carries_a_recording_over_a_missing_database(bench: Bench, dat
 
 
 def test_waiting_writes_are_bounded_by_the_spool(bench: Bench) -> None:
-    recorder = bench.recorder(waiting_bytes_max=50_000)
+    recorder = bench.recorder(bounds=RecordingBounds(waiting_bytes=50_000))
     until(lambda: recorder.ready)
     bench.server.kill()
     for second in range(6):
         bench.second(recorder, second)
         time.sleep(0.1)
-    until(lambda: recorder.counts.spooled > 0)
+    until(lambda: recorder.counts()["spooled"] > 0)
     bench.server.start()
     recorder.stop(8.0)
     successor = bench.recorder()
@@ -238,30 +249,30 @@ def test_waiting_writes_are_bounded_by_the_spool(bench: Bench) -> None:
 
 def test_a_claim_that_refuses_loses_nothing_once_it_takes_again(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     full, refused = threading.Event(), 0
-    write = McapSegments.synchronise
+    synchronise = os.fdatasync
 
-    def refuse(self: McapSegments) -> None:
+    def refuse(descriptor: int) -> None:
         nonlocal refused
         if full.is_set():
             refused += 1
-            self._give_up()
             raise OSError(28, "No space left on device")
-        write(self)
+        synchronise(descriptor)
 
-    monkeypatch.setattr(McapSegments, "synchronise", refuse)
+    monkeypatch.setattr("os.fdatasync", refuse)
     recorder = bench.recorder()
     bench.second(recorder, 0)
-    until(lambda: recorder.counts.segments == 10)
+    until(lambda: recorder.counts()["segments"] == 10)
     full.set()
     bench.second(recorder, 1)
     until(lambda: refused >= 3)
+    assert recorder.counts()["documents"] == 200, "documents do not wait for the volume"
     full.clear()
     assert recorder.stop(8.0)
     bench.assert_complete(2)
 
 
 def test_a_recording_begins_when_its_streams_flow(bench: Bench) -> None:
-    recorder = bench.recorder(streams=frozenset([POSES]))
+    recorder = bench.recorder(STREAMING)
     for number in range(3):
         bench.offer(recorder, CLOUDS, number)  # stamps 0, 100, 200 ms: nobody knows yet which poses will be missing
     for number in range(25, 100):
@@ -270,26 +281,26 @@ def test_a_recording_begins_when_its_streams_flow(bench: Bench) -> None:
     for number in range(3, 10):
         bench.offer(recorder, CLOUDS, number)
     assert recorder.stop(8.0)
-    assert recorder.counts.early == 4
+    assert recorder.counts()["early"] == 4
     stored = [m.stamp for m in stored_messages(bench.reader, bench.segments, RECORDING) if m.topic == CLOUDS]
     assert stored == [BEGIN + number * 100 * MS for number in range(3, 10)]
 
 
 def test_a_silent_stream_does_not_hold_the_recording_up_for_ever(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("robotkube.services.recorder.BEGIN_SECONDS_MAX", 0.2)
-    recorder = bench.recorder(streams=frozenset([POSES]))
+    monkeypatch.setattr("robotkube.services.recording.recorder.BEGIN_SECONDS_MAX", 0.2)
+    recorder = bench.recorder(STREAMING)
     bench.offer(recorder, CLOUDS, 0)
     time.sleep(0.25)
     bench.offer(recorder, CLOUDS, 1)
     assert recorder.stop(8.0)
-    assert (recorder.counts.early, recorder.counts.segments) == (1, 1)
+    assert (recorder.counts()["early"], recorder.counts()["segments"]) == (1, 1)
 
 
 def test_an_error_of_ours_is_told_and_never_called_complete(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object) -> None:
         raise KeyError("a mistake")
 
-    monkeypatch.setattr("robotkube.services.recorder.bucket_documents", fail)
+    monkeypatch.setattr("robotkube.services.recording.recorder.bucket_documents", fail)
     recorder = bench.recorder()
     bench.offer(recorder, POSES, 0)
     until(lambda: recorder.failed != "")

@@ -39,8 +39,7 @@ def open_segments(tmp_path: Path) -> Iterator[Callable[..., McapSegments]]:
 def test_every_message_is_found_by_its_place(tmp_path: Path, open_segments: Callable[..., McapSegments]) -> None:
     segments = open_segments(bytes_max=5000)
     sent = [message(n, f"/cloud{n % 2}", 500 + n) for n in range(20)]
-    places = [segments.append(item, CLOUD) for item in sent]
-    segments.synchronise()
+    places = [place for item in sent for place in segments.append([(item, CLOUD)])]
     reader = McapSegmentReader({"cloud-0/recordings": tmp_path})
     assert len({place.segment for place in places}) > 2
     for item, place in zip(sent, places, strict=True):
@@ -50,7 +49,7 @@ def test_every_message_is_found_by_its_place(tmp_path: Path, open_segments: Call
 def test_finished_segments_are_ordinary_mcap(tmp_path: Path, open_segments: Callable[..., McapSegments]) -> None:
     segments = open_segments()
     for n in range(5):
-        segments.append(message(n), CLOUD)
+        segments.append([(message(n), CLOUD)])[0]
     segments.close()
     (path,) = tmp_path.rglob("*.mcap")
     with path.open("rb") as file:
@@ -73,8 +72,7 @@ def test_an_unfinished_segment_is_read_record_by_record(
 ) -> None:
     segments = open_segments()
     for n in range(5):
-        segments.append(message(n), CLOUD)
-    segments.synchronise()
+        segments.append([(message(n), CLOUD)])[0]
     (path,) = tmp_path.rglob("*.mcap")
     with path.open("rb") as file:
         records = itertools.islice(StreamReader(file, record_size_limit=None).records, 3 + 5)
@@ -86,35 +84,36 @@ def test_a_second_writer_of_the_recording_leaves_the_first_ones_files(
     open_segments: Callable[..., McapSegments],
 ) -> None:
     first = open_segments(now=1)
-    one = first.append(message(1), CLOUD)
+    one = first.append([(message(1), CLOUD)])[0]
     second = open_segments(now=2)
-    two = second.append(message(2), CLOUD)
+    two = second.append([(message(2), CLOUD)])[0]
     assert one.segment != two.segment
 
 
-def test_a_refusing_volume_gives_the_segment_up(
+def test_a_refusing_volume_keeps_what_was_safe_and_goes_on_in_the_same_file(
     tmp_path: Path, open_segments: Callable[..., McapSegments], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     segments = open_segments()
-    segments.append(message(1), CLOUD)
+    (first,) = segments.append([(message(1), CLOUD)])
 
     def refuse(_: int) -> None:
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patched:
-        patched.setattr("os.fsync", refuse)
+        patched.setattr("os.fdatasync", refuse)
         with pytest.raises(OSError, match="No space left"):
-            segments.synchronise()
-    place = segments.append(message(2), CLOUD)
-    segments.synchronise()
-    assert place.segment.endswith("-0002.mcap")
-    assert McapSegmentReader({"n/c": tmp_path}).read("n/c", place, 1000) == message(2).data
+            segments.append([(message(2), CLOUD)])
+    (second,) = segments.append([(message(3), CLOUD)])
+    assert second.segment == first.segment
+    segments.close()
+    (path,) = tmp_path.rglob("*.mcap")
+    with path.open("rb") as file:
+        assert [m.data for _, _, m in make_reader(file).iter_messages()] == [message(1).data, message(3).data]
 
 
 def test_what_cannot_be_read_is_named(tmp_path: Path, open_segments: Callable[..., McapSegments]) -> None:
     segments = open_segments()
-    place = segments.append(message(1), CLOUD)
-    segments.synchronise()
+    place = segments.append([(message(1), CLOUD)])[0]
     reader = McapSegmentReader({"n/c": tmp_path})
     for volume, wrong, size, text in [
         ("edge-0/recordings", place, 1000, "claim recordings of node edge-0 is not within reach"),

@@ -19,7 +19,7 @@ class Detector:
 
     def __init__(self, after_seconds: float) -> None:
         self.after_seconds, self.waiting, self.taken, self.stopped_at = after_seconds, 0, 0, 0.0
-        self.recorders = (SimpleNamespace(stop=self.stop),)
+        self.recordings = (SimpleNamespace(stop=self.stop),)
 
     def turn(self) -> int:
         found, self.waiting = self.waiting, 0

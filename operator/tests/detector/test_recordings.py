@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from robotkube.domain.recordings import (
     Duplicates,
+    FoundMessage,
     LedgerLine,
     Received,
     SegmentPlace,
@@ -118,10 +119,10 @@ def test_buckets_hold_everything_once_and_are_named_by_content(items: list[Recei
 
 
 def test_index_entries_are_told_apart_when_stamps_are_equal() -> None:
-    message = Received("/c", 5, 6, digest("x"), b"x")
-    entry = index_document("r", message, SegmentPlace("r/1.mcap", 9), "n/c", distinct=False)
+    message = FoundMessage("/c", 5, 6, digest("x"), 1, SegmentPlace("r/1.mcap", 9))
+    entry = index_document("r", message, "n/c", distinct=False)
     assert (entry["_id"], entry["stored"], entry["size"]) == ("r//c/5", None, 1)
-    assert index_document("r", message, SegmentPlace("r/1.mcap", 9), "n/c", distinct=True)["_id"] != entry["_id"]
+    assert index_document("r", message, "n/c", distinct=True)["_id"] != entry["_id"]
 
 
 def test_duplicates_are_bounded_and_exact() -> None:

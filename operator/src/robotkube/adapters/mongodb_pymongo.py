@@ -1,33 +1,33 @@
 """The recordings' database over MongoDB's protocol: MongoDB itself, or FerretDB in the embedded profile.
 
-Only what both have is used: insert, find, update by `_id`, one index per collection. Library errors are translated:
+Only what both have is used: insert, find, update by `_id` ($set, $addToSet), one index per collection. Library errors
+are translated:
 whatever may pass (network, server away, account not there yet) becomes UnavailableError.
 """
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+import itertools
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import bson
 from bson.errors import BSONError
 from pymongo import MongoClient, UpdateOne
 from pymongo.database import Database
-from pymongo.errors import BulkWriteError, DuplicateKeyError, PyMongoError
+from pymongo.errors import BulkWriteError, DocumentTooLarge, PyMongoError
 
 from robotkube.domain.errors import DocumentError, UnavailableError
-from robotkube.domain.recordings import Write
+from robotkube.domain.recordings import AUDITS, INDEX, RECORDINGS, SAMPLES, SEGMENTS, Write
 
-RECORDINGS, SAMPLES, SEGMENTS = "recordings", "samples", "segments_index"
 ANSWER_SECONDS_MAX = 5.0
 WRITE_BYTES_MAX = 8 * 1024 * 1024
 # FerretDB holds one of its 100 connections to a database per update until the whole command is answered: more than
 # that, by all recorders together, and it waits for itself for ever.
 UPDATES_AT_ONCE_MAX = 10
+_INDEXED = (SAMPLES, INDEX, SEGMENTS, AUDITS)
 _DUPLICATE_KEY = 11000
 _ACCOUNT_KEYS = ("username", "password", "host", "port", "database", "authenticationDatabase")
 
@@ -70,6 +70,8 @@ def read_account(folder: Path) -> Account:
 def _translated(doing: str) -> Iterator[None]:
     try:
         yield
+    except (DocumentTooLarge, BSONError) as error:
+        raise DocumentError(f"database, {doing}", [str(error)[:500]]) from error
     except PyMongoError as error:
         text = " ".join(str(error).partition(", Topology Description")[0].split())
         raise UnavailableError(f"database, {doing}: {text[:500]}") from error
@@ -99,19 +101,7 @@ class PymongoRecordingStore:
 
     def __init__(self, database: Database[dict[str, Any]]) -> None:
         self._database = database
-
-    def begin(self, recording: str, document: Mapping[str, Any], volume: str) -> None:
-        """Make the recording's document; take an existing one up again: not ended, `volume` among its volumes."""
-        with _translated(f"beginning recording {recording}"):
-            collection = self._database[RECORDINGS]
-            try:
-                collection.insert_one({**document, "_id": recording, "volumes": [volume], "ended": None})
-            except DuplicateKeyError:
-                found = collection.find_one({"_id": recording}) or {}
-                volumes = list(dict.fromkeys([*found.get("volumes", []), volume]))
-                collection.update_one({"_id": recording}, {"$set": {"volumes": volumes, "ended": None}})
-            for name in (SAMPLES, SEGMENTS):
-                self._database[name].create_index([("recording", 1), ("topic", 1)])
+        self._indexed: set[str] = set()
 
     def known(self, recording: str) -> Iterable[tuple[str, int, str]]:
         """Topic, stamp, SHA-256 of every stored message of the recording."""
@@ -121,15 +111,20 @@ class PymongoRecordingStore:
                 for sample in bucket["samples"]:
                     yield bucket["topic"], sample["stamp"], sample["sha256"]
             fields = {"topic": 1, "stamp": 1, "sha256": 1}
-            for entry in self._database[SEGMENTS].find({"recording": recording}, fields):
+            for entry in self._database[INDEX].find({"recording": recording}, fields):
                 yield entry["topic"], entry["stamp"], entry["sha256"]
 
+    def audits(self, recording: str) -> Sequence[Mapping[str, Any]]:
+        """The recording's audits."""
+        return _audits(self._database, recording)
+
     def write(self, writes: Sequence[Write]) -> None:
-        """Insert and update, in this order; what is there already stays as it is."""
-        for collection in dict.fromkeys(write.collection for write in writes):
-            mine = [write for write in writes if write.collection == collection]
-            self._insert(collection, [write for write in mine if not write.update])
-            self._update(collection, [write for write in mine if write.update])
+        """Insert and update in this order; what is there already stays as it is."""
+        for (collection, update), group in itertools.groupby(writes, lambda write: (write.collection, write.update)):
+            if update:
+                self._update(collection, list(group))
+            else:
+                self._insert(collection, list(group))
 
     def ping(self) -> None:
         """Returns when the database answers a reading command of this account."""
@@ -141,6 +136,10 @@ class PymongoRecordingStore:
         self._database.client.close()
 
     def _insert(self, collection: str, writes: Sequence[Write]) -> None:
+        if collection in _INDEXED and collection not in self._indexed:
+            with _translated(f"indexing {collection}"):
+                self._database[collection].create_index([("recording", 1), ("topic", 1)])
+            self._indexed.add(collection)
         for part in _parts(writes):
             documents = [{**write.document, "_id": write.id} for write in part]
             with _translated(f"writing {len(documents)} documents to {collection}"):
@@ -152,11 +151,20 @@ class PymongoRecordingStore:
                         raise
 
     def _update(self, collection: str, writes: Sequence[Write]) -> None:
-        if writes:
-            with _translated(f"updating {len(writes)} documents of {collection}"):
-                changes = [UpdateOne({"_id": write.id}, {"$set": dict(write.document)}) for write in writes]
-                for start in range(0, len(changes), UPDATES_AT_ONCE_MAX):
-                    self._database[collection].bulk_write(changes[start : start + UPDATES_AT_ONCE_MAX], ordered=False)
+        with _translated(f"updating {len(writes)} documents of {collection}"):
+            changes = [UpdateOne({"_id": write.id}, _change(write)) for write in writes]
+            for start in range(0, len(changes), UPDATES_AT_ONCE_MAX):
+                self._database[collection].bulk_write(changes[start : start + UPDATES_AT_ONCE_MAX], ordered=True)
+
+
+def _change(write: Write) -> dict[str, Any]:
+    change: dict[str, Any] = {"$set": dict(write.document)} if write.document else {}
+    return {**change, "$addToSet": dict(write.add)} if write.add else change
+
+
+def _audits(database: Database[dict[str, Any]], recording: str) -> Sequence[Mapping[str, Any]]:
+    with _translated(f"reading audits of {recording}"):
+        return list(database[AUDITS].find({"recording": recording}))
 
 
 def _parts(writes: Sequence[Write]) -> Iterator[list[Write]]:
@@ -191,7 +199,16 @@ class PymongoRecordingReader:
     def index(self, recording: str) -> Iterable[Mapping[str, Any]]:
         """The recording's index entries of large messages."""
         with _translated(f"reading the index of {recording}"):
-            yield from self._database[SEGMENTS].find({"recording": recording}, batch_size=1000)
+            yield from self._database[INDEX].find({"recording": recording}, batch_size=1000)
+
+    def segments(self, recording: str) -> Sequence[Mapping[str, Any]]:
+        """The recording's finished files."""
+        with _translated(f"reading the segments of {recording}"):
+            return list(self._database[SEGMENTS].find({"recording": recording}))
+
+    def audits(self, recording: str) -> Sequence[Mapping[str, Any]]:
+        """The recording's audits."""
+        return _audits(self._database, recording)
 
 
 class PymongoCollections:
@@ -216,53 +233,3 @@ class PymongoCollections:
         with _translated("clearing"):
             for name in self.counts():
                 self._database.drop_collection(name)
-
-
-class BsonSpool:
-    """Writes that the database has not taken, as BSON files `spool/<ns>-<recording>.bson` on the claim."""
-
-    def __init__(self, root: Path, clock_ns: Callable[[], int]) -> None:
-        self._folder, self._clock_ns = root / "spool", clock_ns
-
-    def put(self, recording: str, writes: Sequence[Write]) -> None:
-        """Keep them in a new file that appears only when it is complete and on the disk."""
-        self._folder.mkdir(parents=True, exist_ok=True)
-        path = self._folder / f"{self._clock_ns():020d}-{recording.replace('/', '_')}.bson"
-        unfinished = path.with_suffix(".part")
-        with unfinished.open("wb") as file:
-            for write in writes:
-                file.write(bson.encode(_record(write)))
-            file.flush()
-            os.fsync(file.fileno())
-        unfinished.rename(path)
-        folder = os.open(self._folder, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
-
-    def batches(self) -> Sequence[str]:
-        """Names of the files, oldest first."""
-        return sorted(path.name for path in self._folder.glob("*.bson"))
-
-    def read(self, batch: str) -> Sequence[Write]:
-        """The writes of one file; DocumentError when it is damaged."""
-        try:
-            with (self._folder / batch).open("rb") as file:
-                return [Write(**values) for values in bson.decode_file_iter(file)]
-        except (BSONError, TypeError) as error:
-            raise DocumentError(str(self._folder / batch), [f"is damaged: {error}"]) from error
-
-    def remove(self, batch: str) -> None:
-        """Delete the file."""
-        (self._folder / batch).unlink(missing_ok=True)
-
-
-def _record(write: Write) -> dict[str, Any]:
-    return {
-        "collection": write.collection,
-        "id": write.id,
-        "document": dict(write.document),
-        "update": write.update,
-        "size": write.size,
-    }

@@ -13,7 +13,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 DOCUMENT, SEGMENT = "document", "segment"
+RECORDINGS, SAMPLES, INDEX, SEGMENTS, AUDITS = "recordings", "samples", "segments_index", "segments", "audits"
 SECOND_NS = 1_000_000_000
+DOCUMENT_BYTES_MAX = 128 * 1024
+BUCKET_BYTES_MAX = 512 * 1024
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,23 +39,64 @@ class SegmentPlace:
 
 
 @dataclass(frozen=True)
+class ClosedSegment:
+    """A segment that nobody writes any more. `sha256`: hex digest of the whole file; `cut`: bytes of an unfinished
+    record that were cut off its end because its writer was killed."""
+
+    segment: str
+    sha256: str
+    size: int
+    messages: int
+    cut: int = 0
+
+
+@dataclass(frozen=True)
+class FoundMessage:
+    """A large message found in a segment: what its index entry needs, its bytes aside."""
+
+    topic: str
+    stamp: int
+    received: int
+    sha256: str
+    size: int
+    place: SegmentPlace
+
+
+@dataclass(frozen=True)
 class Write:
     """One change of the recordings' database: `document` is put at `_id` `id` if nothing is there; with `update` its
-    fields are set in the document that is there. Doing it twice changes nothing."""
+    fields are set in the document that is there, and the values of `add` are added to its lists that lack them. Doing
+    it twice changes nothing."""
 
     collection: str
     id: str
     document: Mapping[str, Any]
     update: bool = False
     size: int = 0
+    add: Mapping[str, Any] = field(default_factory=dict)
+
+
+def messages_of(write: Write) -> tuple[str, list[int]]:
+    """Topic and stamps of the messages that are lost without this write; no stamps when it carries none."""
+    if write.update or write.collection not in (SAMPLES, INDEX):
+        return "", []
+    if write.collection == INDEX:
+        return write.document["topic"], [write.document["stamp"]]
+    return write.document["topic"], [sample["stamp"] for sample in write.document["samples"]]
 
 
 def bucket_documents(recording: str, messages: Sequence[Received]) -> list[dict[str, Any]]:
-    """One bucket per topic and whole second of stamp, oldest first; `_id` ends with a digest of its content."""
-    buckets: dict[tuple[str, int], list[Received]] = {}
+    """One bucket per topic and whole second of stamp, oldest first; `_id` ends with a digest of its content.
+
+    A second with more than BUCKET_BYTES_MAX has several."""
+    buckets: dict[tuple[str, int, int], list[Received]] = {}
+    part = size = 0
     for message in sorted(messages, key=lambda message: (message.topic, message.stamp)):
-        buckets.setdefault((message.topic, message.stamp // SECOND_NS), []).append(message)
-    return [_bucket(recording, topic, second, content) for (topic, second), content in buckets.items()]
+        if size + len(message.data) > BUCKET_BYTES_MAX:
+            part, size = part + 1, 0
+        size += len(message.data)
+        buckets.setdefault((message.topic, message.stamp // SECOND_NS, part), []).append(message)
+    return [_bucket(recording, topic, second, content) for (topic, second, _), content in buckets.items()]
 
 
 def _bucket(recording: str, topic: str, second: int, messages: Sequence[Received]) -> dict[str, Any]:
@@ -67,9 +111,7 @@ def _bucket(recording: str, topic: str, second: int, messages: Sequence[Received
     }
 
 
-def index_document(
-    recording: str, message: Received, place: SegmentPlace, volume: str, distinct: bool = False
-) -> dict[str, Any]:
+def index_document(recording: str, message: FoundMessage, volume: str, distinct: bool = False) -> dict[str, Any]:
     """The index entry of a large message whose segment is synchronised. `volume`: `<node>/<claim>`.
 
     `stored` is null until the entry's own acknowledgement is known: a second write sets it to that time.
@@ -83,11 +125,25 @@ def index_document(
         "stamp": message.stamp,
         "received": message.received,
         "sha256": message.sha256,
-        "size": len(message.data),
+        "size": message.size,
         "volume": volume,
-        "segment": place.segment,
-        "offset": place.offset,
+        "segment": message.place.segment,
+        "offset": message.place.offset,
         "stored": None,
+    }
+
+
+def segment_document(recording: str, closed: ClosedSegment, volume: str) -> dict[str, Any]:
+    """What is known of a whole file; `_id` names its place."""
+    return {
+        "_id": f"{volume}/{closed.segment}",
+        "recording": recording,
+        "volume": volume,
+        "segment": closed.segment,
+        "sha256": closed.sha256,
+        "size": closed.size,
+        "messages": closed.messages,
+        "cut": closed.cut,
     }
 
 
@@ -98,6 +154,10 @@ class Duplicates:
         self._stamps_max = stamps_max
         self._topics: dict[str, dict[int, tuple[int, ...]]] = {}
         self.dropped = 0
+
+    def fresh(self, topic: str, stamp: int) -> bool:
+        """Whether no message of the topic has this stamp, so that nobody needs its digest to know that it is new."""
+        return stamp not in self._topics.get(topic, ())
 
     def admit(self, topic: str, stamp: int, sha256: str) -> bool:
         """Whether this message is new; it is remembered."""

@@ -138,6 +138,12 @@ class _Explained:
     def index(self, recording: str) -> Iterator[Mapping[str, Any]]:
         yield from self.reader.index(recording)
 
+    def segments(self, recording: str) -> Sequence[Mapping[str, Any]]:
+        return self.reader.segments(recording)
+
+    def audits(self, recording: str) -> Sequence[Mapping[str, Any]]:
+        return self.reader.audits(recording)
+
 
 def _readers(options: argparse.Namespace) -> Readers:
     platform = Platform(options)

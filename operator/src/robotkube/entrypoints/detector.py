@@ -32,16 +32,17 @@ from robotkube.domain.detector_settings import (
     read_detector_settings,
 )
 from robotkube.domain.errors import DocumentError, InputError, RefusalError
-from robotkube.domain.recordings import DOCUMENT
+from robotkube.domain.recording_plans import RecordedTopic, RecordingPlan
 from robotkube.domain.texts import read_mapping
 from robotkube.entrypoints.processes import PodSettings, Process, read_text, run, until_removed
 from robotkube.services.event_detector import EventDetector
 from robotkube.services.operator_reactions import OperatorReactions
-from robotkube.services.recorder import Recorder, RecorderPlace
+from robotkube.services.recording.places import RecorderPlace
+from robotkube.services.recording.recordings import Recordings
 
 if TYPE_CHECKING:
     from robotkube.adapters.kubernetes_http import ApiServer, ConfigMapWatch
-    from robotkube.ports.recordings import RecordingStore, Segments, Spool
+    from robotkube.ports.recordings import Claim, RecordingStore
 
 DRAIN_SECONDS = 0.02
 LAST_DRAIN_SECONDS_MAX = 0.5
@@ -67,14 +68,14 @@ def body(process: Process) -> None:
     detector = EventDetector(
         Live(node),
         lambda settings: make_operator(settings, pod),
-        lambda reaction, settings: make_recorder(reaction, settings, pod),
+        lambda reaction, settings: make_recordings(reaction, settings, pod),
         time.time_ns,
         time.monotonic,
     )
     detector.apply(settings)
     process.log("subscribed", name=settings.name, subscriptions=detector.subscribed, seconds=_process_age_seconds())
     server = HealthServer(
-        live=lambda: next((recorder.failed for recorder in detector.recorders if recorder.failed), None),
+        live=lambda: next((one.failed for one in detector.recordings if one.failed), None),
         ready=lambda: detector.not_ready or None,
         metrics=lambda: metrics(detector),
         pages={
@@ -118,8 +119,8 @@ def _change(process: Process, detector: EventDetector, text: str) -> None:
     except InputError as error:
         process.log("settings refused", error=str(error))
         return
-    for recorder in ended:
-        recorder.stop(STORE_SECONDS_MAX)
+    for recordings in ended:
+        recordings.stop(STORE_SECONDS_MAX)
 
 
 def _end(process: Process, detector: EventDetector) -> None:
@@ -131,7 +132,7 @@ def _end(process: Process, detector: EventDetector) -> None:
     deadline = time.monotonic() + LAST_DRAIN_SECONDS_MAX
     while detector.turn() and time.monotonic() < deadline:
         time.sleep(DRAIN_SECONDS)
-    complete = [recorder.stop(STORE_SECONDS_MAX) for recorder in detector.recorders]
+    complete = [recordings.stop(STORE_SECONDS_MAX) for recordings in detector.recordings]
     process.log("stopped", recordings=len(complete), complete=all(complete))
 
 
@@ -226,32 +227,39 @@ def make_operator(settings: DetectorSettings, pod: PodSettings) -> OperatorReact
     return reactions
 
 
-def make_recorder(reaction: RecordingReaction, settings: DetectorSettings, pod: PodSettings) -> Recorder:
-    """A started recorder for one recording."""
+def make_recordings(reaction: RecordingReaction, settings: DetectorSettings, pod: PodSettings) -> Recordings:
+    """The started recording reaction."""
     node = os.environ.get("NODE_NAME", "")
     if not node:
         raise InputError("NODE_NAME is not set; a recording's index names the node: set it from spec.nodeName")
     root = Path(os.environ.get("ROBOTKUBE_RECORDINGS", RECORDINGS_FOLDER))
-    recorded = {topic.pattern.text: topic.type for topic in settings.topics if topic.pattern.text in reaction.storage}
-    topics = {name: {"type": kind, "storage": reaction.storage[name]} for name, kind in recorded.items()}
     place = RecorderPlace(
         volume=f"{node}/{reaction.volume}",
         open_store=lambda: _open_store(pod),
-        open_segments=lambda: _open_segments(root, reaction.recording),
+        open_claim=lambda: _open_claim(root, reaction.recording),
         clock_ns=time.time_ns,
         monotonic=time.monotonic,
     )
-    recorder = Recorder(reaction, place, topics, _streams(reaction, settings))
-    recorder.start()
-    return recorder
+    recordings = Recordings(recording_plan(reaction, settings), place, {})
+    recordings.start()
+    return recordings
 
 
-def _streams(reaction: RecordingReaction, settings: DetectorSettings) -> frozenset[str]:
-    """The topics whose first message belongs to the recording's begin: small, one by name, and said again and again."""
-    return frozenset(
-        topic.pattern.text
+def recording_plan(reaction: RecordingReaction, settings: DetectorSettings) -> RecordingPlan:
+    """What the reaction asks for, with what the settings say of its topics."""
+    topics = tuple(
+        RecordedTopic(topic.pattern, topic.type, reaction.storage[topic.pattern.text], latched=topic.latched)
         for topic in settings.topics
-        if reaction.storage.get(topic.pattern.text) == DOCUMENT and not topic.latched and not topic.pattern.general
+        if topic.pattern.text in reaction.storage
+    )
+    return RecordingPlan(
+        rule=reaction.rule,
+        recording=reaction.recording,
+        volume=reaction.volume,
+        topics=topics,
+        after_seconds=reaction.after_seconds,
+        trace=reaction.trace,
+        provenance=reaction.provenance,
     )
 
 
@@ -261,13 +269,10 @@ def _open_store(pod: PodSettings) -> RecordingStore:
     return PymongoRecordingStore(connect(read_account(pod.database_folder)))
 
 
-def _open_segments(root: Path, recording: str) -> tuple[Segments, Spool]:
-    from robotkube.adapters.mongodb_pymongo import BsonSpool
-    from robotkube.adapters.segments_mcap import McapSegments
+def _open_claim(root: Path, owner: str) -> Claim:
+    from robotkube.entrypoints.claims import VolumeClaim
 
-    if not os.access(root, os.W_OK):
-        raise PermissionError(f"{root} is no folder that can be written; is the claim mounted there?")
-    return McapSegments(root, recording, time.time_ns), BsonSpool(root, time.time_ns)
+    return VolumeClaim(root, owner, time.time_ns)
 
 
 def _settings(text: str, where: str) -> DetectorSettings:
@@ -298,12 +303,11 @@ def metrics(detector: EventDetector) -> str:
         lines.append(f'robotkube_detector_received_total{{topic="{name}"}} {topic["received"]}')
     edges = detector.events_document()["events"]
     lines += ["# TYPE robotkube_detector_edges gauge", f"robotkube_detector_edges {len(edges)}"]
-    for recorder in detector.recorders:
-        label = f'recording="{recorder.reaction.recording}"'
-        lines.append(f"robotkube_recorder_waiting_writes{{{label}}} {recorder.waiting}")
-        for key, value in vars(recorder.counts).items():
-            if isinstance(value, int):
-                lines.append(f"robotkube_recorder_{key}_total{{{label}}} {value}")
+    for recordings in detector.recordings:
+        label = f'recording="{recordings.plan.recording}"'
+        lines.append(f"robotkube_recorder_waiting_writes{{{label}}} {recordings.waiting}")
+        for key, value in recordings.counts().items():
+            lines.append(f"robotkube_recorder_{key}_total{{{label}}} {value}")
     return "\n".join(lines) + "\n"
 
 

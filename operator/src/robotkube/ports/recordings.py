@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Protocol
 
-from robotkube.domain.recordings import Received, SegmentPlace, Write
+from robotkube.domain.recordings import ClosedSegment, FoundMessage, Received, SegmentPlace, Write
 
 
 class RecordingStore(Protocol):
-    """The database of one agent's recordings. Every method raises UnavailableError when it does not answer."""
-
-    def begin(self, recording: str, document: Mapping[str, Any], volume: str) -> None:
-        """Make the recording's document, or take up an existing one: `ended` becomes null, `volume` is added."""
-        ...
+    """The database of one agent's recordings, for two threads. Every method raises UnavailableError when it does not
+    answer. Collections are made by the first write to them."""
 
     def known(self, recording: str) -> Iterable[tuple[str, int, str]]:
         """Topic, stamp and SHA-256 of every message that is stored already."""
         ...
 
+    def audits(self, recording: str) -> Sequence[Mapping[str, Any]]:
+        """The documents of `audits` that belong to the recording."""
+        ...
+
     def write(self, writes: Sequence[Write]) -> None:
-        """Do all writes; returns when the database has acknowledged them."""
+        """Do all writes in their order; returns when the database has acknowledged them. DocumentError: it can never
+        take one of them."""
         ...
 
     def ping(self) -> None:
@@ -47,46 +50,111 @@ class RecordingReader(Protocol):
         """The documents of `segments_index` that belong to the recording."""
         ...
 
-
-class Segments(Protocol):
-    """Appends large messages to MCAP files of one recording."""
-
-    def append(self, message: Received, type_name: str) -> SegmentPlace:
-        """Write one message; it is safe only after the next `synchronise`. OSError when the volume refuses."""
+    def segments(self, recording: str) -> Sequence[Mapping[str, Any]]:
+        """The documents of `segments` that belong to the recording."""
         ...
 
-    def synchronise(self) -> None:
-        """Returns when everything appended is on the disk."""
+    def audits(self, recording: str) -> Sequence[Mapping[str, Any]]:
+        """The documents of `audits` that belong to the recording."""
+        ...
+
+
+class Segments(Protocol):
+    """Appends large messages to MCAP files of one recording. Used by one thread."""
+
+    def append(self, messages: Sequence[tuple[Received, str]]) -> Sequence[SegmentPlace]:
+        """Write messages with their types and return when they are on the disk.
+
+        The answer has the places of as many as are there, from the first one on.
+
+        OSError when the volume refuses the first: then nothing is kept and all may be appended again. ValueError names
+        a message that no segment can hold."""
+        ...
+
+    def settle(self, bytes_max: int) -> None:
+        """Do some of the work that `close` would have to do: go through at most so many bytes of the file."""
         ...
 
     def close(self) -> None:
         """Finish the open file (index and footer)."""
         ...
 
+    def closed(self) -> Sequence[ClosedSegment]:
+        """The files finished since the last call."""
+        ...
+
+
+class SegmentRepair(Protocol):
+    """Finishes the segments below a claim whose writers are gone."""
+
+    def unfinished(self) -> Sequence[str]:
+        """Paths below the claim of files without an end that nobody writes."""
+        ...
+
+    def repair(self, segment: str) -> tuple[ClosedSegment | None, Sequence[FoundMessage]]:
+        """Cut the file behind its last whole record, give it an end, and say what is in it.
+
+        None: somebody else writes or has repaired it, or it held no message and is gone. OSError when the volume
+        refuses."""
+        ...
+
 
 class SegmentReader(Protocol):
-    """Reads messages back from the segments of all volumes within reach."""
+    """Reads back from the segments of all volumes within reach."""
 
     def read(self, volume: str, place: SegmentPlace, size: int) -> bytes:
         """The message's bytes; UnavailableError when the volume is not within reach or the file has no such message."""
         ...
 
-
-class Spool(Protocol):
-    """Writes that the database has not taken yet, kept on the claim."""
-
-    def put(self, recording: str, writes: Sequence[Write]) -> None:
-        """Keep them; returns when they are on the disk. OSError when the volume refuses."""
+    def digest(self, volume: str, segment: str) -> tuple[str, int]:
+        """SHA-256 and size of the whole file; UnavailableError as `read`."""
         ...
 
-    def batches(self) -> Sequence[str]:
-        """Names of what is kept, oldest first."""
+
+@dataclass(frozen=True)
+class Batch:
+    """A part of the spool. `size`: bytes it takes; `given_up`: its messages are gone, what is there tells of it."""
+
+    name: str
+    size: int
+    given_up: bool
+
+
+class Spool(Protocol):
+    """Writes that the database has not taken yet, kept on the claim. OSError: the volume refuses."""
+
+    def put(self, writes: Sequence[Write]) -> None:
+        """Keep them; returns when they are on the disk. After an OSError nothing of them is there."""
+        ...
+
+    def batches(self) -> Sequence[Batch]:
+        """What is kept, oldest first."""
         ...
 
     def read(self, batch: str) -> Sequence[Write]:
-        """The writes of one batch."""
+        """The writes of one batch; DocumentError when it is damaged or gone."""
+        ...
+
+    def give_up(self, batch: str, writes: Sequence[Write]) -> None:
+        """Make room: these few writes take the place of a batch, in the order too; needs no room of its own."""
         ...
 
     def remove(self, batch: str) -> None:
-        """Forget a batch that was written."""
+        """Forget a batch."""
+        ...
+
+
+class Claim(Protocol):
+    """The volume that a recorder writes to. Every method raises OSError when the volume is not there."""
+
+    def segments(self, recording: str) -> Segments:
+        """A new writer for a recording."""
+        ...
+
+    def spool(self) -> Spool:
+        """The spool."""
+        ...
+
+    def repairs(self) -> SegmentRepair:
+        """What finishes files of writers that are gone."""
         ...

@@ -25,7 +25,7 @@ from robotkube.domain.detector_settings import (
 from robotkube.domain.errors import DocumentError
 from robotkube.domain.messages import STAMPED_TYPES, header_stamp
 from robotkube.services.operator_reactions import EventRecord, OperatorReactions
-from robotkube.services.recorder import Recorder
+from robotkube.services.recording.recordings import Recordings
 
 if TYPE_CHECKING:
     from robotkube.ports.robots import LiveTopics, TopicInput
@@ -86,13 +86,13 @@ class _Topic:
     buffer: RingBuffer
     stamped: bool
     rules: list[tuple[RuleState, str]] = field(default_factory=list)
-    recorders: list[tuple[Recorder, str]] = field(default_factory=list)
+    recordings: list[Recordings] = field(default_factory=list)
 
 
 class EventDetector:
     """Everything of one detector but its threads and its clock.
 
-    `make_operator` and `make_recorder` give started reactions; they are called when settings ask for them, after the
+    `make_operator` and `make_recordings` give started reactions; they are called when settings ask for them, after the
     subscriptions are made.
     """
 
@@ -100,32 +100,32 @@ class EventDetector:
         self,
         live: LiveTopics,
         make_operator: Callable[[DetectorSettings], OperatorReactions],
-        make_recorder: Callable[[RecordingReaction, DetectorSettings], Recorder],
+        make_recordings: Callable[[RecordingReaction, DetectorSettings], Recordings],
         clock_ns: Callable[[], int],
         monotonic: Callable[[], float],
     ) -> None:
-        self._live, self._make_operator, self._make_recorder = live, make_operator, make_recorder
+        self._live, self._make_operator, self._make_recordings = live, make_operator, make_recordings
         self._operator: OperatorReactions | None = None
         self._clock_ns, self._monotonic = clock_ns, monotonic
         self.started = clock_ns()
         self._settings = DetectorSettings("", ())
         self._topics: dict[str, _Topic] = {}
         self._rules: dict[str, RuleState] = {}
-        self._recorders: dict[str, Recorder] = {}
+        self._recordings: dict[str, tuple[RecordingReaction, Recordings]] = {}
         self._events: deque[EventRecord] = deque(maxlen=EVENTS_MAX)
         self._discovered_at = float("-inf")
         self._adopted = True
         self.problem = ""
 
     @property
-    def recorders(self) -> tuple[Recorder, ...]:
-        """The recorders at work."""
-        return tuple(self._recorders.values())
+    def recordings(self) -> tuple[Recordings, ...]:
+        """The recording reactions at work."""
+        return tuple(recordings for _, recordings in self._recordings.values())
 
     @property
     def after_seconds(self) -> float:
         """How long the recordings go on once the process is asked to end."""
-        return max((recorder.reaction.after_seconds for recorder in self.recorders), default=0.0)
+        return max((recordings.plan.after_seconds for recordings in self.recordings), default=0.0)
 
     @property
     def subscribed(self) -> int:
@@ -143,11 +143,11 @@ class EventDetector:
             return f"not subscribed yet: {', '.join(missing) or 'no settings'}"
         if self._operator is not None and not self._operator.reachable:
             return "the API server has not answered yet"
-        waiting = [recorder.reaction.recording for recorder in self.recorders if not recorder.ready]
+        waiting = [recordings.plan.recording for recordings in self.recordings if not recordings.ready]
         return f"database or claim has not answered yet: {', '.join(waiting)}" if waiting else ""
 
-    def apply(self, settings: DetectorSettings) -> list[Recorder]:
-        """Take new settings; running events and unchanged recordings go on. Returns recorders that the caller ends."""
+    def apply(self, settings: DetectorSettings) -> list[Recordings]:
+        """Take new settings; running events and unchanged recordings go on. Returns recordings that the caller ends."""
         if settings == self._settings:
             return []
         before, self._settings = self._settings, settings
@@ -160,7 +160,7 @@ class EventDetector:
         # after the subscriptions: reactions import and connect beside, and that takes time from everything else
         if settings.operators and self._operator is None:
             self._operator, self._adopted = self._make_operator(settings), False
-        ended = self._renew_recorders()
+        ended = self._renew_recordings()
         for topic in self._topics.values():
             self._connect(topic)
         numbers = len(settings.topics), len(settings.rules), len(settings.reactions)
@@ -203,9 +203,10 @@ class EventDetector:
                 topic.counter.malformed += 1
                 return
         topic.counter.count(stamp, received)
-        topic.buffer.insert(Sample(stamp, received, data))
-        for recorder, storage in topic.recorders:
-            recorder.offer(topic.name, topic.settings.type, storage, stamp, received, data)
+        sample = Sample(stamp, received, data)
+        topic.buffer.insert(sample)
+        for recordings in topic.recordings:
+            recordings.offer(topic.name, topic.settings.type, sample)
         if topic.rules and self._adopted:
             self._evaluate(topic, data, stamp, received)
 
@@ -283,13 +284,15 @@ class EventDetector:
             if edge not in kept:
                 self._keep_or_end(edge) if same_chain else self._end(edge)
 
-    def _renew_recorders(self) -> list[Recorder]:
+    def _renew_recordings(self) -> list[Recordings]:
         wanted = {reaction.recording: reaction for reaction in self._settings.recordings}
-        ended = [r for name, r in self._recorders.items() if wanted.get(name) != r.reaction]
-        self._recorders = {name: r for name, r in self._recorders.items() if r not in ended}
+        ended = [
+            recordings for name, (reaction, recordings) in self._recordings.items() if wanted.get(name) != reaction
+        ]
+        self._recordings = {name: pair for name, pair in self._recordings.items() if pair[1] not in ended}
         for name, reaction in wanted.items():
-            if name not in self._recorders:
-                self._recorders[name] = self._make_recorder(reaction, self._settings)
+            if name not in self._recordings:
+                self._recordings[name] = reaction, self._make_recordings(reaction, self._settings)
         return ended
 
     def _expected(self) -> Iterator[tuple[str, TopicSettings]]:
@@ -343,8 +346,6 @@ class EventDetector:
             if not isinstance(state.rule, AlwaysRule) and state.rule.topic == pattern
             if not isinstance(state.rule, ProximityRule) or agent in state.rule.agents
         ]
-        topic.recorders = [
-            (recorder, recorder.reaction.storage[pattern.text])
-            for recorder in self._recorders.values()
-            if pattern.text in recorder.reaction.storage
+        topic.recordings = [
+            recordings for recordings in self.recordings if recordings.plan.topic(topic.name) is not None
         ]

@@ -1,0 +1,153 @@
+"""Finishes segments whose writers were killed: cut behind the last whole record, summary and footer written."""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from io import BufferedRandom, BytesIO
+from pathlib import Path
+
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Schema
+
+from robotkube.adapters.segments_mcap.records import MAGIC, MESSAGE, RECORD, Contents
+from robotkube.domain.recordings import ClosedSegment, FoundMessage, SegmentPlace
+
+FILES_MAX = 10_000
+SMALL_RECORD_BYTES_MAX = 16 * 1024 * 1024
+_READ_BYTES = 1024 * 1024
+
+
+class McapRepair:
+    """Looks after all segments below `root`."""
+
+    def __init__(self, root: Path) -> None:
+        self._root = root
+
+    def unfinished(self) -> Sequence[str]:
+        """Files without an end that nobody writes, oldest name first; at most FILES_MAX files are looked at."""
+        files = sorted(self._root.glob("*/*.mcap"))[-FILES_MAX:]
+        return [str(path.relative_to(self._root)) for path in files if not _ended(path) and not _busy(path)]
+
+    def repair(self, segment: str) -> tuple[ClosedSegment | None, Sequence[FoundMessage]]:
+        """Finish one file, as the port says."""
+        path = self._root / segment
+        with _locked(path) as file:
+            if file is None or _ended(path):
+                return None, ()
+            scan = _Scan(segment, file)
+            scan.run()
+            if not scan.found:
+                path.unlink()
+                return None, ()
+            return _finish(segment, file, scan), scan.found
+
+
+def _finish(segment: str, file: BufferedRandom, scan: _Scan) -> ClosedSegment:
+    cut = os.fstat(file.fileno()).st_size - scan.end
+    os.ftruncate(file.fileno(), scan.end)
+    file.seek(scan.end)
+    file.write(scan.contents.ending(scan.end))
+    file.flush()
+    os.fsync(file.fileno())
+    file.seek(0)
+    digest = hashlib.file_digest(file, "sha256").hexdigest()
+    return ClosedSegment(segment, digest, file.tell(), scan.contents.messages, cut)
+
+
+class _Scan:
+    """Goes through the records of one file. `end`: where the last whole record of the data ends."""
+
+    def __init__(self, segment: str, file: BufferedRandom) -> None:
+        self._segment, self._file = segment, file
+        self.contents, self.found, self.end = Contents(), list[FoundMessage](), 0
+
+    def run(self) -> None:
+        """Up to the first record that is not whole, not of a writer of ours, or the end of the data."""
+        if self._file.read(len(MAGIC)) != MAGIC:
+            return
+        self.end = len(MAGIC)
+        size = os.fstat(self._file.fileno()).st_size
+        while True:
+            prefix = self._file.read(RECORD.size)
+            if len(prefix) < RECORD.size:
+                return
+            opcode, length = RECORD.unpack(prefix)
+            if self.end + RECORD.size + length > size or not self._take(opcode, length):
+                return
+            self.end += RECORD.size + length
+
+    def _take(self, opcode: int, length: int) -> bool:
+        if opcode == Opcode.MESSAGE:
+            return length >= MESSAGE.size and self._message(length - MESSAGE.size)
+        if opcode not in (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL) or length > SMALL_RECORD_BYTES_MAX:
+            return False
+        stream = ReadDataStream(BytesIO(self._file.read(length)))
+        try:
+            if opcode == Opcode.SCHEMA:
+                schema = Schema.read(stream)
+                self.contents.schemas[schema.id] = schema
+            elif opcode == Opcode.CHANNEL:
+                channel = Channel.read(stream)
+                self.contents.channels[channel.id] = channel
+        except (McapError, ValueError, OSError):
+            return False
+        return True
+
+    def _message(self, size: int) -> bool:
+        number, _, received, stamp = MESSAGE.unpack(self._file.read(MESSAGE.size))
+        channel = self.contents.channels.get(number)
+        if channel is None:
+            return False
+        sha256 = self._digest(size)
+        place = SegmentPlace(self._segment, self.end)
+        self.found.append(FoundMessage(channel.topic, stamp, received, sha256, size, place))
+        self.contents.count(number, received)
+        return True
+
+    def _digest(self, size: int) -> str:
+        digest = hashlib.sha256()
+        while size:
+            data = self._file.read(min(size, _READ_BYTES))
+            digest.update(data)
+            size -= len(data)
+        return digest.hexdigest()
+
+
+def _ended(path: Path) -> bool:
+    """Whether the file has the magic of its end; a file that is gone needs nothing either."""
+    try:
+        with path.open("rb") as file:
+            if os.fstat(file.fileno()).st_size < 2 * len(MAGIC):
+                return False
+            file.seek(-len(MAGIC), os.SEEK_END)
+            return file.read() == MAGIC
+    except FileNotFoundError:
+        return True
+
+
+def _busy(path: Path) -> bool:
+    with _locked(path) as file:
+        return file is None
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[BufferedRandom | None]:
+    """The file, locked as its writer would; None when somebody has it or it is gone."""
+    try:
+        file = path.open("r+b")
+    except FileNotFoundError:
+        yield None
+        return
+    with file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            yield None
+            return
+        yield file

@@ -1,0 +1,234 @@
+"""Appends messages to the current segment of one recording."""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import os
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from robotkube.adapters.segments_mcap.definitions import definition
+from robotkube.adapters.segments_mcap.records import (
+    CHANNELS_MAX,
+    MESSAGE_BYTES_MAX,
+    STAMP_MAX,
+    Contents,
+    beginning,
+    message_prefix,
+)
+from robotkube.domain.recordings import ClosedSegment, Received, SegmentPlace
+
+SEGMENT_BYTES_MAX = 256 * 1024 * 1024
+PARTS_AT_ONCE_MAX = 1000  # of the 1024 that the kernel takes (IOV_MAX)
+HASH_BYTES = 1024 * 1024
+
+
+@dataclass
+class _File:
+    """The open segment. `size`: bytes that are safe on the disk; `hashed`: how many of them are in `digest`."""
+
+    name: str
+    descriptor: int
+    size: int = 0
+    hashed: int = 0
+    contents: Contents = field(default_factory=Contents)
+    digest: Any = field(default_factory=hashlib.sha256)
+
+
+class McapSegments:
+    """Appends to the current segment; begins a new one when it is full (`bytes_max`)."""
+
+    def __init__(
+        self,
+        root: Path,
+        recording: str,
+        clock_ns: Callable[[], int],
+        bytes_max: int = SEGMENT_BYTES_MAX,
+        share: Path | None = None,
+    ) -> None:
+        self._root, self._recording = root, recording
+        self._started, self._number, self._bytes_max = clock_ns(), 0, bytes_max
+        self._share = share or Path(sys.prefix) / "share"
+        self._file: _File | None = None
+        self._closed: list[ClosedSegment] = []
+        self._definitions: dict[str, str] = {}
+
+    def append(self, messages: Sequence[tuple[Received, str]]) -> Sequence[SegmentPlace]:
+        """Write the messages behind the others and return when they are on the disk, as the port says."""
+        for message, type_name in messages:
+            check(message, type_name)
+        places: list[SegmentPlace] = []
+        rest = list(messages)
+        while rest:
+            try:
+                file = self._present()
+                part = _fitting(rest, self._bytes_max - file.size)
+                places += self._append(file, part)
+            except OSError:
+                if places:
+                    break
+                raise
+            rest = rest[len(part) :]
+        return places
+
+    def settle(self, bytes_max: int) -> None:
+        """Take so many bytes of the file into its digest, as they are on the disk."""
+        file = self._file
+        if file is None:
+            return
+        end = min(file.size, file.hashed + bytes_max)
+        while file.hashed < end:
+            data = os.pread(file.descriptor, min(HASH_BYTES, end - file.hashed), file.hashed)
+            if not data:
+                raise OSError(5, f"{file.name} is shorter than what was written to it")
+            file.digest.update(data)
+            file.hashed += len(data)
+
+    def close(self) -> None:
+        """Finish the current segment: summary, footer, on the disk. Without a segment nothing happens.
+
+        After an OSError the file stays without end, for the next writer's repair."""
+        file, self._file = self._file, None
+        if file is None:
+            return
+        try:
+            self._file = file
+            ending = file.contents.ending(file.size)
+            _write(file, [ending], file.contents)
+            self.settle(file.size)
+            closed = ClosedSegment(file.name, file.digest.hexdigest(), file.size, file.contents.messages)
+            self._closed.append(closed)
+        finally:
+            self._file = None
+            os.close(file.descriptor)
+
+    def closed(self) -> Sequence[ClosedSegment]:
+        """The files finished since the last call."""
+        found, self._closed = self._closed, []
+        return found
+
+    def _present(self) -> _File:
+        if self._file is not None and self._file.size >= self._bytes_max:
+            self.close()
+        if self._file is None:
+            self._file = self._open()
+        return self._file
+
+    def _open(self) -> _File:
+        self._number += 1
+        name = f"{self._recording}/{self._started}-{self._number:04d}.mcap"
+        path = self._root / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = _File(name, os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o644))
+        try:
+            fcntl.flock(file.descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            _write(file, [beginning()], file.contents)
+            _synchronise_folder(path.parent)
+        except OSError:
+            os.close(file.descriptor)
+            path.unlink(missing_ok=True)
+            raise
+        return file
+
+    def _append(self, file: _File, messages: Sequence[tuple[Received, str]]) -> list[SegmentPlace]:
+        contents, position = file.contents.copy(), file.size
+        known = {channel.topic: channel.id for channel in contents.channels.values()}
+        parts: list[bytes] = []
+        places = []
+        for message, type_name in messages:
+            channel = known.get(message.topic)
+            if channel is None:
+                made, records = contents.channel(message.topic, type_name, self._definition(type_name))
+                channel = known[message.topic] = made.id
+                parts.append(records)
+                position += len(records)
+            sequence = contents.counts.get(channel, 0) % 2**32
+            prefix = message_prefix(channel, sequence, message.received, message.stamp, len(message.data))
+            places.append(SegmentPlace(file.name, position))
+            parts += (prefix, message.data)
+            position += len(prefix) + len(message.data)
+            contents.count(channel, message.received)
+        self._keep(file, parts, contents)
+        return places
+
+    def _keep(self, file: _File, parts: list[bytes], contents: Contents) -> None:
+        try:
+            _write(file, parts, contents)
+        except OSError:
+            if not _shortened(file):
+                self._file = None
+                os.close(file.descriptor)
+            raise
+
+    def _definition(self, type_name: str) -> str:
+        if type_name not in self._definitions:
+            self._definitions[type_name] = definition(type_name, self._share)
+        return self._definitions[type_name]
+
+
+def check(message: Received, type_name: str) -> None:
+    """ValueError when no segment can hold the message."""
+    for what, number in (("stamp", message.stamp), ("time of reception", message.received)):
+        if not 0 <= number <= STAMP_MAX:
+            raise ValueError(f"{message.topic}: its {what} {number} is none of a segment's")
+    if len(message.data) > MESSAGE_BYTES_MAX:
+        raise ValueError(f"{message.topic}: {len(message.data)} bytes of {type_name} are more than a segment holds")
+
+
+def _fitting(messages: Sequence[tuple[Received, str]], room: int) -> Sequence[tuple[Received, str]]:
+    """As many as there is room for, at least one."""
+    size = 0
+    for number, (message, _) in enumerate(messages):
+        size += len(message.data)
+        if size > room or number >= CHANNELS_MAX:
+            return messages[: max(1, number)]
+    return messages
+
+
+def _write(file: _File, parts: list[bytes], contents: Contents) -> None:
+    """Append, synchronise, and only then count it."""
+    size = file.size
+    for start in range(0, len(parts), PARTS_AT_ONCE_MAX):
+        size += _write_parts(file.descriptor, parts[start : start + PARTS_AT_ONCE_MAX])
+    os.fdatasync(file.descriptor)
+    file.size, file.contents = size, contents
+
+
+def _write_parts(descriptor: int, parts: list[bytes]) -> int:
+    """All of them, although the system may take less at once; the number of bytes."""
+    views = [memoryview(part) for part in parts if part]
+    total = sum(len(view) for view in views)
+    written = 0
+    while views:
+        taken = os.writev(descriptor, views)
+        written += taken
+        while views and taken >= len(views[0]):
+            taken -= len(views.pop(0))
+        if views and taken:
+            views[0] = views[0][taken:]
+    assert written == total
+    return written
+
+
+def _shortened(file: _File) -> bool:
+    """Whether the file is again what was safe before; then it may be gone on with.
+
+    After a failed synchronisation nobody knows what the disk has: the file is left."""
+    with suppress(OSError):
+        os.ftruncate(file.descriptor, file.size)
+        os.fsync(file.descriptor)
+        return True
+    return False
+
+
+def _synchronise_folder(path: Path) -> None:
+    folder = os.open(path, os.O_RDONLY)  # the file's name has to survive, too
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)

@@ -1,0 +1,95 @@
+"""Writes that the database has not taken, as BSON files below a claim: `spool/<ns>-<number>-<owner>.bson`."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import bson
+from bson.errors import BSONError
+
+from robotkube.domain.errors import DocumentError
+from robotkube.domain.recordings import Write
+from robotkube.ports.recordings import Batch
+
+_GIVEN_UP = "-given-up"
+
+
+class BsonSpool:
+    """The spool of a claim. `owner` is the part of the names that tells who wrote a file."""
+
+    def __init__(self, root: Path, owner: str, clock_ns: Callable[[], int]) -> None:
+        self._folder, self._owner, self._clock_ns = root / "spool", owner.replace("/", "_"), clock_ns
+        self._number = 0
+        for path in self._folder.glob(f"*-{self._owner}.part"):
+            path.unlink(missing_ok=True)  # of an earlier process that was killed while it wrote
+
+    def put(self, writes: Sequence[Write]) -> None:
+        """Keep them in a new file that appears only when it is complete and on the disk."""
+        self._folder.mkdir(parents=True, exist_ok=True)
+        self._number += 1
+        path = self._folder / f"{self._clock_ns():020d}-{self._number:06d}-{self._owner}.bson"
+        unfinished = path.with_suffix(".part")
+        try:
+            with unfinished.open("wb") as file:
+                for write in writes:
+                    file.write(bson.encode(_record(write)))
+                file.flush()
+                os.fsync(file.fileno())
+            unfinished.rename(path)
+        except OSError:
+            with suppress(OSError):
+                unfinished.unlink(missing_ok=True)
+            raise
+        folder = os.open(self._folder, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+    def batches(self) -> Sequence[Batch]:
+        """The files, oldest first."""
+        found = []
+        for path in sorted(self._folder.glob("*.bson")):
+            with suppress(FileNotFoundError):
+                found.append(Batch(path.name, path.stat().st_size, path.stem.endswith(_GIVEN_UP)))
+        return found
+
+    def read(self, batch: str) -> Sequence[Write]:
+        """The writes of one file; DocumentError when it is damaged or gone."""
+        path = self._folder / batch
+        try:
+            with path.open("rb") as file:
+                return [Write(**values) for values in bson.decode_file_iter(file)]
+        except FileNotFoundError as error:
+            raise DocumentError(str(path), ["is gone: another recorder has brought it in"]) from error
+        except (BSONError, TypeError) as error:
+            raise DocumentError(str(path), [f"is damaged: {error}"]) from error
+
+    def give_up(self, batch: str, writes: Sequence[Write]) -> None:
+        """Overwrite the file's begin and cut it there: on a full disk there is no room for another one."""
+        path = self._folder / batch
+        with suppress(FileNotFoundError), path.open("r+b") as file:
+            file.write(b"".join(bson.encode(_record(write)) for write in writes))
+            file.truncate()
+            file.flush()
+            os.fsync(file.fileno())
+            path.rename(path.with_name(f"{path.stem}{_GIVEN_UP}.bson"))
+
+    def remove(self, batch: str) -> None:
+        """Delete the file."""
+        (self._folder / batch).unlink(missing_ok=True)
+
+
+def _record(write: Write) -> dict[str, Any]:
+    return {
+        "collection": write.collection,
+        "id": write.id,
+        "document": dict(write.document),
+        "update": write.update,
+        "size": write.size,
+        "add": dict(write.add),
+    }

@@ -1,0 +1,219 @@
+"""The audit of a recording: per topic what was received, stored and dropped, where, why and from which stamp to which.
+
+Pure. Every writer of a recording (a detector from its start to its end) keeps audits of its own, so nobody has to
+know what an earlier one wrote; a reader adds them up. Stamps are integers in ns since 1970.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+GAPS_MAX = 1000
+STAMPS_KEPT_MAX = 100_000
+REGULAR_STAMPS_MIN = 10
+REGULAR_SHARE_MIN = 0.9
+REGULAR_TOLERANCE = 0.2
+HOLE_PERIODS = 1.5
+
+QUEUE, VOLUME, SPOOL, MEMORY, RECORDER, SOURCE, BUFFER = (
+    "queue", "volume", "spool", "memory", "recorder", "source", "buffer",
+)  # fmt: skip
+KILLED, MISSING, OVERFLOW, EVICTED = "killed", "missing in what was received", "full", "left the buffer before"
+
+Interval = tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """Messages of a topic that are not in storage. `where`: the part that does not have them; `why`: in words.
+
+    `count`: how many; None when nobody can know (a killed process). `first`, `last`: stamps they lie between, both
+    included.
+    """
+
+    topic: str
+    where: str
+    why: str
+    count: int | None
+    first: int
+    last: int
+
+    def document(self) -> dict[str, Any]:
+        """As it is stored in the audit of its topic."""
+        return {"where": self.where, "why": self.why, "count": self.count, "first": self.first, "last": self.last}
+
+    def covers(self, stamp: int) -> bool:
+        """Whether a missing message with this stamp is explained by it."""
+        return self.first <= stamp <= self.last
+
+
+def read_gap(topic: str, values: Mapping[str, Any]) -> Gap:
+    """A gap from its stored form."""
+    return Gap(topic, values["where"], values["why"], values["count"], values["first"], values["last"])
+
+
+@dataclass
+class TopicAudit:
+    """What one writer did with the messages of one topic.
+
+    `received = stored + early + duplicates + dropped + waiting`; `stored` counts what was handed to the journal, which
+    keeps order: once the database has this audit it has these messages, too, or the journal's own audit says why not.
+    `changed`: there is a gap that nobody has written down yet.
+    """
+
+    topic: str
+    received: int = 0
+    stored: int = 0
+    early: int = 0
+    duplicates: int = 0
+    first: int | None = None
+    last: int | None = None
+    gaps: list[Gap] = field(default_factory=list)
+    changed: bool = False
+    _holes: list[Gap] = field(default_factory=list)
+    _joinable: bool = False
+    _stamps: array[int] = field(default_factory=lambda: array("q"))
+
+    @property
+    def dropped(self) -> int:
+        """Messages that were received and are not in storage, as far as they were counted."""
+        return sum(gap.count or 0 for gap in self.gaps)
+
+    @property
+    def waiting(self) -> int:
+        """Messages that were received and are not settled yet."""
+        return self.received - self.stored - self.early - self.duplicates - self.dropped
+
+    def receive(self, stamp: int) -> None:
+        """A message of this stamp was taken in."""
+        self.received += 1
+        self.first = stamp if self.first is None or stamp < self.first else self.first
+        self.last = stamp if self.last is None or stamp > self.last else self.last
+        self._stamps.append(stamp)
+        if len(self._stamps) > STAMPS_KEPT_MAX:
+            self._settle_older()
+
+    def leave_out(self) -> None:
+        """A message that was received came before the begin."""
+        self.early += 1
+
+    def store(self, count: int) -> None:
+        """So many were handed to the journal."""
+        self.stored += count
+        self._joinable = False
+
+    def drop(self, where: str, why: str, stamp: int) -> None:
+        """A message that was received is given up. Neighbours of one reason are one gap; beyond GAPS_MAX all are."""
+        last = self.gaps[-1] if self.gaps else None
+        full = len(self.gaps) >= GAPS_MAX
+        if last is None or not (full or (self._joinable and (last.where, last.why) == (where, why))):
+            self.gaps.append(Gap(self.topic, where, why, 1, stamp, stamp))
+        else:
+            count = None if last.count is None else last.count + 1
+            span = min(last.first, stamp), max(last.last, stamp)
+            self.gaps[-1] = Gap(self.topic, last.where, last.why, count, *span)
+        self._joinable = self.changed = True
+
+    def lack(self, gap: Gap) -> None:
+        """Messages are missing that were never received here."""
+        self.gaps.append(gap)
+        self._joinable, self.changed = False, True
+
+    def document(self, holes_within: Sequence[Interval] | None = None) -> dict[str, Any]:
+        """The audit as it is stored; with `holes_within` also what is missing in the received stamps of each of these
+        intervals."""
+        found = self.gaps + self._holes
+        if holes_within is not None:
+            found += [self._hole(hole) for hole in _holes_of(self._stamps, holes_within)]
+        return {
+            "topic": self.topic,
+            "window": None if self.first is None else [self.first, self.last],
+            "received": self.received,
+            "stored": self.stored,
+            "early": self.early,
+            "duplicates": self.duplicates,
+            "dropped": self.dropped,
+            "gaps": [gap.document() for gap in sorted(found, key=lambda gap: (gap.first, gap.last))],
+        }
+
+    def _settle_older(self) -> None:
+        """Look for holes in the older half of the stamps and forget it."""
+        stamps = sorted(self._stamps)
+        middle = len(stamps) // 2
+        self._holes += [self._hole(hole) for hole in holes(stamps[: middle + 1])]
+        self._stamps = array("q", stamps[middle:])
+
+    def _hole(self, hole: tuple[int, int, int]) -> Gap:
+        first, last, count = hole
+        return Gap(self.topic, SOURCE, MISSING, count, first, last)
+
+
+def _holes_of(stamps: Iterable[int], intervals: Sequence[Interval]) -> Iterable[tuple[int, int, int]]:
+    for first, last in intervals:
+        yield from holes([stamp for stamp in stamps if first <= stamp <= last])
+
+
+def holes(stamps: Iterable[int]) -> list[tuple[int, int, int]]:
+    """Where stamps of a regular topic are missing: first and last missing stamp, and how many.
+
+    Regular: nine of ten distances lie within a fifth of the median. Of other topics nobody can say that something is
+    missing: they have no holes. An even period gives the exact number.
+    """
+    ordered = sorted(set(stamps))
+    distances = [later - earlier for earlier, later in pairwise(ordered)]
+    if len(ordered) < REGULAR_STAMPS_MIN:
+        return []
+    period = sorted(distances)[len(distances) // 2]
+    regular = sum(abs(distance - period) <= REGULAR_TOLERANCE * period for distance in distances)
+    if regular < REGULAR_SHARE_MIN * len(distances):
+        return []
+    return [
+        (earlier + period, later - period, round((later - earlier) / period) - 1)
+        for earlier, later in pairwise(ordered)
+        if later - earlier >= HOLE_PERIODS * period
+    ]
+
+
+@dataclass(frozen=True)
+class AuditSum:
+    """All audits of one topic of a recording together. `open`: a writer has not ended its own; `exact`: nothing that
+    cannot be counted happened."""
+
+    topic: str
+    received: int = 0
+    stored: int = 0
+    early: int = 0
+    duplicates: int = 0
+    dropped: int = 0
+    gaps: tuple[Gap, ...] = ()
+    open: bool = False
+
+    @property
+    def exact(self) -> bool:
+        """Whether every number is known."""
+        return not self.open and all(gap.count is not None for gap in self.gaps)
+
+    def unexplained(self, found: int) -> int:
+        """With `found` messages in storage: received ones that are neither there nor accounted for."""
+        return self.received - self.early - self.duplicates - self.dropped - found if self.exact else 0
+
+
+def add_up(documents: Iterable[Mapping[str, Any]]) -> dict[str, AuditSum]:
+    """Topic -> sum of its audits."""
+    sums: dict[str, AuditSum] = {}
+    for document in documents:
+        topic = document["topic"]
+        known = sums.get(topic, AuditSum(topic))
+        numbers = {
+            name: getattr(known, name) + document[name]
+            for name in ("received", "stored", "early", "duplicates", "dropped")
+        }
+        gaps = tuple(read_gap(topic, values) for values in document["gaps"])
+        sums[topic] = AuditSum(
+            topic=topic, gaps=known.gaps + gaps, open=known.open or not document["closed"], **numbers
+        )
+    return sums

@@ -1,0 +1,41 @@
+"""Where a recording goes, and the bounds on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from robotkube.ports.recordings import Claim, RecordingStore
+
+ROUND_SECONDS = 0.25
+QUEUE_BYTES_MAX = 256 * 1024 * 1024
+WAITING_BYTES_MAX = 64 * 1024 * 1024
+SPOOL_BYTES_MAX = 1024 * 1024 * 1024
+
+
+@dataclass(frozen=True)
+class RecorderPlace:
+    """Where a recorder stores. The openers are called on threads of the recording, so that importing and connecting do
+    not delay the subscriptions; `volume` is `<node>/<claim>`."""
+
+    volume: str
+    open_store: Callable[[], RecordingStore]
+    open_claim: Callable[[], Claim]
+    clock_ns: Callable[[], int]
+    monotonic: Callable[[], float]
+
+
+@dataclass(frozen=True)
+class RecordingBounds:
+    """What may wait: messages in a recording's queue; writes in memory before they are spooled; the spool on the claim.
+
+    When the volume refuses the spool, writes of twice `waiting_bytes` wait in memory, then the oldest are dropped."""
+
+    queue_bytes: int = QUEUE_BYTES_MAX
+    waiting_bytes: int = WAITING_BYTES_MAX
+    spool_bytes: int = SPOOL_BYTES_MAX
+
+
+BOUNDS = RecordingBounds()

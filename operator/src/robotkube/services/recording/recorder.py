@@ -1,0 +1,551 @@
+"""One recording: hash, drop duplicates, append large messages to segments, hand documents to the journal.
+
+`offer` (called by the receiving thread) appends to a queue. The recorder's own thread takes batches from it. A message
+is hashed beside the writing of the segment (hashing and writing let go of the interpreter), and a file is hashed as a
+whole behind its messages, when they are safe already.
+
+A recording that is asked to begins when its streams flow: subscriptions of different topics are matched at different
+moments, and a cloud without the poses of its time would only look like a loss. So large messages measured before the
+first message of every stream are not stored; they are counted in `early`. A silent stream holds the begin up for
+BEGIN_SECONDS_MAX.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from robotkube.domain.audits import KILLED, QUEUE, RECORDER, VOLUME, Gap, Interval, TopicAudit
+from robotkube.domain.recording_plans import FOREVER
+from robotkube.domain.recordings import (
+    AUDITS,
+    DOCUMENT_BYTES_MAX,
+    RECORDINGS,
+    SAMPLES,
+    SEGMENT,
+    Duplicates,
+    FoundMessage,
+    Received,
+    SegmentPlace,
+    Write,
+    bucket_documents,
+)
+from robotkube.services.recording.journal import AUDIT_BYTES, NO_SPACE, Journal
+from robotkube.services.recording.places import BOUNDS, ROUND_SECONDS, RecorderPlace, RecordingBounds
+from robotkube.services.recording.repairing import index_write, segment_write
+
+if TYPE_CHECKING:
+    from robotkube.ports.recordings import RecordingStore, Segments
+
+BATCH_BYTES = 4 * 1024 * 1024
+BATCH_BYTES_MAX = 128 * 1024 * 1024
+SETTLED_BYTES_PER_ROUND = 16 * 1024 * 1024
+AUDIT_SECONDS = 5.0
+BEGIN_SECONDS_MAX = 3.0
+KNOWN_SECONDS_MAX = 5.0
+
+log = logging.getLogger(__name__)
+
+
+@dataclass
+class RecorderCounts:
+    """What happened to the offered messages; numbers only grow. `first_stored`: topic -> time of its first index
+    acknowledgement, ns."""
+
+    offered: int = 0
+    early: int = 0
+    dropped: int = 0
+    duplicates: int = 0
+    documents: int = 0
+    segments: int = 0
+    first_stored: dict[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class _Offer:
+    topic: str
+    type: str
+    storage: str
+    stamp: int
+    received: int
+    data: bytes
+
+    @property
+    def large(self) -> bool:
+        return self.storage == SEGMENT or len(self.data) > DOCUMENT_BYTES_MAX
+
+
+@dataclass(slots=True)
+class _Large:
+    """A message for a segment. `admitted`: it is known to be no duplicate, and remembered."""
+
+    offer: _Offer
+    digest: Future[str]
+    admitted: bool = False
+
+    def message(self) -> tuple[Received, str]:
+        """For the segment, which needs no digest."""
+        return Received(self.offer.topic, self.offer.stamp, self.offer.received, "", self.offer.data), self.offer.type
+
+
+@dataclass(frozen=True, slots=True)
+class _Prior:
+    """What the database has of an earlier recorder of the same recording."""
+
+    messages: Sequence[tuple[str, int, str]]
+    audits: Sequence[Mapping[str, Any]]
+
+
+class Recorder:
+    """One recording. `start`, any number of `offer` from one thread, `stop`; then it is used up.
+
+    `document`: what the recording's document says beside its times. `intervals`: topic -> the stamps to look for
+    holes in; asked when audits are closed. The journal outlives the recorder.
+    """
+
+    def __init__(
+        self,
+        recording: str,
+        document: Mapping[str, Any],
+        journal: Journal,
+        place: RecorderPlace,
+        streams: frozenset[str] = frozenset(),
+        intervals: Callable[[str], Sequence[Interval]] = lambda _: ((0, FOREVER),),
+        bounds: RecordingBounds = BOUNDS,
+    ) -> None:
+        self.recording, self.counts = recording, RecorderCounts()
+        self._document, self._journal, self._place, self._bounds = dict(document), journal, place, bounds
+        self._intervals, self._started = intervals, place.clock_ns()
+        self._silent, self._begin_stamp = set(streams), 0
+        self._first_large_at: float | None = None
+        self._queue: deque[_Offer] = deque()
+        self._large: list[_Large] = []
+        self._offered_bytes = self._settled_bytes = self._woken_at_bytes = 0
+        self._wake, self._ending = threading.Event(), threading.Event()
+        self._segments: Segments | None = None
+        self._duplicates = Duplicates()
+        self._begun = self._known = False
+        self._audits: dict[str, TopicAudit] = {}
+        self._lock = threading.Lock()
+        self._audited: set[str] = set()
+        self._audit_at = place.monotonic() + AUDIT_SECONDS
+        self._interrupted: dict[str, int] = {}
+        self._prior: _Prior | None = None
+        self._waits_until = place.monotonic() + KNOWN_SECONDS_MAX
+        self._volume_problem = self.failed = ""
+        self._hashing = ThreadPoolExecutor(1, thread_name_prefix=f"hash-{recording}")
+        self._thread = threading.Thread(target=self._run, name=f"recorder-{recording}", daemon=True)
+        journal.listen(self)
+
+    def start(self) -> None:
+        """Begin to store."""
+        self._thread.start()
+
+    def offer(self, topic: str, type_name: str, storage: str, stamp: int, received: int, data: bytes) -> None:
+        """Take a message in; never blocks. Beyond the bound of the queue it is dropped, and the audit says so."""
+        self.counts.offered += 1
+        if topic in self._silent:
+            self._silent.discard(topic)
+            self._begin_stamp = max(self._begin_stamp, stamp)
+        elif storage == SEGMENT and self._is_early(stamp):
+            self.counts.early += 1
+            self._note(topic, stamp, lambda audit: audit.leave_out())
+            return
+        if self._offered_bytes - self._settled_bytes > self._bounds.queue_bytes:
+            self.counts.dropped += 1
+            why = self._volume_problem or "storing is too slow"
+            self._note(topic, stamp, lambda audit: audit.drop(QUEUE, why, stamp))
+            return
+        self._queue.append(_Offer(topic, type_name, storage, stamp, received, data))
+        self._offered_bytes += len(data)
+        first = storage == SEGMENT and topic not in self.counts.first_stored
+        if first or self._offered_bytes - self._woken_at_bytes > BATCH_BYTES:
+            self._woken_at_bytes = self._offered_bytes
+            self._wake.set()
+
+    def update(self, fields: Mapping[str, Any]) -> None:
+        """Set fields of the recording's document, now or when it is made."""
+        with self._lock:
+            self._document.update(fields)
+            if self._begun:
+                self._journal.add([Write(RECORDINGS, self.recording, fields, update=True, size=1000)])
+
+    def lack(self, gap: Gap) -> None:
+        """Messages are missing that nobody can offer any more."""
+        with self._lock:
+            self._audit_of(gap.topic).lack(gap)
+
+    def stop(self, seconds: float) -> bool:
+        """Store what was offered and end the recording, within `seconds`; True when the journal has everything."""
+        self._ending.set()
+        self._wake.set()
+        self._thread.join(seconds)
+        if self._thread.is_alive():
+            log.error("recording %s: storing did not end within %.1f s", self.recording, seconds)
+        return not (self._thread.is_alive() or self._queue or self._large or self.failed)
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the recording has ended."""
+        return not self._thread.is_alive()
+
+    def end(self) -> None:
+        """Store what was offered and end the recording; returns at once."""
+        self._ending.set()
+        self._wake.set()
+
+    def audits(self) -> list[dict[str, Any]]:
+        """The audit of every topic so far, without holes."""
+        with self._lock:
+            return [audit.document() for audit in self._audits.values()]
+
+    def _is_early(self, stamp: int) -> bool:
+        if self._silent:
+            now = self._place.monotonic()
+            if self._first_large_at is None:
+                self._first_large_at = now
+            if now - self._first_large_at < BEGIN_SECONDS_MAX:
+                return True
+            log.warning("recording %s: begins without %s", self.recording, ", ".join(sorted(self._silent)))
+            self._silent.clear()
+        return stamp < self._begin_stamp
+
+    def _note(self, topic: str, stamp: int, note: Callable[[TopicAudit], None]) -> None:
+        """A message that does not even come into the queue."""
+        with self._lock:
+            audit = self._audit_of(topic)
+            audit.receive(stamp)
+            note(audit)
+
+    def _audit_of(self, topic: str) -> TopicAudit:
+        audit = self._audits.get(topic)
+        if audit is None:
+            audit = self._audits[topic] = TopicAudit(topic)
+        return audit
+
+    # called by the journal's thread ----------------------------------------------------------------------------------
+
+    def introduce(self, store: RecordingStore) -> None:
+        """Read what an earlier recorder of this recording has stored."""
+        self._prior = _Prior(list(store.known(self.recording)), store.audits(self.recording))
+        self._wake.set()
+
+    def acknowledged(self, write: Write, now: int) -> None:
+        """Remember and tell the first message of each topic."""
+        topic = write.document["topic"]
+        if topic not in self.counts.first_stored:
+            self.counts.first_stored[topic] = now
+            log.info("recording %s: first message of %s stored=%d", self.recording, topic, now)
+
+    # the recorder's own thread ---------------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        try:
+            while not self._ending.is_set():
+                self._round()
+                self._wake.wait(ROUND_SECONDS)
+                self._wake.clear()
+            self._finish()
+        except Exception as error:  # an error of ours: the process must not go on as if it recorded
+            self.failed = f"recording {self.recording}: {type(error).__name__}: {error}"
+            log.exception("%s", self.failed)
+        finally:
+            self._hashing.shutdown(wait=False)
+
+    def _finish(self) -> None:
+        """What is offered is stored; a volume that refuses now has refused for good."""
+        while self._queue:
+            self._round()
+        self._store_large()
+        self._give_up()
+        self._close_segment()
+        if not self._begun and not self._audits:
+            return
+        self._begin()
+        self._end_interruptions()
+        self._write_audits(self._audits, closed=True)
+        fields = {"ended": self._place.clock_ns(), "counts": self._numbers()}
+        self._journal.add([Write(RECORDINGS, self.recording, fields, update=True, size=200)])
+        log.info("recording %s: ended %s", self.recording, self._summary())
+
+    def _give_up(self) -> None:
+        with self._lock:
+            for large in self._large:
+                self._audit_of(large.offer.topic).drop(VOLUME, self._volume_problem, large.offer.stamp)
+        self.counts.dropped += len(self._large)
+        self._large = []
+
+    def _close_segment(self) -> None:
+        if self._segments is None:
+            return
+        try:
+            self._segments.close()
+        except OSError as error:
+            log.error("recording %s: the segment has no end, the next start repairs it: %s", self.recording, error)
+        self._tell_closed(self._segments)
+
+    def _tell_closed(self, segments: Segments) -> None:
+        closed = segments.closed()
+        self._journal.add([segment_write(self.recording, one, self._place.volume) for one in closed])
+
+    def _round(self) -> None:
+        """One batch. A volume that refuses holds up what it is for, and nothing else."""
+        prior, self._prior = self._prior, None
+        if prior is not None:
+            self._take_up(prior)
+        if not self._may_take():
+            return
+        small = self._take()
+        self._write_changed_audits()  # what was dropped before these messages is told before they are stored
+        self._store_small(small)
+        self._store_large()
+
+    def _may_take(self) -> bool:
+        # what an earlier recorder of this recording stored must be known before anything is stored again;
+        # when the database stays away for long, storing goes on: identifiers keep most duplicates out
+        waiting = self._offered_bytes - self._settled_bytes
+        late = waiting > self._bounds.waiting_bytes or self._place.monotonic() > self._waits_until
+        return self._known or late or self._ending.is_set()
+
+    def _take_up(self, prior: _Prior) -> None:
+        """Take up what an earlier recorder of this recording has stored, and find out since when it was interrupted."""
+        last: dict[str, int] = {}
+        for topic, stamp, sha256 in prior.messages:
+            self._duplicates.admit(topic, stamp, sha256)
+            last[topic] = max(last.get(topic, stamp), stamp)
+        self._duplicates.dropped, self._known = 0, True
+        if not prior.audits and not last:
+            return
+        with self._lock:
+            for topic, since in interruptions(prior.audits, last).items():
+                audit = self._audits.get(topic)
+                if audit is None or audit.first is None:
+                    self._interrupted[topic] = since
+                elif audit.first > since:
+                    audit.lack(Gap(topic, RECORDER, KILLED, None, since, audit.first - 1))
+        self._begin()
+
+    def _take(self) -> list[_Offer]:
+        """Empty the queue: large messages join those that the volume has not taken yet, small ones are returned."""
+        small = []
+        taken = 0
+        with self._lock:
+            while self._queue and taken < BATCH_BYTES_MAX:
+                offer = self._queue.popleft()
+                taken += len(offer.data)
+                self._receive(offer)
+                if offer.large:
+                    self._large.append(_Large(offer, self._hashing.submit(_digest, offer.data)))
+                else:
+                    small.append(offer)
+        return small
+
+    def _receive(self, offer: _Offer) -> None:
+        audit = self._audit_of(offer.topic)
+        audit.receive(offer.stamp)
+        since = self._interrupted.get(offer.topic)
+        if since is not None and offer.stamp >= since:
+            del self._interrupted[offer.topic]
+            if offer.stamp > since:
+                audit.lack(Gap(offer.topic, RECORDER, KILLED, None, since, offer.stamp - 1))
+
+    def _end_interruptions(self) -> None:
+        now = self._place.clock_ns()
+        for topic, since in self._interrupted.items():
+            self._audit_of(topic).lack(Gap(topic, RECORDER, KILLED, None, since, max(now, since)))
+
+    def _store_small(self, offers: Sequence[_Offer]) -> None:
+        messages = []
+        for offer in offers:
+            self._settled_bytes += len(offer.data)
+            digest = _digest(offer.data)
+            if self._duplicates.admit(offer.topic, offer.stamp, digest):
+                messages.append(Received(offer.topic, offer.stamp, offer.received, digest, offer.data))
+            else:
+                self._doubled(offer.topic)
+        if not messages:
+            return
+        self._begin()
+        buckets = bucket_documents(self.recording, messages)
+        sizes = [sum(len(sample["data"]) + 120 for sample in bucket["samples"]) for bucket in buckets]
+        writes = [Write(SAMPLES, bucket["_id"], bucket, size=n) for bucket, n in zip(buckets, sizes, strict=True)]
+        self.counts.documents += len(messages)
+        self._hand_over(writes, [message.topic for message in messages])
+
+    def _doubled(self, topic: str) -> None:
+        self.counts.duplicates += 1
+        with self._lock:
+            self._audit_of(topic).duplicates += 1
+
+    def _hand_over(self, writes: Sequence[Write], topics: Sequence[str]) -> None:
+        """Writes that carry one message of each of `topics`, and the audits that tell of a topic for the first time."""
+        self._journal.add(writes)
+        with self._lock:
+            for topic in topics:
+                self._audit_of(topic).store(1)
+        self._write_audits(set(topics) - self._audited)
+
+    def _store_large(self) -> None:
+        if not self._large:
+            return
+        try:
+            if self._segments is None:
+                self._segments = self._open_segments()
+            chosen = self._without_duplicates()
+            places = self._append(self._segments, chosen)
+        except OSError as error:
+            self._refused(error)
+            return
+        self._volume_problem = ""
+        self._add_index(chosen, places)
+        self._tell_closed(self._segments)
+        self._settle(self._segments)
+
+    def _open_segments(self) -> Segments:
+        if self._journal.claim is None:
+            raise OSError(f"claim {self._place.volume} has not answered yet")
+        return self._journal.claim.segments(self.recording)
+
+    def _refused(self, error: OSError) -> None:
+        text = f"volume {self._place.volume}: {error}"
+        if text != self._volume_problem:
+            log.warning("recording %s: %s; trying again", self.recording, text)
+        self._volume_problem = text
+        if error.errno in NO_SPACE:
+            self._journal.make_room()
+
+    def _without_duplicates(self) -> list[_Large]:
+        """What is not stored yet. Only messages of equal stamps are told apart by their digests, which takes time."""
+        chosen: list[_Large] = []
+        seen: dict[tuple[str, int], _Large] = {}
+        for large in self._large:
+            key = large.offer.topic, large.offer.stamp
+            if key in seen or not (large.admitted or self._duplicates.fresh(*key)):
+                if key in seen:
+                    self._admit(seen[key])
+                if not self._admit(large):
+                    self._settled_bytes += len(large.offer.data)
+                    self._doubled(large.offer.topic)
+                    continue
+            seen[key] = large
+            chosen.append(large)
+        self._large = chosen
+        return chosen
+
+    def _admit(self, large: _Large) -> bool:
+        if not large.admitted:
+            large.admitted = self._duplicates.admit(large.offer.topic, large.offer.stamp, large.digest.result())
+        return large.admitted
+
+    def _append(self, segments: Segments, chosen: Sequence[_Large]) -> Sequence[SegmentPlace | None]:
+        """Where each of them is, as far as the volume took them; None: no segment can hold it."""
+        try:
+            return segments.append([large.message() for large in chosen])
+        except ValueError:
+            return [self._append_one(segments, large) for large in chosen]
+
+    def _append_one(self, segments: Segments, large: _Large) -> SegmentPlace | None:
+        try:
+            return segments.append([large.message()])[0]
+        except ValueError as error:
+            log.error("recording %s: %s", self.recording, error)
+            with self._lock:
+                self._audit_of(large.offer.topic).drop(VOLUME, str(error), large.offer.stamp)
+            self.counts.dropped += 1
+            return None
+
+    def _add_index(self, chosen: Sequence[_Large], places: Sequence[SegmentPlace | None]) -> None:
+        writes, topics = [], []
+        for large, place in zip(chosen, places, strict=False):
+            offer = large.offer
+            self._settled_bytes += len(offer.data)
+            if place is None:
+                continue
+            self._admit(large)
+            found = FoundMessage(
+                offer.topic, offer.stamp, offer.received, large.digest.result(), len(offer.data), place
+            )
+            writes.append(index_write(self.recording, found, self._place.volume, self._duplicates))
+            topics.append(offer.topic)
+        self._large = list(chosen[len(places) :])
+        self.counts.segments += len(writes)
+        if writes:
+            self._begin()
+            self._hand_over(writes, topics)
+
+    def _settle(self, segments: Segments) -> None:
+        try:
+            segments.settle(SETTLED_BYTES_PER_ROUND)
+        except OSError as error:
+            self._refused(error)
+
+    def _begin(self) -> None:
+        """Make the recording's document, or take up the one that is there."""
+        if self._begun:
+            return
+        with self._lock:
+            self._begun = True
+            document = {"recording": self.recording, **self._document, "started": self._started}
+        begun = {**document, "volumes": [self._place.volume], "ended": None}
+        again = {"ended": None, **{name: document[name] for name in ("causes",) if name in document}}
+        volumes = {"volumes": self._place.volume}
+        self._journal.add([
+            Write(RECORDINGS, self.recording, begun, size=1000),
+            Write(RECORDINGS, self.recording, again, update=True, size=200, add=volumes),
+        ])  # fmt: skip
+
+    def _write_changed_audits(self) -> None:
+        """Audits with new gaps at once, all of them now and then."""
+        due = self._place.monotonic() >= self._audit_at
+        if due:
+            self._audit_at = self._place.monotonic() + AUDIT_SECONDS
+        with self._lock:
+            changed = [name for name, audit in self._audits.items() if due or audit.changed]
+        if changed:
+            self._begin()
+            self._write_audits(changed)
+
+    def _write_audits(self, topics: Iterable[str], closed: bool = False) -> None:
+        now, writes = self._place.clock_ns(), []
+        with self._lock:
+            for topic in sorted(topics):
+                audit = self._audits[topic]
+                spans = self._intervals(topic) if closed else None
+                document = {**audit.document(spans), "closed": closed, "written": now}
+                audit.changed = False
+                writes.append(self._audit_write(topic, document))
+        self._journal.add(writes)
+
+    def _audit_write(self, topic: str, document: dict[str, Any]) -> Write:
+        name = f"{self.recording}{topic}/{self._started}"
+        if topic in self._audited:
+            return Write(AUDITS, name, document, update=True, size=AUDIT_BYTES)
+        self._audited.add(topic)
+        whole = {"recording": self.recording, "volume": self._place.volume, "life": self._started, **document}
+        return Write(AUDITS, name, whole, size=AUDIT_BYTES)
+
+    def _numbers(self) -> dict[str, int]:
+        numbers = {name: value for name, value in vars(self.counts).items() if isinstance(value, int)}
+        numbers["dropped"] += self._journal.dropped(self.recording)
+        return numbers
+
+    def _summary(self) -> str:
+        return " ".join(f"{name}={value}" for name, value in self._numbers().items())
+
+
+def interruptions(audits: Sequence[Mapping[str, Any]], last: Mapping[str, int]) -> dict[str, int]:
+    """Topic -> the first stamp that a killed recorder may have lost. `last`: the last stored stamp of each topic."""
+    open_topics = {audit["topic"]: audit["window"][0] for audit in audits if not audit["closed"] and audit["window"]}
+    known = {audit["topic"] for audit in audits}
+    since = {topic: last[topic] + 1 if topic in last else first for topic, first in open_topics.items()}
+    return since | {topic: stamp + 1 for topic, stamp in last.items() if topic not in known}
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()

@@ -1,0 +1,67 @@
+"""Finishes the segments of killed writers and indexes what nobody indexed: on the disk is as good as received."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+from robotkube.domain.recordings import (
+    INDEX,
+    SEGMENTS,
+    ClosedSegment,
+    Duplicates,
+    FoundMessage,
+    Write,
+    index_document,
+    segment_document,
+)
+
+if TYPE_CHECKING:
+    from robotkube.ports.recordings import RecordingStore, SegmentRepair
+
+SEGMENT_WRITE_BYTES = INDEX_WRITE_BYTES = 500
+
+log = logging.getLogger(__name__)
+
+
+def repaired(repair: SegmentRepair, store: RecordingStore, volume: str) -> Iterator[Sequence[Write]]:
+    """Repair every unfinished segment of the volume; for each the writes that make the database know what is in it.
+
+    A file that the volume does not let us repair is left for the next start."""
+    known: dict[str, Duplicates] = {}
+    for name in repair.unfinished():
+        recording = name.partition("/")[0]
+        if recording not in known:
+            known[recording] = _known(store, recording)
+        try:
+            closed, messages = repair.repair(name)
+        except OSError as error:
+            log.error("segment %s of %s: cannot be repaired: %s", name, volume, error)
+            continue
+        if closed is None:
+            continue
+        new = [message for message in messages if known[recording].admit(message.topic, message.stamp, message.sha256)]
+        log.warning("segment %s of %s: repaired messages=%d cut=%d", name, volume, closed.messages, closed.cut)
+        writes = [index_write(recording, message, volume, known[recording]) for message in new]
+        yield [*writes, segment_write(recording, closed, volume)]
+
+
+def index_write(recording: str, message: FoundMessage, volume: str, known: Duplicates) -> Write:
+    """The index entry of a message that `known` has admitted."""
+    distinct = known.shares_stamp(message.topic, message.stamp)
+    document = index_document(recording, message, volume, distinct)
+    return Write(INDEX, document["_id"], document, size=INDEX_WRITE_BYTES)
+
+
+def segment_write(recording: str, closed: ClosedSegment, volume: str) -> Write:
+    """What the database is told of a finished file."""
+    document = segment_document(recording, closed, volume)
+    return Write(SEGMENTS, document["_id"], document, size=SEGMENT_WRITE_BYTES)
+
+
+def _known(store: RecordingStore, recording: str) -> Duplicates:
+    found = Duplicates()
+    for topic, stamp, sha256 in store.known(recording):
+        found.admit(topic, stamp, sha256)
+    return found
