@@ -5,6 +5,7 @@ A condition of this kind asks and returns nothing; the answers come later, in th
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -44,7 +45,19 @@ class Verdict(NamedTuple):
     answers: Sequence[Answer]
 
 
+SERIES_MAX = 10_000
+"""So many values of a series are handed to an expression."""
+
 Ask = Callable[[Question], None]
+
+
+def _plain(value: Any) -> Any:
+    """A field's value as it can be handed to another process."""
+    if not isinstance(value, (array, tuple)):
+        return value
+    if len(value) > SERIES_MAX:
+        raise ValueError(f"a series of {len(value)} values is too long for an expression; at most {SERIES_MAX}")
+    return tuple(value)
 
 
 class ExpressionCondition(Condition):
@@ -77,7 +90,7 @@ class ExpressionCondition(Condition):
         self._latest.pop(agent, None)
 
     def _named(self, reading: Reading) -> dict[str, Any]:
-        return dict(zip(self._names, reading.values, strict=True))
+        return {name: _plain(value) for name, value in zip(self._names, reading.values, strict=True)}
 
     def _put(self, member: Member, reading: Reading, values: Mapping[str, Any]) -> None:
         self._ask(Question(self._rule.name, member, reading.topic, reading.stamp, reading.received, values))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +26,7 @@ SECONDS_MAX = 86_400.0
 DISTANCE_MIN, DISTANCE_MAX = 0.001, 1e7
 VALUE_MAX = 1e12
 HZ_MAX, RATE_WINDOW_MAX, RATE_COUNT_MAX = 10_000.0, 600.0, 10_000
+_AGENT = re.compile(r"[a-z0-9]([-a-z0-9]{0,61}[a-z0-9])?")
 LEVELS = (("start_above", "stop_below"), ("start_below", "stop_above"))
 RATES = (("start_above_hz", "stop_below_hz"), ("start_below_hz", "stop_above_hz"))
 
@@ -34,22 +36,42 @@ def read_rules(
     topics: Mapping[str, str],
     layouts: Layouts | None = None,
     plugins: Collection[str] | None = None,
+    check: Callable[[Sequence[str]], Sequence[str]] | None = None,
 ) -> tuple[Rule, ...]:
     """The rules; problems go to the list that `items` share, and what is returned then is of no use.
 
     `topics`: pattern -> type of the document's topics. Fields are looked for in `layouts`, when given; a type that is
     not known there may come with the messages. `plugins`: the names that are installed, None when nobody knows.
+    `check` says what is wrong with each of some expressions, `""` for those that are well.
     """
-    found = [(item, _rule(item)) for item in items]
+    found = [(item, rule) for item in items if (rule := _rule(item)) is not None]
     for item, rule in found:
         item.done()
         for key, text in cross_problems(rule, [other for _, other in found], topics, layouts, plugins):
             item.problem(key, text)
+    if check is not None:
+        _check_expressions([(item, rule.condition) for item, rule in found], check)
     return tuple(rule for _, rule in found)
 
 
-def _rule(item: Fields) -> Rule:
+def _check_expressions(
+    found: Sequence[tuple[Fields, kinds.Condition]], check: Callable[[Sequence[str]], Sequence[str]]
+) -> None:
+    cels = [(item, condition) for item, condition in found if isinstance(condition, kinds.Cel)]
+    asked = [(item, "expression", it.expression) for item, it in cels]
+    asked = [entry for entry in [*asked, *((item, "until", it.until) for item, it in cels)] if entry[2]]
+    answers = check([text for _, _, text in asked]) if asked else ()
+    for (item, key, _), problem in zip(asked, answers, strict=True):
+        if problem:
+            item.problem(key, problem)
+
+
+def _rule(item: Fields) -> Rule | None:
+    """A rule, or None when its kind is not known: then nothing else can be said about it."""
+    known = item.anything("kind") in kinds.KINDS
     kind = item.choice("kind", kinds.KINDS)
+    if not known:
+        return None
     name = item.text("name")
     read = _READERS[kind]
     condition = read(item)
@@ -81,8 +103,12 @@ def _agents(item: Fields, kind: str, scope: str) -> tuple[str, ...]:
         return ()
     needed = scope == kinds.GROUP or (scope == kinds.PAIR and kind == kinds.CEL)
     if not needed and not item.has("agents"):
+        item.anything("agents")
         return ()
-    found = item.texts("agents", 2 if scope == kinds.PAIR else 1)
+    found = item.texts("agents", 2 if scope == kinds.PAIR or kind == kinds.PROXIMITY else 1)
+    for agent in found:
+        if not _AGENT.fullmatch(agent):
+            item.problem("agents", f"{agent!r} is no agent's name: a-z, 0-9 and - in at most 63 letters")
     if len(found) > AGENTS_MAX:
         item.problem("agents", f"must hold at most {AGENTS_MAX} agents; leave it out to look at all of them")
     return found

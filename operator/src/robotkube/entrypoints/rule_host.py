@@ -1,0 +1,124 @@
+"""The process of one rule that the detector does not evaluate itself: an expression, or a rule of an installed package.
+
+`python3 -m robotkube.entrypoints.rule_host` answers questions on its standard input; with `check` it says what is wrong
+with expressions. `start_rule` and `ExpressionCheck` are what detectors and `robotkube rule test` use.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from importlib.metadata import entry_points
+from typing import Any
+
+from robotkube.adapters import bounded_process
+from robotkube.adapters.bounded_process import BoundedProcess
+from robotkube.adapters.rule_processes import COMMAND, ChildProcess, serve
+from robotkube.domain.layouts import Layouts
+from robotkube.domain.rules import FALL, KEEP, RISE, Answer, Cause, Cel, Python, Question, Rule
+from robotkube.domain.rules.plugins import ENTRY_POINT_GROUP, PluginHost
+
+CHECK_COMMAND = (*COMMAND, "check")
+
+Answering = Callable[[Question], Sequence[Answer]]
+
+
+def start_rule(rule: Rule, types: Mapping[str, str], lookup: Callable[[str], str]) -> ChildProcess:
+    """The process of a rule of kind cel or python. `types`: topic pattern -> type; `lookup`: type -> its definition."""
+    settings = rule.condition
+    if isinstance(settings, Cel):
+        expression = {"kind": rule.kind, "expression": settings.expression, "until": settings.until}
+        return ChildProcess(expression, settings.budget_seconds)
+    assert isinstance(settings, Python)
+    topics = {topic.text: types[topic.text] for topic in settings.topics}
+    job: dict[str, Any] = {
+        "kind": rule.kind,
+        "plugin": settings.plugin,
+        "settings": dict(settings.settings),
+        "buffer_seconds": settings.buffer_seconds,
+        "topics": topics,
+        "definitions": _definitions(topics.values(), lookup),
+    }
+    return ChildProcess(job, settings.budget_seconds)
+
+
+def check_expressions(texts: Sequence[str]) -> Sequence[str]:
+    """What is wrong with each of these expressions; `""` when it is well. In a process of its own, which takes 1 s."""
+    process = BoundedProcess(CHECK_COMMAND)
+    try:
+        found: Sequence[str] = process.call("problems", list(texts))
+    finally:
+        process.close()
+    return found
+
+
+def main() -> None:
+    """Answer until the parent ends."""
+    if sys.argv[1:] == ["check"]:
+        bounded_process.serve({"problems": _problems}, sys.stdin.buffer, sys.stdout.buffer)
+    else:
+        serve(_load)
+
+
+def _problems(texts: Sequence[str]) -> Sequence[str]:
+    from robotkube.adapters.expressions_cel import Expression
+
+    found = []
+    for text in texts:
+        try:
+            Expression(text)
+        except ValueError as error:
+            found.append(str(error))
+        else:
+            found.append("")
+    return found
+
+
+def _definitions(types: Any, lookup: Callable[[str], str]) -> Mapping[str, str]:
+    """The definitions that are known here; of others the rule gets the bytes, but no fields."""
+    found = {}
+    for type_name in types:
+        try:
+            found[type_name] = lookup(type_name)
+        except KeyError:
+            continue
+    return found
+
+
+def _load(job: Mapping[str, Any]) -> Answering:
+    return _expression(job) if job["kind"] == "cel" else _plugin(job)
+
+
+def _expression(job: Mapping[str, Any]) -> Answering:
+    from robotkube.adapters.expressions_cel import Expression
+
+    start = Expression(job["expression"])
+    until = Expression(job["until"]) if job["until"] else None
+
+    def answer(question: Question) -> Sequence[Answer]:
+        if start.holds(question.values):
+            verdict = RISE
+        elif until is None or until.holds(question.values):
+            verdict = FALL
+        else:
+            verdict = KEEP
+        numbers = {key: float(v) for key, v in question.values.items() if isinstance(v, (int, float))}
+        return [Answer(question.member, verdict, numbers, (Cause(question.topic, question.stamp, question.values),))]
+
+    return answer
+
+
+def _plugin(job: Mapping[str, Any]) -> Answering:
+    points = entry_points(group=ENTRY_POINT_GROUP, name=job["plugin"])
+    if not points:
+        raise LookupError(f"no installed package offers the rule {job['plugin']}")
+    rule = next(iter(points)).load()(job["settings"])
+
+    def lookup(type_name: str) -> str:
+        return str(job["definitions"][type_name])
+
+    return PluginHost(rule, job["topics"], Layouts(lookup), job["buffer_seconds"]).answer
+
+
+if __name__ == "__main__":
+    main()
