@@ -149,10 +149,13 @@ class DefinitionStore:
 
     def scope(self, type_name: str) -> Callable[[str], tuple[Field, ...]]:
         """What finds the fields of a type and of everything in it; a definition's own dependencies come first."""
-        own = self._definitions(type_name)
+        known = dict(self._definitions(type_name))
 
         def find(name: str) -> tuple[Field, ...]:
-            return own[name] if name in own else self._definitions(name)[name]
+            if name not in known:
+                for other, fields in self._definitions(name).items():
+                    known.setdefault(other, fields)
+            return known[name]
 
         return find
 
