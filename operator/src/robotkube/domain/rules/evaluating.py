@@ -160,7 +160,7 @@ class Evaluator:
         agents = self.occurrences.adopt(edge)
         if agents is None:
             return False
-        if self.rule.scope != GROUP:
+        if not self.occurrences.provisional:
             self.condition.mark(agents, True)
             self._unseen |= set(agents) if self._expire_ns else set()
         return True

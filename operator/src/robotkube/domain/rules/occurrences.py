@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from robotkube.domain.rules.conditions import GRACE_NS, Timers
 from robotkube.domain.rules.edges import START, STOP, Edge, event_identity
 from robotkube.domain.rules.messages import FALL, RISE, Agents, Finding, Member
-from robotkube.domain.rules.specifications import GROUP, PAIR, Rule
+from robotkube.domain.rules.specifications import GROUP, PAIR, Combination, Rule
 
 ADOPTED_NS = 60_000_000_000
 IDLE_MAX = 10_000
@@ -53,17 +53,23 @@ class Occurrences:
         """Whether something holds that is no event yet."""
         return bool(self._pending)
 
+    @property
+    def provisional(self) -> bool:
+        """Whether an event that is taken over has to prove itself, for what it is made of is not known any more."""
+        return self.rule.scope == GROUP or isinstance(self.rule.condition, Combination)
+
     def adopt(self, edge: Edge) -> Agents | None:
         """Take over an event that began earlier; its agents, or None when the rule cannot have it or has one already.
 
-        An event of a group is taken over without its members: it ends when they have not shown themselves in a minute.
+        Of a group or a combination neither members nor parts are taken over: it ends when they have not shown
+        themselves within a minute.
         """
         agents = tuple(sorted(edge.agents))
         if agents in self._states or not self._fits(agents):
             return None
         started = replace(edge, edge=START, rule=self.rule.name)
         self._states[agents] = _State(active=started, stamp=edge.stamp, started=edge.stamp)
-        if self.rule.scope == GROUP:
+        if self.provisional:
             self._adopted[agents] = None
         return agents
 

@@ -46,7 +46,9 @@ class RateCondition(Condition):
         known = self._arrivals.get(member)
         if known is None:
             known = self._arrivals[member] = _Arrivals(reading.stamp, reading.topic)
-        found = list(self._leaving(member, known, reading.stamp, reading.received))
+        found = list(self._leaving(member, known, reading.stamp - 1, reading.received))
+        while known.stamps and known.stamps[0] + self._window_ns <= reading.stamp:
+            known.stamps.popleft()  # leaves at the very moment at which this one comes: one change
         known.stamps.append(reading.stamp)
         known.last, known.received = reading.stamp, reading.received
         found += self._judged(member, known, reading.stamp, reading.received)
