@@ -87,7 +87,7 @@ class ModelBuffer:
         return KEPT
 
     def _evict(self, counter: str, too_much: object) -> None:
-        while self.kept and too_much():  # type: ignore[operator]
+        while self.kept and too_much():
             self.kept.pop(0)
             self.counters[counter] += 1
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import random
+import resource
 import threading
 import tracemalloc
+from pathlib import Path
 
 import pytest
 from buffer_model import KNOWN_POLICIES, ModelBuffer, ModelPool, random_messages
@@ -228,6 +230,29 @@ def test_full_rate_keeps_memory_at_its_window() -> None:
         tracemalloc.stop()
     assert held[1200] / (15 * 1001) < 450, "bytes per message of 104 bytes"
     assert abs(held[3000] - held[1200]) < 0.02 * held[1200]
+
+
+@pytest.mark.thorough
+def test_ten_minutes_at_full_rate_keep_memory() -> None:
+    """15 vehicles' poses at 100 Hz and two vehicles' clouds at 10 Hz, windows of 10 s: what the process holds."""
+    pool = BufferPool(10**9)
+    poses = [pool.make(f"/vehicles/vehicle_{n:02}/pose", BufferBounds(10.0, 50_000_000)) for n in range(15)]
+    clouds = [pool.make(f"/vehicles/vehicle_{n:02}/cloud", BufferBounds(10.0, 50_000_000)) for n in range(2)]
+    held = {}
+    for step in range(60_000):
+        stamp = step * 10 * MS
+        for buffer in poses:
+            buffer.insert(Sample(stamp, stamp + MS, step.to_bytes(104, "little")))
+        for buffer in clouds if step % 10 == 0 else ():
+            buffer.insert(Sample(stamp, stamp + MS, b"\1" * 320_000))
+        if step % 6_000 == 5_999:
+            held[(step + 1) // 6_000] = resident_bytes()
+    assert held[10] - held[2] <= 16 * 2**20, held
+    assert pool.bytes == sum(buffer.bytes for buffer in pool.buffers.values())
+
+
+def resident_bytes() -> int:
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
 
 
 def test_readers_of_other_threads_see_whole_buffers() -> None:

@@ -149,12 +149,12 @@ def test_slerp_turns_evenly(one: Quaternion, other: Quaternion, share: float) ->
     """The angle to both ends is in proportion, the length stays 1, and a sign of either end changes no rotation."""
     a, b = (tuple(value / math.hypot(*q) for value in q) for q in (one, other))
     assume(abs(np.dot(a, b)) > 1e-6)
-    found = slerp(a, b, share)  # type: ignore[arg-type]
+    found = slerp(a, b, share)
     whole = angle(a, b)
     assert math.hypot(*found) == pytest.approx(1)
     assert angle(a, found) == pytest.approx(whole * share, abs=2e-3)
     assert angle(found, b) == pytest.approx(whole * (1 - share), abs=2e-3)
-    assert angle(found, slerp(tuple(-value for value in a), b, share)) == pytest.approx(0, abs=1e-3)  # type: ignore[arg-type]
+    assert angle(found, slerp(tuple(-value for value in a), b, share)) == pytest.approx(0, abs=1e-3)
 
 
 def angle(a: Sequence[float], b: Sequence[float]) -> float:

@@ -143,7 +143,7 @@ def take_text(heads: Sizes, order: str, unit: int, slot: int) -> Step:
     def step(data: Data, position: int, out: list[Any]) -> int:
         position += heads[position & 7]
         begin = position + 4
-        end = begin + unit * unpack(data, position)[0]
+        end: int = begin + unit * unpack(data, position)[0]
         if end > len(data):
             raise ValueError(TOO_SHORT)
         out[slot] = _text(data[begin:end]) if unit == 1 else _wide_text(data[begin:end], order)
