@@ -23,13 +23,20 @@ log_type notice
 {{- define "robotkube.brokerRules" -}}
 user observer
 topic read mqtt/#
+topic read robotkube/types/mqtt/#
+topic read mqtt_client/ros_msg_type/mqtt/#
 {{- range .Values.agents }}
 
 user {{ .name }}
 {{- if has .role (list "vehicle" "roadside") }}
-topic readwrite mqtt/vehicles/{{ include "robotkube.ros" .name }}/#
+{{- $own := printf "mqtt/vehicles/%s/#" (include "robotkube.ros" .name) }}
+topic readwrite {{ $own }}
+topic readwrite robotkube/types/{{ $own }}
+topic readwrite mqtt_client/ros_msg_type/{{ $own }}
 {{- else }}
 topic read mqtt/#
+topic read robotkube/types/mqtt/#
+topic read mqtt_client/ros_msg_type/mqtt/#
 {{- end }}
 topic write robotkube/tasks/{{ .name }}
 topic read robotkube/task_status/{{ .name }}

@@ -1,54 +1,11 @@
 """The bridge's decisions, with a network and connections in memory."""
 
-from typing import Any
+from bridge_world import CLOUD, EVERYBODY, POSE, TRANSFORM, World
 
-from fakes import Channel, Network
-
-from robotkube.domain.bridging import DOOR_TYPE, BridgeSettings, read_bridge_settings
+from robotkube.domain.bridging import DOOR_TYPE
 from robotkube.domain.frames import decode_frame, encode_frame
 from robotkube.domain.messages import string_message, string_text
-from robotkube.services.bridge import Bridge
-from robotkube.services.bridge_flows import FRAME_BYTES_MAX, Sender
-
-TRACE = "ab" * 16
-
-POSE = {"name": "/vehicles/vehicle_00/pose", "type": "geometry_msgs/msg/PoseStamped"}
-EVERYBODY = {**POSE, "name": "/vehicles/{agent}/pose"}
-CLOUD = {"name": "/vehicles/vehicle_00/cloud", "type": "sensor_msgs/msg/PointCloud2", "channel": "bulk"}
-TRANSFORM = {
-    "name": "/vehicles/vehicle_00/transform",
-    "type": "geometry_msgs/msg/TransformStamped",
-    "durability": "transient_local",
-}
-
-
-class World:
-    def __init__(self) -> None:
-        self.network = Network()
-        self.channels: dict[str, Channel] = {}
-        self.lines: list[str] = []
-        self.now_ns = 1_000
-        sender = Sender(42, lambda: self.now_ns, lambda name: f"definition of {name}", TRACE)
-        self.bridge = Bridge(self.network, self.channel, sender, self.log)
-
-    def channel(self, agent: str, name: str, events: Any) -> Channel:
-        self.channels[name] = Channel(f"{agent}-{name}", events)
-        return self.channels[name]
-
-    def log(self, event: str, **fields: Any) -> None:
-        self.lines.append(f"{event} {fields}")
-
-    def configure(self, out: list[Any] | None = None, into: list[Any] | None = None) -> None:
-        self.bridge.configure(settings(out, into))
-
-    def connect(self) -> None:
-        for channel in self.channels.values():
-            if channel.complaint is not None:
-                channel.connect()
-
-
-def settings(out: list[Any] | None = None, into: list[Any] | None = None) -> BridgeSettings:
-    return read_bridge_settings({"agent": "vehicle-00", "out": out or [], "in": into or []}, "config.yaml")
+from robotkube.services.bridge_flows import FRAME_BYTES_MAX
 
 
 def test_a_drain_becomes_one_frame() -> None:

@@ -9,7 +9,7 @@ BOUNDS = Bounds(seconds_max=60, frames_max=5, bytes_max=1000, inflight_max=2)
 
 
 def make(bounds: Bounds = BOUNDS) -> Outbox:
-    return Outbox(bounds, lambda gap: None)
+    return Outbox(bounds)
 
 
 def frame(number: int, born: float = 0.0, retained: bool = False) -> OutgoingFrame:

@@ -26,10 +26,9 @@ if "paho.mqtt.client" not in sys.modules and "dns" not in sys.modules:
     del sys.modules["dns"]
 else:
     import paho.mqtt.client as mqtt
-from paho.mqtt import MQTTException
 from paho.mqtt.enums import CallbackAPIVersion
 from paho.mqtt.packettypes import PacketTypes
-from paho.mqtt.properties import Properties
+from paho.mqtt.properties import MQTTException, Properties
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from robotkube.domain.errors import RobotKubeError

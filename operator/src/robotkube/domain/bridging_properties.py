@@ -4,7 +4,7 @@ content type  application/x-robotkube-frames
 type          geometry_msgs/msg/PoseStamped
 stamp         1795250000010000000            of the first message in it, ns since 1970
 trace         32 hexadecimal digits
-gap           {"topic": ..., "where": ..., "why": ..., "count": ..., "first": ..., "last": ...}
+gaps          [{"topic": ..., "where": ..., "why": ..., "count": ..., "first": ..., "last": ...}]
 """
 
 from __future__ import annotations
@@ -17,10 +17,12 @@ from robotkube.domain.audits import Gap, read_gap
 from robotkube.domain.frames import CONTENT_TYPE, FrameError
 from robotkube.domain.mqtt_properties import content_type, user_property
 
-TYPE, STAMP, TRACE, GAP = "type", "stamp", "trace", "gap"
+TYPE, STAMP, TRACE, GAPS = "type", "stamp", "trace", "gaps"
 TYPES_PREFIX = "robotkube/types/"
-GAP_CHARACTERS_MAX = 2000
+GAP_CHARACTERS_MAX = 4000
 GAPS_PER_MESSAGE_MAX = 4
+
+_WRONG = (ValueError, KeyError, TypeError, RecursionError)
 
 
 def types_topic(topic: str) -> str:
@@ -39,9 +41,10 @@ def stamp_property(stamp: int) -> bytes:
     return user_property(STAMP, str(stamp))
 
 
-def gap_property(gaps: Sequence[Gap]) -> bytes:
-    """What was given up before this message, at most GAPS_PER_MESSAGE_MAX."""
-    return b"".join(user_property(GAP, gap_text(gap)) for gap in gaps[:GAPS_PER_MESSAGE_MAX])
+def gaps_property(gaps: Sequence[Gap]) -> bytes:
+    """What was given up before this message, at most GAPS_PER_MESSAGE_MAX; nothing for none."""
+    texts = ", ".join(gap_text(gap) for gap in gaps[:GAPS_PER_MESSAGE_MAX])
+    return user_property(GAPS, f"[{texts}]") if gaps else b""
 
 
 def gap_text(gap: Gap) -> str:
@@ -52,13 +55,29 @@ def gap_text(gap: Gap) -> str:
 def read_gap_text(text: str) -> Gap:
     """The gap in a line of JSON. FrameError when it is none."""
     try:
-        values: Any = json.loads(text) if len(text) <= GAP_CHARACTERS_MAX else None
-        gap = read_gap(values["topic"], values)
-        numbers = (gap.count, gap.first, gap.last)
-        if not all(isinstance(text, str) for text in (gap.topic, gap.where, gap.why)):
-            raise TypeError("topic, where and why are texts")
-        if not all(type(number) is int and 0 <= number < 2**63 for number in numbers):
-            raise TypeError("count, first and last are numbers")
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        return _gap(_values(text))
+    except _WRONG as error:
         raise FrameError(f"{text[:100]!r} says of no gap what it is: {error}") from error
+
+
+def read_gaps(text: str) -> list[Gap]:
+    """The gaps of the property. FrameError when it holds something else."""
+    try:
+        return [_gap(values) for values in _values(text)[:GAPS_PER_MESSAGE_MAX]]
+    except _WRONG as error:
+        raise FrameError(f"{text[:100]!r} holds no gaps: {error}") from error
+
+
+def _values(text: str) -> Any:
+    if len(text) > GAP_CHARACTERS_MAX:
+        raise ValueError(f"{len(text)} characters are more than {GAP_CHARACTERS_MAX}")
+    return json.loads(text)
+
+
+def _gap(values: Any) -> Gap:
+    gap = read_gap(values["topic"], values)
+    if not all(isinstance(text, str) for text in (gap.topic, gap.where, gap.why)):
+        raise TypeError("topic, where and why are texts")
+    if not all(type(number) is int and 0 <= number < 2**63 for number in (gap.count, gap.first, gap.last)):
+        raise TypeError("count, first and last are numbers")
     return gap

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from robotkube.domain.audits import Gap
 
 TOPICS_MAX = 1000
+OTHERS = "others"
 
 
 class Losses:
@@ -19,28 +20,35 @@ class Losses:
 
     def add(self, gap: Gap) -> None:
         """Messages were given up; gaps of one topic, place and reason are one until it is closed."""
-        for known in (self._open, self._sums):
-            key = (gap.topic, gap.where, gap.why)
-            if key not in known and len(known) >= TOPICS_MAX:
-                key = ("others", *key[1:])
-            known[key] = _joined(known.get(key), gap, key[0])
+        _join(self._open, gap)
+        _join(self._sums, gap)
+
+    def reopen(self, gap: Gap) -> None:
+        """A gap that was closed has not been told after all."""
+        _join(self._open, gap)
 
     def close(self, topic: str) -> list[Gap]:
-        """The gaps of a topic that has gone on, or that ends."""
+        """The gaps of a topic that goes on."""
         if not self._open:
             return []
         return [self._open.pop(key) for key in [key for key in self._open if key[0] == topic]]
 
-    def close_all(self) -> list[Gap]:
-        """Every gap that still grew."""
-        found = list(self._open.values())
-        self._open.clear()
-        return found
+    @property
+    def open(self) -> tuple[Gap, ...]:
+        """Every gap that still grows."""
+        return tuple(self._open.values())
 
     @property
     def sums(self) -> Iterator[Gap]:
         """Per topic, place and reason all that was given up; counters may be read by any thread."""
         return iter(list(self._sums.values()))
+
+
+def _join(known: dict[tuple[str, str, str], Gap], gap: Gap) -> None:
+    key = (gap.topic, gap.where, gap.why)
+    if key not in known and len(known) >= TOPICS_MAX:
+        key = (OTHERS, gap.where, gap.why)
+    known[key] = _joined(known.get(key), gap, key[0])
 
 
 def _joined(known: Gap | None, gap: Gap, topic: str) -> Gap:

@@ -12,10 +12,10 @@ Retained frames do not grow old: they say what is, not what was.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from robotkube.domain.audits import Gap
+from robotkube.domain.losses import Losses
 
 SETTLING_SECONDS = 10.0
 SETTLING_RETRY_SECONDS = 0.2
@@ -31,7 +31,8 @@ OLD, MANY, LARGE, REFUSED, CLOSED = (
 @dataclass(frozen=True)
 class OutgoingFrame:
     """An encoded frame for the MQTT topic `topic`; `messages` is their number in it, `first` and `last` their stamps in
-    ns, `born` the time it was put, `name` the ROS topic they come from, empty for what is no message of a robot."""
+    ns, `born` the time it was put, `name` the ROS topic they come from, empty for what is no message of a robot, `gaps`
+    what was given up before it and is told with it."""
 
     topic: str
     payload: bytes
@@ -42,6 +43,7 @@ class OutgoingFrame:
     name: str = ""
     first: int = 0
     last: int = 0
+    gaps: tuple[Gap, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -55,12 +57,12 @@ class Bounds:
 
 
 class Outbox:
-    """A queue whose oldest frames go when it is beyond its bounds; `dropped` counts their messages, `lost` is told of
-    each of them."""
+    """A queue whose oldest frames go when it is beyond its bounds; `dropped` counts their messages, `losses` tells
+    which; `where` is what a gap calls this place."""
 
-    def __init__(self, bounds: Bounds, lost: Callable[[Gap], None], where: str = "mqtt-bridge") -> None:
-        self.dropped = 0
-        self._bounds, self._lost, self._where = bounds, lost, where
+    def __init__(self, bounds: Bounds, where: str = "mqtt-bridge") -> None:
+        self.dropped, self.losses = 0, Losses()
+        self._bounds, self._where = bounds, where
         self._waiting: deque[OutgoingFrame] = deque()
         self._inflight: dict[int, OutgoingFrame] = {}
         self._bytes = 0
@@ -83,7 +85,7 @@ class Outbox:
         self._bound(frame.born)
 
     def next(self, now: float) -> OutgoingFrame | None:
-        """The frame to send now, or None; tell `sent` or `give_back` afterwards."""
+        """The frame to send now, with the gaps before it, or None; tell `sent` or `give_back` afterwards."""
         self._bound(now)
         if not self._waiting:
             return None
@@ -98,6 +100,11 @@ class Outbox:
         """What was not sent yet, or has to be sent again."""
         return tuple(self._waiting)
 
+    @property
+    def untold(self) -> list[Gap]:
+        """Gaps that no acknowledged frame has told."""
+        return [*(gap for frame in (*self._inflight.values(), *self._waiting) for gap in frame.gaps), *self.losses.open]
+
     def give_back(self, frame: OutgoingFrame) -> None:
         """`frame`, which `next` handed out, could not be sent."""
         self._waiting.appendleft(frame)
@@ -107,17 +114,19 @@ class Outbox:
         """`frame` is on its way; `token` will come back with its acknowledgement."""
         self._inflight[token] = frame
 
-    def acknowledged(self, token: int, heard: bool, now: float) -> None:
-        """The broker has a frame; `heard` says whether it has subscribers for it."""
+    def acknowledged(self, token: int, heard: bool, now: float) -> tuple[Gap, ...]:
+        """The broker has a frame; `heard` says whether it has subscribers for it. The gaps that were told with it."""
         frame = self._inflight.pop(token, None)
-        if frame is None or self._settling_until is None:
-            return
-        if heard or frame.retained or now >= self._settling_until:
+        if frame is None:
+            return ()
+        if self._settling_until is not None:
             if heard or now >= self._settling_until:
                 self._settling_until = None
-            return
-        self.give_back(frame)
-        self._retry_at = now + SETTLING_RETRY_SECONDS
+            elif not frame.retained:
+                self.give_back(frame)
+                self._retry_at = now + SETTLING_RETRY_SECONDS
+                return ()
+        return frame.gaps
 
     def rejected(self, token: int) -> OutgoingFrame | None:
         """The broker does not take a frame; the frame, which is given up."""
@@ -154,7 +163,8 @@ class Outbox:
     def _pop(self) -> OutgoingFrame:
         frame = self._waiting.popleft()
         self._bytes -= len(frame.payload)
-        return frame
+        gaps = self.losses.close(frame.name) if frame.name else ()
+        return replace(frame, gaps=(*frame.gaps, *gaps)) if gaps else frame
 
     def _bound(self, now: float) -> None:
         while (excess := self._excess(now)) is not None:
@@ -181,5 +191,7 @@ class Outbox:
 
     def _give_up(self, frame: OutgoingFrame, why: str) -> None:
         self.dropped += frame.messages
+        for gap in frame.gaps:
+            self.losses.reopen(gap)
         if frame.messages and frame.name:
-            self._lost(Gap(frame.name, self._where, why, frame.messages, frame.first, frame.last))
+            self.losses.add(Gap(frame.name, self._where, why, frame.messages, frame.first, frame.last))

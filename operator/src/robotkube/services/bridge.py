@@ -6,7 +6,7 @@ is what makes it cheap: one frame, one packet, one acknowledgement for all messa
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from robotkube.domain.audits import Gap
@@ -187,7 +187,7 @@ class Bridge:
 
     def _advertise(self, topic: BridgedTopic) -> Incoming:
         sink = self._network.advertise(topic.name, topic.type, topic.reliability, topic.durability, topic.depth)
-        self._incoming[topic.name] = Incoming(topic, sink, self._lost_at_ros, self._found_gap, self._now)
+        self._incoming[topic.name] = Incoming(topic, sink, self._lost_at_ros, self._found_gaps, self._now)
         return self._incoming[topic.name]
 
     def _open_found(self, general: BridgedTopic, mqtt_topic: str) -> Incoming | None:
@@ -266,7 +266,7 @@ class Bridge:
     def _lost_at_ros(self, gap: Gap) -> None:
         incoming = self._incoming.get(gap.topic)
         if incoming is not None:
-            self._links[incoming.topic.channel].losses.add(gap)
+            self._links[incoming.topic.channel].outbox.losses.add(gap)
             if incoming.lost_messages == 1:
                 self._log("messages dropped", topic=gap.topic, **gap.document())
 
@@ -278,10 +278,11 @@ class Bridge:
         elif wanted and self._gaps is None:
             topic = BridgedTopic(GAPS_TOPIC, GAPS_TYPE, durability="transient_local", depth=GAPS_DEPTH)
             sink = self._network.advertise(topic.name, topic.type, topic.reliability, topic.durability, topic.depth)
-            self._gaps = Incoming(topic, sink, self._lost_at_ros, self._found_gap, self._now)
+            self._gaps = Incoming(topic, sink, self._lost_at_ros, self._found_gaps, self._now)
 
-    def _found_gap(self, gap: Gap) -> None:
+    def _found_gaps(self, gaps: Sequence[Gap]) -> None:
         """A sender told what is missing in what came in."""
-        self._log("messages missing", topic=gap.topic, **gap.document())
-        if self._gaps is not None:
-            self._gaps.publish([string_message(gap_text(gap).encode())], self._sender.clock())
+        for gap in gaps:
+            self._log("messages missing", topic=gap.topic, **gap.document())
+            if self._gaps is not None:
+                self._gaps.publish([string_message(gap_text(gap).encode())], self._sender.clock())

@@ -11,10 +11,9 @@ from robotkube.domain import mqtt_client_format as ika
 from robotkube.domain.audits import Gap
 from robotkube.domain.bridging import MQTT_CLIENT, BridgedTopic
 from robotkube.domain.bridging_properties import (
-    GAP,
+    GAPS,
     TYPE,
-    gap_property,
-    read_gap_text,
+    read_gaps,
     stamp_property,
     type_properties,
     types_topic,
@@ -36,6 +35,7 @@ DEFINITION_ENCODING = "text/x-ros2msg"
 NOT_TAKEN = "not taken by the middleware"
 
 Lost = Callable[[Gap], None]
+Found = Callable[[Sequence[Gap]], None]
 
 
 @dataclass
@@ -118,7 +118,7 @@ class Incoming:
     """A topic that comes from the broker. Until a subscription has found its publisher, or HOLD_SECONDS_MAX are over,
     messages are held: the middleware gives them to nobody who comes later."""
 
-    def __init__(self, topic: BridgedTopic, sink: MessageSink, lost: Lost, found: Lost, now: float) -> None:
+    def __init__(self, topic: BridgedTopic, sink: MessageSink, lost: Lost, found: Found, now: float) -> None:
         self.topic, self.sink = topic, sink
         self.seen = SeenFrames()
         self.messages = self.matched = self.lost_messages = 0
@@ -182,10 +182,11 @@ class Incoming:
         user = read_properties(properties).user if properties else {}
         if user.get(TYPE, self.topic.type) != self.topic.type:
             raise FrameError(f"its type is {user[TYPE]}, that of the topic {self.topic.type}; make the two the same")
+        gaps = read_gaps(user[GAPS]) if GAPS in user else ()
         if not self.seen.fresh(frame.session, frame.sequence):
             return ()
-        if GAP in user:
-            self._found(read_gap_text(user[GAP]))
+        if gaps:
+            self._found(gaps)
         return frame.messages
 
     def _plain(self, payload: bytes, properties: bytes, clock_ns: int) -> Sequence[bytes]:
@@ -202,11 +203,6 @@ class Incoming:
             return max(0, header_stamp(message)) if self._has_header else clock_ns
         except ValueError:
             return clock_ns
-
-
-def with_gaps(frame: OutgoingFrame, gaps: Sequence[Gap]) -> bytes:
-    """The frame's properties, and what was given up before it."""
-    return frame.properties + gap_property(gaps) if gaps else frame.properties
 
 
 def parts(messages: Sequence[bytes]) -> Iterator[Sequence[bytes]]:

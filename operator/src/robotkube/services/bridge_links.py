@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING
 
 from robotkube.domain import mqtt_client_format as ika
 from robotkube.domain.audits import Gap
 from robotkube.domain.bridging import BULK, MQTT_CLIENT, BridgedTopic
+from robotkube.domain.bridging_properties import gaps_property
 from robotkube.domain.errors import InputError
-from robotkube.domain.losses import Losses
 from robotkube.domain.outboxes import Bounds, Outbox, OutgoingFrame
-from robotkube.services.bridge_flows import Incoming, with_gaps
+from robotkube.services.bridge_flows import Incoming
 
 if TYPE_CHECKING:  # the ports know every part's domain: 25 ms of a start
     from robotkube.ports.robots import ChannelEvents, FrameChannel
@@ -35,9 +34,7 @@ class Link:
         self, name: str, agent: str, make: MakeChannel, log: Log, clock: Callable[[], int], opened: OpenIncoming
     ) -> None:
         self.name = name
-        self.losses = Losses()
-        bounds = BULK_BOUNDS if name == BULK else TELEMETRY_BOUNDS
-        self.outbox = Outbox(bounds, self.losses.add, f"mqtt-bridge of {agent}")
+        self.outbox = Outbox(BULK_BOUNDS if name == BULK else TELEMETRY_BOUNDS, f"mqtt-bridge of {agent}")
         self.incoming: dict[str, Incoming] = {}
         self.general: dict[str, BridgedTopic] = {}
         self.retained: dict[str, OutgoingFrame] = {}
@@ -114,7 +111,7 @@ class Link:
 
     def acknowledged(self, token: int, heard: bool) -> None:
         """The broker has a frame."""
-        self.outbox.acknowledged(token, heard, self._now)
+        self._tell(self.outbox.acknowledged(token, heard, self._now))
 
     def rejected(self, token: int, reason: str) -> None:
         """The broker does not take a frame."""
@@ -162,24 +159,20 @@ class Link:
         """Hand over what the connection takes at once, then part from the broker."""
         self.turn(self._now)
         self.channel.close()
-        for gap in self.losses.close_all():
-            self._tell(gap.topic, [gap])
+        self._tell(self.outbox.untold)
 
     def _hand_over(self, now: float) -> None:
         while (frame := self.outbox.next(now)) is not None:
-            gaps = self.losses.close(frame.name) if frame.name else []
-            if gaps:
-                self._tell(frame.name, gaps)
-                frame = replace(frame, properties=with_gaps(frame, gaps))
-            token = self.channel.publish(frame.topic, frame.payload, frame.retained, frame.properties)
+            properties = frame.properties + gaps_property(frame.gaps)
+            token = self.channel.publish(frame.topic, frame.payload, frame.retained, properties)
             if token is None:
                 self.outbox.give_back(frame)
                 return
             self.outbox.sent(token, frame)
 
-    def _tell(self, topic: str, gaps: list[Gap]) -> None:
+    def _tell(self, gaps: Iterable[Gap]) -> None:
         for gap in gaps:
-            self._log("messages dropped", channel=self.name, topic=topic, **gap.document())
+            self._log("messages dropped", channel=self.name, topic=gap.topic, **gap.document())
 
     def _find(self, topic: str, payload: bytes) -> Incoming | None:
         """Where a message goes whose topic is not known by name."""

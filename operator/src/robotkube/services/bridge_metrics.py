@@ -51,7 +51,7 @@ def _link(link: Link) -> Iterator[str]:
     yield f'queued_frames{{channel="{name}"}} {len(link.outbox)}'
     yield f'queued_bytes{{channel="{name}"}} {link.outbox.bytes}'
     yield f'refused_frames_total{{channel="{name}"}} {link.bad_frames}'
-    for gap in link.losses.sums:
+    for gap in link.outbox.losses.sums:
         labels = f'channel="{name}",topic="{gap.topic}",where="{gap.where}",why="{_quoted(gap.why)}"'
         yield f"dropped_messages_total{{{labels}}} {gap.count}"
         yield f"dropped_first_stamp_seconds{{{labels}}} {gap.first / 1e9:.9f}"
