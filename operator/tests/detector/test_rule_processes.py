@@ -1,0 +1,290 @@
+"""Rules in processes of their own: the real ones, and who is suspended for what by the policy."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rule_stage import DEFINITIONS, NOW, NUMBERS, POSES, SECOND, TOPICS, RuleStage, read, seconds
+from waiting import until
+
+from robotkube.adapters.rule_processes import ChildProcess
+from robotkube.domain.rules import RISE, START, STOP, Answer, Edge, Question, Rule
+from robotkube.entrypoints.rule_host import check_expressions, start_rule
+from robotkube.ports.rules import Reply
+from robotkube.services import rule_workers
+from robotkube.services.rule_workers import QUESTIONS_MAX, RuleWorkers
+
+EXAMPLE = Path(__file__).resolve().parents[3] / "docs" / "examples" / "closing-speed"
+FORMULA = {
+    "name": "fast", "kind": "cel", "topic": NUMBERS, "fields": {"v": "data"}, "expression": "v > 2.0 && agent != 'x'",
+    "until": "v < 1.0",
+}  # fmt: skip
+WRONG_RULES = '''
+"""Rules that do what no rule should."""
+import time
+
+class Wrong:
+    def __init__(self, settings):
+        self.kind = settings["kind"]
+        if self.kind == "refuses":
+            raise ValueError("settings.kind is not to my taste")
+
+    def evaluate(self, arrival, window):
+        print("what a rule prints is no reply")
+        if self.kind == "loops":
+            while True:
+                pass
+        if self.kind == "sleeps":
+            time.sleep(3600)
+        if self.kind == "raises":
+            raise RuntimeError("no")
+        if self.kind == "ends":
+            import os
+            os._exit(7)
+        if self.kind == "eats":
+            list(range(10**9))
+        if self.kind == "lies":
+            return ["nonsense"]
+        return []
+'''
+
+
+class Stage(RuleStage):
+    """An engine with its workers; a replay, so that nothing is dropped."""
+
+    def __init__(self, *documents: dict[str, Any]) -> None:
+        self.workers = RuleWorkers(self.start, time.monotonic, lossless=True)
+        super().__init__(*documents, ask=self.workers.ask)
+        self.workers.apply(self.engine.rules)
+
+    @staticmethod
+    def start(rule: Rule) -> ChildProcess:
+        return start_rule(rule, TOPICS, DEFINITIONS.__getitem__)
+
+    def settled(self) -> list[Edge]:
+        return [edge for verdict in self.workers.settle() for edge in self.engine.answer(verdict)]
+
+
+@pytest.fixture
+def make_stage() -> Iterator[Callable[..., Stage]]:
+    stages: list[Stage] = []
+
+    def make(*documents: dict[str, Any]) -> Stage:
+        stages.append(Stage(*documents))
+        return stages[-1]
+
+    yield make
+    for stage in stages:
+        stage.workers.stop()
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The example and the wrong rules, installed as pip does it."""
+    root = tmp_path_factory.mktemp("plugins")
+    wrong = root / "wrong"
+    (wrong / "src" / "wrong_rules").mkdir(parents=True)
+    (wrong / "src" / "wrong_rules" / "__init__.py").write_text(WRONG_RULES)
+    text = (EXAMPLE / "pyproject.toml").read_text()
+    text = text.replace('name = "closing-speed"', 'name = "wrong-rules"')
+    (wrong / "pyproject.toml").write_text(
+        text.replace('closing-speed = "closing_speed:make"', 'wrong = "wrong_rules:Wrong"')
+    )
+    example = root / "example"
+    shutil.copytree(EXAMPLE, example)
+    target = root / "site"
+    options = ["--quiet", "--no-deps", "--no-index", "--no-build-isolation", "--target", str(target)]
+    command = [sys.executable, "-m", "pip", "install", *options, str(example), str(wrong)]
+    subprocess.run(command, check=True, timeout=120)
+    return target
+
+
+@pytest.fixture
+def plugins(installed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(installed), os.environ["PYTHONPATH"]]))
+
+
+def test_an_expression_begins_and_ends_events(make_stage: Callable[..., Stage]) -> None:
+    stage = make_stage(FORMULA)
+    for at, value in enumerate([1.0, 3.0, 1.5, 0.5]):
+        stage.send("vehicle-00", value, at)
+    edges = stage.settled()
+    assert [(edge, at) for edge, _, at in seconds(edges)] == [(START, 1.0), (STOP, 3.0)]
+    assert edges[0].causes[0].values == {"v": 3.0, "agent": "vehicle-00"}
+    assert edges[0].detail == {"v": 3.0}
+
+
+def test_an_expression_that_fails_is_suspended_and_the_others_go_on(make_stage: Callable[..., Stage]) -> None:
+    stage = make_stage(FORMULA, {**FORMULA, "name": "wrong", "expression": "v.nothing > 1.0"})
+    for at in range(5):
+        stage.send("vehicle-00", 3.0, at)
+    assert [edge.rule for edge in stage.settled()] == ["fast"]
+    states = stage.workers.document()
+    assert (states["fast"]["state"], states["wrong"]["state"]) == ("running", "suspended")
+    assert "v.nothing > 1.0" in states["wrong"]["problem"]
+
+
+def test_expressions_are_checked_before_they_are_used() -> None:
+    good, bad = check_expressions(["a.x > 1.0", "a >"])
+    assert good == ""
+    assert bad.startswith("cannot be read: ")
+
+
+@pytest.mark.usefixtures("plugins")
+def test_the_example_package_finds_vehicles_that_approach_fast(make_stage: Callable[..., Stage]) -> None:
+    stage = make_stage({
+        "name": "approach", "kind": "python", "plugin": "closing-speed", "topics": [POSES], "scope": "pair",
+        "settings": {"topic": POSES, "start_mps": 10, "stop_mps": 5, "span_seconds": 0.4},
+    })  # fmt: skip
+    places = [100 - 20 * step / 10 if step < 20 else 60.0 for step in range(40)]
+    for step, x in enumerate(places):
+        stage.send("vehicle-00", (0.0, 0.0, 0.0), step / 10)
+        stage.send("vehicle-01", (x, 0.0, 0.0), step / 10)
+    start, stop = stage.settled()
+    assert (start.edge, stop.edge, start.agents) == (START, STOP, ("vehicle-00", "vehicle-01"))
+    assert start.detail["closing_mps"] == pytest.approx(20)
+    assert start.stamp - NOW == pytest.approx(0.4 * SECOND, abs=0.11 * SECOND)
+    assert start.stamp < stop.stamp <= NOW + 3 * SECOND
+
+
+@pytest.mark.usefixtures("plugins")
+@pytest.mark.parametrize(
+    ("kind", "problem"),
+    [
+        ("refuses", "cannot be loaded: ValueError: settings.kind is not to my taste"),
+        ("loops", "took more than its budget of 0.1 s"),
+        ("sleeps", "it has not answered for 5 s"),
+        ("raises", "RuntimeError: no"),
+        ("ends", "exit code 7"),
+        ("eats", "MemoryError"),
+        ("lies", "AttributeError"),
+    ],
+)
+def test_a_rule_that_does_wrong_is_suspended_by_name(
+    kind: str, problem: str, make_stage: Callable[..., Stage], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rule_workers, "STUCK_SECONDS_MIN", 5.0)
+    budget = 5 if kind == "eats" else 0.1
+    document = {
+        "name": "wrong", "kind": "python", "plugin": "wrong", "topics": [NUMBERS], "settings": {"kind": kind},
+        "budget_seconds": budget,
+    }  # fmt: skip
+    stage = make_stage(document, FORMULA)
+    for at in range(3):
+        stage.send("vehicle-00", 3.0, at)
+    edges: list[Edge] = stage.settled()
+    until(lambda: edges.extend(stage.settled()) or stage.workers.document()["wrong"]["suspensions"] > 0, seconds=40)
+    state = stage.workers.document()["wrong"]
+    assert problem in state["problem"]
+    assert state["dropped"] == 3
+    assert [edge.rule for edge in edges] == ["fast"], "the other rule goes on"
+
+
+class Pretended:
+    """A process that replies when it is told to."""
+
+    def __init__(self) -> None:
+        self.ready, self.failure, self.stopped = True, "", False
+        self.asked: list[Question] = []
+        self.waiting: list[Reply] = []
+
+    def ask(self, question: Question) -> None:
+        self.asked.append(question)
+
+    def replies(self) -> Sequence[Reply]:
+        found, self.waiting = self.waiting, []
+        return found
+
+    def wait(self, seconds: float) -> None: ...
+
+    def stop(self) -> None:
+        self.stopped = True
+
+
+class Policy:
+    """Workers over pretended processes and a clock that stands still."""
+
+    def __init__(self) -> None:
+        self.now, self.processes = 0.0, list[Pretended]()
+        self.workers = RuleWorkers(self._start, lambda: self.now)
+        self.workers.apply(read(FORMULA))
+
+    def _start(self, rule: Rule) -> Pretended:
+        self.processes.append(Pretended())
+        return self.processes[-1]
+
+    def ask(self, count: int = 1, data: bytes = b"") -> None:
+        for number in range(count):
+            self.workers.ask(Question("fast", ("vehicle-00",), "/t", number, number, data=data))
+
+    @property
+    def state(self) -> dict[str, Any]:
+        found: dict[str, Any] = self.workers.document()["fast"]
+        return found
+
+
+def test_questions_wait_within_bounds_and_what_is_dropped_is_counted() -> None:
+    policy = Policy()
+    policy.ask(QUESTIONS_MAX + 5)
+    assert (policy.state["waiting"], policy.state["dropped"]) == (QUESTIONS_MAX, 5)
+    policy.processes[0].waiting = [Reply([Answer(("vehicle-00",), RISE)])] * 10
+    verdicts = policy.workers.collect()
+    assert [verdict.question.stamp for verdict in verdicts] == list(range(10))
+    assert policy.state["waiting"] == QUESTIONS_MAX - 10
+    large = Policy()
+    large.ask(5, bytes(10_000_000))
+    assert (large.state["waiting"], large.state["dropped"]) == (3, 2)
+
+
+def test_pauses_double_up_to_a_bound_and_begin_anew_after_a_good_minute() -> None:
+    policy, pauses = Policy(), []
+    for _ in range(9):
+        policy.processes[-1].failure = "it fell over"
+        policy.workers.collect()
+        assert policy.processes[-1].stopped
+        pauses.append(policy.state["resumes_in_seconds"])
+        policy.now += pauses[-1] - 0.01
+        policy.workers.collect()
+        assert policy.state["state"] == "suspended"
+        policy.now += 0.02
+        policy.workers.collect()
+        assert policy.state["state"] == "running"
+    assert pauses == [1, 2, 4, 8, 16, 32, 60, 60, 60]
+    policy.now += 61
+    policy.workers.collect()
+    assert policy.state["problem"] == ""
+    policy.processes[-1].failure = "again"
+    policy.workers.collect()
+    assert policy.state["resumes_in_seconds"] == 1
+
+
+def test_who_does_not_answer_is_ended_and_what_waited_is_counted() -> None:
+    policy = Policy()
+    policy.ask(3)
+    policy.now = 4.9
+    policy.workers.collect()
+    assert not policy.processes[0].stopped
+    policy.now = 5.1
+    policy.workers.collect()
+    assert policy.processes[0].stopped
+    assert (policy.state["dropped"], policy.state["problem"]) == (3, "it has not answered for 5 s")
+    policy.ask(2)
+    assert policy.state["dropped"] == 5
+
+
+def test_changed_rules_get_new_processes_and_others_keep_theirs() -> None:
+    policy = Policy()
+    policy.workers.apply(read(FORMULA, {**FORMULA, "name": "second"}))
+    assert len(policy.processes) == 2
+    policy.workers.apply(read({**FORMULA, "expression": "v > 3.0"}))
+    assert [process.stopped for process in policy.processes] == [True, True, False]
+    policy.workers.stop()
+    assert policy.processes[-1].stopped
