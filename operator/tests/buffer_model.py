@@ -17,6 +17,7 @@ from robotkube.domain.buffers import (
     JUMPED,
     KEPT,
     LATE,
+    OUTLIERS_MAX,
     BufferBounds,
     Sample,
 )
@@ -35,7 +36,7 @@ class ModelBuffer:
         self.history: list[Sample] = []
         self.newest: Sample | None = None
         self.behind: list[int] = []
-        self.far: Sample | None = None
+        self.far: list[Sample] = []
         self.counters = dict.fromkeys(
             ("late", "duplicates", "disordered", "jumps", "cleared", "evicted_seconds", "evicted_bytes",
              "evicted_count", "evicted_process"), 0,
@@ -43,7 +44,7 @@ class ModelBuffer:
 
     def insert(self, sample: Sample) -> str:
         self.history.append(sample)
-        newest, before, self.far = self.newest, self.far, None
+        newest, before, self.far = self.newest, self.far, []
         self.behind = [*self.behind, sample.received] if newest and sample.stamp < newest.stamp else []
         if newest is None:
             return self._keep(sample)
@@ -53,8 +54,7 @@ class ModelBuffer:
         if self._lasts_behind() and self.jump == JUMP_RESTART:
             return self._restart(sample)
         if too_far_ahead or -ahead > self.window:
-            self.far = sample
-            again = before and before.stamp != sample.stamp and abs(before.stamp - sample.stamp) <= self.window
+            again = self._confirms(before, sample, too_far_ahead)
             if again and (too_far_ahead or self.jump == JUMP_RESTART):
                 return self._restart(sample)
             self.counters["late"] += 1
@@ -65,6 +65,22 @@ class ModelBuffer:
             return DUPLICATE
         self.counters["disordered"] += ahead < 0
         return self._keep(sample)
+
+    def _confirms(self, before: list[Sample], sample: Sample, ahead: bool) -> bool:
+        """`before`: those far off in a row up to now, on one side."""
+        assert self.newest
+        if before and (before[-1].stamp > self.newest.stamp) != ahead:
+            before = []
+        self.far = [*before, sample]
+        if not before:
+            return False
+        last = before[-1]
+        if (last.stamp, last.data) == (sample.stamp, sample.data):
+            self.far = [*before[:-1], sample]
+            return False
+        apart = sample.stamp - last.stamp
+        near = abs(apart) <= self.window or abs(apart - (sample.received - last.received)) <= self.window
+        return near or len(self.far) >= OUTLIERS_MAX
 
     def _lasts_behind(self) -> bool:
         lasted = len(self.behind) >= BEHIND_COUNT and self.behind[-1] - self.behind[0] >= BEHIND_NS

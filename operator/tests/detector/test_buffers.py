@@ -143,8 +143,21 @@ def test_two_outliers_of_different_times_are_no_jump() -> None:
     assert filled(5000, 1000, 9000, 3000, 5010)[1] == [KEPT, LATE, LATE, LATE, KEPT]
 
 
+def test_three_on_one_side_are_a_jump_wherever_they_are() -> None:
+    assert filled(5000, 9000, 29000, 60000, 60010)[1] == [KEPT, LATE, LATE, JUMPED, KEPT]
+
+
+def test_a_topic_slower_than_the_window_jumps_with_its_clock() -> None:
+    """A message every 15 s, a window of 1 s, and a clock that is put forward by an hour."""
+    buffer = RingBuffer(BufferBounds(1.0, 1000))
+    hour = 3_600_000
+    times = [(0, 0), (15_000, 15_000), (hour + 30_000, 30_000), (hour + 45_000, 45_000), (hour + 60_000, 60_000)]
+    assert [buffer.insert(sample(*pair)) for pair in times] == [KEPT, KEPT, LATE, JUMPED, KEPT]
+
+
 def test_one_outlier_sent_twice_is_no_jump() -> None:
-    assert filled(5000, 1000, 1000, 5010)[1] == [KEPT, LATE, LATE, KEPT]
+    buffer, _ = filled(5000)
+    assert [buffer.insert(sample(stamp)) for stamp in (1000, 1000, 1000, 1000, 5010)] == [LATE] * 4 + [KEPT]
 
 
 def test_kept_time_does_not_go_back_but_forward() -> None:

@@ -25,6 +25,8 @@ DROP_OLDEST = "oldest"
 
 COUNT_DEFAULT = 100_000
 DUPLICATES_COMPARED_MAX = 100
+OUTLIERS_MAX = 3
+"""So many messages in a row, all far ahead or all far behind, are a jump wherever they are."""
 BEHIND_COUNT, BEHIND_NS = 10, 1_000_000_000
 """So many messages in a row for so long, all behind the newest: time went back by less than the window."""
 
@@ -92,7 +94,7 @@ class RingBuffer:
 
     __slots__ = (
         *COUNTERS, "_ahead", "_behind_at", "_behind_count", "_behind_since", "_budget", "_bytes_max", "_count_max",
-        "_newest", "_newest_received", "_samples", "_suspect", "_suspect_at", "_window_ns", "bytes",
+        "_newest", "_newest_received", "_samples", "_suspect", "_suspect_at", "_suspects", "_window_ns", "bytes",
         "duplicate_policy", "jump_policy", "latched",
     )  # fmt: skip
 
@@ -113,7 +115,8 @@ class RingBuffer:
         self.bytes = self.received = self.late = self.disordered = self.duplicates = self.jumps = self.cleared = 0
         self.evicted_seconds = self.evicted_bytes = self.evicted_count = self.evicted_process = 0
         self._newest, self._ahead, self._newest_received = -_FOREVER, _FOREVER, 0
-        self._suspect = self._suspect_at = self._behind_at = self._behind_count = self._behind_since = -1
+        self._suspect, self._suspects = Sample(0, 0, b""), 0
+        self._suspect_at = self._behind_at = self._behind_count = self._behind_since = -1
 
     def __len__(self) -> int:
         return len(self._samples)
@@ -241,10 +244,21 @@ class RingBuffer:
         return LATE
 
     def _again(self, sample: Sample) -> bool:
-        """Whether the message before this one was far off in the same way: two in a row are no outlier."""
-        suspect, in_a_row = self._suspect, self._suspect_at == self.received - 1
-        self._suspect, self._suspect_at = sample.stamp, self.received
-        return in_a_row and sample.stamp != suspect and abs(sample.stamp - suspect) <= self._window_ns
+        """Whether the message before this one was far off in the same way: then neither is an outlier.
+
+        In the same way: near to this one, or as much earlier as it was received earlier; or several on one side.
+        """
+        before, in_a_row = self._suspect, self._suspect_at == self.received - 1
+        self._suspect, self._suspect_at = sample, self.received
+        apart, waited = sample.stamp - before.stamp, sample.received - before.received
+        if not in_a_row or (before.stamp > self._newest) != (sample.stamp > self._newest):
+            self._suspects = 1
+            return False
+        if not apart and before.data == sample.data:
+            return False
+        self._suspects += 1
+        alike = abs(apart) <= self._window_ns or abs(apart - waited) <= self._window_ns
+        return alike or self._suspects >= OUTLIERS_MAX
 
     def _runs_behind(self, sample: Sample) -> bool:
         """Whether messages have been behind the newest for so long that it is not a matter of order any more."""
