@@ -8,16 +8,25 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import paho.mqtt.client as mqtt
 import pytest
+import yaml
 from paho.mqtt.enums import CallbackAPIVersion
 from programs import free_port
+
+from robotkube.adapters.mqtt_paho import BrokerAccount, PahoChannel
+from robotkube.domain.bridging import read_bridge_settings
+from robotkube.services.bridge import Bridge
+from robotkube.services.bridge_flows import Sender
 
 START_SECONDS_MAX = 10.0
 ANSWER_SECONDS_MAX = 5.0
 QUIET_SECONDS = 0.3
+PROFILES = Path(__file__).parent / "profiles"
+PLATFORM = Path(__file__).resolve().parents[3] / "charts" / "robotkube"
 
 Connect = Callable[..., "Connection"]
 
@@ -77,8 +86,21 @@ class Connection:
             return [topic for topic, _ in self.received]
 
     def close(self) -> None:
-        self._client.disconnect()
-        self._client.loop_stop()
+        client = self._client
+        client.disconnect()
+        client.loop_stop()
+        client.on_connect = client.on_message = client.on_publish = client.on_subscribe = (
+            None  # they hold it in a circle
+        )
+
+
+@pytest.fixture(scope="module")
+def official(helm: Any) -> Any:
+    """The platform chart with two more vehicles."""
+    profile = PROFILES / "official.yaml"
+    agents = yaml.safe_load(profile.read_text())["agents"]
+    more = [{"name": name, "role": "vehicle"} for name in ("vehicle-03", "vehicle-07")]
+    return helm.template(PLATFORM, profile, agents=[*agents, *more])
 
 
 @pytest.fixture(scope="module")
@@ -171,6 +193,49 @@ def test_a_vehicle_writes_and_reads_its_own_topics(connect: Connect) -> None:
 )
 def test_a_vehicle_writes_nothing_else(connect: Connect, topic: str) -> None:
     assert connect("vehicle-00").publish(topic) == NOT_AUTHORISED
+
+
+def test_vehicle_07_does_not_publish_the_pose_of_vehicle_03(connect: Connect) -> None:
+    cloud, impostor, owner = connect("cloud-0"), connect("vehicle-07"), connect("vehicle-03")
+    cloud.subscribe("mqtt/vehicles/+/pose")
+    assert impostor.publish("mqtt/vehicles/vehicle_03/pose", b"forged") == NOT_AUTHORISED
+    assert owner.publish("mqtt/vehicles/vehicle_03/pose", b"own") == 0
+    cloud.topics(1)
+    assert cloud.received == [("mqtt/vehicles/vehicle_03/pose", b"own")]
+
+
+@pytest.mark.parametrize("prefix", ["robotkube/types", "mqtt_client/ros_msg_type"])
+def test_a_vehicle_says_of_its_own_topics_what_they_are(connect: Connect, prefix: str) -> None:
+    cloud, vehicle = connect("cloud-0"), connect("vehicle-00")
+    cloud.subscribe(f"{prefix}/mqtt/vehicles/+/pose")
+    assert vehicle.publish(f"{prefix}/mqtt/vehicles/vehicle_01/pose") == NOT_AUTHORISED
+    assert cloud.publish(f"{prefix}/mqtt/vehicles/vehicle_00/pose") == NOT_AUTHORISED
+    assert vehicle.publish(f"{prefix}/mqtt/vehicles/vehicle_00/pose") == 0
+    assert cloud.topics(1) == [f"{prefix}/mqtt/vehicles/vehicle_00/pose"]
+
+
+def test_a_bridge_that_may_not_says_so(broker: int, official: Any) -> None:
+    """The bridge of vehicle-07, told to send vehicle-03's pose: a complaint, a refusal counted, nothing sent."""
+    secret = official.one("Secret", "broker-account", "vehicle-07")["stringData"]
+    account = BrokerAccount("127.0.0.1", broker, secret["username"], secret["password"])
+    waiting = [b"pose"]
+    source = SimpleNamespace(take=lambda _: [waiting.pop()] if waiting else [], matched=1, close=lambda: None)
+    network: Any = SimpleNamespace(subscribe=lambda *_: source)
+
+    def channel(agent: str, name: str, events: Any) -> PahoChannel:
+        return PahoChannel(lambda: account, f"{agent}-{name}", 5, events)
+
+    bridge = Bridge(network, channel, Sender(1, time.time_ns, lambda name: ""), lambda *a, **k: None)
+    pose = {"name": "/vehicles/vehicle_03/pose", "type": "geometry_msgs/msg/PoseStamped"}
+    bridge.configure(read_bridge_settings({"agent": "vehicle-07", "out": [pose]}, "config.yaml"))
+    deadline = time.monotonic() + ANSWER_SECONDS_MAX
+    while "look at the broker's ACL" not in str(bridge.complaint):
+        assert time.monotonic() < deadline, bridge.complaint
+        bridge.turn(time.monotonic())
+        time.sleep(0.01)
+    assert "mqtt/vehicles/vehicle_03/pose: the broker refuses a frame (reason 0x87" in str(bridge.complaint)
+    assert 'why="refused by the broker"} 1' in bridge.metrics()
+    bridge.close()
 
 
 def test_a_vehicle_reads_no_other_vehicle(connect: Connect) -> None:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 from robotkube.domain.documents import Reader
@@ -39,6 +40,11 @@ _TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
 _CHANNEL = re.compile("|".join(CHANNELS))
 _RELIABILITY = re.compile("reliable|best_effort")
 _DURABILITY = re.compile("volatile|transient_local")
+
+
+@lru_cache(maxsize=2 * TOPICS_MAX)
+def _pattern(text: str) -> TopicPattern:
+    return TopicPattern(text)
 
 
 @dataclass(frozen=True)
@@ -83,7 +89,7 @@ class BridgedTopic:
 
     def agent(self, name: str) -> str | None:
         """The agent whose ROS topic this is, if it is one of these."""
-        return TopicPattern(self.name).agent(name)
+        return _pattern(self.name).agent(name)
 
     def named(self, name: str) -> BridgedTopic:
         """The one topic of that ROS name."""

@@ -37,47 +37,45 @@ class Link:
         self.outbox = Outbox(BULK_BOUNDS if name == BULK else TELEMETRY_BOUNDS, f"mqtt-bridge of {agent}")
         self.incoming: dict[str, Incoming] = {}
         self.general: dict[str, BridgedTopic] = {}
+        self.filters: tuple[str, ...] = ()
         self.retained: dict[str, OutgoingFrame] = {}
         self.bad_frames = self.connections = 0
         self.refusals: dict[str, str] = {}
         self._log, self._clock, self._opened, self._now = log, clock, opened, 0.0
         self.channel = make(agent, name, self)
 
-    @property
-    def filters(self) -> tuple[str, ...]:
-        """What the broker is asked for: nothing twice, so that nothing comes twice."""
-        general = tuple(self.general.values())
-        found = [name for topic in general for name in _filters(topic)]
-        for incoming in self.incoming.values():
-            if not any(topic.agent(incoming.topic.name) for topic in general):
-                found += _filters(incoming.topic)
-            if incoming.announced:
-                found.append(incoming.topic.mqtt)
-        return tuple(dict.fromkeys(found))
-
     def add(self, topic: BridgedTopic, incoming: Incoming | None) -> None:
         """Bring in a topic (with its publisher), or every one that a general topic stands for."""
-        before = self.filters
         if incoming is None:
             self.general[topic.name] = topic
         else:
             self.incoming[topic.mqtt] = incoming
-        self._ask(before)
+        self._ask()
 
     def remove(self, topic: BridgedTopic) -> None:
         """Do not bring in a topic any more."""
-        before = self.filters
         if topic.general:
             self.general.pop(topic.name, None)
         else:
             self.incoming.pop(topic.mqtt, None)
-        self._ask(before)
+        self._ask()
 
-    def _ask(self, before: tuple[str, ...]) -> None:
-        """Change what the broker sends; what stays, and what takes another's place, has no gap."""
-        after = self.filters
-        self.channel.subscribe([name for name in after if name not in before])
-        self.channel.unsubscribe([name for name in before if name not in after])
+    def _ask(self) -> None:
+        """Change what the broker is asked for; what stays, and what takes another's place, has no gap."""
+        before, self.filters = self.filters, tuple(dict.fromkeys(self._wanted()))
+        self.channel.subscribe([name for name in self.filters if name not in before])
+        self.channel.unsubscribe([name for name in before if name not in self.filters])
+
+    def _wanted(self) -> Iterator[str]:
+        """Filters: nothing twice, so that nothing comes twice."""
+        general = tuple(self.general.values())
+        for topic in general:
+            yield from _filters(topic)
+        for incoming in self.incoming.values():
+            if not any(topic.agent(incoming.topic.name) for topic in general):
+                yield from _filters(incoming.topic)
+            if incoming.announced:
+                yield incoming.topic.mqtt
 
     def put(self, frame: OutgoingFrame) -> None:
         """Send a frame when its turn comes."""
@@ -195,13 +193,12 @@ class Link:
 
     def _announce(self, incoming: Incoming, payload: bytes) -> None:
         """mqtt_client says what its messages are; then they are asked for."""
-        before = self.filters
         try:
             if payload:
                 incoming.announce(ika.decode_type(payload))
         except InputError as error:
             self.count_bad(incoming.topic.mqtt, str(error))
-        self._ask(before)
+        self._ask()
 
 
 def _filters(topic: BridgedTopic) -> Iterator[str]:
