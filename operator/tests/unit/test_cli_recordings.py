@@ -28,6 +28,11 @@ def digest(topic: str, stamp: int) -> str:
     return hashlib.sha256(payload(topic, stamp)).hexdigest()
 
 
+def audit(topic: str, received: int, **values: Any) -> dict[str, Any]:
+    numbers = {"received": received, "stored": received, "early": 0, "duplicates": 0, "dropped": 0}
+    return {"topic": topic, **numbers, "gaps": [], "closed": True, **values}
+
+
 class Memory:
     """A database with one recording, and its segments."""
 
@@ -47,6 +52,11 @@ class Memory:
             for stamp in STAMPS[1:]
         ]  # fmt: skip
 
+        self.files = [
+            {"_id": "f", "volume": "cloud-0/recordings", "segment": "one.mcap", "sha256": "whole", "size": 4000}
+        ]
+        self.told = [audit(POSE, 4), audit(CLOUD, 3)]
+
     def recordings(self) -> Sequence[Mapping[str, Any]]:
         return [self.document]
 
@@ -55,6 +65,15 @@ class Memory:
 
     def index(self, recording: str) -> Iterable[Mapping[str, Any]]:
         return self.entries
+
+    def segments(self, recording: str) -> Sequence[Mapping[str, Any]]:
+        return self.files
+
+    def audits(self, recording: str) -> Sequence[Mapping[str, Any]]:
+        return self.told
+
+    def digest(self, volume: str, segment: str) -> tuple[str, int]:
+        return "whole", 4000
 
     def read(self, volume: str, place: SegmentPlace, size: int) -> bytes:
         if volume != "cloud-0/recordings":
@@ -98,13 +117,13 @@ def test_an_unknown_recording_is_refused() -> None:
 def test_an_equal_recording_is_complete_within_the_clouds_window(ledgers: Path) -> None:
     table = verified(Memory(), ledgers)
     assert table.refusal == ""
-    assert {row["topic"]: (row["published"], row["stored"]) for row in table.rows} == {CLOUD: (3, 3), POSE: (3, 3)}
+    assert {row["topic"]: (row["published"], row["stored"]) for row in table.rows} == {CLOUD: (3, 3), POSE: (3, 4)}
 
 
 def test_a_given_window_counts(ledgers: Path) -> None:
     table = verified(Memory(), ledgers, (100, 400))
     assert {row["topic"]: row["lost"] for row in table.rows} == {CLOUD: 1, POSE: 0}
-    assert f"differs from the ledgers: {CLOUD}" in table.refusal
+    assert f"{CLOUD}: 1 missing without explanation, 1 of the ledger not stored" in table.refusal
 
 
 def test_a_lost_a_changed_and_an_unreadable_message_are_refused(ledgers: Path) -> None:
@@ -114,8 +133,41 @@ def test_a_lost_a_changed_and_an_unreadable_message_are_refused(ledgers: Path) -
     memory.entries[1]["volume"] = "cloud-9/recordings"
     table = verified(memory, ledgers)
     rows = {row["topic"]: row for row in table.rows}
+    assert rows[POSE]["unexplained"] == 1
     assert (rows[POSE]["lost"], rows[POSE]["mismatches"], rows[CLOUD]["unreadable"]) == (1, 1, 1)
     assert "cloud-9/recordings: is away (--segments" in table.refusal
+
+
+def test_without_ledgers_checksums_and_audits_are_proved() -> None:
+    memory = Memory()
+    table = cli_recordings.verified({"cloud-0": memory}, memory, NAME, [], None)
+    assert table.refusal == ""
+    assert [(row["received"], row["stored"], row["published"]) for row in table.rows] == [(3, 3, None), (4, 4, None)]
+
+
+def test_gaps_unexplained_losses_changed_files_and_open_recordings_are_refused() -> None:
+    memory = Memory(ended=None)
+    gap = {"where": "spool", "why": "disk full: 1.bson", "count": 2, "first": 300, "last": 400}
+    memory.told = [audit(POSE, 6, dropped=2, gaps=[gap]), audit(CLOUD, 4)]
+    memory.files[0]["sha256"] = "other"
+    table = cli_recordings.verified({"cloud-0": memory}, memory, NAME, [], None)
+    rows = {row["topic"]: row for row in table.rows}
+    assert (rows[POSE]["missing"], rows[POSE]["gaps"], rows[POSE]["unexplained"]) == (2, [gap], 0)
+    assert (rows[CLOUD]["missing"], rows[CLOUD]["unexplained"]) == (0, 1)
+    for text in (
+        "has not ended", f"{POSE}: 1 gaps", f"{CLOUD}: 1 missing without explanation",
+        "one.mcap: is not the file that was finished",
+    ):  # fmt: skip
+        assert text in table.refusal
+
+
+def test_a_loss_that_a_gap_covers_is_explained(ledgers: Path) -> None:
+    memory = Memory()
+    del memory.samples[2]
+    gap = {"where": "recorder", "why": "killed", "count": None, "first": 250, "last": 350}
+    memory.told[0] = audit(POSE, 3, gaps=[gap])
+    (row,) = [row for row in verified(memory, ledgers).rows if row["topic"] == POSE]
+    assert (row["lost"], row["unexplained"], row["complete"]) == (1, 0, "false")
 
 
 def test_a_topic_without_ledger_is_no_success(ledgers: Path) -> None:

@@ -8,7 +8,7 @@ whatever may pass (network, server away, account not there yet) becomes Unavaila
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -117,6 +117,11 @@ class PymongoRecordingStore:
     def audits(self, recording: str) -> Sequence[Mapping[str, Any]]:
         """The recording's audits."""
         return _audits(self._database, recording)
+
+    def finished(self, volume: str) -> Collection[str]:
+        """Paths of the volume's segments in `segments`."""
+        with _translated(f"reading the segments of {volume}"):
+            return {entry["segment"] for entry in self._database[SEGMENTS].find({"volume": volume}, {"segment": 1})}
 
     def write(self, writes: Sequence[Write]) -> None:
         """Insert and update in this order; what is there already stays as it is."""

@@ -179,6 +179,40 @@ def holes(stamps: Iterable[int]) -> list[tuple[int, int, int]]:
 
 
 @dataclass(frozen=True)
+class Interruption:
+    """A writer was killed: from the stamp `since` on, messages of the topic may be lost. `until`: the first stamp that
+    a later writer received; None when there was none yet."""
+
+    topic: str
+    since: int
+    until: int | None
+
+
+def interruptions(audits: Iterable[Mapping[str, Any]], stamps: Mapping[str, Sequence[int]]) -> list[Interruption]:
+    """What killed writers of a recording may have lost, by their audits that are not closed. `stamps`: what is stored.
+
+    A writer stores in the order of its stamps, and says what it drops in its next audit: what it lost without a word
+    comes after the last stamp that is stored, or that its last audit had seen, whichever is earlier."""
+    found, later = [], dict[str, int]()
+    for audit in sorted(audits, key=lambda audit: int(audit["life"]), reverse=True):
+        topic, window, until = audit["topic"], audit["window"], later.get(audit["topic"])
+        stored = max((stamp for stamp in stamps.get(topic, ()) if until is None or stamp < until), default=None)
+        since = None if stored is None and not window else _doubtful(stored, window)
+        if not audit["closed"] and since is not None:
+            found.append(Interruption(topic, since, until))
+        if window:
+            later[topic] = min(window[0], until) if until is not None else window[0]
+    return found
+
+
+def _doubtful(stored: int | None, window: Sequence[int] | None) -> int:
+    """The first stamp that may be lost. At least one of both is there."""
+    if stored is None or window is None:
+        return stored + 1 if stored is not None else window[0] if window else 0
+    return max(window[0], min(stored, window[1]) + 1)
+
+
+@dataclass(frozen=True)
 class AuditSum:
     """All audits of one topic of a recording together. `open`: a writer has not ended its own; `exact`: nothing that
     cannot be counted happened."""

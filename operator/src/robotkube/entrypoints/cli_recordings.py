@@ -16,14 +16,28 @@ from typing import Any
 from robotkube.adapters.mongodb_pymongo import Account, PymongoRecordingReader, connect
 from robotkube.adapters.segments_mcap import McapSegmentReader
 from robotkube.domain.errors import DocumentError, InputError, RefusalError, UnavailableError
-from robotkube.domain.recordings import SEGMENT, LedgerLine, TopicVerdict, Verdict
+from robotkube.domain.examinations import TopicExamination, examine
+from robotkube.domain.recordings import SEGMENT, LedgerLine
+from robotkube.domain.topics import AGENT
 from robotkube.entrypoints.cli_output import Table
 from robotkube.entrypoints.cli_platform import Platform
 from robotkube.ports.recordings import RecordingReader, SegmentReader
-from robotkube.services.recordings import first_stored, list_recordings, read_ledger, verify
+from robotkube.services.recordings import (
+    audits,
+    first_stored,
+    list_recordings,
+    read_ledger,
+    stored_messages,
+    wrong_segments,
+)
 
 Readers = Mapping[str, RecordingReader]
 Window = tuple[int, int]
+ALWAYS: Window = (0, 2**63 - 1)
+COLUMNS = (
+    "topic", "received", "stored", "missing", "gap_count", "published", "lost", "unexplained", "duplicates",
+    "mismatches", "unknown", "unreadable", "complete",
+)  # fmt: skip
 
 
 def listing(parser: argparse.ArgumentParser) -> None:
@@ -44,9 +58,9 @@ def verifying(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--ledgers",
         action="append",
-        required=True,
+        default=[],
         metavar="FOLDER",
-        help="a player's ledgers of one run; once per player",
+        help="compare with a player's ledgers of one run, too; once per player",
     )
     parser.add_argument(
         "--segments",
@@ -73,7 +87,7 @@ def show(options: argparse.Namespace) -> Table:
 
 
 def verify_one(options: argparse.Namespace) -> Table:
-    """The comparison of one recording with ledgers; refused unless it is complete."""
+    """Whether one recording is what was received, and what ledgers say; refused unless it is complete."""
     segments = McapSegmentReader(dict(_volume(text) for text in options.segments))
     window = _window(options.window) if options.window else None
     folders = [Path(folder) for folder in options.ledgers]
@@ -92,8 +106,18 @@ def shown(readers: Readers, recording: str) -> Table:
     agent, reader, found = _find(readers, recording)
     first = {topic: _time(stored) for topic, stored in first_stored(reader, recording).items()}
     row = _row(agent, found)
-    kept = ("topics", "provenance", "counts")
-    return Table("recording", (), [{**row, **{key: found.get(key) for key in kept}, "first_stored": first}], True)
+    kept = {key: found.get(key) for key in ("topics", "provenance", "counts", "causes")}
+    whole = {**row, **kept, "first_stored": first, "audits": _sums(reader, recording)}
+    return Table("recording", (), [{**whole, "files": [dict(file) for file in reader.segments(recording)]}], True)
+
+
+def _sums(reader: RecordingReader, recording: str) -> dict[str, Any]:
+    """What the audits of each topic come to."""
+    names = ("received", "early", "duplicates", "stored", "dropped", "open")
+    return {
+        topic: {**{name: getattr(found, name) for name in names}, "gaps": [gap.document() for gap in found.gaps]}
+        for topic, found in sorted(audits(reader, recording).items())
+    }
 
 
 def verified(
@@ -101,19 +125,29 @@ def verified(
 ) -> Table:
     """The table of `recording verify`: a row per topic. `folders` hold `<topic with / as __>.jsonl`."""
     _, reader, found = _find(readers, recording)
-    topics = found.get("topics") or {}
-    covered = window or _common(reader, recording, [name for name, t in topics.items() if t["storage"] == SEGMENT])
-    ledgers = dict(_ledgers(folders, sorted(topics)))
+    audited = audits(reader, recording)
+    names = sorted({*audited, *(name for name in found.get("topics") or {} if AGENT not in name)})
+    ledgers = _required_ledgers(folders, names, recording) if folders else {}
+    covered = (window or _common(reader, recording, _large(found))) if ledgers else ALWAYS
+    topics = examine(stored_messages(reader, segments, recording), audited, ledgers, covered)
+    files = wrong_segments(reader, segments, recording)
+    missing = sorted(set(names) - set(ledgers)) if ledgers else []
+    rows = [_examined(topic) for topic in topics]
+    return Table("topics", COLUMNS, rows, refusal=_refusal(found, topics, missing, files))
+
+
+def _large(found: Mapping[str, Any]) -> list[str]:
+    return [name for name, topic in (found.get("topics") or {}).items() if topic["storage"] == SEGMENT]
+
+
+def _required_ledgers(folders: Sequence[Path], topics: Sequence[str], recording: str) -> dict[str, list[LedgerLine]]:
+    ledgers = dict(_ledgers(folders, topics))
     if not ledgers:
         raise InputError(
             f"{', '.join(map(str, folders))}: no ledger of a topic of {recording}; --ledgers names the folder of "
             f"one run, with files as {_file_name(min(topics, default='/topic'))}"
         )
-    verdict = verify(reader, segments, recording, ledgers, covered)
-    missing = sorted(set(topics) - set(ledgers))
-    columns = ("topic", "published", "stored", "lost", "duplicates", "mismatches", "unknown", "unreadable", "complete")
-    rows = [*(_verdict_row(one) for one in verdict.topics.values()), *({"topic": topic} for topic in missing)]
-    return Table("topics", columns, rows, refusal=_refusal(verdict, missing))
+    return ledgers
 
 
 @dataclass(frozen=True)
@@ -185,25 +219,39 @@ def _row(agent: str, found: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _verdict_row(one: TopicVerdict) -> dict[str, Any]:
-    kinds = ("lost", "duplicates", "mismatches", "unknown", "unreadable")
-    counts = {kind: len(getattr(one, kind)) for kind in kinds}
+def _examined(one: TopicExamination) -> dict[str, Any]:
+    audit, verdict = one.audit, one.verdict
+    gaps = sorted(audit.gaps, key=lambda gap: (gap.first, gap.last)) if audit else []
     return {
         "topic": one.topic,
-        "published": one.published,
+        "received": audit.received if audit else None,
+        "early": audit.early if audit else None,
+        "repeated": audit.duplicates if audit else None,
         "stored": one.stored,
-        **counts,
+        "missing": one.missing if audit else None,
+        "published": verdict.published if verdict else None,
+        "lost": len(verdict.lost) if verdict else None,
+        "unknown": len(verdict.unknown) if verdict else None,
+        "unexplained": one.unexplained,
+        "duplicates": one.duplicates,
+        "mismatches": len(set(one.mismatches) | set(verdict.mismatches if verdict else ())),
+        "unreadable": len(one.unreadable),
+        "gaps": [gap.document() for gap in gaps],
+        "gap_count": len(gaps),
         "complete": str(one.complete).lower(),
     }
 
 
-def _refusal(verdict: Verdict, missing: Sequence[str]) -> str:
-    bad = [one.topic for one in verdict.topics.values() if not one.complete]
-    first = next((text for one in verdict.topics.values() for text in one.unreadable), "")
-    reasons = [f"differs from the ledgers: {', '.join(bad)}"] if bad else []
+def _refusal(
+    found: Mapping[str, Any], topics: Sequence[TopicExamination], missing: Sequence[str], files: Sequence[str]
+) -> str:
+    reasons = [] if found.get("ended") else ["has not ended: its recorder is at work, or was killed"]
+    reasons += [f"{one.topic}: {', '.join(one.problems)}" for one in topics if not one.complete]
     reasons += [f"no ledger was given of: {', '.join(missing)}"] if missing else []
-    reasons += [f"first that cannot be read: {first} (--segments <node>/<claim>=<folder>)"] if first else []
-    return f"{verdict.recording}: {'; '.join(reasons)}" if reasons else ""
+    unread = next((text for one in topics for text in one.unreadable), "")
+    reasons += [f"first that cannot be read: {unread} (--segments <node>/<claim>=<folder>)"] if unread else []
+    reasons += files
+    return f"{found['_id']}: {'; '.join(reasons)}" if reasons else ""
 
 
 def _common(reader: RecordingReader, recording: str, topics: Sequence[str]) -> Window:

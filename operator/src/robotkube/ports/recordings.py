@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -19,6 +19,10 @@ class RecordingStore(Protocol):
 
     def audits(self, recording: str) -> Sequence[Mapping[str, Any]]:
         """The documents of `audits` that belong to the recording."""
+        ...
+
+    def finished(self, volume: str) -> Collection[str]:
+        """Paths of the segments of a volume whose end the database knows of."""
         ...
 
     def write(self, writes: Sequence[Write]) -> None:
@@ -87,15 +91,18 @@ class Segments(Protocol):
 class SegmentRepair(Protocol):
     """Finishes the segments below a claim whose writers are gone."""
 
-    def unfinished(self) -> Sequence[str]:
-        """Paths below the claim of files without an end that nobody writes."""
+    def left(self, finished: Collection[str]) -> Sequence[str]:
+        """Paths below the claim of files that nobody writes, without those that are known to be finished."""
         ...
 
-    def repair(self, segment: str) -> tuple[ClosedSegment | None, Sequence[FoundMessage]]:
-        """Cut the file behind its last whole record, give it an end, and say what is in it.
+    def found(self, segment: str) -> Sequence[FoundMessage]:
+        """The whole messages in the file; none when somebody writes it. OSError when the volume refuses."""
+        ...
 
-        None: somebody else writes or has repaired it, or it held no message and is gone. OSError when the volume
-        refuses."""
+    def finish(self, segment: str) -> ClosedSegment | None:
+        """Cut the file behind its last whole record and give it an end, if it has none.
+
+        None: somebody else writes it, or it held no message and is gone. OSError when the volume refuses."""
         ...
 
 

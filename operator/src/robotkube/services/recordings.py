@@ -10,6 +10,7 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
+from robotkube.domain.audits import AuditSum, add_up
 from robotkube.domain.errors import DocumentError, UnavailableError
 from robotkube.domain.recordings import LedgerLine, SegmentPlace, StoredMessage, Verdict, compare
 from robotkube.ports.recordings import RecordingReader, SegmentReader
@@ -61,6 +62,25 @@ def verify(
 ) -> Verdict:
     """Compare the recording with the ledgers of its topics, within a window of stamps (ns, both ends included)."""
     return compare(recording, ledgers, stored_messages(reader, segments, recording, window), window)
+
+
+def audits(reader: RecordingReader, recording: str) -> dict[str, AuditSum]:
+    """Topic -> what all writers of the recording say they did with it."""
+    return add_up(reader.audits(recording))
+
+
+def wrong_segments(reader: RecordingReader, segments: SegmentReader, recording: str) -> list[str]:
+    """The finished files that are not within reach or not as they were when they were finished, in words."""
+    problems = []
+    for entry in reader.segments(recording):
+        try:
+            found = segments.digest(entry["volume"], entry["segment"])
+        except UnavailableError as error:
+            problems.append(str(error))
+            continue
+        if found != (entry["sha256"], entry["size"]):
+            problems.append(f"{entry['volume']}: {entry['segment']}: is not the file that was finished")
+    return problems
 
 
 def read_ledger(lines: Iterable[str], where: str) -> list[LedgerLine]:

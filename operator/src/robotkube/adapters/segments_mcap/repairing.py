@@ -5,7 +5,7 @@ from __future__ import annotations
 import fcntl
 import hashlib
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from io import BufferedRandom, BytesIO
 from pathlib import Path
@@ -29,32 +29,44 @@ class McapRepair:
     def __init__(self, root: Path) -> None:
         self._root = root
 
-    def unfinished(self) -> Sequence[str]:
-        """Files without an end that nobody writes, oldest name first; at most FILES_MAX files are looked at."""
-        files = sorted(self._root.glob("*/*.mcap"))[-FILES_MAX:]
-        return [str(path.relative_to(self._root)) for path in files if not _ended(path) and not _busy(path)]
+    def left(self, finished: Collection[str]) -> Sequence[str]:
+        """Oldest name first; at most FILES_MAX files are looked at."""
+        files = sorted(str(path.relative_to(self._root)) for path in self._root.glob("*/*.mcap"))[-FILES_MAX:]
+        return [name for name in files if name not in finished and not _busy(self._root / name)]
 
-    def repair(self, segment: str) -> tuple[ClosedSegment | None, Sequence[FoundMessage]]:
-        """Finish one file, as the port says."""
+    def found(self, segment: str) -> Sequence[FoundMessage]:
+        """The whole messages in the file."""
+        with _locked(self._root / segment) as file:
+            return _scan(segment, file).found if file else ()
+
+    def finish(self, segment: str) -> ClosedSegment | None:
+        """Give the file its end, as the port says."""
         path = self._root / segment
         with _locked(path) as file:
-            if file is None or _ended(path):
-                return None, ()
-            scan = _Scan(segment, file)
-            scan.run()
+            if file is None:
+                return None
+            scan = _scan(segment, file)
             if not scan.found:
                 path.unlink()
-                return None, ()
-            return _finish(segment, file, scan), scan.found
+                return None
+            return _finish(segment, file, scan)
+
+
+def _scan(segment: str, file: BufferedRandom) -> _Scan:
+    scan = _Scan(segment, file)
+    scan.run()
+    return scan
 
 
 def _finish(segment: str, file: BufferedRandom, scan: _Scan) -> ClosedSegment:
-    cut = os.fstat(file.fileno()).st_size - scan.end
-    os.ftruncate(file.fileno(), scan.end)
-    file.seek(scan.end)
-    file.write(scan.contents.ending(scan.end))
-    file.flush()
-    os.fsync(file.fileno())
+    cut = 0
+    if not _ended(file):
+        cut = os.fstat(file.fileno()).st_size - scan.end
+        os.ftruncate(file.fileno(), scan.end)
+        file.seek(scan.end)
+        file.write(scan.contents.ending(scan.end))
+        file.flush()
+        os.fsync(file.fileno())
     file.seek(0)
     digest = hashlib.file_digest(file, "sha256").hexdigest()
     return ClosedSegment(segment, digest, file.tell(), scan.contents.messages, cut)
@@ -119,16 +131,12 @@ class _Scan:
         return digest.hexdigest()
 
 
-def _ended(path: Path) -> bool:
-    """Whether the file has the magic of its end; a file that is gone needs nothing either."""
-    try:
-        with path.open("rb") as file:
-            if os.fstat(file.fileno()).st_size < 2 * len(MAGIC):
-                return False
-            file.seek(-len(MAGIC), os.SEEK_END)
-            return file.read() == MAGIC
-    except FileNotFoundError:
-        return True
+def _ended(file: BufferedRandom) -> bool:
+    """Whether the file has the magic of its end."""
+    if os.fstat(file.fileno()).st_size < 2 * len(MAGIC):
+        return False
+    file.seek(-len(MAGIC), os.SEEK_END)
+    return file.read() == MAGIC
 
 
 def _busy(path: Path) -> bool:

@@ -1,17 +1,19 @@
 """The writes of all recordings of a reaction, on their way to the database, in order.
 
-While the database is away they wait in memory, beyond a bound in the spool on the claim. When it is back the spool is
-brought in first, oldest file first. A full disk, a full spool or a volume that refuses costs the oldest messages, which
-an audit of the journal's own names; documents that carry no message (audits, ends) are never dropped.
+While the database is away they wait in memory; every SPOOL_SECONDS, or beyond a bound, they go to the spool on the
+claim. When it is back the spool is brought in first, oldest file first. A full disk, a full spool or a volume that
+refuses costs the oldest messages, which an audit of the journal's own names; documents that carry no message (audits,
+ends) are never dropped.
 """
 
 from __future__ import annotations
 
+import copy
 import errno
 import logging
 import threading
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
 
 RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX = 0.25, 5.0
 WRITES_AT_ONCE_MAX = 2000
+SPOOL_SECONDS = 5.0
 NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 AUDIT_BYTES = 2000
 REFUSED, DISK_FULL, SPOOL_FULL, NO_SPOOL = (
@@ -56,7 +59,7 @@ class Listener(Protocol):
         ...
 
     def acknowledged(self, write: Write, now: int) -> None:
-        """The database has this new index entry since `now`, ns."""
+        """The database has these new messages since `now`, ns."""
         ...
 
 
@@ -71,6 +74,7 @@ class Journal:
         self.failed = ""
         self.life = place.clock_ns()
         self._spool: Spool | None = None
+        self._keep, self._away_since = False, float("inf")
         self._spooled, self._repaired, self._ready, self._make_room = True, False, False, False
         self._waiting: deque[Write] = deque()
         self._waiting_bytes = self._busy = 0
@@ -80,7 +84,8 @@ class Journal:
         self._retry_seconds, self._retry_at = RETRY_SECONDS_FIRST, float("-inf")
         self._last_problem = ""
         self._audits: dict[tuple[str, str], TopicAudit] = {}
-        self._urgent: dict[tuple[str, bool], Write] = {}
+        self._urgent: dict[tuple[str, str], TopicAudit] = {}
+        self._told = 0
         self._listeners: dict[str, Listener] = {}
         self._newcomers: deque[Listener] = deque()
         self._thread = threading.Thread(target=self._run, name=f"journal-{name}", daemon=True)
@@ -99,6 +104,10 @@ class Journal:
     def complete(self) -> bool:
         """Whether the database has everything that was added."""
         return not (self._waiting or self._spooled or self.failed)
+
+    @property
+    def _unwritten(self) -> bool:
+        return bool(self._waiting or (self._spooled and self.counts.spooled))
 
     def start(self) -> None:
         """Begin; connecting goes on beside."""
@@ -131,6 +140,10 @@ class Journal:
         """What the journal has given up, by topic."""
         return [audit for (name, _), audit in list(self._audits.items()) if name == recording]
 
+    def keep(self) -> None:
+        """What was added last must be found after a kill, too: it goes to the spool when the database is away."""
+        self._keep = True
+
     def make_room(self) -> None:
         """The disk is full: the oldest file of the spool is to go."""
         self._make_room = True
@@ -150,10 +163,10 @@ class Journal:
     def _run(self) -> None:
         try:
             while self._deadline is None:
-                self._round()
+                self.turn()
                 self._wake.wait(ROUND_SECONDS)
                 self._wake.clear()
-            self._finish(self._deadline)
+            self.finish(self._deadline)
         except Exception as error:  # an error of ours: the process must not go on as if it recorded
             self.failed = f"recording {self._name}: {type(error).__name__}: {error}"
             log.exception("%s", self.failed)
@@ -161,27 +174,29 @@ class Journal:
             if self.store is not None:
                 self.store.close()
 
-    def _finish(self, deadline: float) -> None:
-        self._round()
-        while self._waiting and self._place.monotonic() < deadline - 1.0:
+    def finish(self, deadline: float) -> None:
+        """Write what waits until `deadline`, and spool the rest."""
+        self.turn()
+        while self._unwritten and self._place.monotonic() < deadline - 1.0:
             self._retry_at = float("-inf")
-            self._round()
-            if self._waiting:
+            self.turn()
+            if self._unwritten:
                 self._wake.wait(RETRY_SECONDS_FIRST)
         self._spool_waiting()
         if self._waiting:
             log.error("recording %s: %d writes are lost: neither database nor volume", self._name, len(self._waiting))
 
-    def _round(self) -> None:
+    def turn(self) -> None:
+        """Do what can be done now."""
         try:
             if self.claim is None:
                 claim = self._place.open_claim()
                 self._spool, self.claim = claim.spool(), claim
+            if self._make_room:
+                self._make_room = False
+                self._drop_oldest(DISK_FULL)
         except OSError as error:
             self._problem(f"claim {self._place.volume}: {error}")
-        if self._make_room:
-            self._make_room = False
-            self._drop_oldest(DISK_FULL)
         if self._place.monotonic() >= self._retry_at:
             self._try()
         self._bound_waiting()
@@ -202,11 +217,13 @@ class Journal:
             self.counts.retries += 1
             self._retry_at = self._place.monotonic() + self._retry_seconds
             self._retry_seconds = min(self._retry_seconds * 2, RETRY_SECONDS_MAX)
+            self._away_since = min(self._away_since, self._place.monotonic())
             self._problem(str(error))
         except OSError as error:
             self._problem(f"claim {self._place.volume}: {error}")
         else:
             self._retry_seconds, self._last_problem = RETRY_SECONDS_FIRST, ""
+            self._keep, self._away_since = False, float("inf")
 
     def _open_store(self) -> None:
         store = self._place.open_store()
@@ -227,7 +244,7 @@ class Journal:
         if not self._repaired:
             for writes in repaired(self.claim.repairs(), store, self._place.volume):
                 self._write(store, writes)
-                self.counts.repaired += len(writes) - 1
+                self.counts.repaired += sum(write.collection == INDEX for write in writes)
             self._repaired = True
 
     def _introduce(self, store: RecordingStore) -> None:
@@ -251,11 +268,9 @@ class Journal:
 
     def _write_urgent(self, store: RecordingStore) -> None:
         """What is missing, before what comes after it."""
-        urgent = list(self._urgent.values())
-        if urgent:
-            self._write(store, urgent)
-            for write in urgent:
-                self._urgent.pop((write.id, write.update), None)
+        if self._urgent:
+            self._write(store, self._audit_writes(self._urgent, f"{self._told}"))
+            self._urgent_told()
 
     def _write_part(self, store: RecordingStore) -> None:
         with self._lock:
@@ -281,7 +296,7 @@ class Journal:
                 store.write([write])
             except DocumentError as error:
                 log.error("recording %s: %s %s: %s", self._name, write.collection, write.id, error)
-                self._urgent |= {(one.id, one.update): one for one in self._lose([write], MEMORY, REFUSED)}
+                self._lose([write], MEMORY, REFUSED, self._urgent)
             else:
                 self._acknowledge([write])
 
@@ -290,16 +305,19 @@ class Journal:
         now = self._place.clock_ns()
         self.counts.acknowledged += len(writes)
         for write in writes:
-            if write.collection == INDEX and not write.update:
+            if not messages_of(write)[1]:
+                continue
+            if write.collection == INDEX:
                 self.add([Write(INDEX, write.id, {"stored": now}, update=True, size=100)])
-                listener = self._listeners.get(write.document["recording"])
-                if listener is not None:
-                    listener.acknowledged(write, now)
+            listener = self._listeners.get(write.document["recording"])
+            if listener is not None:
+                listener.acknowledged(write, now)
 
     # bounds ----------------------------------------------------------------------------------------------------------
 
     def _bound_waiting(self) -> None:
-        if self._waiting_bytes > self._bounds.waiting_bytes:
+        away = self._place.monotonic() - self._away_since
+        if self._waiting_bytes > self._bounds.waiting_bytes or away > SPOOL_SECONDS or (self._keep and away >= 0):
             self._spool_waiting()
         if self._waiting_bytes > 2 * self._bounds.waiting_bytes:
             self._drop_waiting()
@@ -316,20 +334,23 @@ class Journal:
         except OSError as error:
             self._problem(f"spool on {self._place.volume}: {error}")
             return
-        self._spooled = True
-        self._urgent.clear()
+        self._spooled, self._keep, self._away_since = True, False, self._place.monotonic()
+        self._urgent_told()
         self.counts.spooled += len(writes)
         log.warning("recording %s: %d writes are in the spool", self._name, len(writes))
         with self._lock:
             for write in writes:
                 self._waiting.popleft()
                 self._waiting_bytes -= write.size
-        self._bound_spool(self._spool)
+        try:
+            self._bound_spool(self._spool)
+        except OSError as error:
+            self._problem(f"spool on {self._place.volume}: {error}")
 
     def _put(self, spool: Spool, writes: Sequence[Write]) -> bool:
         """Whether the spool has them; False: room was made, to try again. OSError when there is none to make."""
         try:
-            spool.put([*self._urgent.values(), *writes])
+            spool.put([*self._audit_writes(self._urgent, f"{self._told}"), *writes])
         except OSError as error:
             if error.errno in NO_SPACE and self._drop_oldest(DISK_FULL):
                 return False
@@ -354,8 +375,15 @@ class Journal:
         except InputError as error:
             log.error("recording %s: nobody knows what was in the spooled %s: %s", self._name, name, error)
             writes = ()
-        audits = self._lose(writes, SPOOL, f"{why}: {name}")
-        spool.give_up(name, [*audits, *(write for write in writes if not messages_of(write)[1])])
+        before, dropped = copy.deepcopy(self._audits), self.counts.dropped
+        lost: dict[tuple[str, str], TopicAudit] = {}
+        self._lose(writes, SPOOL, f"{why}: {name}", lost)
+        audits = self._audit_writes(lost, name)
+        try:
+            spool.give_up(name, [*audits, *(write for write in writes if not messages_of(write)[1])])
+        except OSError:
+            self._audits, self.counts.dropped = before, dropped
+            raise
         log.error("recording %s: gave up the oldest of the spool, %s: %s", self._name, name, why)
         return True
 
@@ -374,31 +402,35 @@ class Journal:
                     kept.append(write)
             self._waiting = deque(kept)
             self._waiting_bytes = sum(write.size for write in kept)
-        self._urgent |= {(write.id, write.update): write for write in self._lose(lost, MEMORY, NO_SPOOL)}
+        self._lose(lost, MEMORY, NO_SPOOL, self._urgent)
 
-    def _lose(self, writes: Sequence[Write], where: str, why: str) -> list[Write]:
-        """Messages go into the audit of the journal; returns the writes of the audits that changed by it."""
-        touched = set()
+    def _lose(self, writes: Sequence[Write], where: str, why: str, audits: dict[tuple[str, str], TopicAudit]) -> None:
+        """Messages that are given up go into `audits` and into the journal's own."""
         for write in writes:
             topic, stamps = messages_of(write)
             if not stamps:
                 continue
             key = write.document["recording"], topic
-            audit = self._audits.setdefault(key, TopicAudit(topic))
-            for stamp in stamps:
-                audit.drop(where, why, stamp)
+            for known in (audits, self._audits):
+                audit = known.setdefault(key, TopicAudit(topic))
+                for stamp in stamps:
+                    audit.drop(where, why, stamp)
             self.counts.dropped += len(stamps)
-            touched.add(key)
-        return [write for key in sorted(touched) for write in self._audit(key)]
 
-    def _audit(self, key: tuple[str, str]) -> list[Write]:
-        """The audit as it is now, although nobody knows which of its earlier writes have arrived."""
-        recording, topic = key
-        document: dict[str, Any] = {**self._audits[key].document(), "closed": True, "written": self._place.clock_ns()}
-        name = f"{recording}{topic}/{self.life}-journal"
-        whole = {"recording": recording, "volume": self._place.volume, "life": self.life, **document}
-        made = Write(AUDITS, name, whole, size=AUDIT_BYTES)
-        return [made, Write(AUDITS, name, document, update=True, size=AUDIT_BYTES)]
+    def _audit_writes(self, audits: Mapping[tuple[str, str], TopicAudit], event: str) -> list[Write]:
+        """Audits of one event, as they are now: they may have been written before, and have grown since."""
+        found = []
+        for (recording, topic), audit in sorted(audits.items()):
+            name = f"{recording}{topic}/{self.life}-{event}"
+            document: dict[str, Any] = {**audit.document(), "closed": True, "written": self._place.clock_ns()}
+            whole = {"recording": recording, "volume": self._place.volume, "life": self.life, **document}
+            found.append(Write(AUDITS, name, whole, size=AUDIT_BYTES))
+            found.append(Write(AUDITS, name, document, update=True, size=AUDIT_BYTES))
+        return found
+
+    def _urgent_told(self) -> None:
+        self._urgent.clear()
+        self._told += 1
 
     def _problem(self, text: str) -> None:
         if text != self._last_problem:

@@ -21,11 +21,22 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from robotkube.domain.audits import KILLED, QUEUE, RECORDER, VOLUME, Gap, Interval, TopicAudit
+from robotkube.domain.audits import (
+    KILLED,
+    QUEUE,
+    RECORDER,
+    VOLUME,
+    Gap,
+    Interruption,
+    Interval,
+    TopicAudit,
+    interruptions,
+)
 from robotkube.domain.recording_plans import FOREVER
 from robotkube.domain.recordings import (
     AUDITS,
     DOCUMENT_BYTES_MAX,
+    INDEX,
     RECORDINGS,
     SAMPLES,
     SEGMENT,
@@ -35,6 +46,7 @@ from robotkube.domain.recordings import (
     SegmentPlace,
     Write,
     bucket_documents,
+    messages_of,
 )
 from robotkube.services.recording.journal import AUDIT_BYTES, NO_SPACE, Journal
 from robotkube.services.recording.places import BOUNDS, ROUND_SECONDS, RecorderPlace, RecordingBounds
@@ -64,6 +76,7 @@ class RecorderCounts:
     duplicates: int = 0
     documents: int = 0
     segments: int = 0
+    acknowledged: int = 0
     first_stored: dict[str, int] = field(default_factory=dict)
 
 
@@ -121,7 +134,7 @@ class Recorder:
     ) -> None:
         self.recording, self.counts = recording, RecorderCounts()
         self._document, self._journal, self._place, self._bounds = dict(document), journal, place, bounds
-        self._intervals, self._started = intervals, place.clock_ns()
+        self._intervals, self.life = intervals, place.clock_ns()
         self._silent, self._begin_stamp = set(streams), 0
         self._first_large_at: float | None = None
         self._queue: deque[_Offer] = deque()
@@ -136,6 +149,7 @@ class Recorder:
         self._audited: set[str] = set()
         self._audit_at = place.monotonic() + AUDIT_SECONDS
         self._interrupted: dict[str, int] = {}
+        self._interrupted_audits: dict[str, list[str]] = {}
         self._prior: _Prior | None = None
         self._waits_until = place.monotonic() + KNOWN_SECONDS_MAX
         self._volume_problem = self.failed = ""
@@ -237,9 +251,10 @@ class Recorder:
         self._wake.set()
 
     def acknowledged(self, write: Write, now: int) -> None:
-        """Remember and tell the first message of each topic."""
-        topic = write.document["topic"]
-        if topic not in self.counts.first_stored:
+        """Count; remember and tell the first large message of each topic."""
+        topic, stamps = messages_of(write)
+        self.counts.acknowledged += len(stamps)
+        if write.collection == INDEX and topic not in self.counts.first_stored:
             self.counts.first_stored[topic] = now
             log.info("recording %s: first message of %s stored=%d", self.recording, topic, now)
 
@@ -248,20 +263,20 @@ class Recorder:
     def _run(self) -> None:
         try:
             while not self._ending.is_set():
-                self._round()
+                self.turn()
                 self._wake.wait(ROUND_SECONDS)
                 self._wake.clear()
-            self._finish()
+            self.finish()
         except Exception as error:  # an error of ours: the process must not go on as if it recorded
             self.failed = f"recording {self.recording}: {type(error).__name__}: {error}"
             log.exception("%s", self.failed)
         finally:
             self._hashing.shutdown(wait=False)
 
-    def _finish(self) -> None:
-        """What is offered is stored; a volume that refuses now has refused for good."""
+    def finish(self) -> None:
+        """What is offered is stored, and the recording ends; a volume that refuses now has refused for good."""
         while self._queue:
-            self._round()
+            self.turn()
         self._store_large()
         self._give_up()
         self._close_segment()
@@ -294,7 +309,7 @@ class Recorder:
         closed = segments.closed()
         self._journal.add([segment_write(self.recording, one, self._place.volume) for one in closed])
 
-    def _round(self) -> None:
+    def turn(self) -> None:
         """One batch. A volume that refuses holds up what it is for, and nothing else."""
         prior, self._prior = self._prior, None
         if prior is not None:
@@ -302,7 +317,7 @@ class Recorder:
         if not self._may_take():
             return
         small = self._take()
-        self._write_changed_audits()  # what was dropped before these messages is told before they are stored
+        self._write_changed_audits()  # that there is a topic, and what was dropped, is told before messages are stored
         self._store_small(small)
         self._store_large()
 
@@ -315,21 +330,29 @@ class Recorder:
 
     def _take_up(self, prior: _Prior) -> None:
         """Take up what an earlier recorder of this recording has stored, and find out since when it was interrupted."""
-        last: dict[str, int] = {}
+        stamps: dict[str, list[int]] = {}
         for topic, stamp, sha256 in prior.messages:
             self._duplicates.admit(topic, stamp, sha256)
-            last[topic] = max(last.get(topic, stamp), stamp)
+            stamps.setdefault(topic, []).append(stamp)
         self._duplicates.dropped, self._known = 0, True
-        if not prior.audits and not last:
+        if not prior.audits and not stamps:
             return
         with self._lock:
-            for topic, since in interruptions(prior.audits, last).items():
-                audit = self._audits.get(topic)
-                if audit is None or audit.first is None:
-                    self._interrupted[topic] = since
-                elif audit.first > since:
-                    audit.lack(Gap(topic, RECORDER, KILLED, None, since, audit.first - 1))
+            for audit_document in prior.audits:
+                if not audit_document["closed"]:
+                    names = self._interrupted_audits.setdefault(audit_document["topic"], [])
+                    names.append(audit_document["_id"])
+            for interruption in interruptions(prior.audits, stamps):
+                self._interrupt(interruption)
         self._begin()
+
+    def _interrupt(self, found: Interruption) -> None:
+        audit = self._audits.get(found.topic)
+        until = found.until if found.until is not None else audit.first if audit is not None else None
+        if until is None:
+            self._interrupted[found.topic] = found.since
+        elif until > found.since:
+            self._audit_of(found.topic).lack(Gap(found.topic, RECORDER, KILLED, None, found.since, until - 1))
 
     def _take(self) -> list[_Offer]:
         """Empty the queue: large messages join those that the volume has not taken yet, small ones are returned."""
@@ -357,8 +380,12 @@ class Recorder:
 
     def _end_interruptions(self) -> None:
         now = self._place.clock_ns()
-        for topic, since in self._interrupted.items():
-            self._audit_of(topic).lack(Gap(topic, RECORDER, KILLED, None, since, max(now, since)))
+        with self._lock:
+            for topic, since in self._interrupted.items():
+                self._audit_of(topic).lack(Gap(topic, RECORDER, KILLED, None, since, max(now, since)))
+            for topic in self._interrupted_audits:
+                self._audit_of(topic)
+            self._interrupted.clear()
 
     def _store_small(self, offers: Sequence[_Offer]) -> None:
         messages = []
@@ -384,12 +411,11 @@ class Recorder:
             self._audit_of(topic).duplicates += 1
 
     def _hand_over(self, writes: Sequence[Write], topics: Sequence[str]) -> None:
-        """Writes that carry one message of each of `topics`, and the audits that tell of a topic for the first time."""
+        """Writes that carry one message of each of `topics`."""
         self._journal.add(writes)
         with self._lock:
             for topic in topics:
                 self._audit_of(topic).store(1)
-        self._write_audits(set(topics) - self._audited)
 
     def _store_large(self) -> None:
         if not self._large:
@@ -491,7 +517,7 @@ class Recorder:
             return
         with self._lock:
             self._begun = True
-            document = {"recording": self.recording, **self._document, "started": self._started}
+            document = {"recording": self.recording, **self._document, "started": self.life}
         begun = {**document, "volumes": [self._place.volume], "ended": None}
         again = {"ended": None, **{name: document[name] for name in ("causes",) if name in document}}
         volumes = {"volumes": self._place.volume}
@@ -506,10 +532,13 @@ class Recorder:
         if due:
             self._audit_at = self._place.monotonic() + AUDIT_SECONDS
         with self._lock:
-            changed = [name for name, audit in self._audits.items() if due or audit.changed]
-        if changed:
+            new = self._audits.keys() - self._audited
+            changed = {name for name, audit in self._audits.items() if due or audit.changed}
+        if new | changed:
             self._begin()
-            self._write_audits(changed)
+            self._write_audits(new | changed)
+        if new:
+            self._journal.keep()
 
     def _write_audits(self, topics: Iterable[str], closed: bool = False) -> None:
         now, writes = self._place.clock_ns(), []
@@ -520,14 +549,17 @@ class Recorder:
                 document = {**audit.document(spans), "closed": closed, "written": now}
                 audit.changed = False
                 writes.append(self._audit_write(topic, document))
+                if topic not in self._interrupted:
+                    told = self._interrupted_audits.pop(topic, ())
+                    writes += [Write(AUDITS, name, {"closed": True}, update=True, size=100) for name in told]
         self._journal.add(writes)
 
     def _audit_write(self, topic: str, document: dict[str, Any]) -> Write:
-        name = f"{self.recording}{topic}/{self._started}"
+        name = f"{self.recording}{topic}/{self.life}"
         if topic in self._audited:
             return Write(AUDITS, name, document, update=True, size=AUDIT_BYTES)
         self._audited.add(topic)
-        whole = {"recording": self.recording, "volume": self._place.volume, "life": self._started, **document}
+        whole = {"recording": self.recording, "volume": self._place.volume, "life": self.life, **document}
         return Write(AUDITS, name, whole, size=AUDIT_BYTES)
 
     def _numbers(self) -> dict[str, int]:
@@ -537,14 +569,6 @@ class Recorder:
 
     def _summary(self) -> str:
         return " ".join(f"{name}={value}" for name, value in self._numbers().items())
-
-
-def interruptions(audits: Sequence[Mapping[str, Any]], last: Mapping[str, int]) -> dict[str, int]:
-    """Topic -> the first stamp that a killed recorder may have lost. `last`: the last stored stamp of each topic."""
-    open_topics = {audit["topic"]: audit["window"][0] for audit in audits if not audit["closed"] and audit["window"]}
-    known = {audit["topic"] for audit in audits}
-    since = {topic: last[topic] + 1 if topic in last else first for topic, first in open_topics.items()}
-    return since | {topic: stamp + 1 for topic, stamp in last.items() if topic not in known}
 
 
 def _digest(data: bytes) -> str:

@@ -26,25 +26,27 @@ log = logging.getLogger(__name__)
 
 
 def repaired(repair: SegmentRepair, store: RecordingStore, volume: str) -> Iterator[Sequence[Write]]:
-    """Repair every unfinished segment of the volume; for each the writes that make the database know what is in it.
+    """The writes that make the database know what is in segments it has not heard the end of, file by file.
 
-    A file that the volume does not let us repair is left for the next start."""
+    Each must be done before the next is asked for: a file gets its end when all of it is indexed, not before. A file
+    that the volume does not let us repair is left for the next start."""
     known: dict[str, Duplicates] = {}
-    for name in repair.unfinished():
+    for name in repair.left(store.finished(volume)):
         recording = name.partition("/")[0]
         if recording not in known:
             known[recording] = _known(store, recording)
         try:
-            closed, messages = repair.repair(name)
+            found = repair.found(name)
+            new = [one for one in found if known[recording].admit(one.topic, one.stamp, one.sha256)]
+            yield [index_write(recording, message, volume, known[recording]) for message in new]
+            closed = repair.finish(name)
         except OSError as error:
             log.error("segment %s of %s: cannot be repaired: %s", name, volume, error)
             continue
-        if closed is None:
-            continue
-        new = [message for message in messages if known[recording].admit(message.topic, message.stamp, message.sha256)]
-        log.warning("segment %s of %s: repaired messages=%d cut=%d", name, volume, closed.messages, closed.cut)
-        writes = [index_write(recording, message, volume, known[recording]) for message in new]
-        yield [*writes, segment_write(recording, closed, volume)]
+        if closed is not None:
+            numbers = closed.messages, len(new), closed.cut
+            log.warning("segment %s of %s: repaired messages=%d indexed=%d cut=%d", name, volume, *numbers)
+            yield [segment_write(recording, closed, volume)]
 
 
 def index_write(recording: str, message: FoundMessage, volume: str, known: Duplicates) -> Write:

@@ -1,0 +1,302 @@
+"""Database and claim of recordings in memory, which can be away, full, or the last thing a process ever called.
+
+Both outlive the processes that use them: `killer` is asked before each step that leaves something behind, and may raise
+Killed there, as kill -9 does.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from robotkube.domain.errors import DocumentError, UnavailableError
+from robotkube.domain.recordings import (
+    AUDITS,
+    INDEX,
+    RECORDINGS,
+    SAMPLES,
+    SEGMENTS,
+    ClosedSegment,
+    FoundMessage,
+    Received,
+    SegmentPlace,
+    Write,
+)
+from robotkube.ports.recordings import Batch
+
+DOCUMENT_BYTES = 100
+
+
+class Killed(BaseException):
+    """The process ended here and now."""
+
+
+def nobody() -> None:
+    """The killer that kills nobody."""
+
+
+@dataclass
+class RecordingDatabase:
+    """Collections by name, documents by `_id`; store and reader at once. `away`: it does not answer."""
+
+    killer: Callable[[], None] = nobody
+    away: bool = False
+    collections: dict[str, dict[str, dict[str, Any]]] = field(default_factory=dict)
+
+    def known(self, recording: str) -> Iterator[tuple[str, int, str]]:
+        """As the port says."""
+        for bucket in self.buckets(recording):
+            for sample in bucket["samples"]:
+                yield bucket["topic"], sample["stamp"], sample["sha256"]
+        for entry in self.index(recording):
+            yield entry["topic"], entry["stamp"], entry["sha256"]
+
+    def finished(self, volume: str) -> Collection[str]:
+        """As the port says."""
+        self.ping()
+        return {one["segment"] for one in self.collections.get(SEGMENTS, {}).values() if one["volume"] == volume}
+
+    def write(self, writes: Sequence[Write]) -> None:
+        """As the port says; the process may be killed between any two."""
+        for write in writes:
+            self.ping()
+            self.killer()
+            documents = self.collections.setdefault(write.collection, {})
+            if not write.update:
+                documents.setdefault(write.id, {**write.document, "_id": write.id})
+            elif write.id in documents:
+                document = documents[write.id]
+                document.update(write.document)
+                for name, value in write.add.items():
+                    document[name] = [*document[name], *([] if value in document[name] else [value])]
+
+    def ping(self) -> None:
+        """As the port says."""
+        if self.away:
+            raise UnavailableError("database: is away")
+
+    def close(self) -> None:
+        """As the port says."""
+
+    def recordings(self) -> Sequence[Mapping[str, Any]]:
+        """As the port says."""
+        self.ping()
+        return list(self.collections.get(RECORDINGS, {}).values())
+
+    def buckets(self, recording: str) -> Iterable[Mapping[str, Any]]:
+        """As the port says."""
+        return self._of(SAMPLES, recording)
+
+    def index(self, recording: str) -> Iterable[Mapping[str, Any]]:
+        """As the port says."""
+        return self._of(INDEX, recording)
+
+    def segments(self, recording: str) -> Sequence[Mapping[str, Any]]:
+        """As the port says."""
+        return self._of(SEGMENTS, recording)
+
+    def audits(self, recording: str) -> Sequence[Mapping[str, Any]]:
+        """As the port says."""
+        return self._of(AUDITS, recording)
+
+    def _of(self, collection: str, recording: str) -> list[Mapping[str, Any]]:
+        self.ping()
+        return [one for one in self.collections.get(collection, {}).values() if one["recording"] == recording]
+
+
+@dataclass
+class _File:
+    messages: list[Received] = field(default_factory=list)
+    ended: bool = False
+    writer: object = None
+
+
+@dataclass
+class RecordingVolume:
+    """A claim: segments, spool, repairs. `away`: every access fails; `bytes_max`: beyond it the disk is full.
+
+    `forget_writers` is what the end of a process does to its locks."""
+
+    killer: Callable[[], None] = nobody
+    away: bool = False
+    bytes_max: int = 1 << 60
+    files: dict[str, _File] = field(default_factory=dict)
+    batches: dict[str, tuple[list[Write], bool]] = field(default_factory=dict)
+    number: int = 0
+
+    def forget_writers(self) -> None:
+        """Nobody writes any file any more."""
+        for file in self.files.values():
+            file.writer = None
+
+    def require(self, size: int = 0) -> None:
+        """OSError when the volume is away or has no room for so many bytes more."""
+        if self.away:
+            raise OSError(errno.EIO, "the volume is away")
+        if self._used() + size > self.bytes_max:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    def segments(self, recording: str) -> MemorySegments:
+        """As the port says."""
+        self.require()
+        return MemorySegments(self, recording)
+
+    def spool(self) -> MemorySpool:
+        """As the port says."""
+        self.require()
+        return MemorySpool(self)
+
+    def repairs(self) -> MemoryRepair:
+        """As the port says."""
+        self.require()
+        return MemoryRepair(self)
+
+    def read(self, volume: str, place: SegmentPlace, size: int) -> bytes:
+        """As the port of reading says."""
+        try:
+            data = self.files[place.segment].messages[place.offset].data
+        except (KeyError, IndexError) as error:
+            raise UnavailableError(f"{volume}: {place.segment} at {place.offset}: there is no message") from error
+        return data[:size]
+
+    def digest(self, volume: str, segment: str) -> tuple[str, int]:
+        """As the port of reading says."""
+        if segment not in self.files:
+            raise UnavailableError(f"{volume}: {segment}: No such file")
+        return whole(self.files[segment].messages)
+
+    def name(self) -> str:
+        """A new name, later than all others."""
+        self.number += 1
+        return f"{self.number:06d}"
+
+    def _used(self) -> int:
+        spooled = sum(_size(writes) for writes, _ in self.batches.values())
+        return spooled + sum(len(message.data) for file in self.files.values() for message in file.messages)
+
+
+def _size(writes: Sequence[Write]) -> int:
+    return sum(max(write.size, DOCUMENT_BYTES) for write in writes)
+
+
+def whole(messages: Sequence[Received]) -> tuple[str, int]:
+    """Digest and size of a file with these messages."""
+    data = b"".join(message.data for message in messages)
+    return hashlib.sha256(data).hexdigest(), len(data)
+
+
+class MemorySegments:
+    """One file for all messages of a writer."""
+
+    def __init__(self, volume: RecordingVolume, recording: str) -> None:
+        self._volume, self._name = volume, f"{recording}/{volume.name()}.mcap"
+        self._closed: list[ClosedSegment] = []
+
+    def append(self, messages: Sequence[tuple[Received, str]]) -> Sequence[SegmentPlace]:
+        """As the port says; the process may be killed between any two."""
+        places: list[SegmentPlace] = []
+        for message, _ in messages:
+            try:
+                self._volume.require(len(message.data))
+            except OSError:
+                if places:
+                    return places
+                raise
+            self._volume.killer()
+            file = self._volume.files.setdefault(self._name, _File(writer=self))
+            places.append(SegmentPlace(self._name, len(file.messages)))
+            file.messages.append(message)
+        self._volume.killer()
+        return places
+
+    def settle(self, bytes_max: int) -> None:
+        """Nothing is to be done before the end."""
+
+    def close(self) -> None:
+        """As the port says."""
+        file = self._volume.files.get(self._name)
+        if file is not None and not file.ended:
+            self._volume.require()
+            self._volume.killer()
+            file.ended = True
+            self._closed.append(ClosedSegment(self._name, *whole(file.messages), messages=len(file.messages)))
+
+    def closed(self) -> Sequence[ClosedSegment]:
+        """As the port says."""
+        found, self._closed = self._closed, []
+        return found
+
+
+@dataclass
+class MemoryRepair:
+    """Ends files whose writers are gone."""
+
+    volume: RecordingVolume
+
+    def left(self, finished: Collection[str]) -> Sequence[str]:
+        """As the port says."""
+        return [name for name, file in self.volume.files.items() if file.writer is None and name not in finished]
+
+    def found(self, segment: str) -> Sequence[FoundMessage]:
+        """As the port says."""
+        self.volume.require(-(1 << 60))
+        return [
+            FoundMessage(
+                message.topic,
+                message.stamp,
+                message.received,
+                hashlib.sha256(message.data).hexdigest(),
+                len(message.data),
+                SegmentPlace(segment, offset),
+            )
+            for offset, message in enumerate(self.volume.files[segment].messages)
+        ]
+
+    def finish(self, segment: str) -> ClosedSegment | None:
+        """As the port says."""
+        self.volume.require()
+        self.volume.killer()
+        file = self.volume.files[segment]
+        file.ended = True
+        return ClosedSegment(segment, *whole(file.messages), messages=len(file.messages))
+
+
+@dataclass
+class MemorySpool:
+    """Batches by name."""
+
+    volume: RecordingVolume
+
+    def put(self, writes: Sequence[Write]) -> None:
+        """As the port says."""
+        self.volume.require(_size(writes))
+        self.volume.killer()
+        self.volume.batches[f"{self.volume.name()}.bson"] = (list(writes), False)
+
+    def batches(self) -> Sequence[Batch]:
+        """As the port says."""
+        return [
+            Batch(name, _size(writes), given_up) for name, (writes, given_up) in sorted(self.volume.batches.items())
+        ]
+
+    def read(self, batch: str) -> Sequence[Write]:
+        """As the port says."""
+        self.volume.require(-(1 << 60))
+        if batch not in self.volume.batches:
+            raise DocumentError(batch, ["is gone"])
+        return self.volume.batches[batch][0]
+
+    def give_up(self, batch: str, writes: Sequence[Write]) -> None:
+        """As the port says."""
+        self.volume.require(-(1 << 60))
+        self.volume.killer()
+        self.volume.batches[batch] = (list(writes), True)
+
+    def remove(self, batch: str) -> None:
+        """As the port says."""
+        self.volume.require(-(1 << 60))
+        self.volume.killer()
+        self.volume.batches.pop(batch, None)

@@ -1,0 +1,177 @@
+"""A recording against its sources' ledgers under random faults: what is missing is explained, what is there is right.
+
+Database away, volume away, disk full, kill -9 at any write: everything in memory and in one thread, so that a seed
+gives the same history again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import random
+
+import pytest
+
+from robotkube.domain.audits import add_up
+from robotkube.domain.examinations import TopicExamination, examine
+from robotkube.domain.recordings import AUDITS, LedgerLine
+from robotkube.services.recording.journal import Journal
+from robotkube.services.recording.places import RecorderPlace, RecordingBounds
+from robotkube.services.recording.recorder import Recorder
+from robotkube.services.recordings import stored_messages, wrong_segments
+from robotkube.testing.recordings import Killed, RecordingDatabase, RecordingVolume
+
+RECORDING, VOLUME = "task-1", "cloud-0/recordings"
+TOPICS = {"/pose": ("document", 10, 30), "/cloud": ("segment", 100, 900)}
+BOUNDS = RecordingBounds(queue_bytes=12_000, waiting_bytes=8_000, spool_bytes=30_000)
+STEPS, MS = 60, 1_000_000
+BEGIN = 1_795_250_000_000_000_000
+SEEDS, SEEDS_THOROUGH = range(200), range(200, 3000)
+
+
+class History:
+    """Processes that record one after another, and the world they do it in."""
+
+    def __init__(self, seed: int) -> None:
+        self.random = random.Random(seed)  # noqa: S311 - not for secrets
+        self.database = RecordingDatabase(self.kill_now_and_then)
+        self.volume = RecordingVolume(self.kill_now_and_then)
+        self.ledgers: dict[str, list[LedgerLine]] = {topic: [] for topic in TOPICS}
+        self.lives: dict[str, list[int]] = {topic: [] for topic in TOPICS}
+        self.offered = dict.fromkeys(TOPICS, 0)
+        self.kills = 0
+        self.now = 0
+        self.deadly = False
+        self.begin()
+
+    def clock_ns(self) -> int:
+        """Later than every stamp."""
+        self.now += 1
+        return (
+            max(line.stamp for lines in self.ledgers.values() for line in [LedgerLine(0, BEGIN, ""), *lines[-1:]])
+            + self.now
+        )
+
+    def kill_now_and_then(self) -> None:
+        if self.deadly and self.random.random() < 0.004:
+            raise Killed
+
+    def begin(self) -> None:
+        """A new process."""
+        self.volume.forget_writers()
+        place = RecorderPlace(VOLUME, lambda: self.database, self._claim, self.clock_ns, lambda: self.now / 1000)
+        self.journal = Journal(RECORDING, place, BOUNDS)
+        document = {"rule": "r", "trace": "", "provenance": {}, "topics": {}}
+        self.recorder = Recorder(RECORDING, document, self.journal, place, bounds=BOUNDS)
+        self.life = self.recorder.life
+
+    def _claim(self) -> RecordingVolume:
+        self.volume.require()
+        return self.volume
+
+    def publish(self) -> None:
+        """Up to 100 ms of messages; a few come twice."""
+        for topic, (storage, period, size) in TOPICS.items():
+            for _ in range(self.random.randrange(100 // period + 1)):
+                number = len(self.ledgers[topic])
+                data = number.to_bytes(4, "little") * (size // 4)
+                stamp = BEGIN + number * period * MS
+                self.ledgers[topic].append(LedgerLine(number, stamp, hashlib.sha256(data).hexdigest()))
+                self.lives[topic].append(self.life)
+                for _ in range(1 + (self.random.random() < 0.05)):
+                    self.offered[topic] += 1
+                    self.recorder.offer(topic, "t", storage, stamp, stamp, data)
+
+    def step(self) -> None:
+        """Something happens."""
+        self.now += 300
+        what = self.random.random()
+        if what < 0.05:
+            self.database.away = not self.database.away
+        elif what < 0.08:
+            self.volume.away = not self.volume.away
+        elif what < 0.12:
+            self.volume.bytes_max = self.random.choice((10_000, 30_000, 1 << 60))
+        elif what < 0.13:
+            raise Killed
+        elif what < 0.5:
+            self.publish()
+        elif what < 0.75:
+            self.recorder.turn()
+        else:
+            self.journal.turn()
+
+    def run(self) -> None:
+        """All steps, kills and restarts included, and at last a process that ends as it should."""
+        self.deadly = True
+        for _ in range(STEPS):
+            try:
+                self.step()
+            except Killed:
+                self.kills += 1
+                self.begin()
+        self.deadly = self.database.away = self.volume.away = False
+        self.volume.bytes_max = 1 << 60
+        for _ in range(3):
+            self.now += 10_000
+            self.journal.turn()
+            self.recorder.turn()
+        self.recorder.finish()
+        self.journal.finish((self.now + 100_000) / 1000)
+
+    def examined(self) -> list[TopicExamination]:
+        stored = stored_messages(self.database, self.volume, RECORDING)
+        audits = add_up(self.database.audits(RECORDING))
+        told = {(one["topic"], one["life"]) for one in self.database.audits(RECORDING)}
+        # a process that was killed before it could leave anything anywhere has no audit, and nobody can know of it
+        ledgers = {
+            topic: [line for line, life in zip(lines, self.lives[topic], strict=True) if (topic, life) in told]
+            for topic, lines in self.ledgers.items()
+        }
+        return examine(stored, audits, ledgers, (0, 2**63 - 1))
+
+
+def assert_explained(history: History) -> None:
+    for topic in history.examined():
+        assert topic.verdict is not None
+        problems = (topic.duplicates, topic.mismatches, topic.unreadable, topic.verdict.mismatches, topic.unexplained)
+        assert problems == (0, (), (), (), 0), topic
+        if not history.kills and topic.audit is not None:
+            assert topic.audit.exact
+            assert topic.audit.received == history.offered[topic.topic]
+            assert topic.audit.received - topic.audit.dropped - topic.audit.duplicates == topic.stored
+    assert not wrong_segments(history.database, history.volume, RECORDING)
+    assert all(audit["closed"] for audit in history.database.audits(RECORDING))
+
+
+def check(seed: int) -> History:
+    history = History(seed)
+    history.run()
+    assert_explained(history)
+    return history
+
+
+def test_what_is_missing_is_explained_under_random_faults() -> None:
+    histories = [check(seed) for seed in SEEDS]
+    dropped = [gap.where for h in histories for one in h.examined() if one.audit for gap in one.audit.gaps]
+    assert {"queue", "spool", "memory", "recorder"} <= set(dropped), "the faults reached every place that can drop"
+    assert sum(history.kills == 0 for history in histories) > 20
+    assert sum(history.kills > 0 for history in histories) > 20
+
+
+@pytest.mark.thorough
+def test_what_is_missing_is_explained_under_many_more_random_faults() -> None:
+    for seed in SEEDS_THOROUGH:
+        check(seed)
+
+
+def test_nothing_empty_is_created() -> None:
+    history = History(0)
+    history.run = lambda: None  # type: ignore[method-assign]
+    history.journal.turn()
+    history.recorder.turn()
+    history.recorder.finish()
+    history.journal.finish(1.0)
+    assert not history.database.collections
+    assert AUDITS not in history.database.collections
+    assert not history.volume.files
+    assert not history.volume.batches
