@@ -6,7 +6,7 @@ import copy
 
 import pytest
 
-from ci import command_reference, reference
+from ci import command_reference, reference, rule_reference
 
 
 def test_the_page_is_current() -> None:
@@ -15,6 +15,10 @@ def test_the_page_is_current() -> None:
 
 def test_the_page_of_metrics_is_current() -> None:
     assert reference.METRICS_PAGE.read_text(encoding="utf-8") == reference.metrics_page(), "run: make reference"
+
+
+def test_the_page_of_rules_is_current() -> None:
+    assert rule_reference.PAGE.read_text(encoding="utf-8") == rule_reference.page(), "run: make reference"
 
 
 def test_the_commands_are_current() -> None:
