@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from struct import Struct, calcsize
+from typing import cast
 
 from robotkube.domain import layout_steps as steps_of
 from robotkube.domain.layout_shapes import CODES, TEXTS, TIMES, Shapes, Sizes, after, aligned, padding
@@ -125,6 +126,12 @@ def _within_element(want: Want, columns: list[tuple[str, int]], several: bool = 
     return inner
 
 
+def _is_one_read(every: steps_of.Every) -> bool:
+    """Whether one read gives all columns of an element."""
+    first = every.steps[0]
+    return isinstance(first, steps_of.TakeRun) and len(first.slots) == len(every.columns)
+
+
 class Compiler:
     """Makes the steps for one byte order (`<` or `>`). `walks` keeps the steps over whole values, type by type."""
 
@@ -216,6 +223,10 @@ class Compiler:
         every = self._every(type_name, want.elements[None]) if None in want.elements else None
         if every is None and sizes is not None:
             self._steps.append(steps_of.pick_alike(extent, sizes, picks))
+        elif every is not None and sizes is not None and not picks and _is_one_read(every):
+            read = cast(steps_of.TakeRun, every.steps[0])
+            columns = [every.columns[slot] for slot in read.slots]
+            self._steps.append(steps_of.take_columns(extent, sizes, read, columns))
         else:
             walk = [steps_of.skip_fixed(sizes)] if sizes is not None else self._walk(type_name)
             self._steps.append(steps_of.take_each(extent, walk, picks, every))

@@ -264,3 +264,32 @@ def take_each(extent: Extent, walk: Sequence[Step], picks: Mapping[int, Sequence
         return position
 
     return step
+
+
+def take_columns(extent: Extent, sizes: Sizes, read: TakeRun, columns: Sequence[tuple[str, int]]) -> Step:
+    """Columns of elements of fixed size that need one read each: all of them at once from the second on.
+
+    `columns`: code and slot of each value of the read.
+    """
+
+    def step(data: Data, position: int, out: list[Any]) -> int:
+        count, position = extent(data, position)
+        end = stretch(sizes, position, count)
+        if end > len(data):
+            raise ValueError(TOO_SHORT)
+        found: list[list[Any]] = [[] for _ in columns]
+        while position < end:
+            one, size = read.structs[position & 7], sizes[position & 7]
+            if size & 7 == 0:  # the next one stands in the same way, and so do all others
+                rows = list(Struct(f"{one.format}{size - one.size}x").iter_unpack(data[position:end]))
+                for place, values in enumerate(found):
+                    values += [row[place] for row in rows]
+                break
+            for values, value in zip(found, one.unpack_from(data, position), strict=True):
+                values.append(value)
+            position += size
+        for (code, slot), values in zip(columns, found, strict=True):
+            out[slot] = series(code, values)
+        return end
+
+    return step
