@@ -263,11 +263,28 @@ def test_a_process_that_does_not_lead_does_nothing(stage: Stage) -> None:
     stage.go(10, seconds=1.0)
     assert len(stage.forge.pulls) == 1
     assert "status" not in stage.tasks.objects[MEETING]
-    assert stage.manager.reasons_not_ready() == ["another process of this manager leads"]
     stage.leadership.number = 2
     stage.go(4)
     assert stage.tasks.condition(MEETING, "Committed") == ("True", "Merged")
     assert last_message(stage).term == 2
+
+
+def test_a_process_that_waits_is_ready_when_it_could_take_over(stage: Stage) -> None:
+    stage.leadership.number = None
+    stage.manager = stage.start()
+    assert stage.manager.reasons_not_ready() == ["has not looked at the world yet"]
+    stage.go(1)
+    assert stage.manager.reasons_not_ready() == []
+    stage.leadership.other = None
+    assert stage.manager.reasons_not_ready() == ["no process of this manager is known to lead"]
+    stage.leadership.other, stage.repository.away = "another:8080", True
+    stage.ask()
+    stage.seconds += 40
+    stage.fail()
+    [late, problem] = stage.manager.reasons_not_ready()
+    assert late == "the forge was not seen for 40 s"
+    assert problem == "the forge does not answer"
+    assert "status" not in stage.tasks.objects[MEETING]  # to say so is the leader's
 
 
 def test_leadership_that_is_lost_while_a_plan_is_computed_stops_its_proposal(stage: Stage) -> None:
