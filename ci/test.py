@@ -31,13 +31,14 @@ class Group:
     """One group of tests: folders, or the checks when there are none.
 
     `goal_seconds` is what it may take on a quiet machine of two cores; twice that, and it is ended. `needs` is what
-    `preparing.prepare` makes before.
+    `preparing.prepare` makes before. Each of the `processes` runs whole files, with servers of its own.
     """
 
     name: str
     folders: tuple[str, ...]
     goal_seconds: int
     needs: str
+    processes: int = 1
 
     @property
     def seconds_max(self) -> int:
@@ -46,9 +47,9 @@ class Group:
 
 GROUPS = (
     Group("check", (), 180, "nothing"),
-    Group("unit", ("unit", "domain", "manager", "detector", "data_path", "scenario", "images"), 300, "tests"),
-    Group("charts", ("charts",), 120, "toolchain"),
-    Group("forge", ("forge", "database", "apiserver"), 240, "toolchain"),
+    Group("unit", ("unit", "domain", "manager", "detector", "data_path", "scenario", "images"), 300, "tests", 2),
+    Group("charts", ("charts",), 120, "toolchain", 2),
+    Group("forge", ("forge", "database", "apiserver"), 240, "toolchain", 2),
     Group("cluster", ("cluster", "table_one"), 1320, "images"),
 )
 THOROUGH = Group("thorough", tuple(folder for group in GROUPS for folder in group.folders), 6000, "images")
@@ -81,7 +82,8 @@ def run_pytest(group: Group, marker: str) -> results.Counts:
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder) / "results"
         command = [sys.executable, "-m", "pytest", "-c", "operator/pyproject.toml", "-m", marker, "-p", "ci.results"]
-        command += ["--durations=10", "-p", "no:cacheprovider", *(f"{TESTS}/{name}" for name in group.folders)]
+        command += ["--durations=10", "-p", "no:cacheprovider", *spread(group.processes)]
+        command += [f"{TESTS}/{name}" for name in group.folders]
         process = subprocess.Popen(command, cwd=TOP, env={**os.environ, results.VARIABLE: str(report)})
         code = wait(process, group)
         counts = results.read(report)
@@ -93,6 +95,11 @@ def run_pytest(group: Group, marker: str) -> results.Counts:
         print(f"{group.name}: no test failed, but pytest ended with {code}: counted as one failure", flush=True)
         return results.Counts(counts.passed, 1, counts.skipped)
     return counts
+
+
+def spread(processes: int) -> list[str]:
+    """Options that spread a group's files over processes; one process needs none. When one dies, the run ends."""
+    return [f"--numprocesses={processes}", "--dist=loadfile", "--max-worker-restart=0"] if processes > 1 else []
 
 
 def wait(process: subprocess.Popen[bytes], group: Group) -> int:

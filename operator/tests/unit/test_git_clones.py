@@ -15,7 +15,7 @@ from robotkube.domain.errors import DocumentError
 from robotkube.ports.git import Commit
 
 AUTHOR = pygit2.Signature("somebody", "somebody@example", 1_795_000_000, 0)
-SECONDS_MAX = 10.0
+SECONDS_MAX = 60.0  # what is refused or skipped would take hours
 Tree = dict[str, "str | pygit2.Oid | Tree"]
 
 
