@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import threading
+from dataclasses import replace
 from typing import Any
 
 import pytest
-from manager_stage import Stage
+from manager_stage import START_NS, Stage
 
 from robotkube.domain.errors import UnavailableError
+from robotkube.domain.vetoes import Hold
 from robotkube.services import manager_explaining
 from robotkube.services.manager_explaining import Explainer
 from robotkube.testing.clusters import MemoryTasks
@@ -26,6 +28,18 @@ def document(name: str = "new", **spec: Any) -> dict[str, Any]:
         **spec,
     }
     return {"metadata": {"namespace": "cloud-0", "name": name}, "spec": full}
+
+
+def hold(stage: Stage, agent: str) -> None:
+    until = START_NS + int((stage.seconds + 60) * 1e9)
+    stage.cluster.machines = [
+        replace(node, hold=Hold(agent, until, "driving") if node.agent == agent else None)
+        for node in stage.cluster.machines
+    ]
+
+
+def park(stage: Stage) -> None:
+    stage.cluster.machines = [replace(node, hold=None) for node in stage.cluster.machines]
 
 
 @pytest.fixture
@@ -60,6 +74,23 @@ def test_a_task_that_is_there(stage: Stage, explainer: Explainer) -> None:
     status, answer = explainer(json.dumps({"task": key}).encode())
     assert (status, answer["outcome"], answer["changes"]) == (200, "Accepted", [])
     assert explainer(b'{"task": "cloud-0/nothing"}')[0] == 404
+
+
+def test_a_task_whose_changes_would_wait_for_a_vehicle_that_drives(stage: Stage, explainer: Explainer) -> None:
+    hold(stage, "vehicle-00")
+    _, answer = explainer(json.dumps(document()).encode())
+    assert answer["outcome"] == "Accepted"
+    assert "vehicle-00/mqtt-bridge: vehicle-00 holds changes until 2026-11-21T" in answer["waits"]
+    assert answer["waits"].endswith("driving")
+    assert f"cloud-0/new waits, HeldByAgent: {answer['waits']}" in answer["lines"]
+    _, free = explainer(json.dumps(document(parameters={"vehicles": ["vehicle-01", "vehicle-02"]})).encode())
+    assert (free["outcome"], free["waits"]) == ("Accepted", "")
+    key = stage.ask()
+    stage.go()
+    _, there = explainer(json.dumps({"task": key}).encode())
+    assert there["waits"] == stage.tasks.objects[key]["status"]["conditions"][1]["message"]
+    park(stage)
+    assert explainer(json.dumps({"task": key}).encode())[1]["waits"] == ""
 
 
 @pytest.mark.parametrize(
