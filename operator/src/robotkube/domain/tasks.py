@@ -160,7 +160,7 @@ class TaskDescription:
     queue_seconds_max: int = QUEUE_SECONDS_DEFAULT
     chain: TaskChain = TaskChain()
 
-    @property
+    @cached_property
     def key(self) -> str:
         """`<namespace>/<name>`."""
         return f"{self.namespace}/{self.name}"

@@ -1,8 +1,8 @@
 """Garbage collection between decisions instead of in the middle of one.
 
-Python's full collection looks at every container of the process: catalogue, nodes and tasks of a large fleet take tens of
-milliseconds, and they are no garbage. So they are collected in full between two steps and then set aside (`gc.freeze`):
-collections that Python starts by itself only look at what came since. Nothing is set aside for good.
+Python's full collection looks at every container of the process: catalogue, nodes and tasks of a large fleet take tens
+of milliseconds, and they are no garbage. So they are collected in full between two steps and then set aside
+(`gc.freeze`): collections that Python starts by itself only look at what came since. Nothing is set aside for good.
 """
 
 from __future__ import annotations
