@@ -116,6 +116,10 @@ class Bounds:
         found = judge(_chain(live), gone, releases)
         return {key: Refused(refusal.reason, refusal.message) for key, refusal in found.items()}
 
+    def waits(self, changes: Sequence[Change], holds: Iterable[Hold], now_ns: int) -> Mapping[str, str]:
+        """What each task would wait for if exactly these changes were wanted; nothing is kept."""
+        return waiting_tasks(changes, held(changes, holds, self._names, now_ns)[1])
+
     def going(self, changes: tuple[Change, ...], holds: Iterable[Hold], now_ns: int) -> tuple[Change, ...]:
         """The changes that no device holds. `waiting_tasks` says of the others' tasks what they wait for,
         `holds_end_ns` when the first of the holds that matter ends (None: none does)."""

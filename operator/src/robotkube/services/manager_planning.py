@@ -164,14 +164,17 @@ class Planner:
                 for other, outcome in resolution.outcomes.items()
                 if other != key and type(outcome) is not type(self.outcomes.get(other))
             }
-            plan = self._difference(resolution.desired, {**self.tasks, key: task})
-            outcome = resolution.outcomes.get(key, UNDECIDED)
-            return explain(key, outcome, others, plan, self._main.tree)
+            changes, outcome = self._changes(resolution.desired), resolution.outcomes.get(key, UNDECIDED)
+            plan = self._difference(changes, resolution.desired, {**self.tasks, key: task})
+            waits = self._bounds.waits(changes, self._all_holds(), self._now_ns).get(key, "")
+            return explain(key, outcome, others, plan, self._main.tree, waits)
 
-    def _difference(self, desired: Desired, tasks: Mapping[str, TaskDescription]) -> Plan | None:
-        """What `desired` changes on main besides what is going to change anyway."""
+    def _difference(
+        self, wanted: Sequence[Change], desired: Desired, tasks: Mapping[str, TaskDescription]
+    ) -> Plan | None:
+        """What of the changes `wanted` by `desired` is not going to be made anyway."""
         coming = {change.path: change for change in self._changes(self.desired)}
-        changes = tuple(change for change in self._changes(desired) if coming.get(change.path) != change)
+        changes = tuple(change for change in wanted if coming.get(change.path) != change)
         return self._made(changes, desired, tasks) if changes else None
 
     def _take(self, resolution: Resolution) -> None:
