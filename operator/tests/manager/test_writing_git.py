@@ -10,6 +10,7 @@ import pytest
 from manager_stage import MEETING, Stage
 
 from robotkube.domain.closing import read_note
+from robotkube.domain.edits import PATH as EDITS_PATH
 from robotkube.domain.planning import Plan
 from robotkube.domain.proposals import REPAIR, REVERT, CommitMessage, read_message, write_message
 from robotkube.domain.releases import write_release
@@ -136,6 +137,25 @@ def test_an_edit_is_respected_until_what_is_wanted_changes(stage: Stage) -> None
     stage.go(6)
     assert stage.releases()[BRIDGE].values["placement"] == {"agent": "vehicle-00"}
     assert stage.tasks.condition(MEETING, "Committed") == ("True", "Merged")
+
+
+def test_a_release_that_a_person_removed_is_named_until_it_is_back(stage: Stage) -> None:
+    stage.repository.push({EDITS_PATH: "edits: respect\n"}, "policy")
+    key = stage.ask()
+    stage.settle()
+    path = "releases/cloud-0/recorder-vehicle-00-vehicle-01.yaml"
+    text = stage.repository.files(stage.repository.tip, ("releases",))[path]
+    commit = stage.repository.push({path: None}, "no recorder today")
+    stage.go(wake=DEPLOYMENT)
+    assert path not in stage.releases()
+    assert stage.tasks.condition(key, "Committed") == ("False", "EditedByHand")
+    said = next(c for c in stage.tasks.objects[key]["status"]["conditions"] if c["type"] == "Committed")["message"]
+    assert f"{path} was removed by commit {commit[:12]} of manager. policies/edits.yaml respects that" in said
+    assert "withdraw the task" in said
+    assert ("EditedByHand", said) in [told[-2:] for told in stage.tasks.told]
+    stage.repository.push({path: text}, "back")
+    stage.go(wake=DEPLOYMENT)
+    assert stage.tasks.condition(key, "Committed") == ("True", "Merged")
 
 
 def test_a_policy_that_cannot_be_read_leaves_the_one_before(stage: Stage) -> None:

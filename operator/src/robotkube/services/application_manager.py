@@ -448,6 +448,7 @@ class ApplicationManager:
             applications=self._world.cluster.applications(),
             proposed=self._proposal.record if self._proposal else None,
             committed=self.records.committed,
+            edited=self._main.standing_edits(),
             obstacle=self._obstacle(),
         )
 

@@ -73,8 +73,8 @@ def _is_named(document: Mapping[str, Any]) -> bool:
 
 
 def explanation_document(found: Explanation) -> dict[str, Any]:
-    """As GET pages show it: the outcome, its reason and message, what its changes would wait for, every choice in words,
-    and the files that change."""
+    """As GET pages show it: the outcome, its reason and message, what its changes would wait for, every choice in
+    words, and the files that change."""
     outcome = found.outcome
     if isinstance(outcome, Met):
         said = {"outcome": "Accepted", "reason": "Accepted", "message": "", "releases": list(outcome.releases)}
