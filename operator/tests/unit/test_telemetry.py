@@ -14,6 +14,7 @@ from opentelemetry.proto.collector.trace.v1.trace_service_pb2 import ExportTrace
 from opentelemetry.sdk.trace import ReadableSpan
 from opentelemetry.sdk.trace.export import SpanExporter, SpanExportResult
 from opentelemetry.sdk.trace.export.in_memory_span_exporter import InMemorySpanExporter
+from opentelemetry.trace import StatusCode
 from prometheus_client.parser import text_string_to_metric_families
 
 from robotkube.adapters.metrics_prometheus import METRICS, OTHER, PREFIX, PrometheusMetrics
@@ -98,6 +99,20 @@ def test_a_plan_is_spans_in_the_trace_of_each_of_its_events() -> None:
     assert mine["merge"].parent.span_id == mine["plan"].context.span_id
     assert mine["plan"].attributes is not None
     assert mine["plan"].attributes["robotkube.plan"] == "p1"
+
+
+def test_a_plan_that_was_given_up_is_an_error_as_long_as_it_was_waited_for() -> None:
+    exporter = InMemorySpanExporter()
+    traces = OpenTelemetryTraces("http://nowhere", "manager", exporter)
+    times = {**TIMES, "synced": 5 * 10**9, "given_up": 904 * 10**9}
+    traces.plan(
+        PlanFacts("p1", "task", traces=TRACES[:1], times=times, error="not observed within 900 s"), "unobserved"
+    )
+    traces.close()
+    mine = {span.name: span for span in exporter.get_finished_spans()}
+    assert mine["plan"].status.status_code == StatusCode.ERROR
+    assert mine["plan"].status.description == "not observed within 900 s"
+    assert mine["plan"].end_time == mine["observe"].end_time == 904 * 10**9
 
 
 def test_a_refused_plan_is_an_error_and_an_odd_trace_still_a_trace() -> None:

@@ -224,6 +224,8 @@ class ApplicationManager:
             self._upkeep.look()
         for record in self._observer.look(self._main.tree.releases, self._main.tip):
             self._observed(record)
+        for record in self._observer.given_up():
+            self.statistics.plan(record, "unobserved")
         self._statuses.write(self._situation())
         if self._proposal is None and self._monotonic() - self._planned_at > QUIET_SECONDS:
             self._telling.tell_one()
