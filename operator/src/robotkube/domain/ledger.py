@@ -68,9 +68,8 @@ class TaskReader:
                 continue
             key, metadata, spec = object_key(document), document.get("metadata"), document.get("spec")
             known = self._read.get(key)
-            if known is not None and known[1] is metadata and known[2] is spec:
-                found[key] = document, metadata, spec, known[3]
-            elif known is not None and _equal(_inputs(known[1], known[2]), _inputs(metadata, spec)):
+            same = known is not None and known[1] is metadata and known[2] is spec
+            if known is not None and (same or _equal(_inputs(known[1], known[2]), _inputs(metadata, spec))):
                 found[key] = document, metadata, spec, known[3]
             else:
                 found[key] = document, metadata, spec, _task(document)
