@@ -25,8 +25,7 @@ from installation import ACCOUNTS, WEBHOOK_SECRET, ApplicationSetController, Ins
 from programs import free_port
 from test_manager import RunningManager, start_manager
 
-from robotkube.adapters.git_clones import GitClone
-from robotkube.adapters.git_deployment import ProposalWriter
+from robotkube.adapters.git import GitClone, ProposalWriter
 from robotkube.adapters.gitea_administration import GiteaAdministration
 from robotkube.adapters.webhooks import WebServer
 from robotkube.entrypoints.manager import news

@@ -26,7 +26,7 @@ pytestmark = [
 TAKE_OVER_SECONDS_MAX = 15.0
 TERM_OF_MAIN = 41
 GRACE = 1.0  # seconds that looking itself may take
-PROPOSE = "robotkube.adapters.git_deployment.ProposalWriter.propose"
+PROPOSE = "robotkube.adapters.git.proposals.ProposalWriter.propose"
 MEETING = {"application": "pose-point-cloud-recording", "parameters": {"vehicles": ["vehicle-00", "vehicle-01"]}}
 
 

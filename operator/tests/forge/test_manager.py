@@ -16,8 +16,7 @@ from installation import CATALOGUE, CHARTS_URL, TERM, ApplicationSetController, 
 from waiting import until
 
 from robotkube.adapters.forges.gitea import GiteaForge
-from robotkube.adapters.git_clones import GitClone
-from robotkube.adapters.git_deployment import ProposalWriter
+from robotkube.adapters.git import GitClone, ProposalWriter
 from robotkube.adapters.schemas_jsonschema import validate
 from robotkube.adapters.templates_jinja2 import Jinja2Templates
 from robotkube.domain.placement import Agent, NodeState

@@ -23,8 +23,7 @@ from programs import free_port
 from waiting import until
 
 from robotkube.adapters.forges.gitea import GiteaForge
-from robotkube.adapters.git_clones import GitClone
-from robotkube.adapters.git_deployment import ProposalWriter
+from robotkube.adapters.git import GitClone, ProposalWriter
 from robotkube.adapters.gitea_administration import GiteaAdministration
 from robotkube.adapters.schemas_jsonschema import validate
 from robotkube.adapters.templates_jinja2 import Jinja2Templates

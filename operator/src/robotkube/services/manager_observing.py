@@ -96,8 +96,8 @@ class PlanObserver:
                 self._leave_open(record, verdicts)
             elif self._monotonic() - since > OBSERVE_SECONDS_MAX:
                 self._watched.pop(record.id)
-                missing = "; ".join(f"{key}: {v.message}" for key, v in verdicts.items() if not v.done)
-                self._give_up(record, f"not observed within {OBSERVE_SECONDS_MAX:.0f} s: {missing}")
+                left = "; ".join(f"{key}: {v.message}" for key, v in verdicts.items() if not v.done)
+                self._give_up(record, f"not observed within {OBSERVE_SECONDS_MAX:.0f} s: {left}")
             else:
                 missing = [application_name(*key.split("/")) for key, v in verdicts.items() if not v.annotated]
                 unheard += missing
