@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robotkube.domain.buffers import RingBuffer, Sample
@@ -12,7 +12,6 @@ MS = 1_000_000
 
 
 @given(inputs, st.integers(1, 400), st.integers(1, 20), st.booleans())
-@settings(max_examples=300, deadline=None)
 def test_bounds_and_order_hold(items: list[tuple[int, int]], bytes_max: int, count_max: int, latched: bool) -> None:
     buffer = RingBuffer(1.0, bytes_max, count_max, latched)
     newest = 0
@@ -30,7 +29,6 @@ def test_bounds_and_order_hold(items: list[tuple[int, int]], bytes_max: int, cou
 
 
 @given(inputs)
-@settings(max_examples=200, deadline=None)
 def test_within_generous_bounds_it_is_a_sorted_window(items: list[tuple[int, int]]) -> None:
     buffer = RingBuffer(1.0, 10**6, 10**6)
     kept: list[int] = []

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import combinations
 
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robotkube.domain.detection import START, STOP, Edge, Proximity, event_identity, task_name
@@ -68,7 +68,6 @@ def latest(seen: list[tuple[str, float, int]], agent: str) -> tuple[str, float, 
 
 
 @given(poses)
-@settings(max_examples=300, deadline=None)
 def test_edges_are_those_of_the_definition(inputs: list[tuple[str, float, int]]) -> None:
     edges, seen = run(RULE, inputs)
     found = sorted((edge.time, edge.edge, edge.agents) for edge in edges)
@@ -76,7 +75,6 @@ def test_edges_are_those_of_the_definition(inputs: list[tuple[str, float, int]])
 
 
 @given(poses)
-@settings(max_examples=300, deadline=None)
 def test_a_pair_never_starts_twice_without_a_stop(inputs: list[tuple[str, float, int]]) -> None:
     open_events: dict[tuple[str, ...], str] = {}
     for edge in run(RULE, inputs)[0]:

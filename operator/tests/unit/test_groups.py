@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from waiting import until
 
 from ci import results
 from ci import test as groups
@@ -41,7 +42,9 @@ def server():
     time.sleep(1)
     pathlib.Path("taken-down").touch()
 def test_passes(): pass
-def test_hangs(server): time.sleep(600)
+def test_hangs(server):
+    pathlib.Path("hanging").touch()
+    time.sleep(600)
 """
 
 
@@ -125,10 +128,16 @@ def test_a_group_that_hangs_is_taken_down_and_counted(
     (tmp_path / "operator" / "pyproject.toml").touch()
     (tmp_path / "operator" / "tests" / "some" / "test_some.py").write_text(HANGING)
     monkeypatch.setattr(groups, "TOP", tmp_path)
-    monkeypatch.setattr(groups.Group, "seconds_max", 6)
+    monkeypatch.setattr(groups.Group, "seconds_max", property(lambda _: over_when(tmp_path / "hanging")))
     counts = groups.run_pytest(groups.Group("some", ("some",), 1, "nothing", processes), "")
     assert (counts.passed, counts.failed) == (1, 1)
     assert (tmp_path / "taken-down").exists()
+
+
+def over_when(file: Path) -> float:
+    """A group's time, which is over when the file is there."""
+    until(file.exists, "the test that hangs", SECONDS_MAX)
+    return 0.1
 
 
 def test_the_last_line_sums_all_groups() -> None:
