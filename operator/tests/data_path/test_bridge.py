@@ -8,6 +8,7 @@ from robotkube.domain.bridging import DOOR_TYPE, BridgeSettings, read_bridge_set
 from robotkube.domain.frames import decode_frame, encode_frame
 from robotkube.domain.messages import string_message, string_text
 from robotkube.services.bridge import FRAME_BYTES_MAX, Bridge
+from robotkube.services.ownership import Ownership
 
 POSE = {"name": "/vehicles/vehicle_00/pose", "type": "geometry_msgs/msg/PoseStamped"}
 CLOUD = {"name": "/vehicles/vehicle_00/cloud", "type": "sensor_msgs/msg/PointCloud2", "channel": "bulk"}
@@ -23,7 +24,8 @@ class World:
         self.network = Network()
         self.channels: dict[str, Channel] = {}
         self.lines: list[str] = []
-        self.bridge = Bridge(self.network, self.channel, 42, self.log)
+        self.ownership = Ownership()
+        self.bridge = Bridge(self.network, self.channel, 42, self.log, self.ownership)
 
     def channel(self, agent: str, name: str, events: Any) -> Channel:
         self.channels[name] = Channel(f"{agent}-{name}", events)

@@ -224,7 +224,7 @@ class BsonSpool:
     def __init__(self, root: Path, clock_ns: Callable[[], int]) -> None:
         self._folder, self._clock_ns = root / "spool", clock_ns
 
-    def put(self, recording: str, writes: Sequence[Write]) -> None:
+    def put(self, recording: str, writes: Sequence[Write]) -> str:
         """Keep them in a new file that appears only when it is complete and on the disk."""
         self._folder.mkdir(parents=True, exist_ok=True)
         path = self._folder / f"{self._clock_ns():020d}-{recording.replace('/', '_')}.bson"
@@ -240,6 +240,7 @@ class BsonSpool:
             os.fsync(folder)
         finally:
             os.close(folder)
+        return path.name
 
     def batches(self) -> Sequence[str]:
         """Names of the files, oldest first."""

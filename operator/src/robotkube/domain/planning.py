@@ -22,6 +22,7 @@ from robotkube.domain.releases import (
     write_release,
     write_source,
 )
+from robotkube.domain.scenes import placed_on
 from robotkube.domain.tasks import TaskDescription
 
 ADD, CHANGE, REMOVE = "add", "change", "remove"
@@ -151,11 +152,16 @@ def lost_words(changes: Iterable[Change], fleet: Fleet, now_ns: int) -> str:
     targets = {c.release.name: c.release.namespace for c in changes if c.kind == ADD}
     moved: dict[str, list[str]] = {}
     for change in changes:
-        namespace, name = change.release.namespace, change.release.name
-        if change.kind == REMOVE and name in targets:
-            for agent in fleet.by_namespace.get(namespace, ()):
-                if why := fleet.loss(agent, now_ns):
-                    moved.setdefault(why, []).append(f"{name} moved to {targets[name]}")
+        name, target = change.release.name, targets.get(change.release.name, "")
+        node = placed_on(change.before, "node") if change.before else ""
+        if change.after and node != placed_on(change.after, "node"):
+            other = placed_on(change.after, "node")
+            target = (f"node {other}" if other else "its other node") if node else ""
+        elif change.kind != REMOVE:
+            continue
+        for agent in fleet.by_namespace.get(change.release.namespace, ()) if target else ():
+            if why := fleet.loss(agent, now_ns, node):
+                moved.setdefault(why, []).append(f"{name} moved to {target}")
     return "; ".join(f"{why}: {', '.join(found)}" for why, found in sorted(moved.items()))
 
 

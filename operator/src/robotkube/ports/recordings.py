@@ -75,8 +75,8 @@ class SegmentReader(Protocol):
 class Spool(Protocol):
     """Writes that the database has not taken yet, kept on the claim."""
 
-    def put(self, recording: str, writes: Sequence[Write]) -> None:
-        """Keep them; returns when they are on the disk. OSError when the volume refuses."""
+    def put(self, recording: str, writes: Sequence[Write]) -> str:
+        """Keep them; returns the batch's name when they are on the disk. OSError when the volume refuses."""
         ...
 
     def batches(self) -> Sequence[str]:

@@ -15,6 +15,7 @@ from robotkube.domain.errors import InputError, UnavailableError
 from robotkube.domain.frames import FrameError, SeenFrames, decode_frame, encode_frame
 from robotkube.domain.messages import string_message, string_text
 from robotkube.domain.outboxes import Bounds, Outbox, OutgoingFrame
+from robotkube.services.ownership import Ownership
 
 if TYPE_CHECKING:  # the ports know every part's domain: 25 ms of a start
     from robotkube.ports.robots import ChannelEvents, FrameChannel, MessageSink, MessageSource, RobotNetwork
@@ -47,11 +48,24 @@ class _Incoming:
     seen: SeenFrames = field(default_factory=SeenFrames)
 
 
+@dataclass
+class _Hold:
+    """Whether what is to be sent waits: between a connection made anew and settings read since then."""
+
+    ownership: Ownership
+    held: bool = False
+
+    def doubt(self) -> None:
+        """A connection was made anew."""
+        self.ownership.doubt()
+        self.held = self.held or not self.ownership.sure
+
+
 class _Link:
     """One connection with what it carries."""
 
-    def __init__(self, name: str, agent: str, make: MakeChannel, log: Log) -> None:
-        self.name = name
+    def __init__(self, name: str, agent: str, make: MakeChannel, log: Log, hold: _Hold) -> None:
+        self.name, self._hold = name, hold
         self.outbox = Outbox(BULK_BOUNDS if name == BULK else TELEMETRY_BOUNDS)
         self.incoming: dict[str, _Incoming] = {}
         self.retained: dict[str, OutgoingFrame] = {}
@@ -63,6 +77,8 @@ class _Link:
     def connected(self, session_kept: bool) -> None:
         """Subscribe anew; a broker without a session of ours has lost what it retained, too."""
         self.connections += 1
+        if self.connections > 1:
+            self._hold.doubt()
         self.refusals.clear()
         self._log("connected", channel=self.name, session_kept=session_kept)
         self.channel.subscribe(list(self.incoming))
@@ -128,7 +144,7 @@ class _Link:
         """Read, then hand over as much as the outbox lets go, then write. All events come within a turn."""
         self._now = now
         self.channel.turn(now)
-        if self.channel.complaint is None:
+        if self.channel.complaint is None and not self._hold.held:
             self._hand_over(now)
         self.channel.flush()
 
@@ -147,10 +163,15 @@ class _Link:
 
 
 class Bridge:
-    """Carries topics as `configure` says. All methods belong to one thread, `complaint` and `metrics` to any."""
+    """Carries topics as `configure` says. All methods belong to one thread, `complaint` and `metrics` to any.
 
-    def __init__(self, network: RobotNetwork, make_channel: MakeChannel, session: int, log: Log) -> None:
+    After a connection was lost and made again, nothing leaves until `ownership` is sure and `hold` was told so."""
+
+    def __init__(
+        self, network: RobotNetwork, make_channel: MakeChannel, session: int, log: Log, ownership: Ownership
+    ) -> None:
         self._network, self._make_channel, self._session, self._log = network, make_channel, session, log
+        self._hold = _Hold(ownership)
         self._settings: BridgeSettings | None = None
         self._outgoing: dict[str, _Outgoing] = {}
         self._incoming: dict[str, _Incoming] = {}
@@ -174,6 +195,10 @@ class Bridge:
         """Whether every publisher has found a subscription."""
         return all(incoming.sink.matched for incoming in self._incoming.values())
 
+    def hold(self, held: bool) -> None:
+        """Let what is to be sent wait in its bounds, or no longer: after everything that was read is applied."""
+        self._hold.held = held
+
     def configure(self, settings: BridgeSettings) -> None:
         """Carry these topics from now on. Only what differs is closed and opened; a topic that cannot be opened
         (unknown type) is a complaint, and the others go on."""
@@ -185,7 +210,7 @@ class Bridge:
         for name in incoming.closed:
             self._close_incoming(name)
         for name in sorted(settings.channels - set(self._links)):
-            self._links[name] = _Link(name, settings.agent, self._make_channel, self._log)
+            self._links[name] = _Link(name, settings.agent, self._make_channel, self._log, self._hold)
         for topic in outgoing.opened:
             self._try(topic, self._open_outgoing)
         for topic in incoming.opened:
@@ -268,6 +293,7 @@ class Bridge:
             yield f'refused_frames_total{{channel="{name}"}} {link.bad_frames}'
             yield f'lost_messages_total{{channel="{name}"}} {link.lost_sinks}'
         yield f"topics_refused {len(self._problems)}"
+        yield f"held {int(self._hold.held)}"
 
     def _send(self, outgoing: _Outgoing, messages: Sequence[bytes], now: float) -> None:
         topic = outgoing.topic
@@ -312,7 +338,7 @@ class Bridge:
         outgoing.source.close()
         link = self._links[outgoing.topic.channel]
         link.outbox.forget(outgoing.topic.mqtt)
-        if link.retained.pop(name, None) is not None:
+        if link.retained.pop(name, None) is not None and not self._hold.held:  # else it may be somebody else's by now
             link.outbox.put(OutgoingFrame(outgoing.topic.mqtt, b"", 0, True, self._now))
 
     def _close_incoming(self, name: str) -> None:

@@ -31,6 +31,7 @@ from robotkube.domain.recordings import (
     bucket_documents,
     index_document,
 )
+from robotkube.services.ownership import Ownership
 
 if TYPE_CHECKING:
     from robotkube.ports.recordings import RecordingStore, Segments, Spool
@@ -52,13 +53,15 @@ log = logging.getLogger(__name__)
 @dataclass(frozen=True)
 class RecorderPlace:
     """Where a recorder stores. The two openers are called on the recorder's own thread, so that importing and
-    connecting do not delay the subscriptions; `volume` is `<node>/<claim>`."""
+    connecting do not delay the subscriptions; `volume` is `<node>/<claim>`. While `ownership` is not sure, nothing goes
+    to the database."""
 
     volume: str
     open_store: Callable[[], RecordingStore]
     open_segments: Callable[[], tuple[Segments, Spool]]
     clock_ns: Callable[[], int]
     monotonic: Callable[[], float]
+    ownership: Ownership = field(default_factory=Ownership)
 
 
 @dataclass
@@ -74,6 +77,7 @@ class RecorderCounts:
     segments: int = 0
     retries: int = 0
     spooled: int = 0
+    discarded: int = 0
     first_stored: dict[str, int] = field(default_factory=dict)
 
 
@@ -117,6 +121,7 @@ class Recorder:
         self._waiting_bytes = 0
         self._retry_seconds, self._retry_at = RETRY_SECONDS_FIRST, 0.0
         self._last_problem = ""
+        self._doubtful: list[str] = []
         self.failed = ""
 
     @property
@@ -162,7 +167,8 @@ class Recorder:
         self._thread.join(seconds + 1.0)
         if self._thread.is_alive():
             log.error("recording %s: storing did not end within %.1f s", self.reaction.recording, seconds)
-        return not (self._thread.is_alive() or self._queue or self._batch or self._waiting or self.counts.spooled)
+        rest = self._queue or self._batch or self._waiting or self.counts.spooled or self.counts.discarded
+        return not (self._thread.is_alive() or rest)
 
     def _is_early(self, stamp: int) -> bool:
         if self._silent:
@@ -200,12 +206,26 @@ class Recorder:
         self._close_segment()
         self._end()
         while (self._waiting or self._queue or self._batch) and self._place.monotonic() < deadline - 1.0:
+            if self._place.ownership.lost:
+                break
             self._retry_at = 0.0
             self._round()
             if self._waiting:
                 self._wake.wait(RETRY_SECONDS_FIRST)
+        if self._place.ownership.lost:
+            self._discard()
         self._spool_waiting()
         log.info("recording %s: ended %s", self.reaction.recording, self._summary())
+
+    def _discard(self) -> None:
+        """Somebody else records meanwhile: what nobody was to be told since then is not told later either."""
+        self.counts.discarded += len(self._waiting)
+        self._waiting.clear()
+        self._waiting_bytes = 0
+        if self._spool is not None:
+            for batch in self._doubtful:
+                self._spool.remove(batch)
+        log.warning("recording %s: taken over, %d writes are left out", self.reaction.recording, self.counts.discarded)
 
     def _close_segment(self) -> None:
         try:
@@ -226,7 +246,7 @@ class Recorder:
         try:
             if self._segments is None:
                 self._segments, self._spool = self._place.open_segments()
-            if self._store is None:
+            if self._store is None and self._place.ownership.sure:
                 self._open_store()
             if self._may_take():
                 self._store_batch(self._segments)
@@ -323,9 +343,11 @@ class Recorder:
         self._waiting_bytes += write.size
 
     def _write_waiting(self) -> None:
-        if self._store is None or not self._waiting or self._place.monotonic() < self._retry_at:
+        paused = self._place.monotonic() < self._retry_at or not self._place.ownership.sure
+        if self._store is None or not self._waiting or paused:
             self._bound_waiting()
             return
+        self._doubtful.clear()
         part = [self._waiting[index] for index in range(min(len(self._waiting), WRITES_PER_ROUND_MAX))]
         try:
             self._store.write(part)
@@ -360,7 +382,7 @@ class Recorder:
         if not self._waiting or self._spool is None:
             return
         try:
-            self._spool.put(self.reaction.recording, list(self._waiting))
+            self._doubtful.append(self._spool.put(self.reaction.recording, list(self._waiting)))
         except OSError as error:
             self._problem(f"spool on {self._place.volume}: {error}")
             return
@@ -372,6 +394,7 @@ class Recorder:
     def _later(self, error: Exception) -> None:
         self._retry_at = self._place.monotonic() + self._retry_seconds
         self._retry_seconds = min(self._retry_seconds * 2, RETRY_SECONDS_MAX)
+        self._place.ownership.doubt()
         self._problem(str(error))
 
     def _problem(self, text: str) -> None:
