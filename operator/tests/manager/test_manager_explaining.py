@@ -13,6 +13,7 @@ from manager_stage import START_NS, Stage
 from robotkube.domain.errors import UnavailableError
 from robotkube.domain.vetoes import Hold
 from robotkube.services import manager_explaining
+from robotkube.services.application_manager import DEPLOYMENT
 from robotkube.services.manager_explaining import Explainer
 from robotkube.testing.clusters import MemoryTasks
 
@@ -58,6 +59,21 @@ def test_a_task_that_is_not_submitted(stage: Stage, explainer: Explainer) -> Non
     assert "pointcloud" in changed[0]["after"]
     assert "pointcloud" not in changed[0]["before"]
     assert (stage.repository.tip, stage.tasks.objects) == (tip, {})
+
+
+def test_a_question_does_not_make_an_edit_stand(stage: Stage, explainer: Explainer) -> None:
+    """Under edits: respect, an edit stands as long as the same is wanted as when it was first seen; a question about
+    a task must not count as such a wish."""
+    bridge = "releases/vehicle-00/mqtt-bridge.yaml"
+    stage.repository.push({"policies/edits.yaml": "edits: respect\n"}, "policy")
+    text = stage.repository.files(stage.repository.tip, ("releases",))[bridge]
+    stage.repository.push({bridge: f"{text}# looked at\n"}, "nothing changed")
+    stage.go(wake=DEPLOYMENT)
+    key = stage.ask()
+    question = {"metadata": stage.tasks.objects[key]["metadata"], "spec": stage.tasks.objects[key]["spec"]}
+    assert explainer(json.dumps(question).encode())[1]["outcome"] == "Accepted"
+    stage.settle()
+    assert "pointcloud" in str(stage.releases()[bridge].values)
 
 
 def test_a_task_that_would_be_refused(explainer: Explainer) -> None:

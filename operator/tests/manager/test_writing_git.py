@@ -139,6 +139,16 @@ def test_an_edit_is_respected_until_what_is_wanted_changes(stage: Stage) -> None
     assert stage.tasks.condition(MEETING, "Committed") == ("True", "Merged")
 
 
+def test_a_second_edit_is_respected_like_the_first(stage: Stage) -> None:
+    stage.repository.push({"policies/edits.yaml": "edits: respect\n"}, "policy")
+    edit(stage)
+    stage.go(wake=DEPLOYMENT)
+    text = stage.repository.trees[stage.repository.tip][BRIDGE]
+    stage.repository.push({BRIDGE: text.replace("agent: vehicle-01\n", "agent: vehicle-02\n")}, "mine again")
+    stage.go(wake=DEPLOYMENT)
+    assert stage.releases()[BRIDGE].values["placement"] == {"agent": "vehicle-02"}
+
+
 def test_a_release_that_a_person_removed_is_named_until_it_is_back(stage: Stage) -> None:
     stage.repository.push({EDITS_PATH: "edits: respect\n"}, "policy")
     key = stage.ask()

@@ -164,7 +164,8 @@ class Planner:
                 for other, outcome in resolution.outcomes.items()
                 if other != key and type(outcome) is not type(self.outcomes.get(other))
             }
-            changes, outcome = self._changes(resolution.desired), resolution.outcomes.get(key, UNDECIDED)
+            changes = self._changes(resolution.desired, remember=False)
+            outcome = resolution.outcomes.get(key, UNDECIDED)
             plan = self._difference(changes, resolution.desired, {**self.tasks, key: task})
             waits = self._bounds.waits(changes, self._all_holds(), self._now_ns).get(key, "")
             return explain(key, outcome, others, plan, self._main.tree, waits)
@@ -173,7 +174,7 @@ class Planner:
         self, wanted: Sequence[Change], desired: Desired, tasks: Mapping[str, TaskDescription]
     ) -> Plan | None:
         """What of the changes `wanted` by `desired` is not going to be made anyway."""
-        coming = {change.path: change for change in self._changes(self.desired)}
+        coming = {change.path: change for change in self._changes(self.desired, remember=False)}
         changes = tuple(change for change in wanted if coming.get(change.path) != change)
         return self._made(changes, desired, tasks) if changes else None
 
@@ -188,10 +189,11 @@ class Planner:
         self.next_due_ns = min((time for time in times if time is not None), default=None)
         self._say_refusals()
 
-    def _changes(self, desired: Desired) -> tuple[Change, ...]:
+    def _changes(self, desired: Desired, remember: bool = True) -> tuple[Change, ...]:
+        """What main lacks of `desired`; `remember` as in MainReader.respected."""
         own = self._bounds.own(self._main.tree).releases
         in_doubt = {path: release for path, release in self._in_doubt(desired).items() if path in own}
-        return self._main.respected(differences({**in_doubt, **desired.releases}, own))
+        return self._main.respected(differences({**in_doubt, **desired.releases}, own), remember)
 
     def _going(self, changes: tuple[Change, ...]) -> tuple[Change, ...]:
         """The changes that no device holds; the others go on when the first hold ends, or when it is released."""

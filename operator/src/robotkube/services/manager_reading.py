@@ -94,11 +94,13 @@ class MainReader:
             return {}
         return {path: f"commit {commit[:12]} of {self._editors[commit]}" for path, commit in self.edits.items()}
 
-    def respected(self, changes: Sequence[Change]) -> tuple[Change, ...]:
-        """Those of `changes` that may be made although people edited main."""
+    def respected(self, changes: Sequence[Change], remember: bool = True) -> tuple[Change, ...]:
+        """Those of `changes` that may be made although people edited main. What was wanted when an edit was first seen
+        is remembered, but for a question that has no effect (`remember` false)."""
+        first = self._wanted_first if remember else dict(self._wanted_first)
         if self.edits_policy == RESPECT:
-            return respected(changes, self.edits, self._wanted_first)
-        self._wanted_first.clear()
+            return respected(changes, self.edits, first)
+        first.clear()
         return tuple(changes)
 
     def _note_edits(self, commits: Iterable[Commit]) -> None:
