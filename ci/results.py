@@ -6,11 +6,13 @@ One JSON line per fact in the file named by ROBOTKUBE_TEST_RESULTS: {"test": <no
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -41,17 +43,43 @@ def read(path: Path) -> Counts:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Take the file's name now: a test may run another pytest with a file of its own."""
+    """Take the file's name now: a test may run another pytest with a file of its own.
+
+    Where several processes run the tests, the one that started them notes: it hears of each result, and of each
+    process that died in a test.
+    """
+    if hasattr(config, "workerinput"):
+        signal.signal(signal.SIGINT, _interrupted)
+        return
     config.pluginmanager.register(Recorder(Path(os.environ[VARIABLE])))
     # Started in the background, a shell has interrupts ignored: then fixtures could not be taken down by one.
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+def _interrupted(*_: object) -> None:
+    """Only the first interrupt counts: terminal, recorder and pytest-xdist each send one, and one is enough to have
+    the fixtures taken down."""
+    signal.signal(signal.SIGINT, lambda *_: None)
+    raise KeyboardInterrupt
+
+
 @dataclass(frozen=True)
 class Recorder:
-    """Pytest's hooks; each appends a line at once."""
+    """Pytest's hooks; each appends a line at once. `processes` are those that run tests for this one."""
 
     path: Path
+    processes: list[int] = field(default_factory=list, compare=False)
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_testnodeready(self, node: Any) -> None:
+        """A process is ready to run tests."""
+        self.processes.append(node.gateway._rinfo().pid)
+
+    def pytest_keyboard_interrupt(self) -> None:
+        """Interrupt the others now: pytest-xdist does it after five seconds, of the ten until it kills them."""
+        for process in self.processes:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(process, signal.SIGINT)
 
     def note(self, test: str, outcome: str) -> None:
         """One line."""

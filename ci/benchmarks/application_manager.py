@@ -29,6 +29,7 @@ from robotkube.domain.catalogue import Catalogue
 from robotkube.domain.releases import write_release, write_source
 from robotkube.domain.tasks import TaskDescription
 from robotkube.entrypoints.bounded_schemas import BoundedSchemas
+from robotkube.entrypoints.sweeping import Sweeper
 from robotkube.services.assured_catalogue import AssuredCatalogue
 from robotkube.services.manager_planning import ManagerSettings, Planner
 from robotkube.services.manager_reading import MainReader
@@ -104,6 +105,7 @@ class Decisions:
         catalogue = cast(AssuredCatalogue, KnownCatalogue(self.world.catalogue, self.world))
         cluster = MemoryCluster(list(self.world.nodes))
         self.planner = Planner(settings, self.tasks, cluster, catalogue, main, render, schemas.validate)
+        self.rest = Sweeper(time.monotonic)
 
     def one(self, number: int) -> float:
         """Milliseconds of the decision about one new task; it is gone afterwards."""
@@ -116,6 +118,7 @@ class Decisions:
         if plan is None or [cause.task for cause in plan.message.causes] != [task.key]:
             raise SetUpError(f"{task.key} led to {plan and plan.title}, not to a plan of its own")
         del self.tasks.objects[task.key]
+        self.rest()  # as the manager does between two steps
         return took
 
 

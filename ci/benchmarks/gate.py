@@ -1,9 +1,10 @@
 """What the way of a task to main costs on a real forge: manager and gate against the forge alone, in the same run.
 
 `forge_floor_ms` is the p95 of proposing a one-line change by AGit and pushing it to main while manager and gate stand
-still: less is not possible on that forge. `task_to_merged_ms` is the median from a task's creation to the manager's
-knowing that its plan is on main, `gate_check_p95_ms` what the gate's checks take of that. All go to
-build/bench/registry.json, the way to main with all its quantiles to build/bench/application-manager.json.
+still, half of it before and half after the tasks: less is not possible on that forge. `task_to_merged_ms` is the median
+from a task's creation to the manager's knowing that its plan is on main, `gate_check_p95_ms` what the gate's checks
+take of that. All go to build/bench/registry.json, the way to main with all its quantiles to
+build/bench/application-manager.json.
 """
 
 from __future__ import annotations

@@ -23,6 +23,7 @@ from ci.errors import SetUpError
 STOP_SECONDS_MAX = 5.0
 START_SECONDS_MAX = 10.0
 ROOT = Path(__file__).resolve().parents[2]
+SECOND_BYTES = range(246, 255)  # behind those of the clusters
 CLOCK_TICKS = os.sysconf("SC_CLK_TCK")
 
 BROKER_SETTINGS = """
@@ -79,20 +80,26 @@ class Pod:
 
 @dataclass
 class Nodes:
-    """Bridges and namespaces; `prefix` of at most 5 letters, `second` the second byte of the addresses 10.x.n.p,
-    `mtu` of all links."""
+    """Bridges and namespaces; `mtu` of all links. `second` is the second byte of the addresses 10.x.n.p, and all names
+    begin with it: the first of SECOND_BYTES that nobody beside uses."""
 
-    prefix: str = "rkdp"
-    second: int = 251
     mtu: int = 1500
+    second: int = 0
     _bridges: list[str] = field(default_factory=list)
     _namespaces: list[str] = field(default_factory=list)
+
+    @property
+    def prefix(self) -> str:
+        return f"rk{self.second}"
 
     def node(self) -> int:
         """A new node; its number."""
         number = len(self._bridges)
+        if not number:
+            self.second = _claim()
+        else:
+            _ip("link", "add", f"{self.prefix}b{number}", "type", "bridge")
         bridge = f"{self.prefix}b{number}"
-        _ip("link", "add", bridge, "type", "bridge")
         self._bridges.append(bridge)
         _ip("addr", "add", f"{self.gateway(number)}/24", "dev", bridge)
         _ip("link", "set", bridge, "mtu", str(self.mtu), "up")
@@ -122,6 +129,18 @@ class Nodes:
             subprocess.run(["ip", "netns", "delete", name], capture_output=True, check=False)
         for bridge in self._bridges:
             subprocess.run(["ip", "link", "delete", bridge], capture_output=True, check=False)
+
+
+def _claim() -> int:
+    """A second byte that nobody uses; its first bridge says so to others, and stands now."""
+    for second in SECOND_BYTES:
+        command = ["ip", "link", "add", f"rk{second}b0", "type", "bridge"]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if not done.returncode:
+            return second
+        if "File exists" not in done.stderr:
+            raise SetUpError(f"{' '.join(command)}: {done.stderr.strip()}; network namespaces need root")
+    raise SetUpError(f"all networks 10.x with x in {SECOND_BYTES} are used: take away what `ip link` shows as rk<x>b0")
 
 
 def _ip(*arguments: str) -> None:

@@ -1,4 +1,5 @@
-"""For all tests: modules beside this file can be imported by name; examples have no time limit of their own."""
+"""For all tests: modules beside this file can be imported by name; each random test has the same 200 examples every
+time, without a time limit of their own; long parameters do not stand in the names of tests."""
 
 import sys
 from pathlib import Path
@@ -7,6 +8,22 @@ from hypothesis import HealthCheck, settings
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-# a limit per example fails on a busy machine; in CI (variable CI) Hypothesis always draws the same examples
-settings.register_profile("project", settings(), deadline=None, suppress_health_check=[HealthCheck.too_slow])
+NAME_CHARACTERS_MAX = 80
+
+# a limit per example fails on a busy machine
+settings.register_profile(
+    "project",
+    max_examples=200,
+    derandomize=True,
+    database=None,
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow],
+)
 settings.load_profile("project")
+
+
+def pytest_make_parametrize_id(val: object, argname: str) -> str | None:
+    """A name instead of a text of many lines or a megabyte; pytest numbers those that are the same."""
+    if isinstance(val, str | bytes) and len(val) > NAME_CHARACTERS_MAX:
+        return f"{argname} of {len(val)}"
+    return None

@@ -15,6 +15,7 @@ from robotkube.domain.errors import UnavailableError
 DEFINITION = Path(__file__).parents[3] / "charts/robotkube/templates/taskdescriptions/customresourcedefinition.yaml"
 TASKS = "/apis/robotkube.io/v1alpha1/namespaces/cloud-0/taskdescriptions"
 LEASES = "/apis/coordination.k8s.io/v1/namespaces/argocd/leases"
+LEASE_LABELS = {"app.kubernetes.io/managed-by": "Helm"}
 ARGOCD = "/apis/argoproj.io/v1alpha1/namespaces/argocd/applications"
 
 
@@ -78,8 +79,8 @@ class Api:
         """A new Lease, as charts/robotkube makes it, in namespace argocd; its name."""
         self._leases += 1
         name = f"robotkube-manager-{self._leases}"
-        document = {"apiVersion": "coordination.k8s.io/v1", "kind": "Lease", "metadata": {"name": name}}
-        self.post(LEASES, document)
+        metadata = {"name": name, "labels": dict(LEASE_LABELS)}
+        self.post(LEASES, {"apiVersion": "coordination.k8s.io/v1", "kind": "Lease", "metadata": metadata})
         return name
 
     def task(self, name: str, **spec: Any) -> None:

@@ -21,6 +21,7 @@ from robotkube.adapters.mqtt_paho import BrokerAccount, PahoChannel
 from robotkube.domain.bridging import read_bridge_settings
 from robotkube.services.bridge import Bridge
 from robotkube.services.bridge_flows import Sender
+from robotkube.services.ownership import Ownership
 
 START_SECONDS_MAX = 10.0
 ANSWER_SECONDS_MAX = 5.0
@@ -225,7 +226,8 @@ def test_a_bridge_that_may_not_says_so(broker: int, official: Any) -> None:
     def channel(agent: str, name: str, events: Any) -> PahoChannel:
         return PahoChannel(lambda: account, f"{agent}-{name}", 5, events)
 
-    bridge = Bridge(network, channel, Sender(1, time.time_ns, lambda name: ""), lambda *a, **k: None)
+    sender = Sender(1, time.time_ns, lambda name: "")
+    bridge = Bridge(network, channel, sender, lambda *a, **k: None, Ownership())
     pose = {"name": "/vehicles/vehicle_03/pose", "type": "geometry_msgs/msg/PoseStamped"}
     bridge.configure(read_bridge_settings({"agent": "vehicle-07", "out": [pose]}, "config.yaml"))
     deadline = time.monotonic() + ANSWER_SECONDS_MAX

@@ -304,3 +304,14 @@ def test_without_a_seed_one_is_made_and_used_throughout(helm: Any) -> None:
     assert seeds[0] != seeds[1]
     forge = first.one("Secret", "forge-account-argocd")["stringData"]["password"]
     assert first.one("Secret", "robotkube-charts", "argocd")["stringData"]["password"] == forge
+
+
+@pytest.mark.parametrize("chart", APP_CHARTS)
+def test_a_node_that_is_named_is_selected_and_told_to_the_process(helm: Any, chart: str) -> None:
+    profile = PROFILE.with_name(f"{chart}.yaml")
+    placement = {"agent": "edge-0", "node": "edge-0-b", "movable": True}
+    found = helm.template(CHARTS / "apps" / chart, profile, release=chart, placement=placement)
+    (deployment,), (settings,) = found.of_kind("Deployment"), found.of_kind("ConfigMap")
+    selector = deployment["spec"]["template"]["spec"]["nodeSelector"]
+    assert selector == {"robotkube.io/agent": "edge-0", "kubernetes.io/hostname": "edge-0-b"}
+    assert {key: settings["data"][key] for key in ("node", "movable")} == {"node": "edge-0-b", "movable": "true"}

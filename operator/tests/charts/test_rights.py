@@ -32,7 +32,7 @@ ROOM = {
 
 
 def lease(manager: str) -> Rights:
-    return {EVENTS: "create", f"{LEASES} robotkube-manager-{manager}": "get patch update"}
+    return {EVENTS: "create", f"{LEASES} robotkube-manager-{manager}": "get patch"}
 
 
 SET_UP = {

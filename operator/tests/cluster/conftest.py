@@ -36,6 +36,7 @@ ORDER = (
     "test_doors",
     "test_how_to",
     "test_agents",
+    "test_updates",
     "test_refusals",
     "test_lifecycle",
     "test_interrupting",

@@ -23,8 +23,7 @@ from ci.errors import SetUpError
 from ci.folders import PROJECT
 from ci.installation import Installer
 from ci.steps import Steps
-from robotkube.adapters.git_clones import GitClone
-from robotkube.adapters.git_deployment import ProposalWriter
+from robotkube.adapters.git import GitClone, ProposalWriter
 from scenarios import definition
 from scenarios.definition import Scenario
 from scenarios.runner.access import Access

@@ -14,7 +14,7 @@ import wrong_interfaces
 from running_platform import Platform
 
 from ci.folders import PROJECT
-from robotkube.adapters.git_clones import GitClone
+from robotkube.adapters.git import GitClone
 
 WAIT_SECONDS = 540
 FEW = ("privileged-pod", "undeclared-topic")

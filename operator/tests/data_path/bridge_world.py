@@ -9,6 +9,7 @@ from fakes import Channel, Network
 from robotkube.domain.bridging import BridgeSettings, read_bridge_settings
 from robotkube.services.bridge import Bridge
 from robotkube.services.bridge_flows import Sender
+from robotkube.services.ownership import Ownership
 
 TRACE = "ab" * 16
 POSE = {"name": "/vehicles/vehicle_00/pose", "type": "geometry_msgs/msg/PoseStamped"}
@@ -29,7 +30,7 @@ class World:
         self.events: list[tuple[str, dict[str, Any]]] = []
         self.now_ns = 1_000
         sender = Sender(42, lambda: self.now_ns, lambda name: f"definition of {name}", TRACE)
-        self.bridge = Bridge(self.network, self.channel, sender, self.log)
+        self.bridge = Bridge(self.network, self.channel, sender, self.log, Ownership())
 
     def channel(self, agent: str, name: str, events: Any) -> Channel:
         self.channels[name] = Channel(f"{agent}-{name}", events)

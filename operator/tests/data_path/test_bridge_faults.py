@@ -21,6 +21,7 @@ from robotkube.domain.bridging_properties import read_gap_text
 from robotkube.domain.messages import header_stamp, string_text
 from robotkube.services.bridge import Bridge
 from robotkube.services.bridge_flows import Sender
+from robotkube.services.ownership import Ownership
 
 POSE = {"name": "/vehicles/vehicle_00/pose", "type": "geometry_msgs/msg/PoseStamped"}
 CLOUD = {"name": "/vehicles/vehicle_00/cloud", "type": "sensor_msgs/msg/PointCloud2", "channel": "bulk"}
@@ -36,9 +37,8 @@ class Side:
     def __init__(self, broker: pods.Broker, agent: str) -> None:
         self.broker, self.agent, self.network = broker, agent, Network()
         self.channels: dict[str, PahoChannel] = {}
-        self.bridge = Bridge(
-            self.network, self._channel, Sender(7, time.time_ns, lambda name: ""), lambda *a, **k: None
-        )
+        sender = Sender(7, time.time_ns, lambda name: "")
+        self.bridge = Bridge(self.network, self._channel, sender, lambda *a, **k: None, Ownership())
 
     def configure(self, **settings: Any) -> None:
         self.bridge.configure(read_bridge_settings({"agent": self.agent, **settings}, "config.yaml"))

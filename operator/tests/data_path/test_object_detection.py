@@ -11,7 +11,7 @@ from typing import Any
 import perception
 import pytest
 from fakes import Network
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robotkube.domain.errors import DocumentError
@@ -142,7 +142,6 @@ def test_new_settings_open_topics_anew_only_when_they_changed() -> None:
     assert network.endpoint("/w/cloud")
 
 
-@settings(max_examples=200, deadline=None)
 @given(st.integers(0, 400), st.lists(st.tuples(st.integers(0, 400), st.integers(0, 255)), max_size=20))
 def test_damaged_clouds_are_refused_or_read(length: int, changes: list[tuple[int, int]]) -> None:
     data = bytearray(perception.cloud(points=32)[: length + 300])

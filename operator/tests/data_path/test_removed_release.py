@@ -12,14 +12,18 @@ import pytest
 from waiting import until
 
 from robotkube.adapters.kubernetes_http import ApiServer, ConfigMapWatch
-from robotkube.entrypoints.processes import Process, until_removed
+from robotkube.entrypoints.following import until_removed
+from robotkube.entrypoints.processes import Process
+from robotkube.services.ownership import Ownership
 from robotkube.testing.api_server import ApiServerInMemory
 
 SCRIPT = """
-from robotkube.entrypoints.processes import run, until_removed
+from robotkube.entrypoints.following import until_removed
+from robotkube.entrypoints.processes import run
+from robotkube.services.ownership import Ownership
 
 def body(process):
-    changed = until_removed(process, lambda data: print("settings", data, flush=True))
+    changed = until_removed(process, Ownership(), lambda data: print("settings", data, flush=True))
     changed({"a": "1"})
     changed(None)
     assert process.stopping.wait(10)
@@ -40,7 +44,9 @@ def test_settings_that_were_there_and_are_gone_end_the_process_after_the_node_is
     with ApiServerInMemory() as before:
         port = int(before.url.rpartition(":")[2])
         before.put_config_map("edge-0", "recorder", {"config.yaml": "a: 1"})
-        watch = ConfigMapWatch(ApiServer(before.url), "edge-0", "recorder", until_removed(process, taken.append))
+        watch = ConfigMapWatch(
+            ApiServer(before.url), "edge-0", "recorder", until_removed(process, Ownership(), taken.append)
+        )
         watch.start()
         until(lambda: taken)
     until(lambda: watch.complaint is not None)  # cut off
@@ -55,7 +61,7 @@ def test_settings_that_were_there_and_are_gone_end_the_process_after_the_node_is
 
 def test_settings_that_were_never_there_end_nothing() -> None:
     process = Process("worker", 60.0)
-    until_removed(process, lambda data: None)(None)
+    until_removed(process, Ownership(), lambda data: None)(None)
     assert not process.stopping.is_set()
 
 

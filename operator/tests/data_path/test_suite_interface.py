@@ -134,7 +134,9 @@ PERCEPTION = {"object-detection": "detection", "object-tracking": "tracking"}
 OLDER: dict[str, dict[str, Any]] = {"object-detection": {"method": "size"}, "object-tracking": {"motion": "still"}}
 
 
-@pytest.mark.parametrize(("place", "version"), [("apps", "0.2.0"), ("earlier", "0.1.0")])
+@pytest.mark.parametrize(
+    ("place", "version"), [("apps", "0.2.0"), pytest.param("earlier", "0.1.0", marks=pytest.mark.thorough)]
+)
 @pytest.mark.parametrize("name", PERCEPTION)
 def test_perception_is_what_its_entry_declares(room: LocalRoom, name: str, place: str, version: str) -> None:
     chart = TOP / "charts" / place / name

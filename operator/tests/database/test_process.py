@@ -137,10 +137,9 @@ def site(server: Any, tmp_path: Path) -> Iterator[Site]:
 def test_sigterm_in_mid_write_leaves_a_complete_recording(site: Site) -> None:
     publisher, recorder = site.publish(), site.record()
     site.until_stored(40)
-    ended_at, began = time.time_ns(), time.monotonic()
+    ended_at = time.time_ns()
     recorder.send_signal(signal.SIGTERM)
-    assert recorder.wait(8.0) == 0
-    assert time.monotonic() - began < 5.0
+    assert recorder.wait(SECONDS_MAX) == 0
     publisher.terminate()
     publisher.wait(SECONDS_MAX)
 
@@ -177,7 +176,7 @@ def test_a_killed_recorder_leaves_everything_acknowledged_readable(site: Site) -
     second = site.record()
     site.until_stored(before + 20)
     second.send_signal(signal.SIGTERM)
-    assert second.wait(8.0) == 0
+    assert second.wait(SECONDS_MAX) == 0
     publisher.terminate()
     publisher.wait(SECONDS_MAX)
     everything = (0, time.time_ns())
@@ -223,7 +222,7 @@ def test_readiness_names_what_is_missing(site: Site, server: Any) -> None:
     server.start()
     until(lambda: state(port)[0] == 200)
     process.send_signal(signal.SIGTERM)
-    assert process.wait(8.0) == 0
+    assert process.wait(SECONDS_MAX) == 0
 
 
 def state(port: int) -> tuple[int, str]:

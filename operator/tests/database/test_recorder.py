@@ -133,14 +133,14 @@ def test_a_recording_is_complete_after_its_stop(bench: Bench) -> None:
     assert first_stored(bench.reader, RECORDING) == {CLOUDS: min(entry["stored"] for entry in stored)}
 
 
-def test_the_first_large_message_is_stored_at_once(bench: Bench) -> None:
+def test_the_first_large_message_is_stored_at_once(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It waits for no batch: the next one would be due in an hour."""
+    monkeypatch.setattr("robotkube.services.recording.recorder.ROUND_SECONDS", 3600.0)
+    monkeypatch.setattr("robotkube.services.recording.journal.ROUND_SECONDS", 3600.0)
     recorder = bench.recorder()
     until(lambda: recorder.ready)
-    time.sleep(0.05)
-    began = time.monotonic()
     bench.offer(recorder, CLOUDS, 0)
     until(lambda: CLOUDS in counts(recorder).first_stored)
-    assert time.monotonic() - began < 0.25
 
 
 def test_messages_that_come_twice_are_stored_once(bench: Bench) -> None:
@@ -187,11 +187,11 @@ def test_reception_goes_on_while_the_database_is_away(bench: Bench) -> None:
     bench.second(recorder, 0)
     until(lambda: recorder.ready and recorder.waiting == 0)
     bench.server.kill()
-    began = time.monotonic()
-    for second in range(1, 4):
+    for second in range(1, 4):  # comes back from every one of them, although nobody will take what is written
         bench.second(recorder, second)
-    assert time.monotonic() - began < 1.0
     until(lambda: recorder.counts()["retries"] > 0 and recorder.counts()["segments"] == 40)
+    assert (recorder.counts()["offered"], recorder.counts()["dropped"]) == (440, 0)
+    assert recorder.waiting > 0
     bench.server.start()
     until(lambda: recorder.waiting == 0)
     assert recorder.stop(8.0)

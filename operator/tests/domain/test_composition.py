@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robotkube.adapters.schemas_jsonschema import validate
@@ -320,7 +320,6 @@ vehicles = st.lists(st.sampled_from([f"vehicle-0{i}" for i in range(4)]), min_si
 task_sets = st.dictionaries(st.sampled_from("abcd"), vehicles, max_size=4)
 
 
-@settings(max_examples=40, deadline=None)
 @given(st.lists(task_sets, min_size=1, max_size=4))
 def test_any_history_ends_where_its_last_demands_lead(history: list[dict[str, list[str]]]) -> None:
     options = {"on": make_fleet(4, 2)}
@@ -334,7 +333,6 @@ def test_any_history_ends_where_its_last_demands_lead(history: list[dict[str, li
     assert without_plans(emptied) == without_plans(settle((), {}, **options))
 
 
-@settings(max_examples=30, deadline=None)
 @given(task_sets, st.randoms(use_true_random=False))
 def test_the_order_of_tasks_decides_whose_words_stand_in_a_shared_release_and_nothing_else(
     found: dict[str, list[str]], random: Any

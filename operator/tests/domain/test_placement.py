@@ -83,10 +83,8 @@ def test_a_pod_must_fit_on_one_of_the_nodes_of_an_agent() -> None:
     found = compose(several(3), world(nodes=twins))
     assert places(replace(found, outcomes={})) == {"a-t0": "edge-0", "a-t1": "edge-0"}
     thin = [replace(node, allocatable=Resources(400, 2**30)) for node in twins]
-    assert (
-        "edge-0: has not enough room: cpu 500m of 400m free"
-        in refusal(compose([demand(task())], world(nodes=thin))).message
-    )
+    message = refusal(compose([demand(task())], world(nodes=thin))).message
+    assert "edge-0 (Node n0): has not enough room: cpu 500m of 400m free" in message
 
 
 def test_a_named_agent_needs_room_too_and_so_does_its_bridge() -> None:

@@ -6,6 +6,7 @@ import shutil
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from robotkube.domain.catalogue_documents import entry_documents
 from robotkube.domain.composition import Demand, World, compose
 from robotkube.domain.placement import Agent, NodeState, fleet
 from robotkube.domain.registry_search import Criteria, search, upgrade_rows
-from robotkube.domain.registry_sources import Tools
+from robotkube.domain.registry_sources import Sources, Tools
 from robotkube.domain.registry_validation import validate_sources
 
 ROOT = Path(__file__).parents[3]
@@ -52,13 +53,14 @@ def at_most(seconds: int, what: str) -> Iterator[None]:
         signal.signal(signal.SIGALRM, before)
 
 
-def try_case(number: int, registry: Path) -> bool:
-    """Whether the document was taken without a finding."""
+def try_case(number: int, registry: Path, everything: bool) -> bool:
+    """Whether the document was taken without a finding. Unless `everything` is looked at, applications beside a random
+    application are not: what is found in them does not depend on it, and takes the most time."""
     path, data = random_document(number, FILES)
     (registry / path).write_bytes(data)
     try:
         sources = read_sources(registry, ROOT / "charts" / "apps")
-        found = validate_sources(sources, TOOLS)
+        found = validate_sources(sources if everything else without_others(sources, path), TOOLS)
         for finding in found:
             assert finding.file
             assert finding.key
@@ -67,6 +69,14 @@ def try_case(number: int, registry: Path) -> bool:
     finally:
         (registry / path).write_text(FILES[path])
     return not found
+
+
+def without_others(sources: Sources, path: str) -> Sources:
+    """Without the other applications, when `path` is one."""
+    if not path.startswith("applications/"):
+        return sources
+    kept = {name: text for name, text in sources.files.items() if name == path or not name.startswith("applications/")}
+    return replace(sources, files=kept)
 
 
 def use(files: dict[str, str]) -> None:
@@ -86,21 +96,21 @@ def use(files: dict[str, str]) -> None:
         compose(demands, World(found, FLEET, {}, TEMPLATES.render, validate))
 
 
-def try_cases(numbers: range, tmp_path: Path) -> None:
+def try_cases(numbers: range, tmp_path: Path, everything: bool) -> None:
     shutil.copytree(ROOT / "registry", tmp_path / "registry")
     taken = 0
     for number in numbers:
         with at_most(CASE_SECONDS_MAX, f"case {number}"):
-            taken += try_case(number, tmp_path / "registry")
+            taken += try_case(number, tmp_path / "registry", everything)
     assert taken < len(numbers) / 2
 
 
 @pytest.mark.parametrize("start", range(NORMAL.start, NORMAL.stop, BLOCK))
 def test_random_documents(start: int, tmp_path: Path) -> None:
-    try_cases(range(start, start + BLOCK), tmp_path)
+    try_cases(range(start, start + BLOCK), tmp_path, everything=False)
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("start", range(NORMAL.stop, CASES, BLOCK))
+@pytest.mark.parametrize("start", range(NORMAL.start, CASES, BLOCK))
 def test_more_random_documents(start: int, tmp_path: Path) -> None:
-    try_cases(range(start, start + BLOCK), tmp_path)
+    try_cases(range(start, start + BLOCK), tmp_path, everything=True)

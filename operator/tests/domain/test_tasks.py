@@ -57,6 +57,8 @@ def test_what_a_task_leaves_out_has_a_stated_meaning() -> None:
         ({"placement": {"roles": ["a"] * 33}}, "spec.placement.roles: 33 entries, at most 32"),
         ({"placement": {"antiAffinity": ["a/b/c"]}}, "spec.placement.antiAffinity[0]"),
         ({"requirements": [{"guarantee": "latency", "unit": "ms"}]}, "needs exactly one of atMost, atLeast"),
+        ({"requirements": [{"guarantee": "latency", "atMost": 10**400, "unit": "ms"}]}, "atMost: must be a number"),
+        ({"requirements": [{"guarantee": "x", "atLeast": float("nan"), "unit": "ms"}]}, "atLeast: must be a number"),
         ({"chain": {"parent": "nobody"}}, "spec.chain.parent"),
         ({"parameters": {"x": "y" * 20_000}}, "at most 16384"),
         ({"colour": "red"}, "spec.colour: unknown key; remove it"),

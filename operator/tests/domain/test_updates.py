@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robotkube.domain.catalogue import Catalogue
@@ -338,7 +338,6 @@ EVENTS = st.lists(
 )
 
 
-@settings(max_examples=200, deadline=None, derandomize=True)
 @given(EVENTS, st.booleans(), st.sampled_from([0.5, 1.0]))
 def test_histories(events: list[tuple[str, int, int]], canary: bool, threshold: float) -> None:
     """Whatever happens: a digest that was taken back is never tried again, neighbours stay, a revert restores exactly

@@ -27,7 +27,7 @@ from manager_process import Outside
 from programs import free_port
 
 from robotkube.adapters.forges.gitea import GiteaForge
-from robotkube.adapters.git_clones import GitClone
+from robotkube.adapters.git import GitClone
 from robotkube.adapters.push_hooks import PushHook, PushRelay
 from robotkube.adapters.schemas_jsonschema import validate
 from robotkube.adapters.webhooks import WebServer

@@ -2,8 +2,9 @@
 
     PYTHONPATH=.:operator/src:operator/tests python3 operator/tests/forge/latency.py N
 
-`floor`: propose a one-line change by AGit and push it to main, while manager and gate stand still. `tasks`: from a
-task's creation to the manager's knowing that its plan is on main. `checks`: what the gate's checks take of that.
+`floor`: propose a one-line change by AGit and push it to main, while manager and gate stand still; half of them before
+and half after the tasks, since repository and machine are not the same at both times. `tasks`: from a task's creation
+to the manager's knowing that its plan is on main. `checks`: what the gate's checks take of that.
 """
 
 from __future__ import annotations
@@ -24,8 +25,7 @@ from installation import ACCOUNTS, WEBHOOK_SECRET, ApplicationSetController, Ins
 from programs import free_port
 from test_manager import RunningManager, start_manager
 
-from robotkube.adapters.git_clones import GitClone
-from robotkube.adapters.git_deployment import ProposalWriter
+from robotkube.adapters.git import GitClone, ProposalWriter
 from robotkube.adapters.gitea_administration import GiteaAdministration
 from robotkube.adapters.webhooks import WebServer
 from robotkube.entrypoints.manager import news
@@ -87,16 +87,16 @@ class Stage:
         self.controller.stop()
         self.process.remove()
 
-    def floor(self, count: int) -> list[float]:
-        """Milliseconds of each proposal and push, with nobody else on the forge."""
+    def floor(self, name: str, count: int) -> list[float]:
+        """Milliseconds of each proposal and push, with nobody else on the forge. `name`: of the changes."""
         url, passwords = self.installation.url, self.installation.passwords
-        clone = GitClone(url, REPOSITORY, "gate", passwords["gate"], self.folder / "floor")
-        writer = ProposalWriter(self.folder / "floor", "manager", passwords["manager"], "floor", time.time)
+        clone = GitClone(url, REPOSITORY, "gate", passwords["gate"], self.folder / name)
+        writer = ProposalWriter(self.folder / name, "manager", passwords["manager"], name, time.time)
         tip, found = clone.fetch(), []
         for number in range(WARMING_UP + count):
-            commit = writer.commit(tip, {"README.md": f"line {number}\n"}, f"floor {number}\n")
+            commit = writer.commit(tip, {"README.md": f"{name} {number}\n"}, f"{name} {number}\n")
             began = time.perf_counter()
-            writer.propose(commit, f"floor-{number}", "floor", "one line")
+            writer.propose(commit, f"{name}-{number}", name, "one line")
             if not clone.push_main(commit):
                 raise AssertionError("somebody else moved main")
             found.append(1000 * (time.perf_counter() - began))
@@ -163,8 +163,9 @@ def main(count: int) -> None:
     with tempfile.TemporaryDirectory() as folder:
         stage = Stage(Path(folder))
         try:
-            floor = stage.floor(count)
+            floor = stage.floor("before", count // 2)
             tasks, checks = stage.plans(count)
+            floor += stage.floor("after", count - count // 2)
         finally:
             stage.close()
     print(json.dumps({"floor": floor, "tasks": tasks, "checks": checks}))

@@ -107,9 +107,10 @@ class Pod:
         return answer is not None and answer.is_success
 
     def plans(self) -> list[dict[str, Any]]:
+        """Those of the process that leads; none while nobody does."""
         answer = self.get("/plans")
         assert answer is not None
-        return list(answer.json()["plans"])
+        return list(answer.json()["plans"]) if answer.is_success else []
 
     def end(self) -> int:
         self.process.send_signal(signal.SIGTERM)

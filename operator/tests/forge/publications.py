@@ -14,8 +14,7 @@ from installation import CHARTS_URL, Installation
 from submitted import IMAGE
 
 from robotkube.adapters.forges.gitea import GiteaForge
-from robotkube.adapters.git_clones import GitClone
-from robotkube.adapters.git_deployment import ProposalWriter
+from robotkube.adapters.git import GitClone, ProposalWriter
 from robotkube.adapters.oci_registry import Registry
 from robotkube.entrypoints import cli
 from robotkube.entrypoints.cli_registry_submit import CATALOGUE, ForgeAccess, submit_sources

@@ -1,6 +1,5 @@
 """The gate against a real forge: what it takes, what it refuses and in which words, and what survives restarts."""
 
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -289,9 +288,7 @@ def test_a_persons_policy_is_merged_by_the_person_and_relayed(
     until(merge, "merged by the person")
     tip = person.tip()
     assert tip == commit
-    started = time.monotonic()
     until(lambda: controller.announced(tip), "relayed")
-    assert time.monotonic() - started < 5
     assert controller.refused == 0
 
 

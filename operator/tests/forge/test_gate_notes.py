@@ -10,7 +10,7 @@ from installation import Installation, RunningGate, message, release_files
 from waiting import until
 
 from robotkube.adapters.forges.gitea import GiteaForge
-from robotkube.adapters.git_notes import REFERENCE, GitNotes
+from robotkube.adapters.git.notes import REFERENCE, GitNotes
 from robotkube.domain.closing import Facts, ReleaseFacts, closing_text, note_text
 from robotkube.services.gate_notes import NoteKeeper
 

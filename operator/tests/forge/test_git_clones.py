@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from installation import Clone, Installation, message, release_files
 
-from robotkube.adapters.git_clones import GitClone
+from robotkube.adapters.git import GitClone
 from robotkube.domain.errors import InputError, UnavailableError
 
 

@@ -27,7 +27,7 @@ from robotkube.domain.proposals import read_message
 pytestmark = pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning")
 ADAPTERS = "robotkube.adapters."
 MANAGER = (  # what the manager writes in the story below
-    "git_deployment.ProposalWriter.propose",
+    "git.proposals.ProposalWriter.propose",
     "forges.gitea.GiteaForge.comment",
     "forges.gitea.GiteaForge.close",
     "kubernetes_api.KubernetesWorld.patch_status",
@@ -35,8 +35,8 @@ MANAGER = (  # what the manager writes in the story below
     "lease_kubernetes.LeaseElection._write",
 )
 ELSEWHERE = {  # what other processes and tests answer for, by the start of the name
-    "git_clones.GitClone.push_main": "the gate: forge/test_gate.py",
-    "git_notes.": "the gate: forge/test_gate_notes.py",
+    "git.clones.GitClone.push_main": "the gate: forge/test_gate.py",
+    "git.notes.": "the gate: forge/test_gate_notes.py",
     "forges.gitea.GiteaForge.edit_comment": "publication: forge/test_publication.py",
     "forges.github.": "recorded protocol only",
     "forges.gitlab.": "recorded protocol only",
@@ -46,7 +46,7 @@ ELSEWHERE = {  # what other processes and tests answer for, by the start of the 
     "mqtt_doors.": "the MQTT door: manager/test_task_doors.py",
 }
 IN_EVERY_RUN = (  # one of each kind
-    f"kill before {ADAPTERS}git_deployment.ProposalWriter.propose",
+    f"kill before {ADAPTERS}git.proposals.ProposalWriter.propose",
     f"kill after {ADAPTERS}kubernetes_api.KubernetesWorld.patch_status",
     f"kill after {ADAPTERS}forges.gitea.GiteaForge.comment",
 )

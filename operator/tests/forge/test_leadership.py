@@ -8,13 +8,15 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import httpx
 import pytest
-from api_calls import LEASES, TASKS, Api
+from api_calls import LEASE_LABELS, LEASES, TASKS, Api
 from installation import ApplicationSetController, Installation, RunningGate, message, outside, start_gate
 from manager_process import Pod, conditions, write_settings
 from programs import free_port
 from waiting import until
 
+from robotkube.adapters.push_hooks import PushRelay
 from robotkube.domain.proposals import read_message
 
 pytestmark = [
@@ -24,7 +26,7 @@ pytestmark = [
 TAKE_OVER_SECONDS_MAX = 15.0
 TERM_OF_MAIN = 41
 GRACE = 1.0  # seconds that looking itself may take
-PROPOSE = "robotkube.adapters.git_deployment.ProposalWriter.propose"
+PROPOSE = "robotkube.adapters.git.proposals.ProposalWriter.propose"
 MEETING = {"application": "pose-point-cloud-recording", "parameters": {"vehicles": ["vehicle-00", "vehicle-01"]}}
 
 
@@ -54,9 +56,20 @@ class Replicas:
         self.pods.append(pod)
         return pod
 
+    def spec(self) -> dict[str, Any]:
+        return dict(self.api.get(f"{LEASES}/{self.lease}").get("spec") or {})
+
     def term(self) -> int:
-        spec: dict[str, Any] = self.api.get(f"{LEASES}/{self.lease}").get("spec") or {}
-        return int(spec.get("leaseTransitions", 0))
+        return int(self.spec().get("leaseTransitions", 0))
+
+    def leads(self, pod: Pod) -> bool:
+        """It leads, and is ready to."""
+        address = pod.url.removeprefix("http://")
+        return bool(self.spec().get("holderIdentity") == f"{pod.log.parent.name}_{address}" and pod.ready())
+
+    def settled(self, pod: Pod) -> bool:
+        """It leads, and has written what was to be written before the test began."""
+        return self.leads(pod) and all(plan["on_main"] or plan["error"] for plan in pod.plans())
 
     def stop(self) -> None:
         for pod in self.pods:
@@ -78,9 +91,13 @@ def committed(api: Api, name: str) -> bool:
     return conditions(api.get(f"{TASKS}/{name}")).get("Committed") == ("True", "Merged")
 
 
-def settled(pod: Pod) -> bool:
-    """It leads, and has written what was to be written before the test began."""
-    return pod.ready() and all(plan["on_main"] or plan["error"] for plan in pod.plans())
+def delivered(pod: Pod, secret: str) -> bool:
+    """Whether a push event, as the gate sends it, is taken."""
+    relay = PushRelay(f"{pod.url}/webhook", secret.encode(), "robotkube/deployment")
+    try:
+        return relay.hook("0" * 40, "1" * 40)
+    finally:
+        relay.disconnect()
 
 
 def terms_on_main(installation: Installation, task: str) -> list[int]:
@@ -101,8 +118,7 @@ def test_a_leader_that_stood_still_before_its_push_is_refused_afterwards(
     until(lambda: first.hit, "the first leader stands before a push", 40)
     term = replicas.term()
     second = replicas.start()
-    stood = time.monotonic()
-    until(lambda: settled(second), "the second leads", 40)
+    until(lambda: replicas.settled(second), "the second leads", 40)
     api.task("meeting", **MEETING)
     until(lambda: committed(api, "meeting"), "the second writes main", 40)
     assert replicas.term() == term + 1
@@ -120,25 +136,24 @@ def test_a_leader_that_stood_still_before_its_push_is_refused_afterwards(
     assert f"RobotKube-Term: {term} is lower than {term + 1}, manager's last on main" in text
     assert own_installation.clone("argocd").tip() == before
     assert terms_on_main(own_installation, "cloud-0/meeting") == [term + 1]
-    until(lambda: first.get("/readyz") is not None and not first.ready(), "the first knows that it does not lead")
-    assert "another process of this manager leads" in str((first.get("/readyz") or pytest.fail("gone")).text)
-    assert stood > 0
+    until(lambda: first.plans() == second.plans(), "the first knows that it does not lead, and asks the second")
+    assert replicas.leads(second)
 
 
 def test_the_second_takes_over_in_time_and_goes_on(
     own_installation: Installation, replicas: Replicas, api: Api
 ) -> None:
     first = replicas.start()
-    until(lambda: settled(first), "the first leads", 40)
+    until(lambda: replicas.settled(first), "the first leads", 40)
     second = replicas.start()
-    until(lambda: second.get("/readyz") is not None, "the second waits")
-    assert not second.ready()
+    until(second.ready, "the second waits")
+    assert replicas.leads(first)
     api.task("before", **MEETING)
     until(lambda: committed(api, "before"), "committed by the first")
     term = replicas.term()
     os.kill(first.process.pid, signal.SIGSTOP)
     stood = time.monotonic()
-    until(second.ready, "the second leads", TAKE_OVER_SECONDS_MAX + GRACE)
+    until(lambda: replicas.leads(second), "the second leads", TAKE_OVER_SECONDS_MAX + GRACE)
     assert time.monotonic() - stood < TAKE_OVER_SECONDS_MAX
     assert replicas.term() == term + 1
     api.delete(f"{TASKS}/before")
@@ -149,11 +164,30 @@ def test_the_second_takes_over_in_time_and_goes_on(
 
 def test_a_leader_that_ends_gives_its_lease_back(replicas: Replicas) -> None:
     first = replicas.start()
-    until(lambda: settled(first), "the first leads", 40)
+    until(lambda: replicas.settled(first), "the first leads", 40)
     second = replicas.start()
-    until(lambda: second.get("/readyz") is not None, "the second waits")
+    until(second.ready, "the second waits")
     assert first.end() == 0
-    until(second.ready, "the second leads at once", 5)
+    until(lambda: replicas.leads(second), "the second leads at once", 5)
+    assert replicas.api.get(f"{LEASES}/{replicas.lease}")["metadata"]["labels"] == LEASE_LABELS
+
+
+def test_what_reaches_the_one_that_waits_is_answered_by_the_leader(
+    own_installation: Installation, replicas: Replicas, api: Api
+) -> None:
+    first = replicas.start()
+    until(lambda: replicas.settled(first), "the first leads", 40)
+    second = replicas.start()
+    until(second.ready, "the second waits")
+    api.task("asked", **MEETING)
+    until(lambda: committed(api, "asked"), "committed by the first")
+    until(lambda: second.plans() == first.plans(), "the second shows the plans of the first")
+    assert first.plans()[-1]["tasks"] == ["cloud-0/asked"]
+    answer = httpx.post(f"{second.url}/explain", json={"task": "cloud-0/asked"}, timeout=10)
+    assert (answer.status_code, answer.json()["outcome"]) == (200, "Accepted")
+    assert delivered(second, outside(own_installation).webhook_secret)
+    assert not delivered(second, "another secret")
+    assert replicas.leads(first)
 
 
 def test_a_new_lease_does_not_fall_behind_main(own_installation: Installation, replicas: Replicas, api: Api) -> None:
@@ -166,4 +200,4 @@ def test_a_new_lease_does_not_fall_behind_main(own_installation: Installation, r
     pod = replicas.start()
     until(lambda: committed(api, "again"), "committed under a higher term", 60)
     assert terms_on_main(own_installation, "cloud-0/again")[-1] == replicas.term() > TERM_OF_MAIN
-    assert pod.ready()
+    assert replicas.leads(pod)

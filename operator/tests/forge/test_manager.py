@@ -16,8 +16,7 @@ from installation import CATALOGUE, CHARTS_URL, TERM, ApplicationSetController, 
 from waiting import until
 
 from robotkube.adapters.forges.gitea import GiteaForge
-from robotkube.adapters.git_clones import GitClone
-from robotkube.adapters.git_deployment import ProposalWriter
+from robotkube.adapters.git import GitClone, ProposalWriter
 from robotkube.adapters.schemas_jsonschema import validate
 from robotkube.adapters.templates_jinja2 import Jinja2Templates
 from robotkube.domain.placement import Agent, NodeState
@@ -34,8 +33,6 @@ from robotkube.testing.leadership import MemoryLeadership
 
 AGENTS = (("cloud-0", "cloud"), ("vehicle-00", "vehicle"), ("vehicle-01", "vehicle"))
 KEY = "cloud-0/meeting"
-PROPOSE_SECONDS_MAX = 3.0
-NAMED_SECONDS_MAX = 10.0
 
 
 @dataclass
@@ -133,10 +130,8 @@ def test_a_task_becomes_a_commit_on_main_and_its_withdrawal_another(
 ) -> None:
     before = {path: release.values for path, release in releases(installation).items()}
     ask(manager.tasks)
-    begin = time.monotonic()
     manager.manager.wake(TASKS)
     until(lambda: len(installation.client("gate").get("/pulls").json()) > 0 or committed(manager), "proposed")
-    assert time.monotonic() - begin < PROPOSE_SECONDS_MAX
     until(lambda: committed(manager), "committed")
     status = manager.tasks.objects[KEY]["status"]
     plan = manager.plans()[-1]
@@ -293,11 +288,9 @@ def test_a_file_broken_past_the_gate_is_named_and_repaired(
     person = installation.clone("gate")
     broken = person.commit({path: "kind: [\n", "releases/vehicle-01/empty.yaml": ""}, "By hand\n", [person.tip()])
     assert person.push(broken, "refs/heads/main") == ""
-    began = time.monotonic()
     ask(manager.tasks)
     manager.manager.wake(TASKS)
-    until(lambda: manager.tasks.condition(KEY, "Committed") == ("False", "MainBroken"), "named", NAMED_SECONDS_MAX)
-    assert time.monotonic() - began < NAMED_SECONDS_MAX
+    until(lambda: manager.tasks.condition(KEY, "Committed") == ("False", "MainBroken"), "named")
     assert manager.manager.statistics.broken_files == 2
     again = start_gate(installation, controller.url, tmp_path / "gate-again")
     try:

@@ -7,7 +7,6 @@ import secrets
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -125,10 +124,8 @@ def test_the_gate_process_takes_a_proposal_and_ends_when_asked(
         until(lambda: bool(installation.pull_request(number)["merged"]), "merged")
         until(lambda: controller.announced(commit), "announced")
         assert 'robotkube_gate_proposals_total{verdict="accepted"} 1' in httpx.get(f"{url}/metrics").text
-        started = time.monotonic()
         process.send_signal(signal.SIGTERM)
         assert process.wait(PROCESS_SECONDS_MAX) == 0
-        assert time.monotonic() - started < 5
     finally:
         process.kill()
         process.wait(PROCESS_SECONDS_MAX)

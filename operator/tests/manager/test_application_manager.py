@@ -307,6 +307,7 @@ def test_a_plan_that_is_never_observed_is_given_up(stage: Stage) -> None:
     stage.go(2, seconds=OBSERVE_SECONDS_MAX)
     stage.go()
     assert "not observed within" in str(stage.plans()[-1]["error"])
+    assert stage.manager.statistics.plans["unobserved"] == 1
     assert stage.tasks.condition(MEETING, "Ready") == ("False", "Progressing")
 
 

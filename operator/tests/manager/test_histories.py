@@ -8,13 +8,11 @@ from __future__ import annotations
 
 import copy
 import logging
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 from hypothesis import HealthCheck, Phase, settings
@@ -46,10 +44,9 @@ QUIET_TURNS_MAX = 12
 SECOND = 1_000_000_000
 
 
-@cache
-def template() -> Stage:
+def template(folder: Path) -> Stage:
     """One world for all histories: the initial configuration runs, and the cloud's node has room for ROOM recorders."""
-    found = Stage(Path(tempfile.mkdtemp()), VEHICLES)
+    found = Stage(folder, VEHICLES)
     found.settle()
     always = sum(release.namespace == "cloud-0" for release in found.releases().values())
     room = Resources(30 * (always + ROOM), 2**40)
@@ -62,8 +59,10 @@ def template() -> Stage:
 class World(Stage):
     """A world of its own that begins where the template is."""
 
+    template: ClassVar[Stage]
+
     def __init__(self) -> None:
-        first = template()
+        first = self.template
         self.verifier, self.settings, self.catalogue = first.verifier, first.settings, first.catalogue
         self.leadership, self.argocd = copy.deepcopy(first.leadership), copy.deepcopy(first.argocd)
         self.cluster, self.tasks = copy.deepcopy(first.cluster), copy.deepcopy(first.tasks)
@@ -307,7 +306,8 @@ def silent() -> Iterator[None]:
         logging.disable(logging.NOTSET)
 
 
-def run(examples: int, derandomize: bool) -> None:
+def run(folder: Path, examples: int, derandomize: bool) -> None:
+    World.template = template(folder)
     found = settings(
         max_examples=examples,
         stateful_step_count=12,
@@ -321,10 +321,10 @@ def run(examples: int, derandomize: bool) -> None:
         run_state_machine_as_test(Histories, settings=found)  # type: ignore[no-untyped-call]
 
 
-def test_200_histories() -> None:
-    run(200, derandomize=True)
+def test_200_histories(tmp_path: Path) -> None:
+    run(tmp_path, 200, derandomize=True)
 
 
 @pytest.mark.thorough
-def test_2000_histories() -> None:
-    run(2000, derandomize=False)
+def test_2000_histories(tmp_path: Path) -> None:
+    run(tmp_path, 2000, derandomize=False)

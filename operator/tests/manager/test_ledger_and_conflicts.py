@@ -138,6 +138,24 @@ def test_the_more_urgent_task_takes_the_place_and_both_say_so(narrow: Stage) -> 
     assert narrow.tasks.condition(low, "Accepted") == ("False", "Preempted")
 
 
+def test_who_gave_way_to_whom_is_said_after_the_merge_and_after_a_restart(narrow: Stage) -> None:
+    low = ask(narrow, "low", priority=10)
+    narrow.settle()
+    high = ask(narrow, "high", SECOND, priority=500, conflictPolicy="Preempt")
+    narrow.settle()
+    body = narrow.forge.bodies[max(narrow.forge.pulls)]
+    assert "- `cloud-0/high`: cloud-0/low gave way to it" in body
+    assert "- `cloud-0/low` is refused, Preempted: gave way to cloud-0/high of priority 500" in body
+    narrow.manager = narrow.start()
+    narrow.settle()
+    assert narrow.tasks.condition(high, "Ready") == ("True", "Observed")
+    assert message(narrow, high).startswith("cloud-0/low gave way to it; ")
+    assert (narrow.tasks.condition(low, "Accepted"), message(narrow, low)) == (
+        ("False", "Preempted"),
+        "gave way to cloud-0/high of priority 500",
+    )
+
+
 def test_who_gives_way_is_not_offloaded_to_where_it_is(narrow: Stage) -> None:
     low = ask(narrow, "low", priority=10, conflictPolicy="Offload")
     narrow.settle()

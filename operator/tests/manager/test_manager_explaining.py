@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import json
 import threading
+from dataclasses import replace
 from typing import Any
 
 import pytest
-from manager_stage import Stage
+from manager_stage import START_NS, Stage
 
 from robotkube.domain.errors import UnavailableError
+from robotkube.domain.vetoes import Hold
 from robotkube.services import manager_explaining
+from robotkube.services.application_manager import DEPLOYMENT
 from robotkube.services.manager_explaining import Explainer
 from robotkube.testing.clusters import MemoryTasks
 
@@ -26,6 +29,18 @@ def document(name: str = "new", **spec: Any) -> dict[str, Any]:
         **spec,
     }
     return {"metadata": {"namespace": "cloud-0", "name": name}, "spec": full}
+
+
+def hold(stage: Stage, agent: str) -> None:
+    until = START_NS + int((stage.seconds + 60) * 1e9)
+    stage.cluster.machines = [
+        replace(node, hold=Hold(agent, until, "driving") if node.agent == agent else None)
+        for node in stage.cluster.machines
+    ]
+
+
+def park(stage: Stage) -> None:
+    stage.cluster.machines = [replace(node, hold=None) for node in stage.cluster.machines]
 
 
 @pytest.fixture
@@ -46,6 +61,21 @@ def test_a_task_that_is_not_submitted(stage: Stage, explainer: Explainer) -> Non
     assert (stage.repository.tip, stage.tasks.objects) == (tip, {})
 
 
+def test_a_question_does_not_make_an_edit_stand(stage: Stage, explainer: Explainer) -> None:
+    """Under edits: respect, an edit stands as long as the same is wanted as when it was first seen; a question about
+    a task must not count as such a wish."""
+    bridge = "releases/vehicle-00/mqtt-bridge.yaml"
+    stage.repository.push({"policies/edits.yaml": "edits: respect\n"}, "policy")
+    text = stage.repository.files(stage.repository.tip, ("releases",))[bridge]
+    stage.repository.push({bridge: f"{text}# looked at\n"}, "nothing changed")
+    stage.go(wake=DEPLOYMENT)
+    key = stage.ask()
+    question = {"metadata": stage.tasks.objects[key]["metadata"], "spec": stage.tasks.objects[key]["spec"]}
+    assert explainer(json.dumps(question).encode())[1]["outcome"] == "Accepted"
+    stage.settle()
+    assert "pointcloud" in str(stage.releases()[bridge].values)
+
+
 def test_a_task_that_would_be_refused(explainer: Explainer) -> None:
     status, answer = explainer(json.dumps(document(application="nothing")).encode())
     assert (status, answer["outcome"], answer["reason"]) == (200, "Refused", "UnknownApplication")
@@ -60,6 +90,23 @@ def test_a_task_that_is_there(stage: Stage, explainer: Explainer) -> None:
     status, answer = explainer(json.dumps({"task": key}).encode())
     assert (status, answer["outcome"], answer["changes"]) == (200, "Accepted", [])
     assert explainer(b'{"task": "cloud-0/nothing"}')[0] == 404
+
+
+def test_a_task_whose_changes_would_wait_for_a_vehicle_that_drives(stage: Stage, explainer: Explainer) -> None:
+    hold(stage, "vehicle-00")
+    _, answer = explainer(json.dumps(document()).encode())
+    assert answer["outcome"] == "Accepted"
+    assert "vehicle-00/mqtt-bridge: vehicle-00 holds changes until 2026-11-21T" in answer["waits"]
+    assert answer["waits"].endswith("driving")
+    assert f"cloud-0/new waits, HeldByAgent: {answer['waits']}" in answer["lines"]
+    _, free = explainer(json.dumps(document(parameters={"vehicles": ["vehicle-01", "vehicle-02"]})).encode())
+    assert (free["outcome"], free["waits"]) == ("Accepted", "")
+    key = stage.ask()
+    stage.go()
+    _, there = explainer(json.dumps({"task": key}).encode())
+    assert there["waits"] == stage.tasks.objects[key]["status"]["conditions"][1]["message"]
+    park(stage)
+    assert explainer(json.dumps({"task": key}).encode())[1]["waits"] == ""
 
 
 @pytest.mark.parametrize(

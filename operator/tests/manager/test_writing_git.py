@@ -10,6 +10,7 @@ import pytest
 from manager_stage import MEETING, Stage
 
 from robotkube.domain.closing import read_note
+from robotkube.domain.edits import PATH as EDITS_PATH
 from robotkube.domain.planning import Plan
 from robotkube.domain.proposals import REPAIR, REVERT, CommitMessage, read_message, write_message
 from robotkube.domain.releases import write_release
@@ -138,6 +139,35 @@ def test_an_edit_is_respected_until_what_is_wanted_changes(stage: Stage) -> None
     assert stage.tasks.condition(MEETING, "Committed") == ("True", "Merged")
 
 
+def test_a_second_edit_is_respected_like_the_first(stage: Stage) -> None:
+    stage.repository.push({"policies/edits.yaml": "edits: respect\n"}, "policy")
+    edit(stage)
+    stage.go(wake=DEPLOYMENT)
+    text = stage.repository.trees[stage.repository.tip][BRIDGE]
+    stage.repository.push({BRIDGE: text.replace("agent: vehicle-01\n", "agent: vehicle-02\n")}, "mine again")
+    stage.go(wake=DEPLOYMENT)
+    assert stage.releases()[BRIDGE].values["placement"] == {"agent": "vehicle-02"}
+
+
+def test_a_release_that_a_person_removed_is_named_until_it_is_back(stage: Stage) -> None:
+    stage.repository.push({EDITS_PATH: "edits: respect\n"}, "policy")
+    key = stage.ask()
+    stage.settle()
+    path = "releases/cloud-0/recorder-vehicle-00-vehicle-01.yaml"
+    text = stage.repository.files(stage.repository.tip, ("releases",))[path]
+    commit = stage.repository.push({path: None}, "no recorder today")
+    stage.go(wake=DEPLOYMENT)
+    assert path not in stage.releases()
+    assert stage.tasks.condition(key, "Committed") == ("False", "EditedByHand")
+    said = next(c for c in stage.tasks.objects[key]["status"]["conditions"] if c["type"] == "Committed")["message"]
+    assert f"{path} was removed by commit {commit[:12]} of manager. policies/edits.yaml respects that" in said
+    assert "withdraw the task" in said
+    assert ("EditedByHand", said) in [told[-2:] for told in stage.tasks.told]
+    stage.repository.push({path: text}, "back")
+    stage.go(wake=DEPLOYMENT)
+    assert stage.tasks.condition(key, "Committed") == ("True", "Merged")
+
+
 def test_a_policy_that_cannot_be_read_leaves_the_one_before(stage: Stage) -> None:
     stage.repository.push({"policies/edits.yaml": "edits: respect\n"}, "policy")
     stage.go(wake=DEPLOYMENT)
@@ -263,11 +293,28 @@ def test_a_process_that_does_not_lead_does_nothing(stage: Stage) -> None:
     stage.go(10, seconds=1.0)
     assert len(stage.forge.pulls) == 1
     assert "status" not in stage.tasks.objects[MEETING]
-    assert stage.manager.reasons_not_ready() == ["another process of this manager leads"]
     stage.leadership.number = 2
     stage.go(4)
     assert stage.tasks.condition(MEETING, "Committed") == ("True", "Merged")
     assert last_message(stage).term == 2
+
+
+def test_a_process_that_waits_is_ready_when_it_could_take_over(stage: Stage) -> None:
+    stage.leadership.number = None
+    stage.manager = stage.start()
+    assert stage.manager.reasons_not_ready() == ["has not looked at the world yet"]
+    stage.go(1)
+    assert stage.manager.reasons_not_ready() == []
+    stage.leadership.other = None
+    assert stage.manager.reasons_not_ready() == ["no process of this manager is known to lead"]
+    stage.leadership.other, stage.repository.away = "another:8080", True
+    stage.ask()
+    stage.seconds += 40
+    stage.fail()
+    [late, problem] = stage.manager.reasons_not_ready()
+    assert late == "the forge was not seen for 40 s"
+    assert problem == "the forge does not answer"
+    assert "status" not in stage.tasks.objects[MEETING]  # to say so is the leader's
 
 
 def test_leadership_that_is_lost_while_a_plan_is_computed_stops_its_proposal(stage: Stage) -> None:

@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from ci import folders
+from ci import demo, folders
 
 SCENARIO = folders.PROJECT / "scenarios" / "pose-point-cloud-db-recording"
 SECONDS_MAX = 60
@@ -79,8 +79,17 @@ def test_help_lists_every_target() -> None:
         ("speed_mps=40", "speed_mps: 40: an encounter would last"),
     ],
 )
-def test_a_wrong_parameter_ends_the_demo_before_its_beginning(home: Path, setting: str, message: str) -> None:
-    assert message in refused(home, "ci.demo", str(SCENARIO), "--set", setting)
+def test_a_wrong_parameter_ends_the_demo_before_its_beginning(
+    home: Path, setting: str, message: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("HOME", "XDG_CACHE_HOME"):
+        monkeypatch.setenv(name, str(home))
+    monkeypatch.setattr(sys, "argv", ["demo", str(SCENARIO), "--set", setting])
+    assert demo.main() == 1
+    printed = capsys.readouterr()
+    assert (printed.out, list(home.iterdir())) == ("", [])
+    [line] = printed.err.splitlines()
+    assert message in line.removeprefix("error: ")
 
 
 def test_a_wrong_scenario_ends_the_demo_before_its_beginning(home: Path, tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from waiting import until
 
 from ci import results
 from ci import test as groups
@@ -33,11 +34,26 @@ def test_never_runs(): pass
 """
 
 
-def counted(folder: Path, name: str, text: str) -> tuple[int, results.Counts]:
+HANGING = """
+import pathlib, time, pytest
+@pytest.fixture(scope="session")
+def server():
+    yield
+    time.sleep(1)
+    pathlib.Path("taken-down").touch()
+def test_passes(): pass
+def test_hangs(server):
+    pathlib.Path("hanging").touch()
+    time.sleep(600)
+"""
+
+
+def counted(folder: Path, name: str, text: str, processes: int = 1) -> tuple[int, results.Counts]:
     """Exit code and counts of a pytest run of one file."""
     (folder / f"test_{name}.py").write_text(text)
     environment = {**os.environ, results.VARIABLE: str(folder / "results")}
     command = [sys.executable, "-m", "pytest", "-q", "-p", "ci.results", "-p", "no:cacheprovider", str(folder)]
+    command += groups.spread(processes)
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, timeout=SECONDS_MAX, check=False)
     return done.returncode, results.read(folder / "results")
 
@@ -64,6 +80,13 @@ def test_a_run_that_is_killed_keeps_its_counts(tmp_path: Path) -> None:
     assert counts == results.Counts(1, 1, 0, ("test_dying.py::test_kills_the_run",))
 
 
+def test_a_run_of_which_one_process_is_killed_keeps_its_counts(tmp_path: Path) -> None:
+    (tmp_path / "test_other.py").write_text(MIXED)
+    code, counts = counted(tmp_path, "dying", DYING, 2)
+    assert code == 1
+    assert counts == results.Counts(2, 3, 1)
+
+
 def test_a_file_that_cannot_be_imported_is_a_failure(tmp_path: Path) -> None:
     code, counts = counted(tmp_path, "broken", "import nothing_of_this_name\n")
     assert code != 0
@@ -74,29 +97,47 @@ def test_no_run_at_all_counts_nothing(tmp_path: Path) -> None:
     assert results.read(tmp_path / "results") == results.Counts(0, 0, 0)
 
 
-@pytest.mark.parametrize(("text", "passed"), [(MIXED, 1), ("", 0), (DYING, 1)])
+@pytest.mark.parametrize(
+    ("processes", "text", "passed"),
+    [(1, MIXED, 1), (1, "", 0), (1, DYING, 1), (2, "", 0)],
+    ids=["failing", "empty", "dying", "empty of two"],
+)
 def test_a_group_with_a_failure_or_without_a_test_has_failed(
-    text: str, passed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    processes: int,
+    text: str,
+    passed: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     (tmp_path / "operator" / "tests" / "some").mkdir(parents=True)
     (tmp_path / "operator" / "pyproject.toml").write_text("[tool.pytest.ini_options]\nmarkers = ['thorough: slow']\n")
     (tmp_path / "operator" / "tests" / "some" / "test_some.py").write_text(text)
     monkeypatch.setattr(groups, "TOP", tmp_path)
-    counts = groups.run_pytest(groups.Group("some", ("some",), 20, "nothing"), "not thorough")
+    counts = groups.run_pytest(groups.Group("some", ("some",), 20, "nothing", processes), "not thorough")
     assert counts.passed == passed
     assert counts.failed >= 1
     assert ("no test was run" in capsys.readouterr().out) == (not passed)
 
 
-def test_a_group_that_hangs_is_ended_and_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("processes", [1, 2])
+def test_a_group_that_hangs_is_taken_down_and_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, processes: int
+) -> None:
     (tmp_path / "operator" / "tests" / "some").mkdir(parents=True)
     (tmp_path / "operator" / "pyproject.toml").touch()
-    text = "import time\ndef test_passes(): pass\ndef test_hangs(): time.sleep(600)\n"
-    (tmp_path / "operator" / "tests" / "some" / "test_some.py").write_text(text)
+    (tmp_path / "operator" / "tests" / "some" / "test_some.py").write_text(HANGING)
     monkeypatch.setattr(groups, "TOP", tmp_path)
-    monkeypatch.setattr(groups.Group, "seconds_max", 3)
-    counts = groups.run_pytest(groups.Group("some", ("some",), 1, "nothing"), "")
+    monkeypatch.setattr(groups.Group, "seconds_max", property(lambda _: over_when(tmp_path / "hanging")))
+    counts = groups.run_pytest(groups.Group("some", ("some",), 1, "nothing", processes), "")
     assert (counts.passed, counts.failed) == (1, 1)
+    assert (tmp_path / "taken-down").exists()
+
+
+def over_when(file: Path) -> float:
+    """A group's time, which is over when the file is there."""
+    until(file.exists, "the test that hangs", SECONDS_MAX)
+    return 0.1
 
 
 def test_the_last_line_sums_all_groups() -> None:

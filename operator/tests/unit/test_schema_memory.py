@@ -6,7 +6,7 @@ from typing import Any
 
 import jsonschema
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robotkube.adapters.schemas_jsonschema import validate
@@ -46,7 +46,6 @@ items = topics | st.integers() | st.lists(st.integers() | st.booleans(), max_siz
 
 
 @pytest.mark.parametrize("name", sorted(SCHEMAS))
-@settings(max_examples=80, deadline=None)
 @given(st.lists(st.lists(items, max_size=5), max_size=4))
 def test_what_was_valid_once_is_remembered_and_nothing_else(name: str, lists: list[list[Any]]) -> None:
     plain = jsonschema.validators.validator_for(SCHEMAS[name])(SCHEMAS[name])

@@ -6,7 +6,6 @@ import gzip
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Sequence
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import ClassVar
@@ -15,6 +14,7 @@ from opentelemetry.proto.collector.trace.v1.trace_service_pb2 import ExportTrace
 from opentelemetry.sdk.trace import ReadableSpan
 from opentelemetry.sdk.trace.export import SpanExporter, SpanExportResult
 from opentelemetry.sdk.trace.export.in_memory_span_exporter import InMemorySpanExporter
+from opentelemetry.trace import StatusCode
 from prometheus_client.parser import text_string_to_metric_families
 
 from robotkube.adapters.metrics_prometheus import METRICS, OTHER, PREFIX, PrometheusMetrics
@@ -101,6 +101,20 @@ def test_a_plan_is_spans_in_the_trace_of_each_of_its_events() -> None:
     assert mine["plan"].attributes["robotkube.plan"] == "p1"
 
 
+def test_a_plan_that_was_given_up_is_an_error_as_long_as_it_was_waited_for() -> None:
+    exporter = InMemorySpanExporter()
+    traces = OpenTelemetryTraces("http://nowhere", "manager", exporter)
+    times = {**TIMES, "synced": 5 * 10**9, "given_up": 904 * 10**9}
+    traces.plan(
+        PlanFacts("p1", "task", traces=TRACES[:1], times=times, error="not observed within 900 s"), "unobserved"
+    )
+    traces.close()
+    mine = {span.name: span for span in exporter.get_finished_spans()}
+    assert mine["plan"].status.status_code == StatusCode.ERROR
+    assert mine["plan"].status.description == "not observed within 900 s"
+    assert mine["plan"].end_time == mine["observe"].end_time == 904 * 10**9
+
+
 def test_a_refused_plan_is_an_error_and_an_odd_trace_still_a_trace() -> None:
     exporter = InMemorySpanExporter()
     traces = OpenTelemetryTraces("http://nowhere", "manager", exporter)
@@ -147,18 +161,23 @@ def test_spans_reach_a_collector_and_one_that_is_away_costs_nothing() -> None:
     ]
     assert {span.name for span in spans} == {"plan", "decide", "merge"}
     assert {span.trace_id.hex() for span in spans} == set(TRACES)
-    away = OpenTelemetryTraces("http://127.0.0.1:1/v1/traces", "manager", NoExporter())
-    began = time.monotonic()
-    for _ in range(1000):
+    away = OpenTelemetryTraces("http://127.0.0.1:1/v1/traces", "manager", gone := NoExporter())
+    for _ in range(1000):  # comes back from each, although nothing that was sent has come back
         away.plan(PLAN, "refused")
-    assert time.monotonic() - began < 10
+    assert gone.answers == 0
+    gone.known.set()
     away.close()
 
 
 class NoExporter(SpanExporter):
-    """A collector that is away."""
+    """A collector that is away: nobody hears of it before `known`."""
+
+    def __init__(self) -> None:
+        self.known, self.answers = threading.Event(), 0
 
     def export(self, spans: Sequence[ReadableSpan]) -> SpanExportResult:
+        assert self.known.wait(60), "the caller waited for the collector"
+        self.answers += 1
         return SpanExportResult.FAILURE
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from robotkube.domain.texts import write_mapping, write_with_library
@@ -18,7 +18,6 @@ values = st.recursive(
 )
 
 
-@settings(max_examples=400, deadline=None)
 @given(st.dictionaries(words, values, max_size=5))
 def test_every_document_is_written_as_the_library_writes_it(document: dict[str, Any]) -> None:
     assert write_mapping(document) == write_with_library(document)

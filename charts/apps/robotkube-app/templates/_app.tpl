@@ -18,6 +18,13 @@ metadata:
 data:
   config.yaml: |
     {{- toYaml .config | nindent 4 }}
+  {{- /* Whose it is: what the process asks itself when it comes back from where nobody could reach it. */}}
+  {{- with .root.Values.placement.node }}
+  node: {{ . | quote }}
+  {{- end }}
+  {{- if .root.Values.placement.movable }}
+  movable: "true"
+  {{- end }}
   {{- range $name, $text := .files }}
   {{ $name }}: {{ toJson $text }}
   {{- end }}
@@ -78,7 +85,7 @@ serviceAccountName: {{ .serviceAccount | default "application" }}
 automountServiceAccountToken: false   # mounted below, as the one account this pod needs
 enableServiceLinks: false
 terminationGracePeriodSeconds: {{ .root.Values.terminationGracePeriodSeconds | int }}
-nodeSelector: {robotkube.io/agent: {{ .root.Values.placement.agent }}}
+nodeSelector: {robotkube.io/agent: {{ .root.Values.placement.agent }}{{ with .root.Values.placement.node }}, kubernetes.io/hostname: {{ . | quote }}{{ end }}}
 dnsConfig: {options: [{name: ndots, value: "1"}]}          # addresses are full names: one question each
 securityContext:
   runAsNonRoot: true

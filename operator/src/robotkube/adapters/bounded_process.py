@@ -1,7 +1,9 @@
 """Calls answered in a process of their own, which is ended when one of them takes too much.
 
 What strangers wrote, such as the patterns and references of a JSON Schema, can take for ever, and no thread of Python
-can be stopped. Both sides speak JSON, a line each: `[name, [argument, ...]]` and the answer.
+can be stopped. Both sides speak JSON, a line each: `[name, place, [argument, ...]]` and the answer. What a call is
+about, its first argument, is written down once, as `[place, subject]` without an answer, and from then on named by its
+place: a schema is long, and asked about again and again.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ ANSWER_SECONDS_MAX = 20.0  # the first call waits for the start of the process, 
 ANSWER_BYTES_MAX = 8 * 1024 * 1024
 END_SECONDS_MAX = 2.0
 CHUNK_BYTES = 64 * 1024
+SUBJECTS_KEPT_MAX = 64
 
 
 class BoundedProcess:
@@ -36,6 +39,7 @@ class BoundedProcess:
         self._process = self._start()
 
     def _start(self) -> subprocess.Popen[bytes]:
+        self._places: dict[int, tuple[int, Any]] = {}
         return subprocess.Popen(self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
 
     def close(self) -> None:
@@ -43,20 +47,32 @@ class BoundedProcess:
         with self._lock:
             self._end()
 
-    def call(self, name: str, *arguments: Any) -> Any:
-        """The answer of the function that `serve` knows by this name. InputError when the call took more than its
-        bounds, UnavailableError when there was no answer in ANSWER_SECONDS_MAX, which the call may not be to blame for.
-        """
-        line = json.dumps([name, arguments]).encode() + b"\n"
+    def call(self, name: str, subject: Any, *arguments: Any) -> Any:
+        """The answer of the function that `serve` knows by this name; `subject` is its first argument, an object that
+        nobody changes. InputError when the call took more than its bounds, UnavailableError when there was no answer in
+        ANSWER_SECONDS_MAX, which the call may not be to blame for."""
+        text = json.dumps(arguments)
         with self._lock:
             if self._process.poll() is not None:
                 self._end()
                 self._process = self._start()
             try:
-                return self._ask(line)
+                place, news = self._placed(subject)
+                return self._ask(f'{news}["{name}", {place}, {text}]\n'.encode())
             except Exception:
                 self._end()
                 raise
+
+    def _placed(self, subject: Any) -> tuple[int, str]:
+        """Where the process has the subject, and the line that puts it there; empty when it is there."""
+        known = self._places.get(id(subject))
+        if known is not None:
+            return known[0], ""
+        place = len(self._places)
+        if place >= SUBJECTS_KEPT_MAX:
+            place, _ = self._places.pop(next(iter(self._places)))
+        self._places[id(subject)] = place, subject  # kept, so that nothing else can have its id
+        return place, f"[{place}, {json.dumps(subject)}]\n"
 
     def _ask(self, line: bytes) -> Any:
         deadline = time.monotonic() + ANSWER_SECONDS_MAX
@@ -104,10 +120,15 @@ def serve(functions: Mapping[str, Callable[..., Any]], questions: IO[bytes], ans
     _, most = resource.getrlimit(resource.RLIMIT_DATA)
     resource.setrlimit(resource.RLIMIT_DATA, (DATA_BYTES_MAX, most))
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's: the parent ends this process
+    subjects: dict[int, Any] = {}
     for line in questions:
-        name, arguments = json.loads(line)
         signal.setitimer(signal.ITIMER_PROF, CPU_SECONDS_MAX)  # SIGPROF ends the process, also within a library
-        answer = json.dumps(functions[name](*arguments)).encode()
+        question = json.loads(line)
+        if len(question) == 2:
+            subjects[question[0]] = question[1]
+            continue
+        name, place, arguments = question
+        answer = json.dumps(functions[name](subjects[place], *arguments)).encode()
         signal.setitimer(signal.ITIMER_PROF, 0.0)
         answers.write(answer + b"\n")
         answers.flush()

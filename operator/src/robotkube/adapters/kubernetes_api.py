@@ -420,6 +420,7 @@ def read_node(item: Object) -> NodeState:
         ready_since=since if ready.get("status") == "True" else None,
         not_ready_since=since if ready.get("status") != "True" else None,
         silent_since=since if ready.get("status") == "Unknown" else None,
+        created=_time_ns(metadata.get("creationTimestamp")) or 0,
     )
 
 

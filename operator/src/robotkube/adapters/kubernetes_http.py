@@ -174,6 +174,7 @@ class ConfigMapWatch:
 
     Runs on a thread of its own and never gives up: a lost connection is taken up again after 0.5 to 10 s. An exception
     in `changed` is reported by `failed` (a sentence) and the watch goes on. `complaint` is None while it is connected.
+    `read_at` and `interrupted_at` as in the port SettingsReading, by `clock`.
     """
 
     def __init__(
@@ -183,11 +184,14 @@ class ConfigMapWatch:
         name: str,
         changed: Callable[[ConfigMapData | None], None],
         failed: Callable[[str], None] = lambda sentence: None,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._api, self._namespace, self._name = api, namespace, name
-        self._changed, self._failed = changed, failed
-        self._stopping = threading.Event()
-        self._connection: http.client.HTTPConnection | None = None
+        self._changed, self._failed, self._clock = changed, failed, clock
+        self._stopping, self._again = threading.Event(), threading.Event()
+        self.read_at: float | None = None
+        self.interrupted_at: float | None = None
+        self._socket: socket.socket | None = None
         self._last: tuple[ConfigMapData | None] | None = None
         self.complaint: str | None = f"ConfigMap {namespace}/{name} was not read yet"
 
@@ -198,10 +202,15 @@ class ConfigMapWatch:
     def stop(self) -> None:
         """End the watch; returns at once."""
         self._stopping.set()
-        connection = self._connection
-        if connection is not None and connection.sock is not None:
+        self.read_again()
+
+    def read_again(self) -> None:
+        """Read the ConfigMap now, without waiting for the next attempt or the end of the watch; returns at once."""
+        self._again.set()
+        connected = self._socket
+        if connected is not None:
             with contextlib.suppress(OSError):
-                connection.sock.shutdown(socket.SHUT_RDWR)
+                connected.shutdown(socket.SHUT_RDWR)
 
     def _run(self) -> None:
         backoff = BACKOFF_SECONDS_MIN
@@ -210,14 +219,20 @@ class ConfigMapWatch:
             try:
                 self._follow()
             except (OSError, http.client.HTTPException, ValueError, InputError, UnavailableError) as error:
+                if self._again.is_set():
+                    continue  # ended by `read_again`, or to be tried at once
+                if self.interrupted_at is None:
+                    self.interrupted_at = self._clock()
                 self.complaint = f"ConfigMap {self._namespace}/{self._name}: {error or type(error).__name__}"
                 self._failed(self.complaint)
                 backoff = BACKOFF_SECONDS_MIN if time.monotonic() - begin > 2 * backoff else backoff
-                self._stopping.wait(backoff)
+                self._again.wait(backoff)
                 backoff = min(2 * backoff, BACKOFF_SECONDS_MAX)
 
     def _follow(self) -> None:
         """Read the list, then its changes, until the server ends the watch (after WATCH_SECONDS at most)."""
+        self._again.clear()
+        begin = self._clock()
         selector = {"fieldSelector": f"metadata.name={self._name}"}
         path = config_map_path(self._namespace)
         listed = self._api.get(f"{path}?{urlencode(selector)}")
@@ -225,7 +240,8 @@ class ConfigMapWatch:
             raise InputError(f"namespace {self._namespace} has no ConfigMaps")
         self._api.close()  # the watch has a connection of its own
         self._tell(listed["items"][0] if listed.get("items") else None)
-        self.complaint = None
+        self.complaint = self.interrupted_at = None
+        self.read_at = begin
         version = listed["metadata"]["resourceVersion"]
         query = {**selector, "watch": "true", "resourceVersion": version, "timeoutSeconds": str(WATCH_SECONDS)}
         for event in self._events(f"{path}?{urlencode(query)}"):
@@ -234,20 +250,21 @@ class ConfigMapWatch:
             self._tell(None if event["type"] == "DELETED" else event["object"])
 
     def _events(self, path: str) -> Iterator[dict[str, Any]]:
-        connection = self._api.open(WATCH_SECONDS + TIMEOUT_SECONDS)
-        self._connection = connection
+        connection = self._api.open(TIMEOUT_SECONDS)
         try:
             connection.connect()
+            self._socket = connection.sock
             _keep_alive(connection.sock)
+            connection.sock.settimeout(WATCH_SECONDS + TIMEOUT_SECONDS)
             connection.request("GET", path, headers=self._api.headers())
             response = connection.getresponse()
             if response.status != 200:
                 _checked(response.status, response.read(EVENT_BYTES_MAX), "watch")
                 return
-            while not self._stopping.is_set() and (line := response.readline(EVENT_BYTES_MAX)):
+            while not self._again.is_set() and (line := response.readline(EVENT_BYTES_MAX)):
                 yield read_json(line)
         finally:
-            self._connection = None
+            self._socket = None
             connection.close()
 
     def _tell(self, found: Mapping[str, Any] | None) -> None:

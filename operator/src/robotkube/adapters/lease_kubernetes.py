@@ -1,6 +1,6 @@
 """Leader election between the processes of one manager, on a Lease (coordination.k8s.io/v1) with optimistic locking.
 
-    holderIdentity    the pod that leads; empty when it left in good order
+    holderIdentity    who leads and where it serves HTTP, `<pod>_<host>:<port>`; empty when it left in good order
     leaseTransitions  the term: one more at every take-over, also by another process of the same pod
 
 charts/robotkube makes the Lease; the manager may only change it.
@@ -35,6 +35,11 @@ NOT_FOUND, CONFLICT = 404, 409
 log = logging.getLogger(__name__)
 
 
+def identity_of(pod: str, host: str, port: int) -> str:
+    """What a pod that serves HTTP at `host` (an address of IPv4 or IPv6, or a name) writes as holder."""
+    return f"{pod}_[{host}]:{port}" if ":" in host else f"{pod}_{host}:{port}"
+
+
 @dataclass(frozen=True)
 class _Seen:
     """A Lease as it was read, and when it was first seen so (monotonic seconds)."""
@@ -46,8 +51,9 @@ class _Seen:
 
 
 class LeaseElection:
-    """The port Leadership for the Lease `namespace`/`name`; `identity` is this pod's name. `monotonic` is a clock in
-    seconds that never goes back, `now` the time of day, `changed` is called when this process begins or ceases to lead.
+    """The port Leadership for the Lease `namespace`/`name`; `identity` is this pod's (see `identity_of`). `monotonic`
+    is a clock in seconds that never goes back, `now` the time of day, `changed` is called when this process begins or
+    ceases to lead.
 
     `start` elects on a thread of its own; `stop` gives the Lease back."""
 
@@ -74,6 +80,13 @@ class LeaseElection:
         """The term while this process leads."""
         leads = self._monotonic() < self._held_until and self._term > self._floor
         return self._term if leads else None
+
+    def leader(self) -> str | None:
+        """Where the holder serves, as long as its Lease lasts."""
+        seen = self._seen
+        if seen is None or seen.holder == self._identity or self._monotonic() - seen.at > LEASE_SECONDS:
+            return None
+        return seen.holder.rpartition("_")[2] or None
 
     def overtake(self, term: int) -> None:
         """Be elected with a term above this one."""
@@ -149,8 +162,8 @@ class LeaseElection:
         spec = {"holderIdentity": holder, "leaseDurationSeconds": LEASE_SECONDS, "leaseTransitions": term}
         times = {"renewTime": now} | ({"acquireTime": now} if term != self._term else {})
         metadata = {"name": self._name, "namespace": self._namespace, "resourceVersion": seen.version}
-        body = {"metadata": metadata, "spec": {**spec, **times}}
-        found = self._call(self._leases.replace_namespaced_lease, self._name, self._namespace, body)
+        body = {"metadata": metadata, "spec": {**spec, **times}}  # a patch: the labels are the chart's
+        found = self._call(self._leases.patch_namespaced_lease, self._name, self._namespace, body)
         if found is None:
             return None
         return _Seen(found.metadata.resource_version, holder, term, self._monotonic())

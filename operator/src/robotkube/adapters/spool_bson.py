@@ -27,7 +27,7 @@ class BsonSpool:
         for path in self._folder.glob(f"*-{self._owner}.part"):
             path.unlink(missing_ok=True)  # of an earlier process that was killed while it wrote
 
-    def put(self, writes: Sequence[Write]) -> None:
+    def put(self, writes: Sequence[Write]) -> str:
         """Keep them in a new file that appears only when it is complete and on the disk."""
         self._folder.mkdir(parents=True, exist_ok=True)
         self._number += 1
@@ -49,6 +49,7 @@ class BsonSpool:
             os.fsync(folder)
         finally:
             os.close(folder)
+        return path.name
 
     def batches(self) -> Sequence[Batch]:
         """The files, oldest first."""

@@ -3,7 +3,7 @@
     plan                    from the demand's being seen to its being observed (or to the end of the plan)
       decide                from the beginning of the planning to the proposal
       merge                 from the proposal to main
-      observe               from main to the cluster
+      observe               from main to the cluster, or to the moment when nobody waits for it any more
 
 A plan that answers several events stands in the trace of each of them. Import this module only when traces are wanted:
 the library costs 0.2 s of start.
@@ -26,8 +26,13 @@ from robotkube.ports.telemetry import PlanFacts
 
 EXPORT_SECONDS_MAX = 5
 TRACES_MAX = 100
-ENDS = frozenset({"observed", "refused", "outdated", "superseded"})
-STAGES = (("decide", "started", "proposed"), ("merge", "proposed", "merged"), ("observe", "merged", "observed"))
+ENDS = frozenset({"observed", "unobserved", "refused", "outdated", "superseded"})
+STAGES = (
+    ("decide", "started", "proposed"),
+    ("merge", "proposed", "merged"),
+    ("observe", "merged", "observed"),
+    ("observe", "merged", "given_up"),
+)
 
 
 class OpenTelemetryTraces:

@@ -10,7 +10,8 @@
     PUT  <path>     what `put` answers, where a process takes requests
 
 A delivery only wakes its receiver: what happened is read from the forge afterwards, so a lost, doubled or replayed
-delivery does no harm.
+delivery does no harm. A process that waits for its turn to lead passes deliveries, pages and questions on to the one
+that leads (`elsewhere`).
 """
 
 from __future__ import annotations
@@ -46,6 +47,9 @@ Put = Callable[[str, Mapping[str, str], bytes], tuple[int, Mapping[str, Any]]]
 """Path, headers and body -> status and JSON document."""
 Post = Callable[[bytes], tuple[int, Mapping[str, Any]]]
 """Body -> status and JSON document."""
+Elsewhere = Callable[[str, str, Mapping[str, str], bytes], tuple[int, str, str] | None]
+"""Method, path, headers (lower-case names) and body -> status, text and content type of another process's answer; None:
+this one answers itself."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +121,7 @@ class WebServer:
     `deliver` must return at once (it wakes a loop); `ready` gives the reasons why the process is not ready (empty = it
     is); `metrics` gives Prometheus text; `pages` are JSON documents by path, `posts` answer questions by path. Port 0
     takes a free one, see `port`. Without a secret there is no /webhook. `put` gets path, headers (lower-case names) and
-    body of a PUT, and gives status and JSON.
+    body of a PUT, and gives status and JSON. `elsewhere` may answer genuine deliveries, pages and questions instead.
     """
 
     def __init__(
@@ -131,11 +135,13 @@ class WebServer:
         pages: Mapping[str, Callable[[], Mapping[str, Any]]] | None = None,
         put: Put | None = None,
         posts: Mapping[str, Post] | None = None,
+        elsewhere: Elsewhere | None = None,
     ) -> None:
         self._server = _Server((address, port), _Handler)
         self._server.ready, self._server.metrics = ready, metrics
         self._server.secret, self._server.deliver = secret, deliver
         self._server.pages, self._server.put, self._server.posts = pages or {}, put, posts or {}
+        self._server.elsewhere = elsewhere
         self._thread = threading.Thread(target=self._server.serve_forever, kwargs={"poll_interval": 0.2}, daemon=True)
 
     @property
@@ -167,6 +173,7 @@ class _Server(ThreadingHTTPServer):
     pages: Mapping[str, Callable[[], Mapping[str, Any]]]
     put: Put | None
     posts: Mapping[str, Post]
+    elsewhere: Elsewhere | None
 
     def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
         super().__init__(address, handler)
@@ -229,10 +236,10 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer(503 if reasons else 200, "".join(f"{reason}\n" for reason in reasons) or "ok\n")
         elif self.path == "/metrics":
             self._answer(200, self.server.metrics())
-        elif self.path in self.server.pages:
-            self._answer(200, json.dumps(self.server.pages[self.path]()) + "\n", "application/json")
-        else:
+        elif self.path not in self.server.pages:
             self._answer(404, "not found\n")
+        elif not self._handed_on(b""):
+            self._answer(200, json.dumps(self.server.pages[self.path]()) + "\n", "application/json")
 
     def do_POST(self) -> None:
         """A delivery, or a question."""
@@ -243,21 +250,23 @@ class _Handler(BaseHTTPRequestHandler):
             self._refuse(404, "not found")
             return
         try:
-            delivery = read_delivery(dict(self.headers), self._body(), self.server.secret)
+            body = self._body()
+            delivery = read_delivery(dict(self.headers), body, self.server.secret)
         except _DeliveryError as error:
             log.warning("webhook refused status=%d reason=%s", error.status, error)
             self._refuse(error.status, str(error))
             return
         log.debug("delivery event=%s action=%s", delivery.event, delivery.payload.get("action", ""))
-        self.server.deliver(delivery)
-        self._answer(204, "")
+        if not self._handed_on(body):
+            self.server.deliver(delivery)
+            self._answer(204, "")
 
     def do_PUT(self) -> None:
         """A request, where the process takes any."""
         if self.server.put is None:
             self._refuse(404, "not found")
             return
-        put, headers = self.server.put, {name.lower(): value for name, value in self.headers.items()}
+        put, headers = self.server.put, self._names()
         self._reply(lambda body: put(self.path, headers, body))
 
     def _reply(self, reply: Post) -> None:
@@ -267,8 +276,21 @@ class _Handler(BaseHTTPRequestHandler):
         except _DeliveryError as error:
             self._refuse(error.status, str(error))
             return
+        if self._handed_on(body):
+            return
         status, document = reply(body)
         self._answer(status, json.dumps(document) + "\n", "application/json")
+
+    def _handed_on(self, body: bytes) -> bool:
+        """Whether another process has answered this request."""
+        elsewhere = self.server.elsewhere
+        found = elsewhere(self.command, self.path, self._names(), body) if elsewhere is not None else None
+        if found is not None:
+            self._answer(*found)
+        return found is not None
+
+    def _names(self) -> dict[str, str]:
+        return {name.lower(): value for name, value in self.headers.items()}
 
     def _body(self) -> bytes:
         length = self.headers.get("Content-Length") or ""

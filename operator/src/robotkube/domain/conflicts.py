@@ -242,6 +242,8 @@ def _worded(
     settled: Mapping[str, Refused],
 ) -> Met | Refused:
     """The outcome with what was decided about its conflict."""
+    if not (why or gave_way or settled or demand.roles):
+        return outcome
     refusal = why.get(demand.key)
     if isinstance(outcome, Refused):
         text = f"{refusal.message}; on {_elsewhere(demand)} instead: {outcome.message}" if refusal else outcome.message

@@ -127,7 +127,7 @@ class Drafter:
         if agent is not None:
             self._ask(("agent", agent))
         places = [agent] if isinstance(agent, str) else sorted(kept)
-        keys = [f"{a.namespace}/{name}" for a in map(self._scene.fleet.agents.get, places) if a]
+        keys = [f"{a.namespace}/{name}" for a in map(self._scene.fleet.at.get, places) if a]
         self._draft.pins += [(key, self._scene.pins.get(key)) for key in keys]
         pinned = next((pin for key in keys if (pin := self._scene.pins.get(key))), None)
         role = "" if self._demand.roles else service.placement.role
@@ -150,7 +150,8 @@ class Drafter:
         self._placements[service.name] = agent.name
         name = self._render(service.release, scope)
         draft, chart = self._draft, chosen[0]
-        release = make_release(agent, name, chart, fill(service.values, scope, self._render), self._scene)
+        movable = not self._draft.steps[step].group.wanted.named
+        release = make_release(agent, name, chart, fill(service.values, scope, self._render), self._scene, movable)
         key = release.key
         if key in draft.releases:
             raise RefusalError("CompositionFailed", f"two services of {draft.application} make the release {key}")
@@ -167,9 +168,9 @@ class Drafter:
                     continue  # both ends on one node: ROS itself carries the topic
                 for topic in topics:
                     if source:
-                        self._draft.topics.add(link.kind, source.name, OUT, topic)
+                        self._draft.topics.add(link.kind, source.place, OUT, topic)
                     if target:
-                        self._draft.topics.add(link.kind, target.name, IN, topic)
+                        self._draft.topics.add(link.kind, target.place, IN, topic)
 
     def _ends(
         self, end: Mapping[str, str], scope: Mapping[str, Any], placed: Mapping[str, list[Agent]]
@@ -205,12 +206,18 @@ def _names(demand: Demand, parameters: Mapping[str, Any], placements: dict[str, 
     return names
 
 
-def make_release(agent: Agent, name: Any, chart: ChartVersion, values: Mapping[str, Any], scene: Scene) -> Release:
-    """A release without causes; RefusalError(CompositionFailed) or DocumentError when name or values cannot stand."""
+def make_release(
+    agent: Agent, name: Any, chart: ChartVersion, values: Mapping[str, Any], scene: Scene, movable: bool = False
+) -> Release:
+    """A release without causes; RefusalError(CompositionFailed) or DocumentError when name or values cannot stand.
+    `movable`: another agent could take it over."""
     if not isinstance(name, str) or not NAME.fullmatch(name):
         raise RefusalError("CompositionFailed", f"release name {name!r} must match {NAME.pattern}")
     application_name(agent.namespace, name)
-    full = {**values, "placement": {"agent": agent.name}}
+    placement: dict[str, Any] = {"agent": agent.name}
+    placement |= {"node": agent.node} if agent.node else {}
+    placement |= {"movable": True} if movable else {}
+    full = {**values, "placement": placement}
     scene.selector.check_values(chart, full)
     evidence = scene.selector.catalogue.evidence_of(chart)
     return Release(agent.namespace, name, chart.chart, chart.version, chart.digest, full, evidence=evidence)

@@ -36,16 +36,18 @@ def read_edits_policy(text: str, path: str = PATH) -> EditsPolicy:
 def respected(changes: Iterable[Change], edits: Mapping[str, str], first: dict[str, str]) -> tuple[Change, ...]:
     """Those of `changes` that may be made although people edited `edits` (path -> their commit) by hand.
 
-    `first` remembers what was wanted of an edited release when its edit was first seen (path -> fingerprint of the
-    change), and is brought up to date: an edit stands as long as that stays the same."""
-    kept = []
-    for change in changes:
-        if change.path in edits:
-            wanted = f"{edits[change.path]} {fingerprint([change])}"
-            first.setdefault(change.path, wanted)
-            if first[change.path] == wanted:
-                continue
-        kept.append(change)
+    `first` remembers what was wanted of an edited release when its last edit was first seen (path -> that edit's commit
+    and the change's fingerprint, or that none was wanted), and is brought up to date: an edit stands as long as that
+    stays the same."""
+    asked = {change.path: change for change in changes}
+    wishes = {path: f"{commit} {_wish(asked.get(path))}" for path, commit in edits.items()}
     for path in [path for path in first if path not in edits]:
         del first[path]
-    return tuple(kept)
+    for path, wish in wishes.items():
+        if not first.get(path, "").startswith(f"{edits[path]} "):
+            first[path] = wish
+    return tuple(change for path, change in asked.items() if path not in edits or first[path] != wishes[path])
+
+
+def _wish(change: Change | None) -> str:
+    return "" if change is None else fingerprint([change])

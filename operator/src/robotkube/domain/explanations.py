@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from robotkube.domain.conflicts import Outcome, Postponed
 from robotkube.domain.planning import Change, Plan
 from robotkube.domain.releases import Tree, write_release, write_source
+from robotkube.domain.tasks import HELD_BY_AGENT
 from robotkube.domain.worlds import Met
 
 
@@ -22,20 +23,28 @@ class FileChange:
 
 @dataclass(frozen=True)
 class Explanation:
-    """What would become of a task: its outcome, every choice in words (one line each), and the files that change."""
+    """What would become of a task: its outcome, every choice in words (one line each), and the files that change.
+    `waits`: for which agents its changes would wait, and until when; empty when they would be made at once."""
 
     key: str
     outcome: Outcome
     lines: tuple[str, ...]
     changes: tuple[FileChange, ...] = ()
+    waits: str = ""
 
 
 def explain(
-    key: str, outcome: Outcome, others: Mapping[str, tuple[Outcome | None, Outcome]], plan: Plan | None, tree: Tree
+    key: str,
+    outcome: Outcome,
+    others: Mapping[str, tuple[Outcome | None, Outcome]],
+    plan: Plan | None,
+    tree: Tree,
+    waits: str = "",
 ) -> Explanation:
     """`others` are demands that fare otherwise with this task: what becomes of them without and with it; `plan` is what
-    this task changes on main, which `tree` is (None: nothing)."""
+    this task changes on main, which `tree` is (None: nothing); `waits`: see Explanation."""
     lines = [f"{key} {_verdict(outcome)}"]
+    lines += [f"{key} waits, {HELD_BY_AGENT}: {waits}"] if waits else ()
     lines += outcome.choices if isinstance(outcome, Met) else ()
     lines += [
         f"{other} {_verdict(after)}; without this task it {_verdict(before)}"
@@ -43,9 +52,8 @@ def explain(
     ]
     lines += _changed(plan.changes if plan else ())
     files = plan.files if plan else {}
-    return Explanation(
-        key, outcome, tuple(lines), tuple(FileChange(p, _text(p, tree), files[p]) for p in sorted(files))
-    )
+    changes = tuple(FileChange(p, _text(p, tree), files[p]) for p in sorted(files))
+    return Explanation(key, outcome, tuple(lines), changes, waits)
 
 
 def _verdict(outcome: Outcome | None) -> str:

@@ -15,6 +15,7 @@ from robotkube.domain.releases import NAME
 
 CLAIMED = "claimed"
 BOUNDS = ("atMost", "atLeast")
+NUMBER_MAX = 1e300  # JSON knows numbers beyond what can be compared
 UNITS: Mapping[str, tuple[str, float]] = {
     "ms": ("time", 0.001),
     "s": ("time", 1.0),
@@ -115,7 +116,7 @@ def _quantity(reader: Reader, document: Mapping[str, Any], where: str) -> tuple[
         reader.problems.append(f"{where}: needs exactly one of {', '.join(BOUNDS)}")
     bound = bounds[0] if bounds else BOUNDS[0]
     number, unit = document.get(bound, 0), document.get("unit")
-    if isinstance(number, bool) or not isinstance(number, (int, float)) or not math.isfinite(number):
+    if isinstance(number, bool) or not isinstance(number, (int, float)) or not abs(number) <= NUMBER_MAX:
         reader.problems.append(f"{where}.{bound}: must be a number")
         number = 0
     if not isinstance(unit, str) or unit not in UNITS:

@@ -48,31 +48,43 @@ class Remembered:
     offloaded: bool = False
 
 
+_Read = tuple[Mapping[str, Any], Any, Any, TaskDescription | Refused]
+"""A document, its metadata and spec, and what they say."""
+
+
 class TaskReader:
-    """Reads tasks, and keeps what it read until the document changes."""
+    """Reads tasks, and keeps what it read until the document changes. Metadata and spec are values: what was given once
+    stays as it is, and a task that changed comes with others."""
 
     def __init__(self) -> None:
-        self._read: dict[str, tuple[Any, TaskDescription | Refused]] = {}
+        self._read: dict[str, _Read] = {}
 
     def read(self, documents: Iterable[Mapping[str, Any]]) -> dict[str, TaskDescription | Refused]:
         """Every task that is not being deleted, by key; Refused for one that cannot be read. The newest of several
         documents with one key counts."""
-        found: dict[str, tuple[Any, TaskDescription | Refused]] = {}
+        found: dict[str, _Read] = {}
         for document in documents:
             if is_withdrawn(document):
                 continue
-            key, inputs = object_key(document), _inputs(document)
+            key, metadata, spec = object_key(document), document.get("metadata"), document.get("spec")
             known = self._read.get(key)
-            found[key] = known if known is not None and _equal(known[0], inputs) else (inputs, _task(document))
+            same = known is not None and known[1] is metadata and known[2] is spec
+            if known is not None and (same or _equal(_inputs(known[1], known[2]), _inputs(metadata, spec))):
+                found[key] = document, metadata, spec, known[3]
+            else:
+                found[key] = document, metadata, spec, _task(document)
         self._read = found
-        return {key: task for key, (_, task) in found.items()}
+        return {key: read[3] for key, read in found.items()}
+
+    def document(self, key: str) -> Mapping[str, Any]:
+        """What a task was read from the last time; KeyError when it was not there."""
+        return self._read[key][0]
 
 
-def _inputs(document: Mapping[str, Any]) -> Any:
+def _inputs(metadata: Mapping[str, Any] | None, spec: Any) -> Any:
     """Everything that `read_task` looks at."""
-    metadata = document.get("metadata", {})
     names = ("uid", "creationTimestamp", "generation", "annotations")
-    return [metadata.get(name) for name in names], document.get("spec")
+    return [(metadata or {}).get(name) for name in names], spec
 
 
 def _equal(first: Any, second: Any) -> bool:

@@ -29,11 +29,21 @@ POSSIBLE: Reason = ("possible", "")
 
 @dataclass(frozen=True, order=True)
 class Agent:
-    """A declared machine of the fleet; its node may not exist yet."""
+    """A declared machine of the fleet; its node may not exist yet. With `node` it is one place of an agent that has
+    several Nodes: ROS does not cross Nodes, so each of them counts by itself."""
 
     name: str
     role: str
     namespace: str
+    node: str = ""
+
+    @property
+    def place(self) -> str:
+        """The name under which what is planned there is counted."""
+        return f"{self.name}@{self.node}" if self.node else self.name
+
+    def __str__(self) -> str:
+        return f"{self.name} (Node {self.node})" if self.node else self.name
 
 
 @dataclass(frozen=True)
@@ -42,7 +52,8 @@ class NodeState:
 
     `allocatable` None and `platform` "" are not known and bound nothing. Times are ns since 1970, from the condition
     Ready: `ready_since`; `not_ready_since` while it is not; `silent_since` while nothing is heard of the kubelet.
-    `hold`: the agent's veto, as its Node says it. `lost` is set by `fleet`: not ready for longer than is waited for."""
+    `hold`: the agent's veto, as its Node says it. `lost` is set by `fleet`: not ready for longer than is waited for.
+    `created`: when the Node joined, ns since 1970."""
 
     name: str
     agent: str
@@ -57,6 +68,7 @@ class NodeState:
     not_ready_since: int | None = None
     silent_since: int | None = None
     lost: bool = False
+    created: int = 0
 
     def silent_seconds(self, now_ns: int) -> float:
         """How long nothing was heard of the kubelet; 0 while it reports."""
@@ -122,8 +134,8 @@ class Wanted:
 
 @dataclass(frozen=True)
 class Candidates:
-    """Agents for one `Wanted`, by name: who can take something new, who may keep what it has, and why not; `lost` are
-    those that have nothing against them but that their nodes are lost."""
+    """Places for one `Wanted`: who can take something new, who may keep what it has, and why not; `lost` are those that
+    have nothing against them but that their nodes are lost."""
 
     free: tuple[Agent, ...]
     stay: frozenset[str]
@@ -134,24 +146,48 @@ class Candidates:
 
     def stays(self, agent: Agent, together: Sequence[str]) -> Placement:
         """The answer for what runs on `agent` already."""
-        key = f"{agent.name} {together}"
+        key = f"{agent.place} {together}"
         if key not in self._stays:
-            others = [(a.name, self.obstacles.get(a.name, POSSIBLE)) for a in self.agents if a != agent]
-            first = (*together, f"{agent.name}: taken, it runs there already")
+            others = [(str(a), self.obstacles.get(a.place, POSSIBLE)) for a in self.agents if a != agent]
+            first = (*together, f"{agent}: taken, it runs there already")
             self._stays[key] = Placement(agent, (*first, *listed(others)))
         return self._stays[key]
 
 
 @dataclass(frozen=True)
 class Fleet:
-    """Declared agents and their nodes."""
+    """Declared agents and their nodes. `homes`: of agents whose Nodes count one by one, the Node with the agent's own
+    ROS network: what is bound to the agent runs there, and links that name the agent end there."""
 
     agents: Mapping[str, Agent]
     nodes: Mapping[str, tuple[NodeState, ...]]
+    homes: Mapping[str, str] = field(default_factory=dict)
 
     def present(self, role: str) -> tuple[Agent, ...]:
-        """Declared agents of a role that have a node, by name."""
-        return tuple(agent for agent in self.of_role.get(role, ()) if self.nodes.get(agent.name))
+        """Declared agents of a role that have a node, by name; of several Nodes the home."""
+        return tuple(self.home(agent) for agent in self.of_role.get(role, ()) if self.nodes.get(agent.name))
+
+    def home(self, agent: Agent) -> Agent:
+        """The place of what is bound to an agent."""
+        return replace(agent, node=self.homes[agent.name]) if agent.name in self.homes else agent
+
+    def places(self, agent: Agent) -> tuple[Agent, ...]:
+        """Every place of an agent, by Node: itself, unless its Nodes count one by one."""
+        return self._divided.get(agent.name, (agent,))
+
+    def machines(self, agent: Agent) -> tuple[NodeState, ...]:
+        """The Nodes of a place."""
+        found = self.nodes.get(agent.name, ())
+        return tuple(node for node in found if node.name == agent.node) if agent.node else found
+
+    @cached_property
+    def _divided(self) -> Mapping[str, tuple[Agent, ...]]:
+        return {name: tuple(replace(self.agents[name], node=n.name) for n in self.nodes[name]) for name in self.homes}
+
+    @cached_property
+    def at(self) -> Mapping[str, Agent]:
+        """Places by their names, and declared agents by theirs."""
+        return {**self.agents, **{place.place: place for found in self._divided.values() for place in found}}
 
     def agent(self, name: object) -> Agent:
         """A declared agent that has a node; RefusalError(NoCapableNode) says which of both it lacks."""
@@ -159,13 +195,14 @@ class Fleet:
             raise RefusalError("NoCapableNode", f"agent {name!r} is not declared in the platform's values")
         if not self.nodes.get(name):
             raise RefusalError("NoCapableNode", f"agent {name!r} has no Node with label robotkube.io/agent={name}")
-        return self.agents[name]
+        return self.home(self.agents[name])
 
-    def loss(self, agent: str, now_ns: int) -> str:
-        """Why nothing of an agent can be reached for longer than is waited for; empty when it can."""
-        nodes = self.nodes.get(agent, ())
+    def loss(self, agent: str, now_ns: int, node: str = "") -> str:
+        """Why nothing of an agent, or of its Node of that name, can be reached for longer than is waited for; empty
+        when it can."""
+        nodes = [found for found in self.nodes.get(agent, ()) if node in ("", found.name)]
         if not nodes:
-            return f"agent {agent} has no node"
+            return f"agent {agent} has no node{f' {node}' if node else ''}"
         if not all(node.lost for node in nodes):
             return ""
         since = max(node.not_ready_since or 0 for node in nodes)
@@ -190,8 +227,10 @@ class Fleet:
 
     @cached_property
     def rooms(self) -> Mapping[str, Room]:
-        """Room of the agents of which it is known: of their nodes that are not lost."""
-        return {name: room for name, nodes in self.nodes.items() if (room := _room(nodes)) is not None}
+        """Room of the places of which it is known: of their nodes that are not lost."""
+        found = {name: nodes for name, nodes in self.nodes.items() if name not in self.homes}
+        found |= {p.place: self.machines(p) for places in self._divided.values() for p in places}
+        return {name: room for name, nodes in found.items() if (room := _room(nodes)) is not None}
 
     def candidates(self, wanted: Wanted) -> Candidates:
         """Everybody who is looked at for `wanted`, with what stands against it."""
@@ -256,7 +295,7 @@ class Group:
 
     @cached_property
     def kept(self) -> Mapping[str, int]:
-        """Agents that run some of the releases already, with how many."""
+        """Places that run some of the releases already, with how many."""
         found: dict[str, int] = {}
         for seat in self.seats:
             for name in seat.kept:
@@ -286,8 +325,8 @@ def group(seats: Sequence[Seat], fleet: Fleet, narrowing: Narrowing = ANYWHERE) 
 
 @dataclass(frozen=True)
 class Circumstances:
-    """What counts beside the group itself: what is planned on each agent, what the group asks for (`special`: less on
-    these agents, where others asked for a part of it), and `avoided` agents with why they must not be taken.
+    """What counts beside the group itself: what is planned on each place, what the group asks for (`special`: less on
+    these places, where others asked for a part of it), and `avoided` agents and places with why they must not be taken.
     `waits`: what runs on a lost node stays there when nobody else can take it."""
 
     fleet: Fleet
@@ -297,16 +336,22 @@ class Circumstances:
     avoided: Mapping[str, str] = field(default_factory=dict)
     waits: bool = True
 
-    def takes(self, name: str) -> bool:
-        """Whether nothing of this stands against an agent."""
-        if name in self.avoided:
+    def avoids(self, agent: Agent) -> str:
+        """Why a place must not be taken; empty when it may."""
+        return self.avoided.get(agent.name) or self.avoided.get(agent.place, "") if self.avoided else ""
+
+    def takes(self, agent: Agent) -> bool:
+        """Whether nothing of this stands against a place."""
+        if self.avoids(agent):
             return False
+        name = agent.place
         return self.occupancy.fits(name, self.fleet.rooms.get(name), self.special.get(name, self.need))
 
-    def against(self, name: str) -> Reason:
-        """What stands against an agent that does not take it; else how much is planned there."""
-        if name in self.avoided:
-            return self.avoided[name], ""
+    def against(self, agent: Agent) -> Reason:
+        """What stands against a place that does not take it; else how much is planned there."""
+        if why := self.avoids(agent):
+            return why, ""
+        name = agent.place
         need, room = self.special.get(name, self.need), self.fleet.rooms.get(name)
         if room is None or self.occupancy.fits(name, room, need):
             return "possible", f", {self.occupancy.load(name)} releases placed"
@@ -314,58 +359,67 @@ class Circumstances:
 
 
 def place(asked: Group, around: Circumstances, kept: Mapping[str, int] | None = None) -> Placement:
-    """The one agent for a group; it runs in part on `kept` (default: as its seats say).
+    """The one place for a group; it runs in part on the places `kept` (default: as its seats say).
 
     A named agent is taken; else the agents of the role that is asked for, or all, are candidates. One that runs most of
-    the releases already stays, even when it is not ready at the moment, as long as it is not lost. Else the one with
-    the least releases placed so far, then the first by name. What runs is not taken away because room has become too
-    little, or because its node is lost, when there is no better place. RefusalError(NoCapableNode or
-    InsufficientResources) gives the reasons.
+    the releases already stays, even when it is not ready at the moment, as long as it is not lost. Else another Node of
+    the same agent is taken, else the agent with the least releases placed so far, then the first by name. What runs is
+    not taken away because room has become too little, or because its node is lost, when there is no better place.
+    RefusalError(NoCapableNode or InsufficientResources) gives the reasons.
     """
-    candidates = around.fleet.candidates(asked.wanted)
+    candidates, fleet = around.fleet.candidates(asked.wanted), around.fleet
     kept, load = asked.kept if kept is None else kept, around.occupancy.load
-    running = [n for n in sorted(kept, key=lambda n: (-kept[n], load(n), n)) if n in candidates.stay]
-    for name in running:
-        if around.takes(name):
-            return candidates.stays(around.fleet.agents[name], asked.together)
-    free = [agent for agent in candidates.free if around.takes(agent.name)]
+    running = [fleet.at[n] for n in sorted(kept, key=lambda n: (-kept[n], load(n), n)) if n in candidates.stay]
+    for agent in running:
+        if around.takes(agent):
+            return candidates.stays(agent, asked.together)
+    free = _homes_first([agent for agent in candidates.free if around.takes(agent)], fleet)
     if free:
-        chosen = min(free, key=lambda agent: (load(agent.name), agent.name))
+        near = {fleet.at[name].name for name in kept if name in fleet.at}
+        chosen = min(free, key=lambda agent: (agent.name not in near, load(agent.place), agent.place))
         return Placement(chosen, _reasons(asked, chosen, candidates, around))
-    for name in running:
-        if name not in around.avoided:
-            return candidates.stays(around.fleet.agents[name], asked.together)
+    for agent in running:
+        if not around.avoids(agent):
+            return candidates.stays(agent, asked.together)
     for name in sorted(candidates.lost & kept.keys()) if around.waits else ():
-        agent = around.fleet.agents[name]
-        return Placement(agent, (*asked.together, f"{name}: its Node is lost, and nobody else can take it: it waits"))
+        agent = fleet.at[name]
+        return Placement(agent, (*asked.together, f"{agent}: its Node is lost, and nobody else can take it: it waits"))
     raise _refusal(asked, candidates, around)
+
+
+def _homes_first(free: list[Agent], fleet: Fleet) -> list[Agent]:
+    """Without the other Nodes of agents whose home takes it: those are for what has no room there."""
+    if not fleet.homes:
+        return free
+    homes = {agent.name for agent in free if agent.node == fleet.homes.get(agent.name)}
+    return [agent for agent in free if agent.name not in homes or agent.node == fleet.homes[agent.name]]
 
 
 def _reasons(asked: Group, chosen: Agent, candidates: Candidates, around: Circumstances) -> tuple[str, ...]:
     if chosen.name == asked.wanted.named:
-        return (*asked.together, f"{chosen.name}: named by the application")
-    first = f"{chosen.name}: taken, {around.occupancy.load(chosen.name)} releases placed"
+        return (*asked.together, f"{chosen}: named by the application")
+    first = f"{chosen}: taken, {around.occupancy.load(chosen.place)} releases placed"
     others = [_reason(agent, candidates, around) for agent in candidates.agents if agent is not chosen]
     return (*asked.together, first, *listed(others))
 
 
 def _reason(agent: Agent, candidates: Candidates, around: Circumstances) -> tuple[str, Reason]:
-    return agent.name, candidates.obstacles.get(agent.name) or around.against(agent.name)
+    return str(agent), candidates.obstacles.get(agent.place) or around.against(agent)
 
 
 def _refusal(asked: Group, candidates: Candidates, around: Circumstances) -> RefusalError:
     found = [_reason(agent, candidates, around) for agent in candidates.agents]
     detail = "; ".join(listed(found)) or "no such agent is declared"
     group = f"{asked.wanted}{''.join(f' ({text})' for text in asked.together)}"
-    if any(agent.name not in around.avoided for agent in candidates.free):
+    if any(not around.avoids(agent) for agent in candidates.free):
         text = f"no agent for {group} has room: {detail}; ask for less, or withdraw something that runs there"
         return RefusalError("InsufficientResources", text)
     return RefusalError("NoCapableNode", f"no agent for {group}: {detail}")
 
 
 def _candidates(fleet: Fleet, wanted: Wanted) -> Candidates:
-    """A named agent is looked at alone, or those that the task names, or else those of the role or of the roles; what
-    they lack are obstacles."""
+    """A named agent is looked at alone, or those that the task names, or else those of the role or of the roles, with
+    all their places; what these lack are obstacles."""
     if wanted.named:
         agents: Sequence[Agent] = [fleet.agents[wanted.named]]
     elif wanted.agents:
@@ -375,19 +429,26 @@ def _candidates(fleet: Fleet, wanted: Wanted) -> Candidates:
     else:
         agents = sorted({a for role in wanted.roles for a in fleet.of_role.get(role, ())})
     free, stay, obstacles = [], set(), dict[str, Reason]()
+    if fleet.homes:
+        agents = [place for agent in agents for place in _places(fleet, agent, wanted)]
     for agent in agents:
-        nodes = fleet.nodes.get(agent.name, ())
+        nodes = fleet.machines(agent)
         reason = _lack(agent, nodes, wanted)
         if reason is None:
-            stay.add(agent.name)
+            stay.add(agent.place)
             if wanted.named or any(n.ready and not n.cordoned and not n.lost for n in nodes):
                 free.append(agent)
             else:
-                obstacles[agent.name] = ("no Node is Ready and schedulable", "")
+                obstacles[agent.place] = ("no Node is Ready and schedulable", "")
         else:
-            obstacles[agent.name] = reason
+            obstacles[agent.place] = reason
     lost = frozenset(name for name, (kind, _) in obstacles.items() if kind == LOST)
     return Candidates(tuple(free), frozenset(stay), obstacles, tuple(agents), lost)
+
+
+def _places(fleet: Fleet, agent: Agent, wanted: Wanted) -> tuple[Agent, ...]:
+    """Where an agent can take a group: what is bound to it goes to its home."""
+    return (fleet.home(agent),) if wanted.named else fleet.places(agent)
 
 
 def _lack(agent: Agent, nodes: Sequence[NodeState], wanted: Wanted) -> Reason | None:

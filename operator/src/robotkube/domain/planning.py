@@ -3,20 +3,29 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from hashlib import sha256
 
 from robotkube.domain.catalogue import Catalogue
 from robotkube.domain.composition import Desired, Met, Refused
 from robotkube.domain.placement import Fleet
 from robotkube.domain.proposals import INITIAL, ChartReference, CommitMessage
-from robotkube.domain.releases import Cause, Release, Source, Tree, write_release, write_source
+from robotkube.domain.releases import (
+    Cause,
+    ChartOf,
+    Release,
+    Tree,
+    chart_of,
+    source_of,
+    write_release,
+    write_source,
+)
+from robotkube.domain.scenes import placed_on
 from robotkube.domain.tasks import TaskDescription
 
 ADD, CHANGE, REMOVE = "add", "change", "remove"
-SOURCES_KEPT_MAX = 4096
 
 
 @dataclass(frozen=True)
@@ -63,12 +72,10 @@ class Plan:
 
 def differences(desired: Mapping[str, Release], present: Mapping[str, Release]) -> tuple[Change, ...]:
     """Releases that differ in anything but the plan that wrote them; those that go come last, else by path."""
-    changes = []
-    for path in sorted(set(desired) | set(present)):
-        before, after = present.get(path), desired.get(path)
-        if before is after:
-            continue
-        if before is None or after is None or not before.same_but_plan(after):
+    changes = [Change(path, before, None) for path, before in present.items() if path not in desired]
+    for path, after in desired.items():
+        before = present.get(path)
+        if before is not after and (before is None or not before.same_but_plan(after)):
             changes.append(Change(path, before, after))
     return tuple(sorted(changes, key=lambda c: (c.kind == REMOVE, c.path)))
 
@@ -113,26 +120,29 @@ def make_plan(
 
 def _files(changes: Iterable[Change], tree: Tree, registry: str) -> dict[str, str | None]:
     """Release files of the changes, and exactly the sources that the resulting releases need."""
-    releases = dict(tree.releases)
     files: dict[str, str | None] = {}
+    users = Counter[ChartOf]()
     for change in changes:
         files[change.path] = write_release(change.after) if change.after else None
-        if change.after:
-            releases[change.path] = change.after
-        else:
-            releases.pop(change.path, None)
-    wanted = {(release.namespace, release.chart, release.digest) for release in releases.values()}
-    needed = dict(_source(*one, registry) for one in wanted)
-    missing = [path for path, source in needed.items() if tree.sources.get(path) != source]
-    files |= {path: write_source(needed[path]) for path in sorted(missing)}
-    files |= {path: None for path in tree.sources if path not in needed}
-    return files
+        before = tree.releases.get(change.path)
+        users.subtract([chart_of(before)] if before else [])
+        users.update([chart_of(change.after)] if change.after else [])
+    return files | _source_files(users, tree, registry)
 
 
-@lru_cache(SOURCES_KEPT_MAX)
-def _source(namespace: str, chart: str, digest: str, registry: str) -> tuple[str, Source]:
-    found = Source(namespace, chart, digest, f"{registry}/{chart}")
-    return found.path, found
+def _source_files(users: Mapping[ChartOf, int], tree: Tree, registry: str) -> dict[str, str | None]:
+    """What puts the sources right when there are so many `users` more or less of each chart."""
+    left = {chart: tree.users.get(chart, 0) + more for chart, more in users.items()}
+    wrong, unused = tree.wrong_sources(registry)
+    needed = {c: s for c, s in wrong.items() if left.get(c, 1)}
+    for chart in (chart for chart, count in left.items() if count and chart not in tree.users):
+        source = source_of(chart, registry)
+        if tree.sources.get(source.path) != source:
+            needed[chart] = source
+    paths = {source_of(chart, registry).path for chart, count in left.items() if count}
+    gone = {source_of(chart, registry).path for chart, count in left.items() if not count} | unused
+    files = {source.path: write_source(source) for source in sorted(needed.values(), key=lambda s: s.path)}
+    return files | {path: None for path in sorted(gone - paths) if path in tree.sources}
 
 
 def lost_words(changes: Iterable[Change], fleet: Fleet, now_ns: int) -> str:
@@ -142,11 +152,16 @@ def lost_words(changes: Iterable[Change], fleet: Fleet, now_ns: int) -> str:
     targets = {c.release.name: c.release.namespace for c in changes if c.kind == ADD}
     moved: dict[str, list[str]] = {}
     for change in changes:
-        namespace, name = change.release.namespace, change.release.name
-        if change.kind == REMOVE and name in targets:
-            for agent in fleet.by_namespace.get(namespace, ()):
-                if why := fleet.loss(agent, now_ns):
-                    moved.setdefault(why, []).append(f"{name} moved to {targets[name]}")
+        name, target = change.release.name, targets.get(change.release.name, "")
+        node = placed_on(change.before, "node") if change.before else ""
+        if change.after and node != placed_on(change.after, "node"):
+            other = placed_on(change.after, "node")
+            target = (f"node {other}" if other else "its other node") if node else ""
+        elif change.kind != REMOVE:
+            continue
+        for agent in fleet.by_namespace.get(change.release.namespace, ()) if target else ():
+            if why := fleet.loss(agent, now_ns, node):
+                moved.setdefault(why, []).append(f"{name} moved to {target}")
     return "; ".join(f"{why}: {', '.join(found)}" for why, found in sorted(moved.items()))
 
 

@@ -11,9 +11,10 @@ from __future__ import annotations
 
 import json
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 from robotkube.domain.documents import Reader
@@ -121,6 +122,21 @@ class Source:
     def path(self) -> str:
         """Where the file stands in the repository."""
         return f"{SOURCES}/{self.namespace}/{self.name}.yaml"
+
+
+ChartOf = tuple[str, str, str]
+"""A chart that runs in a namespace: namespace, chart, digest."""
+
+
+def chart_of(release: Release) -> ChartOf:
+    """What the release's source is for."""
+    return release.namespace, release.chart, release.digest
+
+
+@lru_cache(FILES_KEPT_MAX)
+def source_of(chart: ChartOf, registry: str) -> Source:
+    """The source that carries a chart; `registry` is oci://host/organisation."""
+    return Source(*chart, f"{registry}/{chart[1]}")
 
 
 def source_name(chart: str, digest: str) -> str:
@@ -313,6 +329,24 @@ class Tree:
     sources: Mapping[str, Source]
     problems: tuple[str, ...] = ()
     suspects: tuple[str, ...] = ()
+
+    @cached_property
+    def users(self) -> Mapping[ChartOf, int]:
+        """How many releases of a namespace run each chart."""
+        return Counter(chart_of(release) for release in self.releases.values())
+
+    def wrong_sources(self, registry: str) -> tuple[Mapping[ChartOf, Source], frozenset[str]]:
+        """The sources that the releases need (charts are in `registry`, oci://host/organisation) and that are missing
+        or other than that; the paths of those that nothing needs."""
+        if registry not in self._wrong:
+            needed = {chart: source_of(chart, registry) for chart in self.users}
+            wrong = {chart: source for chart, source in needed.items() if self.sources.get(source.path) != source}
+            self._wrong[registry] = wrong, frozenset(self.sources) - {source.path for source in needed.values()}
+        return self._wrong[registry]
+
+    @cached_property
+    def _wrong(self) -> dict[str, tuple[Mapping[ChartOf, Source], frozenset[str]]]:
+        return {}
 
 
 def read_tree(files: Mapping[str, str]) -> Tree:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from robotkube.domain.capacities import NOTHING, Occupancy, Resources, read_resources
 from robotkube.domain.catalogue import Catalogue, Pin
 from robotkube.domain.loops import Render
-from robotkube.domain.placement import Fleet
+from robotkube.domain.placement import Fleet, NodeState
 from robotkube.domain.releases import Release
 from robotkube.domain.selection import Selector
 from robotkube.domain.worlds import Demand, World
@@ -30,8 +31,9 @@ class Scene:
     def __init__(self, world: World, before: Scene | None = None) -> None:
         self.render: Render = world.render
         self.pins: Mapping[str, Pin] = world.pins
-        same = before is not None and before.fleet == world.fleet
-        self.fleet: Fleet = before.fleet if before is not None and same else world.fleet
+        fleet = housed(world.fleet, world.present.values())
+        same = before is not None and before.fleet == fleet
+        self.fleet: Fleet = before.fleet if before is not None and same else fleet
         self.selector = _selector(world, before)
         self.present: Mapping[str, Release] = dict(world.present)
         if before is not None and same and before.present == self.present:
@@ -57,7 +59,7 @@ class Scene:
         )
 
     def kept(self, demand: Demand, name: Any) -> frozenset[str]:
-        """Agents on which this demand's release of that name runs already."""
+        """Places on which this demand's release of that name runs already."""
         if not isinstance(name, str):
             return _NOWHERE
         return self._places.get((demand.key if demand.task else "", name), _NOWHERE)
@@ -74,9 +76,9 @@ class Scene:
             return self.fleet.present(question[1])
         return self.platforms(question[1], question[2])
 
-    def runs(self, agent: str, chart: str) -> bool:
-        """Whether a release of that chart is on the agent already."""
-        return (agent, chart) in self._charts
+    def runs(self, place: str, chart: str) -> bool:
+        """Whether a release of that chart is on the place already."""
+        return (place, chart) in self._charts
 
     def platforms(self, agent: str, role: str = "") -> frozenset[str]:
         """Platforms of the nodes of an agent, else of all agents of the role; none when one of them is not known."""
@@ -94,34 +96,69 @@ def _selector(world: World, before: Scene | None) -> Selector:
 def _index(
     present: Mapping[str, Release], fleet: Fleet
 ) -> tuple[dict[tuple[str, str], frozenset[str]], dict[str, str], set[tuple[str, str]]]:
-    """(task, release name) -> agents that run it, under the empty task for all; task -> application that answers it;
-    (agent, chart) of every release."""
+    """(task, release name) -> places that run it, under the empty task for all; task -> application that answers it;
+    (place, chart) of every release."""
     places: dict[tuple[str, str], set[str]] = {}
     charts: set[tuple[str, str]] = set()
     applications: dict[str, str] = {}
     for release in present.values():
-        agents = agents_of(release, fleet)
-        charts.update((agent, release.chart) for agent in agents)
+        found = places_of(release, fleet)
+        charts.update((place, release.chart) for place in found)
         for task in ("", *(cause.task for cause in release.causes)):
-            places.setdefault((task, release.name), set()).update(agents)
+            places.setdefault((task, release.name), set()).update(found)
         applications.update((cause.task, cause.application) for cause in release.causes)
     return {key: frozenset(found) for key, found in places.items()}, applications, charts
 
 
-def agents_of(release: Release, fleet: Fleet) -> tuple[str, ...]:
-    """The agent a release is placed on as its values say; else those of its namespace."""
+def places_of(release: Release, fleet: Fleet) -> tuple[str, ...]:
+    """The place of a release as its values say; else those of its namespace. Of several Nodes it is on the home when it
+    names none that is there."""
+    agent = placed_on(release, "agent")
+    names: tuple[str, ...] = fleet.by_namespace.get(release.namespace, ())
+    if agent in fleet.agents and fleet.agents[agent].namespace == release.namespace:
+        names = (agent,)
+    if fleet.homes.keys().isdisjoint(names):
+        return names
+    node = placed_on(release, "node")
+    found = [fleet.agents[name] for name in names]
+    return tuple(p.place if (p := replace(a, node=node)).place in fleet.at else fleet.home(a).place for a in found)
+
+
+def placed_on(release: Release, key: str) -> str:
+    """`agent` or `node` of a release's placement; empty when its values name none."""
     placement = release.values.get("placement")
-    agent = placement.get("agent") if isinstance(placement, Mapping) else None
-    if isinstance(agent, str) and agent in fleet.agents and fleet.agents[agent].namespace == release.namespace:
-        return (agent,)
-    return fleet.by_namespace.get(release.namespace, ())
+    found = placement.get(key) if isinstance(placement, Mapping) else None
+    return found if isinstance(found, str) else ""
+
+
+def housed(fleet: Fleet, present: Iterable[Release]) -> Fleet:
+    """The fleet with a home for every agent whose Nodes count one by one: that has several, or releases that name the
+    one it has left. Home is where the most releases are that are bound to it, unless that Node is lost; else the first
+    that takes pods, the oldest before others."""
+    named: dict[str, dict[str, int]] = {}
+    for release in present:
+        if node := placed_on(release, "node"):
+            votes = named.setdefault(placed_on(release, "agent"), {})
+            votes[node] = votes.get(node, 0) + (not release.values["placement"].get("movable"))
+    homes = {}
+    for name, nodes in fleet.nodes.items():
+        votes = named.get(name, {})
+        if name in fleet.agents and (len(nodes) > 1 or any(node.name in votes for node in nodes)):
+            homes[name] = _home(nodes, votes)
+    return replace(fleet, homes=homes) if homes else fleet
+
+
+def _home(nodes: Sequence[NodeState], votes: Mapping[str, int]) -> str:
+    usable = [node for node in nodes if not node.lost] or nodes
+    rank = {n.name: (-votes.get(n.name, 0), not n.ready or n.cordoned, n.created, n.name) for n in usable}
+    return min(rank, key=lambda name: rank[name])
 
 
 def _occupied(others: Mapping[str, Release], fleet: Fleet, catalogue: Catalogue) -> Occupancy:
     found = Occupancy()
     for release in others.values():
-        for agent in agents_of(release, fleet)[:1]:
-            found.take(agent, need_of(release, catalogue))
+        for place in places_of(release, fleet)[:1]:
+            found.take(place, need_of(release, catalogue))
     return found
 
 

@@ -151,7 +151,7 @@ def scoped_fleet(whole: Fleet, scope: Scope) -> Fleet:
         return whole
     agents = {name: agent for name, agent in whole.agents.items() if name not in outside}
     nodes = {name: found for name, found in whole.nodes.items() if name not in outside}
-    return ScopedFleet(agents, nodes, outside)
+    return ScopedFleet(agents, nodes, outside=outside)
 
 
 def own_releases(releases: Mapping[str, Release], agents: Iterable[Agent], scope: Scope) -> dict[str, Release]:

@@ -6,13 +6,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from robotkube.domain.capacities import NOTHING, Occupancy, Resources
-from robotkube.domain.placement import Circumstances, Group, Placement, place
+from robotkube.domain.placement import Circumstances, Fleet, Group, Placement, place
 from robotkube.domain.scenes import Scene
 from robotkube.domain.tasks import OFFLOAD
 from robotkube.domain.worlds import Demand
 
 Words = dict[str, frozenset[str]]
-"""Word -> agents."""
+"""Word -> agents, or places."""
 
 _NOBODY: Mapping[str, str] = {}
 _NOWHERE: frozenset[str] = frozenset()
@@ -81,23 +81,23 @@ class Seating:
             self.occupancy,
             needs[0] if len(needs) == 1 else sum(needs, NOTHING),
             {agent: _rest(names, needs, found) for agent, found in shared.items()},
-            self._avoided(demand, group, names),
+            {**self._avoided(demand, group, names), **self._settled(names, scene.fleet)},
             waits=demand.task is None or demand.task.conflict_policy != OFFLOAD,
         )
         placement = place(group, around, self._kept(demand, group, names, scene))
-        agent = placement.agent.name
+        here = placement.agent.place
         for name, one in zip(names, needs, strict=True):
-            if name not in shared.get(agent, ()):
-                self.occupancy.take(agent, one)
-                self._note(self._named, str(name), agent)
+            if name not in shared.get(here, ()):
+                self.occupancy.take(here, one)
+                self._note(self._named, str(name), here)
         for word in group.apart:
-            self._note(self._apart, word, agent)
+            self._note(self._apart, word, placement.agent.name)
         if self._watched:
             self._settle(demand, names, placement)
         return placement
 
     def _kept(self, demand: Demand, group: Group, names: Sequence[Any], scene: Scene) -> Mapping[str, int]:
-        """Agents on which releases of the group run already, or, of those that are shared, are planned by others."""
+        """Places on which releases of the group run already, or, of those that are shared, are planned by others."""
         found: dict[str, int] = {}
         for seat, name in zip(group.seats, names, strict=True):
             planned = self._named.get(name, ()) if seat.united else ()
@@ -106,11 +106,23 @@ class Seating:
         return found
 
     def _shared(self, names: Sequence[Any]) -> dict[str, set[Any]]:
-        """Agents on which releases of these names are planned already, with the names."""
+        """Places on which releases of these names are planned already, with the names."""
         found: dict[str, set[Any]] = {}
         for name in names:
             for agent in self._named.get(name, ()) if isinstance(name, str) else ():
                 found.setdefault(agent, set()).add(name)
+        return found
+
+    def _settled(self, names: Sequence[Any], fleet: Fleet) -> Mapping[str, str]:
+        """Places beside which, on another Node of the same agent, a release of one of these names is planned: an agent
+        has one release of a name."""
+        if not fleet.homes:
+            return _NOBODY
+        found: dict[str, str] = {}
+        for name in names:
+            for here in [fleet.at[taken] for taken in self._named.get(str(name), ()) if taken in fleet.at]:
+                why = f"is beside Node {here.node}, where {name} is planned"
+                found.update({other.place: why for other in fleet.places(here) if other != here})
         return found
 
     def _avoided(self, demand: Demand, group: Group, names: Sequence[Any]) -> Mapping[str, str]:

@@ -51,6 +51,7 @@ MERGED, PROPOSED, WAITING = "Merged", "Proposed", "Waiting"
 PROPOSAL_REFUSED, WAITS_FOR_APPROVAL = "ProposalRefused", "WaitsForApproval"
 GATE_UNAVAILABLE, FORGE_UNAVAILABLE, FORGE_BUSY = "GateUnavailable", "ForgeUnavailable", "ForgeBusy"
 HELD_BY_AGENT, MAIN_BROKEN, OLD_POD_UNREACHABLE = "HeldByAgent", "MainBroken", "OldPodUnreachable"
+EDITED_BY_HAND = "EditedByHand"
 OBSTACLE_TEXTS: Mapping[str, str] = {
     WAITS_FOR_APPROVAL: "the merge policy asks for a person's approval",
     GATE_UNAVAILABLE: "the gate has given no verdict for longer than usual",
@@ -67,6 +68,7 @@ REASON_TEXTS: Mapping[str, Mapping[str, str]] = {
         PROPOSED: "its pull request waits for the gate",
         WAITING: "it waits for the plan before it",
         PROPOSAL_REFUSED: "the gate refused the plan, in the words of the message",
+        EDITED_BY_HAND: "a person removed or changed its release on main, and policies/edits.yaml respects that",
         **OBSTACLE_TEXTS,
     },
     "Synced": {"Applied": "Argo CD compared and applied every release", "Progressing": "it has not yet"},
@@ -160,7 +162,7 @@ class TaskDescription:
     queue_seconds_max: int = QUEUE_SECONDS_DEFAULT
     chain: TaskChain = TaskChain()
 
-    @property
+    @cached_property
     def key(self) -> str:
         """`<namespace>/<name>`."""
         return f"{self.namespace}/{self.name}"

@@ -11,7 +11,7 @@ from robotkube.domain.errors import RefusalError
 OUT, IN = "out", "in"
 
 End = tuple[str, str]
-"""A bridge: kind of link and agent."""
+"""A bridge: kind of link and place."""
 
 Part = dict[str, dict[str, Mapping[str, Any]]]
 """Topics of one bridge by direction and name."""

@@ -7,6 +7,7 @@ to differ from those of the last time.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from hashlib import sha256
 
 from robotkube.domain.capacities import read_resources
 from robotkube.domain.catalogue import Pin
@@ -21,6 +22,8 @@ from robotkube.domain.tasks import INSUFFICIENT_RESOURCES, RELEASE_IN_USE
 from robotkube.domain.topic_unions import End, Part, TopicUnion
 from robotkube.domain.unions import united
 from robotkube.domain.worlds import Demand, Desired, Met, Refused
+
+NODE_WORD_MAX = 20
 
 
 @dataclass(frozen=True)
@@ -58,17 +61,19 @@ class _Bridge:
 
     parts: tuple[Part, ...]
     agent: Agent
+    home: Agent
     platforms: frozenset[str]
     pin: Pin | None
     release: Release
 
-    def fits(self, parts: tuple[Part, ...], scene: Scene, agent: str) -> bool:
+    def fits(self, parts: tuple[Part, ...], scene: Scene, place: str) -> bool:
         """Whether it would be made the same again."""
         return (
             len(parts) == len(self.parts)
             and all(a is b for a, b in zip(parts, self.parts, strict=True))
-            and scene.fleet.agents.get(agent) == self.agent
-            and scene.platforms(agent) == self.platforms
+            and scene.fleet.at.get(place) == self.agent
+            and scene.fleet.home(self.agent) == self.home
+            and scene.platforms(self.agent.name) == self.platforms
             and scene.pins.get(self.release.key) == self.pin
         )
 
@@ -151,13 +156,13 @@ class Total:
         for end in draft.topics.ends:
             if end in self._bridged:
                 continue
-            chart, agent = scene.selector.bridge(end[0])[1][0], end[1]
-            need, room = read_resources(chart.resources), scene.fleet.rooms.get(agent)
-            if room and not occupancy.fits(agent, room, need) and not scene.runs(agent, chart.chart):
-                shortage = occupancy.shortage(agent, room, need)
+            chart, place = scene.selector.bridge(end[0])[1][0], end[1]
+            need, room = read_resources(chart.resources), scene.fleet.rooms.get(place)
+            if room and not occupancy.fits(place, room, need) and not scene.runs(place, chart.chart):
+                shortage, agent = occupancy.shortage(place, room, need), scene.fleet.at[place]
                 text = f"{agent} has no room for its bridge ({shortage}); withdraw something that runs there"
                 raise RefusalError(INSUFFICIENT_RESOURCES, text)
-            occupancy.take(agent, need, releases=0)
+            occupancy.take(place, need, releases=0)
 
     def settle(self) -> None:
         """Make the bridges and write the causes of everything that changed since the last time. SpoiledError when a
@@ -193,7 +198,7 @@ class Total:
         return Met(tuple(sorted(keys)), outcome.choices, draft.application)
 
     def _bridge(self, end: End) -> Release:
-        """The bridge of one agent for all demands; the one known when its parts are the same."""
+        """The bridge of one place for all demands; the one known when its parts are the same."""
         parts, scene = self._topics.parts[end], self.scene
         known = self._known.bridges.get(end)
         if known and known.fits(parts, scene, end[1]):
@@ -202,17 +207,20 @@ class Total:
             release = self._make_bridge(end, self._topics)
         except (RefusalError, DocumentError) as error:
             raise self._spoiled(end, error) from error
-        agent, pin = scene.fleet.agents[end[1]], scene.pins.get(release.key)
-        self._known.bridges[end] = _Bridge(parts, agent, scene.platforms(end[1]), pin, release)
+        agent, pin = scene.fleet.at[end[1]], scene.pins.get(release.key)
+        home, platforms = scene.fleet.home(agent), scene.platforms(agent.name)
+        self._known.bridges[end] = _Bridge(parts, agent, home, platforms, pin, release)
         return release
 
     def _make_bridge(self, end: End, topics: TopicUnion) -> Release:
         scene, service = self.scene, self.scene.selector.bridge(end[0])[0]
-        agent, names = scene.fleet.agent(end[1]), {"agent": end[1], "topics": topics.at(*end)}
-        name = scene.render(service.release, names)
+        agent = scene.fleet.at[end[1]]
+        names = {"agent": agent.name, "topics": topics.at(*end)}
+        name = f"{scene.render(service.release, names)}{_node_suffix(agent.node)}"
         pin = scene.pins.get(f"{agent.namespace}/{name}")
         chart, _ = scene.selector.chart(service.chart, platforms=scene.platforms(agent.name), pinned=pin)
-        return make_release(agent, name, chart, fill(service.values, names, scene.render), scene)
+        away = agent != scene.fleet.home(agent)
+        return make_release(agent, name, chart, fill(service.values, names, scene.render), scene, movable=away)
 
     def _spoiled(self, end: End, error: RefusalError | DocumentError) -> SpoiledError:
         """Refuse the demands whose own topics make the bridge impossible, else the last that came."""
@@ -238,3 +246,12 @@ class Total:
             found = present
         self._known.final[key] = (release, causes, present, found)
         return found
+
+
+def _node_suffix(node: str) -> str:
+    """What tells the bridges of an agent's Nodes apart; a long name of a Node by its hash, since the names of releases
+    are short."""
+    word = node.replace(".", "-")
+    if len(word) > NODE_WORD_MAX:
+        word = sha256(node.encode()).hexdigest()[:8]
+    return f"-{word}" if word else ""

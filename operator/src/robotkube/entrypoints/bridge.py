@@ -12,15 +12,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robotkube.adapters.health_http import HealthServer
-from robotkube.adapters.kubernetes_http import ApiServer, ConfigMapData, ConfigMapWatch, split_name
 from robotkube.adapters.mqtt_paho import BrokerAccount, PahoChannel, wait
 from robotkube.adapters.ros_rclpy import RosNode
 from robotkube.domain.bridging import BULK, check_agent, read_bridge_settings
 from robotkube.domain.errors import DocumentError, InputError
 from robotkube.domain.texts import read_mapping
-from robotkube.entrypoints.processes import PodSettings, Process, read_secret, read_text, run, until_removed
+from robotkube.entrypoints.following import follow_settings, ownership_of
+from robotkube.entrypoints.processes import PodSettings, Process, read_secret, read_text, run
 from robotkube.services.bridge import NODE_NAME, Bridge
 from robotkube.services.bridge_flows import Sender
+from robotkube.services.ownership import Ownership
 
 if TYPE_CHECKING:
     from robotkube.ports.robots import ChannelEvents
@@ -40,16 +41,17 @@ def body(process: Process) -> None:
     channels: dict[str, PahoChannel] = {}
 
     def channel(agent: str, name: str, events: ChannelEvents) -> PahoChannel:
-        channels[name] = PahoChannel(lambda: account(pod), f"{agent}-{name}", SESSION_SECONDS[name], events)
+        client = "-".join([agent, *([pod.placed_node] if pod.placed_node else []), name])
+        channels[name] = PahoChannel(lambda: account(pod), client, SESSION_SECONDS[name], events)
         return channels[name]
 
-    sender = Sender(session, time.time_ns, definition_of, trace)
-    bridge = Bridge(RosNode(NODE_NAME), channel, sender, process.log)
-    follower = Follower(bridge, process)
+    sender, ownership = Sender(session, time.time_ns, definition_of, trace), ownership_of(pod)
+    bridge = Bridge(RosNode(NODE_NAME), channel, sender, process.log, ownership)
+    follower = Follower(bridge, process, ownership)
     HealthServer(ready=lambda: follower.complaint, metrics=follower.metrics, port=pod.health_port).start()
     follower.apply(read_text(pod.config_file, "the bridge's settings"), str(pod.config_file))
     if pod.config_map is not None:
-        follower.follow(*split_name(pod.config_map))
+        follower.follow(pod.config_map)
     gc.freeze()
     loop(process, bridge, follower, channels, period)
     bridge.close()
@@ -79,8 +81,8 @@ class Follower:
     """Takes settings to the bridge: the mounted file at the beginning, then every change of the ConfigMap. What is
     refused leaves the old settings active; `complaint` and a metric say so."""
 
-    def __init__(self, bridge: Bridge, process: Process) -> None:
-        self._bridge, self._process = bridge, process
+    def __init__(self, bridge: Bridge, process: Process, ownership: Ownership) -> None:
+        self._bridge, self._process, self._ownership = bridge, process, ownership
         self._news: deque[tuple[str, str]] = deque(maxlen=1)
         self._refused: str | None = None
         self._applied = ""
@@ -94,26 +96,25 @@ class Follower:
 
     def metrics(self) -> str:
         """The bridge's metrics and the state of its settings."""
-        return f"{self._bridge.metrics()}robotkube_settings_refused {int(self._refused is not None)}\n"
+        refused = f"robotkube_settings_refused {int(self._refused is not None)}\n"
+        return f"{self._bridge.metrics()}{refused}{self._ownership.metrics()}"
 
-    def follow(self, namespace: str, name: str) -> None:
+    def follow(self, config_map: str) -> None:
         """Watch the ConfigMap from now on."""
-        where = f"ConfigMap {namespace}/{name}, key {KEY}"
+        where = f"ConfigMap {config_map}, key {KEY}"
 
-        def take(data: ConfigMapData) -> None:
+        def take(data: Mapping[str, str]) -> None:
             if KEY in data:
                 self._news.append((data[KEY], where))
 
-        def failed(sentence: str) -> None:
-            self._process.log("watch interrupted", error=sentence)
-
-        changed, api = until_removed(self._process, take), ApiServer.from_environment(os.environ)
-        ConfigMapWatch(api, namespace, name, changed, failed).start()
+        follow_settings(self._process, config_map, self._ownership, take)
 
     def apply_news(self) -> None:
-        """Apply what the watch brought; called by the loop's thread."""
+        """Apply what the watch brought, then let the bridge send if it may; called by the loop's thread."""
+        held = not self._ownership.sure  # looked at first: what made it sure is among the news by then
         while self._news:
             self.apply(*self._news.popleft())
+        self._bridge.hold(held)
 
     def apply(self, text: str, where: str) -> None:
         """Apply settings, or keep the old ones and say why."""

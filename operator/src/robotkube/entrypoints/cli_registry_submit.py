@@ -17,8 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from robotkube.adapters.forges.gitea import GiteaForge
-from robotkube.adapters.git_clones import GitClone
-from robotkube.adapters.git_deployment import ProposalWriter
+from robotkube.adapters.git import GitClone, ProposalWriter
 from robotkube.adapters.oci_registry import Registry
 from robotkube.domain.errors import InputError
 from robotkube.domain.evidence import NONE

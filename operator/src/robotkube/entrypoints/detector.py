@@ -31,12 +31,14 @@ from robotkube.domain.detector_settings import (
     TopicSettings,
     read_detector_settings,
 )
-from robotkube.domain.errors import DocumentError, InputError, RefusalError
+from robotkube.domain.errors import DocumentError, InputError, RefusalError, UnavailableError
 from robotkube.domain.recording_plans import RecordedTopic, RecordingPlan
 from robotkube.domain.texts import read_mapping
-from robotkube.entrypoints.processes import PodSettings, Process, read_text, run, until_removed
+from robotkube.entrypoints.following import follow_settings, ownership_of
+from robotkube.entrypoints.processes import PodSettings, Process, read_text, run
 from robotkube.services.event_detector import EventDetector
 from robotkube.services.operator_reactions import OperatorReactions
+from robotkube.services.ownership import Ownership
 from robotkube.services.recording.places import RecorderPlace
 from robotkube.services.recording.recordings import Recordings
 
@@ -64,11 +66,11 @@ def body(process: Process) -> None:
     _log_through(process)
     pod = PodSettings.from_environment()
     settings = _settings(read_text(pod.config_file, "the detector's settings"), str(pod.config_file))
-    node = RosNode("event_detector")
+    node, ownership = RosNode("event_detector"), ownership_of(pod)
     detector = EventDetector(
         Live(node),
-        lambda settings: make_operator(settings, pod),
-        lambda reaction, settings: make_recordings(reaction, settings, pod),
+        lambda settings: make_operator(settings, pod, ownership),
+        lambda reaction, settings: make_recordings(reaction, settings, pod, ownership),
         time.time_ns,
         time.monotonic,
     )
@@ -77,7 +79,7 @@ def body(process: Process) -> None:
     server = HealthServer(
         live=lambda: next((one.failed for one in detector.recordings if one.failed), None),
         ready=lambda: detector.not_ready or None,
-        metrics=lambda: metrics(detector),
+        metrics=lambda: metrics(detector) + ownership.metrics(),
         pages={
             "/input": lambda: json.dumps(detector.input_document()),
             "/events": lambda: json.dumps(detector.events_document()),
@@ -86,7 +88,7 @@ def body(process: Process) -> None:
     )
     server.start()
     changes: deque[str] = deque(maxlen=1)
-    watch = _watch(pod, changes, process)
+    watch = _watch(pod, changes, process, ownership)
     _receive(process, detector, changes)
     if watch is not None:
         watch.stop()
@@ -178,10 +180,11 @@ class LiveTopic:
 
 
 class ApiTasks:
-    """The TaskDescriptions of one namespace over the API server."""
+    """The TaskDescriptions of one namespace over the API server. Nothing is written while the process is not sure that
+    its release is still its own: UnavailableError."""
 
-    def __init__(self, api: ApiServer, namespace: str) -> None:
-        self._api, self._namespace = api, namespace
+    def __init__(self, api: ApiServer, namespace: str, ownership: Ownership) -> None:
+        self._api, self._namespace, self._ownership = api, namespace, ownership
 
     def tasks(self) -> Sequence[Mapping[str, Any]]:
         """All of them."""
@@ -190,6 +193,7 @@ class ApiTasks:
 
     def create(self, task: Mapping[str, Any]) -> None:
         """Make the object; RefusalError carries the server's words."""
+        self._check()
         try:
             self._api.create(self._path(), task)
         except InputError as error:
@@ -197,6 +201,7 @@ class ApiTasks:
 
     def renew(self, name: str, now: int) -> bool:
         """Patch the annotation."""
+        self._check()
         try:
             return self._api.patch(self._path(name), renewal(now))
         except InputError as error:
@@ -204,10 +209,15 @@ class ApiTasks:
 
     def delete(self, name: str) -> None:
         """Delete the object."""
+        self._check()
         try:
             self._api.delete(self._path(name))
         except InputError as error:
             raise RefusalError("Refused", str(error)) from error
+
+    def _check(self) -> None:
+        if not self._ownership.sure:
+            raise UnavailableError("the settings have to be read anew first: another node may run this release by now")
 
     def _path(self, name: str = "") -> str:
         from robotkube.adapters.kubernetes_http import custom_path
@@ -216,29 +226,31 @@ class ApiTasks:
         return custom_path(group, version, self._namespace, plural, name)
 
 
-def make_operator(settings: DetectorSettings, pod: PodSettings) -> OperatorReactions:
+def make_operator(settings: DetectorSettings, pod: PodSettings, ownership: Ownership) -> OperatorReactions:
     """The started operator reaction; its tasks are in the namespace of the pod's ConfigMap."""
     from robotkube.adapters.kubernetes_http import ApiServer, split_name
 
     namespace, _ = split_name(pod.config_map or settings.name)
-    tasks = ApiTasks(ApiServer.from_environment(os.environ), namespace)
+    tasks = ApiTasks(ApiServer.from_environment(os.environ), namespace, ownership)
     reactions = OperatorReactions(settings.name, namespace, tasks, time.time_ns, time.monotonic, settings.task)
     reactions.start()
     return reactions
 
 
-def make_recordings(reaction: RecordingReaction, settings: DetectorSettings, pod: PodSettings) -> Recordings:
+def make_recordings(
+    reaction: RecordingReaction, settings: DetectorSettings, pod: PodSettings, ownership: Ownership
+) -> Recordings:
     """The started recording reaction."""
-    node = os.environ.get("NODE_NAME", "")
-    if not node:
+    if not pod.node:
         raise InputError("NODE_NAME is not set; a recording's index names the node: set it from spec.nodeName")
     root = Path(os.environ.get("ROBOTKUBE_RECORDINGS", RECORDINGS_FOLDER))
     place = RecorderPlace(
-        volume=f"{node}/{reaction.volume}",
+        volume=f"{pod.node}/{reaction.volume}",
         open_store=lambda: _open_store(pod),
         open_claim=lambda: _open_claim(root, reaction.recording),
         clock_ns=time.time_ns,
         monotonic=time.monotonic,
+        ownership=ownership,
     )
     recordings = Recordings(recording_plan(reaction, settings), place, {})
     recordings.start()
@@ -279,21 +291,15 @@ def _settings(text: str, where: str) -> DetectorSettings:
     return read_detector_settings(read_mapping(text, where), where)
 
 
-def _watch(pod: PodSettings, changes: deque[str], process: Process) -> ConfigMapWatch | None:
+def _watch(pod: PodSettings, changes: deque[str], process: Process, ownership: Ownership) -> ConfigMapWatch | None:
     if pod.config_map is None:
         return None
-    from robotkube.adapters.kubernetes_http import ApiServer, ConfigMapWatch, split_name
 
     def take(data: Mapping[str, str]) -> None:
         if CONFIG_KEY in data:
             changes.append(data[CONFIG_KEY])
 
-    namespace, name = split_name(pod.config_map)
-    api = ApiServer.from_environment(os.environ)
-    changed = until_removed(process, take)
-    watch = ConfigMapWatch(api, namespace, name, changed, lambda sentence: process.log("watch", problem=sentence))
-    watch.start()
-    return watch
+    return follow_settings(process, pod.config_map, ownership, take)
 
 
 def metrics(detector: EventDetector) -> str:

@@ -8,8 +8,7 @@ from pathlib import Path
 
 from robotkube.adapters.forges import github, gitlab
 from robotkube.adapters.forges.gitea import GiteaForge
-from robotkube.adapters.git_clones import GitClone
-from robotkube.adapters.git_deployment import ProposalWriter
+from robotkube.adapters.git import GitClone, ProposalWriter
 from robotkube.domain.catalogue_entries import read_one_of
 from robotkube.domain.documents import Reader
 from robotkube.entrypoints import settings as files

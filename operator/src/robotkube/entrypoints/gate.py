@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from robotkube.adapters.evidence_dsse import KeyFile, TrustedKeys
-from robotkube.adapters.git_notes import GitNotes
+from robotkube.adapters.git import GitNotes
 from robotkube.adapters.oci_registry import Registry
 from robotkube.adapters.push_hooks import PushHook, PushRelay
 from robotkube.adapters.suite_runner_http import SuiteRunnerClient

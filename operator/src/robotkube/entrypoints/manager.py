@@ -22,7 +22,8 @@ from kubernetes.client import ApiClient
 from robotkube.adapters.argocd import ArgoCDServer
 from robotkube.adapters.evidence_dsse import TrustedKeys
 from robotkube.adapters.kubernetes_api import KubernetesWorld, api_client
-from robotkube.adapters.lease_kubernetes import LeaseElection
+from robotkube.adapters.leader_http import LeaderRequests
+from robotkube.adapters.lease_kubernetes import LeaseElection, identity_of
 from robotkube.adapters.push_hooks import PushHook
 from robotkube.adapters.templates_jinja2 import Jinja2Templates
 from robotkube.adapters.webhooks import Delivery, WebServer
@@ -36,6 +37,7 @@ from robotkube.entrypoints.manager_doors import STOP_SECONDS_MAX, BrokerSettings
 from robotkube.entrypoints.manager_telemetry import ManagerTelemetry, read_traces
 from robotkube.entrypoints.processes import Process, run
 from robotkube.entrypoints.scope_settings import read_operators, read_seconds
+from robotkube.entrypoints.sweeping import Sweeper
 from robotkube.ports.leadership import Leadership
 from robotkube.services.application_manager import (
     CATALOGUE,
@@ -179,7 +181,8 @@ def build_manager(
     planner = Planner(found.manager, cluster, cluster, catalogue, main, render, schemas.validate, holds)
     observer = PlanObserver(cluster, argocd, Aside(), time.time_ns, time.monotonic)
     world = World(cluster, cluster, deployment, proposals, forge, leadership, found.account.username)
-    return ApplicationManager(world, catalogue, main, planner, observer, time.time_ns, time.monotonic)
+    rest = Sweeper(time.monotonic)
+    return ApplicationManager(world, catalogue, main, planner, observer, time.time_ns, time.monotonic, rest)
 
 
 class Waker:
@@ -212,7 +215,8 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     names = [agent.name for agent in found.manager.agents]
     account = found.account.username
     telemetry = ManagerTelemetry(manager, cluster, cluster, names, holds, found.traces, account)
-    server = _server(found, manager, cluster, door, telemetry)
+    leader = LeaderRequests(election)
+    server = _server(found, manager, cluster, door, telemetry, leader)
     server.start()
     cluster.start()
     election.start()
@@ -229,6 +233,7 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     election.stop()
     cluster.stop()
     server.stop()
+    leader.close()
     telemetry.close()
     schemas.close()
 
@@ -237,7 +242,8 @@ def _election(
     found: ManagerConfiguration, api: ApiClient, waker: Waker, environment: Mapping[str, str]
 ) -> LeaseElection:
     """The election between the pods of this manager."""
-    identity = environment.get("POD_NAME") or socket.gethostname()
+    pod, host = environment.get("POD_NAME") or socket.gethostname(), environment.get("POD_IP") or found.listen.address
+    identity = identity_of(pod, host, found.listen.port)
     lease = (found.lease_namespace, found.lease_name)
     return LeaseElection(api, *lease, identity, time.monotonic, lambda: datetime.now(UTC), lambda: waker(TASKS))
 
@@ -272,6 +278,7 @@ def _server(
     cluster: KubernetesWorld,
     door: TaskDoor | None,
     telemetry: ManagerTelemetry,
+    leader: LeaderRequests,
 ) -> WebServer:
     def deliver(delivery: Delivery) -> None:
         if heard := news(delivery, found.catalogue):
@@ -289,6 +296,7 @@ def _server(
         deliver,
         {"/plans": manager.records.as_json, "/catalogue": manager.catalogue_page},
         posts={"/explain": Explainer(manager.what_if, cluster)},
+        elsewhere=leader,
     )
 
 

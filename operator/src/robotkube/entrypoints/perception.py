@@ -6,17 +6,16 @@ Both work off their input every PERIOD_SECONDS, without an executor. Variables: 
 from __future__ import annotations
 
 import gc
-import os
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol, TypeVar
 
 from robotkube.adapters.health_http import HealthServer
-from robotkube.adapters.kubernetes_http import ApiServer, ConfigMapData, ConfigMapWatch, split_name
 from robotkube.adapters.ros_rclpy import RosNode
 from robotkube.domain.errors import DocumentError
 from robotkube.domain.texts import read_mapping
-from robotkube.entrypoints.processes import PodSettings, Process, read_text, until_removed
+from robotkube.entrypoints.following import follow_settings, ownership_of
+from robotkube.entrypoints.processes import PodSettings, Process, read_text
 from robotkube.services.perceiving import Log, Perceiving
 
 GRACE_SECONDS = 2.0
@@ -52,18 +51,24 @@ def serve(
         read_mapping(read_text(pod.config_file, "the settings"), str(pod.config_file)), str(pod.config_file)
     )
     service = make(RosNode(node), process.log)
-    perceiving = service.perceiving
-    HealthServer(ready=lambda: perceiving.complaint, metrics=perceiving.metrics, port=pod.health_port).start()
+    perceiving, ownership = service.perceiving, ownership_of(pod)
+    HealthServer(
+        ready=lambda: perceiving.complaint,
+        metrics=lambda: perceiving.metrics() + ownership.metrics(),
+        port=pod.health_port,
+    ).start()
     service.configure(settings)
     news: deque[str] = deque(maxlen=1)
     if pod.config_map is not None:
-        _watch(process, news, *split_name(pod.config_map))
+        follow_settings(process, pod.config_map, ownership, lambda data: _note(news, data))
     process.log("ready", complaint=perceiving.complaint)
     gc.freeze()
     while not process.stopping.wait(PERIOD_SECONDS):
+        sure = ownership.sure  # looked at first: what made it sure is among the news by then
         if news:
             _apply(process, service, read, news.popleft())
-        perceiving.turn()
+        if sure:
+            perceiving.turn()
     perceiving.close()
 
 
@@ -77,13 +82,6 @@ def _apply(
         process.log("settings refused", error=str(error))
 
 
-def _watch(process: Process, news: deque[str], namespace: str, name: str) -> None:
-    def take(data: ConfigMapData) -> None:
-        if KEY in data:
-            news.append(data[KEY])
-
-    def failed(sentence: str) -> None:
-        process.log("watch interrupted", error=sentence)
-
-    changed, api = until_removed(process, take), ApiServer.from_environment(os.environ)
-    ConfigMapWatch(api, namespace, name, changed, failed).start()
+def _note(news: deque[str], data: Mapping[str, str]) -> None:
+    if KEY in data:
+        news.append(data[KEY])

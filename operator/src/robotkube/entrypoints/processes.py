@@ -30,6 +30,7 @@ from types import FrameType
 from typing import Any, NoReturn
 
 from robotkube.domain.errors import InputError, UnavailableError
+from robotkube.services.ownership import MOVABLE, NODE, is_movable
 
 LINGER_SECONDS_MAX = 600.0
 EXIT_DONE, EXIT_FAILED, EXIT_USAGE, EXIT_UNREACHABLE = 0, 1, 2, 3
@@ -37,27 +38,38 @@ EXIT_DONE, EXIT_FAILED, EXIT_USAGE, EXIT_UNREACHABLE = 0, 1, 2, 3
 
 @dataclass(frozen=True)
 class PodSettings:
-    """Where a robot pod finds its inputs (see docs/reference/contracts.md); every path can be moved by a variable."""
+    """Where a robot pod finds its inputs (see docs/reference/contracts.md); every path can be moved by a variable.
+    `node` is the one it runs on, `placed_node` the one its release names, empty when it names none."""
 
     config_file: Path
     config_map: str | None
     broker_folder: Path
     database_folder: Path
     health_port: int
+    node: str = ""
+    placed_node: str = ""
+    movable: bool = False
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str] = os.environ) -> PodSettings:
-        """Read ROBOTKUBE_CONFIG, ROBOTKUBE_CONFIGMAP, ROBOTKUBE_SECRETS and ROBOTKUBE_HEALTH_PORT."""
+        """Read ROBOTKUBE_CONFIG, ROBOTKUBE_CONFIGMAP, ROBOTKUBE_SECRETS, ROBOTKUBE_HEALTH_PORT and NODE_NAME, and what
+        stands beside the settings about their place."""
         secrets = Path(environment.get("ROBOTKUBE_SECRETS", "/var/run/secrets/robotkube"))
         port = environment.get("ROBOTKUBE_HEALTH_PORT", "8081")
         if not port.isdecimal() or int(port) > 65535:
             raise InputError(f"ROBOTKUBE_HEALTH_PORT is {port!r}; give a port number")
+        config_file = Path(environment.get("ROBOTKUBE_CONFIG", "/etc/robotkube/config.yaml"))
+        beside = {key: (config_file.parent / key) for key in (NODE, MOVABLE)}
+        placed = {key: read_text(path, "the release's place") for key, path in beside.items() if path.exists()}
         return cls(
-            config_file=Path(environment.get("ROBOTKUBE_CONFIG", "/etc/robotkube/config.yaml")),
+            config_file=config_file,
             config_map=environment.get("ROBOTKUBE_CONFIGMAP"),
             broker_folder=secrets / "broker",
             database_folder=secrets / "database",
             health_port=int(port),
+            node=environment.get("NODE_NAME", ""),
+            placed_node=placed.get(NODE, ""),
+            movable=is_movable(placed),
         )
 
 
@@ -94,28 +106,6 @@ class Process:
         if not self.stopping.is_set():
             faulthandler.dump_traceback_later(self.grace_seconds, exit=True)
             self.stopping.set()
-
-
-def until_removed(
-    process: Process, take: Callable[[Mapping[str, str]], None]
-) -> Callable[[Mapping[str, str] | None], None]:
-    """What follows the process's ConfigMap: its data go to `take`; when it was there and is gone, the body is asked to
-    return, and the process does nothing more until it is told to end.
-
-    Then its release was removed. Usually the kubelet says so; on a node that was cut off and is back, this process
-    would go on publishing and recording beside its successor elsewhere until the kubelet knows."""
-    seen = threading.Event()
-
-    def changed(data: Mapping[str, str] | None) -> None:
-        if data is not None:
-            seen.set()
-            take(data)
-        elif seen.is_set() and not process.stopping.is_set():
-            process.log("removed", reason="the ConfigMap of the release is gone")
-            process.removed.set()
-            process.stop()
-
-    return changed
 
 
 def write_line(fields: Mapping[str, Any]) -> None:

@@ -13,7 +13,8 @@ class TaskStore(Protocol):
     """TaskDescriptions of all agents' namespaces."""
 
     def tasks(self) -> Sequence[Mapping[str, Any]]:
-        """The objects as Kubernetes holds them now (those being deleted included)."""
+        """The objects as Kubernetes holds them now (those being deleted included). Nobody changes metadata or spec of
+        one that was given: a task that changed is another object."""
         ...
 
     def patch_status(self, namespace: str, name: str, status: Mapping[str, Any]) -> bool:

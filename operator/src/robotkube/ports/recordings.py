@@ -130,8 +130,8 @@ class Batch:
 class Spool(Protocol):
     """Writes that the database has not taken yet, kept on the claim. OSError: the volume refuses."""
 
-    def put(self, writes: Sequence[Write]) -> None:
-        """Keep them; returns when they are on the disk. After an OSError nothing of them is there."""
+    def put(self, writes: Sequence[Write]) -> str:
+        """Keep them; returns the batch's name when they are on the disk. After an OSError nothing of them is there."""
         ...
 
     def batches(self) -> Sequence[Batch]:

@@ -39,6 +39,25 @@ class LiveTopics(Protocol):
         ...
 
 
+class SettingsReading(Protocol):
+    """When a process's own settings were read. Times are seconds of one clock."""
+
+    @property
+    def read_at(self) -> float | None:
+        """When the last reading began that the API server answered, None before the first. What it brought was told
+        before this says so."""
+        ...
+
+    @property
+    def interrupted_at(self) -> float | None:
+        """Since when the API server is out of reach; None while it answers."""
+        ...
+
+    def read_again(self) -> None:
+        """Read now; returns at once."""
+        ...
+
+
 class OwnTasks(Protocol):
     """The TaskDescriptions of a detector's own namespace. UnavailableError when the API server does not answer,
     RefusalError when it says no."""

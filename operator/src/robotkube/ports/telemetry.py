@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
-OUTCOMES = ("proposed", "taken_over", "merged", "refused", "outdated", "superseded", "observed")
+OUTCOMES = ("proposed", "taken_over", "merged", "refused", "outdated", "superseded", "observed", "unobserved")
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ Level-triggered and single-threaded: a step reads everything again, computes wha
 difference, looks at the decision about an earlier proposal and at the cluster. Webhooks and watches only bring the next
 step forward; after a restart the next step finds everything in Git, in the tasks and in the cluster. Tasks that arrive
 while a proposal waits for its decision are answered together by the next plan. Only the process that leads writes; the
-others look at nothing until they are elected.
+others fetch main from time to time, so that they know that they could take over.
 """
 
 from __future__ import annotations
@@ -73,7 +73,8 @@ class World:
 class ApplicationManager:
     """One manager for one deployment repository; `run` on one thread, `wake` from any.
 
-    `now_ns` is the wall clock in ns since 1970, `monotonic` a clock in seconds that never goes back.
+    `now_ns` is the wall clock in ns since 1970, `monotonic` a clock in seconds that never goes back; `rest` is called
+    after each step: what has to be done now and then, and must not be done within one.
     """
 
     def __init__(
@@ -85,9 +86,10 @@ class ApplicationManager:
         observer: PlanObserver,
         now_ns: Callable[[], int],
         monotonic: Callable[[], float],
+        rest: Callable[[], None] = lambda: None,
     ) -> None:
         self._world, self._catalogue, self._main, self._planner = world, catalogue, main, planner
-        self._observer, self._now_ns, self._monotonic = observer, now_ns, monotonic
+        self._observer, self._now_ns, self._monotonic, self._rest = observer, now_ns, monotonic, rest
         self._statuses = StatusWriter(world.tasks, now_ns)
         self.statistics = ManagerStatistics()
         self.records = PlanRecords(now_ns())
@@ -136,10 +138,11 @@ class ApplicationManager:
         self._woken.set()
 
     def reasons_not_ready(self) -> list[str]:
-        """Empty when this process leads, the forge was seen lately and nothing stops planning: the deliveries of the
-        forge and people's questions go to the process that leads."""
-        if self._world.leadership.term() is None:
-            return ["another process of this manager leads"]
+        """Empty when the forge was seen lately, and nothing stops planning: here when this process leads, else it could
+        take over from the one that does."""
+        leadership = self._world.leadership
+        if leadership.term() is None and leadership.leader() is None:
+            return ["no process of this manager is known to lead"]
         silent = self._monotonic() - self._seen_at
         late = [f"the forge was not seen for {silent:.0f} s"] if SILENT_SECONDS_MAX < silent < float("inf") else []
         return late + ([self._problem] if self._problem else [])
@@ -152,6 +155,7 @@ class ApplicationManager:
             self._woken.clear()
             try:
                 pause = self.step()
+                self._rest()
             except RobotKubeError as error:
                 self._failed(error)
                 stopping.wait(FAILURE_SECONDS)
@@ -174,7 +178,8 @@ class ApplicationManager:
             log.error("step failed reason=%r", str(error))
         self._problem = str(error)
         self._again(DEPLOYMENT, CATALOGUE)
-        if isinstance(error, UnavailableError) and self._monotonic() - self._seen_at > SAID_SECONDS:
+        late = self._monotonic() - self._seen_at > SAID_SECONDS
+        if late and isinstance(error, UnavailableError) and self._world.leadership.term() is not None:
             self._say_forge_unavailable()
 
     def _say_forge_unavailable(self) -> None:
@@ -196,7 +201,7 @@ class ApplicationManager:
         """Look, decide, plan, observe, report; the seconds until the next step is due without being woken.
         Nothing of that while another process leads."""
         if not self._leads():
-            return STANDBY_SECONDS
+            return self._stand_by()
         with self._lock:
             flags, self._flags = self._flags, set()
             told, self._told_tip = self._told_tip, ""
@@ -219,11 +224,21 @@ class ApplicationManager:
             self._upkeep.look()
         for record in self._observer.look(self._main.tree.releases, self._main.tip):
             self._observed(record)
+        for record in self._observer.given_up():
+            self.statistics.plan(record, "unobserved")
         self._statuses.write(self._situation())
         if self._proposal is None and self._monotonic() - self._planned_at > QUIET_SECONDS:
             self._telling.tell_one()
         self.statistics.step()
         return self._pause()
+
+    def _stand_by(self) -> float:
+        """Fetch main now and then: whoever leads next can, and need not fetch much."""
+        if self._monotonic() - self._looked_at >= LOOK_SECONDS:
+            self._world.deployment.fetch()
+            self._looked_at = self._seen_at = self._monotonic()
+            self._problem = ""
+        return STANDBY_SECONDS
 
     def _pause(self) -> float:
         if self._proposal is not None:
@@ -435,6 +450,7 @@ class ApplicationManager:
             applications=self._world.cluster.applications(),
             proposed=self._proposal.record if self._proposal else None,
             committed=self.records.committed,
+            edited=self._main.standing_edits(),
             obstacle=self._obstacle(),
         )
 

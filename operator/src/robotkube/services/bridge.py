@@ -24,8 +24,9 @@ from robotkube.domain.bridging_properties import gap_text
 from robotkube.domain.errors import InputError
 from robotkube.domain.messages import string_message
 from robotkube.services.bridge_flows import Incoming, Outgoing, Sender
-from robotkube.services.bridge_links import Link
+from robotkube.services.bridge_links import Hold, Link
 from robotkube.services.bridge_metrics import Carried, metric_lines
+from robotkube.services.ownership import Ownership
 
 if TYPE_CHECKING:  # the ports know every part's domain: 25 ms of a start
     from robotkube.ports.robots import ChannelEvents, FrameChannel, RobotNetwork
@@ -42,11 +43,15 @@ Log = Callable[..., None]
 
 
 class Bridge:
-    """Carries topics as `configure` says. All methods belong to one thread, `complaint` and `metrics` to any."""
+    """Carries topics as `configure` says. All methods belong to one thread, `complaint` and `metrics` to any.
 
-    def __init__(self, network: RobotNetwork, make_channel: MakeChannel, sender: Sender, log: Log) -> None:
+    After a connection was lost and made again, nothing leaves until `ownership` is sure and `hold` was told so."""
+
+    def __init__(
+        self, network: RobotNetwork, make_channel: MakeChannel, sender: Sender, log: Log, ownership: Ownership
+    ) -> None:
         self._network, self._make_channel, self._sender, self._log = network, make_channel, sender, log
-        self._own_trace = sender.trace
+        self._own_trace, self._hold = sender.trace, Hold(ownership)
         self._settings: BridgeSettings | None = None
         self._outgoing: dict[str, Outgoing] = {}
         self._incoming: dict[str, Incoming] = {}
@@ -65,6 +70,10 @@ class Bridge:
     def channels(self) -> tuple[str, ...]:
         """Names of the connections in use."""
         return tuple(self._links)
+
+    def hold(self, held: bool) -> None:
+        """Let what is to be sent wait in its bounds, or no longer: after everything that was read is applied."""
+        self._hold.held = held
 
     def configure(self, settings: BridgeSettings) -> None:
         """Carry these topics from now on. Only what differs is closed and opened; a topic that cannot be opened
@@ -148,11 +157,11 @@ class Bridge:
     def metrics(self) -> str:
         """Counters in Prometheus' text format."""
         carried = Carried(list(self._outgoing.values()), list(self._incoming.values()), list(self._links.values()))
-        lines = [*metric_lines(carried), f"topics_refused {len(self._problems)}"]
+        lines = [*metric_lines(carried), f"topics_refused {len(self._problems)}", f"held {int(self._hold.held)}"]
         return "".join(f"robotkube_bridge_{line}\n" for line in lines)
 
     def _link(self, name: str, agent: str) -> Link:
-        return Link(name, agent, self._make_channel, self._log, self._sender.clock, self._open_found)
+        return Link(name, agent, self._make_channel, self._log, self._sender.clock, self._open_found, self._hold)
 
     def _count_matched(self) -> None:
         for out in self._outgoing.values():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from robotkube.domain import mqtt_client_format as ika
@@ -12,6 +13,7 @@ from robotkube.domain.bridging_properties import gaps_property
 from robotkube.domain.errors import InputError
 from robotkube.domain.outboxes import Bounds, Outbox, OutgoingFrame
 from robotkube.services.bridge_flows import Incoming
+from robotkube.services.ownership import Ownership
 
 if TYPE_CHECKING:  # the ports know every part's domain: 25 ms of a start
     from robotkube.ports.robots import ChannelEvents, FrameChannel
@@ -27,13 +29,34 @@ OpenIncoming = Callable[[BridgedTopic, str], Incoming | None]
 """A general topic and the MQTT topic of a message that came for it: the one topic of that agent, or None."""
 
 
+@dataclass
+class Hold:
+    """Whether what is to be sent waits: between a connection made anew and settings read since then."""
+
+    ownership: Ownership
+    held: bool = False
+
+    def doubt(self) -> None:
+        """A connection was made anew."""
+        self.ownership.doubt()
+        self.held = self.held or not self.ownership.sure
+
+
 class Link:
-    """The events of one connection. `opened` makes the topics that general ones find."""
+    """The events of one connection. `opened` makes the topics that general ones find; nothing leaves while `hold` says
+    so."""
 
     def __init__(
-        self, name: str, agent: str, make: MakeChannel, log: Log, clock: Callable[[], int], opened: OpenIncoming
+        self,
+        name: str,
+        agent: str,
+        make: MakeChannel,
+        log: Log,
+        clock: Callable[[], int],
+        opened: OpenIncoming,
+        hold: Hold,
     ) -> None:
-        self.name = name
+        self.name, self._hold = name, hold
         self.outbox = Outbox(BULK_BOUNDS if name == BULK else TELEMETRY_BOUNDS, f"mqtt-bridge of {agent}")
         self.incoming: dict[str, Incoming] = {}
         self.general: dict[str, BridgedTopic] = {}
@@ -84,14 +107,16 @@ class Link:
             self.retained[frame.topic] = frame
 
     def withdraw(self, topic: str) -> None:
-        """Forget an MQTT topic, also at the broker."""
+        """Forget an MQTT topic, also at the broker, unless it may be somebody else's by now."""
         self.outbox.forget(topic)
-        if self.retained.pop(topic, None) is not None:
+        if self.retained.pop(topic, None) is not None and not self._hold.held:
             self.outbox.put(OutgoingFrame(topic, b"", 0, True, self._now))
 
     def connected(self, session_kept: bool) -> None:
         """Subscribe anew; a broker without a session of ours has lost what it retained, too."""
         self.connections += 1
+        if self.connections > 1:
+            self._hold.doubt()
         self.refusals.clear()
         self._log("connected", channel=self.name, session_kept=session_kept)
         self.channel.subscribe(self.filters)
@@ -146,7 +171,7 @@ class Link:
         """Read, then hand over as much as the outbox lets go, then write. All events come within a turn."""
         self._now = now
         self.channel.turn(now)
-        if self.channel.complaint is None:
+        if self.channel.complaint is None and not self._hold.held:
             self._hand_over(now)
         self.channel.flush()
         for incoming in self.incoming.values():

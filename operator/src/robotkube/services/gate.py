@@ -25,7 +25,7 @@ from robotkube.ports.git import Commit, MainBranch
 from robotkube.services.assured_catalogue import AssuredCatalogue
 from robotkube.services.gate_rules import GateSettings, RuleBook
 
-POLL_SECONDS = 2.0  # open pull requests, when no webhook came
+POLL_SECONDS = 2.0  # open pull requests, when no webhook came for so long
 LOOK_SECONDS = 10.0  # main's tip, the catalogue and approvals, when no webhook came
 SILENT_SECONDS_MAX = 30.0  # not ready when the forge was not seen for longer
 HINTS_MAX = 100
@@ -140,7 +140,8 @@ class Gate:
             self._woken.clear()
             look = self._look_due or self._monotonic() - looked_at >= LOOK_SECONDS
             try:
-                self.answer_hints()
+                if self.answer_hints():
+                    listed_at = self._monotonic()  # deliveries arrive; asking for a list would only delay the next one
                 if look or self._monotonic() - listed_at >= POLL_SECONDS:
                     self._look_due, listed_at = False, self._monotonic()
                     looked_at = listed_at if look else looked_at
@@ -151,11 +152,13 @@ class Gate:
 
     # -- one round ------------------------------------------------------------------------------------------------
 
-    def answer_hints(self) -> None:
-        """Decide what webhooks named; whatever goes wrong with it, the next round finds it open."""
-        for pull in self._take_hints():
+    def answer_hints(self) -> int:
+        """Decide what webhooks named; whatever goes wrong with it, the next round finds it open. Their number."""
+        hints = self._take_hints()
+        for pull in hints:
             if self._settled.get(pull.number) != pull.head:
                 self._try_to_decide(pull)
+        return len(hints)
 
     def round(self, look_at_main: bool = True) -> None:
         """Decide all open pull requests, oldest first; then, when asked, see whether main moved; announce it if so."""

@@ -37,20 +37,27 @@ class Bounds:
         self._agents, self._operators, self._unbounded = agents, operators, operators.unbounded
         self._names = {agent.namespace: agent.name for agent in agents}
         self._said: Mapping[str, Hold] = {}
+        self._fleet: tuple[Fleet, Fleet] | None = None
+        self._own: tuple[Tree, Tree] | None = None
         self.waiting_tasks: Mapping[str, str] = {}
         self.holds_end_ns: int | None = None
 
     def fleet(self, whole: Fleet) -> Fleet:
-        """The agents that this manager answers for."""
-        return scoped_fleet(whole, self._operators.manager)
+        """The agents that this manager answers for; the same object for the same one."""
+        if self._fleet is None or self._fleet[0] is not whole:
+            self._fleet = whole, scoped_fleet(whole, self._operators.manager)
+        return self._fleet[1]
 
     def own(self, tree: Tree) -> Tree:
-        """What of main this manager answers for; everything else it leaves as it is."""
+        """What of main this manager answers for; everything else it leaves as it is. The same object for the same."""
         scope = self._operators.manager
         if not scope.is_narrow:
             return tree
-        releases = own_releases(tree.releases, self._agents, scope)
-        return replace(tree, releases=releases, sources=own_sources(tree.sources, self._agents, scope))
+        if self._own is None or self._own[0] is not tree:
+            releases = own_releases(tree.releases, self._agents, scope)
+            own = replace(tree, releases=releases, sources=own_sources(tree.sources, self._agents, scope))
+            self._own = tree, own
+        return self._own[1]
 
     def refused_before(
         self, tasks: Sequence[TaskDescription], live: Tasks, gone: Mapping[str, str], releases: Iterable[Release]
@@ -108,6 +115,10 @@ class Bounds:
             return {}
         found = judge(_chain(live), gone, releases)
         return {key: Refused(refusal.reason, refusal.message) for key, refusal in found.items()}
+
+    def waits(self, changes: Sequence[Change], holds: Iterable[Hold], now_ns: int) -> Mapping[str, str]:
+        """What each task would wait for if exactly these changes were wanted; nothing is kept."""
+        return waiting_tasks(changes, held(changes, holds, self._names, now_ns)[1])
 
     def going(self, changes: tuple[Change, ...], holds: Iterable[Hold], now_ns: int) -> tuple[Change, ...]:
         """The changes that no device holds. `waiting_tasks` says of the others' tasks what they wait for,

@@ -73,7 +73,8 @@ def _is_named(document: Mapping[str, Any]) -> bool:
 
 
 def explanation_document(found: Explanation) -> dict[str, Any]:
-    """As GET pages show it: the outcome, its reason and message, every choice in words, and the files that change."""
+    """As GET pages show it: the outcome, its reason and message, what its changes would wait for, every choice in
+    words, and the files that change."""
     outcome = found.outcome
     if isinstance(outcome, Met):
         said = {"outcome": "Accepted", "reason": "Accepted", "message": "", "releases": list(outcome.releases)}
@@ -81,4 +82,4 @@ def explanation_document(found: Explanation) -> dict[str, Any]:
         word = "Postponed" if isinstance(outcome, Postponed) else "Refused"
         said = {"outcome": word, "reason": outcome.reason, "message": outcome.message, "releases": []}
     changes = [{"path": c.path, "before": c.before, "after": c.after} for c in found.changes]
-    return {"task": found.key, **said, "lines": list(found.lines), "changes": changes}
+    return {"task": found.key, **said, "waits": found.waits, "lines": list(found.lines), "changes": changes}

@@ -11,10 +11,12 @@ from typing import Any
 from robotkube.domain.conflicts import History, Outcome, Postponed, Resolution
 from robotkube.domain.ledger import Remembered, Standing, TaskReader, moment, remembered, standing
 from robotkube.domain.releases import Cause
-from robotkube.domain.tasks import SETTLED_REASONS, SUPERSEDED, TaskDescription, object_key
+from robotkube.domain.tasks import SETTLED_REASONS, SUPERSEDED, TaskDescription
 from robotkube.domain.worlds import Met, Refused
 
 _Stamp = tuple[str, int]
+
+USUAL = Remembered()
 
 
 class DemandLedger:
@@ -24,18 +26,21 @@ class DemandLedger:
         self._reader = TaskReader()
         self._known: dict[str, tuple[_Stamp, Remembered]] = {}
         self._outcomes: dict[str, Outcome] = {}
+        self._causes: Collection[Cause] = ()
+        self._answered: frozenset[str] = frozenset()
+        self._asked: frozenset[tuple[str, str]] = frozenset()
         self.standing = Standing()
 
     def look(self, documents: Sequence[Mapping[str, Any]], now_ns: int) -> Standing:
         """Read the tasks; the demands that stand at `now_ns`."""
         self.standing = standing(self._reader.read(documents), now_ns)
-        statuses = {object_key(document): document for document in documents}
         known: dict[str, tuple[_Stamp, Remembered]] = {}
         for key, task in self.standing.live.items():
-            stamp = (task.identity, task.generation)
-            same = key in self._known and self._known[key][0] == stamp
-            known[key] = self._known[key] if same else (stamp, remembered(statuses[key]))
-            if not same:
+            stamp, memory = (task.identity, task.generation), self._known.get(key)
+            if memory is not None and memory[0] == stamp:
+                known[key] = memory
+            else:
+                known[key] = stamp, remembered(self._reader.document(key))
                 self._outcomes.pop(key, None)
         self._known = known
         self._outcomes = {key: outcome for key, outcome in self._outcomes.items() if key in known}
@@ -52,22 +57,32 @@ class DemandLedger:
 
     def history(self, causes: Collection[Cause]) -> History:
         """Earlier decisions about the demands that stand; `causes` are those of main's releases."""
-        found = {key: memory for key, (_, memory) in self._known.items()}
-        asked = {(cause.task, cause.parameters) for cause in causes}
+        found = [(key, memory) for key, (_, memory) in self._known.items() if memory is not USUAL]
+        answered, asked = self._asked_for(causes)
         return History(
-            {key: m.waiting_since_ns for key, m in found.items() if m.waiting_since_ns is not None},
-            {key: m.settled for key, m in found.items() if m.settled is not None},
-            self.offloaded,
-            frozenset(cause.task for cause in causes),
+            {key: m.waiting_since_ns for key, m in found if m.waiting_since_ns is not None},
+            {key: m.settled for key, m in found if m.settled is not None},
+            frozenset(key for key, memory in found if memory.offloaded),
+            answered,
             frozenset(key for key, task in self.standing.live.items() if (key, task.cause.parameters) not in asked),
         )
+
+    def _asked_for(self, causes: Collection[Cause]) -> tuple[frozenset[str], frozenset[tuple[str, str]]]:
+        """The tasks of the causes, and what each asked with; computed once for the same object."""
+        if self._causes is not causes:
+            self._causes = causes
+            self._answered = frozenset(cause.task for cause in causes)
+            self._asked = frozenset((cause.task, cause.parameters) for cause in causes)
+        return self._answered, self._asked
 
     def keep(self, resolution: Resolution) -> None:
         """Remember what was decided just now."""
         for key, outcome in resolution.outcomes.items():
-            if key in self._known:
+            known = self._known.get(key)
+            if known is not None:
                 memory = _memory(outcome, key in resolution.offloaded)
-                self._known[key] = (self._known[key][0], memory)
+                if known[1] is not memory:
+                    self._known[key] = known[0], memory
                 self._outcomes[key] = outcome
 
     @property
@@ -97,4 +112,4 @@ def _memory(outcome: Outcome, offloaded: bool) -> Remembered:
         return Remembered(waiting_since_ns=outcome.since_ns)
     if isinstance(outcome, Refused) and outcome.reason in SETTLED_REASONS:
         return Remembered(settled=outcome)
-    return Remembered(offloaded=offloaded)
+    return Remembered(offloaded=True) if offloaded else USUAL

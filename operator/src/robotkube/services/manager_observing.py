@@ -36,6 +36,7 @@ class PlanObserver:
         self._now_ns, self._monotonic = now_ns, monotonic
         self._watched: dict[str, tuple[PlanRecord, float]] = {}
         self._open: dict[str, PlanRecord] = {}
+        self._given_up: list[PlanRecord] = []
         self._asked_at = 0.0
         self._turn = 0
 
@@ -49,7 +50,13 @@ class PlanObserver:
         self._watched[record.id] = (record, self._monotonic())
         self._asked_at = self._monotonic()
         while len(self._watched) > PLANS_MAX:
-            self._watched.pop(next(iter(self._watched)))
+            oldest = self._watched.pop(next(iter(self._watched)))[0]
+            self._give_up(oldest, f"not observed: more than {PLANS_MAX} plans were waiting")
+
+    def given_up(self) -> list[PlanRecord]:
+        """The plans that nobody waits for any more though they were not observed; each is told once."""
+        found, self._given_up = self._given_up, []
+        return found
 
     def forget_observed(self, present: Mapping[str, Release]) -> None:
         """Drop what is observed already: after a restart nobody knows when that was."""
@@ -88,7 +95,9 @@ class PlanObserver:
                 self._watched.pop(record.id)
                 self._leave_open(record, verdicts)
             elif self._monotonic() - since > OBSERVE_SECONDS_MAX:
-                self._give_up(record, verdicts)
+                self._watched.pop(record.id)
+                left = "; ".join(f"{key}: {v.message}" for key, v in verdicts.items() if not v.done)
+                self._give_up(record, f"not observed within {OBSERVE_SECONDS_MAX:.0f} s: {left}")
             else:
                 missing = [application_name(*key.split("/")) for key, v in verdicts.items() if not v.annotated]
                 unheard += missing
@@ -111,11 +120,11 @@ class PlanObserver:
                 found[key] = judge_removed(applications.get(application_name(*key.split("/"))), self._cluster.pods(key))
         return found
 
-    def _give_up(self, record: PlanRecord, verdicts: Mapping[str, Verdict]) -> None:
-        self._watched.pop(record.id)
-        missing = "; ".join(f"{key}: {v.message}" for key, v in verdicts.items() if not v.done)
-        record.error = f"not observed within {OBSERVE_SECONDS_MAX:.0f} s: {missing}"
-        log.error("plan not observed plan=%s missing=%r", record.id, missing)
+    def _give_up(self, record: PlanRecord, why: str) -> None:
+        record.error = why
+        record.times["given_up"] = self._now_ns()
+        self._given_up.append(record)
+        log.error("plan not observed plan=%s reason=%s", record.id, why)
 
     def _due(self) -> bool:
         oldest = min(since for _, since in self._watched.values())

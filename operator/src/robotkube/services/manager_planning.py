@@ -78,7 +78,8 @@ class Planner:
         self._said: frozenset[str] = frozenset()
         self._turn = 0
         self._now_ns = 0
-        self._told: tuple[Tree, frozenset[Cause]] = Tree({}, {}), frozenset()
+        self._told: tuple[Tree, frozenset[Cause], frozenset[str]] = Tree({}, {}), frozenset(), frozenset()
+        self._demands: dict[str, Demand] = {}
         self._looked_at: list[TaskDescription] = []
         self.desired = Desired({}, {})
         self.outcomes: Mapping[str, Outcome] = {}
@@ -124,8 +125,8 @@ class Planner:
             self._ledger.keep(resolution)
             self._take(resolution)
             changes = self._going(self._changes(resolution.desired))
-            waits = bool(changes) and fingerprint(changes) not in self._held_differences
-            update = self._update(resolution.desired, waits, self._ledger.history(self._causes()))
+            waits = bool(changes) and not self._is_held(changes)
+            update = self._update(resolution.desired, waits)
             return update or (self._made(changes, self.desired, self.tasks) if waits else None)
 
     def _look_for_updates(self) -> None:
@@ -134,16 +135,16 @@ class Planner:
         held = {hold.agent for hold in self._all_holds()}
         self._updating.look(present, self._main.tip, self._catalogue, machines, held, self._now_ns)
 
-    def _update(self, steady: Desired, others_wait: bool, history: History) -> Plan | None:
+    def _update(self, steady: Desired, others_wait: bool) -> Plan | None:
         """The plan of one update or revert, when it may be made now."""
 
         def compose(pins: Mapping[str, Pin]) -> Desired:
-            return self._resolve(self._looked_at, history, pins).desired
+            return self._resolve(self._looked_at, self._ledger.history(self._causes()), pins).desired
 
         own = self._bounds.own(self._main.tree).releases
         found = self._updating.step(steady, own, others_wait, compose)
         changes = self._going(found[1]) if found else ()
-        if found is None or not changes or fingerprint(changes) in self._held_differences:
+        if found is None or not changes or self._is_held(changes):
             return None
         plan, move = self._made(changes, self.desired, self.tasks, found[0].cause, found[0].reason), found[0]
         return replace(plan, message=replace(plan.message, causes=(), reverts=move.undone[-REVERTS_MAX:]))
@@ -163,14 +164,18 @@ class Planner:
                 for other, outcome in resolution.outcomes.items()
                 if other != key and type(outcome) is not type(self.outcomes.get(other))
             }
-            plan = self._difference(resolution.desired, {**self.tasks, key: task})
+            changes = self._changes(resolution.desired, remember=False)
             outcome = resolution.outcomes.get(key, UNDECIDED)
-            return explain(key, outcome, others, plan, self._main.tree)
+            plan = self._difference(changes, resolution.desired, {**self.tasks, key: task})
+            waits = self._bounds.waits(changes, self._all_holds(), self._now_ns).get(key, "")
+            return explain(key, outcome, others, plan, self._main.tree, waits)
 
-    def _difference(self, desired: Desired, tasks: Mapping[str, TaskDescription]) -> Plan | None:
-        """What `desired` changes on main besides what is going to change anyway."""
-        coming = {change.path: change for change in self._changes(self.desired)}
-        changes = tuple(change for change in self._changes(desired) if coming.get(change.path) != change)
+    def _difference(
+        self, wanted: Sequence[Change], desired: Desired, tasks: Mapping[str, TaskDescription]
+    ) -> Plan | None:
+        """What of the changes `wanted` by `desired` is not going to be made anyway."""
+        coming = {change.path: change for change in self._changes(self.desired, remember=False)}
+        changes = tuple(change for change in wanted if coming.get(change.path) != change)
         return self._made(changes, desired, tasks) if changes else None
 
     def _take(self, resolution: Resolution) -> None:
@@ -184,10 +189,11 @@ class Planner:
         self.next_due_ns = min((time for time in times if time is not None), default=None)
         self._say_refusals()
 
-    def _changes(self, desired: Desired) -> tuple[Change, ...]:
+    def _changes(self, desired: Desired, remember: bool = True) -> tuple[Change, ...]:
+        """What main lacks of `desired`; `remember` as in MainReader.respected."""
         own = self._bounds.own(self._main.tree).releases
         in_doubt = {path: release for path, release in self._in_doubt(desired).items() if path in own}
-        return self._main.respected(differences({**in_doubt, **desired.releases}, own))
+        return self._main.respected(differences({**in_doubt, **desired.releases}, own), remember)
 
     def _going(self, changes: tuple[Change, ...]) -> tuple[Change, ...]:
         """The changes that no device holds; the others go on when the first hold ends, or when it is released."""
@@ -195,6 +201,10 @@ class Planner:
         times = [self.next_due_ns, self._bounds.holds_end_ns]
         self.next_due_ns = min((time for time in times if time is not None), default=None)
         return going
+
+    def _is_held(self, changes: tuple[Change, ...]) -> bool:
+        """Whether the gate refused exactly this before."""
+        return bool(self._held_differences) and fingerprint(changes) in self._held_differences
 
     def _all_holds(self) -> Sequence[Hold]:
         """The vetoes on Nodes, and those said by message."""
@@ -216,14 +226,16 @@ class Planner:
         return make_plan(changes, own, desired, tasks, catalogue, url, self._main.tip, stamp, cause, words)
 
     def _answered(self) -> frozenset[str]:
-        """Tasks that main answers."""
-        return frozenset(cause.task for cause in self._causes())
+        """Tasks that main answers; looked up once per main."""
+        self._causes()
+        return self._told[2]
 
     def _causes(self) -> frozenset[Cause]:
         """The causes of main's releases; looked up once per main."""
         tree = self._main.tree
         if self._told[0] is not tree:
-            self._told = tree, frozenset(cause for release in tree.releases.values() for cause in release.causes)
+            causes = frozenset(cause for release in tree.releases.values() for cause in release.causes)
+            self._told = tree, causes, frozenset(cause.task for cause in causes)
         return self._told[1]
 
     def _wanted(self, answered: frozenset[str]) -> list[TaskDescription]:
@@ -273,14 +285,24 @@ class Planner:
             present,
             self._render,
             self._validate,
-            others={path: release for path, release in tree.releases.items() if path not in present},
+            others={} if present is tree.releases else _without(tree.releases, present),
             pins=pins,
             withheld=self._updating.updates.withheld,
             schema=self._catalogue.schema,
         )
         initial = initial_demands(self._catalogue.catalogue, self._main.policy, machines)
-        wanted = [*initial, *(_demand(task) for task in tasks)]
+        wanted = [*initial, *self._demands_of(tasks)]
         return resolve(wanted, lambda demands: self._composer.compose(demands, world), history, self._now_ns)
+
+    def _demands_of(self, tasks: Sequence[TaskDescription]) -> list[Demand]:
+        """A demand for each task; the same object as long as the task is the same."""
+        known = self._demands
+        demands = [
+            found if (found := known.get(task.key)) is not None and found.task is task else _demand(task)
+            for task in tasks
+        ]
+        self._demands = {demand.key: demand for demand in demands}
+        return demands
 
     def _fleet(self) -> Fleet:
         """All agents with their nodes; those that are lost by now are marked."""
@@ -341,6 +363,10 @@ class Planner:
 
 def _demand(task: TaskDescription) -> Demand:
     return Demand(task.key, task.application, task.parameters, task=task)
+
+
+def _without(releases: Mapping[str, Release], own: Mapping[str, Release]) -> dict[str, Release]:
+    return {path: release for path, release in releases.items() if path not in own}
 
 
 def _gone(outcomes: Mapping[str, Outcome]) -> dict[str, str]:

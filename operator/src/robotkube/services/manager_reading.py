@@ -47,6 +47,7 @@ class MainReader:
         self.policy_text = ""
         self.edits_policy: EditsPolicy = REVERT
         self.edits: dict[str, str] = {}
+        self._editors: dict[str, str] = {}
         self.news: Sequence[Commit] = ()
         self._files: Mapping[str, str] = {}
         self._wanted_first: dict[str, str] = {}
@@ -87,11 +88,19 @@ class MainReader:
         """The commits of people that a plan which writes `paths` undoes."""
         return tuple(sorted({self.edits[path] for path in paths if path in self.edits}))
 
-    def respected(self, changes: Sequence[Change]) -> tuple[Change, ...]:
-        """Those of `changes` that may be made although people edited main."""
+    def standing_edits(self) -> Mapping[str, str]:
+        """The edits of people that are respected: path -> commit and author, in words; none under another policy."""
+        if self.edits_policy != RESPECT:
+            return {}
+        return {path: f"commit {commit[:12]} of {self._editors[commit]}" for path, commit in self.edits.items()}
+
+    def respected(self, changes: Sequence[Change], remember: bool = True) -> tuple[Change, ...]:
+        """Those of `changes` that may be made although people edited main. What was wanted when an edit was first seen
+        is remembered, but for a question that has no effect (`remember` false)."""
+        first = self._wanted_first if remember else dict(self._wanted_first)
         if self.edits_policy == RESPECT:
-            return respected(changes, self.edits, self._wanted_first)
-        self._wanted_first.clear()
+            return respected(changes, self.edits, first)
+        first.clear()
         return tuple(changes)
 
     def _note_edits(self, commits: Iterable[Commit]) -> None:
@@ -103,7 +112,8 @@ class MainReader:
                 if by_a_plan:
                     self.edits.pop(path, None)
                 else:
-                    self.edits[path] = commit.id
+                    self.edits[path], self._editors[commit.id] = commit.id, commit.author
+        self._editors = {commit: self._editors[commit] for commit in self.edits.values()}
 
     def _read_policy(self, text: str, commit: str) -> None:
         try:

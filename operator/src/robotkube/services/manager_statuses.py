@@ -11,11 +11,13 @@ from typing import Any
 
 from robotkube.domain.conflicts import Outcome, Postponed
 from robotkube.domain.demands import time_text
+from robotkube.domain.edits import PATH as EDITS
 from robotkube.domain.errors import InputError, RobotKubeError
 from robotkube.domain.ledger import moment
 from robotkube.domain.observation import ApplicationState, Verdict, judge_present
 from robotkube.domain.releases import RELEASES, Release, application_name
 from robotkube.domain.tasks import (
+    EDITED_BY_HAND,
     HELD_BY_AGENT,
     MERGED,
     OBSTACLES,
@@ -38,7 +40,7 @@ from robotkube.services.manager_records import PlanRecord
 MESSAGE_CHARACTERS_MAX = 4096
 NOTHING: Mapping[str, Any] = dict.fromkeys(("plan", "pullRequest", "commit", "releases", "queue", "offloaded"))
 UNSEEN = {"Accepted": "Unknown", "Committed": "False"}  # conditions of a task that could not be looked at yet
-TOLD = frozenset({*REFUSAL_REASONS, PROPOSAL_REFUSED, *OBSTACLES})
+TOLD = frozenset({*REFUSAL_REASONS, PROPOSAL_REFUSED, EDITED_BY_HAND, *OBSTACLES})
 
 WRITERS = 4
 ALONE_MAX = 3  # so few statuses are written one after the other
@@ -50,8 +52,8 @@ log = logging.getLogger(__name__)
 class Situation:
     """Everything a status is derived from. `outcomes` by task key; `offloaded` are tasks that run elsewhere; `held` are
     refusals of the gate by task key; `waiting` says which agents hold changes of a task; `proposed` is the plan under
-    decision; `committed` finds the newest plan on main that names a task; `obstacle` is reason and message of what
-    keeps every plan from main now."""
+    decision; `committed` finds the newest plan on main that names a task; `edited` says who changed a release by hand
+    that stays so, by path; `obstacle` is reason and message of what keeps every plan from main now."""
 
     outcomes: Mapping[str, Outcome] = field(default_factory=dict)
     offloaded: frozenset[str] = frozenset()
@@ -61,6 +63,7 @@ class Situation:
     applications: Mapping[str, ApplicationState] = field(default_factory=dict)
     proposed: PlanRecord | None = None
     committed: Callable[[str], PlanRecord | None] = lambda task: None
+    edited: Mapping[str, str] = field(default_factory=dict)
     obstacle: tuple[str, str] | None = None
 
 
@@ -207,7 +210,7 @@ def _committed(key: str, outcome: Met, situation: Situation) -> tuple[Condition,
     held = situation.held.get(key)
     if held is not None:
         return Condition("Committed", "False", PROPOSAL_REFUSED, _bounded(held.error or "")), held
-    return _waiting(key, situation)
+    return _waiting(key, outcome, situation)
 
 
 def _obstacle(situation: Situation) -> tuple[str, str] | None:
@@ -218,7 +221,7 @@ def _obstacle(situation: Situation) -> tuple[str, str] | None:
     return (proposed.waits[0], _bounded(proposed.waits[1])) if proposed is not None and proposed.waits else None
 
 
-def _waiting(key: str, situation: Situation) -> tuple[Condition, PlanRecord | None]:
+def _waiting(key: str, outcome: Met, situation: Situation) -> tuple[Condition, PlanRecord | None]:
     """What a task waits for whose plan is not on main: forge, gate, a person, or the plan before it."""
     proposed = situation.proposed
     own = proposed if proposed is not None and key in proposed.tasks else None
@@ -228,7 +231,20 @@ def _waiting(key: str, situation: Situation) -> tuple[Condition, PlanRecord | No
     if own is not None:
         number = f"pull request {own.pull_request}" if own.pull_request is not None else "its pull request"
         return Condition("Committed", "False", PROPOSED, f"{number} waits for the gate"), own
+    if edited := _edited(key, outcome, situation):
+        return Condition("Committed", "False", EDITED_BY_HAND, _bounded(edited)), None
     return Condition("Committed", "False", WAITING, "waits for the plan before it"), None
+
+
+def _edited(key: str, outcome: Met, situation: Situation) -> str:
+    """Which releases of the task people took away or from it, by which commits, and what to do; empty when none."""
+    words = []
+    for path in (f"{RELEASES}/{name}.yaml" for name in outcome.releases):
+        release, who = situation.present.get(path), situation.edited.get(path)
+        if who and (release is None or key not in {cause.task for cause in release.causes}):
+            words.append(f"{path} was {'removed' if release is None else 'changed'} by {who}")
+    advice = f"{EDITS} respects that: withdraw the task, bring the release back, or write `edits: revert` there"
+    return f"{'; '.join(words)}. {advice}" if words else ""
 
 
 def _verdicts(outcome: Met, situation: Situation) -> dict[str, Verdict]:

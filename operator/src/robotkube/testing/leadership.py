@@ -7,13 +7,18 @@ from dataclasses import dataclass
 
 @dataclass
 class MemoryLeadership:
-    """`number` is the term of this process; None while another one leads."""
+    """`number` is the term of this process; None while another one leads, at `other` (None: nobody does)."""
 
     number: int | None = 1
+    other: str | None = "another:8080"
 
     def term(self) -> int | None:
         """The term that the test gave it."""
         return self.number
+
+    def leader(self) -> str | None:
+        """The address that the test gave."""
+        return self.other if self.number is None else None
 
     def overtake(self, term: int) -> None:
         """Elected again, when it leads at all."""

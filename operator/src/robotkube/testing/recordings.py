@@ -270,11 +270,13 @@ class MemorySpool:
 
     volume: RecordingVolume
 
-    def put(self, writes: Sequence[Write]) -> None:
+    def put(self, writes: Sequence[Write]) -> str:
         """As the port says."""
         self.volume.require(_size(writes))
         self.volume.killer()
-        self.volume.batches[f"{self.volume.name()}.bson"] = (list(writes), False)
+        name = f"{self.volume.name()}.bson"
+        self.volume.batches[name] = (list(writes), False)
+        return name
 
     def batches(self) -> Sequence[Batch]:
         """As the port says."""

@@ -66,7 +66,7 @@ _SCHEMA = {
             "type": "object",
             "additionalProperties": False,
             "required": ["agent"],
-            "properties": {"agent": {"type": "string"}},
+            "properties": {"agent": {"type": "string"}, "node": {"type": "string"}, "movable": {"type": "boolean"}},
         },
         "global": {"type": "object", "additionalProperties": False, "properties": {"plan": {"type": "string"}}},
     },

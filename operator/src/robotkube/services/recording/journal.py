@@ -4,6 +4,9 @@ While the database is away they wait in memory; every SPOOL_SECONDS, or beyond a
 claim. When it is back the spool is brought in first, oldest file first. A full disk, a full spool or a volume that
 refuses costs the oldest messages, which an audit of the journal's own names; documents that carry no message (audits,
 ends) are never dropped.
+
+While it is not sure that the release is still its own, the database counts as away. When somebody else has taken it
+over, what was not written since then is discarded: the other one records, and tells.
 """
 
 from __future__ import annotations
@@ -47,6 +50,7 @@ class JournalCounts:
     spooled: int = 0
     dropped: int = 0
     repaired: int = 0
+    discarded: int = 0
 
 
 class Listener(Protocol):
@@ -86,6 +90,7 @@ class Journal:
         self._audits: dict[tuple[str, str], TopicAudit] = {}
         self._urgent: dict[tuple[str, str], TopicAudit] = {}
         self._told = 0
+        self._doubtful: dict[str, int] = {}  # what was spooled since the release was known to be our own, and its size
         self._listeners: dict[str, Listener] = {}
         self._newcomers: deque[Listener] = deque()
         self._thread = threading.Thread(target=self._run, name=f"journal-{name}", daemon=True)
@@ -103,7 +108,7 @@ class Journal:
     @property
     def complete(self) -> bool:
         """Whether the database has everything that was added."""
-        return not (self._waiting or self._spooled or self.failed)
+        return not (self._waiting or self._spooled or self.counts.discarded or self.failed)
 
     @property
     def _unwritten(self) -> bool:
@@ -177,14 +182,32 @@ class Journal:
     def finish(self, deadline: float) -> None:
         """Write what waits until `deadline`, and spool the rest."""
         self.turn()
-        while self._unwritten and self._place.monotonic() < deadline - 1.0:
+        while self._unwritten and not self._place.ownership.lost and self._place.monotonic() < deadline - 1.0:
             self._retry_at = float("-inf")
             self.turn()
             if self._unwritten:
                 self._wake.wait(RETRY_SECONDS_FIRST)
+        if self._place.ownership.lost:
+            self._discard()
         self._spool_waiting()
         if self._waiting:
             log.error("recording %s: %d writes are lost: neither database nor volume", self._name, len(self._waiting))
+
+    def _discard(self) -> None:
+        """Somebody else records meanwhile: what nobody was to be told since then is not told later either."""
+        with self._lock:
+            self.counts.discarded += len(self._waiting)
+            self._waiting.clear()
+            self._waiting_bytes = 0
+        self._urgent.clear()
+        try:
+            while self._doubtful and self._spool is not None:
+                batch, writes = self._doubtful.popitem()
+                self._spool.remove(batch)
+                self.counts.discarded += writes
+        except OSError as error:
+            self._problem(f"spool on {self._place.volume}: {error}")
+        log.warning("recording %s: taken over, %d writes are left out", self._name, self.counts.discarded)
 
     def turn(self) -> None:
         """Do what can be done now."""
@@ -206,11 +229,15 @@ class Journal:
         try:
             if self.store is None:
                 self._open_store()
+            if not self._place.ownership.sure:
+                self._away_since = min(self._away_since, self._place.monotonic())
+                return
+            self._doubtful.clear()
             if self.store is not None:
                 self._write_urgent(self.store)
                 self._bring_in(self.store)
                 self._introduce(self.store)
-                while self._waiting:
+                while self._waiting and self._place.ownership.sure:
                     self._write_part(self.store)
                 self._ready = self._repaired and not self._newcomers
         except UnavailableError as error:
@@ -218,6 +245,7 @@ class Journal:
             self._retry_at = self._place.monotonic() + self._retry_seconds
             self._retry_seconds = min(self._retry_seconds * 2, RETRY_SECONDS_MAX)
             self._away_since = min(self._away_since, self._place.monotonic())
+            self._place.ownership.doubt()
             self._problem(str(error))
         except OSError as error:
             self._problem(f"claim {self._place.volume}: {error}")
@@ -329,13 +357,14 @@ class Journal:
         if not writes or self._spool is None:
             return
         try:
-            while not self._put(self._spool, writes):
+            while not (batch := self._put(self._spool, writes)):
                 pass
         except OSError as error:
             self._problem(f"spool on {self._place.volume}: {error}")
             return
         self._spooled, self._keep, self._away_since = True, False, self._place.monotonic()
         self._urgent_told()
+        self._doubtful[batch] = len(writes)
         self.counts.spooled += len(writes)
         log.warning("recording %s: %d writes are in the spool", self._name, len(writes))
         with self._lock:
@@ -347,15 +376,14 @@ class Journal:
         except OSError as error:
             self._problem(f"spool on {self._place.volume}: {error}")
 
-    def _put(self, spool: Spool, writes: Sequence[Write]) -> bool:
-        """Whether the spool has them; False: room was made, to try again. OSError when there is none to make."""
+    def _put(self, spool: Spool, writes: Sequence[Write]) -> str:
+        """The batch that has them; empty: room was made, to try again. OSError when there is none to make."""
         try:
-            spool.put([*self._audit_writes(self._urgent, f"{self._told}"), *writes])
+            return spool.put([*self._audit_writes(self._urgent, f"{self._told}"), *writes])
         except OSError as error:
             if error.errno in NO_SPACE and self._drop_oldest(DISK_FULL):
-                return False
+                return ""
             raise
-        return True
 
     def _bound_spool(self, spool: Spool) -> None:
         size = sum(batch.size for batch in spool.batches())
@@ -384,6 +412,7 @@ class Journal:
         except OSError:
             self._audits, self.counts.dropped = before, dropped
             raise
+        self._doubtful.pop(name, None)
         log.error("recording %s: gave up the oldest of the spool, %s: %s", self._name, name, why)
         return True
 

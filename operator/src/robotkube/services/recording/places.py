@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
+
+from robotkube.services.ownership import Ownership
 
 if TYPE_CHECKING:
     from robotkube.ports.recordings import Claim, RecordingStore
@@ -18,13 +20,15 @@ SPOOL_BYTES_MAX = 1024 * 1024 * 1024
 @dataclass(frozen=True)
 class RecorderPlace:
     """Where a recorder stores. The openers are called on threads of the recording, so that importing and connecting do
-    not delay the subscriptions; `volume` is `<node>/<claim>`."""
+    not delay the subscriptions; `volume` is `<node>/<claim>`. While `ownership` is not sure, nothing is written to the
+    database."""
 
     volume: str
     open_store: Callable[[], RecordingStore]
     open_claim: Callable[[], Claim]
     clock_ns: Callable[[], int]
     monotonic: Callable[[], float]
+    ownership: Ownership = field(default_factory=Ownership)
 
 
 @dataclass(frozen=True)

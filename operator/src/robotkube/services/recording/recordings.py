@@ -90,7 +90,8 @@ class Recordings:
             _add(found, recorder)
         journal = self._journal.counts
         found["dropped"] = found.get("dropped", 0) + journal.dropped
-        return found | {"retries": journal.retries, "spooled": journal.spooled, "repaired": journal.repaired}
+        written = {name: getattr(journal, name) for name in ("retries", "spooled", "repaired", "discarded")}
+        return found | written
 
     def audits(self) -> dict[str, list[dict[str, Any]]]:
         """Recording -> audits of its topics so far, of those that are open or ending."""

@@ -7,8 +7,7 @@ from pathlib import Path
 import pygit2
 import pytest
 
-from robotkube.adapters.git_clones import GitClone
-from robotkube.adapters.git_deployment import ProposalWriter
+from robotkube.adapters.git import GitClone, ProposalWriter
 from robotkube.domain.errors import InputError, UnavailableError
 
 FILES = {"README.md": "r\n", "releases/a/x.yaml": "1\n", "releases/b/y.yaml": "2\n", "sources/a/s.yaml": "3\n"}

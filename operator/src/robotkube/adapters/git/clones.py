@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import pygit2
 from pygit2.enums import FileMode
 
+from robotkube.adapters.git.connections import Connection, look_up, open_clone
 from robotkube.domain.errors import DocumentError, InputError, UnavailableError
 from robotkube.ports.git import Commit
 from robotkube.ports.writing import writes
@@ -24,30 +24,7 @@ CHANGED_FILES_MAX = 1000
 CHANGED_CHARACTERS_MAX = 16 * 1024 * 1024  # of all texts that a commit brings
 CHANGED_ENTRIES_MAX = 20_000  # of the folders that are compared: a few objects can spell out billions of paths
 DEPTH_MAX = 16
-TIMEOUT_MILLISECONDS = 10_000
 HEADS = "refs/pull/{}/head"  # where the forge keeps the commit of a pull request; {} is its number
-
-pygit2.settings.server_connect_timeout = TIMEOUT_MILLISECONDS
-pygit2.settings.server_timeout = TIMEOUT_MILLISECONDS
-
-
-class _Callbacks(pygit2.RemoteCallbacks):
-    """Password once per connection (libgit2 would ask for ever); the server's word on a pushed reference."""
-
-    def __init__(self, username: str, password: str) -> None:
-        super().__init__()
-        self._username, self._password, self._asked = username, password, 0
-        self.refusal = ""
-
-    def credentials(self, url: str, username_from_url: str | None, allowed_types: Any) -> Any:
-        self._asked += 1
-        if self._asked > 2:
-            raise PermissionError(f"the forge refused the password of account {self._username}")
-        return pygit2.UserPass(self._username, self._password)
-
-    def push_update_reference(self, refname: str, message: str | None) -> None:
-        if message:
-            self.refusal = message
 
 
 class GitClone:
@@ -71,10 +48,7 @@ class GitClone:
         self._where = f"git {url}/{repository}"
         self._account = (username, password)
         self._branch = branch
-        self._repository = pygit2.init_repository(str(folder), bare=True)
-        if "origin" not in list(self._repository.remotes.names()):
-            self._repository.remotes.create("origin", f"{url}/{repository}.git")
-        self._repository.remotes.set_url("origin", f"{url}/{repository}.git")
+        self._repository = open_clone(folder, url, repository)
         self._text = lru_cache(TEXTS_KEPT_MAX)(self._read_text)
 
     @property
@@ -106,10 +80,10 @@ class GitClone:
         return tip == commit or (tip != "" and self._repository.descendant_of(tip, found.id))
 
     def _fetch(self, specifications: list[str]) -> None:
-        callbacks = _Callbacks(*self._account)
+        connection = Connection(self._account)
         main = f"+refs/heads/{self._branch}:refs/heads/{self._branch}"
         try:
-            self._repository.remotes["origin"].fetch([main, *specifications], callbacks=callbacks)
+            self._repository.remotes["origin"].fetch([main, *specifications], callbacks=connection)
         except (pygit2.GitError, PermissionError, OSError) as error:
             raise self._unavailable("fetch", error) from error
 
@@ -237,17 +211,17 @@ class GitClone:
         """Move the branch to exactly `commit`, never by force; False when it has moved meanwhile."""
         name = f"refs/pushes/{self._branch}"
         self._repository.references.create(name, commit, force=True)
-        callbacks = _Callbacks(*self._account)
+        connection = Connection(self._account)
         try:
-            self._repository.remotes["origin"].push([f"{name}:refs/heads/{self._branch}"], callbacks=callbacks)
+            self._repository.remotes["origin"].push([f"{name}:refs/heads/{self._branch}"], callbacks=connection)
         except pygit2.GitError as error:
             if "non-fastforward" in str(error) or "not present locally" in str(error):
                 return False
             raise self._unavailable("push", error) from error
         except (PermissionError, OSError) as error:
             raise self._unavailable("push", error) from error
-        if callbacks.refusal:
-            return self._refused(commit, callbacks.refusal)
+        if connection.refusal:
+            return self._refused(commit, connection.refusal)
         self.moved_to(commit)
         return True
 
@@ -285,13 +259,7 @@ class GitClone:
         return found[::-1]
 
     def _lookup(self, commit: str) -> pygit2.Commit:
-        try:
-            found = self._repository[commit]
-        except (KeyError, ValueError) as error:
-            raise InputError(f"{self._where}: commit {commit!r} is not here") from error
-        if not isinstance(found, pygit2.Commit):
-            raise InputError(f"{self._where}: {commit!r} is not a commit")
-        return found
+        return look_up(self._repository, commit, self._where)
 
 
 def _entry(commit: pygit2.Commit | None, path: str) -> str:

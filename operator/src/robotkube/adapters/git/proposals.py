@@ -1,7 +1,7 @@
 """The manager's own commits: made in memory on a fetched commit, proposed as pull requests by one AGit push.
 
 `git push origin <commit>:refs/for/main -o topic=... -o title=... -o description=...` opens the pull request;
-the account needs read access to the repository only. Works on the bare clone that another adapter keeps up to date.
+the account needs read access to the repository only. Works on the bare clone that a GitClone keeps up to date.
 """
 
 from __future__ import annotations
@@ -15,38 +15,15 @@ from typing import Any
 import pygit2
 from pygit2.enums import FileMode
 
-from robotkube.domain.errors import InputError, RefusalError, UnavailableError
+from robotkube.adapters.git.connections import EMAIL_DOMAIN, Connection, look_up
+from robotkube.domain.errors import RefusalError, UnavailableError
 from robotkube.ports.writing import writes
 
-EMAIL_DOMAIN = "robotkube.invalid"
 DESCRIPTION_BYTES_MAX = 48 * 1024  # the forge takes 64 KiB per push option; base64 makes a third more
 BRANCHES = "robotkube"
 PROPOSAL_REFERENCE = "refs/proposals-of-mine/current"
 
 _NUMBER = re.compile(r"/pulls/(\d+)\b")
-
-
-class _Callbacks(pygit2.RemoteCallbacks):
-    """Password once per connection; what the server says while it takes the push."""
-
-    def __init__(self, username: str, password: str) -> None:
-        super().__init__()
-        self._username, self._password, self._asked = username, password, 0
-        self.said = ""
-        self.refusal = ""
-
-    def credentials(self, url: str, username_from_url: str | None, allowed_types: Any) -> Any:
-        self._asked += 1
-        if self._asked > 2:
-            raise PermissionError(f"the forge refused the password of account {self._username}")
-        return pygit2.UserPass(self._username, self._password)
-
-    def sideband_progress(self, string: str) -> None:
-        self.said = (self.said + string)[-16_384:]
-
-    def push_update_reference(self, refname: str, message: str | None) -> None:
-        if message:
-            self.refusal = message
 
 
 class ProposalWriter:
@@ -121,24 +98,18 @@ class ProposalWriter:
 
     def _push(self, topic: str, target: str, options: list[str], force: bool = False) -> str:
         """What the forge said about the pushed commit; a branch of one's own may be pushed again, so with `force`."""
-        callbacks = _Callbacks(*self._account)
+        connection = Connection(self._account)
         specification = f"{'+' if force else ''}{PROPOSAL_REFERENCE}:{target}"
         try:
-            self._repository.remotes["origin"].push([specification], callbacks=callbacks, push_options=options or None)
+            self._repository.remotes["origin"].push([specification], callbacks=connection, push_options=options or None)
         except (pygit2.GitError, PermissionError, OSError) as error:
             raise UnavailableError(f"proposal {topic}: push: {error}") from error
-        if callbacks.refusal:
-            raise RefusalError("ProposalRefused", f"the forge refused proposal {topic}: {callbacks.refusal}")
-        return callbacks.said
+        if connection.refusal:
+            raise RefusalError("ProposalRefused", f"the forge refused proposal {topic}: {connection.refusal}")
+        return connection.said
 
     def _lookup(self, commit: str) -> pygit2.Commit:
-        try:
-            found = self._repository[commit]
-        except (KeyError, ValueError) as error:
-            raise InputError(f"commit {commit!r} is not in the clone; fetch first") from error
-        if not isinstance(found, pygit2.Commit):
-            raise InputError(f"{commit!r} is not a commit")
-        return found
+        return look_up(self._repository, commit, "proposals")
 
 
 def _nested(changes: Mapping[str, str | None]) -> dict[str, Any]:

@@ -1,0 +1,105 @@
+"""Whether a process may still act for its release: send, publish, write to the database.
+
+A node that was cut off keeps its pods running, and after a stated time somebody else may have taken a release over.
+When the node is back, the old process must do nothing that both would do before it has read its own settings anew. It
+is not sure of them
+
+- after a connection was lost and made again (`doubt`), unless they were read within FRESH_SECONDS before: nobody takes
+  a release over as fast as that;
+- while the API server has been out of reach for longer than GAP_SECONDS_MAX;
+- at its start, until they were read for the first time.
+
+A release that nobody can take over (its settings do not say `movable`) waits at most BOUND_SECONDS_MAX, and only after
+`doubt`: a vehicle may be without the API server for hours while it has the broker.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:  # the ports know every part's domain: 25 ms of a start
+    from robotkube.ports.robots import SettingsReading
+
+FRESH_SECONDS = 10.0
+GAP_SECONDS_MAX = 30.0
+BOUND_SECONDS_MAX = 5.0
+ASKED_SECONDS_MIN = 1.0
+NODE, MOVABLE = "node", "movable"
+
+
+def is_movable(settings: Mapping[str, str]) -> bool:
+    """Whether a release with this ConfigMap could be taken over: by another agent, or by another Node of its own."""
+    return settings.get(MOVABLE) == "true" or NODE in settings
+
+
+class Ownership:
+    """Of one process on `node`; without `movable` and `follow` there is nothing to be unsure of. All methods may be
+    called from any thread. `clock` counts seconds, also while the machine sleeps."""
+
+    def __init__(self, node: str = "", movable: bool = False, clock: Callable[[], float] = time.monotonic) -> None:
+        self._node, self._movable, self._clock = node, movable, clock
+        self._reading: SettingsReading | None = None
+        self._lock = threading.Lock()
+        self._needed: float | None = None
+        self._doubted_at = self._asked_at = float("-inf")
+        self._lost = False
+
+    def follow(self, reading: SettingsReading) -> None:
+        """From now on `reading` says when the settings were read."""
+        self._reading = reading
+
+    @property
+    def lost(self) -> bool:
+        """Whether the release was found gone, or on another node, after a time in which nobody could know."""
+        return self._lost
+
+    @property
+    def sure(self) -> bool:
+        """Whether the process may act."""
+        if self._lost:
+            return False
+        if self._reading is None:
+            return not self._movable
+        if not self._movable:
+            return self._was_read or self._clock() - self._doubted_at >= BOUND_SECONDS_MAX
+        since = self._reading.interrupted_at
+        reached = since is None or self._clock() - since <= GAP_SECONDS_MAX
+        return reached and self._reading.read_at is not None and self._was_read
+
+    @property
+    def _was_read(self) -> bool:
+        """Whether the settings were read as late as the last doubt needs it."""
+        needed = self._needed
+        read_at = self._reading.read_at if self._reading is not None else None
+        return needed is None or (read_at is not None and read_at >= needed)
+
+    def doubt(self) -> None:
+        """The world was out of reach for a moment; have the settings read anew, unless that has just been done."""
+        if self._reading is None:
+            return
+        with self._lock:
+            now = self._clock()
+            if self.sure:
+                self._doubted_at = now
+            self._needed = now - FRESH_SECONDS
+            ask = not self._was_read and now - self._asked_at >= ASKED_SECONDS_MIN
+            if ask:
+                self._asked_at = now
+        if ask:
+            self._reading.read_again()
+
+    def told(self, settings: Mapping[str, str] | None) -> bool:
+        """What the ConfigMap holds now, None when there is none; whether the release is still that of this process."""
+        own = settings is not None and self._node in ("", settings.get(NODE, self._node))
+        if not own and not self.sure:
+            self._lost = True
+        if settings is not None:
+            self._movable = is_movable(settings)
+        return own
+
+    def metrics(self) -> str:
+        """The state in Prometheus' text format."""
+        return f"robotkube_settings_unsure {int(not self.sure)}\n"
