@@ -101,6 +101,10 @@ class TopicAudit:
         """A message that was received came before the begin."""
         self.early += 1
 
+    def repeat(self) -> None:
+        """A message that was received is stored already."""
+        self.duplicates += 1
+
     def store(self, count: int) -> None:
         """So many were handed to the journal."""
         self.stored += count

@@ -16,25 +16,14 @@ import hashlib
 import logging
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from robotkube.domain.audits import (
-    KILLED,
-    QUEUE,
-    RECORDER,
-    VOLUME,
-    Gap,
-    Interruption,
-    Interval,
-    TopicAudit,
-    interruptions,
-)
+from robotkube.domain.audits import QUEUE, VOLUME, Gap, Interval
 from robotkube.domain.recording_plans import FOREVER
 from robotkube.domain.recordings import (
-    AUDITS,
     DOCUMENT_BYTES_MAX,
     INDEX,
     RECORDINGS,
@@ -48,7 +37,8 @@ from robotkube.domain.recordings import (
     bucket_documents,
     messages_of,
 )
-from robotkube.services.recording.journal import AUDIT_BYTES, NO_SPACE, Journal
+from robotkube.services.recording.bookkeeping import Bookkeeping
+from robotkube.services.recording.journal import NO_SPACE, Journal
 from robotkube.services.recording.places import BOUNDS, ROUND_SECONDS, RecorderPlace, RecordingBounds
 from robotkube.services.recording.repairing import index_write, segment_write
 
@@ -58,7 +48,6 @@ if TYPE_CHECKING:
 BATCH_BYTES = 4 * 1024 * 1024
 BATCH_BYTES_MAX = 128 * 1024 * 1024
 SETTLED_BYTES_PER_ROUND = 16 * 1024 * 1024
-AUDIT_SECONDS = 5.0
 BEGIN_SECONDS_MAX = 3.0
 KNOWN_SECONDS_MAX = 5.0
 
@@ -134,7 +123,7 @@ class Recorder:
     ) -> None:
         self.recording, self.counts = recording, RecorderCounts()
         self._document, self._journal, self._place, self._bounds = dict(document), journal, place, bounds
-        self._intervals, self.life = intervals, place.clock_ns()
+        self._books = Bookkeeping(recording, journal, place, intervals)
         self._silent, self._begin_stamp = set(streams), 0
         self._first_large_at: float | None = None
         self._queue: deque[_Offer] = deque()
@@ -144,12 +133,7 @@ class Recorder:
         self._segments: Segments | None = None
         self._duplicates = Duplicates()
         self._begun = self._known = False
-        self._audits: dict[str, TopicAudit] = {}
         self._lock = threading.Lock()
-        self._audited: set[str] = set()
-        self._audit_at = place.monotonic() + AUDIT_SECONDS
-        self._interrupted: dict[str, int] = {}
-        self._interrupted_audits: dict[str, list[str]] = {}
         self._prior: _Prior | None = None
         self._waits_until = place.monotonic() + KNOWN_SECONDS_MAX
         self._volume_problem = self.failed = ""
@@ -169,12 +153,12 @@ class Recorder:
             self._begin_stamp = max(self._begin_stamp, stamp)
         elif storage == SEGMENT and self._is_early(stamp):
             self.counts.early += 1
-            self._note(topic, stamp, lambda audit: audit.leave_out())
+            self._books.receive(topic, stamp, lambda audit: audit.leave_out())
             return
         if self._offered_bytes - self._settled_bytes > self._bounds.queue_bytes:
             self.counts.dropped += 1
             why = self._volume_problem or "storing is too slow"
-            self._note(topic, stamp, lambda audit: audit.drop(QUEUE, why, stamp))
+            self._books.receive(topic, stamp, lambda audit: audit.drop(QUEUE, why, stamp))
             return
         self._queue.append(_Offer(topic, type_name, storage, stamp, received, data))
         self._offered_bytes += len(data)
@@ -192,8 +176,7 @@ class Recorder:
 
     def lack(self, gap: Gap) -> None:
         """Messages are missing that nobody can offer any more."""
-        with self._lock:
-            self._audit_of(gap.topic).lack(gap)
+        self._books.note(gap.topic, lambda audit: audit.lack(gap))
 
     def stop(self, seconds: float) -> bool:
         """Store what was offered and end the recording, within `seconds`; True when the journal has everything."""
@@ -203,6 +186,11 @@ class Recorder:
         if self._thread.is_alive():
             log.error("recording %s: storing did not end within %.1f s", self.recording, seconds)
         return not (self._thread.is_alive() or self._queue or self._large or self.failed)
+
+    @property
+    def life(self) -> int:
+        """When this recorder began, ns; it tells its audits from those of earlier ones."""
+        return self._books.life
 
     @property
     def stopped(self) -> bool:
@@ -216,8 +204,7 @@ class Recorder:
 
     def audits(self) -> list[dict[str, Any]]:
         """The audit of every topic so far, without holes."""
-        with self._lock:
-            return [audit.document() for audit in self._audits.values()]
+        return self._books.documents()
 
     def _is_early(self, stamp: int) -> bool:
         if self._silent:
@@ -229,19 +216,6 @@ class Recorder:
             log.warning("recording %s: begins without %s", self.recording, ", ".join(sorted(self._silent)))
             self._silent.clear()
         return stamp < self._begin_stamp
-
-    def _note(self, topic: str, stamp: int, note: Callable[[TopicAudit], None]) -> None:
-        """A message that does not even come into the queue."""
-        with self._lock:
-            audit = self._audit_of(topic)
-            audit.receive(stamp)
-            note(audit)
-
-    def _audit_of(self, topic: str) -> TopicAudit:
-        audit = self._audits.get(topic)
-        if audit is None:
-            audit = self._audits[topic] = TopicAudit(topic)
-        return audit
 
     # called by the journal's thread ----------------------------------------------------------------------------------
 
@@ -280,21 +254,22 @@ class Recorder:
         self._store_large()
         self._give_up()
         self._close_segment()
-        if not self._begun and not self._audits:
+        if not self._begun and not self._books:
             return
         self._begin()
-        self._end_interruptions()
-        self._write_audits(self._audits, closed=True)
+        self._books.close()
         fields = {"ended": self._place.clock_ns(), "counts": self._numbers()}
         self._journal.add([Write(RECORDINGS, self.recording, fields, update=True, size=200)])
         log.info("recording %s: ended %s", self.recording, self._summary())
 
     def _give_up(self) -> None:
-        with self._lock:
-            for large in self._large:
-                self._audit_of(large.offer.topic).drop(VOLUME, self._volume_problem, large.offer.stamp)
-        self.counts.dropped += len(self._large)
+        for large in self._large:
+            self._drop(large.offer, self._volume_problem)
         self._large = []
+
+    def _drop(self, offer: _Offer, why: str) -> None:
+        self.counts.dropped += 1
+        self._books.note(offer.topic, lambda audit: audit.drop(VOLUME, why, offer.stamp))
 
     def _close_segment(self) -> None:
         if self._segments is None:
@@ -317,7 +292,9 @@ class Recorder:
         if not self._may_take():
             return
         small = self._take()
-        self._write_changed_audits()  # that there is a topic, and what was dropped, is told before messages are stored
+        if self._books:
+            self._begin()
+        self._books.tell_changes()  # that there is a topic, and what was dropped, is told before messages are stored
         self._store_small(small)
         self._store_large()
 
@@ -337,55 +314,22 @@ class Recorder:
         self._duplicates.dropped, self._known = 0, True
         if not prior.audits and not stamps:
             return
-        with self._lock:
-            for audit_document in prior.audits:
-                if not audit_document["closed"]:
-                    names = self._interrupted_audits.setdefault(audit_document["topic"], [])
-                    names.append(audit_document["_id"])
-            for interruption in interruptions(prior.audits, stamps):
-                self._interrupt(interruption)
+        self._books.take_up(prior.audits, stamps)
         self._begin()
-
-    def _interrupt(self, found: Interruption) -> None:
-        audit = self._audits.get(found.topic)
-        until = found.until if found.until is not None else audit.first if audit is not None else None
-        if until is None:
-            self._interrupted[found.topic] = found.since
-        elif until > found.since:
-            self._audit_of(found.topic).lack(Gap(found.topic, RECORDER, KILLED, None, found.since, until - 1))
 
     def _take(self) -> list[_Offer]:
         """Empty the queue: large messages join those that the volume has not taken yet, small ones are returned."""
         small = []
         taken = 0
-        with self._lock:
-            while self._queue and taken < BATCH_BYTES_MAX:
-                offer = self._queue.popleft()
-                taken += len(offer.data)
-                self._receive(offer)
-                if offer.large:
-                    self._large.append(_Large(offer, self._hashing.submit(_digest, offer.data)))
-                else:
-                    small.append(offer)
+        while self._queue and taken < BATCH_BYTES_MAX:
+            offer = self._queue.popleft()
+            taken += len(offer.data)
+            self._books.receive(offer.topic, offer.stamp)
+            if offer.large:
+                self._large.append(_Large(offer, self._hashing.submit(_digest, offer.data)))
+            else:
+                small.append(offer)
         return small
-
-    def _receive(self, offer: _Offer) -> None:
-        audit = self._audit_of(offer.topic)
-        audit.receive(offer.stamp)
-        since = self._interrupted.get(offer.topic)
-        if since is not None and offer.stamp >= since:
-            del self._interrupted[offer.topic]
-            if offer.stamp > since:
-                audit.lack(Gap(offer.topic, RECORDER, KILLED, None, since, offer.stamp - 1))
-
-    def _end_interruptions(self) -> None:
-        now = self._place.clock_ns()
-        with self._lock:
-            for topic, since in self._interrupted.items():
-                self._audit_of(topic).lack(Gap(topic, RECORDER, KILLED, None, since, max(now, since)))
-            for topic in self._interrupted_audits:
-                self._audit_of(topic)
-            self._interrupted.clear()
 
     def _store_small(self, offers: Sequence[_Offer]) -> None:
         messages = []
@@ -407,15 +351,12 @@ class Recorder:
 
     def _doubled(self, topic: str) -> None:
         self.counts.duplicates += 1
-        with self._lock:
-            self._audit_of(topic).duplicates += 1
+        self._books.note(topic, lambda audit: audit.repeat())
 
     def _hand_over(self, writes: Sequence[Write], topics: Sequence[str]) -> None:
         """Writes that carry one message of each of `topics`."""
         self._journal.add(writes)
-        with self._lock:
-            for topic in topics:
-                self._audit_of(topic).store(1)
+        self._books.store(topics)
 
     def _store_large(self) -> None:
         if not self._large:
@@ -474,17 +415,21 @@ class Recorder:
         try:
             return segments.append([large.message() for large in chosen])
         except ValueError:
-            return [self._append_one(segments, large) for large in chosen]
+            return self._append_singly(segments, chosen)
 
-    def _append_one(self, segments: Segments, large: _Large) -> SegmentPlace | None:
-        try:
-            return segments.append([large.message()])[0]
-        except ValueError as error:
-            log.error("recording %s: %s", self.recording, error)
-            with self._lock:
-                self._audit_of(large.offer.topic).drop(VOLUME, str(error), large.offer.stamp)
-            self.counts.dropped += 1
-            return None
+    def _append_singly(self, segments: Segments, chosen: Sequence[_Large]) -> list[SegmentPlace | None]:
+        places: list[SegmentPlace | None] = []
+        for large in chosen:
+            try:
+                places += segments.append([large.message()])
+            except ValueError as error:
+                log.error("recording %s: %s", self.recording, error)
+                self._drop(large.offer, str(error))
+                places.append(None)
+            except OSError as error:
+                self._refused(error)
+                break
+        return places
 
     def _add_index(self, chosen: Sequence[_Large], places: Sequence[SegmentPlace | None]) -> None:
         writes, topics = [], []
@@ -525,42 +470,6 @@ class Recorder:
             Write(RECORDINGS, self.recording, begun, size=1000),
             Write(RECORDINGS, self.recording, again, update=True, size=200, add=volumes),
         ])  # fmt: skip
-
-    def _write_changed_audits(self) -> None:
-        """Audits with new gaps at once, all of them now and then."""
-        due = self._place.monotonic() >= self._audit_at
-        if due:
-            self._audit_at = self._place.monotonic() + AUDIT_SECONDS
-        with self._lock:
-            new = self._audits.keys() - self._audited
-            changed = {name for name, audit in self._audits.items() if due or audit.changed}
-        if new | changed:
-            self._begin()
-            self._write_audits(new | changed)
-        if new:
-            self._journal.keep()
-
-    def _write_audits(self, topics: Iterable[str], closed: bool = False) -> None:
-        now, writes = self._place.clock_ns(), []
-        with self._lock:
-            for topic in sorted(topics):
-                audit = self._audits[topic]
-                spans = self._intervals(topic) if closed else None
-                document = {**audit.document(spans), "closed": closed, "written": now}
-                audit.changed = False
-                writes.append(self._audit_write(topic, document))
-                if topic not in self._interrupted:
-                    told = self._interrupted_audits.pop(topic, ())
-                    writes += [Write(AUDITS, name, {"closed": True}, update=True, size=100) for name in told]
-        self._journal.add(writes)
-
-    def _audit_write(self, topic: str, document: dict[str, Any]) -> Write:
-        name = f"{self.recording}{topic}/{self.life}"
-        if topic in self._audited:
-            return Write(AUDITS, name, document, update=True, size=AUDIT_BYTES)
-        self._audited.add(topic)
-        whole = {"recording": self.recording, "volume": self._place.volume, "life": self.life, **document}
-        return Write(AUDITS, name, whole, size=AUDIT_BYTES)
 
     def _numbers(self) -> dict[str, int]:
         numbers = {name: value for name, value in vars(self.counts).items() if isinstance(value, int)}
