@@ -20,8 +20,6 @@ KEPT, LATE, DUPLICATE, JUMPED = "kept", "late", "duplicate", "jumped"
 
 DUPLICATES_DROP, DUPLICATES_KEEP = "drop", "keep"
 JUMP_RESTART, JUMP_KEEP = "restart", "keep"
-DROP_OLDEST = "oldest"
-"""What leaves when a bound is reached; there is no other way."""
 
 COUNT_DEFAULT = 100_000
 DUPLICATES_COMPARED_MAX = 100
