@@ -100,17 +100,17 @@ def test_a_recording_has_what_came_before_and_after_its_event(bench: Bench) -> N
     bench.recordings.trigger(Event("0123456789ab", BEGIN + 40 * 100 * MS), bench.now)
     bench.recordings.trigger(Event("0123456789ab", BEGIN + 40 * 100 * MS), bench.now)
     bench.play(20)
-    bench.recordings.end(Event("0123456789ab", BEGIN + 60 * 100 * MS), bench.now)
+    bench.recordings.end(Event("0123456789ab", bench.now), bench.now)
     bench.play(int((LINGER_SECONDS + 2) * 10))
     until(lambda: bench.ended("encounter-01234567"))
-    assert bench.kept("encounter-01234567") == {A: list(range(20, 71)), B: list(range(35, 66)), C: [0]}
+    assert bench.kept("encounter-01234567") == {A: list(range(20, 81)), B: list(range(35, 76)), C: [0]}
     document = bench.document("encounter-01234567")
     assert document["provenance"] == {
         "rule": "near", "event": "0123456789ab", "trace": "trace", "chart": "detector@sha256:1",
     }  # fmt: skip
     audits = add_up(bench.database.audits("encounter-01234567"))
     assert {topic: (audit.received, audit.stored, audit.gaps) for topic, audit in audits.items()} == {
-        A: (51, 51, ()), B: (31, 31, ()), C: (1, 1, ()),
+        A: (61, 61, ()), B: (41, 41, ()), C: (1, 1, ()),
     }  # fmt: skip
 
 
