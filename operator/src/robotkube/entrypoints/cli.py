@@ -75,7 +75,7 @@ def commands() -> Sequence[Command]:
         Command(
             "recording",
             "verify",
-            "compare a recording with the ledgers of its sources",
+            "prove checksums and gaps of a recording, and compare it with ledgers",
             cli_recordings.verify_one,
             cli_recordings.verifying,
         ),
