@@ -17,5 +17,6 @@ from robotkube.domain.rules.wording import reason
 
 __all__ = [
     "FALL", "KEEP", "RISE", "RULES_MAX", "START", "STOP", "Always", "Answer", "Cause", "Cel", "Edge", "Message",
-    "Proximity", "Python", "Question", "Rule", "RuleEngine", "Verdict", "event_identity", "read_rules", "reason", "task_name",
+    "Proximity", "Python", "Question", "Rule", "RuleEngine", "Verdict", "event_identity", "read_rules", "reason",
+    "task_name",
 ]  # fmt: skip
