@@ -4,43 +4,28 @@ from __future__ import annotations
 
 import threading
 import time
-from types import SimpleNamespace
-from typing import Any, cast
 
 import pytest
 
-from robotkube.entrypoints.detector import _end
-from robotkube.entrypoints.processes import Process
-from robotkube.services.event_detector import EventDetector
-
-
-class Detector:
-    """Takes messages until it is stopped; each turn takes what has been published."""
-
-    def __init__(self, after_seconds: float) -> None:
-        self.after_seconds, self.waiting, self.taken, self.stopped_at = after_seconds, 0, 0, 0.0
-        self.recordings = (SimpleNamespace(stop=self.stop),)
-
-    def turn(self) -> int:
-        found, self.waiting = self.waiting, 0
-        self.taken += found
-        return found
-
-    def stop(self, seconds_max: float) -> bool:
-        self.stopped_at = time.monotonic()
-        return seconds_max > 0
+from robotkube.entrypoints.detector import finish
 
 
 @pytest.mark.parametrize(("after_seconds", "taken"), [(0.6, 1), (0.0, 0)])
-def test_what_comes_after_the_end_was_asked_for_is_recorded(after_seconds: float, taken: int) -> None:
-    detector = Detector(after_seconds)
-    publisher = threading.Timer(0.2, lambda: setattr(detector, "waiting", 1))
+def test_what_comes_after_the_end_was_asked_for_is_received(after_seconds: float, taken: int) -> None:
+    arrived: list[int] = []
+    received = 0
+
+    def turn() -> int:
+        nonlocal received
+        found = len(arrived)
+        arrived.clear()
+        received += found
+        return found
+
+    publisher = threading.Timer(0.2, lambda: arrived.append(1))
     publisher.start()
-    lines: list[dict[str, Any]] = []
-    process = SimpleNamespace(log=lambda _, **values: lines.append(values))
     asked = time.monotonic()
-    _end(cast(Process, process), cast(EventDetector, detector))
+    finish(turn, after_seconds)
+    assert time.monotonic() - asked >= after_seconds
     publisher.join()
-    assert detector.taken == taken
-    assert detector.stopped_at - asked >= after_seconds
-    assert lines == [{"recordings": 1, "complete": True}]
+    assert received == taken

@@ -305,6 +305,12 @@ class BufferPool:
         """What all buffers but the latched ones hold."""
         return self._budget.bytes
 
+    def limit(self, bytes_max: int) -> None:
+        """Another bound from now on."""
+        self._budget.bytes_max = bytes_max
+        if self._budget.bytes > bytes_max:
+            self._budget.relieve()
+
     def make(
         self,
         name: str,
