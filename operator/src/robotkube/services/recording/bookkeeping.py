@@ -32,6 +32,8 @@ class Bookkeeping:
         self._due_at = place.monotonic() + AUDIT_SECONDS
         self._interrupted: dict[str, int] = {}
         self._open_before: dict[str, list[str]] = {}
+        self._since: int | None = None
+        self._known_before: set[str] = set()
 
     def __bool__(self) -> bool:
         """Whether there is anything to tell."""
@@ -45,6 +47,9 @@ class Bookkeeping:
     def receive(self, topic: str, stamp: int, note: Callable[[TopicAudit], None] | None = None) -> None:
         """A message was taken in, and this came of it at once."""
         with self._lock:
+            if self._since is not None and topic not in self._known_before:
+                self._known_before.add(topic)  # of which a killed writer left nothing at all
+                self._lack(topic, self._since, stamp)
             audit = self._of(topic)
             audit.receive(stamp)
             since = self._interrupted.get(topic)
@@ -71,8 +76,13 @@ class Bookkeeping:
             for audit in audits:
                 if not audit["closed"]:
                     self._open_before.setdefault(audit["topic"], []).append(audit["_id"])
-            for found in interruptions(audits, stamps):
+            killed = interruptions(audits, stamps)
+            for found in killed:
                 self._interrupt(found)
+            if killed:
+                windows = [audit["window"][0] for audit in audits if audit["window"]]
+                self._since = min([*windows, *(min(known) for known in stamps.values())])
+                self._known_before = {audit["topic"] for audit in audits} | stamps.keys()
 
     def tell_changes(self) -> bool:
         """Write audits with new gaps at once, all of them now and then; whether there were any.

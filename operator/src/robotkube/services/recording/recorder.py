@@ -18,7 +18,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from robotkube.domain.audits import QUEUE, VOLUME, Gap, Interval
@@ -38,9 +38,10 @@ from robotkube.domain.recordings import (
     messages_of,
 )
 from robotkube.services.recording.bookkeeping import Bookkeeping
+from robotkube.services.recording.counts import RecorderCounts
 from robotkube.services.recording.journal import NO_SPACE, Journal
 from robotkube.services.recording.places import BOUNDS, ROUND_SECONDS, RecorderPlace, RecordingBounds
-from robotkube.services.recording.repairing import index_write, segment_write
+from robotkube.services.recording.repairing import index_write, segment_begun, segment_ended
 
 if TYPE_CHECKING:
     from robotkube.ports.recordings import RecordingStore, Segments
@@ -52,21 +53,6 @@ BEGIN_SECONDS_MAX = 3.0
 KNOWN_SECONDS_MAX = 5.0
 
 log = logging.getLogger(__name__)
-
-
-@dataclass
-class RecorderCounts:
-    """What happened to the offered messages; numbers only grow. `first_stored`: topic -> time of its first index
-    acknowledgement, ns."""
-
-    offered: int = 0
-    early: int = 0
-    dropped: int = 0
-    duplicates: int = 0
-    documents: int = 0
-    segments: int = 0
-    acknowledged: int = 0
-    first_stored: dict[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +80,15 @@ class _Large:
     def message(self) -> tuple[Received, str]:
         """For the segment, which needs no digest."""
         return Received(self.offer.topic, self.offer.stamp, self.offer.received, "", self.offer.data), self.offer.type
+
+
+@dataclass(frozen=True, slots=True)
+class _Append:
+    """Messages on their way to a segment."""
+
+    segments: Segments
+    chosen: Sequence[_Large]
+    places: Future[Sequence[SegmentPlace | None]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,13 +126,14 @@ class Recorder:
         self._offered_bytes = self._settled_bytes = self._woken_at_bytes = 0
         self._wake, self._ending = threading.Event(), threading.Event()
         self._segments: Segments | None = None
-        self._duplicates = Duplicates()
+        self._duplicates, self._files = Duplicates(), set[str]()
         self._begun = self._known = False
         self._lock = threading.Lock()
         self._prior: _Prior | None = None
         self._waits_until = place.monotonic() + KNOWN_SECONDS_MAX
         self._volume_problem = self.failed = ""
         self._hashing = ThreadPoolExecutor(1, thread_name_prefix=f"hash-{recording}")
+        self._writing = ThreadPoolExecutor(1, thread_name_prefix=f"write-{recording}")
         self._thread = threading.Thread(target=self._run, name=f"recorder-{recording}", daemon=True)
         journal.listen(self)
 
@@ -246,12 +242,13 @@ class Recorder:
             log.exception("%s", self.failed)
         finally:
             self._hashing.shutdown(wait=False)
+            self._writing.shutdown(wait=False)
 
     def finish(self) -> None:
         """What is offered is stored, and the recording ends; a volume that refuses now has refused for good."""
         while self._queue:
             self.turn()
-        self._store_large()
+        self._end_large(self._begin_large())
         self._give_up()
         self._close_segment()
         if not self._begun and not self._books:
@@ -281,8 +278,8 @@ class Recorder:
         self._tell_closed(self._segments)
 
     def _tell_closed(self, segments: Segments) -> None:
-        closed = segments.closed()
-        self._journal.add([segment_write(self.recording, one, self._place.volume) for one in closed])
+        for closed in segments.closed():
+            self._journal.add(segment_ended(self.recording, closed, self._place.volume))
 
     def turn(self) -> None:
         """One batch. A volume that refuses holds up what it is for, and nothing else."""
@@ -295,8 +292,9 @@ class Recorder:
         if self._books:
             self._begin()
         self._books.tell_changes()  # that there is a topic, and what was dropped, is told before messages are stored
-        self._store_small(small)
-        self._store_large()
+        large = self._begin_large()
+        self._store_small(small)  # beside the writing of the large ones
+        self._end_large(large)
 
     def _may_take(self) -> bool:
         # what an earlier recorder of this recording stored must be known before anything is stored again;
@@ -358,21 +356,31 @@ class Recorder:
         self._journal.add(writes)
         self._books.store(topics)
 
-    def _store_large(self) -> None:
+    def _begin_large(self) -> _Append | None:
+        """Begin to write what the volume has not taken yet."""
         if not self._large:
-            return
+            return None
         try:
             if self._segments is None:
                 self._segments = self._open_segments()
-            chosen = self._without_duplicates()
-            places = self._append(self._segments, chosen)
+        except OSError as error:
+            self._refused(error)
+            return None
+        chosen = self._without_duplicates()
+        return _Append(self._segments, chosen, self._writing.submit(self._append, self._segments, chosen))
+
+    def _end_large(self, begun: _Append | None) -> None:
+        if begun is None:
+            return
+        try:
+            places = begun.places.result()
         except OSError as error:
             self._refused(error)
             return
         self._volume_problem = ""
-        self._add_index(chosen, places)
-        self._tell_closed(self._segments)
-        self._settle(self._segments)
+        self._add_index(begun.chosen, places)
+        self._tell_closed(begun.segments)
+        self._settle(begun.segments)
 
     def _open_segments(self) -> Segments:
         if self._journal.claim is None:
@@ -448,6 +456,9 @@ class Recorder:
         self.counts.segments += len(writes)
         if writes:
             self._begin()
+            names = {place.segment for place in places if place is not None} - self._files
+            self._files |= names
+            self._journal.add([segment_begun(self.recording, name, self._place.volume) for name in sorted(names)])
             self._hand_over(writes, topics)
 
     def _settle(self, segments: Segments) -> None:
