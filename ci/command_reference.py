@@ -56,7 +56,7 @@ def common() -> list[argparse.Action]:
     """What every command takes."""
     parser = argparse.ArgumentParser(add_help=False)
     Platform.add_arguments(parser)
-    parser.add_argument("--output", choices=FORMATS, default="table", help="form of the data on stdout")
+    parser.add_argument("-o", "--output", choices=FORMATS, default="table", help="form of the data on stdout")
     return parser._actions
 
 

@@ -6,8 +6,8 @@ publisher does: by a submission that the gate verifies.
     ... --chart object-detection --chart object-tracking@0.1.0 these charts, too
 
 Every chart costs the time of its suites, so only those that the platform needs are published (BASE) and those that
-are asked for, with the versions that they replace. Older versions are in charts/earlier. Applications are published
-when all charts that they run are.
+are asked for, the latter with the versions that they replace. Older versions are in charts/earlier. Applications are
+published when all charts that they run are.
 
 Everything is content-addressed: publishing twice changes nothing. A local build never replaces a version in the
 registry: its tag is `<version>_<first 12 digits of the manifest digest>` (docs/decisions/0002). Evidence is kept, by
@@ -120,8 +120,8 @@ def publish_to(
 
 
 def read_all(references: Mapping[str, str], kept: Path, extra: Sequence[str] = ()) -> Sources:
-    """The charts of BASE and `extra` with the versions they replace, the applications that these can run, and the
-    evidence that is kept; InputError names every mistake."""
+    """The charts of BASE, those of `extra` with the versions they replace, the applications that all these can run, and
+    the evidence that is kept; InputError names every mistake."""
     newest = dict.fromkeys(sources.all_charts(CHARTS), CHARTS)
     earlier = {f"{name}@{_version(EARLIER, name)}": EARLIER for name in sources.all_charts(EARLIER)}
     places = newest | {f"{name}@{_version(CHARTS, name)}": CHARTS for name in newest} | earlier
@@ -136,7 +136,7 @@ def read_all(references: Mapping[str, str], kept: Path, extra: Sequence[str] = (
         if (chart.packed.name, chart.packed.version) not in charts:
             charts[chart.packed.name, chart.packed.version] = chart
             replaced = f"{chart.packed.name}@{chart.document['spec'].get('replaces')}"
-            waiting += [replaced] if replaced in places else []
+            waiting += [replaced] if replaced in places and name not in BASE else []
     return _checked([charts[key] for key in sorted(charts)], kept)
 
 

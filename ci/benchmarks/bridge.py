@@ -1,6 +1,6 @@
 """How much one bridge carries: PoseStamped with QoS 1, one direction at a time, from ROS to the broker and back.
 
-    python3 -m ci.benchmarks.bridge [--rate 12000] [--seconds 8] [--perf FILE]
+    python3 -m ci.benchmarks.bridge [--rate 12000] [--seconds 8] [--perf FILE] [--way]
 
 Every process is one of a pod, in network namespaces of two nodes; the load comes at a fixed rate, and every message is
 counted at the other end. Needs root, ip, nsenter and mosquitto.
@@ -19,8 +19,10 @@ from pathlib import Path
 from typing import Any
 
 from ci import preparing
-from ci.benchmarks import pods
+from ci.benchmarks import bridging, pods
 from ci.benchmarks.bags import POSE_TYPE
+from ci.benchmarks.bridging import NaiveSetting
+from ci.benchmarks.data_path import Setting
 from ci.errors import SetUpError
 
 OUT, IN = "out", "in"
@@ -28,6 +30,8 @@ AGENT, TOPIC = "vehicle-00", "/vehicles/vehicle_00/pose"
 RULES = {"vehicle-00": ["topic readwrite #"]}
 RATE, SECONDS = 12_000.0, 8.0
 DEPTH = 20_000
+POSE_HERTZ = 100
+PATH = ("vehicle bridges", "cloud bridge", "broker", "detector input")
 START_SECONDS_MAX, DRAIN_SECONDS_MAX = 30.0, 20.0
 
 
@@ -131,6 +135,27 @@ def carry(direction: str, rate: float = RATE, seconds: float = SECONDS, perf: Pa
         return _carried(direction, sent, received, spent, memory)
 
 
+@dataclass(frozen=True)
+class Way:
+    """CPU per pose in us: bridges of vehicles and cloud, broker and the detector's input; players excluded."""
+
+    ours: float
+    naive: float
+
+    @property
+    def ratio(self) -> float:
+        """What is judged: ours / naive."""
+        return self.ours / self.naive
+
+
+def way() -> Way:
+    """The way of a pose from a vehicle's ROS to the detector, ours and as one would write it first, in the same run."""
+    poses_per_second = bridging.VEHICLES * POSE_HERTZ
+    costs = [bridging.cpu_percent(kind) for kind in (NaiveSetting, Setting)]
+    naive, ours = (sum(cost[part] for part in PATH) * 10_000 / poses_per_second for cost in costs)
+    return Way(ours, naive)
+
+
 def _carried(direction: str, sent: dict[str, int], received: dict[str, int], spent: float, memory: int) -> Carried:
     took = (received["last"] - sent["first"]) / 1e9
     return Carried(
@@ -156,9 +181,16 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=RATE)
     parser.add_argument("--seconds", type=float, default=SECONDS)
     parser.add_argument("--direction", choices=(OUT, IN), action="append")
+    parser.add_argument(
+        "--way", action="store_true", help="measure the whole way of a pose instead, beside the naive one"
+    )
     parser.add_argument("--perf", type=Path, help="record where the bridge's time goes")
     options = parser.parse_args()
     preparing.for_tests()
+    if options.way:
+        measured = way()
+        print(json.dumps(asdict(measured) | {"ratio": round(measured.ratio, 3)}, indent=1))
+        return
     found: list[Any] = [
         asdict(carry(one, options.rate, options.seconds, options.perf)) for one in options.direction or (OUT, IN)
     ]

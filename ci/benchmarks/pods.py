@@ -242,7 +242,9 @@ def password(account: str) -> str:
 
 def vehicle_rules(agent: str) -> list[str]:
     """ACL of a vehicle."""
-    return [f"topic readwrite mqtt/vehicles/{agent.replace('-', '_')}/#"]
+    own = f"mqtt/vehicles/{agent.replace('-', '_')}/#"
+    return [f"topic readwrite {prefix}{own}" for prefix in PREFIXES]
 
 
-CLOUD_RULES = ["topic read mqtt/#"]
+PREFIXES = ("", "robotkube/types/", "mqtt_client/ros_msg_type/")
+CLOUD_RULES = [f"topic read {prefix}mqtt/#" for prefix in PREFIXES]

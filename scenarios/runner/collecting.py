@@ -7,8 +7,9 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from robotkube.adapters.mongodb_pymongo import INDEX, RECORDINGS, SAMPLES, Account, connect
+from robotkube.adapters.mongodb_pymongo import Account, connect
 from robotkube.domain.errors import RobotKubeError
+from robotkube.domain.recordings import INDEX, RECORDINGS, SAMPLES
 from scenarios.definition import Scenario, cloud_topic, pose_topic, transform_topic
 from scenarios.runner import storage
 from scenarios.runner.access import Access

@@ -111,6 +111,23 @@ def test_helm_renders_a_packed_chart_as_the_folder(
     assert helm.template(archive, helm.values(profile), release=chart).objects == apps[chart].objects
 
 
+@pytest.mark.parametrize("chart", ["event-detector", "mqtt-bridge"])
+def test_values_and_settings_of_the_earlier_version_are_still_read(
+    helm: Any, apps: Mapping[str, Any], chart: str, tmp_path: Path
+) -> None:
+    """Both versions run in one image, and values stay when a release is updated."""
+    profile = PROFILES / "earlier" / f"{chart}.yaml"
+    earlier = helm.template(CHARTS / "earlier" / chart, profile, release=chart)
+    later = helm.template(CHARTS / "apps" / chart, profile, release=chart)
+    older, newer = (
+        APPS[chart](yaml.safe_load(found.one("ConfigMap", chart)["data"]["config.yaml"]), chart)
+        for found in (earlier, later)
+    )
+    assert older == newer
+    packed = [pack(CHARTS / folder / chart, {"ros": "x@sha256:" + "5" * 64}) for folder in ("apps", "earlier")]
+    assert [one.version for one in packed] == ["0.2.0", "0.1.0"]
+
+
 @pytest.mark.parametrize("chart", ["object-detection", "object-tracking"])
 def test_two_versions_of_a_chart_differ_in_what_they_run(helm: Any, apps: Mapping[str, Any], chart: str) -> None:
     earlier = helm.template(CHARTS / "earlier" / chart, PROFILES / f"{chart}.yaml", release=chart)

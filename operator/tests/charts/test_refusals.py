@@ -13,7 +13,7 @@ CHARTS = Path(__file__).resolve().parents[3] / "charts"
 PROFILES = Path(__file__).parent / "profiles"
 PLATFORM = CHARTS / "robotkube"
 APP_CHARTS = ("mqtt-bridge", "event-detector", "bag-player", "object-detection", "object-tracking")
-EARLIER_CHARTS = ("object-detection", "object-tracking")  # versions 0.1.0
+EARLIER_CHARTS = ("mqtt-bridge", "event-detector", "object-detection", "object-tracking")  # versions 0.1.0
 VEHICLE = {"name": "vehicle-00", "role": "vehicle"}
 CLOUD = {"name": "cloud-0", "role": "cloud"}
 PUBLIC_KEY = "-----BEGIN PUBLIC KEY-----\nMCowBQYDK2VwAyEA\n-----END PUBLIC KEY-----\n"
@@ -174,6 +174,89 @@ def test_platform_schema_refuses(helm: Any, values: dict[str, Any], at: str) -> 
 TOPIC = {"name": "/a", "type": "std_msgs/msg/String"}
 
 
+BRIDGE_REFUSALS: list[tuple[dict[str, Any], str]] = [
+    ({"out": [{**TOPIC, "name": "pose"}]}, "at '/bridge/out/0/name': 'pose' does not match"),
+    ({"out": [{**TOPIC, "format": "json"}]}, "value must be one of 'frames', 'mqtt_client'"),
+    (
+        {"out": [{**TOPIC, "mqtt_topic": "a/#", "format": "mqtt_client"}]},
+        "at '/bridge/out/0/mqtt_topic': 'a/#' does not",
+    ),
+    ({"out": [{**TOPIC, "mqtt_topic": "a"}]}, "at '/bridge/out/0': missing property 'format'"),
+    (
+        {"out": [{**TOPIC, "mqtt_topic": "a", "format": "frames"}]},
+        "at '/bridge/out/0/format': value must be 'mqtt_client'",
+    ),
+    ({"in": [{**TOPIC, "inject_timestamp": True}]}, "at '/bridge/in/0': missing property 'format'"),
+    ({"trace": "abc"}, "at '/bridge/trace': 'abc' does not match"),
+    ({"publish_types": "yes"}, "at '/bridge/publish_types': got string, want boolean"),
+    ({"publish_gaps": 1}, "at '/bridge/publish_gaps': got number, want boolean"),
+    ({"both": []}, "at '/bridge': additional properties 'both' not allowed"),
+]
+
+
+def rule(kind: str, **keys: Any) -> dict[str, Any]:
+    return {"rules": [{"name": "a", "kind": kind, **keys}]}
+
+
+def reaction(kind: str, **keys: Any) -> dict[str, Any]:
+    return {"reactions": [{"rule": "a", "kind": kind, **keys}]}
+
+
+SQUARE = [[0, 0], [1, 0], [1, 1], [0, 0]]
+DETECTOR_REFUSALS: list[tuple[dict[str, Any], str]] = [
+    ({"topics": [{**TOPIC, "name": "pose"}]}, "at '/detector/topics/0/name': 'pose' does not match"),
+    ({"topics": [{**TOPIC, "type": "PoseStamped"}]}, "at '/detector/topics/0/type': 'PoseStamped' does not match"),
+    ({"topics": [{**TOPIC, "source": "kafka"}]}, "value must be one of 'ros', 'mqtt'"),
+    ({"topics": [{**TOPIC, "reliability": "good"}]}, "value must be one of 'reliable', 'best_effort'"),
+    ({"topics": [{**TOPIC, "liveliness": "manual"}]}, "value must be one of 'automatic', 'manual_by_topic'"),
+    ({"topics": [{**TOPIC, "deadline_seconds": 0}]}, "at '/detector/topics/0/deadline_seconds': minimum"),
+    ({"topics": [{**TOPIC, "expire_seconds": 0.5}]}, "at '/detector/topics/0/expire_seconds': minimum"),
+    ({"topics": [{**TOPIC, "history": 1}]}, "at '/detector/topics/0': additional properties 'history' not allowed"),
+    ({"topics": [{**TOPIC, "buffer": {"seconds": 601}}]}, "at '/detector/topics/0/buffer/seconds': maximum"),
+    ({"topics": [{**TOPIC, "buffer": {"duplicates": "no"}}]}, "value must be one of 'drop', 'keep'"),
+    ({"topics": [{**TOPIC, "buffer": {"jump": "no"}}]}, "value must be one of 'restart', 'keep'"),
+    ({"topics": [{**TOPIC, "buffer": {"size": 1}}]}, "/buffer': additional properties 'size' not allowed"),
+    (rule("near"), "value must be one of 'proximity'"),
+    (rule("proximity"), "missing properties 'topic', 'start_distance_m', 'stop_distance_m'"),
+    (rule("threshold", topic="/a", field="x", start_above=1), "'oneOf' failed"),
+    (rule("threshold"), "missing properties 'topic', 'field'"),
+    (rule("always", topic="/a"), "invalid propertyName 'topic'"),
+    (rule("geofence", topic="/a"), "at '/detector/rules/0': missing property 'area'"),
+    (rule("geofence", topic="/a", area={"type": "Circle", "coordinates": []}), "value must be one of 'Polygon'"),
+    (rule("geofence", topic="/a", area={"type": "Polygon", "coordinates": [SQUARE[:2]]}), "minItems: got 2, want 3"),
+    (rule("absence", topic="/a"), "at '/detector/rules/0': missing property 'seconds'"),
+    (rule("rate", topic="/a"), "'oneOf' failed"),
+    (rule("combination", all=["b"]), "at '/detector/rules/0/all': minItems: got 1, want 2"),
+    (rule("cel", topic="/a", fields={"x": "data"}), "at '/detector/rules/0': missing property 'expression'"),
+    (rule("python", topics=["/a"]), "at '/detector/rules/0': missing property 'plugin'"),
+    (rule("proximity", topic="/a", start_distance_m=1, stop_distance_m=1, scope="all"), "value must be one of 'agent'"),
+    (rule("always", sustained_seconds=-1), "at '/detector/rules/0/sustained_seconds': minimum"),
+    (reaction("mail"), "value must be one of 'operator', 'recording', 'webhook', 'mqtt', 'python'"),
+    (reaction("operator"), "at '/detector/reactions/0': missing property 'application'"),
+    (reaction("operator", application="x", lease_seconds=4), "at '/detector/reactions/0/lease_seconds': minimum"),
+    (reaction("operator", application="x", url="http://a"), "invalid propertyName 'url'"),
+    (reaction("recording"), "missing properties 'recording', 'volume', 'topics'"),
+    (reaction("recording", recording="A", volume="v", topics=[]), "at '/detector/reactions/0/recording': 'A' does not"),
+    (reaction("recording", recording="a", volume="v", topics=[]), "at '/detector/reactions/0/topics': minItems"),
+    (
+        reaction("recording", recording="a", volume="v", topics=[{"name": "/a", "storage": "tape"}]),
+        "value must be one of 'document', 'segment'",
+    ),
+    (
+        reaction("recording", recording="a", volume="v", topics=[{"name": "/a", "storage": "segment", "before": 1}]),
+        "additional properties 'before' not allowed",
+    ),
+    (reaction("webhook"), "at '/detector/reactions/0': missing property 'url'"),
+    (reaction("webhook", url="http://me@host"), "at '/detector/reactions/0/url': 'http://me@host' does not match"),
+    (reaction("webhook", url="http://a", timeout_seconds=61), "at '/detector/reactions/0/timeout_seconds': maximum"),
+    (reaction("mqtt", topic="a/+"), "at '/detector/reactions/0/topic': 'a/+' does not match"),
+    (reaction("python"), "at '/detector/reactions/0': missing property 'plugin'"),
+    ({"state": "paused"}, "value must be one of 'active', 'buffering', 'inactive'"),
+    ({"buffer": {"bytes": 1}}, "at '/detector/buffer/bytes': minimum"),
+    ({"task": "alone"}, "at '/detector/task': 'alone' does not match"),
+]
+
+
 @pytest.mark.parametrize(
     ("chart", "values", "at"),
     [
@@ -184,30 +267,14 @@ TOPIC = {"name": "/a", "type": "std_msgs/msg/String"}
         ("mqtt-bridge", {"placement": {"agent": "Vehicle 1"}}, "at '/placement/agent': 'Vehicle 1' does not match"),
         ("mqtt-bridge", {"global": {"image": "x"}}, "at '/global': additional properties 'image' not allowed"),
         ("mqtt-bridge", {"robotkube-app": {"x": 1}}, "at '/robotkube-app': additional properties 'x' not allowed"),
-        ("event-detector", {"detector": {"topics": [{**TOPIC, "name": "pose"}]}}, "at '/detector/topics/0/name'"),
-        (
-            "event-detector",
-            {"detector": {"rules": [{"name": "a", "kind": "near"}]}},
-            "value must be one of 'proximity'",
-        ),
-        (
-            "event-detector",
-            {"detector": {"rules": [{"name": "a", "kind": "proximity"}]}},
-            "missing properties 'agents'",
-        ),
-        (
-            "event-detector",
-            {
-                "detector": {
-                    "rules": [{"name": "a", "kind": "threshold", "topic": "/a", "field": "x", "start_above": 1}]
-                }
-            },
-            "'oneOf' failed",
-        ),
-        ("event-detector", {"detector": {"rules": [{"name": "a", "kind": "threshold"}]}}, "missing properties 'topic'"),
-        ("event-detector", {"detector": {"task": "alone"}}, "at '/detector/task': 'alone' does not match"),
-        ("event-detector", {"detector": {"reactions": [{"rule": "a", "kind": "operator"}]}}, "'application'"),
-        ("event-detector", {"detector": {"reactions": [{"rule": "a", "kind": "recording"}]}}, "'recording'"),
+        *(("mqtt-bridge", {"bridge": values}, at) for values, at in BRIDGE_REFUSALS),
+        *(("event-detector", {"detector": values}, at) for values, at in DETECTOR_REFUSALS),
+        ("event-detector", {"detctor": {}}, "additional properties 'detctor' not allowed"),
+        ("event-detector", {"recordings": {"claim": "My Claim"}}, "at '/recordings/claim': 'My Claim' does not match"),
+        ("event-detector", {"database": {"secret": "x"}}, "at '/database': additional properties 'secret' not allowed"),
+        ("event-detector", {"broker": {"existingSecret": "A B"}}, "at '/broker/existingSecret': 'A B' does not match"),
+        ("event-detector", {"webhooks": {"key": "x"}}, "at '/webhooks': additional properties 'key' not allowed"),
+        ("event-detector", {"bags": {"path": "/"}}, "at '/bags': additional properties 'path' not allowed"),
         ("bag-player", {"bags": {"path": "/"}}, "at '/bags': additional properties 'path' not allowed"),
         ("object-detection", {"detection": {"method": "guess"}}, "value must be one of 'size', 'reflectance'"),
         ("object-detection", {"detection": {"rangeMetres": 501}}, "at '/detection/rangeMetres': maximum"),
@@ -233,7 +300,8 @@ def test_application_charts_without_an_image_say_what_to_do(helm: Any, chart: st
 )
 def test_charts_pass_lint(helm: Any, chart: str) -> None:
     name = Path(chart).name
-    profile = PROFILES / ("official.yaml" if name == "robotkube" else f"{name}.yaml")
+    own = PROFILES / Path(chart).parent.name / f"{name}.yaml"  # of an earlier version with other values
+    profile = own if own.exists() else PROFILES / ("official.yaml" if name == "robotkube" else f"{name}.yaml")
     done = helm.run("lint", "--strict", str(CHARTS / chart), "-f", str(profile))
     assert done.returncode == 0, done.stdout
 
@@ -241,13 +309,60 @@ def test_charts_pass_lint(helm: Any, chart: str) -> None:
 @pytest.mark.parametrize(
     ("chart", "values", "at"),
     [
+        ("event-detector", {"detector": {"state": "active"}}, "at '/detector': additional properties 'state' not"),
+        ("mqtt-bridge", {"bridge": {"publish_gaps": True}}, "at '/bridge': additional properties 'publish_gaps' not"),
         ("object-detection", {"detection": {"method": "size"}}, "at '/detection': additional properties 'method'"),
         ("object-detection", {"detection": {"rangeMetres": 26}}, "at '/detection/rangeMetres': maximum"),
         ("object-tracking", {"tracking": {"motion": "still"}}, "at '/tracking': additional properties 'motion'"),
     ],
 )
 def test_schemas_of_earlier_versions_refuse(helm: Any, chart: str, values: dict[str, Any], at: str) -> None:
-    assert at in helm.refusal(CHARTS / "earlier" / chart, PROFILES / f"{chart}.yaml", **values)
+    own = PROFILES / "earlier" / f"{chart}.yaml"
+    profile = own if own.exists() else PROFILES / f"{chart}.yaml"
+    assert at in helm.refusal(CHARTS / "earlier" / chart, profile, **values)
+
+
+NEEDS: dict[str, tuple[dict[str, Any], str]] = {
+    "recordings.claim": (
+        {"recordings": {"claim": ""}},
+        "detector.reactions[1] of rule everything: a recording needs a place for its segments. Give recordings.claim.",
+    ),
+    "database.existingSecret": (
+        {"database": {"existingSecret": ""}},
+        "detector.reactions[1] of rule everything: a recording needs a database for its index. Give database.exist",
+    ),
+    "broker.existingSecret for topics": (
+        {"broker": {"existingSecret": ""}},
+        "detector.topics[1] /vehicles/{agent}/lidar_center/pointcloud: source mqtt needs an account at the broker.",
+    ),
+    "broker.existingSecret for reactions": (
+        {"broker": {"existingSecret": ""}},
+        "detector.reactions[4] of rule in-the-depot: kind mqtt needs an account at the broker. Give broker.existingSec",
+    ),
+    "webhooks.existingSecret": (
+        {"webhooks": {"existingSecret": ""}},
+        "detector.reactions[3] of rule silent: secret hook.key is a key of no Secret. Give webhooks.existingSecret.",
+    ),
+    "bags.claim": (
+        {"bags": {"claim": ""}},
+        "detector.buffer.bag /var/lib/robotkube/bags/morning: no claim holds it. Give bags.claim, which is mounted at",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", NEEDS)
+def test_the_event_detector_says_what_its_settings_need(helm: Any, case: str) -> None:
+    values, message = NEEDS[case]
+    said = helm.refusal(CHARTS / "apps" / "event-detector", PROFILES / "event-detector.yaml", **values)
+    assert "problem(s) in the values, nothing was changed:" in said
+    assert message in said
+
+
+def test_the_event_detector_says_all_problems_at_once(helm: Any) -> None:
+    values = {key: value for given, _ in NEEDS.values() for key, value in given.items()}
+    said = helm.refusal(CHARTS / "apps" / "event-detector", PROFILES / "event-detector.yaml", **values)
+    assert "event-detector: 8 problem(s) in the values" in said
+    assert [line.split(".")[0].strip() for line in said.splitlines() if line.startswith("  ")] == list("12345678")
 
 
 def test_every_value_has_prose() -> None:

@@ -21,6 +21,7 @@ NODES = {"nodes": READ}
 ANSWERS = {TASKS: "create delete get list patch watch", STATUS: "patch update", EVENTS: "create", "pods": READ}
 APPLICATIONS = {"applications.argoproj.io": READ}
 SETTINGS = {"configmaps": READ}
+AUTHOR = {**SETTINGS, TASKS: "create delete get list patch watch", EVENTS: "create"}
 ROOM = {
     "configmaps": "create delete get list patch watch",
     "deployments.apps": "create delete get list patch watch",
@@ -68,8 +69,8 @@ EXACTLY: dict[str, dict[str, Rights]] = {
     "robotkube-suite-0:application": {"robotkube-suite-0": SETTINGS},
     "robotkube-suite-0:event-detector": {"robotkube-suite-0": SETTINGS},
     "robotkube-suite-0:default": {},
-    "cloud-0:event-detector": {"cloud-0": {**SETTINGS, TASKS: "create delete get list patch watch"}},
-    "vehicle-00:event-detector": {"vehicle-00": {**SETTINGS, TASKS: "create delete get list patch watch"}},
+    "cloud-0:event-detector": {"cloud-0": AUTHOR},
+    "vehicle-00:event-detector": {"vehicle-00": AUTHOR},
     "vehicle-00:application": {"vehicle-00": SETTINGS},
     "vehicle-00:mqtt-bridge": {"vehicle-00": SETTINGS},
     "vehicle-00:bag-player": {"vehicle-00": SETTINGS},

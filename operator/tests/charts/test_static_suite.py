@@ -23,9 +23,9 @@ from robotkube.services.suite_static import StaticSuite
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 PACKAGED = [
-    *(("apps", name, "0.1.0") for name in ("mqtt-bridge", "event-detector", "bag-player")),
-    *(("apps", name, "0.2.0") for name in ("object-detection", "object-tracking")),
-    *(("earlier", name, "0.1.0") for name in ("object-detection", "object-tracking")),
+    ("apps", "bag-player", "0.1.0"),
+    *(("apps", name, "0.2.0") for name in ("mqtt-bridge", "event-detector", "object-detection", "object-tracking")),
+    *(("earlier", name, "0.1.0") for name in ("mqtt-bridge", "event-detector", "object-detection", "object-tracking")),
 ]
 STATIC = [name for name, mistake in MISTAKES.items() if mistake.suite == "static"]
 OTHERS = [name for name, mistake in MISTAKES.items() if mistake.suite != "static"]

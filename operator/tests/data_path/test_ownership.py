@@ -15,7 +15,7 @@ from robotkube.adapters.kubernetes_http import ApiServer, ConfigMapWatch
 from robotkube.domain.bridging import read_bridge_settings
 from robotkube.domain.errors import UnavailableError
 from robotkube.domain.frames import decode_frame
-from robotkube.entrypoints.detector import ApiTasks
+from robotkube.entrypoints.detector_parts import ApiTasks
 from robotkube.entrypoints.following import until_removed
 from robotkube.entrypoints.processes import PodSettings, Process
 from robotkube.services.bridge import Bridge

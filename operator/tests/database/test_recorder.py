@@ -22,8 +22,8 @@ from robotkube.domain.recordings import LedgerLine
 from robotkube.domain.topics import TopicPattern
 from robotkube.entrypoints.claims import VolumeClaim
 from robotkube.ports.recordings import RecordingStore
+from robotkube.services.recording.counts import RecorderCounts
 from robotkube.services.recording.places import BOUNDS, RecorderPlace, RecordingBounds
-from robotkube.services.recording.recorder import RecorderCounts
 from robotkube.services.recording.recordings import Recordings
 from robotkube.services.recordings import first_stored, list_recordings, stored_messages, verify
 

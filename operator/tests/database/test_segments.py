@@ -11,7 +11,7 @@ from mcap.reader import make_reader
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
 
-from robotkube.adapters.segments_mcap import McapSegmentReader, McapSegments, definition
+from robotkube.adapters.segments_mcap import McapRepair, McapSegmentReader, McapSegments, definition
 from robotkube.domain.errors import UnavailableError
 from robotkube.domain.recordings import Received, SegmentPlace
 
@@ -128,3 +128,52 @@ def test_what_cannot_be_read_is_named(tmp_path: Path, open_segments: Callable[..
 
 def test_an_unknown_type_has_no_definition(tmp_path: Path) -> None:
     assert definition("own_msgs/msg/Thing", tmp_path) == ""
+
+
+@pytest.mark.parametrize("cut", [0, 1, 500, 1030, 1500, 2500, 3400])
+def test_a_cut_segment_gets_an_end_behind_its_last_whole_record(
+    tmp_path: Path, open_segments: Callable[..., McapSegments], cut: int
+) -> None:
+    segments = open_segments()
+    for n in range(5):
+        segments.append([(message(n), CLOUD)])
+    repair = McapRepair(tmp_path)
+    assert repair.left(()) == [], "somebody writes it"
+    (path,) = tmp_path.rglob("*.mcap")
+    data = path.read_bytes()
+    segments.close()
+    path.write_bytes(data[: len(data) - cut])
+    (name,) = repair.left(())
+    found = repair.found(name)
+    closed = repair.finish(name)
+    whole = 5 - -(-cut // (1000 + 31))
+    assert closed is not None
+    assert len(found) == closed.messages == whole
+    reader = McapSegmentReader({"n/c": tmp_path})
+    for n, one in enumerate(found):
+        assert (one.topic, one.stamp, one.received) == ("/cloud", n, n + 5)
+        assert reader.read("n/c", one.place, one.size) == message(n).data
+    assert reader.digest("n/c", name) == (closed.sha256, closed.size)
+    with path.open("rb") as file:
+        assert [m.data for _, _, m in make_reader(file).iter_messages()] == [message(n).data for n in range(whole)]
+    assert repair.left({name}) == []
+    again = repair.finish(name)
+    assert again is not None
+    assert (again.sha256, again.cut) == (closed.sha256, 0)
+
+
+def test_a_segment_without_a_whole_message_goes(tmp_path: Path, open_segments: Callable[..., McapSegments]) -> None:
+    segments = open_segments()
+    segments.append([(message(1), CLOUD)])
+    (path,) = tmp_path.rglob("*.mcap")
+    data = path.read_bytes()
+    segments.close()
+    path.write_bytes(data[:-10])
+    (name,) = McapRepair(tmp_path).left(())
+    assert McapRepair(tmp_path).finish(name) is None
+    assert not path.exists()
+
+
+def test_a_message_that_no_segment_can_hold_is_named(open_segments: Callable[..., McapSegments]) -> None:
+    with pytest.raises(ValueError, match="/cloud: its stamp -1 is none"):
+        open_segments().append([(message(1), CLOUD), (Received("/cloud", -1, 5, "", b""), CLOUD)])

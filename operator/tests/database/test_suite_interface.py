@@ -38,7 +38,7 @@ def objects(values: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
 
 
 def checks_of(entry: Mapping[str, Any], room: LocalRoom, bounds: Bounds = WHOLE) -> list[Check]:
-    artefact = Artefact("event-detector", "0.1.0", "sha256:" + "0" * 64, "linux/amd64")
+    artefact = Artefact("event-detector", "0.2.0", "sha256:" + "0" * 64, "linux/amd64")
     files = {"values.yaml": (CHART / "values.yaml").read_bytes()}
     subject = Subject(artefact, entry, files, b"", {"ros": "ros@sha256:0"}, objects)
     render = Jinja2Templates().render
@@ -47,7 +47,7 @@ def checks_of(entry: Mapping[str, Any], room: LocalRoom, bounds: Bounds = WHOLE)
 
 
 def entry() -> dict[str, Any]:
-    return dict(yaml.safe_load((TOP / "registry/charts/event-detector/0.1.0.yaml").read_text()))
+    return dict(yaml.safe_load((TOP / "registry/charts/event-detector/0.2.0.yaml").read_text()))
 
 
 def test_every_watched_topic_is_recorded(room: LocalRoom) -> None:
@@ -62,7 +62,8 @@ def test_every_watched_topic_is_recorded(room: LocalRoom) -> None:
 def test_a_collection_that_is_not_declared_is_found(room: LocalRoom) -> None:
     """In the second set, too: what the first one wrote is taken away before."""
     other = entry()
-    other["spec"]["interfaces"][1]["forEach"] = {"collection": ["recordings", "samples", "no_such"]}
+    recorded = next(found for found in other["spec"]["interfaces"] if found["name"] == "recorded")
+    recorded["forEach"] = {"collection": ["recordings", "samples", "audits", "no_such"]}
     failed = [check.name for check in checks_of(other, room, SHORT) if not check.passed]
     lost = {"named": "/vehicles/suite_a/pointcloud", "patterns": "/vehicles/{agent}/pose"}
     assert failed == [
@@ -71,6 +72,8 @@ def test_a_collection_that_is_not_declared_is_found(room: LocalRoom) -> None:
         for what in (
             "database out no_such: declared but absent",
             f"ros in {topic} leads to an output",
+            "undeclared collection database out audits",
+            "undeclared collection database out segments",
             "undeclared collection database out segments_index",
         )
     ]

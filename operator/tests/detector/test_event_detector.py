@@ -2,133 +2,20 @@
 
 from __future__ import annotations
 
-import struct
-import threading
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any
 
 import pytest
+from detector_stage import MS, NOW, DetectorStage, MemoryTasks, pose
 from proximity import SETTINGS as DOCUMENT
 from waiting import until
 
 from robotkube.domain.demands import demand, event_of, time_ns, time_text
-from robotkube.domain.detection import START, Edge
-from robotkube.domain.detector_settings import DetectorSettings, OperatorReaction, TopicSettings, read_detector_settings
-from robotkube.domain.errors import RefusalError, UnavailableError
 from robotkube.domain.messages import header_stamp, pose_position
-from robotkube.services.event_detector import EventDetector
-from robotkube.services.operator_reactions import OperatorReactions
+from robotkube.domain.reaction_settings import OperatorReaction
+from robotkube.domain.rules import START, Edge
 
-MS = 1_000_000
-NOW = 1_795_250_000_000_000_000
-ANSWER_SECONDS_MAX = 30.0
-
-
-def pose(stamp: int, x: float, frame: bytes = b"map", order: str = "<") -> bytes:
-    body = struct.pack(f"{order}iII", stamp // 10**9, stamp % 10**9, len(frame) + 1) + frame + b"\0"
-    body += bytes(-len(body) % 8) + struct.pack(f"{order}7d", x, 2.0, 3.0, 0, 0, 0, 1)
-    return (b"\0\1\0\0" if order == "<" else b"\0\0\0\0") + body
-
-
-class MemoryTopic:
-    lost = 0
-
-    def __init__(self) -> None:
-        self.waiting: list[tuple[bytes, int]] = []
-        self.closed = False
-
-    def drain(self, messages_max: int) -> Sequence[tuple[bytes, int]]:
-        taken, self.waiting = self.waiting[:messages_max], self.waiting[messages_max:]
-        return taken
-
-    def close(self) -> None:
-        self.closed = True
-
-
-class MemoryTopics:
-    def __init__(self) -> None:
-        self.topics: dict[str, MemoryTopic] = {}
-        self.published: dict[str, list[str]] = {}
-
-    def subscribe(self, topic: str, settings: TopicSettings) -> MemoryTopic:
-        self.topics[topic] = MemoryTopic()
-        return self.topics[topic]
-
-    def visible(self) -> Mapping[str, Sequence[str]]:
-        return self.published
-
-
-class MemoryTasks:
-    """Tasks by name; `away` makes every call fail that many times, `refusing` for ever; no call comes back while
-    `answering` is cleared."""
-
-    def __init__(self) -> None:
-        self.objects: dict[str, Mapping[str, Any]] = {}
-        self.away, self.refusing, self.creations = 0, False, 0
-        self.answering = threading.Event()
-        self.answering.set()
-
-    def tasks(self) -> Sequence[Mapping[str, Any]]:
-        self._answer()
-        return list(self.objects.values())
-
-    def create(self, task: Mapping[str, Any]) -> None:
-        self._answer()
-        self.creations += 1
-        self.objects[task["metadata"]["name"]] = task
-
-    def renew(self, name: str, now: int) -> bool:
-        raise AssertionError("no task has a lease")
-
-    def delete(self, name: str) -> None:
-        self._answer()
-        self.objects.pop(name, None)
-
-    def _answer(self) -> None:
-        assert self.answering.wait(ANSWER_SECONDS_MAX), "the caller waited for the answer"
-        if self.refusing:
-            raise RefusalError("Refused", "forbidden")
-        if self.away > 0:
-            self.away -= 1
-            raise UnavailableError("API server: away")
-
-
-class Stage:
-    """A detector with its surroundings and a clock of its own."""
-
-    def __init__(self, tasks: MemoryTasks) -> None:
-        self.live, self.tasks, self.now = MemoryTopics(), tasks, NOW
-        self.operators: list[OperatorReactions] = []
-        self.detector = EventDetector(
-            self.live, self.operator, self.no_recorder, lambda: self.now, lambda: (self.now - NOW) / 1e9
-        )
-
-    def operator(self, settings: DetectorSettings) -> OperatorReactions:
-        self.operators.append(OperatorReactions(settings.name, "cloud-0", self.tasks, lambda: self.now, time.monotonic))
-        self.operators[-1].start()
-        return self.operators[-1]
-
-    def no_recorder(self, *_: object) -> Any:
-        raise AssertionError("nothing to record")
-
-    def apply(self, document: Mapping[str, Any] = DOCUMENT) -> None:
-        self.detector.apply(read_detector_settings(document, "config.yaml"))
-        until(lambda: all(operator.adopted is not None for operator in self.operators))
-
-    def send(self, agent: str, x: float, age_ms: int = 5) -> None:
-        self.now += 10 * MS
-        topic = f"/vehicles/{agent.replace('-', '_')}/pose"
-        self.live.topics[topic].waiting.append((pose(self.now - age_ms * MS, x), self.now))
-        self.detector.turn()
-
-    def edges(self) -> list[tuple[str, Any]]:
-        return [(event["edge"], event["done"] is not None) for event in self.events()]
-
-    def events(self) -> list[dict[str, Any]]:
-        found: list[dict[str, Any]] = self.detector.events_document()["events"]
-        return found
+Stage = DetectorStage
 
 
 @pytest.fixture
@@ -146,8 +33,7 @@ def make_stage(tasks: MemoryTasks) -> Iterator[Callable[[], Stage]]:
 
     yield make
     for stage in stages:
-        for operator in stage.operators:
-            operator.stop(2.0)
+        stage.close()
 
 
 @pytest.fixture
@@ -156,7 +42,7 @@ def stage(make_stage: Callable[[], Stage]) -> Stage:
 
 
 def test_an_event_becomes_a_task_and_goes_with_it(stage: Stage, tasks: MemoryTasks) -> None:
-    stage.apply()
+    stage.apply(DOCUMENT)
     assert set(stage.live.topics) == {"/vehicles/vehicle_00/pose", "/vehicles/vehicle_01/pose"}
     stage.send("vehicle-00", 0)
     stage.send("vehicle-01", 600)
@@ -178,7 +64,7 @@ def test_an_event_becomes_a_task_and_goes_with_it(stage: Stage, tasks: MemoryTas
 
 
 def test_topics_of_other_agents_are_found_and_counted(stage: Stage) -> None:
-    stage.apply()
+    stage.apply(DOCUMENT)
     stage.live.published = {
         "/vehicles/vehicle_07/pose": ["geometry_msgs/msg/PoseStamped"],
         "/vehicles/vehicle_08/pose": ["std_msgs/msg/String"],
@@ -196,7 +82,7 @@ def test_topics_of_other_agents_are_found_and_counted(stage: Stage) -> None:
 
 
 def test_malformed_messages_are_counted_and_change_nothing(stage: Stage) -> None:
-    stage.apply()
+    stage.apply(DOCUMENT)
     stage.live.topics["/vehicles/vehicle_00/pose"].waiting = [(b"", 1), (b"\0\1\0\0abc", 2), (pose(1, 1)[:30], 3)]
     stage.detector.turn()
     counter = stage.detector.input_document()["topics"]["/vehicles/vehicle_00/pose"]
@@ -205,13 +91,13 @@ def test_malformed_messages_are_counted_and_change_nothing(stage: Stage) -> None
 
 def test_a_restarted_detector_takes_its_events_over(make_stage: Callable[[], Stage], tasks: MemoryTasks) -> None:
     first = make_stage()
-    first.apply()
+    first.apply(DOCUMENT)
     first.send("vehicle-00", 0)
     first.send("vehicle-01", 100)
     until(lambda: len(tasks.objects) == 1)
     tasks.objects["foreign"] = {"metadata": {"name": "foreign"}, "spec": {"requester": "cloud-0/other"}}
     second = make_stage()
-    second.apply()
+    second.apply(DOCUMENT)
     second.send("vehicle-00", 0)
     second.send("vehicle-01", 100)
     assert second.events() == []
@@ -223,7 +109,7 @@ def test_a_restarted_detector_takes_its_events_over(make_stage: Callable[[], Sta
 
 def test_a_task_whose_rule_is_gone_is_withdrawn(make_stage: Callable[[], Stage], tasks: MemoryTasks) -> None:
     first = make_stage()
-    first.apply()
+    first.apply(DOCUMENT)
     first.send("vehicle-00", 0)
     first.send("vehicle-01", 100)
     until(lambda: len(tasks.objects) == 1)
@@ -237,7 +123,7 @@ def test_a_task_whose_rule_is_gone_is_withdrawn(make_stage: Callable[[], Stage],
 
 def test_nothing_is_raised_before_own_tasks_are_known(stage: Stage, tasks: MemoryTasks) -> None:
     tasks.away = 2
-    stage.detector.apply(read_detector_settings(DOCUMENT, "config.yaml"))
+    stage.apply(DOCUMENT, adopting=False)
     stage.send("vehicle-00", 0)
     stage.send("vehicle-01", 100)
     assert stage.events() == []
@@ -250,7 +136,7 @@ def test_nothing_is_raised_before_own_tasks_are_known(stage: Stage, tasks: Memor
 
 
 def test_an_api_server_that_is_away_gets_the_task_later(stage: Stage, tasks: MemoryTasks) -> None:
-    stage.apply()
+    stage.apply(DOCUMENT)
     tasks.away = 2
     tasks.answering.clear()
     stage.send("vehicle-00", 0)
@@ -262,7 +148,7 @@ def test_an_api_server_that_is_away_gets_the_task_later(stage: Stage, tasks: Mem
 
 
 def test_an_event_that_ended_before_the_api_server_came_back_leaves_nothing(stage: Stage, tasks: MemoryTasks) -> None:
-    stage.apply()
+    stage.apply(DOCUMENT)
     tasks.away = 10**6
     stage.send("vehicle-00", 0)
     stage.send("vehicle-01", 100)
@@ -275,7 +161,7 @@ def test_an_event_that_ended_before_the_api_server_came_back_leaves_nothing(stag
 
 
 def test_a_refusal_is_told_and_not_repeated(stage: Stage, tasks: MemoryTasks) -> None:
-    stage.apply()
+    stage.apply(DOCUMENT)
     tasks.refusing = True
     stage.send("vehicle-00", 0)
     stage.send("vehicle-01", 100)
@@ -286,7 +172,7 @@ def test_a_refusal_is_told_and_not_repeated(stage: Stage, tasks: MemoryTasks) ->
 
 
 def test_changed_settings_keep_what_goes_on(stage: Stage, tasks: MemoryTasks) -> None:
-    stage.apply()
+    stage.apply(DOCUMENT)
     stage.send("vehicle-00", 0)
     stage.send("vehicle-01", 100)
     until(lambda: stage.edges() == [(START, True)])
@@ -301,7 +187,7 @@ def test_changed_settings_keep_what_goes_on(stage: Stage, tasks: MemoryTasks) ->
 
 
 def test_a_rule_taken_away_ends_its_events(stage: Stage, tasks: MemoryTasks) -> None:
-    stage.apply()
+    stage.apply(DOCUMENT)
     stage.send("vehicle-00", 0)
     stage.send("vehicle-01", 100)
     until(lambda: len(tasks.objects) == 1)
@@ -310,11 +196,11 @@ def test_a_rule_taken_away_ends_its_events(stage: Stage, tasks: MemoryTasks) -> 
 
 
 def test_a_topic_taken_away_is_closed(stage: Stage) -> None:
-    stage.apply()
+    stage.apply(DOCUMENT)
     before = dict(stage.live.topics)
     stage.apply({"name": DOCUMENT["name"], "topics": [{"name": "/tf", "type": "geometry_msgs/msg/PoseStamped"}]})
     assert all(topic.closed for topic in before.values())
-    assert set(stage.detector.input_document()["topics"]) == {"/tf"}
+    assert set(stage.status.document()["topics"]) == set(stage.detector.pool.buffers) == {"/tf"}
 
 
 @pytest.mark.parametrize("frame", [b"", b"m", b"map", b"a_long_frame_name"])

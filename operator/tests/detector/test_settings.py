@@ -6,13 +6,10 @@ from typing import Any
 
 import pytest
 
-from robotkube.domain.detector_settings import (
-    OperatorReaction,
-    ProximityRule,
-    RecordingReaction,
-    read_detector_settings,
-)
+from robotkube.domain.detector_settings import Knowledge, read_detector_settings
 from robotkube.domain.errors import DocumentError
+from robotkube.domain.reaction_settings import OperatorReaction, RecordingReaction, RecordingTopic
+from robotkube.domain.rules import Proximity
 from robotkube.domain.texts import read_mapping
 from robotkube.domain.topics import TopicPattern
 
@@ -38,6 +35,9 @@ reactions:
   trace: ab
   topics: [{name: /vehicles/vehicle_00/cloud, storage: segment}]
   volume: recordings
+- {rule: near, kind: webhook, url: "https://example.org:8443/hook?x=1", secret: ops}
+- {rule: near, kind: mqtt, topic: events/near, retained: true}
+- {rule: near, kind: python, plugin: whisper, settings: {to: me}}
 """
 
 
@@ -47,15 +47,19 @@ def document() -> dict[str, Any]:
 
 def test_a_good_document_is_read() -> None:
     settings = read_detector_settings(document(), "config.yaml")
-    near, operator, recording = settings.rules[0], settings.reactions[0], settings.reactions[1]
-    assert isinstance(near, ProximityRule)
-    assert (near.start_distance_m, near.stop_distance_m, near.agents) == (400, 500, ("a", "b"))
+    near, (operator, recording, *others) = settings.rules[0], settings.reactions
+    assert isinstance(near.condition, Proximity)
+    assert (near.condition.start_distance_m, near.condition.stop_distance_m, near.agents) == (400, 500, ("a", "b"))
     assert isinstance(operator, OperatorReaction)
     assert operator.parameters == {"vehicles": "{agents}"}
     assert isinstance(recording, RecordingReaction)
-    assert recording.storage == {"/vehicles/vehicle_00/cloud": "segment"}
+    assert recording.topics == (RecordingTopic(TopicPattern("/vehicles/vehicle_00/cloud"), "segment", 0, 0),)
     assert recording.after_seconds == 1.5
     assert (settings.topics[0].buffer_seconds, settings.topics[1].depth) == (5, 20)
+    assert settings.deliveries == tuple(others)
+    assert [one.name for one in settings.deliveries] == [
+        "webhook near example.org", "mqtt near events/near", "python near whisper",
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -66,22 +70,35 @@ def test_a_good_document_is_read() -> None:
         (["topics", 0, "typ"], 1, "topics[0].typ: unknown key; known are"),
         (["topics", 0, "name"], "pose", "topics[0].name: pose is not a full ROS topic name"),
         (["topics", 0, "name"], "/{agent}/{agent}", "more than once"),
-        (["topics", 0, "depth"], 0, "topics[0].depth: must be a number from 1 to 100000"),
-        (["topics", 0, "depth"], True, "topics[0].depth: must be a number"),
+        (["topics", 0, "depth"], 0, "topics[0].depth: must be a whole number from 1 to 100000"),
+        (["topics", 0, "depth"], True, "topics[0].depth: must be a whole number"),
+        (["topics", 0, "source"], "dds", "topics[0].source: must be one of ros, mqtt"),
+        (["topics", 0, "deadline_seconds"], 0, "topics[0].deadline_seconds: must be a number from 0.001"),
+        (["topics", 0, "expire_seconds"], 2, "topics[0].expire_seconds: must not be less than stale_seconds"),
+        (["topics", 0, "buffer", "jump"], "back", "topics[0].buffer.jump: must be one of restart, keep"),
+        (["buffer"], {"bytes": 5}, "buffer.bytes: must be a whole number from 1000000"),
+        (["state"], "asleep", "state: must be one of active, buffering, inactive"),
         (["topics", 0, "durability"], "latched", "must be one of volatile, transient_local"),
         (["topics", 0, "buffer"], 5, "topics[0].buffer: must be a mapping"),
         (["topics", 1, "name"], "/vehicles/{agent}/pose", "topics: /vehicles/{agent}/pose stands twice"),
-        (["rules", 0, "kind"], "nearness", "rules[0].kind: must be one of proximity, threshold, always"),
+        (["rules", 0, "kind"], "nearness", "rules[0].kind: must be one of proximity, geofence"),
         (["rules", 0, "agents"], ["a"], "rules[0].agents: must be a list of at least 2 different texts"),
         (["rules", 0, "agents"], ["a", "a"], "rules[0].agents: must be a list of at least 2 different texts"),
         (["rules", 0, "stop_distance_m"], 399, "rules[0].stop_distance_m: must not be less than start_distance_m"),
         (["rules", 0, "topic"], "/vehicles/vehicle_00/pose", "must hold {agent}"),
         (["rules", 0, "topic"], "/v/{agent}/pose", "is not listed under topics"),
-        (["rules", 1, "name"], "near", "rules: near stands twice"),
-        (["reactions", 0, "rule"], "far", "reactions[0].rule: there is no rule far; name one of all, near"),
-        (["reactions", 0, "lease_seconds"], 4, "reactions[0].lease_seconds: must be a number from 5 to 86400"),
+        (["rules", 1, "name"], "near", "near is the name of another rule, too"),
+        (["rules", 1, "name"], "time-jump", "rules: the name time-jump is taken"),
+        (["reactions", 0, "rule"], "far", "reactions[0].rule: there is no rule far; name one of all, near, time-jump"),
+        (["reactions", 0, "lease_seconds"], 4, "reactions[0].lease_seconds: must be a whole number from 5 to 86400"),
         (["task"], "alone", "task: 'alone' must be <namespace>/<name>"),
-        (["reactions", 1, "rule"], "near", "a recording reaction needs a rule of kind always"),
+        (["reactions", 1, "topics", 0, "before_seconds"], 11, "has before_seconds 11, its buffer 10 s; make buffer"),
+        (["reactions", 2, "url"], "ftp://x/", "reactions[2].url: must be an address such as https://"),
+        (["reactions", 2, "url"], "http://me:secret@x/", "reactions[2].url: must be an address"),
+        (["reactions", 2, "secret"], "not a key", "reactions[2].secret: must be the name of a key"),
+        (["reactions", 3, "topic"], "a/+/b", "reactions[3].topic: must be the full name of an MQTT topic"),
+        (["reactions", 4, "plugin"], "shout", "reactions[4].plugin: no installed package offers the reaction shout"),
+        (["reactions", 4, "url"], "http://x", "reactions[4].url: unknown key; known are"),
         (["reactions", 1, "recording"], "../x", "reactions[1].recording: must be a name"),
         (["reactions", 1, "topics", 0, "storage"], "file", "must be one of document, segment"),
         (["reactions", 1, "topics", 0, "name"], "/other", "reactions[1].topics: /other is not listed under topics"),
@@ -97,7 +114,7 @@ def test_each_mistake_is_named(path: list[Any], value: Any, expected: str) -> No
     else:
         target[path[-1]] = value
     with pytest.raises(DocumentError) as caught:
-        read_detector_settings(bad, "config.yaml")
+        read_detector_settings(bad, "config.yaml", Knowledge(reactions=["whisper"]))
     assert expected in str(caught.value)
     assert str(caught.value).startswith("config.yaml: ")
 

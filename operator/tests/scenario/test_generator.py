@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from rosbags.rosbag2 import Reader
 
-from robotkube.adapters.bag_files import BagFile
+from robotkube.adapters.bags import open_bag
 from scenarios import definition
 from scenarios.generator import bags, checking, messages, routes, scene
 
@@ -155,7 +155,7 @@ def test_the_same_parameters_give_the_same_bytes(
 
 
 def test_the_player_reads_the_bag_in_order_with_its_qualities(made: Mapping[str, Path]) -> None:
-    found = BagFile(made["vehicle-00"])
+    found = open_bag(made["vehicle-00"])
     qualities = {topic.name.rpartition("/")[2]: (topic.durability, topic.reliability) for topic in found.topics}
     assert qualities == {
         "pose": ("volatile", "reliable"),
@@ -165,7 +165,7 @@ def test_the_player_reads_the_bag_in_order_with_its_qualities(made: Mapping[str,
     times = [(moment, messages.stamp_of(data)) for _, moment, data in found.messages()]
     assert times == sorted(times)
     assert all(moment == stamp for moment, stamp in times)
-    found._file.close()
+    found.close()
 
 
 def test_bags_are_made_once(quick: definition.Scenario, tmp_path: Path) -> None:

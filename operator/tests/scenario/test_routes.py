@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robotkube.adapters.bag_files import BagFile
+from robotkube.adapters.bags import open_bag
 from robotkube.domain.finding_objects import REFLECTANCE, FindingSettings, find_objects
 from robotkube.domain.perception_messages import Poses, read_cloud
 from robotkube.domain.tracking_objects import STEADY, Tracker, TrackingSettings
@@ -105,7 +105,7 @@ def test_perception_on_the_road_side_unit_follows_one_vehicle(
     passing: definition.Scenario, made: Mapping[str, Path]
 ) -> None:
     """The bag through both services: one identity, seen whenever it is within the range that is guaranteed."""
-    bag, tracker = BagFile(made["roadside-0"]), Tracker(TrackingSettings(STEADY, 4.0, 1.0))
+    bag, tracker = open_bag(made["roadside-0"]), Tracker(TrackingSettings(STEADY, 4.0, 1.0))
     topic, parameters = definition.cloud_topic("roadside-0"), passing.parameters
     identities, missed, clouds = set(), [], 0
     for name, moment, data in bag.messages():
@@ -118,7 +118,7 @@ def test_perception_on_the_road_side_unit_follows_one_vehicle(
         vehicle, unit = (routes.motion(parameters, index, np.array([moment / 1e9])) for index in (0, 1))
         if routes.distance(vehicle, unit)[0] < 58 and len(found) != 1:
             missed.append(moment)
-    bag._file.close()
+    bag.close()
     assert identities == {1}
     assert missed == []
     assert clouds == routes.duration_seconds(parameters) * 5

@@ -2,9 +2,15 @@
 image: ros
 command: [python3, -m, robotkube.entrypoints.detector]
 serviceAccount: event-detector
+broker: {{ .Values.broker.existingSecret | quote }}
 database: {{ .Values.database.existingSecret | quote }}
+webhooks: {{ .Values.webhooks.existingSecret | quote }}
+claims:
 {{- with .Values.recordings.claim }}
-claims: [{name: recordings, claim: {{ . }}, path: /var/lib/robotkube/recordings}]
+- {name: recordings, claim: {{ . }}, path: /var/lib/robotkube/recordings}
+{{- end }}
+{{- with .Values.bags.claim }}
+- {name: bags, claim: {{ . }}, path: /var/lib/robotkube/bags}
 {{- end }}
 config:
   name: {{ .Release.Namespace }}/{{ .Release.Name }}
@@ -12,4 +18,6 @@ config:
   rules: {{ toJson .Values.detector.rules }}
   reactions: {{ toJson .Values.detector.reactions }}
   task: {{ .Values.detector.task | quote }}
+  state: {{ .Values.detector.state }}
+  buffer: {{ toJson .Values.detector.buffer }}
 {{- end }}

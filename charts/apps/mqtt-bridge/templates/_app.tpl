@@ -7,4 +7,7 @@ config:
   agent: {{ .Values.placement.agent }}
   out: {{ toJson .Values.bridge.out }}
   in: {{ toJson .Values.bridge.in }}
+  trace: {{ .Values.bridge.trace | quote }}
+  publish_types: {{ .Values.bridge.publish_types }}
+  publish_gaps: {{ .Values.bridge.publish_gaps }}
 {{- end }}

@@ -5,7 +5,7 @@ Argument of both templates:
   command   list
   config    the process's settings, a dictionary
   serviceAccount  one of the agent's accounts; empty: application
-  database  name of a Secret, or empty
+  broker, database, webhooks  names of Secrets, or empty; mounted at /var/run/secrets/robotkube/<word>
   claims    list of {name, claim, path}
   files     name -> text, beside config.yaml in /etc/robotkube; a changed one restarts the pod, changed settings do not
 */ -}}
@@ -123,6 +123,9 @@ containers:
   {{- with .database }}
   - {name: database, mountPath: /var/run/secrets/robotkube/database, readOnly: true}
   {{- end }}
+  {{- with .webhooks }}
+  - {name: webhooks, mountPath: /var/run/secrets/robotkube/webhooks, readOnly: true}
+  {{- end }}
   {{- range .claims }}
   - {name: {{ .name }}, mountPath: {{ .path }}}
   {{- end }}
@@ -141,6 +144,9 @@ volumes:
 {{- end }}
 {{- with .database }}
 - {name: database, secret: {secretName: {{ . }}, defaultMode: 0440}}
+{{- end }}
+{{- with .webhooks }}
+- {name: webhooks, secret: {secretName: {{ . }}, defaultMode: 0440}}
 {{- end }}
 {{- range .claims }}
 - {name: {{ .name }}, persistentVolumeClaim: {claimName: {{ .claim }}}}

@@ -8,6 +8,9 @@ GET each, so this answers one connection at a time and closes it.
 
 `live` and `ready` return None when all is well, else a sentence that says what is missing (status 503). `metrics`
 returns text in Prometheus' format, a page JSON text. They run on the server's thread and must not block.
+
+`commands` are answered to POST, and only to who speaks from within the pod: whoever may exec into it or forward a port
+to it, which the API server decides.
 """
 
 from __future__ import annotations
@@ -20,6 +23,10 @@ from collections.abc import Callable, Mapping
 REQUEST_BYTES_MAX = 8192
 REQUEST_SECONDS_MAX = 2.0
 BACKLOG = 16
+LOOPBACK = frozenset(["127.0.0.1", "::1", "::ffff:127.0.0.1"])
+
+Command = Callable[[bytes], tuple[int, str]]
+"""Body -> status and JSON text."""
 
 
 def always_well() -> str | None:
@@ -38,9 +45,10 @@ class HealthServer:
         pages: Mapping[str, Callable[[], str]] | None = None,
         port: int = 8081,
         address: str = "",
+        commands: Mapping[str, Command] | None = None,
     ) -> None:
         self._states = {"/livez": live, "/readyz": ready}
-        self._metrics, self._pages = metrics, dict(pages or {})
+        self._metrics, self._pages, self._commands = metrics, dict(pages or {}), dict(commands or {})
         self._socket = socket.create_server((address, port), backlog=BACKLOG)
         self._thread = threading.Thread(target=self._serve, name="health", daemon=True)
 
@@ -62,23 +70,30 @@ class HealthServer:
     def _serve(self) -> None:
         while True:
             try:
-                connection, _ = self._socket.accept()
+                connection, address = self._socket.accept()
             except OSError:
                 return
             with connection, contextlib.suppress(OSError):
                 connection.settimeout(REQUEST_SECONDS_MAX)
-                connection.sendall(self._response(_request_line(connection)))
+                head, body = _request(connection)
+                connection.sendall(self._response(head.partition("\r\n")[0], body, str(address[0])))
 
-    def _response(self, line: str) -> bytes:
+    def _response(self, line: str, sent: bytes, address: str) -> bytes:
         method, _, rest = line.partition(" ")
         path = rest.partition(" ")[0].partition("?")[0]
-        if method not in ("GET", "HEAD"):
+        if method not in ("GET", "HEAD") and not (method == "POST" and path in self._commands):
             return _message(405, "text/plain", "only GET\n")
         try:
-            status, kind, body = self._answer(path)
+            status, kind, body = self._answer(path) if method != "POST" else self._obey(path, sent, address)
         except Exception as error:  # a page that fails must not end the server
             status, kind, body = 500, "text/plain", f"{path}: {type(error).__name__}: {error}\n"
         return _message(status, kind, body)
+
+    def _obey(self, path: str, sent: bytes, address: str) -> tuple[int, str, str]:
+        if address not in LOOPBACK:
+            return 403, "text/plain", "commands are taken from within the pod only: kubectl exec or port-forward\n"
+        status, text = self._commands[path](sent)
+        return status, "application/json", text + "\n"
 
     def _answer(self, path: str) -> tuple[int, str, str]:
         if path in self._states:
@@ -93,6 +108,9 @@ class HealthServer:
 
 _REASONS = {
     200: "OK",
+    202: "Accepted",
+    400: "Bad Request",
+    403: "Forbidden",
     404: "Not Found",
     405: "Method Not Allowed",
     500: "Internal Server Error",
@@ -109,12 +127,22 @@ def _message(status: int, kind: str, body: str) -> bytes:
     return head.encode() + data
 
 
-def _request_line(connection: socket.socket) -> str:
-    """The first line; the headers are read to their end, so that closing does not reset the connection."""
+def _request(connection: socket.socket) -> tuple[str, bytes]:
+    """Head and body; the head is read to its end, so that closing does not reset the connection."""
     data = b""
-    while b"\r\n\r\n" not in data and len(data) < REQUEST_BYTES_MAX:
-        part = connection.recv(REQUEST_BYTES_MAX)
-        if not part:
-            break
+    while b"\r\n\r\n" not in data and len(data) < REQUEST_BYTES_MAX and (part := connection.recv(REQUEST_BYTES_MAX)):
         data += part
-    return data.partition(b"\r\n")[0].decode("latin-1")
+    head, _, body = data.partition(b"\r\n\r\n")
+    text = head.decode("latin-1")
+    size = min(_content_length(text), REQUEST_BYTES_MAX)
+    while len(body) < size and (part := connection.recv(REQUEST_BYTES_MAX)):
+        body += part
+    return text, body[:size]
+
+
+def _content_length(head: str) -> int:
+    for line in head.split("\r\n")[1:]:
+        name, _, value = line.partition(":")
+        if name.strip().lower() == "content-length" and value.strip().isdecimal():
+            return int(value)
+    return 0

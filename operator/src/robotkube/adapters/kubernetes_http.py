@@ -37,6 +37,7 @@ TIMEOUT_SECONDS = 10.0
 WATCH_SECONDS = 240
 BACKOFF_SECONDS_MIN, BACKOFF_SECONDS_MAX = 0.5, 10.0
 EVENT_BYTES_MAX = 4 * 1024 * 1024
+EVENT_MESSAGE_MAX = 1024  # of an Event's message, by the API
 KEEPALIVE_IDLE_SECONDS, KEEPALIVE_INTERVAL_SECONDS, KEEPALIVE_PROBES = 20, 5, 3
 
 ConfigMapData = Mapping[str, str]
@@ -51,6 +52,31 @@ def custom_path(group: str, version: str, namespace: str, plural: str, name: str
     """Path of a custom resource, or of the namespace's list."""
     base = f"/apis/{group}/{version}/namespaces/{quote(namespace)}/{plural}"
     return f"{base}/{quote(name)}" if name else base
+
+
+def event_path(namespace: str) -> str:
+    """Path of the namespace's Events."""
+    return f"/api/v1/namespaces/{quote(namespace)}/events"
+
+
+def config_map_warning(
+    namespace: str, name: str, reason: str, message: str, component: str, now: str
+) -> dict[str, Any]:
+    """A Kubernetes Event of type Warning about a ConfigMap; `now` in RFC 3339."""
+    about = {"apiVersion": "v1", "kind": "ConfigMap", "namespace": namespace, "name": name}
+    return {
+        "apiVersion": "v1",
+        "kind": "Event",
+        "metadata": {"generateName": f"{name[:200]}.", "namespace": namespace},
+        "involvedObject": about,
+        "reason": reason,
+        "message": message[:EVENT_MESSAGE_MAX],
+        "type": "Warning",
+        "source": {"component": component},
+        "firstTimestamp": now,
+        "lastTimestamp": now,
+        "count": 1,
+    }
 
 
 @dataclass

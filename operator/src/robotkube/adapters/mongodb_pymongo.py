@@ -119,9 +119,10 @@ class PymongoRecordingStore:
         return _audits(self._database, recording)
 
     def finished(self, volume: str) -> Collection[str]:
-        """Paths of the volume's segments in `segments`."""
+        """Paths of the volume's segments whose end is in `segments`."""
         with _translated(f"reading the segments of {volume}"):
-            return {entry["segment"] for entry in self._database[SEGMENTS].find({"volume": volume}, {"segment": 1})}
+            found = self._database[SEGMENTS].find({"volume": volume}, {"segment": 1, "sha256": 1})
+            return {entry["segment"] for entry in found if entry["sha256"]}
 
     def write(self, writes: Sequence[Write]) -> None:
         """Insert and update in this order; what is there already stays as it is."""

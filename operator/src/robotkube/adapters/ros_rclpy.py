@@ -29,11 +29,13 @@ from typing import TYPE_CHECKING, Any
 
 from robotkube.domain.errors import InputError, RobotKubeError, UnavailableError
 
-if TYPE_CHECKING:  # only who looks at the graph needs it
+if TYPE_CHECKING:  # only who looks at the graph needs them
     from robotkube.domain.interface_checks import Endpoint
+    from robotkube.domain.qualities import Offer
 
 PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"  # the middleware's word until a node has said its name
+ENDLESS_NS = 1 << 62
 _TYPE_NAME = re.compile(r"([a-z][a-z0-9_]*)/msg/([A-Z][A-Za-z0-9]*)")
 _WORD_START = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 
@@ -86,11 +88,19 @@ class RosNode:
             self._node = self._bindings.Node(name, "/", self._context, [], False, False)
 
     def subscribe(
-        self, topic: str, type_name: str, reliability: str = "reliable", durability: str = "volatile", depth: int = 1000
+        self,
+        topic: str,
+        type_name: str,
+        reliability: str = "reliable",
+        durability: str = "volatile",
+        depth: int = 1000,
+        deadline_ns: int | None = None,
+        liveliness: str = "automatic",
+        lease_ns: int | None = None,
     ) -> RosSubscription:
         """A subscription; MessageTypeError for an unknown type, InputError for a topic name ROS refuses."""
         kind = message_type(type_name)
-        quality = self._quality(reliability, durability, depth)
+        quality = self._quality(reliability, durability, depth, deadline_ns, liveliness, lease_ns)
         with self._node:
             handle = self._make(lambda: self._bindings.Subscription(self._node, kind, topic, quality), topic)
         return RosSubscription(topic, handle, kind)
@@ -126,6 +136,12 @@ class RosNode:
                 if (entry["node_name"], entry["node_namespace"]) != own
             ]
 
+    def offers(self, topic: str) -> list[Offer]:
+        """The publishers of a topic that are known now, with what they promise."""
+        with self._node:
+            found = self._bindings.rclpy_get_publishers_info_by_topic(self._node, topic, False)
+        return [_offer(entry) for entry in found]
+
     def close(self) -> None:
         """Leave the network. May hang in the middleware: a process calls it only under its shutdown deadline."""
         self._node.destroy_when_not_in_use()
@@ -138,14 +154,31 @@ class RosNode:
         except (ValueError, self._bindings.RCLError) as error:
             raise InputError(f"topic {topic}: ROS refuses it: {error}") from error
 
-    def _quality(self, reliability: str, durability: str, depth: int) -> Any:
+    def _quality(
+        self,
+        reliability: str,
+        durability: str,
+        depth: int,
+        deadline_ns: int | None = None,
+        liveliness: str = "automatic",
+        lease_ns: int | None = None,
+    ) -> Any:
         from rclpy import qos
+        from rclpy.duration import Duration
 
+        more: dict[str, Any] = {}
+        if deadline_ns is not None:
+            more["deadline"] = Duration(nanoseconds=deadline_ns)
+        if lease_ns is not None:
+            more["liveliness_lease_duration"] = Duration(nanoseconds=lease_ns)
+        if liveliness != "automatic" or lease_ns is not None:
+            more["liveliness"] = qos.LivelinessPolicy[liveliness.upper()]
         profile: Any = qos.QoSProfile
         return profile(
             depth=depth,
             reliability=qos.ReliabilityPolicy[reliability.upper()],
             durability=qos.DurabilityPolicy[durability.upper()],
+            **more,
         ).get_c_qos_profile()
 
 
@@ -154,12 +187,37 @@ def _endpoint(topic: str, direction: str, entry: Mapping[str, Any]) -> Endpoint:
 
     from robotkube.domain.interface_checks import Endpoint
 
-    profile, node = entry["qos_profile"], f"{entry['node_namespace'].rstrip('/')}/{entry['node_name']}"
-    if UNKNOWN_NODE in node:
-        node = ""
+    profile, node = entry["qos_profile"], _node_of(entry)
     reliability = qos.ReliabilityPolicy(profile["reliability"]).name.lower()
     durability = qos.DurabilityPolicy(profile["durability"]).name.lower()
     return Endpoint(topic, direction, entry["topic_type"], reliability, durability, node)
+
+
+def _node_of(entry: Mapping[str, Any]) -> str:
+    node = f"{entry['node_namespace'].rstrip('/')}/{entry['node_name']}"
+    return "" if UNKNOWN_NODE in node else node
+
+
+def _offer(entry: Mapping[str, Any]) -> Offer:
+    from rclpy import qos
+
+    from robotkube.domain.qualities import Offer, Quality
+
+    profile = entry["qos_profile"]
+    quality = Quality(
+        qos.ReliabilityPolicy(profile["reliability"]).name.lower(),
+        qos.DurabilityPolicy(profile["durability"]).name.lower(),
+        _duration(profile["deadline"]),
+        qos.LivelinessPolicy(profile["liveliness"]).name.lower(),
+        _duration(profile["liveliness_lease_duration"]),
+    )
+    return Offer(_node_of(entry), entry["topic_type"], quality)
+
+
+def _duration(found: Any) -> int | None:
+    """Nanoseconds; None when it is endless."""
+    nanoseconds = int(found.nanoseconds)
+    return nanoseconds if 0 < nanoseconds < ENDLESS_NS else None
 
 
 class RosSubscription:
@@ -176,6 +234,16 @@ class RosSubscription:
         with self._handle:
             while len(taken) < messages_max and (message := take(kind, True)) is not None:
                 taken.append(message[0])
+        return taken
+
+    def take_timed(self, messages_max: int = 1000) -> list[tuple[bytes, dict[str, Any]]]:
+        """As `take`, each with what the middleware says of it: `received_timestamp` and `source_timestamp` in ns since
+        1970, `publication_sequence_number` of its publisher."""
+        taken: list[tuple[bytes, dict[str, Any]]] = []
+        take, kind = self._take, self._kind
+        with self._handle:
+            while len(taken) < messages_max and (message := take(kind, True)) is not None:
+                taken.append(message)
         return taken
 
     @property

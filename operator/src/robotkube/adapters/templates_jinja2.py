@@ -80,9 +80,17 @@ def _join(values: Any, separator: Any = "") -> str:
     return str(separator).join(str(value) for value in values)
 
 
+def _where(values: Any, key: Any, wanted: Any, default: Any = None) -> list[Any]:
+    """The mappings of a list in which `key` is `wanted`; where it is missing, `default` stands for it."""
+    if not isinstance(values, list) or not all(isinstance(value, Mapping) for value in values):
+        raise jinja2.TemplateRuntimeError("where needs a list of mappings")
+    return [value for value in values if value.get(key, default) == wanted]
+
+
 def _make_environment() -> _Environment:
     environment = _Environment(undefined=jinja2.StrictUndefined, autoescape=False, keep_trailing_newline=True)
-    environment.filters = {name: environment.filters[name] for name in _FILTERS} | {"join": _join, "ros": _ros}
+    own = {"join": _join, "ros": _ros, "where": _where}
+    environment.filters = {name: environment.filters[name] for name in _FILTERS} | own
     environment.tests = {name: environment.tests[name] for name in _TESTS}
     environment.globals = {}
     return environment

@@ -101,6 +101,10 @@ class TopicAudit:
         """A message that was received came before the begin."""
         self.early += 1
 
+    def repeat(self) -> None:
+        """A message that was received is stored already."""
+        self.duplicates += 1
+
     def store(self, count: int) -> None:
         """So many were handed to the journal."""
         self.stored += count
@@ -188,8 +192,9 @@ class Interruption:
     until: int | None
 
 
-def interruptions(audits: Iterable[Mapping[str, Any]], stamps: Mapping[str, Sequence[int]]) -> list[Interruption]:
-    """What killed writers of a recording may have lost, by their audits that are not closed. `stamps`: what is stored.
+def interruptions(audits: Sequence[Mapping[str, Any]], stamps: Mapping[str, Sequence[int]]) -> list[Interruption]:
+    """What killed writers of a recording may have lost, by their audits that are not closed, or that they did not even
+    begin. `stamps`: what is stored.
 
     A writer stores in the order of its stamps, and says what it drops in its next audit: what it lost without a word
     comes after the last stamp that is stored, or that its last audit had seen, whichever is earlier."""
@@ -202,7 +207,8 @@ def interruptions(audits: Iterable[Mapping[str, Any]], stamps: Mapping[str, Sequ
             found.append(Interruption(topic, since, until))
         if window:
             later[topic] = min(window[0], until) if until is not None else window[0]
-    return found
+    told = {audit["topic"] for audit in audits}
+    return found + [Interruption(topic, max(known) + 1, None) for topic, known in stamps.items() if topic not in told]
 
 
 def _doubtful(stored: int | None, window: Sequence[int] | None) -> int:

@@ -20,8 +20,6 @@ KEPT, LATE, DUPLICATE, JUMPED = "kept", "late", "duplicate", "jumped"
 
 DUPLICATES_DROP, DUPLICATES_KEEP = "drop", "keep"
 JUMP_RESTART, JUMP_KEEP = "restart", "keep"
-DROP_OLDEST = "oldest"
-"""What leaves when a bound is reached; there is no other way."""
 
 COUNT_DEFAULT = 100_000
 DUPLICATES_COMPARED_MAX = 100
@@ -306,6 +304,12 @@ class BufferPool:
     def bytes(self) -> int:
         """What all buffers but the latched ones hold."""
         return self._budget.bytes
+
+    def limit(self, bytes_max: int) -> None:
+        """Another bound from now on."""
+        self._budget.bytes_max = bytes_max
+        if self._budget.bytes > bytes_max:
+            self._budget.relieve()
 
     def make(
         self,

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Any
 
-from robotkube.domain.detection import START, Edge, task_name
-from robotkube.domain.detector_settings import OperatorReaction
+from robotkube.domain.reaction_settings import OperatorReaction
+from robotkube.domain.rules import START, Edge, task_name
 
 AGENTS = "{agents}"
 AGENTS_ANNOTATION = "robotkube.io/agents"

@@ -25,8 +25,11 @@ TOPIC_CHARACTERS_MAX = 200
 COMMON_TOPICS: Mapping[tuple[str, str], str] = {
     ("/rosout", OUT): "rcl_interfaces/msg/Log",
     ("/parameter_events", OUT): "rcl_interfaces/msg/ParameterEvent",
+    ("/robotkube/gaps", IN): "std_msgs/msg/String",
+    ("/robotkube/gaps", OUT): "std_msgs/msg/String",
 }
-"""(topic, direction) -> type: what every rclpy node opens; an entry need not and cannot declare them."""
+"""(topic, direction) -> type: what every rclpy node opens, and where bridges tell recorders what is missing; an entry
+need not and cannot declare them."""
 
 _PATTERN = re.compile(r"\{[a-z][a-z0-9_]*\}", re.ASCII)
 _NAMES = {

@@ -1,7 +1,8 @@
 """The upgrade graph of a chart: which version follows which, from `replaces` and `skips`.
 
 An edge goes from an older version to one that may take its place. Sound is a graph without cycles in which a way leads
-from every version of a channel to the newest one of that channel.
+from every version of a channel to the newest one of that channel. The oldest version may name what is not there: a
+catalogue need not have the whole history.
 """
 
 from __future__ import annotations
@@ -39,8 +40,9 @@ def upgrade_problems(versions: Sequence[ChartVersion]) -> Iterator[Problem]:
 
 
 def _unknown(versions: Sequence[ChartVersion], edges: Mapping[str, Sequence[str]]) -> Iterator[Problem]:
-    known = ", ".join(sorted(edges, key=version_key))
-    for version in versions:
+    ordered = sorted(edges, key=version_key)
+    known = ", ".join(ordered)
+    for version in (version for version in versions if version.version != ordered[0]):
         for key, old in [("spec.replaces", version.replaces), *(("spec.skips", skipped) for skipped in version.skips)]:
             if old and old not in edges:
                 fix = "name one of them, add its file, or remove the key"

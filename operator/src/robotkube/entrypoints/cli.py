@@ -38,6 +38,7 @@ def commands() -> Sequence[Command]:
         cli_registry,
         cli_registry_new,
         cli_registry_submit,
+        cli_rules,
         cli_submit,
         cli_tasks,
         cli_tracing,
@@ -75,9 +76,17 @@ def commands() -> Sequence[Command]:
         Command(
             "recording",
             "verify",
-            "compare a recording with the ledgers of its sources",
+            "prove checksums and gaps of a recording, and compare it with ledgers",
             cli_recordings.verify_one,
             cli_recordings.verifying,
+        ),
+        Command("rule", "test", "the events that rules raise over bags", cli_rules.test, cli_rules.testing),
+        Command(
+            "rule",
+            "explain",
+            "the messages and values that an event came from",
+            cli_rules.explain,
+            cli_rules.explaining,
         ),
         Command("registry", "search", "applications and charts", cli_registry.search_entries, cli_registry.searching),
         Command("registry", "show", "everything about one entry", cli_registry.show_entry, cli_registry.naming),
@@ -120,7 +129,7 @@ def parser(found: Sequence[Command]) -> argparse.ArgumentParser:
                 parsers[command.noun] = noun.add_subparsers(dest="verb", required=True, metavar="<verb>")
             verb = parsers[command.noun].add_parser(command.verb, help=command.summary, description=command.summary)
         Platform.add_arguments(verb)
-        verb.add_argument("--output", choices=FORMATS, default="table", help="form of the data on stdout")
+        verb.add_argument("-o", "--output", choices=FORMATS, default="table", help="form of the data on stdout")
         command.arguments(verb)
         verb.set_defaults(command=command)
     return root

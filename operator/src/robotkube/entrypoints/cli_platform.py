@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import base64
+import contextlib
 import functools
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -11,13 +12,14 @@ from typing import Any
 
 from robotkube.adapters import kubernetes_api
 from robotkube.adapters.kubernetes_tasks import KubernetesTasks
-from robotkube.domain.errors import InputError, RefusalError
+from robotkube.domain.errors import InputError, RefusalError, UnavailableError
 from robotkube.domain.tasks import GROUP, PLURAL, VERSION
 from robotkube.domain.texts import read_mapping
 
 OBJECTS_MAX = 5000
 FORGE, IMAGES, IMAGES_KEY = "forge", "platform-images", "images.yaml"
 DATABASE_ACCOUNT, AGENT_LABEL = "database-account", "robotkube.io/agent"
+DETECTOR_SELECTOR = "app.kubernetes.io/name=event-detector"
 
 
 class Platform:
@@ -61,6 +63,16 @@ class Platform:
     def pods(self) -> Sequence[Mapping[str, Any]]:
         """Pods of agents' releases."""
         return self._items("/api/v1/pods", [("labelSelector", AGENT_LABEL)])
+
+    def detector_events(self) -> Mapping[str, Mapping[str, Any]]:
+        """`<namespace>/<pod>` -> `/events`, of the event detectors that answer."""
+        found: dict[str, Mapping[str, Any]] = {}
+        for pod in self._items("/api/v1/pods", [("labelSelector", DETECTOR_SELECTOR)]):
+            namespace, name = pod["metadata"]["namespace"], pod["metadata"]["name"]
+            with contextlib.suppress(KeyError, RefusalError, UnavailableError):
+                page = f"/api/v1/namespaces/{namespace}/pods/{name}:8081/proxy/events"
+                found[f"{namespace}/{name}"] = self._read("GET", page)
+        return found
 
     def withdraw(self, key: str, dry_run: bool) -> None:
         """Delete a task."""

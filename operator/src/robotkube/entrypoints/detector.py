@@ -2,9 +2,9 @@
 
     python3 -m robotkube.entrypoints.detector
 
-Inputs (docs/reference/contracts.md): `config.yaml`, watched through the API when ROBOTKUBE_CONFIGMAP names it; for
-recordings NODE_NAME, the mounted Secret `database` and the claim at ROBOTKUBE_RECORDINGS (default
-/var/lib/robotkube/recordings). Port 8081: health, /input, /events.
+Inputs (docs/reference/event-detector.md): `config.yaml`, watched through the API when ROBOTKUBE_CONFIGMAP names it; for
+recordings NODE_NAME, the mounted Secret `database` and the claim at ROBOTKUBE_RECORDINGS; for MQTT the mounted Secret
+`broker`, for signed webhooks `webhooks`. Port 8081: health, /metrics, /status, /input, /events, and POST /state.
 
 The order of the start is chosen for the time from an event to the first stored message: subscriptions first, then what
 imports and connects (database, segments, API server), each on a thread of its own.
@@ -18,42 +18,39 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from robotkube.adapters.health_http import HealthServer
-from robotkube.adapters.ros_rclpy import MessageTypeError, RosNode, RosSubscription
-from robotkube.domain.demands import renewal
-from robotkube.domain.detector_settings import (
-    DetectorSettings,
-    RecordingReaction,
-    TopicSettings,
-    read_detector_settings,
-)
-from robotkube.domain.errors import DocumentError, InputError, RefusalError, UnavailableError
-from robotkube.domain.recording_plans import RecordedTopic, RecordingPlan
+from robotkube.adapters.ros_rclpy import RosNode
+from robotkube.domain.detector_settings import MQTT, STATES, DetectorSettings, read_detector_settings
+from robotkube.domain.errors import InputError, RobotKubeError
+from robotkube.domain.layouts import Layouts
 from robotkube.domain.texts import read_mapping
+from robotkube.entrypoints import detector_parts as parts
 from robotkube.entrypoints.following import follow_settings, ownership_of
 from robotkube.entrypoints.processes import PodSettings, Process, read_text, run
-from robotkube.services.event_detector import EventDetector
-from robotkube.services.operator_reactions import OperatorReactions
-from robotkube.services.ownership import Ownership
-from robotkube.services.recording.places import RecorderPlace
-from robotkube.services.recording.recordings import Recordings
+from robotkube.services.detector.detector import EventDetector
+from robotkube.services.detector.raising import Raising
+from robotkube.services.detector.recording import RecordingReactions
+from robotkube.services.detector.status import Refusal, Status
 
 if TYPE_CHECKING:
-    from robotkube.adapters.kubernetes_http import ApiServer, ConfigMapWatch
-    from robotkube.ports.recordings import Claim, RecordingStore
+    from robotkube.adapters.kubernetes_http import ConfigMapWatch
+    from robotkube.ports.robots import LiveTopics
+    from robotkube.services.detector.broker import Broker
 
-DRAIN_SECONDS = 0.02
+BUSY_SECONDS, IDLE_SECONDS = 0.008, 0.02
+"""From one look at the subscriptions to the next, while messages come and when none has come for IDLE_AFTER_SECONDS."""
+IDLE_AFTER_SECONDS = 1.0
 LAST_DRAIN_SECONDS_MAX = 0.5
 STORE_SECONDS_MAX = 5.0
+DELIVER_SECONDS_MAX = 1.0
 LEAVE_SECONDS_MAX = 1.0
 GRACE_SECONDS = 9.0
+NEWS_MAX, COMMANDS_MAX = 16, 16
 CONFIG_KEY = "config.yaml"
-RECORDINGS_FOLDER = "/var/lib/robotkube/recordings"
-TASKS = ("robotkube.io", "v1alpha1", "taskdescriptions")
 
 
 def main() -> None:
@@ -62,38 +59,235 @@ def main() -> None:
 
 
 def body(process: Process) -> None:
-    """Start, receive until the process shall end, then store what was received."""
+    """Start, receive until the process shall end, then store and deliver what was received."""
     _log_through(process)
     pod = PodSettings.from_environment()
-    settings = _settings(read_text(pod.config_file, "the detector's settings"), str(pod.config_file))
-    node, ownership = RosNode("event_detector"), ownership_of(pod)
-    detector = EventDetector(
-        Live(node),
-        lambda settings: make_operator(settings, pod, ownership),
-        lambda reaction, settings: make_recordings(reaction, settings, pod, ownership),
-        time.time_ns,
-        time.monotonic,
+    room = Room(process, pod)
+    settings = room.read(read_text(pod.config_file, "the detector's settings"), str(pod.config_file))
+    room.begin(settings)
+    process.log(
+        "subscribed", name=settings.name, subscriptions=room.detector.subscribed, seconds=_process_age_seconds()
     )
-    detector.apply(settings)
-    process.log("subscribed", name=settings.name, subscriptions=detector.subscribed, seconds=_process_age_seconds())
-    server = HealthServer(
-        live=lambda: next((one.failed for one in detector.recordings if one.failed), None),
-        ready=lambda: detector.not_ready or None,
-        metrics=lambda: metrics(detector) + ownership.metrics(),
-        pages={
-            "/input": lambda: json.dumps(detector.input_document()),
-            "/events": lambda: json.dumps(detector.events_document()),
-        },
-        port=pod.health_port,
-    )
-    server.start()
-    changes: deque[str] = deque(maxlen=1)
-    watch = _watch(pod, changes, process, ownership)
-    _receive(process, detector, changes)
+    server = room.serve()
+    watch = room.watch()
+    room.receive()
     if watch is not None:
         watch.stop()
-    _end(process, detector)
-    _leave(node)
+    room.end()
+    server.close()
+
+
+class Room:
+    """The detector with everything around it. `receive` runs on the main thread; pages and the watch have their own."""
+
+    def __init__(self, process: Process, pod: PodSettings) -> None:
+        self._process, self._pod = process, pod
+        self._ownership = ownership_of(pod)
+        self._node = RosNode("event_detector")
+        self._ros = parts.RosTopics(self._node)
+        self._broker: Broker | None = None
+        self._name = pod.config_map or ""
+        self._news: deque[DetectorSettings] = deque(maxlen=NEWS_MAX)
+        self._commands: deque[str] = deque(maxlen=COMMANDS_MAX)
+        self._learned: deque[str] = deque()
+        self._ready = False
+        self.refusal = Refusal()
+        self._spans = parts.make_spans(os.environ, self._name)
+        self.layouts = Layouts(self._definition)
+        self.detector = self._make()
+        self.status = Status(self.detector, time.time_ns, self.refusal, self._unreachable)
+
+    def _make(self) -> EventDetector:
+        raising = Raising(
+            lambda settings, box: parts.make_operator(settings, self._pod, self._ownership, box),
+            lambda settings, box: parts.make_reaction(settings, self._pod, self._ownership, box, self._connection),
+            time.time_ns,
+            self._spans,
+        )
+        recordings = RecordingReactions(
+            lambda plan, buffers: parts.make_recordings(plan, buffers, self._pod, self._ownership)
+        )
+        return EventDetector(
+            self._source,
+            self.layouts,
+            raising,
+            recordings,
+            lambda: parts.make_workers(lambda: self.detector.settings, self._definition),
+            time.time_ns,
+            time.monotonic,
+        )
+
+    def read(self, text: str, where: str) -> DetectorSettings:
+        """Settings from a text; DocumentError with all problems."""
+        document = read_mapping(text, where)
+        return read_detector_settings(document, where, parts.knowledge(document, self.layouts))
+
+    def begin(self, settings: DetectorSettings) -> None:
+        """Apply the first settings, and fill the buffers when they name a bag."""
+        self._name = settings.name
+        self.detector.apply(settings)
+        if settings.bag:
+            filled = self.detector.fill(parts.read_bag(Path(settings.bag), self._complain))
+            self._process.log("filled", bag=settings.bag, messages=filled)
+
+    def _complain(self, sentence: str) -> None:
+        self._process.log("bag", problem=sentence)
+
+    def serve(self) -> HealthServer:
+        """The started health port."""
+        status, detector = self.status, self.detector
+        server = HealthServer(
+            live=lambda: next((one.failed for one in detector.recordings.at_work if one.failed), None),
+            ready=lambda: status.not_ready() or None,
+            metrics=lambda: status.metrics() + self._ownership.metrics(),
+            pages={
+                "/input": lambda: json.dumps(detector.input_document()),
+                "/events": lambda: json.dumps(detector.events_document()),
+                "/status": lambda: json.dumps(status.document()),
+            },
+            port=self._pod.health_port,
+            commands={"/state": self._command},
+        )
+        server.start()
+        return server
+
+    def watch(self) -> ConfigMapWatch | None:
+        """Follow the ConfigMap; settings are read on the watch's thread, which may take its time."""
+        if self._pod.config_map is None:
+            return None
+
+        def take(data: Mapping[str, str]) -> None:
+            if CONFIG_KEY in data:
+                self._change(data[CONFIG_KEY])
+
+        return follow_settings(self._process, self._pod.config_map, self._ownership, take)
+
+    def receive(self) -> None:
+        """Turn until the process shall end."""
+        heard = time.monotonic()
+        pause = BUSY_SECONDS
+        while not self._process.stopping.wait(pause):
+            self._obey()
+            now = time.monotonic()
+            heard = now if self._turn() else heard
+            pause = BUSY_SECONDS if now - heard < IDLE_AFTER_SECONDS else IDLE_SECONDS
+            if not self._ready and not self.status.not_ready():
+                self._ready = True
+                self._process.log("ready", seconds=_process_age_seconds())
+
+    def end(self) -> None:
+        """Go on for as long as the recordings ask for, take what has arrived already, then store and deliver it."""
+        finish(self._turn, self.detector.recordings.after_seconds)
+        stopping = [
+            _beside(lambda: self.detector.raising.stop(DELIVER_SECONDS_MAX)),
+            *(_beside(lambda one=one: one.stop(STORE_SECONDS_MAX)) for one in self.detector.recordings.at_work),
+        ]
+        complete = [stopped() for stopped in stopping]
+        if self._broker is not None:
+            complete.append(self._broker.close(DELIVER_SECONDS_MAX, time.sleep))
+        self.detector.stop()
+        if self._spans is not None:
+            self._spans.close()
+        recordings = len(self.detector.recordings.at_work)
+        self._process.log("stopped", recordings=recordings, complete=all(complete))
+        _leave(self._node)
+
+    # on the main thread ----------------------------------------------------------------------------------------------
+
+    def _turn(self) -> int:
+        if self._broker is not None:
+            self._broker.turn()
+            while self._learned:
+                self.detector.learn(self._learned.popleft())
+        return self.detector.turn()
+
+    def _obey(self) -> None:
+        while self._news:
+            self.detector.apply(self._news.popleft())
+            for one in [*self.detector.recordings.leaving(), *self.detector.raising.leaving()]:
+                _beside(lambda one=one: one.stop(STORE_SECONDS_MAX))
+        while self._commands:
+            self.detector.change_state(self._commands.popleft())
+
+    def _source(self, name: str) -> LiveTopics:
+        return self._connection() if name == MQTT else self._ros
+
+    def _connection(self) -> Broker:
+        if self._broker is None:
+            self._broker = parts.make_broker(self._pod, self._name, self._ownership, self._learned.append)
+        return self._broker
+
+    # on other threads ------------------------------------------------------------------------------------------------
+
+    def _change(self, text: str) -> None:
+        """Settings that were refused are reported, and the present ones stay."""
+        try:
+            settings = self.read(text, CONFIG_KEY)
+        except InputError as error:
+            self.refusal.error, self.refusal.time = str(error), time.time_ns()
+            self.refusal.count += 1
+            self._process.log("settings refused", error=str(error))
+            self._warn(str(error))
+            return
+        self.refusal.error = ""
+        self._news.append(settings)
+
+    def _warn(self, sentence: str) -> None:
+        """A Kubernetes Event about the ConfigMap, where its author looks."""
+        from robotkube.adapters.kubernetes_http import ApiServer, config_map_warning, event_path, split_name
+        from robotkube.domain.demands import time_text
+
+        namespace, name = split_name(self._pod.config_map or "")
+        message = f"{sentence}; the settings before go on"
+        component, now = "robotkube-event-detector", time_text(time.time_ns())
+        event = config_map_warning(namespace, name, "SettingsRefused", message, component, now)
+        try:
+            ApiServer.from_environment(os.environ).create(event_path(namespace), event)
+        except RobotKubeError as error:
+            self._process.log("no Kubernetes Event", error=str(error))
+
+    def _command(self, sent: bytes) -> tuple[int, str]:
+        """POST /state with `{"state": "active"}`."""
+        try:
+            state = json.loads(sent)["state"]
+        except (ValueError, KeyError, TypeError):
+            state = None
+        if state not in STATES:
+            return 400, json.dumps({"error": f'send {{"state": ...}} with one of {", ".join(STATES)}'})
+        self._commands.append(state)
+        return 202, json.dumps({"state": state})
+
+    def _definition(self, type_name: str) -> str:
+        if self._broker is not None and type_name in self._broker.definitions:
+            return self._broker.definitions[type_name]
+        return parts.installed_definition(type_name)
+
+    def _unreachable(self) -> str:
+        return "" if self._broker is None else self._broker.unreachable
+
+
+def finish(turn: Callable[[], int], seconds: float) -> None:
+    """Receive for so long, then what has arrived already."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        time.sleep(BUSY_SECONDS)
+        turn()
+    deadline = time.monotonic() + LAST_DRAIN_SECONDS_MAX
+    while turn() and time.monotonic() < deadline:
+        time.sleep(BUSY_SECONDS)
+
+
+def _beside(work: Callable[[], bool]) -> Callable[[], bool]:
+    """Do it on a thread of its own; who calls what this gives waits for the answer."""
+    answers: list[bool] = []
+    thread = threading.Thread(target=lambda: answers.append(work()), name="stop", daemon=True)
+    thread.start()
+
+    def answer() -> bool:
+        thread.join(STORE_SECONDS_MAX + 1)
+        return bool(answers and answers[0])
+
+    return answer
 
 
 def _leave(node: RosNode) -> None:
@@ -101,220 +295,6 @@ def _leave(node: RosNode) -> None:
     thread = threading.Thread(target=node.close, name="leave", daemon=True)
     thread.start()
     thread.join(LEAVE_SECONDS_MAX)
-
-
-def _receive(process: Process, detector: EventDetector, changes: deque[str]) -> None:
-    ready = False
-    while not process.stopping.wait(DRAIN_SECONDS):
-        if changes:
-            _change(process, detector, changes.popleft())
-        detector.turn()
-        if not ready and not detector.not_ready:
-            ready = True
-            process.log("ready", seconds=_process_age_seconds())
-
-
-def _change(process: Process, detector: EventDetector, text: str) -> None:
-    """Apply changed settings; refused ones are reported and the present ones stay."""
-    try:
-        ended = detector.apply(_settings(text, CONFIG_KEY))
-    except InputError as error:
-        process.log("settings refused", error=str(error))
-        return
-    for recordings in ended:
-        recordings.stop(STORE_SECONDS_MAX)
-
-
-def _end(process: Process, detector: EventDetector) -> None:
-    """Go on for as long as the recordings ask for, take what has arrived already, then store everything."""
-    end = time.monotonic() + detector.after_seconds
-    while time.monotonic() < end:
-        time.sleep(DRAIN_SECONDS)
-        detector.turn()
-    deadline = time.monotonic() + LAST_DRAIN_SECONDS_MAX
-    while detector.turn() and time.monotonic() < deadline:
-        time.sleep(DRAIN_SECONDS)
-    complete = [recordings.stop(STORE_SECONDS_MAX) for recordings in detector.recordings]
-    process.log("stopped", recordings=len(complete), complete=all(complete))
-
-
-class Live:
-    """The ROS graph for the detector's service."""
-
-    def __init__(self, node: RosNode) -> None:
-        self._node = node
-
-    def subscribe(self, topic: str, settings: TopicSettings) -> LiveTopic:
-        """Subscribe; DocumentError names the topic and what ROS has against it."""
-        try:
-            return LiveTopic(
-                self._node.subscribe(topic, settings.type, settings.reliability, settings.durability, settings.depth)
-            )
-        except (MessageTypeError, InputError) as error:
-            raise DocumentError(f"topic {topic}", [str(error)]) from error
-
-    def visible(self) -> Mapping[str, Sequence[str]]:
-        """Topic -> types."""
-        return self._node.topics()
-
-
-class LiveTopic:
-    """A subscription for the detector's service."""
-
-    lost = 0
-
-    def __init__(self, subscription: RosSubscription) -> None:
-        self._subscription = subscription
-
-    def drain(self, messages_max: int) -> Sequence[tuple[bytes, int]]:
-        """What waits, with the time of this call as the time of reception."""
-        messages = self._subscription.take(messages_max)
-        if not messages:
-            return ()
-        now = time.time_ns()
-        return [(message, now) for message in messages]
-
-    def close(self) -> None:
-        """Unsubscribe."""
-        self._subscription.close()
-
-
-class ApiTasks:
-    """The TaskDescriptions of one namespace over the API server. Nothing is written while the process is not sure that
-    its release is still its own: UnavailableError."""
-
-    def __init__(self, api: ApiServer, namespace: str, ownership: Ownership) -> None:
-        self._api, self._namespace, self._ownership = api, namespace, ownership
-
-    def tasks(self) -> Sequence[Mapping[str, Any]]:
-        """All of them."""
-        found = self._api.get(self._path()) or {}
-        return list(found.get("items", []))
-
-    def create(self, task: Mapping[str, Any]) -> None:
-        """Make the object; RefusalError carries the server's words."""
-        self._check()
-        try:
-            self._api.create(self._path(), task)
-        except InputError as error:
-            raise RefusalError("Refused", str(error)) from error
-
-    def renew(self, name: str, now: int) -> bool:
-        """Patch the annotation."""
-        self._check()
-        try:
-            return self._api.patch(self._path(name), renewal(now))
-        except InputError as error:
-            raise RefusalError("Refused", str(error)) from error
-
-    def delete(self, name: str) -> None:
-        """Delete the object."""
-        self._check()
-        try:
-            self._api.delete(self._path(name))
-        except InputError as error:
-            raise RefusalError("Refused", str(error)) from error
-
-    def _check(self) -> None:
-        if not self._ownership.sure:
-            raise UnavailableError("the settings have to be read anew first: another node may run this release by now")
-
-    def _path(self, name: str = "") -> str:
-        from robotkube.adapters.kubernetes_http import custom_path
-
-        group, version, plural = TASKS
-        return custom_path(group, version, self._namespace, plural, name)
-
-
-def make_operator(settings: DetectorSettings, pod: PodSettings, ownership: Ownership) -> OperatorReactions:
-    """The started operator reaction; its tasks are in the namespace of the pod's ConfigMap."""
-    from robotkube.adapters.kubernetes_http import ApiServer, split_name
-
-    namespace, _ = split_name(pod.config_map or settings.name)
-    tasks = ApiTasks(ApiServer.from_environment(os.environ), namespace, ownership)
-    reactions = OperatorReactions(settings.name, namespace, tasks, time.time_ns, time.monotonic, settings.task)
-    reactions.start()
-    return reactions
-
-
-def make_recordings(
-    reaction: RecordingReaction, settings: DetectorSettings, pod: PodSettings, ownership: Ownership
-) -> Recordings:
-    """The started recording reaction."""
-    if not pod.node:
-        raise InputError("NODE_NAME is not set; a recording's index names the node: set it from spec.nodeName")
-    root = Path(os.environ.get("ROBOTKUBE_RECORDINGS", RECORDINGS_FOLDER))
-    place = RecorderPlace(
-        volume=f"{pod.node}/{reaction.volume}",
-        open_store=lambda: _open_store(pod),
-        open_claim=lambda: _open_claim(root, reaction.recording),
-        clock_ns=time.time_ns,
-        monotonic=time.monotonic,
-        ownership=ownership,
-    )
-    recordings = Recordings(recording_plan(reaction, settings), place, {})
-    recordings.start()
-    return recordings
-
-
-def recording_plan(reaction: RecordingReaction, settings: DetectorSettings) -> RecordingPlan:
-    """What the reaction asks for, with what the settings say of its topics."""
-    topics = tuple(
-        RecordedTopic(topic.pattern, topic.type, reaction.storage[topic.pattern.text], latched=topic.latched)
-        for topic in settings.topics
-        if topic.pattern.text in reaction.storage
-    )
-    return RecordingPlan(
-        rule=reaction.rule,
-        recording=reaction.recording,
-        volume=reaction.volume,
-        topics=topics,
-        after_seconds=reaction.after_seconds,
-        trace=reaction.trace,
-        provenance=reaction.provenance,
-    )
-
-
-def _open_store(pod: PodSettings) -> RecordingStore:
-    from robotkube.adapters.mongodb_pymongo import PymongoRecordingStore, connect, read_account
-
-    return PymongoRecordingStore(connect(read_account(pod.database_folder)))
-
-
-def _open_claim(root: Path, owner: str) -> Claim:
-    from robotkube.entrypoints.claims import VolumeClaim
-
-    return VolumeClaim(root, owner, time.time_ns)
-
-
-def _settings(text: str, where: str) -> DetectorSettings:
-    return read_detector_settings(read_mapping(text, where), where)
-
-
-def _watch(pod: PodSettings, changes: deque[str], process: Process, ownership: Ownership) -> ConfigMapWatch | None:
-    if pod.config_map is None:
-        return None
-
-    def take(data: Mapping[str, str]) -> None:
-        if CONFIG_KEY in data:
-            changes.append(data[CONFIG_KEY])
-
-    return follow_settings(process, pod.config_map, ownership, take)
-
-
-def metrics(detector: EventDetector) -> str:
-    """The detector's numbers in Prometheus' text format; one series per topic and per recording."""
-    lines = ["# TYPE robotkube_detector_received_total counter"]
-    for name, topic in detector.input_document()["topics"].items():
-        lines.append(f'robotkube_detector_received_total{{topic="{name}"}} {topic["received"]}')
-    edges = detector.events_document()["events"]
-    lines += ["# TYPE robotkube_detector_edges gauge", f"robotkube_detector_edges {len(edges)}"]
-    for recordings in detector.recordings:
-        label = f'recording="{recordings.plan.recording}"'
-        lines.append(f"robotkube_recorder_waiting_writes{{{label}}} {recordings.waiting}")
-        for key, value in recordings.counts().items():
-            lines.append(f"robotkube_recorder_{key}_total{{{label}}} {value}")
-    return "\n".join(lines) + "\n"
 
 
 def _process_age_seconds() -> float:

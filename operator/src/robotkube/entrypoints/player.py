@@ -7,9 +7,10 @@ import os
 import time
 from pathlib import Path
 
-from robotkube.adapters.bag_files import BagFile, LedgerFiles
+from robotkube.adapters.bags import open_bag
 from robotkube.adapters.health_http import HealthServer
 from robotkube.adapters.kubernetes_http import ApiServer, ConfigMapData, ConfigMapWatch, split_name
+from robotkube.adapters.ledger_files import LedgerFiles
 from robotkube.adapters.ros_rclpy import RosNode
 from robotkube.domain.bags import read_player_settings, read_run
 from robotkube.domain.errors import DocumentError, InputError
@@ -42,7 +43,7 @@ def body(process: Process) -> None:
         raise InputError("ROBOTKUBE_CONFIGMAP is not set; without it the player cannot find ConfigMap simulation")
     player = Player(
         network=RosNode("bag_player"),
-        bag=BagFile(Path(settings.bag)),
+        bag=open_bag(Path(settings.bag)),
         ledgers=LedgerFiles(Path(settings.ledger)),
         clock=WallClock(),
         log=process.log,

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 from robotkube.domain.bags import BagTopic, LedgerState
 from robotkube.domain.detector_settings import TopicSettings
 from robotkube.domain.interface_checks import Endpoint
+from robotkube.domain.qualities import Offer, Quality
 
 
 class TopicInput(Protocol):
@@ -15,7 +16,12 @@ class TopicInput(Protocol):
 
     @property
     def lost(self) -> int:
-        """Messages that the middleware dropped before they were drained."""
+        """Messages that were dropped before they were drained."""
+        ...
+
+    @property
+    def matched(self) -> int:
+        """Publishers that are connected, as far as they are known."""
         ...
 
     def drain(self, messages_max: int) -> Sequence[tuple[bytes, int]]:
@@ -28,14 +34,22 @@ class TopicInput(Protocol):
 
 
 class LiveTopics(Protocol):
-    """The ROS graph as a detector sees it."""
+    """Where a detector's topics come from: the ROS graph, or the broker. One thread, nothing blocks."""
 
-    def subscribe(self, topic: str, settings: TopicSettings) -> TopicInput:
+    def follow(self, topics: Sequence[TopicSettings]) -> None:
+        """Take note of all topics that may be asked for."""
+        ...
+
+    def subscribe(self, topic: str, settings: TopicSettings, quality: Quality) -> TopicInput:
         """Subscribe; DocumentError when there is no such message type."""
         ...
 
     def visible(self) -> Mapping[str, Sequence[str]]:
         """Topic -> types of every topic that has a publisher or subscriber now."""
+        ...
+
+    def offers(self, topic: str) -> Sequence[Offer]:
+        """The publishers of a topic that are known now."""
         ...
 
 

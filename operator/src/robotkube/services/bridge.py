@@ -118,7 +118,7 @@ class Bridge:
         for link in self._links.values():
             link.turn(now)
         if self._gaps is not None:
-            self._gaps.turn(now, self._sender.clock())
+            self._gaps.turn(self._sender.clock())
         if now >= self._matched_at:
             self._matched_at = now + MATCHED_SECONDS
             self._count_matched()
@@ -196,7 +196,7 @@ class Bridge:
 
     def _advertise(self, topic: BridgedTopic) -> Incoming:
         sink = self._network.advertise(topic.name, topic.type, topic.reliability, topic.durability, topic.depth)
-        self._incoming[topic.name] = Incoming(topic, sink, self._lost_at_ros, self._found_gaps, self._now)
+        self._incoming[topic.name] = Incoming(topic, sink, self._lost_at_ros, self._found_gaps)
         return self._incoming[topic.name]
 
     def _open_found(self, general: BridgedTopic, mqtt_topic: str) -> Incoming | None:
@@ -287,7 +287,7 @@ class Bridge:
         elif wanted and self._gaps is None:
             topic = BridgedTopic(GAPS_TOPIC, GAPS_TYPE, durability="transient_local", depth=GAPS_DEPTH)
             sink = self._network.advertise(topic.name, topic.type, topic.reliability, topic.durability, topic.depth)
-            self._gaps = Incoming(topic, sink, self._lost_at_ros, self._found_gaps, self._now)
+            self._gaps = Incoming(topic, sink, self._lost_at_ros, self._found_gaps)
 
     def _found_gaps(self, gaps: Sequence[Gap]) -> None:
         """A sender told what is missing in what came in."""

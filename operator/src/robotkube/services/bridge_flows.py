@@ -28,7 +28,7 @@ if TYPE_CHECKING:  # the ports know every part's domain: 25 ms of a start
     from robotkube.ports.robots import MessageSink, MessageSource
 
 FRAME_BYTES_MAX = 1_000_000
-HOLD_SECONDS_MAX = 1.5
+HOLD_SECONDS_MAX = 3.0
 HELD_MESSAGES_MAX = 2_000
 HELD_BYTES_MAX = 32 * 1024 * 1024
 DEFINITION_ENCODING = "text/x-ros2msg"
@@ -115,10 +115,10 @@ class Outgoing:
 
 
 class Incoming:
-    """A topic that comes from the broker. Until a subscription has found its publisher, or HOLD_SECONDS_MAX are over,
-    messages are held: the middleware gives them to nobody who comes later."""
+    """A topic that comes from the broker. The first messages are held until a subscription has found the publisher, at
+    most for HOLD_SECONDS_MAX: the middleware gives them to nobody who comes later."""
 
-    def __init__(self, topic: BridgedTopic, sink: MessageSink, lost: Lost, found: Found, now: float) -> None:
+    def __init__(self, topic: BridgedTopic, sink: MessageSink, lost: Lost, found: Found) -> None:
         self.topic, self.sink = topic, sink
         self.seen = SeenFrames()
         self.messages = self.matched = self.lost_messages = 0
@@ -127,7 +127,7 @@ class Incoming:
         self._lost, self._found = lost, found
         self._has_header = topic.type in STAMPED_TYPES
         self._held: deque[bytes] | None = deque()
-        self._held_bytes, self._until = 0, now + HOLD_SECONDS_MAX
+        self._held_bytes = self._held_since = 0
         forms = {True: self._text, False: self._plain if topic.format == MQTT_CLIENT else self._frame}
         self._decode: Callable[[bytes, bytes, int], Sequence[bytes]] = forms[bool(topic.door)]
 
@@ -141,6 +141,7 @@ class Incoming:
         if self._held is None:
             self._publish(messages, clock_ns)
             return
+        self._held_since = self._held_since if self._held else clock_ns
         self._held += messages
         self._held_bytes += sum(map(len, messages))
         if len(self._held) > HELD_MESSAGES_MAX or self._held_bytes > HELD_BYTES_MAX or self.sink.matched:
@@ -157,9 +158,12 @@ class Incoming:
         """Whether messages wait for a subscription to find the publisher."""
         return self._held is not None
 
-    def turn(self, now: float, clock_ns: int) -> None:
+    def turn(self, clock_ns: int) -> None:
         """Let go what is held when its time has come."""
-        if self._held is not None and (now >= self._until or self.sink.matched):
+        if self._held is None:
+            return
+        late = bool(self._held) and clock_ns - self._held_since >= HOLD_SECONDS_MAX * 1e9
+        if late or self.sink.matched:
             self._let_go(clock_ns)
 
     def _let_go(self, clock_ns: int) -> None:

@@ -176,7 +176,7 @@ class Link:
         self.channel.flush()
         for incoming in self.incoming.values():
             if incoming.holding:
-                incoming.turn(now, self._clock())
+                incoming.turn(self._clock())
 
     def close(self) -> None:
         """Hand over what the connection takes at once, then part from the broker."""

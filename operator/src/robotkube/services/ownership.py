@@ -20,6 +20,8 @@ import time
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
+from robotkube.domain.errors import UnavailableError
+
 if TYPE_CHECKING:  # the ports know every part's domain: 25 ms of a start
     from robotkube.ports.robots import SettingsReading
 
@@ -68,6 +70,11 @@ class Ownership:
         since = self._reading.interrupted_at
         reached = since is None or self._clock() - since <= GAP_SECONDS_MAX
         return reached and self._reading.read_at is not None and self._was_read
+
+    def check(self) -> None:
+        """UnavailableError when the process may not act now."""
+        if not self.sure:
+            raise UnavailableError("the settings have to be read anew first: another node may run this release by now")
 
     @property
     def _was_read(self) -> bool:

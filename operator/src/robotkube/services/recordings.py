@@ -70,9 +70,12 @@ def audits(reader: RecordingReader, recording: str) -> dict[str, AuditSum]:
 
 
 def wrong_segments(reader: RecordingReader, segments: SegmentReader, recording: str) -> list[str]:
-    """The finished files that are not within reach or not as they were when they were finished, in words."""
+    """The files that are not finished, not within reach, or not as they were when they were finished, in words."""
     problems = []
     for entry in reader.segments(recording):
+        if not entry["sha256"]:
+            problems.append(f"{entry['volume']}: {entry['segment']}: is not finished")
+            continue
         try:
             found = segments.digest(entry["volume"], entry["segment"])
         except UnavailableError as error:

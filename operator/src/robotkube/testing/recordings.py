@@ -57,7 +57,8 @@ class RecordingDatabase:
     def finished(self, volume: str) -> Collection[str]:
         """As the port says."""
         self.ping()
-        return {one["segment"] for one in self.collections.get(SEGMENTS, {}).values() if one["volume"] == volume}
+        known = self.collections.get(SEGMENTS, {}).values()
+        return {one["segment"] for one in known if one["volume"] == volume and one["sha256"]}
 
     def write(self, writes: Sequence[Write]) -> None:
         """As the port says; the process may be killed between any two."""

@@ -12,10 +12,11 @@ from robotkube.domain.rules.edges import START, STOP, Cause, Edge, event_identit
 from robotkube.domain.rules.engine import RuleEngine
 from robotkube.domain.rules.messages import FALL, KEEP, RISE, Message
 from robotkube.domain.rules.reading import RULES_MAX, read_rules
-from robotkube.domain.rules.specifications import Always, Cel, Python, Rule
+from robotkube.domain.rules.specifications import Always, Cel, Proximity, Python, Rule
 from robotkube.domain.rules.wording import reason
 
 __all__ = [
     "FALL", "KEEP", "RISE", "RULES_MAX", "START", "STOP", "Always", "Answer", "Cause", "Cel", "Edge", "Message",
-    "Python", "Question", "Rule", "RuleEngine", "Verdict", "event_identity", "read_rules", "reason", "task_name",
+    "Proximity", "Python", "Question", "Rule", "RuleEngine", "Verdict", "event_identity", "read_rules", "reason",
+    "task_name",
 ]  # fmt: skip

@@ -5,7 +5,7 @@ Findings are changes only: `holding` has the members for whom it holds; who uses
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from heapq import heappop, heappush
 
 from robotkube.domain.rules.areas import Area
@@ -59,6 +59,7 @@ class Condition:
 
     def __init__(self) -> None:
         self.holding: set[Member] = set()
+        self._partners: dict[str, dict[str, None]] = {}
 
     def observe(self, reading: Reading) -> Sequence[Finding]:
         """What a message changes. ValueError: its fields are not what the condition compares."""
@@ -81,6 +82,22 @@ class Condition:
             self.holding.add(member)
         else:
             self.holding.discard(member)
+        if len(member) == 2:
+            self._pair_up(member, holds)
+            self._pair_up(member[::-1], holds)
+
+    def partners(self, agent: str) -> Iterable[str]:
+        """With whom it holds for the agent."""
+        return self._partners.get(agent, ())
+
+    def _pair_up(self, member: Member, holds: bool) -> None:
+        agent, other = member
+        if holds:
+            self._partners.setdefault(agent, {})[other] = None
+        elif agent in self._partners:
+            self._partners[agent].pop(other, None)
+            if not self._partners[agent]:
+                del self._partners[agent]
 
 
 def beyond(level: Level, value: float) -> int:

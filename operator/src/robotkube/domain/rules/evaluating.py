@@ -181,11 +181,12 @@ class Evaluator:
 
     def _hear(self, agent: str, stamp: int, received: int) -> list[Edge]:
         """Note that an agent was heard of; its events end first when it was silent for too long."""
-        last = self._seen.get(agent)
         found: list[Edge] = []
-        if last is not None and self._expire_ns and stamp - last[0] > self._expire_ns:
-            found = self._expire(agent, received)
-        elif last is None and len(self._seen) >= AGENTS_MAX:
+        if self._expire_ns:
+            for other in [agent, *self.condition.partners(agent)]:
+                if other in self._seen and stamp - self._seen[other][0] > self._expire_ns:
+                    found += self._expire(other, received)
+        if agent not in self._seen and len(self._seen) >= AGENTS_MAX:
             self.ignored += 1
             return found
         self._seen[agent] = (stamp, received)
@@ -194,11 +195,12 @@ class Evaluator:
         return found
 
     def _expire(self, agent: str, now: int) -> list[Edge]:
-        stamp, _ = self._seen.pop(agent)
+        gone = sorted(member for member in self.condition.holding if agent in member)
+        ends = [min(self._seen[one][0] for one in member if one in self._seen) + self._expire_ns for member in gone]
+        del self._seen[agent]
         self._slots.pop(agent, None)
         self.condition.forget(agent)
-        gone = sorted(member for member in self.condition.holding if agent in member)
-        return self._take([Finding(member, FALL, stamp + self._expire_ns, now) for member in gone])
+        return self._take([Finding(member, FALL, end, now) for member, end in zip(gone, ends, strict=True)])
 
     def _silent_at(self, member: Member) -> int | None:
         last = self._seen.get(member[0])

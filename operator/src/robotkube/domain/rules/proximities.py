@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from robotkube.domain.rules.conditions import Condition
 from robotkube.domain.rules.edges import Cause
-from robotkube.domain.rules.messages import FALL, RISE, Finding, Member, Reading, pair
+from robotkube.domain.rules.messages import FALL, RISE, Finding, Reading, pair
 from robotkube.domain.rules.specifications import Proximity
 
 POSITION_MAX = 1e12
@@ -39,7 +39,6 @@ class ProximityCondition(Condition):
         self._start_squared, self._stop_squared = settings.start_distance_m**2, settings.stop_distance_m**2
         self._places: dict[str, _Place] = {}
         self._cells: dict[Cell, dict[str, _Place]] = {}
-        self._partners: dict[str, dict[str, None]] = {}
 
     def observe(self, reading: Reading) -> Sequence[Finding]:
         """See the base; the values are x, y and z in metres."""
@@ -56,7 +55,7 @@ class ProximityCondition(Condition):
                     continue
                 if pair(agent, other) not in holding:
                     found.append(self._finding(reading, place, other, theirs, RISE))
-        for other in self._partners.get(agent, ()):
+        for other in self.partners(agent):
             known = self._places.get(other)
             if known is not None and self._comparable(place, known) and _squared(place, known) > self._stop_squared:
                 found.append(self._finding(reading, place, other, known, FALL))
@@ -67,17 +66,6 @@ class ProximityCondition(Condition):
         place = self._places.pop(agent, None)
         if place is not None:
             self._leave(agent, place.cell)
-
-    def mark(self, member: Member, holds: bool) -> None:
-        """See the base."""
-        super().mark(member, holds)
-        for agent, other in (member, member[::-1]):
-            if holds:
-                self._partners.setdefault(agent, {})[other] = None
-            elif agent in self._partners:
-                self._partners[agent].pop(other, None)
-                if not self._partners[agent]:
-                    del self._partners[agent]
 
     def _put(self, reading: Reading) -> _Place:
         x, y, z = reading.values

@@ -153,6 +153,6 @@ class AbsenceCondition(Condition):
         return None if last is None or member in self.holding else last[1] + self._bound_ns + GRACE_NS
 
     def _finding(self, member: Member, verdict: int, stamp: int, received: int) -> Finding:
-        last = self._last[member][0]
+        last = self._last.get(member, (stamp, received))[0]
         cause = Cause(self._topic.topic(member[0]), last, {})
         return Finding(member, verdict, stamp, received, {"silent_seconds": (stamp - last) / 1e9}, (cause,))

@@ -111,7 +111,10 @@ PROPERTIES: Mapping[str, Schema] = {
         "additionalProperties": False,
         "required": ["type", "coordinates"],
         "description": "the area as in GeoJSON: lists of rings, the outer one first, then its holes",
-        "properties": {"type": choice(("Polygon", "MultiPolygon"), "form"), "coordinates": {"type": "array"}},
+        "properties": {
+            "type": choice(("Polygon", "MultiPolygon"), "form"),
+            "coordinates": {"type": "array", "description": "rings of [x, y]"},
+        },
         "if": {"properties": {"type": {"const": "Polygon"}}},
         "then": {"properties": {"coordinates": _POLYGON}},
         "else": {"properties": {"coordinates": {"type": "array", "minItems": 1, "items": _POLYGON}}},
@@ -165,7 +168,11 @@ PROPERTIES: Mapping[str, Schema] = {
         "items": _TOPIC,
         "description": "topics whose messages the rule gets",
     },
-    "settings": {"type": "object", "description": "what the package's rule wants to know"},
+    "settings": {
+        "type": "object",
+        "additionalProperties": True,
+        "description": "what the package's rule wants to know",
+    },
     "buffer_seconds": number(0.01, 600, "how far back the rule can look", 10),
 }
 
@@ -254,6 +261,7 @@ def rules_schema() -> Schema:
         "items": {
             "type": "object",
             "description": "One rule.",
+            "additionalProperties": False,
             "required": ["name", "kind"],
             "properties": dict(PROPERTIES),
             "allOf": [_condition(name, kind) for name, kind in KINDS.items()],

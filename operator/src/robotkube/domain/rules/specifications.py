@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from robotkube.domain.rules.edges import NOTHING
 from robotkube.domain.topics import TopicPattern
@@ -28,8 +27,7 @@ Ring = tuple[Point, ...]
 """Corners; the last is joined to the first."""
 
 
-@dataclass(frozen=True)
-class Level:
+class Level(NamedTuple):
     """A number compared with two bounds. `above`: beyond is greater, else less."""
 
     above: bool
@@ -37,8 +35,7 @@ class Level:
     stop: float
 
 
-@dataclass(frozen=True)
-class Proximity:
+class Proximity(NamedTuple):
     """Two agents nearer than `start_distance_m`; it ends when they are farther than `stop_distance_m`.
 
     `position` is the path of x, y and z. Positions whose stamps differ by more than `stale_seconds` are not compared.
@@ -51,8 +48,7 @@ class Proximity:
     position: str = "pose.position"
 
 
-@dataclass(frozen=True)
-class Geofence:
+class Geofence(NamedTuple):
     """An agent within an area (or outside it): polygons, each an outer ring and holes. Who has gone in counts as in up
     to `margin` outside, and the other way round; in the unit of the coordinates."""
 
@@ -64,8 +60,7 @@ class Geofence:
     y: str = "pose.position.y"
 
 
-@dataclass(frozen=True)
-class Threshold:
+class Threshold(NamedTuple):
     """A number in a message beyond a bound."""
 
     topic: TopicPattern
@@ -73,8 +68,7 @@ class Threshold:
     level: Level
 
 
-@dataclass(frozen=True)
-class Rate:
+class Rate(NamedTuple):
     """Messages per second, counted over the last `window_seconds`, beyond a bound."""
 
     topic: TopicPattern
@@ -82,24 +76,21 @@ class Rate:
     window_seconds: float
 
 
-@dataclass(frozen=True)
-class Absence:
+class Absence(NamedTuple):
     """No message for `seconds`."""
 
     topic: TopicPattern
     seconds: float
 
 
-@dataclass(frozen=True)
-class Part:
+class Part(NamedTuple):
     """A rule that a combination looks at; `negated`: it must not hold."""
 
     rule: str
     negated: bool = False
 
 
-@dataclass(frozen=True)
-class Combination:
+class Combination(NamedTuple):
     """What other rules say together: all of them, any of them, or their starts one after the other within a time."""
 
     mode: str
@@ -107,8 +98,7 @@ class Combination:
     within_seconds: float = 0.0
 
 
-@dataclass(frozen=True)
-class Cel:
+class Cel(NamedTuple):
     """An expression over `fields` (name -> path in the message); `until`: what has to hold for the end."""
 
     topic: TopicPattern
@@ -119,27 +109,24 @@ class Cel:
     budget_seconds: float = BUDGET_SECONDS_DEFAULT
 
 
-@dataclass(frozen=True)
-class Python:
+class Python(NamedTuple):
     """A rule of an installed package, by its name in the entry point group `robotkube.rules`."""
 
     plugin: str
     topics: tuple[TopicPattern, ...]
-    settings: Mapping[str, Any] = field(default_factory=lambda: NOTHING)
+    settings: Mapping[str, Any] = NOTHING
     budget_seconds: float = BUDGET_SECONDS_DEFAULT
     buffer_seconds: float = PLUGIN_BUFFER_SECONDS_DEFAULT
 
 
-@dataclass(frozen=True)
-class Always:
+class Always(NamedTuple):
     """Holds from the first moment on."""
 
 
 Condition = Proximity | Geofence | Threshold | Rate | Absence | Combination | Cel | Python | Always
 
 
-@dataclass(frozen=True)
-class Timing:
+class Timing(NamedTuple):
     """When what holds becomes an event. All in seconds of the messages' own time; 0 asks for nothing.
 
     `sustained`: it has to hold for so long; `minimum_interval`: least time between two starts; `cooldown`: from a stop
@@ -154,8 +141,7 @@ class Timing:
     expire: float = EXPIRE_SECONDS_DEFAULT
 
 
-@dataclass(frozen=True)
-class Rule:
+class Rule(NamedTuple):
     """One rule. `agents`: the only ones it looks at, all when empty. A `silent` rule raises no events of its own; it is
     there for combinations. Of scope `group` it has one event, while it holds for at least `at_least` members."""
 
@@ -164,7 +150,7 @@ class Rule:
     scope: str = AGENT
     agents: tuple[str, ...] = ()
     at_least: int = 1
-    timing: Timing = field(default_factory=Timing)
+    timing: Timing = Timing()
     silent: bool = False
 
     @property

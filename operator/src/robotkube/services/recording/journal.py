@@ -17,12 +17,12 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 from robotkube.domain.audits import MEMORY, SPOOL, TopicAudit
 from robotkube.domain.errors import DocumentError, InputError, UnavailableError
 from robotkube.domain.recordings import AUDITS, INDEX, Write, messages_of
+from robotkube.services.recording.counts import JournalCounts
 from robotkube.services.recording.places import ROUND_SECONDS, RecorderPlace, RecordingBounds
 from robotkube.services.recording.repairing import repaired
 
@@ -39,18 +39,6 @@ REFUSED, DISK_FULL, SPOOL_FULL, NO_SPOOL = (
 )  # fmt: skip
 
 log = logging.getLogger(__name__)
-
-
-@dataclass
-class JournalCounts:
-    """What happened to writes; numbers only grow."""
-
-    acknowledged: int = 0
-    retries: int = 0
-    spooled: int = 0
-    dropped: int = 0
-    repaired: int = 0
-    discarded: int = 0
 
 
 class Listener(Protocol):

@@ -16,25 +16,14 @@ import hashlib
 import logging
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from robotkube.domain.audits import (
-    KILLED,
-    QUEUE,
-    RECORDER,
-    VOLUME,
-    Gap,
-    Interruption,
-    Interval,
-    TopicAudit,
-    interruptions,
-)
+from robotkube.domain.audits import QUEUE, VOLUME, Gap, Interval
 from robotkube.domain.recording_plans import FOREVER
 from robotkube.domain.recordings import (
-    AUDITS,
     DOCUMENT_BYTES_MAX,
     INDEX,
     RECORDINGS,
@@ -48,9 +37,11 @@ from robotkube.domain.recordings import (
     bucket_documents,
     messages_of,
 )
-from robotkube.services.recording.journal import AUDIT_BYTES, NO_SPACE, Journal
+from robotkube.services.recording.bookkeeping import Bookkeeping
+from robotkube.services.recording.counts import RecorderCounts
+from robotkube.services.recording.journal import NO_SPACE, Journal
 from robotkube.services.recording.places import BOUNDS, ROUND_SECONDS, RecorderPlace, RecordingBounds
-from robotkube.services.recording.repairing import index_write, segment_write
+from robotkube.services.recording.repairing import index_write, segment_begun, segment_ended
 
 if TYPE_CHECKING:
     from robotkube.ports.recordings import RecordingStore, Segments
@@ -58,26 +49,10 @@ if TYPE_CHECKING:
 BATCH_BYTES = 4 * 1024 * 1024
 BATCH_BYTES_MAX = 128 * 1024 * 1024
 SETTLED_BYTES_PER_ROUND = 16 * 1024 * 1024
-AUDIT_SECONDS = 5.0
 BEGIN_SECONDS_MAX = 3.0
 KNOWN_SECONDS_MAX = 5.0
 
 log = logging.getLogger(__name__)
-
-
-@dataclass
-class RecorderCounts:
-    """What happened to the offered messages; numbers only grow. `first_stored`: topic -> time of its first index
-    acknowledgement, ns."""
-
-    offered: int = 0
-    early: int = 0
-    dropped: int = 0
-    duplicates: int = 0
-    documents: int = 0
-    segments: int = 0
-    acknowledged: int = 0
-    first_stored: dict[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +83,15 @@ class _Large:
 
 
 @dataclass(frozen=True, slots=True)
+class _Append:
+    """Messages on their way to a segment."""
+
+    segments: Segments
+    chosen: Sequence[_Large]
+    places: Future[Sequence[SegmentPlace | None]]
+
+
+@dataclass(frozen=True, slots=True)
 class _Prior:
     """What the database has of an earlier recorder of the same recording."""
 
@@ -134,7 +118,7 @@ class Recorder:
     ) -> None:
         self.recording, self.counts = recording, RecorderCounts()
         self._document, self._journal, self._place, self._bounds = dict(document), journal, place, bounds
-        self._intervals, self.life = intervals, place.clock_ns()
+        self._books = Bookkeeping(recording, journal, place, intervals)
         self._silent, self._begin_stamp = set(streams), 0
         self._first_large_at: float | None = None
         self._queue: deque[_Offer] = deque()
@@ -142,18 +126,14 @@ class Recorder:
         self._offered_bytes = self._settled_bytes = self._woken_at_bytes = 0
         self._wake, self._ending = threading.Event(), threading.Event()
         self._segments: Segments | None = None
-        self._duplicates = Duplicates()
+        self._duplicates, self._files = Duplicates(), set[str]()
         self._begun = self._known = False
-        self._audits: dict[str, TopicAudit] = {}
         self._lock = threading.Lock()
-        self._audited: set[str] = set()
-        self._audit_at = place.monotonic() + AUDIT_SECONDS
-        self._interrupted: dict[str, int] = {}
-        self._interrupted_audits: dict[str, list[str]] = {}
         self._prior: _Prior | None = None
         self._waits_until = place.monotonic() + KNOWN_SECONDS_MAX
         self._volume_problem = self.failed = ""
         self._hashing = ThreadPoolExecutor(1, thread_name_prefix=f"hash-{recording}")
+        self._writing = ThreadPoolExecutor(1, thread_name_prefix=f"write-{recording}")
         self._thread = threading.Thread(target=self._run, name=f"recorder-{recording}", daemon=True)
         journal.listen(self)
 
@@ -169,12 +149,12 @@ class Recorder:
             self._begin_stamp = max(self._begin_stamp, stamp)
         elif storage == SEGMENT and self._is_early(stamp):
             self.counts.early += 1
-            self._note(topic, stamp, lambda audit: audit.leave_out())
+            self._books.receive(topic, stamp, lambda audit: audit.leave_out())
             return
         if self._offered_bytes - self._settled_bytes > self._bounds.queue_bytes:
             self.counts.dropped += 1
             why = self._volume_problem or "storing is too slow"
-            self._note(topic, stamp, lambda audit: audit.drop(QUEUE, why, stamp))
+            self._books.receive(topic, stamp, lambda audit: audit.drop(QUEUE, why, stamp))
             return
         self._queue.append(_Offer(topic, type_name, storage, stamp, received, data))
         self._offered_bytes += len(data)
@@ -192,8 +172,7 @@ class Recorder:
 
     def lack(self, gap: Gap) -> None:
         """Messages are missing that nobody can offer any more."""
-        with self._lock:
-            self._audit_of(gap.topic).lack(gap)
+        self._books.note(gap.topic, lambda audit: audit.lack(gap))
 
     def stop(self, seconds: float) -> bool:
         """Store what was offered and end the recording, within `seconds`; True when the journal has everything."""
@@ -203,6 +182,11 @@ class Recorder:
         if self._thread.is_alive():
             log.error("recording %s: storing did not end within %.1f s", self.recording, seconds)
         return not (self._thread.is_alive() or self._queue or self._large or self.failed)
+
+    @property
+    def life(self) -> int:
+        """When this recorder began, ns; it tells its audits from those of earlier ones."""
+        return self._books.life
 
     @property
     def stopped(self) -> bool:
@@ -216,8 +200,7 @@ class Recorder:
 
     def audits(self) -> list[dict[str, Any]]:
         """The audit of every topic so far, without holes."""
-        with self._lock:
-            return [audit.document() for audit in self._audits.values()]
+        return self._books.documents()
 
     def _is_early(self, stamp: int) -> bool:
         if self._silent:
@@ -229,19 +212,6 @@ class Recorder:
             log.warning("recording %s: begins without %s", self.recording, ", ".join(sorted(self._silent)))
             self._silent.clear()
         return stamp < self._begin_stamp
-
-    def _note(self, topic: str, stamp: int, note: Callable[[TopicAudit], None]) -> None:
-        """A message that does not even come into the queue."""
-        with self._lock:
-            audit = self._audit_of(topic)
-            audit.receive(stamp)
-            note(audit)
-
-    def _audit_of(self, topic: str) -> TopicAudit:
-        audit = self._audits.get(topic)
-        if audit is None:
-            audit = self._audits[topic] = TopicAudit(topic)
-        return audit
 
     # called by the journal's thread ----------------------------------------------------------------------------------
 
@@ -272,29 +242,31 @@ class Recorder:
             log.exception("%s", self.failed)
         finally:
             self._hashing.shutdown(wait=False)
+            self._writing.shutdown(wait=False)
 
     def finish(self) -> None:
         """What is offered is stored, and the recording ends; a volume that refuses now has refused for good."""
         while self._queue:
             self.turn()
-        self._store_large()
+        self._end_large(self._begin_large())
         self._give_up()
         self._close_segment()
-        if not self._begun and not self._audits:
+        if not self._begun and not self._books:
             return
         self._begin()
-        self._end_interruptions()
-        self._write_audits(self._audits, closed=True)
+        self._books.close()
         fields = {"ended": self._place.clock_ns(), "counts": self._numbers()}
         self._journal.add([Write(RECORDINGS, self.recording, fields, update=True, size=200)])
         log.info("recording %s: ended %s", self.recording, self._summary())
 
     def _give_up(self) -> None:
-        with self._lock:
-            for large in self._large:
-                self._audit_of(large.offer.topic).drop(VOLUME, self._volume_problem, large.offer.stamp)
-        self.counts.dropped += len(self._large)
+        for large in self._large:
+            self._drop(large.offer, self._volume_problem)
         self._large = []
+
+    def _drop(self, offer: _Offer, why: str) -> None:
+        self.counts.dropped += 1
+        self._books.note(offer.topic, lambda audit: audit.drop(VOLUME, why, offer.stamp))
 
     def _close_segment(self) -> None:
         if self._segments is None:
@@ -306,8 +278,8 @@ class Recorder:
         self._tell_closed(self._segments)
 
     def _tell_closed(self, segments: Segments) -> None:
-        closed = segments.closed()
-        self._journal.add([segment_write(self.recording, one, self._place.volume) for one in closed])
+        for closed in segments.closed():
+            self._journal.add(segment_ended(self.recording, closed, self._place.volume))
 
     def turn(self) -> None:
         """One batch. A volume that refuses holds up what it is for, and nothing else."""
@@ -317,9 +289,12 @@ class Recorder:
         if not self._may_take():
             return
         small = self._take()
-        self._write_changed_audits()  # that there is a topic, and what was dropped, is told before messages are stored
-        self._store_small(small)
-        self._store_large()
+        if self._books:
+            self._begin()
+        self._books.tell_changes()  # that there is a topic, and what was dropped, is told before messages are stored
+        large = self._begin_large()
+        self._store_small(small)  # beside the writing of the large ones
+        self._end_large(large)
 
     def _may_take(self) -> bool:
         # what an earlier recorder of this recording stored must be known before anything is stored again;
@@ -337,55 +312,22 @@ class Recorder:
         self._duplicates.dropped, self._known = 0, True
         if not prior.audits and not stamps:
             return
-        with self._lock:
-            for audit_document in prior.audits:
-                if not audit_document["closed"]:
-                    names = self._interrupted_audits.setdefault(audit_document["topic"], [])
-                    names.append(audit_document["_id"])
-            for interruption in interruptions(prior.audits, stamps):
-                self._interrupt(interruption)
+        self._books.take_up(prior.audits, stamps)
         self._begin()
-
-    def _interrupt(self, found: Interruption) -> None:
-        audit = self._audits.get(found.topic)
-        until = found.until if found.until is not None else audit.first if audit is not None else None
-        if until is None:
-            self._interrupted[found.topic] = found.since
-        elif until > found.since:
-            self._audit_of(found.topic).lack(Gap(found.topic, RECORDER, KILLED, None, found.since, until - 1))
 
     def _take(self) -> list[_Offer]:
         """Empty the queue: large messages join those that the volume has not taken yet, small ones are returned."""
         small = []
         taken = 0
-        with self._lock:
-            while self._queue and taken < BATCH_BYTES_MAX:
-                offer = self._queue.popleft()
-                taken += len(offer.data)
-                self._receive(offer)
-                if offer.large:
-                    self._large.append(_Large(offer, self._hashing.submit(_digest, offer.data)))
-                else:
-                    small.append(offer)
+        while self._queue and taken < BATCH_BYTES_MAX:
+            offer = self._queue.popleft()
+            taken += len(offer.data)
+            self._books.receive(offer.topic, offer.stamp)
+            if offer.large:
+                self._large.append(_Large(offer, self._hashing.submit(_digest, offer.data)))
+            else:
+                small.append(offer)
         return small
-
-    def _receive(self, offer: _Offer) -> None:
-        audit = self._audit_of(offer.topic)
-        audit.receive(offer.stamp)
-        since = self._interrupted.get(offer.topic)
-        if since is not None and offer.stamp >= since:
-            del self._interrupted[offer.topic]
-            if offer.stamp > since:
-                audit.lack(Gap(offer.topic, RECORDER, KILLED, None, since, offer.stamp - 1))
-
-    def _end_interruptions(self) -> None:
-        now = self._place.clock_ns()
-        with self._lock:
-            for topic, since in self._interrupted.items():
-                self._audit_of(topic).lack(Gap(topic, RECORDER, KILLED, None, since, max(now, since)))
-            for topic in self._interrupted_audits:
-                self._audit_of(topic)
-            self._interrupted.clear()
 
     def _store_small(self, offers: Sequence[_Offer]) -> None:
         messages = []
@@ -407,31 +349,38 @@ class Recorder:
 
     def _doubled(self, topic: str) -> None:
         self.counts.duplicates += 1
-        with self._lock:
-            self._audit_of(topic).duplicates += 1
+        self._books.note(topic, lambda audit: audit.repeat())
 
     def _hand_over(self, writes: Sequence[Write], topics: Sequence[str]) -> None:
         """Writes that carry one message of each of `topics`."""
         self._journal.add(writes)
-        with self._lock:
-            for topic in topics:
-                self._audit_of(topic).store(1)
+        self._books.store(topics)
 
-    def _store_large(self) -> None:
+    def _begin_large(self) -> _Append | None:
+        """Begin to write what the volume has not taken yet."""
         if not self._large:
-            return
+            return None
         try:
             if self._segments is None:
                 self._segments = self._open_segments()
-            chosen = self._without_duplicates()
-            places = self._append(self._segments, chosen)
+        except OSError as error:
+            self._refused(error)
+            return None
+        chosen = self._without_duplicates()
+        return _Append(self._segments, chosen, self._writing.submit(self._append, self._segments, chosen))
+
+    def _end_large(self, begun: _Append | None) -> None:
+        if begun is None:
+            return
+        try:
+            places = begun.places.result()
         except OSError as error:
             self._refused(error)
             return
         self._volume_problem = ""
-        self._add_index(chosen, places)
-        self._tell_closed(self._segments)
-        self._settle(self._segments)
+        self._add_index(begun.chosen, places)
+        self._tell_closed(begun.segments)
+        self._settle(begun.segments)
 
     def _open_segments(self) -> Segments:
         if self._journal.claim is None:
@@ -474,17 +423,21 @@ class Recorder:
         try:
             return segments.append([large.message() for large in chosen])
         except ValueError:
-            return [self._append_one(segments, large) for large in chosen]
+            return self._append_singly(segments, chosen)
 
-    def _append_one(self, segments: Segments, large: _Large) -> SegmentPlace | None:
-        try:
-            return segments.append([large.message()])[0]
-        except ValueError as error:
-            log.error("recording %s: %s", self.recording, error)
-            with self._lock:
-                self._audit_of(large.offer.topic).drop(VOLUME, str(error), large.offer.stamp)
-            self.counts.dropped += 1
-            return None
+    def _append_singly(self, segments: Segments, chosen: Sequence[_Large]) -> list[SegmentPlace | None]:
+        places: list[SegmentPlace | None] = []
+        for large in chosen:
+            try:
+                places += segments.append([large.message()])
+            except ValueError as error:
+                log.error("recording %s: %s", self.recording, error)
+                self._drop(large.offer, str(error))
+                places.append(None)
+            except OSError as error:
+                self._refused(error)
+                break
+        return places
 
     def _add_index(self, chosen: Sequence[_Large], places: Sequence[SegmentPlace | None]) -> None:
         writes, topics = [], []
@@ -503,6 +456,9 @@ class Recorder:
         self.counts.segments += len(writes)
         if writes:
             self._begin()
+            names = {place.segment for place in places if place is not None} - self._files
+            self._files |= names
+            self._journal.add([segment_begun(self.recording, name, self._place.volume) for name in sorted(names)])
             self._hand_over(writes, topics)
 
     def _settle(self, segments: Segments) -> None:
@@ -525,42 +481,6 @@ class Recorder:
             Write(RECORDINGS, self.recording, begun, size=1000),
             Write(RECORDINGS, self.recording, again, update=True, size=200, add=volumes),
         ])  # fmt: skip
-
-    def _write_changed_audits(self) -> None:
-        """Audits with new gaps at once, all of them now and then."""
-        due = self._place.monotonic() >= self._audit_at
-        if due:
-            self._audit_at = self._place.monotonic() + AUDIT_SECONDS
-        with self._lock:
-            new = self._audits.keys() - self._audited
-            changed = {name for name, audit in self._audits.items() if due or audit.changed}
-        if new | changed:
-            self._begin()
-            self._write_audits(new | changed)
-        if new:
-            self._journal.keep()
-
-    def _write_audits(self, topics: Iterable[str], closed: bool = False) -> None:
-        now, writes = self._place.clock_ns(), []
-        with self._lock:
-            for topic in sorted(topics):
-                audit = self._audits[topic]
-                spans = self._intervals(topic) if closed else None
-                document = {**audit.document(spans), "closed": closed, "written": now}
-                audit.changed = False
-                writes.append(self._audit_write(topic, document))
-                if topic not in self._interrupted:
-                    told = self._interrupted_audits.pop(topic, ())
-                    writes += [Write(AUDITS, name, {"closed": True}, update=True, size=100) for name in told]
-        self._journal.add(writes)
-
-    def _audit_write(self, topic: str, document: dict[str, Any]) -> Write:
-        name = f"{self.recording}{topic}/{self.life}"
-        if topic in self._audited:
-            return Write(AUDITS, name, document, update=True, size=AUDIT_BYTES)
-        self._audited.add(topic)
-        whole = {"recording": self.recording, "volume": self._place.volume, "life": self.life, **document}
-        return Write(AUDITS, name, whole, size=AUDIT_BYTES)
 
     def _numbers(self) -> dict[str, int]:
         numbers = {name: value for name, value in vars(self.counts).items() if isinstance(value, int)}

@@ -46,7 +46,7 @@ def repaired(repair: SegmentRepair, store: RecordingStore, volume: str) -> Itera
         if closed is not None:
             numbers = closed.messages, len(new), closed.cut
             log.warning("segment %s of %s: repaired messages=%d indexed=%d cut=%d", name, volume, *numbers)
-            yield [segment_write(recording, closed, volume)]
+            yield segment_ended(recording, closed, volume)
 
 
 def index_write(recording: str, message: FoundMessage, volume: str, known: Duplicates) -> Write:
@@ -56,10 +56,19 @@ def index_write(recording: str, message: FoundMessage, volume: str, known: Dupli
     return Write(INDEX, document["_id"], document, size=INDEX_WRITE_BYTES)
 
 
-def segment_write(recording: str, closed: ClosedSegment, volume: str) -> Write:
-    """What the database is told of a finished file."""
-    document = segment_document(recording, closed, volume)
+def segment_begun(recording: str, segment: str, volume: str) -> Write:
+    """What the database is told of a file that is being written."""
+    document = segment_document(recording, ClosedSegment(segment, "", 0, 0), volume)
     return Write(SEGMENTS, document["_id"], document, size=SEGMENT_WRITE_BYTES)
+
+
+def segment_ended(recording: str, closed: ClosedSegment, volume: str) -> list[Write]:
+    """What the database is told of a finished file, whether it knows of its begin or not."""
+    document = segment_document(recording, closed, volume)
+    told = {name: document[name] for name in ("sha256", "size", "messages", "cut")}
+    name = document["_id"]
+    update = Write(SEGMENTS, name, told, update=True, size=SEGMENT_WRITE_BYTES)
+    return [Write(SEGMENTS, name, document, size=SEGMENT_WRITE_BYTES), update]
 
 
 def _known(store: RecordingStore, recording: str) -> Duplicates:

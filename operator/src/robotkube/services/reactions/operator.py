@@ -1,10 +1,10 @@
 """The operator reaction: a TaskDescription while an event lasts. The API server never holds reception up.
 
 One thread works through a bounded queue. At first it lists the detector's own tasks: their events are taken over
-(`adopted`), so that a detector that was restarted withdraws what its predecessor asked for. Until that list has been
-had, no rule may be evaluated, or the same event would be raised twice. A task of another chain, which another task
-launched this detector for, is withdrawn. The leases of its tasks are renewed by the same
-thread every third of their time.
+(`adopted`), so that a detector that was restarted withdraws what its predecessor asked for. An event that was raised
+anew before that list was had (the API server was away) goes on with the task that is there for its rule and agents. A
+task of another chain, which another task launched this detector for, is withdrawn. The leases of its tasks are renewed
+by the same thread every third of their time, also while a call is tried again.
 """
 
 from __future__ import annotations
@@ -18,9 +18,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from robotkube.domain.demands import demand, event_of, lease_seconds, parent_of
-from robotkube.domain.detection import START, Edge, task_name
-from robotkube.domain.detector_settings import OperatorReaction
 from robotkube.domain.errors import RefusalError, RobotKubeError, UnavailableError
+from robotkube.domain.notifications import delivery_id
+from robotkube.domain.reaction_settings import OperatorReaction
+from robotkube.domain.rules import START, Edge, task_name
+from robotkube.domain.rules.documents import edge_document
+from robotkube.services.reactions.dead import DeadLetterBox
 
 if TYPE_CHECKING:
     from robotkube.ports.robots import OwnTasks
@@ -28,7 +31,8 @@ if TYPE_CHECKING:
 QUEUE_MAX = 256
 RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX = 0.2, 5.0
 TRY_SECONDS_MAX = 3600.0
-WAIT_SECONDS = 0.5
+WAIT_SECONDS, DRAIN_SECONDS = 0.5, 0.02
+NAME = "operator"
 RENEWED_SHARE = 1 / 3  # of a lease
 
 log = logging.getLogger(__name__)
@@ -45,20 +49,7 @@ class EventRecord:
 
     def document(self) -> dict[str, Any]:
         """The record as /events shows it (docs/reference/contracts.md)."""
-        edge = self.edge
-        return {
-            "id": edge.id,
-            "rule": edge.rule,
-            "edge": edge.edge,
-            "agents": list(edge.agents),
-            "time": edge.time,
-            "stamp": edge.stamp,
-            "distance_m": edge.distance_m,
-            "trace": edge.trace,
-            "task": self.task,
-            "done": self.done,
-            "error": self.error,
-        }
+        return {**edge_document(self.edge), "task": self.task, "done": self.done, "error": self.error}
 
 
 @dataclass(frozen=True)
@@ -90,14 +81,18 @@ class OperatorReactions:
         clock_ns: Callable[[], int],
         monotonic: Callable[[], float],
         parent: str = "",
+        box: DeadLetterBox | None = None,
     ) -> None:
         self._requester, self._namespace, self._tasks, self.parent = requester, namespace, tasks, parent
-        self._clock_ns, self._monotonic = clock_ns, monotonic
+        self._clock_ns, self._monotonic, self._box = clock_ns, monotonic, box or DeadLetterBox(clock_ns)
+        self._done = self._retries = self._dead = self._busy = 0
+        self._found: dict[tuple[str, tuple[str, ...]], str] = {}
         self._orders: queue.Queue[_Order] = queue.Queue(QUEUE_MAX)
         self._stopping = threading.Event()
         self._names: dict[str, str] = {}
         self._withdrawn: set[str] = set()
         self._leases: dict[str, _Lease] = {}
+        self._adopted_parent = parent
         self.adopted: list[Edge] | None = None
         self.reachable = False
         self._thread = threading.Thread(target=self._run, name="operator-reactions", daemon=True)
@@ -107,9 +102,17 @@ class OperatorReactions:
         self._thread.start()
 
     def stop(self, seconds: float) -> None:
-        """End the thread within `seconds`; tasks stay as they are."""
+        """Carry out what waits, then end the thread, within `seconds`; the tasks of events that last stay."""
+        end = self._monotonic() + seconds
+        while (self._orders.qsize() or self._busy) and self.reachable and self._monotonic() < end:
+            self._stopping.wait(DRAIN_SECONDS)
         self._stopping.set()
-        self._thread.join(seconds)
+        self._thread.join(max(0.0, end - self._monotonic()))
+
+    def counts(self) -> Mapping[str, int]:
+        """`delivered`, `retries`, `dead` only grow; `waiting`: edges that are not carried out yet."""
+        waiting = self._orders.qsize() + self._busy
+        return {"delivered": self._done, "retries": self._retries, "dead": self._dead, "waiting": waiting}
 
     def react(self, record: EventRecord, reaction: OperatorReaction | None, reason: str) -> None:
         """Have the task of an edge made or withdrawn; never blocks. `reaction` may be None for a stop edge."""
@@ -118,14 +121,16 @@ class OperatorReactions:
         try:
             self._orders.put_nowait(_Order(record, reaction, reason, self.parent))
         except queue.Full:
-            record.error = f"{QUEUE_MAX} reactions wait for the API server; this one was dropped"
-            log.error("event %s: %s", record.edge.id, record.error)
+            self._give_up(record, f"{QUEUE_MAX} reactions wait for the API server; this one was dropped")
 
     def _run(self) -> None:
         self._adopt()
         while not self._stopping.is_set():
             with contextlib.suppress(queue.Empty):
-                self._carry_out(self._orders.get(timeout=WAIT_SECONDS))
+                order = self._orders.get(timeout=WAIT_SECONDS)
+                self._busy = 1
+                self._carry_out(order)
+            self._busy = 0
             self._renew_leases()
 
     def _adopt(self) -> None:
@@ -141,6 +146,7 @@ class OperatorReactions:
                 self._stopping.wait(pause)
                 pause = min(pause * 2, RETRY_SECONDS_MAX)
                 continue
+            self._adopted_parent = self.parent
             self.adopted, self.reachable = self._taken_over(found), True
             return
 
@@ -159,6 +165,7 @@ class OperatorReactions:
             if parent_of(task) == self.parent:
                 self._names[edge.id] = task["metadata"]["name"]
                 self._keep_lease(task["metadata"]["name"], lease_seconds(task), self._monotonic())
+                self._found[edge.rule, edge.agents] = task["metadata"]["name"]
                 edges.append(edge)
         return sorted(edges, key=lambda edge: edge.time)
 
@@ -186,39 +193,63 @@ class OperatorReactions:
         while not self._stopping.is_set():
             try:
                 self._attempt(order)
+                self._done += 1
                 self.reachable = True
                 return
             except UnavailableError as error:
                 self.reachable = False
                 record.error = str(error)
                 if self._monotonic() - began > TRY_SECONDS_MAX:
-                    log.error("event %s: given up after %.0f s: %s", record.edge.id, TRY_SECONDS_MAX, error)
+                    self._give_up(record, f"given up after {TRY_SECONDS_MAX:.0f} s: {error}")
                     return
                 log.warning("event %s: %s; trying again in %.1f s", record.edge.id, error, pause)
+                self._retries += 1
                 self._stopping.wait(pause)
+                self._renew_leases()
                 pause = min(pause * 2, RETRY_SECONDS_MAX)
             except RobotKubeError as error:
-                record.error = str(error)
-                log.error("event %s: %s", record.edge.id, error)
+                self._give_up(record, str(error))
                 return
+
+    def _give_up(self, record: EventRecord, reason: str) -> None:
+        record.error = reason
+        self._dead += 1
+        self._box.add(NAME, delivery_id(record.edge), reason)
 
     def _attempt(self, order: _Order) -> None:
         record, edge = order.record, order.record.edge
-        name = self._names.get(edge.id) or task_name(edge)
         if edge.edge != START:
-            self._leases.pop(name, None)
-            self._tasks.delete(name)
-            self._names.pop(edge.id, None)
-            self._withdrawn.discard(edge.id)
+            name = self._names.get(edge.id) or task_name(edge)
+            self._withdraw_task(edge, name)
         elif edge.id in self._withdrawn and record.error is not None:
             return  # the API server was away as long as the event lasted
         else:
             assert order.reaction is not None
-            self._tasks.create(demand(self._requester, order.reaction, edge, order.reason, order.parent))
-            seconds = order.reaction.lease_seconds
-            self._keep_lease(name, seconds, self._monotonic() + (seconds or 0) * RENEWED_SHARE)
+            name = self._create_task(order, order.reaction)
         record.task, record.done, record.error = f"{self._namespace}/{name}", self._clock_ns(), None
         log.info(
             "event %s: %s rule=%s agents=%s task=%s stamp=%d time=%d done=%d",
             edge.id, edge.edge, edge.rule, ",".join(edge.agents), record.task, edge.stamp, edge.time, record.done,
         )  # fmt: skip
+
+    def _create_task(self, order: _Order, reaction: OperatorReaction) -> str:
+        """Make the task of a start edge, or go on with the one that a predecessor made for the same agents."""
+        edge = order.record.edge
+        name = self._found.get((edge.rule, edge.agents), "")
+        if not name or order.parent != self._adopted_parent:
+            name = task_name(edge)
+            self._tasks.create(demand(self._requester, reaction, edge, order.reason, order.parent))
+            self._keep_lease(name, reaction.lease_seconds, self._monotonic() + _share(reaction.lease_seconds))
+        self._names[edge.id] = name
+        return name
+
+    def _withdraw_task(self, edge: Edge, name: str) -> None:
+        self._leases.pop(name, None)
+        self._tasks.delete(name)
+        self._names.pop(edge.id, None)
+        self._found.pop((edge.rule, edge.agents), None)
+        self._withdrawn.discard(edge.id)
+
+
+def _share(seconds: int | None) -> float:
+    return (seconds or 0) * RENEWED_SHARE

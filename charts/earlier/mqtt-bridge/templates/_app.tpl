@@ -1,0 +1,10 @@
+{{- define "mqtt-bridge.app" -}}
+image: ros
+command: [python3, -m, robotkube.entrypoints.bridge]
+serviceAccount: mqtt-bridge
+broker: {{ .Values.broker.existingSecret }}
+config:
+  agent: {{ .Values.placement.agent }}
+  out: {{ toJson .Values.bridge.out }}
+  in: {{ toJson .Values.bridge.in }}
+{{- end }}

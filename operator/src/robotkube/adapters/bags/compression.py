@@ -1,0 +1,82 @@
+"""Compressed bytes and files, whose sizes nobody can be trusted about, unpacked within bounds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+ZSTD, LZ4 = "zstd", "lz4"
+FILE_BYTES_MAX = 64 * 1024**3
+WINDOW_BYTES_MAX = 128 * 1024**2
+_BLOCK = 1024 * 1024
+
+
+def unpack(kind: str, data: bytes, size: int) -> bytes:
+    """At most `size` bytes; fewer when the data are cut off. ValueError when they are damaged or of another kind."""
+    if not kind:
+        return data[:size]
+    if kind == ZSTD:
+        return _zstd(data, size)
+    if kind == LZ4:
+        return _lz4(data, size)
+    raise ValueError(f"compression {kind[:20]!r} is none of {ZSTD}, {LZ4}")
+
+
+def unpack_message(kind: str, data: bytes, size_max: int) -> bytes:
+    """One message that was compressed alone; ValueError when it is damaged or larger than `size_max`."""
+    if kind != ZSTD:
+        raise ValueError(f"message compression {kind[:20]!r} is not {ZSTD}")
+    import zstandard
+
+    try:
+        size = zstandard.frame_content_size(data)
+    except zstandard.ZstdError as error:
+        raise ValueError(str(error)) from error
+    if size > size_max:
+        raise ValueError(f"a message of {size} bytes; {size_max} are read")
+    found = _zstd(data, size if size >= 0 else size_max)
+    if size >= 0 and len(found) < size:
+        raise ValueError("a compressed message is cut off")
+    return found
+
+
+def unpack_file(source: Path, target: Path) -> str:
+    """Unpack a file in zstd; what is wrong with it, or `""`. What came before the fault is in `target`. OSError."""
+    import zstandard
+
+    unpacker = zstandard.ZstdDecompressor(max_window_size=WINDOW_BYTES_MAX)
+    written = 0
+    with source.open("rb") as file, target.open("wb") as output, unpacker.stream_reader(file) as stream:
+        while True:
+            try:
+                block = stream.read(_BLOCK)
+            except zstandard.ZstdError as error:
+                return f"is damaged behind its byte {written} ({error})"
+            if not block:
+                return "" if written else "is empty or cut off"
+            written += output.write(block)
+            if written > FILE_BYTES_MAX:
+                return f"holds more than {FILE_BYTES_MAX} bytes"
+
+
+def _zstd(data: bytes, size: int) -> bytes:
+    import zstandard
+
+    found, left = bytearray(), size
+    try:
+        with zstandard.ZstdDecompressor(max_window_size=WINDOW_BYTES_MAX).stream_reader(data) as stream:
+            while left > 0 and (block := stream.read(min(left, _BLOCK))):
+                found += block
+                left -= len(block)
+    except zstandard.ZstdError as error:
+        if not found:
+            raise ValueError(str(error)) from error
+    return bytes(found)
+
+
+def _lz4(data: bytes, size: int) -> bytes:
+    import lz4.frame
+
+    try:
+        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=max(size, 1))[:size])
+    except (RuntimeError, EOFError) as error:
+        raise ValueError(str(error)) from error

@@ -1,0 +1,153 @@
+"""A path -> a bag: its files found, unpacked where they are compressed as a whole, and merged by time."""
+
+from __future__ import annotations
+
+import heapq
+import shutil
+import tempfile
+from collections.abc import Callable, Collection, Iterator, Sequence
+from pathlib import Path
+from typing import NoReturn
+
+from robotkube.adapters.bags.compression import unpack_file, unpack_message
+from robotkube.adapters.bags.mcap_files import McapFile
+from robotkube.adapters.bags.metadata import Metadata, data_files, read_metadata
+from robotkube.adapters.bags.sqlite_files import SqliteFile
+from robotkube.domain.bags import BagTopic
+from robotkube.domain.errors import InputError
+
+MCAP, SQLITE = "mcap", "sqlite3"
+PACKED = ".zstd"
+MESSAGE_BYTES_MAX = 256 * 1024 * 1024
+_KINDS = {".mcap": MCAP, ".db3": SQLITE}
+_ENDINGS = (*_KINDS, *(f"{ending}{PACKED}" for ending in _KINDS))
+
+Complain = Callable[[str], None]
+Message = tuple[str, int, bytes]
+
+
+def refuse(problem: str) -> NoReturn:
+    """For those who need a whole bag: the first damage is an InputError."""
+    raise InputError(f"{problem} (make the bag again, or repair it with `ros2 bag reindex` or `mcap recover`)")
+
+
+class OpenBag:
+    """A bag (ports Bag and BagSource). `topics`: what it holds; `definitions`: type -> definition text, as far as the
+    bag brings it."""
+
+    def __init__(self, path: Path, complain: Complain = refuse) -> None:
+        self.path, self._complain = path, complain
+        self._folder: Path | None = None
+        self._files: list[McapFile | SqliteFile] = []
+        try:
+            self._metadata = _metadata(path, complain)
+            for file in self._metadata.files:
+                self._add(file)
+        except BaseException:
+            self.close()
+            raise
+        if not self._files:
+            raise InputError(f"{path}: none of its files can be read")
+        topics: dict[str, BagTopic] = {}
+        self.definitions: dict[str, str] = {}
+        for opened in self._files:
+            for found in opened.topics:
+                topics.setdefault(found.name, found)
+            self.definitions |= opened.definitions
+        self.topics: Sequence[BagTopic] = list(topics.values())
+
+    def messages(self, wanted: Collection[str] | None = None) -> Iterator[Message]:
+        """Topic, time in ns and serialised message, in the order of the times; of the topics `wanted`, all when None.
+
+        What no topic of `wanted` needs is not read where the file has an index."""
+        streams = [file.messages(wanted) for file in self._files]
+        merged = streams[0] if len(streams) == 1 else heapq.merge(*streams, key=_moment)
+        return self._unpacked(merged) if self._metadata.mode == "message" else merged
+
+    def close(self) -> None:
+        """Give everything back."""
+        for file in self._files:
+            file.close()
+        self._files = []
+        if self._folder is not None:
+            shutil.rmtree(self._folder, ignore_errors=True)
+            self._folder = None
+
+    def __enter__(self) -> OpenBag:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _add(self, file: Path) -> None:
+        """A file that cannot be read at all is left out when the others can."""
+        try:
+            self._files.append(self._open(file))
+        except InputError as error:
+            if len(self._metadata.files) == 1:
+                raise
+            self._complain(f"{error}; left out")
+
+    def _open(self, file: Path) -> McapFile | SqliteFile:
+        plain = self._plain(file)
+        kind = _KINDS.get(plain.suffix, self._metadata.storage)
+        if kind == MCAP:
+            return McapFile(plain, self._complain)
+        if kind == SQLITE:
+            return SqliteFile(plain, self._complain)
+        raise InputError(f"{file}: storage {kind[:40]!r} is none of {MCAP}, {SQLITE}; convert it: `ros2 bag convert`")
+
+    def _plain(self, file: Path) -> Path:
+        if file.suffix != PACKED:
+            return file
+        if self._folder is None:
+            self._folder = Path(tempfile.mkdtemp(prefix="robotkube-bag-"))
+        target = self._folder / f"{len(self._files)}-{file.stem}"
+        try:
+            problem = unpack_file(file, target)
+        except OSError as error:
+            raise InputError(f"{file}: cannot be unpacked to {target.parent}: {error.strerror}") from error
+        if problem:
+            self._complain(f"{file}: {problem}; what is before is read")
+        return target
+
+    def _unpacked(self, messages: Iterator[Message]) -> Iterator[Message]:
+        for name, moment, data in messages:
+            try:
+                plain = unpack_message(self._metadata.compression, data, MESSAGE_BYTES_MAX)
+            except ValueError as error:
+                self._complain(f"{self.path}: {name} at {moment}: {error}; left out")
+                continue
+            yield name, moment, plain
+
+
+def open_bag(path: Path, complain: Complain = refuse) -> OpenBag:
+    """A rosbag2 folder or a single file. `complain` hears, once each, of damage: when it returns, what is readable is
+    used. InputError when there is nothing to read."""
+    said: set[str] = set()
+
+    def once(problem: str) -> None:
+        if problem not in said:
+            said.add(problem)
+            complain(problem)
+
+    return OpenBag(path, once)
+
+
+def _metadata(path: Path, complain: Complain) -> Metadata:
+    if not path.exists():
+        raise InputError(f"{path}: is not there; name a rosbag2 folder or a file of a bag")
+    if not path.is_dir():
+        return Metadata("", (path,))
+    try:
+        return read_metadata(path)
+    except InputError as error:
+        files = data_files(path, _ENDINGS)
+        if not files:
+            raise
+        complain(f"{error}; reading {', '.join(file.name for file in files)}")
+        return Metadata("", tuple(files))
+
+
+def _moment(message: Message) -> int:
+    return message[1]

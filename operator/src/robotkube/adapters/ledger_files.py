@@ -1,0 +1,57 @@
+"""The ledgers that a player writes, as files."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import BinaryIO
+
+from robotkube.domain.bags import LedgerState, ledger_name, read_ledger
+from robotkube.domain.errors import InputError
+
+LEDGER_BYTES_MAX = 1024 * 1024 * 1024
+
+
+class LedgerFiles:
+    """Ledgers below `folder`: `<run>/<topic with / as __>.jsonl`."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._files: dict[str, BinaryIO] = {}
+        self._lines: dict[str, list[str]] = {}
+
+    def open(self, run: str, topic: str) -> LedgerState:
+        """See the port."""
+        path = self._folder / run / ledger_name(topic)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            file = path.open("ab+", buffering=0)
+            file.seek(0)
+            state = read_ledger(file.read(LEDGER_BYTES_MAX))
+            file.truncate(state.whole_bytes)
+            file.seek(0, os.SEEK_END)
+        except OSError as error:
+            raise InputError(f"{path}: the ledger cannot be written: {error}; see `ledger` and its volume") from error
+        self._files[topic], self._lines[topic] = file, []
+        return state
+
+    def append(self, topic: str, line: str) -> None:
+        """See the port."""
+        self._lines[topic].append(line)
+
+    def flush(self) -> None:
+        """See the port."""
+        for topic, lines in self._lines.items():
+            if lines:
+                data, written = "".join(lines).encode("ascii"), 0
+                while written < len(data):
+                    written += self._files[topic].write(data[written:])
+                lines.clear()
+
+    def close(self) -> None:
+        """See the port."""
+        self.flush()
+        for file in self._files.values():
+            file.close()
+        self._files.clear()
+        self._lines.clear()

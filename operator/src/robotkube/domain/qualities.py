@@ -1,0 +1,104 @@
+"""Quality of service of ROS topics: what publishers offer, what a subscription asks for, and whether the two fit.
+
+History is not announced by anybody and is no part of it. A duration of None is endless: nothing is promised or asked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+RELIABLE, BEST_EFFORT = "reliable", "best_effort"
+VOLATILE, TRANSIENT_LOCAL = "volatile", "transient_local"
+AUTOMATIC, MANUAL_BY_TOPIC = "automatic", "manual_by_topic"
+
+RELIABILITIES, DURABILITIES = (RELIABLE, BEST_EFFORT), (VOLATILE, TRANSIENT_LOCAL)
+LIVELINESSES = (AUTOMATIC, MANUAL_BY_TOPIC)
+
+
+@dataclass(frozen=True)
+class Quality:
+    """One side's settings. `deadline_ns`: the longest time between two messages; `lease_ns`: that between two signs of
+    life."""
+
+    reliability: str = RELIABLE
+    durability: str = VOLATILE
+    deadline_ns: int | None = None
+    liveliness: str = AUTOMATIC
+    lease_ns: int | None = None
+
+    def text(self) -> str:
+        """In words, as status and log show it."""
+        parts = [self.reliability, self.durability]
+        if self.deadline_ns is not None:
+            parts.append(f"deadline {self.deadline_ns / 1e9:g} s")
+        if self.liveliness != AUTOMATIC or self.lease_ns is not None:
+            lease = "" if self.lease_ns is None else f" {self.lease_ns / 1e9:g} s"
+            parts.append(f"liveliness {self.liveliness}{lease}")
+        return ", ".join(parts)
+
+
+@dataclass(frozen=True)
+class Offer:
+    """A publisher: its node (empty while unknown), its message type and its quality."""
+
+    node: str
+    type: str
+    quality: Quality
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What the settings ask for; what is None is taken over from the publishers, and without any from the defaults."""
+
+    reliability: str | None = None
+    durability: str | None = None
+    deadline_ns: int | None = None
+    liveliness: str = AUTOMATIC
+    lease_ns: int | None = None
+
+
+def matched(asked: Asked, offers: Sequence[Offer]) -> Quality:
+    """The quality of a subscription that all of the publishers fit, as far as the settings leave it open."""
+    offered = [offer.quality for offer in offers]
+    weak = any(quality.reliability == BEST_EFFORT for quality in offered)
+    latched = bool(offered) and all(quality.durability == TRANSIENT_LOCAL for quality in offered)
+    return Quality(
+        reliability=asked.reliability or (BEST_EFFORT if weak else RELIABLE),
+        durability=asked.durability or (TRANSIENT_LOCAL if latched else VOLATILE),
+        deadline_ns=asked.deadline_ns,
+        liveliness=asked.liveliness,
+        lease_ns=asked.lease_ns,
+    )
+
+
+def mismatches(wanted: Quality, offer: Quality) -> Iterator[str]:
+    """The settings in which a publisher does not give what a subscription asks for, with both sides' words."""
+    if wanted.reliability == RELIABLE and offer.reliability != RELIABLE:
+        yield f"reliability: asked {wanted.reliability}, offered {offer.reliability}"
+    if wanted.durability == TRANSIENT_LOCAL and offer.durability != TRANSIENT_LOCAL:
+        yield f"durability: asked {wanted.durability}, offered {offer.durability}"
+    if _shorter(wanted.deadline_ns, offer.deadline_ns):
+        yield f"deadline: asked {_seconds(wanted.deadline_ns)}, offered {_seconds(offer.deadline_ns)}"
+    if wanted.liveliness == MANUAL_BY_TOPIC and offer.liveliness != MANUAL_BY_TOPIC:
+        yield f"liveliness: asked {wanted.liveliness}, offered {offer.liveliness}"
+    if _shorter(wanted.lease_ns, offer.lease_ns):
+        yield f"liveliness lease: asked {_seconds(wanted.lease_ns)}, offered {_seconds(offer.lease_ns)}"
+
+
+def mismatch(type_name: str, wanted: Quality, offer: Offer) -> str:
+    """Why a publisher's messages do not come, in one sentence; empty when they do."""
+    problems = list(mismatches(wanted, offer.quality))
+    if offer.type != type_name:
+        problems.insert(0, f"type: asked {type_name}, offered {offer.type}")
+    if not problems:
+        return ""
+    return f"{offer.node or 'a publisher'} does not fit: {'; '.join(problems)}"
+
+
+def _shorter(wanted: int | None, offered: int | None) -> bool:
+    return wanted is not None and (offered is None or offered > wanted)
+
+
+def _seconds(duration: int | None) -> str:
+    return "endless" if duration is None else f"{duration / 1e9:g} s"

@@ -1,0 +1,250 @@
+"""`robotkube rule test|explain`: what rules say about bags, and which messages an event came from. No cluster needed
+for `test`; `explain` asks the detectors of the platform unless it is given a file or an address."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from robotkube.adapters.event_pages_http import events_page
+from robotkube.adapters.rule_processes import installed_rules
+from robotkube.domain.detector_settings import DetectorSettings, Knowledge, read_detector_settings
+from robotkube.domain.errors import DocumentError, InputError, RefusalError
+from robotkube.domain.rule_expectations import Score, events, read_expectations, score
+from robotkube.domain.rules import Edge
+from robotkube.domain.rules.documents import edge_document, explained
+from robotkube.domain.texts import read_mapping
+from robotkube.domain.topics import TopicPattern
+from robotkube.entrypoints.bag_sources import Bags
+from robotkube.entrypoints.cli_output import Table, lines
+from robotkube.entrypoints.cli_platform import Platform
+from robotkube.entrypoints.rule_host import check_expressions, start_rule
+from robotkube.services.rule_testing import PatientWorkers, Replayed, replay, topics_read
+
+COLUMNS = ("event", "rule", "edge", "agents", "at_seconds", "time", "values")
+RESULT_BYTES_MAX = 256 * 1024 * 1024
+NAME = "rule-test/rules"
+_READ = ("topics", "rules")
+
+
+def testing(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `rule test`."""
+    parser.add_argument(
+        "rules", help="YAML with `rules` (and `topics`): of its own, a detector's or its chart's values"
+    )
+    parser.add_argument("bags", nargs="+", metavar="bag", help="rosbag2 folder, .mcap or .db3 file; several are merged")
+    parser.add_argument("--expect", metavar="FILE", help="YAML with the events that should come; compared, exit code 1")
+    parser.add_argument(
+        "--start",
+        type=int,
+        metavar="NS",
+        help="stamp messages as bag players do in a run that begins at this time: then events have the ids of that run",
+    )
+    parser.add_argument("--agent", default="", help="who stands for topics that name no agent")
+
+
+def explaining(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `rule explain`."""
+    parser.add_argument("event", help="the event's id, or its beginning")
+    parser.add_argument(
+        "--source",
+        metavar="FILE|URL",
+        help="result of `rule test --output json`, or a detector's address (its /events)",
+    )
+
+
+def test(options: argparse.Namespace) -> Table:
+    """Raise the events of rules over bags, and compare them with what was expected."""
+    problems: list[str] = []
+    with Bags([Path(bag) for bag in options.bags], problems.append) as bags:
+        settings = read_rules_file(Path(options.rules), bags, options.agent)
+        problems += _absent(settings, bags.types)
+        began = time.monotonic()
+        result = run(settings, bags, options.start)
+        took = time.monotonic() - began
+    problems += [*result.problems, *(f"{name}: {n} messages cannot be read" for name, n in result.malformed.items())]
+    for problem in problems:
+        print(f"robotkube: {problem}", file=sys.stderr)
+    print(_summary(result, took), file=sys.stderr)
+    scored = _scored(options.expect, result) if options.expect else None
+    return _table(result, scored, problems)
+
+
+def run(settings: DetectorSettings, bags: Bags, start: int | None = None) -> Replayed:
+    """The events of rules over bags, as fast as it goes; topics that no rule looks at are not read."""
+    wanted = topics_read(settings, bags.types)
+    messages = bags.messages(wanted) if start is None else bags.played(wanted, start)
+
+    def make_workers() -> PatientWorkers:
+        return PatientWorkers(
+            lambda rule: start_rule(rule, settings.types, bags.definition), time.monotonic, lossless=True
+        )
+
+    return replay(settings, bags.layouts, bags.types, messages, make_workers)
+
+
+def read_rules_file(path: Path, bags: Bags, agent: str = "") -> DetectorSettings:
+    """The file's rules for these bags; topics that it does not list are those of the bags. DocumentError, InputError."""
+    document = _document(path)
+    inner = document.get("detector", document)
+    if not isinstance(inner, Mapping) or "rules" not in inner:
+        raise DocumentError(str(path), ["rules: is missing; give a file with a list `rules`"])
+    chosen = {key: inner[key] for key in _READ if inner.get(key) is not None}
+    chosen.setdefault("topics", _topics(inner["rules"], bags.types))
+    if not chosen["topics"]:
+        chosen["topics"] = [{"name": name, "type": kind} for name, kind in sorted(bags.types.items())[:1]]
+    rules = inner["rules"] if isinstance(inner["rules"], list) else []
+    kinds = {rule.get("kind") for rule in rules if isinstance(rule, Mapping)}
+    knowledge = Knowledge(
+        bags.layouts,
+        installed_rules() if "python" in kinds else None,
+        None,
+        check_expressions if "cel" in kinds else None,
+    )
+    named = f"{agent}/rules" if agent else str(inner.get("name") or NAME)
+    return read_detector_settings({**chosen, "name": named}, str(path), knowledge)
+
+
+def explain(options: argparse.Namespace) -> Table:
+    """Which messages and values an event came from."""
+    source = options.source
+    if source is None:
+        found = [edge for name, page in Platform(options).detector_events().items() for edge in _edges(page, name)]
+    elif source.startswith(("http://", "https://")):
+        found = _edges(events_page(source), source)
+    else:
+        found = _edges(_document(Path(source)), source)
+    chosen = [edge for edge in found if str(edge["id"]).startswith(options.event)]
+    if not chosen:
+        raise RefusalError(
+            "UnknownEvent", f"there is no event {options.event} in {source or 'what the detectors keep'}"
+        )
+    if len({edge["id"] for edge in chosen}) > 1:
+        raise InputError(f"{options.event} begins the ids of several events; give more of it")
+    row = {"event": chosen[0]["id"], "trace": chosen[0].get("trace"), "edges": [dict(edge) for edge in chosen]}
+    return Table("event", (), [row], single=True, text="".join(f"{line}\n" for line in explained(chosen)))
+
+
+def _document(path: Path) -> Mapping[str, Any]:
+    try:
+        if path.stat().st_size > RESULT_BYTES_MAX:
+            raise InputError(f"{path}: larger than {RESULT_BYTES_MAX} bytes")
+        text = path.read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from error
+    if not text.lstrip().startswith("{"):
+        return read_mapping(text, str(path))
+    try:
+        found = json.loads(text)
+    except ValueError:
+        return read_mapping(text, str(path))
+    return found if isinstance(found, dict) else {}
+
+
+def _topics(rules: Any, types: Mapping[str, str]) -> list[dict[str, str]]:
+    """The topics that rules name, with their types in the bags."""
+    named: dict[str, None] = {}
+    for rule in rules if isinstance(rules, list) else []:
+        if isinstance(rule, Mapping):
+            several = rule.get("topics") if isinstance(rule.get("topics"), list) else []
+            named |= dict.fromkeys(str(text) for text in (rule.get("topic"), *several) if isinstance(text, str))
+    found = []
+    for text in named:
+        try:
+            pattern = TopicPattern(text)
+        except ValueError:
+            continue
+        kinds = sorted({kind for name, kind in types.items() if pattern.agent(name) is not None})
+        if not kinds:
+            there = ", ".join(sorted(types)[:20]) or "none"
+            raise InputError(
+                f"no topic of the bags fits {text}; they have {there}. List it under `topics` if that is meant"
+            )
+        found.append({"name": text, "type": kinds[0]})
+    return found
+
+
+def _absent(settings: DetectorSettings, types: Mapping[str, str]) -> Iterator[str]:
+    """Topics that rules look at and the bags do not have, or have in another type."""
+    for pattern in sorted({pattern.text for rule in settings.rules for pattern in rule.topics}):
+        wanted = settings.types[pattern]
+        there = {kind for name, kind in types.items() if TopicPattern(pattern).agent(name) is not None}
+        if wanted not in there:
+            yield f"{pattern}: no topic of the bags fits as {wanted}; they have {', '.join(sorted(there)) or 'none'}"
+
+
+def _scored(file: str, result: Replayed) -> Score:
+    document = _document(Path(file))
+    return score(events(result.edges), read_expectations(document, file, result.first))
+
+
+def _table(result: Replayed, scored: Score | None, problems: Sequence[str]) -> Table:
+    rows = [_row(edge, result.first) for edge in result.edges]
+    text = "".join(f"{line}\n" for line in lines(Table("events", COLUMNS, rows)))
+    document: dict[str, Any] = {
+        "events": [edge_document(edge) for edge in result.edges],
+        "begin": result.first,
+        "end": result.last,
+        "messages": result.messages,
+        "problems": list(problems),
+    }
+    refusal = ""
+    if scored is not None:
+        document["expected"] = {**_plain_score(scored), "passed": not scored.failures}
+        text += _score_text(scored)
+        refusal = "; ".join(scored.failures)
+    return Table("result", (), [document], single=True, refusal=refusal, text=text)
+
+
+def _row(edge: Edge, begin: int) -> dict[str, Any]:
+    values = {name: f"{value:.6g}" if isinstance(value, float) else value for name, value in edge.detail.items()}
+    return {
+        "event": edge.id,
+        "rule": edge.rule,
+        "edge": edge.edge,
+        "agents": list(edge.agents),
+        "at_seconds": f"{(edge.stamp - begin) / 1e9:.3f}",
+        "time": datetime.fromtimestamp(edge.stamp / 1e9, UTC).isoformat(timespec="milliseconds")
+        if edge.stamp
+        else None,
+        "values": " ".join(f"{name}={value}" for name, value in values.items()),
+    }
+
+
+def _plain_score(scored: Score) -> dict[str, Any]:
+    found = asdict(scored)
+    return {name: (str(v) if isinstance(v, float) and not math.isfinite(v) else v) for name, v in found.items()}
+
+
+def _score_text(scored: Score) -> str:
+    numbers = f"matched {scored.matched}, precision {scored.precision:.3f}, recall {scored.recall:.3f}"
+    times = f"timing error {scored.timing_seconds:.3f} s at most, {scored.timing_mean_seconds:.3f} s in the mean"
+    said = [f"missing     {event.rule} {','.join(event.agents)} at {event.start}" for event in scored.missing]
+    said += [f"unexpected  {event.rule} {','.join(event.agents)} at {event.start}" for event in scored.unexpected]
+    return "".join(f"{line}\n" for line in (f"{numbers}; {times}", *said))
+
+
+def _summary(result: Replayed, took: float) -> str:
+    seconds = (result.last - result.first) / 1e9
+    return (
+        f"robotkube: {len(result.edges)} edges in {seconds:.1f} s of data ({result.messages} messages that rules look at), "
+        f"{seconds / took if took else 0:.0f} times faster than they came"
+    )
+
+
+def _edges(document: Mapping[str, Any], where: str) -> list[Mapping[str, Any]]:
+    found = document.get("events")
+    needed = ("id", "rule", "edge", "stamp", "time")
+    if not isinstance(found, list) or not all(isinstance(e, Mapping) and all(k in e for k in needed) for e in found):
+        raise DocumentError(
+            where, ["events: must be a list of edges, as `rule test --output json` and /events give them"]
+        )
+    return found

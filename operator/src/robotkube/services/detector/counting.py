@@ -1,0 +1,44 @@
+"""What arrived on one topic, as `/input` shows it. Written by the receiving thread, read by others without a lock."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any
+
+SECONDS_KEPT = 1800
+AGE_MS_MAX = 1000
+
+
+class InputCounter:
+    """Messages per second of reception, and how old they were."""
+
+    __slots__ = ("_ages", "_second", "_seconds", "lost", "malformed", "newest", "received", "type")
+
+    def __init__(self, type_name: str) -> None:
+        self.type, self.received, self.malformed, self.lost, self.newest = type_name, 0, 0, 0, 0
+        self._seconds: deque[list[int]] = deque(maxlen=SECONDS_KEPT)
+        self._second: list[int] = [0, 0]
+        self._ages = [0] * (AGE_MS_MAX + 1)
+
+    def count(self, stamp: int, received: int) -> None:
+        """One message measured at `stamp` and received at `received` (ns)."""
+        self.received += 1
+        self.newest = received
+        second = received // 1_000_000_000
+        if second != self._second[0]:
+            self._second = [second, 0]
+            self._seconds.append(self._second)
+        self._second[1] += 1
+        age = (received - stamp) // 1_000_000
+        self._ages[0 if age < 0 else age if age < AGE_MS_MAX else AGE_MS_MAX] += 1
+
+    def document(self, unreadable: int = 0) -> dict[str, Any]:
+        """The counter as JSON values; `unreadable`: messages whose fields a rule could not read."""
+        return {
+            "type": self.type,
+            "received": self.received,
+            "dropped": self.lost,
+            "malformed": self.malformed + unreadable,
+            "seconds": [list(pair) for pair in list(self._seconds)],
+            "ages_ms": [[age, count] for age, count in enumerate(self._ages) if count],
+        }

@@ -1,0 +1,6 @@
+"""What a detector does about events: tasks, and messages to whoever asked for them.
+
+operator      a TaskDescription while an event lasts
+deliveries    signed webhooks, installed reactions: a queue, a thread, retries
+dead          what was given up
+"""

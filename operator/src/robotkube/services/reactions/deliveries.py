@@ -1,0 +1,130 @@
+"""Deliveries of one reaction: a bounded queue, a thread of its own, and retries in order.
+
+What the receiver does not take for `retry_seconds`, refuses, or what does not fit into the queue is a dead letter. The
+order of edges is kept, so that nobody hears of an event's end before its begin: one that is tried again holds up those
+behind it.
+"""
+
+from __future__ import annotations
+
+import logging
+import queue
+import threading
+from collections.abc import Callable, Mapping
+
+from robotkube.domain.errors import RobotKubeError
+from robotkube.ports.reactions import Delivery, Sender
+from robotkube.services.reactions.dead import DeadLetterBox
+
+QUEUE_MAX = 256
+WAIT_SECONDS = 0.5
+RETRY_SECONDS_FIRST, RETRY_SECONDS_LONGEST = 0.2, 10.0
+
+log = logging.getLogger(__name__)
+
+
+class Deliveries:
+    """Port Reaction over a sender."""
+
+    def __init__(
+        self, name: str, sender: Sender, retry_seconds: float, box: DeadLetterBox, monotonic: Callable[[], float]
+    ) -> None:
+        self.name, self._sender, self._retry_seconds = name, sender, retry_seconds
+        self._box, self._monotonic = box, monotonic
+        self._queue: queue.Queue[Delivery] = queue.Queue(QUEUE_MAX)
+        self._ending, self._deadline = threading.Event(), float("inf")
+        self._delivered = self._retries = self._dead = self._busy = 0
+        self.unreachable = f"{name}: not tried yet"
+        self._thread = threading.Thread(target=self._run, name=f"deliveries {name}", daemon=True)
+
+    def start(self) -> None:
+        """Begin on a thread of its own."""
+        self._thread.start()
+
+    def react(self, delivery: Delivery) -> None:
+        """See the port."""
+        try:
+            self._queue.put_nowait(delivery)
+        except queue.Full:
+            self._give_up(delivery, f"{QUEUE_MAX} edges wait already")
+
+    def counts(self) -> Mapping[str, int]:
+        """See the port."""
+        waiting = self._queue.qsize() + self._busy
+        return {"delivered": self._delivered, "retries": self._retries, "dead": self._dead, "waiting": waiting}
+
+    def stop(self, seconds: float) -> bool:
+        """See the port."""
+        self._deadline = self._monotonic() + seconds
+        self._ending.set()
+        self._thread.join(seconds)
+        left = 0
+        while not self._queue.empty():
+            self._give_up(self._queue.get_nowait(), "the detector ended")
+            left += 1
+        return not left and not self._thread.is_alive()
+
+    def _run(self) -> None:
+        self._reach()
+        while (delivery := self._next()) is not None:
+            self._busy = 1
+            self._deliver(delivery)
+            self._busy = 0
+        self._sender.close()
+
+    def _next(self) -> Delivery | None:
+        """The next one; None when the time to end has come."""
+        while True:
+            over = self._ending.is_set()
+            if over and self._monotonic() >= self._deadline:
+                return None
+            try:
+                return self._queue.get(timeout=0.001 if over else WAIT_SECONDS)
+            except queue.Empty:
+                if over:
+                    return None
+
+    def _reach(self) -> None:
+        """Find the receiver before there is something to say; who waits for it meanwhile is not held up."""
+        pause = RETRY_SECONDS_FIRST
+        while not self._ending.is_set() and self._queue.empty():
+            try:
+                self._sender.probe()
+            except RobotKubeError as error:
+                self.unreachable = f"{self.name}: {error}"
+                self._ending.wait(pause)
+                pause = min(2 * pause, RETRY_SECONDS_LONGEST)
+            else:
+                self.unreachable = ""
+                return
+
+    def _deliver(self, delivery: Delivery) -> None:
+        began, pause = self._monotonic(), RETRY_SECONDS_FIRST
+        while True:
+            try:
+                self._sender.send(delivery)
+            except RobotKubeError as error:
+                now = self._monotonic()
+                over = now - began + pause > self._retry_seconds or now + pause > self._deadline
+                if error.retriable:
+                    self.unreachable = f"{self.name}: {error}"
+                if over or not error.retriable:
+                    self._give_up(delivery, str(error))
+                    return
+                self._retries += 1
+                log.warning("reaction %s: %s: %s; trying again in %.1f s", self.name, delivery.id, error, pause)
+                self._pause(pause)
+                pause = min(2 * pause, RETRY_SECONDS_LONGEST)
+            else:
+                self._delivered += 1
+                self.unreachable = ""
+                return
+
+    def _pause(self, seconds: float) -> None:
+        """Wait; the detector's end cuts it short once."""
+        ending = self._ending
+        (threading.Event() if ending.is_set() else ending).wait(seconds)
+
+    def _give_up(self, delivery: Delivery, reason: str) -> None:
+        self._dead += 1
+        self._box.add(self.name, delivery.id, reason)

@@ -1,0 +1,155 @@
+"""The audits of one recording while it is written: from several threads, into the journal, after an earlier writer."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+from robotkube.domain.audits import KILLED, RECORDER, Gap, Interruption, Interval, TopicAudit, interruptions
+from robotkube.domain.recordings import AUDITS, Write
+from robotkube.services.recording.journal import AUDIT_BYTES, Journal
+from robotkube.services.recording.places import RecorderPlace
+
+AUDIT_SECONDS = 5.0
+
+
+class Bookkeeping:
+    """`intervals`: topic -> the stamps to look for holes in, asked when the audits are closed."""
+
+    def __init__(
+        self,
+        recording: str,
+        journal: Journal,
+        place: RecorderPlace,
+        intervals: Callable[[str], Sequence[Interval]],
+    ) -> None:
+        self.life = place.clock_ns()
+        self._recording, self._journal, self._place, self._intervals = recording, journal, place, intervals
+        self._lock = threading.Lock()
+        self._audits: dict[str, TopicAudit] = {}
+        self._told: set[str] = set()
+        self._due_at = place.monotonic() + AUDIT_SECONDS
+        self._interrupted: dict[str, int] = {}
+        self._open_before: dict[str, list[str]] = {}
+        self._since: int | None = None
+        self._known_before: set[str] = set()
+
+    def __bool__(self) -> bool:
+        """Whether there is anything to tell."""
+        return bool(self._audits)
+
+    def documents(self) -> list[dict[str, Any]]:
+        """The audit of every topic so far, without holes."""
+        with self._lock:
+            return [audit.document() for audit in self._audits.values()]
+
+    def receive(self, topic: str, stamp: int, note: Callable[[TopicAudit], None] | None = None) -> None:
+        """A message was taken in, and this came of it at once."""
+        with self._lock:
+            if self._since is not None and topic not in self._known_before:
+                self._known_before.add(topic)  # of which a killed writer left nothing at all
+                self._lack(topic, self._since, stamp)
+            audit = self._of(topic)
+            audit.receive(stamp)
+            since = self._interrupted.get(topic)
+            if since is not None and stamp >= since:
+                del self._interrupted[topic]
+                self._lack(topic, since, stamp)
+            if note is not None:
+                note(audit)
+
+    def note(self, topic: str, note: Callable[[TopicAudit], None]) -> None:
+        """Something came of a message that was taken in."""
+        with self._lock:
+            note(self._of(topic))
+
+    def store(self, topics: Iterable[str]) -> None:
+        """One message of each of these was handed to the journal."""
+        with self._lock:
+            for topic in topics:
+                self._of(topic).store(1)
+
+    def take_up(self, audits: Sequence[Mapping[str, Any]], stamps: Mapping[str, Sequence[int]]) -> None:
+        """Go on after earlier writers, of whom these audits and stored stamps are left."""
+        with self._lock:
+            for audit in audits:
+                if not audit["closed"]:
+                    self._open_before.setdefault(audit["topic"], []).append(audit["_id"])
+            killed = interruptions(audits, stamps)
+            for found in killed:
+                self._interrupt(found)
+            if killed:
+                windows = [audit["window"][0] for audit in audits if audit["window"]]
+                self._since = min([*windows, *(min(known) for known in stamps.values())])
+                self._known_before = {audit["topic"] for audit in audits} | stamps.keys()
+
+    def tell_changes(self) -> bool:
+        """Write audits with new gaps at once, all of them now and then; whether there were any.
+
+        The first word of a topic is kept although the database is away: without it nobody knew what a kill has cost."""
+        now = self._place.monotonic()
+        due = now >= self._due_at
+        self._due_at = now + AUDIT_SECONDS if due else self._due_at
+        with self._lock:
+            new = self._audits.keys() - self._told
+            changed = new | {name for name, audit in self._audits.items() if due or audit.changed}
+        if changed:
+            self._tell(changed)
+        if new:
+            self._journal.keep()
+        return bool(changed)
+
+    def close(self) -> None:
+        """The last word, with the holes in what was received."""
+        now = self._place.clock_ns()
+        with self._lock:
+            for topic, since in self._interrupted.items():
+                self._lack(topic, since, max(now, since) + 1)
+            for topic in self._open_before:
+                self._of(topic)
+            self._interrupted.clear()
+        self._tell(list(self._audits), closed=True)
+
+    def _of(self, topic: str) -> TopicAudit:
+        audit = self._audits.get(topic)
+        if audit is None:
+            audit = self._audits[topic] = TopicAudit(topic)
+        return audit
+
+    def _interrupt(self, found: Interruption) -> None:
+        audit = self._audits.get(found.topic)
+        until = found.until if found.until is not None else audit.first if audit is not None else None
+        if until is None:
+            self._interrupted[found.topic] = found.since
+        else:
+            self._lack(found.topic, found.since, until)
+
+    def _lack(self, topic: str, since: int, until: int) -> None:
+        if until > since:
+            self._of(topic).lack(Gap(topic, RECORDER, KILLED, None, since, until - 1))
+
+    def _tell(self, topics: Iterable[str], closed: bool = False) -> None:
+        now, writes = self._place.clock_ns(), []
+        with self._lock:
+            for topic in sorted(topics):
+                audit = self._audits[topic]
+                document = {
+                    **audit.document(self._intervals(topic) if closed else None),
+                    "closed": closed,
+                    "written": now,
+                }
+                audit.changed = False
+                writes.append(self._write(topic, document))
+                if topic not in self._interrupted:
+                    names = self._open_before.pop(topic, ())
+                    writes += [Write(AUDITS, name, {"closed": True}, update=True, size=100) for name in names]
+        self._journal.add(writes)
+
+    def _write(self, topic: str, document: dict[str, Any]) -> Write:
+        name = f"{self._recording}{topic}/{self.life}"
+        if topic in self._told:
+            return Write(AUDITS, name, document, update=True, size=AUDIT_BYTES)
+        self._told.add(topic)
+        whole = {"recording": self._recording, "volume": self._place.volume, "life": self.life, **document}
+        return Write(AUDITS, name, whole, size=AUDIT_BYTES)

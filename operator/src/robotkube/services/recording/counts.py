@@ -1,0 +1,32 @@
+"""What recorders and journals count; numbers only grow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+
+@dataclass
+class RecorderCounts:
+    """What happened to the offered messages; numbers only grow. `first_stored`: topic -> time of its first index
+    acknowledgement, ns."""
+
+    offered: int = 0
+    early: int = 0
+    dropped: int = 0
+    duplicates: int = 0
+    documents: int = 0
+    segments: int = 0
+    acknowledged: int = 0
+    first_stored: dict[str, int] = field(default_factory=dict)
+
+
+@dataclass
+class JournalCounts:
+    """What happened to writes; numbers only grow."""
+
+    acknowledged: int = 0
+    retries: int = 0
+    spooled: int = 0
+    dropped: int = 0
+    repaired: int = 0
+    discarded: int = 0

@@ -1,0 +1,198 @@
+"""Rules tried on bags: the detector's own service, fed from bags instead of the network and driven by their clock.
+
+What runs is EventDetector as in a vehicle, with the same buffers, stamps and rules; only who hands in the messages, who
+reads the clock and who hears of the events is different. Rules in processes of their own are waited for.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NoReturn
+
+from robotkube.domain.detector_settings import ACTIVE, DetectorSettings, TopicSettings
+from robotkube.domain.errors import InputError
+from robotkube.domain.layouts import Layouts
+from robotkube.domain.qualities import Offer, Quality
+from robotkube.domain.rules import Edge, Verdict
+from robotkube.services.detector.detector import EventDetector
+from robotkube.services.detector.raising import Raising
+from robotkube.services.detector.recording import RecordingReactions
+from robotkube.services.rule_workers import RuleWorkers
+
+TURN_NS = 10_000_000
+"""Messages of so long are handed in at once, as they are where they come from a network."""
+EDGES_MAX = 1_000_000
+TURNS_MAX = 100_000
+
+BagMessages = Iterable[tuple[str, int, bytes]]
+
+
+@dataclass
+class BagInput:
+    """A subscription (port TopicInput)."""
+
+    waiting: deque[tuple[bytes, int]] = field(default_factory=deque)
+    lost: int = 0
+    matched: int = 1
+
+    def drain(self, messages_max: int) -> Sequence[tuple[bytes, int]]:
+        """See the port."""
+        if len(self.waiting) <= messages_max:
+            found = list(self.waiting)
+            self.waiting.clear()
+            return found
+        return [self.waiting.popleft() for _ in range(messages_max)]
+
+    def close(self) -> None:
+        """See the port."""
+        self.waiting.clear()
+
+
+class BagTopics:
+    """Topics of bags as a detector sees them (port LiveTopics). `types`: topic -> its type."""
+
+    def __init__(self, types: Mapping[str, str]) -> None:
+        self._types = types
+        self.inputs: dict[str, BagInput] = {}
+
+    def follow(self, topics: Sequence[TopicSettings]) -> None:
+        """See the port."""
+
+    def subscribe(self, topic: str, settings: TopicSettings, quality: Quality) -> BagInput:
+        """See the port."""
+        return self.inputs.setdefault(topic, BagInput())
+
+    def visible(self) -> Mapping[str, Sequence[str]]:
+        """See the port."""
+        return {name: (type_name,) for name, type_name in self._types.items()}
+
+    def offers(self, topic: str) -> Sequence[Offer]:
+        """See the port."""
+        return ()
+
+    @property
+    def waiting(self) -> bool:
+        """Whether messages have not been drained."""
+        return any(found.waiting for found in self.inputs.values())
+
+
+class PatientWorkers(RuleWorkers):
+    """Processes of rules whose answers are waited for: a replay is faster than they are."""
+
+    _settling = False
+
+    def collect(self) -> list[Verdict]:
+        """All verdicts on what was asked."""
+        if self._settling:
+            return super().collect()
+        self._settling = True
+        try:
+            return self.settle()
+        finally:
+            self._settling = False
+
+
+class _Listening(Raising):
+    """Keeps the edges, and tells nobody."""
+
+    def __init__(self, clock_ns: Callable[[], int]) -> None:
+        super().__init__(_refuse, _refuse, clock_ns)
+        self.edges: list[Edge] = []
+
+    def react(self, edge: Edge) -> None:
+        """One edge more."""
+        if len(self.edges) >= EDGES_MAX:
+            raise InputError(f"the rules raise more than {EDGES_MAX} edges; give them cooldown_seconds or hysteresis")
+        self.edges.append(edge)
+
+
+def _refuse(*_: object) -> NoReturn:
+    raise AssertionError("a replay has no reactions")
+
+
+@dataclass
+class Replayed:
+    """What the rules said. Times of the bags in ns, 0 without a message; `messages` were read of topics that rules
+    look at; `malformed`: topic -> messages that are none of their type; `problems`: what to know about the result."""
+
+    edges: list[Edge] = field(default_factory=list)
+    messages: int = 0
+    first: int = 0
+    last: int = 0
+    malformed: dict[str, int] = field(default_factory=dict)
+    problems: list[str] = field(default_factory=list)
+
+
+def topics_read(settings: DetectorSettings, types: Mapping[str, str]) -> Collection[str]:
+    """The topics of the bags that rules look at; nothing else has to be read."""
+    patterns = {pattern for rule in settings.rules for pattern in rule.topics}
+    by_pattern = {topic.pattern: topic.type for topic in settings.topics}
+    return {
+        name
+        for name, type_name in types.items()
+        if any(pattern.agent(name) is not None and by_pattern.get(pattern) == type_name for pattern in patterns)
+    }
+
+
+def replay(
+    settings: DetectorSettings,
+    layouts: Layouts,
+    types: Mapping[str, str],
+    messages: BagMessages,
+    make_workers: Callable[[], RuleWorkers],
+    turn_ns: int = TURN_NS,
+) -> Replayed:
+    """Play `messages` (topic, time, bytes; times ascending) through a detector with these settings, as fast as it goes.
+
+    `types`: topic -> type of what is in the bags. InputError when there are more than EDGES_MAX edges."""
+    result = Replayed()
+    now = begin = 0
+
+    def clock_ns() -> int:
+        return now
+
+    source, listening = BagTopics(types), _Listening(clock_ns)
+    detector = EventDetector(
+        lambda _: source, layouts, listening, RecordingReactions(_refuse), make_workers, clock_ns, lambda: now / 1e9
+    )
+    try:
+        for name, moment, data in messages:
+            if not result.messages:
+                result.first = now = begin = moment
+                detector.apply(replace(settings, reactions=(), task="", bag="", state=ACTIVE))
+                detector.turn()  # subscribes to what patterns find
+            elif moment > begin + turn_ns:
+                _turns(detector, source)
+                begin = moment
+            result.messages += 1
+            now = result.last = max(now, moment)
+            found = source.inputs.get(name)
+            if found is not None:
+                found.waiting.append((data, moment))
+        if result.messages:
+            _turns(detector, source)
+            _turns(detector, source)  # what processes answered to the last messages
+        result.edges = sorted(listening.edges, key=lambda edge: edge.stamp)
+        result.malformed = {n: c.malformed for n, c in detector.topics.counters().items() if c.malformed}
+        result.problems = list(_problems(detector))
+    finally:
+        detector.stop()
+    return result
+
+
+def _turns(detector: EventDetector, source: BagTopics) -> None:
+    for _ in range(TURNS_MAX):
+        detector.turn()
+        if not source.waiting:
+            return
+
+
+def _problems(detector: EventDetector) -> Iterable[str]:
+    for (rule, topic), text in sorted(detector.engine.problems.items()):
+        yield f"rule {rule} cannot read {topic}: {text}"
+    workers = detector.workers.document() if detector.workers is not None else {}
+    for rule, state in workers.items():
+        if state["problem"] or state["dropped"]:
+            yield f"rule {rule} was suspended, {state['dropped']} messages were not evaluated: {state['problem']}"

@@ -1,0 +1,174 @@
+"""Rules besides proximity, leases and chains: tasks that are renewed, resumed and withdrawn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import pytest
+from detector_stage import DetectorStage, MemoryTasks
+from waiting import until
+
+from robotkube.domain.demands import time_text
+
+TOPIC = "/vehicles/vehicle_00/uncertainty"
+DOCUMENT: dict[str, Any] = {
+    "name": "vehicle-00/uncertainty-operator",
+    "task": "cloud-0/approach-1",
+    "topics": [{"name": TOPIC, "type": "std_msgs/msg/Float64"}],
+    "rules": [
+        {
+            "name": "uncertain",
+            "kind": "threshold",
+            "topic": TOPIC,
+            "field": "data",
+            "start_above": 0.15,
+            "stop_below": 0.1,
+        }
+    ],
+    "reactions": [
+        {
+            "rule": "uncertain",
+            "kind": "operator",
+            "application": "environment-perception",
+            "parameters": {"sensor": "roadside-0"},
+            "lease_seconds": 30,
+        }
+    ],
+}
+ALWAYS = {
+    **DOCUMENT,
+    "rules": [{"name": "near", "kind": "always"}],
+    "reactions": [{**DOCUMENT["reactions"][0], "rule": "near"}],
+}
+
+
+class Stage(DetectorStage):
+    """Numbers come on TOPIC."""
+
+    def send(self, *values: float) -> None:  # type: ignore[override]
+        self.say(TOPIC, *values)
+
+
+@pytest.fixture
+def make_stage() -> Iterator[Callable[[MemoryTasks], Stage]]:
+    stages: list[Stage] = []
+
+    def make(tasks: MemoryTasks) -> Stage:
+        stages.append(Stage(tasks))
+        return stages[-1]
+
+    yield make
+    for stage in stages:
+        stage.close()
+
+
+@pytest.fixture
+def stage(make_stage: Callable[[MemoryTasks], Stage]) -> Stage:
+    return make_stage(MemoryTasks())
+
+
+def test_an_uncertain_vehicle_asks_for_help_and_gives_it_up(stage: Stage) -> None:
+    stage.apply(DOCUMENT)
+    stage.send(0.05, 0.3)
+    assert stage.done() == ["start"]
+    [task] = stage.tasks.objects.values()
+    assert task["spec"]["application"] == "environment-perception"
+    assert task["spec"]["parameters"] == {"sensor": "roadside-0"}
+    assert task["spec"]["lease"] == {"seconds": 30}
+    assert task["spec"]["chain"] == {"parent": "cloud-0/approach-1"}
+    assert task["spec"]["reason"] == "vehicle-00: data above 0.15"
+    assert task["metadata"]["annotations"] == {"robotkube.io/agents": "vehicle-00"}
+    stage.send(0.02)
+    assert stage.done() == ["start", "stop"]
+    assert stage.tasks.objects == {}
+
+
+def test_a_rule_that_always_holds_asks_once(stage: Stage) -> None:
+    stage.apply(ALWAYS)
+    stage.detector.turn()
+    assert stage.done() == ["start"]
+    assert [task["spec"]["reason"] for task in stage.tasks.objects.values()] == ["vehicle-00: near"]
+    stage.apply({**ALWAYS, "rules": [], "reactions": []})
+    assert stage.done() == ["start", "stop"]
+    assert stage.tasks.objects == {}
+
+
+@pytest.mark.parametrize("document", [DOCUMENT, ALWAYS])
+def test_who_was_restarted_resumes_the_same_task(
+    make_stage: Callable[[MemoryTasks], Stage], document: Mapping[str, Any]
+) -> None:
+    tasks = MemoryTasks()
+    first = make_stage(tasks)
+    first.apply(document)
+    first.send(0.3)
+    assert first.done() == ["start"]
+    first.operators[0].stop(5.0)
+    second = make_stage(tasks)
+    second.apply(document)
+    second.send(0.3)
+    until(lambda: len(tasks.renewals) == 1)  # at once: nobody knows how old the lease is
+    assert second.detector.events_document()["events"] == []
+    assert [name for name, _ in tasks.renewals] == list(tasks.objects)
+
+
+def test_tasks_of_another_chain_are_withdrawn(make_stage: Callable[[MemoryTasks], Stage]) -> None:
+    """The vehicle came again: another task launched the detector, under the same name, before the old ones had gone."""
+    tasks = MemoryTasks()
+    first = make_stage(tasks)
+    first.apply(ALWAYS)
+    assert first.done() == ["start"]
+    [stale] = tasks.objects
+    first.operators[0].stop(5.0)
+    second = make_stage(tasks)
+    second.now += 1_000_000_000
+    second.apply({**ALWAYS, "task": "cloud-0/approach-2"})
+    assert second.done() == ["start"]
+    [(name, task)] = tasks.objects.items()
+    assert name != stale
+    assert task["spec"]["chain"] == {"parent": "cloud-0/approach-2"}
+
+
+@pytest.mark.parametrize("document", [DOCUMENT, ALWAYS])
+def test_another_task_above_a_running_detector_begins_anew(stage: Stage, document: Mapping[str, Any]) -> None:
+    stage.apply(document)
+    stage.send(0.3)
+    assert stage.done() == ["start"]
+    [before] = stage.tasks.objects
+    stage.now += 1_000_000_000
+    stage.apply({**document, "task": "cloud-0/approach-2"})
+    stage.send(0.3)
+    assert stage.done() == ["start", "stop", "start"]
+    [(name, task)] = stage.tasks.objects.items()
+    assert name != before
+    assert task["spec"]["chain"] == {"parent": "cloud-0/approach-2"}
+
+
+def test_leases_are_renewed_every_third_of_their_time(stage: Stage) -> None:
+    stage.apply(DOCUMENT)
+    stage.send(0.3)
+    assert stage.done() == ["start"]
+    [name] = stage.tasks.objects
+    assert stage.tasks.renewals == []
+    stage.seconds = 10.1
+    until(lambda: len(stage.tasks.renewals) == 1)
+    stage.tasks.away = 1
+    stage.seconds = 20.2
+    until(lambda: stage.tasks.away == 0)
+    stage.seconds = 25.3
+    until(lambda: len(stage.tasks.renewals) == 2)
+    assert stage.tasks.renewals == [(name, stage.now)] * 2
+    assert time_text(stage.now).startswith("2026-11-21T08:33:20")
+
+
+def test_a_task_that_somebody_deleted_is_renewed_no_more(stage: Stage) -> None:
+    stage.apply(DOCUMENT)
+    stage.send(0.3)
+    assert stage.done() == ["start"]
+    stage.tasks.objects.clear()
+    for seconds in (11, 22, 33):
+        stage.seconds = float(seconds)
+        until(lambda: stage.tasks.renewals)
+    stage.send(0.01)
+    assert stage.done() == ["start", "stop"]
+    assert len(stage.tasks.renewals) == 1
