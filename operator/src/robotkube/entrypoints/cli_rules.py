@@ -92,7 +92,7 @@ def run(settings: DetectorSettings, bags: Bags, start: int | None = None) -> Rep
 
 
 def read_rules_file(path: Path, bags: Bags, agent: str = "") -> DetectorSettings:
-    """The file's rules for these bags; topics that it does not list are those of the bags. DocumentError, InputError."""
+    """The file's rules for these bags; topics that it does not list are those of the bags. InputError."""
     document = _document(path)
     inner = document.get("detector", document)
     if not isinstance(inner, Mapping) or "rules" not in inner:
@@ -154,8 +154,9 @@ def _topics(rules: Any, types: Mapping[str, str]) -> list[dict[str, str]]:
     named: dict[str, None] = {}
     for rule in rules if isinstance(rules, list) else []:
         if isinstance(rule, Mapping):
-            several = rule.get("topics") if isinstance(rule.get("topics"), list) else []
-            named |= dict.fromkeys(str(text) for text in (rule.get("topic"), *several) if isinstance(text, str))
+            several = rule.get("topics")
+            texts = [rule.get("topic"), *(several if isinstance(several, list) else [])]
+            named |= dict.fromkeys(text for text in texts if isinstance(text, str))
     found = []
     for text in named:
         try:
@@ -235,7 +236,7 @@ def _score_text(scored: Score) -> str:
 def _summary(result: Replayed, took: float) -> str:
     seconds = (result.last - result.first) / 1e9
     return (
-        f"robotkube: {len(result.edges)} edges in {seconds:.1f} s of data ({result.messages} messages that rules look at), "
+        f"robotkube: {len(result.edges)} edges, {result.messages} messages that rules look at, {seconds:.1f} s of data; "
         f"{seconds / took if took else 0:.0f} times faster than they came"
     )
 
