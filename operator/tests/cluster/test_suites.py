@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 import rooms
-import yaml
 from kubernetes import client, config
 from running_platform import Platform
 from wrong_charts import wrong_chart
