@@ -59,7 +59,7 @@ def test_the_box_holds_the_other_vehicles_points(made: Mapping[str, Path]) -> No
 def test_a_dataset_in_kittis_layout(made: Mapping[str, Path], tmp_path: Path) -> None:
     said: list[str] = []
     folder = tmp_path / "dataset"
-    with pytest.raises(InputError, match="poses of at least two: the bag has 1 topics .* poses of vehicle-00"):
+    with pytest.raises(InputError, match=r"poses of at least two: the bag has 1 topics .* poses of vehicle-00"):
         write_dataset(made["vehicle-00"], tmp_path / "none", "meeting", Labelling(), POSES_DEFAULT, said.append)
     joined = tmp_path / "joined"
     joined.mkdir()

@@ -1,4 +1,4 @@
-"""Writes MCAP files in chunks with an index, and rosbag2 folders of one such file, as ros2 bag and Foxglove read them."""
+"""Writes MCAP files in chunks with an index, and rosbag2 folders of one such file, as ros2 and Foxglove read them."""
 
 from __future__ import annotations
 

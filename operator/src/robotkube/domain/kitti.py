@@ -51,10 +51,10 @@ def read_me(name: str, settings: Labelling, counts: Mapping[str, int]) -> str:
 Layout of KITTI's object benchmark, so that its readers read it:
 
     training/velodyne/NNNNNN.bin   the cloud: float32 x, y, z, intensity per point, little endian, frame of the sensor
-    training/label_2/NNNNNN.txt    one line per box: {KIND}, 0.00, 0 (3: no point of the cloud lies in it), alpha, 0 0 0 0,
+    training/label_2/NNNNNN.txt    one line per box: {KIND}, 0.00, 0 (3: no point lies in it), alpha, 0 0 0 0,
                                    height, width, length, location x y z, rotation_y; frame of the camera
     training/calib/NNNNNN.txt      the camera is the sensor with other axes: x right, y down, z ahead; no pictures
-    labels.jsonl                   one line per cloud, frame of the sensor (x ahead, y left, z up), with what KITTI lacks
+    labels.jsonl                   one line per cloud, frame of the sensor (x ahead, y left, z up), and what KITTI lacks
     preview.png                    a cloud from above, 10 m between the lines, with its boxes
 
 A label is the other vehicle's own pose, interpolated at the cloud's stamp (position linear, orientation on the great

@@ -40,8 +40,8 @@ class Labelling:
 
 @dataclass(frozen=True)
 class Label:
-    """One box in the frame of the sensor. `position`: of its centre; `heading`: about the sensor's z axis; `age_seconds`:
-    to the nearest pose message of that agent; `points` of the cloud lie in it."""
+    """One box in the frame of the sensor. `position`: of its centre; `heading`: about its z axis; `age_seconds`: to the
+    nearest pose message of that agent; `points` of the cloud lie in it."""
 
     agent: str
     position: Vector

@@ -1,4 +1,4 @@
-"""Rigid transforms between frames, and paths of frames over time. Metres, quaternions x, y, z, w, stamps in ns. Pure."""
+"""Rigid transforms between frames, and paths of frames over time. In m, quaternions x, y, z, w, stamps in ns. Pure."""
 
 from __future__ import annotations
 

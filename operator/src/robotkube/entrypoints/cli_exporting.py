@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import shutil
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -174,9 +174,7 @@ def _write(
 ) -> Mapping[str, int]:
     definitions = {topic.type: _definition(topic.type) for topic in found.topics}
     for missing in sorted(kind for kind, text in definitions.items() if not text):
-        _say(
-            f"{missing} is not installed here, so its definition is missing in the bag; ros2 reads it, Foxglove does not"
-        )
+        _say(f"{missing} is not installed here, so the bag lacks its definition; ros2 reads it, Foxglove does not")
     with BagWriter(folder, found.topics, f"{name}.mcap", definitions, compressed=True) as writer:
         write(found, segments, shelf, writer)
         writer.finish(metadata=wanted.form == ROSBAG2)

@@ -236,7 +236,7 @@ def _score_text(scored: Score) -> str:
 def _summary(result: Replayed, took: float) -> str:
     seconds = (result.last - result.first) / 1e9
     return (
-        f"robotkube: {len(result.edges)} edges, {result.messages} messages that rules look at, {seconds:.1f} s of data; "
+        f"robotkube: {len(result.edges)} edges, {result.messages} messages of topics in rules, {seconds:.1f} s; "
         f"{seconds / took if took else 0:.0f} times faster than they came"
     )
 
