@@ -121,7 +121,7 @@ def explain(options: argparse.Namespace) -> Table:
     elif source.startswith(("http://", "https://")):
         found = _edges(events_page(source), source)
     else:
-        found = _edges(_document(Path(source)), source)
+        found = _edges(_result(Path(source)), source)
     chosen = [edge for edge in found if str(edge["id"]).startswith(options.event)]
     if not chosen:
         raise RefusalError(
@@ -134,19 +134,24 @@ def explain(options: argparse.Namespace) -> Table:
 
 
 def _document(path: Path) -> Mapping[str, Any]:
+    return read_mapping(_text(path), str(path))
+
+
+def _result(path: Path) -> Mapping[str, Any]:
+    try:
+        found = json.loads(_text(path))
+    except ValueError as error:
+        raise InputError(f"{path}: is no result of `rule test --output json`: {error}") from error
+    return found if isinstance(found, dict) else {}
+
+
+def _text(path: Path) -> str:
     try:
         if path.stat().st_size > RESULT_BYTES_MAX:
             raise InputError(f"{path}: larger than {RESULT_BYTES_MAX} bytes")
-        text = path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8")
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read: {error}") from error
-    if not text.lstrip().startswith("{"):
-        return read_mapping(text, str(path))
-    try:
-        found = json.loads(text)
-    except ValueError:
-        return read_mapping(text, str(path))
-    return found if isinstance(found, dict) else {}
 
 
 def _topics(rules: Any, types: Mapping[str, str]) -> list[dict[str, str]]:
