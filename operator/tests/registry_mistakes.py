@@ -14,7 +14,7 @@ from robotkube.domain.texts import write_mapping
 
 RECORDING = "registry/applications/pose-point-cloud-recording.yaml"
 PROXIMITY = "registry/applications/proximity-operator.yaml"
-BRIDGE = "registry/charts/mqtt-bridge/0.1.0.yaml"
+BRIDGE = "registry/charts/mqtt-bridge/0.2.0.yaml"
 RELEASE = "registry/policies/release.yaml"
 SERVICE = "spec.services[0]"
 REACTION = f"{SERVICE}.values.detector.reactions[0]"
@@ -146,7 +146,7 @@ FILES = [
         put(BRIDGE, "kind", "ChartVersion", to="registry/charts/mqtt-bridge/0.1.1.yaml"),
         "registry/charts/mqtt-bridge/0.1.1.yaml",
         "path",
-        "holds the same as charts/mqtt-bridge/0.1.0.yaml",
+        "holds the same as charts/mqtt-bridge/0.2.0.yaml",
     ),
 ]
 
@@ -163,7 +163,7 @@ REFERENCES = [
         put(RECORDING, f"{SERVICE}.chart.version", ">=3.0.0"),
         RECORDING,
         f"{SERVICE}.chart.version",
-        "(there are 0.1.0); widen the range",
+        "(there are 0.1.0, 0.2.0); widen the range",
     ),
     Mistake(
         "capability",
@@ -209,35 +209,35 @@ REFERENCES = [
     ),
     Mistake(
         "cycle",
-        both(version("0.2.0", replaces="0.1.0"), put(BRIDGE, "spec.replaces", "0.2.0")),
+        both(version("0.3.0", replaces="0.2.0"), put(BRIDGE, "spec.replaces", "0.3.0")),
         BRIDGE,
         "spec.replaces",
-        "part of a cycle of upgrades with 0.2.0",
+        "part of a cycle of upgrades with 0.3.0",
     ),
     Mistake(
         "dead end",
-        version("0.2.0"),
+        version("0.3.0"),
         BRIDGE,
         "spec.version",
-        "no way of upgrades leads from 0.1.0 to 0.2.0, the newest version of channel stable",
+        "no way of upgrades leads from 0.2.0 to 0.3.0, the newest version of channel stable",
     ),
     Mistake(
         "replaces nothing",
-        put(BRIDGE, "spec.replaces", "0.0.9"),
-        BRIDGE,
-        "spec.replaces",
-        "there is no version 0.0.9 of mqtt-bridge (there are 0.1.0)",
+        version("0.3.0", replaces="0.2.0", skips=["0.1.5"]),
+        "registry/charts/mqtt-bridge/0.3.0.yaml",
+        "spec.skips",
+        "there is no version 0.1.5 of mqtt-bridge (there are 0.2.0, 0.3.0)",
     ),
     Mistake(
         "backwards",
-        both(version("0.2.0"), put(BRIDGE, "spec.skips", ["0.2.0"])),
+        both(version("0.3.0"), put(BRIDGE, "spec.skips", ["0.3.0"])),
         BRIDGE,
         "spec.skips",
-        "0.2.0 is not older than 0.1.0",
+        "0.3.0 is not older than 0.2.0",
     ),
     Mistake(
         "the same version otherwise",
-        version("0.01.0", replaces="0.1.0"),
+        version("0.02.0", replaces="0.2.0"),
         BRIDGE,
         "spec.version",
         "are the same version, written in two ways",
@@ -377,10 +377,10 @@ CHARTS = [
     ),
     Mistake(
         "version of the chart",
-        swap("charts/mqtt-bridge/Chart.yaml", "\nversion: 0.1.0", "\nversion: 0.3.0"),
+        swap("charts/mqtt-bridge/Chart.yaml", "\nversion: 0.2.0", "\nversion: 0.4.0"),
         "charts/mqtt-bridge/Chart.yaml",
         "version",
-        "0.3.0 has no entry in the catalogue (entries: 0.1.0)",
+        "0.4.0 has no entry in the catalogue (entries: 0.2.0)",
     ),
     Mistake(
         "schema of the chart",

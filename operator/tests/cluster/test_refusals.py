@@ -22,7 +22,7 @@ AGENT, PLAN = "vehicle-02", "20261121-100000-abcdef"
 CHARTS = "oci://forge.robotkube.svc.cluster.local:3000/verified"
 WRITERS = {"staging": "publisher", "verified": "gate"}  # organisation -> the account that writes it
 REFUSED_SECONDS_MAX = 90.0
-VERSION = "0.1.0"
+VERSION = "0.2.0"
 CONFIGMAP = """
 apiVersion: v1
 kind: ConfigMap

@@ -81,7 +81,7 @@ def said(checks: list[Check]) -> str:
 
 def test_the_bridge_is_what_its_entry_declares(room: LocalRoom) -> None:
     chart = TOP / "charts" / "apps" / "mqtt-bridge"
-    entry = yaml.safe_load((TOP / "registry/charts/mqtt-bridge/0.1.0.yaml").read_text())
+    entry = yaml.safe_load((TOP / "registry/charts/mqtt-bridge/0.2.0.yaml").read_text())
     checks = list(suite().run(subject(chart, entry, bridge_objects), room))
     assert said([check for check in checks if not check.passed]) == ""
     names = {check.name for check in checks}
@@ -94,7 +94,7 @@ def test_the_bridge_is_what_its_entry_declares(room: LocalRoom) -> None:
 def test_a_bridge_with_another_entry_is_refused(room: LocalRoom) -> None:
     """Qualities, the type inside the frames, a topic that is not declared, at the broker."""
     chart = TOP / "charts" / "apps" / "mqtt-bridge"
-    entry = yaml.safe_load((TOP / "registry/charts/mqtt-bridge/0.1.0.yaml").read_text())
+    entry = yaml.safe_load((TOP / "registry/charts/mqtt-bridge/0.2.0.yaml").read_text())
     interfaces = {item["name"]: item for item in entry["spec"]["interfaces"]}
     interfaces["mqtt-out"] |= {"type": "nav_msgs/msg/Odometry", "qos": {"qos": 0, "retain": True}}
     interfaces["mqtt-in"] |= {"topic": "other{{ topic.name }}", "qos": {"qos": 2, "retain": False}}

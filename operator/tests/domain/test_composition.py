@@ -289,11 +289,11 @@ def test_a_new_chart_version_changes_its_releases_for_the_configuration() -> Non
     before = settle((), {})
     files = catalogue_files()
     newer = (
-        files["charts/mqtt-bridge/0.1.0.yaml"]
-        .replace("version: 0.1.0", "version: 0.1.1")
+        files["charts/mqtt-bridge/0.2.0.yaml"]
+        .replace("version: 0.2.0", "version: 0.2.1")
         .replace("sha256:0000", "sha256:1111")
     )
-    catalogue = read_catalogue({**files, "charts/mqtt-bridge/0.1.1.yaml": newer})
+    catalogue = read_catalogue({**files, "charts/mqtt-bridge/0.2.1.yaml": newer})
     assert catalogue.problems == ()
     made, _ = plan((), read_tree(before), catalogue=catalogue)
     assert made is not None
@@ -306,13 +306,13 @@ def test_broken_catalogue_files_are_named_and_the_rest_stays() -> None:
     files = {
         **catalogue_files(),
         "applications/broken.yaml": "kind: Application\n",
-        "charts/mqtt-bridge/0.2.0.yaml": "a: [",
+        "charts/mqtt-bridge/0.3.0.yaml": "a: [",
     }
     catalogue = read_catalogue(files)
     assert set(CATALOGUE.applications) == set(catalogue.applications)
     assert {p.split(":")[0] for p in catalogue.problems} == {
         "applications/broken.yaml",
-        "charts/mqtt-bridge/0.2.0.yaml",
+        "charts/mqtt-bridge/0.3.0.yaml",
     }
 
 

@@ -27,7 +27,7 @@ ENTRIES = entry_documents(read_catalogue(FILES, published=False))
 @pytest.mark.parametrize(
     ("criteria", "names"),
     [
-        (Criteria(provides="recording"), ["pose-point-cloud-recording", "event-detector"]),
+        (Criteria(provides="recording"), ["pose-point-cloud-recording", "event-detector", "event-detector"]),
         (Criteria(provides="recording/pose"), ["pose-point-cloud-recording"]),
         (Criteria(provides="record"), []),
         (
@@ -43,12 +43,12 @@ ENTRIES = entry_documents(read_catalogue(FILES, published=False))
         ),
         (Criteria(needs="event-detector", text="WATCHES"), ["intersection-operator", "proximity-operator"]),
         (Criteria(guarantee=read_guarantee("range>=40m")), ["object-detection"]),
-        (Criteria(needs="mqtt"), ["mqtt-bridge"]),
-        (Criteria(guarantee="stop-time", text="bridge"), ["mqtt-bridge"]),
-        (Criteria(guarantee=read_guarantee("stop-time<=5000ms")), ["bag-player", "mqtt-bridge"]),
+        (Criteria(needs="mqtt"), ["event-detector", "mqtt-bridge", "mqtt-bridge"]),
+        (Criteria(guarantee="stop-time", text="bridge"), ["mqtt-bridge", "mqtt-bridge"]),
+        (Criteria(guarantee=read_guarantee("stop-time<=5000ms")), ["bag-player", "mqtt-bridge", "mqtt-bridge"]),
         (Criteria(guarantee=read_guarantee("stop-time>=1 s")), []),
         (Criteria(channel="candidate"), []),
-        (Criteria(state="source", text="buffers"), ["event-detector"]),
+        (Criteria(state="source", text="buffers"), ["event-detector", "event-detector"]),
     ],
 )
 def test_search(criteria: Criteria, names: list[str]) -> None:
@@ -83,11 +83,11 @@ def test_what_a_guarantee_is_worth(bound: str, number: float, unit: str, verifie
 def test_find() -> None:
     assert [(e["kind"], e.get("version", "")) for e in find(ENTRIES, "mqtt-bridge")] == [
         ("application", ""),
-        ("chart", "0.1.0"),
+        ("chart", "0.2.0"),
     ]
     assert [e["kind"] for e in find(ENTRIES, "mqtt-bridge@0.1.0")] == ["chart"]
     assert find(ENTRIES, "mqtt-bridge@0.1.0")[0]["guarantees"][0]["standing"] == "claimed"
-    with pytest.raises(RefusalError, match=r"versions of mqtt-bridge: 0\.1\.0"):
+    with pytest.raises(RefusalError, match=r"versions of mqtt-bridge: 0\.1\.0, 0\.2\.0"):
         find(ENTRIES, "mqtt-bridge@9.0.0")
     with pytest.raises(RefusalError, match="there are bag-player, "):
         find(ENTRIES, "nothing")

@@ -106,9 +106,9 @@ WRONG_RELEASES = {
         {"digest": DIGESTS["old"], "version": "0.0.9"},
         "state withdrawn is not allowed (release policy:",
     ),
-    "another version": ({"version": "0.2.0"}, "is not in the catalogue, which has"),
+    "another version": ({"version": "0.3.0"}, "is not in the catalogue, which has"),
     "another plan": ({"plan": "20261121-100000-ffffff"}, "differs from the commit's RobotKube-Plan"),
-    "evidence": ({"evidence": "none"}, "robotkube.io/evidence is none, the evidence of chart event-detector@0.1.0@"),
+    "evidence": ({"evidence": "none"}, "robotkube.io/evidence is none, the evidence of chart event-detector@0.2.0@"),
     "values": ({"values": {"placement": {"agent": "cloud-0"}, "x": 1}}, "spec.values: Additional properties are not"),
     "parameters": (
         {"causes": (replace(CAUSE, parameters='{"vehicles":[]}'),)},
@@ -128,7 +128,7 @@ def test_wrong_releases_are_refused(installation: Installation, gate: RunningGat
     plan = installation.plan()
     files = release_files(plan, **{"name": "wrong", **changes})
     chart = ChartReference(
-        "event-detector", changes.get("version", "0.1.0"), changes.get("digest", DIGESTS["event-detector"])
+        "event-detector", changes.get("version", "0.2.0"), changes.get("digest", DIGESTS["event-detector"])
     )
     commit = manager.commit(files, message(plan, charts=(chart,)), [manager.tip()])
     text = wait_for_refusal(installation, installation.propose(manager, commit, plan))

@@ -23,7 +23,7 @@ from robotkube.entrypoints.suite_settings import RunnerConfiguration
 
 TOP = Path(__file__).resolve().parents[3]
 CHART = "mqtt-bridge"
-ENTRY = yaml.safe_load((TOP / "registry" / "charts" / CHART / "0.1.0.yaml").read_text(encoding="utf-8"))
+ENTRY = yaml.safe_load((TOP / "registry" / "charts" / CHART / "0.2.0.yaml").read_text(encoding="utf-8"))
 IMAGES = {"ros": "forge.robotkube.svc.cluster.local:3000/robotkube/ros@sha256:" + "0" * 64}
 RULE = SuiteRule("static", "1", 60)
 
@@ -46,7 +46,7 @@ def publisher(installation: Installation) -> Iterator[Registry]:
 @pytest.fixture
 def request_(publisher: Registry) -> SuiteRequest:
     digest = publisher.push_chart("staging", pack(TOP / "charts" / "apps" / CHART, IMAGES, ENTRY["spec"]), "suite")
-    artefact = Artefact(CHART, "0.1.0", digest, "linux/amd64")
+    artefact = Artefact(CHART, "0.2.0", digest, "linux/amd64")
     return SuiteRequest(artefact, f"staging/{CHART}", "sha256:" + "0" * 64, RULE, ENTRY)
 
 

@@ -46,6 +46,10 @@ class RecordedTopic:
     after_seconds: float = 0.0
     latched: bool = False
 
+    def document(self) -> dict[str, Any]:
+        """As it stands in the recording's document."""
+        return {"type": self.type, "storage": self.storage, **({"latched": True} if self.latched else {})}
+
     def window(self, started: int, stopped: int | None) -> Interval:
         """The stamps to keep for an event; it has no end yet when `stopped` is None."""
         first = started - int(self.before_seconds * SECOND_NS)
@@ -85,7 +89,7 @@ class RecordingPlan:
 
     def document_topics(self) -> dict[str, dict[str, Any]]:
         """`topics` of the recording's document."""
-        return {topic.pattern.text: {"type": topic.type, "storage": topic.storage} for topic in self.topics}
+        return {topic.pattern.text: topic.document() for topic in self.topics}
 
 
 @dataclass

@@ -33,6 +33,7 @@ def commands() -> Sequence[Command]:
     """Every command; other modules of the command line add theirs here."""
     from robotkube.entrypoints import (
         cli_explaining,
+        cli_exporting,
         cli_plans,
         cli_recordings,
         cli_registry,
@@ -79,6 +80,13 @@ def commands() -> Sequence[Command]:
             "prove checksums and gaps of a recording, and compare it with ledgers",
             cli_recordings.verify_one,
             cli_recordings.verifying,
+        ),
+        Command(
+            "recording",
+            "export",
+            "a recording as a bag, and as a labelled dataset",
+            cli_exporting.export,
+            cli_exporting.exporting,
         ),
         Command("rule", "test", "the events that rules raise over bags", cli_rules.test, cli_rules.testing),
         Command(

@@ -78,20 +78,20 @@ def verifying(parser: argparse.ArgumentParser) -> None:
 
 def list_all(options: argparse.Namespace) -> Table:
     """All recordings, oldest first."""
-    return listed(_readers(options))
+    return listed(readers_of(options))
 
 
 def show(options: argparse.Namespace) -> Table:
     """Everything about one recording."""
-    return shown(_readers(options), options.recording)
+    return shown(readers_of(options), options.recording)
 
 
 def verify_one(options: argparse.Namespace) -> Table:
     """Whether one recording is what was received, and what ledgers say; refused unless it is complete."""
-    segments = McapSegmentReader(dict(_volume(text) for text in options.segments))
+    segments = McapSegmentReader(dict(volume_place(text) for text in options.segments))
     window = _window(options.window) if options.window else None
     folders = [Path(folder) for folder in options.ledgers]
-    return verified(_readers(options), segments, options.recording, folders, window)
+    return verified(readers_of(options), segments, options.recording, folders, window)
 
 
 def listed(readers: Readers) -> Table:
@@ -103,7 +103,7 @@ def listed(readers: Readers) -> Table:
 
 def shown(readers: Readers, recording: str) -> Table:
     """The document of `recording show`."""
-    agent, reader, found = _find(readers, recording)
+    agent, reader, found = find(readers, recording)
     first = {topic: _time(stored) for topic, stored in first_stored(reader, recording).items()}
     row = _row(agent, found)
     kept = {key: found.get(key) for key in ("topics", "provenance", "counts", "causes")}
@@ -124,7 +124,7 @@ def verified(
     readers: Readers, segments: SegmentReader, recording: str, folders: Sequence[Path], window: Window | None
 ) -> Table:
     """The table of `recording verify`: a row per topic. `folders` hold `<topic with / as __>.jsonl`."""
-    _, reader, found = _find(readers, recording)
+    _, reader, found = find(readers, recording)
     audited = audits(reader, recording)
     names = sorted({*audited, *(name for name in found.get("topics") or {} if AGENT not in name)})
     ledgers = _required_ledgers(folders, names, recording) if folders else {}
@@ -179,7 +179,8 @@ class _Explained:
         return self.reader.audits(recording)
 
 
-def _readers(options: argparse.Namespace) -> Readers:
+def readers_of(options: argparse.Namespace) -> Readers:
+    """Agent that records -> its database, by the options of the command."""
     platform = Platform(options)
     accounts = platform.database_accounts(options.agent)
     host, port = _address(options.database) if options.database else platform.address("database")
@@ -196,7 +197,8 @@ def _reader(agent: str, values: Mapping[str, str], host: str, port: int) -> Reco
     return _Explained(PymongoRecordingReader(connect(account)), f"{host}:{port}")
 
 
-def _find(readers: Readers, recording: str) -> tuple[str, RecordingReader, Mapping[str, Any]]:
+def find(readers: Readers, recording: str) -> tuple[str, RecordingReader, Mapping[str, Any]]:
+    """The agent, the database and the document of a recording; RefusalError when there is none."""
     for agent, reader in readers.items():
         for found in list_recordings(reader):
             if found["_id"] == recording:
@@ -281,7 +283,8 @@ def _file_name(topic: str) -> str:
     return f"{topic.replace('/', '__')}.jsonl"
 
 
-def _volume(text: str) -> tuple[str, Path]:
+def volume_place(text: str) -> tuple[str, Path]:
+    """`VOLUME=FOLDER` of an option."""
     volume, separator, folder = text.partition("=")
     if not separator or "/" not in volume or not Path(folder).is_dir():
         raise InputError(f"--segments {text!r} must be <node>/<claim>=<existing folder>, as cloud-0/recordings=...")

@@ -92,7 +92,7 @@ def run(settings: DetectorSettings, bags: Bags, start: int | None = None) -> Rep
 
 
 def read_rules_file(path: Path, bags: Bags, agent: str = "") -> DetectorSettings:
-    """The file's rules for these bags; topics that it does not list are those of the bags. DocumentError, InputError."""
+    """The file's rules for these bags; topics that it does not list are those of the bags. InputError."""
     document = _document(path)
     inner = document.get("detector", document)
     if not isinstance(inner, Mapping) or "rules" not in inner:
@@ -121,7 +121,7 @@ def explain(options: argparse.Namespace) -> Table:
     elif source.startswith(("http://", "https://")):
         found = _edges(events_page(source), source)
     else:
-        found = _edges(_document(Path(source)), source)
+        found = _edges(_result(Path(source)), source)
     chosen = [edge for edge in found if str(edge["id"]).startswith(options.event)]
     if not chosen:
         raise RefusalError(
@@ -134,19 +134,24 @@ def explain(options: argparse.Namespace) -> Table:
 
 
 def _document(path: Path) -> Mapping[str, Any]:
+    return read_mapping(_text(path), str(path))
+
+
+def _result(path: Path) -> Mapping[str, Any]:
+    try:
+        found = json.loads(_text(path))
+    except ValueError as error:
+        raise InputError(f"{path}: is no result of `rule test --output json`: {error}") from error
+    return found if isinstance(found, dict) else {}
+
+
+def _text(path: Path) -> str:
     try:
         if path.stat().st_size > RESULT_BYTES_MAX:
             raise InputError(f"{path}: larger than {RESULT_BYTES_MAX} bytes")
-        text = path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8")
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read: {error}") from error
-    if not text.lstrip().startswith("{"):
-        return read_mapping(text, str(path))
-    try:
-        found = json.loads(text)
-    except ValueError:
-        return read_mapping(text, str(path))
-    return found if isinstance(found, dict) else {}
 
 
 def _topics(rules: Any, types: Mapping[str, str]) -> list[dict[str, str]]:
@@ -154,8 +159,9 @@ def _topics(rules: Any, types: Mapping[str, str]) -> list[dict[str, str]]:
     named: dict[str, None] = {}
     for rule in rules if isinstance(rules, list) else []:
         if isinstance(rule, Mapping):
-            several = rule.get("topics") if isinstance(rule.get("topics"), list) else []
-            named |= dict.fromkeys(str(text) for text in (rule.get("topic"), *several) if isinstance(text, str))
+            several = rule.get("topics")
+            texts = [rule.get("topic"), *(several if isinstance(several, list) else [])]
+            named |= dict.fromkeys(text for text in texts if isinstance(text, str))
     found = []
     for text in named:
         try:
@@ -235,7 +241,7 @@ def _score_text(scored: Score) -> str:
 def _summary(result: Replayed, took: float) -> str:
     seconds = (result.last - result.first) / 1e9
     return (
-        f"robotkube: {len(result.edges)} edges in {seconds:.1f} s of data ({result.messages} messages that rules look at), "
+        f"robotkube: {len(result.edges)} edges, {result.messages} messages of topics in rules, {seconds:.1f} s; "
         f"{seconds / took if took else 0:.0f} times faster than they came"
     )
 

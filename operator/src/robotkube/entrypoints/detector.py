@@ -12,6 +12,7 @@ imports and connects (database, segments, API server), each on a thread of its o
 
 from __future__ import annotations
 
+import gc
 import json
 import logging
 import os
@@ -41,7 +42,7 @@ if TYPE_CHECKING:
     from robotkube.ports.robots import LiveTopics
     from robotkube.services.detector.broker import Broker
 
-BUSY_SECONDS, IDLE_SECONDS = 0.008, 0.02
+BUSY_SECONDS, IDLE_SECONDS = 0.01, 0.02
 """From one look at the subscriptions to the next, while messages come and when none has come for IDLE_AFTER_SECONDS."""
 IDLE_AFTER_SECONDS = 1.0
 LAST_DRAIN_SECONDS_MAX = 0.5
@@ -173,6 +174,7 @@ class Room:
             pause = BUSY_SECONDS if now - heard < IDLE_AFTER_SECONDS else IDLE_SECONDS
             if not self._ready and not self.status.not_ready():
                 self._ready = True
+                gc.freeze()  # what the start has made stays: the collector shall not go through it again and again
                 self._process.log("ready", seconds=_process_age_seconds())
 
     def end(self) -> None:

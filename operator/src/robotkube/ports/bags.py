@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from typing import Protocol
-
-from robotkube.domain.bags import BagTopic
 
 
 class BagSource(Protocol):
-    """One bag, read as far as it is readable."""
+    """One or more bags, read as far as they are readable."""
 
     @property
-    def topics(self) -> Sequence[BagTopic]:
-        """The topics in the bag."""
-        ...
-
-    @property
-    def definitions(self) -> Mapping[str, str]:
-        """Type -> its definition with those of the types it uses, for the types whose definition the bag brings."""
+    def types(self) -> Mapping[str, str]:
+        """Topic -> its type."""
         ...
 
     def messages(self, wanted: Collection[str] | None = None) -> Iterator[tuple[str, int, bytes]]:

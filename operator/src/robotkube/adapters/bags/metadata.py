@@ -1,4 +1,4 @@
-"""What stands in YAML: metadata.yaml of a rosbag2 folder, and qualities of service as bags of all versions state them."""
+"""What stands in YAML: metadata.yaml of a rosbag2 folder, and qualities of service as all versions state them."""
 
 from __future__ import annotations
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import heapq
 import shutil
 import tempfile
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NoReturn
 
@@ -55,6 +55,11 @@ class OpenBag:
                 topics.setdefault(found.name, found)
             self.definitions |= opened.definitions
         self.topics: Sequence[BagTopic] = list(topics.values())
+
+    @property
+    def types(self) -> Mapping[str, str]:
+        """Topic -> its type."""
+        return {topic.name: topic.type for topic in self.topics}
 
     def messages(self, wanted: Collection[str] | None = None) -> Iterator[Message]:
         """Topic, time in ns and serialised message, in the order of the times; of the topics `wanted`, all when None.

@@ -90,7 +90,6 @@ PROPERTIES: Mapping[str, Schema] = {
         "type": "array",
         "minItems": 1,
         "maxItems": reading.AGENTS_MAX,
-        "uniqueItems": True,
         "items": {"type": "string", "pattern": AGENT_PATTERN},
         "description": "the only agents it looks at; without it all of them. Of scope group: those of the event",
     },

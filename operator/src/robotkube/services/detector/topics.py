@@ -153,8 +153,7 @@ class Topics:
 
     def _open(self, name: str, settings: TopicSettings) -> Topic | None:
         source = self._source(settings.source)
-        offers = tuple(source.offers(name))
-        quality = matched(settings.asked, offers)
+        quality = matched(settings.asked, source.offers(name))
         try:
             subscription = source.subscribe(name, settings, quality)
         except DocumentError as error:
@@ -169,7 +168,7 @@ class Topics:
         counter = self._counter(name, settings.type)
         agent = settings.pattern.agent(name) or self._settings.agent
         stamp = self._stamp(settings.type)
-        return Topic(name, agent, settings, subscription, counter, buffer, quality, stamp, self._clock_ns(), offers)
+        return Topic(name, agent, settings, subscription, counter, buffer, quality, stamp, self._clock_ns())
 
     def _counter(self, name: str, type_name: str) -> InputCounter:
         """The topic's counter goes on when the topic comes back; of those that are gone the oldest is forgotten."""

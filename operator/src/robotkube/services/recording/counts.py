@@ -19,6 +19,11 @@ class RecorderCounts:
     acknowledged: int = 0
     first_stored: dict[str, int] = field(default_factory=dict)
 
+    def numbers(self, dropped: int = 0) -> dict[str, int]:
+        """By name; `dropped`: what the journal gave up beside."""
+        found = {name: value for name, value in vars(self).items() if isinstance(value, int)}
+        return found | {"dropped": self.dropped + dropped}
+
 
 @dataclass
 class JournalCounts:

@@ -50,7 +50,7 @@ BATCH_BYTES = 4 * 1024 * 1024
 BATCH_BYTES_MAX = 128 * 1024 * 1024
 SETTLED_BYTES_PER_ROUND = 16 * 1024 * 1024
 BEGIN_SECONDS_MAX = 3.0
-KNOWN_SECONDS_MAX = 5.0
+KNOWN_SECONDS_MAX, PRIOR_SECONDS_MAX = 5.0, 2.0
 
 log = logging.getLogger(__name__)
 
@@ -236,6 +236,7 @@ class Recorder:
                 self.turn()
                 self._wake.wait(ROUND_SECONDS)
                 self._wake.clear()
+            self._await_prior()
             self.finish()
         except Exception as error:  # an error of ours: the process must not go on as if it recorded
             self.failed = f"recording {self.recording}: {type(error).__name__}: {error}"
@@ -244,8 +245,16 @@ class Recorder:
             self._hashing.shutdown(wait=False)
             self._writing.shutdown(wait=False)
 
+    def _await_prior(self) -> None:
+        """A recording that is over before the database has answered: what was before it is still worth a short wait."""
+        end = self._place.monotonic() + PRIOR_SECONDS_MAX
+        while not (self._known or self._prior) and self._place.monotonic() < end:
+            self._wake.wait(PRIOR_SECONDS_MAX / 20)
+            self._wake.clear()
+
     def finish(self) -> None:
         """What is offered is stored, and the recording ends; a volume that refuses now has refused for good."""
+        self.turn()
         while self._queue:
             self.turn()
         self._end_large(self._begin_large())
@@ -255,9 +264,10 @@ class Recorder:
             return
         self._begin()
         self._books.close()
-        fields = {"ended": self._place.clock_ns(), "counts": self._numbers()}
+        numbers = self.counts.numbers(self._journal.dropped(self.recording))
+        fields = {"ended": self._place.clock_ns(), "counts": numbers}
         self._journal.add([Write(RECORDINGS, self.recording, fields, update=True, size=200)])
-        log.info("recording %s: ended %s", self.recording, self._summary())
+        log.info("recording %s: ended %s", self.recording, " ".join(f"{name}={n}" for name, n in numbers.items()))
 
     def _give_up(self) -> None:
         for large in self._large:
@@ -481,14 +491,6 @@ class Recorder:
             Write(RECORDINGS, self.recording, begun, size=1000),
             Write(RECORDINGS, self.recording, again, update=True, size=200, add=volumes),
         ])  # fmt: skip
-
-    def _numbers(self) -> dict[str, int]:
-        numbers = {name: value for name, value in vars(self.counts).items() if isinstance(value, int)}
-        numbers["dropped"] += self._journal.dropped(self.recording)
-        return numbers
-
-    def _summary(self) -> str:
-        return " ".join(f"{name}={value}" for name, value in self._numbers().items())
 
 
 def _digest(data: bytes) -> str:

@@ -234,6 +234,5 @@ class Recordings:
 
 
 def _add(counts: dict[str, int], recorder: Recorder) -> None:
-    for name, value in vars(recorder.counts).items():
-        if isinstance(value, int):
-            counts[name] = counts.get(name, 0) + value
+    for name, value in recorder.counts.numbers().items():
+        counts[name] = counts.get(name, 0) + value

@@ -1,0 +1,148 @@
+"""Rigid transforms between frames, and paths of frames over time. In m, quaternions x, y, z, w, stamps in ns. Pure."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from robotkube.domain.windows import Quaternion, slerp
+
+Vector = tuple[float, float, float]
+
+CHAIN_MAX = 100
+"""So many transforms, one behind the other, are followed."""
+
+
+@dataclass(frozen=True)
+class Transform:
+    """Takes coordinates of a child frame to its parent's: turned by `rotation` (length 1), then moved."""
+
+    translation: Vector = (0.0, 0.0, 0.0)
+    rotation: Quaternion = (0.0, 0.0, 0.0, 1.0)
+
+    def apply(self, point: Vector) -> Vector:
+        """The point in the parent frame."""
+        x, y, z = _rotated(self.rotation, point)
+        a, b, c = self.translation
+        return x + a, y + b, z + c
+
+    def __matmul__(self, inner: Transform) -> Transform:
+        """First `inner`, then this one."""
+        return Transform(self.apply(inner.translation), _product(self.rotation, inner.rotation))
+
+    @property
+    def inverse(self) -> Transform:
+        """From the parent to the child."""
+        x, y, z, w = self.rotation
+        back = (-x, -y, -z, w)
+        a, b, c = _rotated(back, self.translation)
+        return Transform((-a, -b, -c), back)
+
+    @property
+    def heading(self) -> float:
+        """Angle of the child's x axis about the parent's z axis, rad."""
+        x, y, z, w = self.rotation
+        return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+
+def transform(values: Sequence[float]) -> Transform | None:
+    """Of position x, y, z and orientation x, y, z, w; None when they are no numbers. Length 0 is no rotation."""
+    if not all(math.isfinite(value) for value in values):
+        return None
+    x, y, z = values[:3]
+    length = math.hypot(*values[3:])
+    if not length:
+        return Transform((x, y, z))
+    a, b, c, d = (value / length for value in values[3:])
+    return Transform((x, y, z), (a, b, c, d))
+
+
+@dataclass(frozen=True)
+class Placed:
+    """Where a frame was. `age_ns`: to the nearest of the messages it was made of; `span_ns`: between those two."""
+
+    transform: Transform
+    age_ns: int
+    span_ns: int
+
+
+@dataclass
+class Path:
+    """Poses of one agent in `frame`, to be asked for any time between them."""
+
+    frame: str = ""
+    stamps: array[int] = field(default_factory=lambda: array("q"))
+    poses: list[Transform] = field(default_factory=list)
+
+    def add(self, stamp: int, pose: Transform) -> None:
+        """One pose; what is not newer than the last one is put in its place, and the same stamp counts once."""
+        place = bisect_right(self.stamps, stamp)
+        if place and self.stamps[place - 1] == stamp:
+            return
+        self.stamps.insert(place, stamp)
+        self.poses.insert(place, pose)
+
+    def at(self, stamp: int, gap_ns: int) -> Placed | None:
+        """Position linear, orientation on the great circle; None outside the poses and in gaps wider than `gap_ns`."""
+        behind = bisect_right(self.stamps, stamp)
+        if not behind:
+            return None
+        first = self.stamps[behind - 1]
+        if first == stamp:
+            return Placed(self.poses[behind - 1], 0, 0)
+        if behind == len(self.stamps) or (span := self.stamps[behind] - first) > gap_ns:
+            return None
+        share = (stamp - first) / span
+        a, b = self.poses[behind - 1], self.poses[behind]
+        x, y, z = (p + (q - p) * share for p, q in zip(a.translation, b.translation, strict=True))
+        mixed = Transform((x, y, z), slerp(a.rotation, b.rotation, share))
+        return Placed(mixed, min(stamp - first, self.stamps[behind] - stamp), span)
+
+
+@dataclass
+class Mounts:
+    """Transforms that stay as they are: child frame -> (parent frame, transform)."""
+
+    parents: dict[str, tuple[str, Transform]] = field(default_factory=dict)
+
+    def add(self, parent: str, child: str, found: Transform) -> None:
+        """The last word counts."""
+        if parent != child:
+            self.parents[child] = (parent, found)
+
+    def up_to(self, frame: str, roots: Sequence[str]) -> tuple[str, Transform] | None:
+        """The first of `roots` on the way up from `frame`, and the transform from `frame` to it; None: no way."""
+        found = Transform()
+        for _ in range(CHAIN_MAX):
+            if frame in roots:
+                return frame, found
+            if frame not in self.parents:
+                return None
+            frame, step = self.parents[frame]
+            found = step @ found
+        return None
+
+
+def _rotated(rotation: Quaternion, point: Vector) -> Vector:
+    qx, qy, qz, qw = rotation
+    px, py, pz = point
+    tx, ty, tz = 2 * (qy * pz - qz * py), 2 * (qz * px - qx * pz), 2 * (qx * py - qy * px)
+    return (
+        px + qw * tx + qy * tz - qz * ty,
+        py + qw * ty + qz * tx - qx * tz,
+        pz + qw * tz + qx * ty - qy * tx,
+    )
+
+
+def _product(a: Quaternion, b: Quaternion) -> Quaternion:
+    ax, ay, az, aw = a
+    bx, by, bz, bw = b
+    return (
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+        aw * bw - ax * bx - ay * by - az * bz,
+    )

@@ -1,0 +1,226 @@
+"""`robotkube recording export`: a recording as a bag that ros2 and Foxglove read, and as a labelled dataset."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import sys
+from collections.abc import Callable, Mapping
+from contextlib import closing
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from robotkube.adapters.bag_writing import BagWriter
+from robotkube.adapters.bags import open_bag
+from robotkube.adapters.datasets_kitti import KittiDataset
+from robotkube.adapters.segments_mcap import McapSegmentReader, definition
+from robotkube.adapters.shelf_files import FileShelf
+from robotkube.domain.errors import InputError
+from robotkube.domain.labels import DISTANCE_DEFAULT, GAP_SECONDS_DEFAULT, SIZE_DEFAULT, Labelling
+from robotkube.domain.layouts import Layouts
+from robotkube.domain.topics import TopicPattern
+from robotkube.entrypoints import cli_recordings
+from robotkube.entrypoints.cli_output import Table
+from robotkube.ports.recordings import RecordingReader, SegmentReader
+from robotkube.services.exporting import Export, Selection, prepare, write
+from robotkube.services.labelling import POSES_DEFAULT, LabellingCounts, label_clouds
+
+MCAP, ROSBAG2 = "mcap", "rosbag2"
+DATASET = "dataset"
+COLUMNS = ("topic", "type", "messages", "left_out")
+SECONDS_MAX = 10**9
+NANOSECONDS = 1_000_000_000
+
+
+def exporting(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `recording export`."""
+    cli_recordings.naming(parser)
+    parser.add_argument("folder", type=Path, help="new folder that is made")
+    parser.add_argument("--format", choices=(MCAP, ROSBAG2), default=ROSBAG2, help="one MCAP file, or a rosbag2 folder")
+    parser.add_argument(
+        "--topics", nargs="+", default=[], metavar="TOPIC", help="only these; {agent} stands for every agent"
+    )
+    when = "stamp in ns, seconds from the recording's begin, or a time such as 2026-11-22T10:00:00Z"
+    parser.add_argument("--from", dest="first", metavar="WHEN", help=f"only from here: {when}")
+    parser.add_argument("--to", dest="last", metavar="WHEN", help="only up to here, as --from")
+    parser.add_argument(
+        "--segments",
+        action="append",
+        default=[],
+        metavar="VOLUME=FOLDER",
+        help="where a volume (<node>/<claim>) is in reach; once per volume",
+    )
+    labelling(parser)
+
+
+def labelling(parser: argparse.ArgumentParser) -> None:
+    """Arguments about labels."""
+    parser.add_argument("--labels", action="store_true", help="make a dataset: clouds labelled by the others' poses")
+    parser.add_argument("--poses", default=POSES_DEFAULT, metavar="PATTERN", help="topics of the agents' poses")
+    size = "x".join(f"{metres:g}" for metres in SIZE_DEFAULT)
+    parser.add_argument("--size", default=size, metavar="LxWxH", help="the others' length, width and height in m")
+    parser.add_argument(
+        "--distance", type=float, default=DISTANCE_DEFAULT, metavar="M", help="nobody farther away is labelled"
+    )
+    parser.add_argument(
+        "--gap", type=float, default=GAP_SECONDS_DEFAULT, metavar="S", help="poses farther apart are not joined"
+    )
+    parser.add_argument("--pose-sigma", type=float, default=0.0, metavar="M", help="standard deviation of the poses")
+
+
+def export(options: argparse.Namespace) -> Table:
+    """Write the recording's bag, and with --labels its dataset; refused when something had to be left out."""
+    readers = cli_recordings.readers_of(options)
+    _, reader, found = cli_recordings.find(readers, options.recording)
+    segments = McapSegmentReader(dict(cli_recordings.volume_place(text) for text in options.segments))
+    settings = labelling_settings(options) if options.labels else None
+    return exported(reader, segments, found, options.folder, Wanted.of(options, found), settings)
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What to export, and how."""
+
+    selection: Selection = field(default_factory=Selection)
+    form: str = ROSBAG2
+    poses: str = POSES_DEFAULT
+
+    @classmethod
+    def of(cls, options: argparse.Namespace, found: Mapping[str, Any]) -> Wanted:
+        """From the options; InputError names the wrong one."""
+        try:
+            patterns = tuple(TopicPattern(text) for text in options.topics)
+            TopicPattern(options.poses)
+        except ValueError as error:
+            raise InputError(f"--topics, --poses: {error}") from error
+        begin = int(found.get("started") or 0)
+        first = _moment("--from", options.first, begin, 0)
+        last = _moment("--to", options.last, begin, 2**63 - 1)
+        if last < first:
+            raise InputError(f"--to {options.last} is before --from {options.first}")
+        return cls(Selection(patterns, first, last), options.format, options.poses)
+
+
+def labelling_settings(options: argparse.Namespace) -> Labelling:
+    """From the options; InputError names the wrong one."""
+    try:
+        length, width, height = (float(metres) for metres in options.size.lower().split("x"))
+    except ValueError as error:
+        raise InputError(f"--size {options.size!r} must be LxWxH in m, such as 4.6x1.9x1.6") from error
+    numbers = {"--size": min(length, width, height), "--distance": options.distance, "--gap": options.gap}
+    for name, number in numbers.items():
+        if not 0 < number <= 1e6:
+            raise InputError(f"{name}: {number} must be a number above 0")
+    if not 0 <= options.pose_sigma <= 1e6:
+        raise InputError(f"--pose-sigma: {options.pose_sigma} must be a number from 0")
+    return Labelling((length, width, height), options.gap, options.distance, options.pose_sigma)
+
+
+def exported(
+    reader: RecordingReader,
+    segments: SegmentReader,
+    recording: Mapping[str, Any],
+    folder: Path,
+    wanted: Wanted,
+    labels: Labelling | None = None,
+) -> Table:
+    """The table of `recording export`: a row per topic. Nothing is left behind when it fails."""
+    if folder.exists():
+        raise InputError(f"{folder} is there already; give a new folder")
+    partial = folder.with_name(f"{folder.name}.partial")
+    shutil.rmtree(partial, ignore_errors=True)
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with closing(FileShelf(folder.parent)) as shelf:
+            found = prepare(reader, recording, wanted.selection, shelf)
+            counts = _write(found, segments, shelf, partial, str(recording["_id"]), wanted)
+        if labels is not None:
+            write_dataset(partial, partial / DATASET, str(recording["_id"]), labels, wanted.poses, _say)
+        partial.rename(folder)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written: {error}") from error
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+    return _table(found, counts)
+
+
+def write_dataset(
+    bag: Path, folder: Path, name: str, settings: Labelling, poses: str, say: Callable[[str], None]
+) -> LabellingCounts:
+    """Label the clouds of a bag into a new folder; `say` gets what to know. InputError as of `label_clouds`."""
+    counts = LabellingCounts()
+    with open_bag(bag, say) as opened, closing(KittiDataset(folder)) as dataset:
+
+        def lookup(type_name: str) -> str:
+            text = opened.definitions.get(type_name) or _definition(type_name)
+            if not text:
+                raise KeyError(type_name)
+            return text
+
+        for found in label_clouds(opened, Layouts(lookup), settings, counts, poses):
+            dataset.add(found.topic, found.cloud, found.labels)
+        numbers = {"clouds": counts.clouds, "boxes": counts.boxes, "clouds of unknown place, left out": counts.nowhere}
+        dataset.finish(name, settings, numbers)
+    for problem in counts.problems:
+        say(problem)
+    say(f"dataset: {counts.clouds} clouds, {counts.boxes} boxes; {counts.nowhere} clouds of unknown place left out")
+    return counts
+
+
+def _write(
+    found: Export, segments: SegmentReader, shelf: FileShelf, folder: Path, name: str, wanted: Wanted
+) -> Mapping[str, int]:
+    definitions = {topic.type: _definition(topic.type) for topic in found.topics}
+    for missing in sorted(kind for kind, text in definitions.items() if not text):
+        _say(f"{missing} is not installed here, so the bag lacks its definition; ros2 reads it, Foxglove does not")
+    with BagWriter(folder, found.topics, f"{name}.mcap", definitions, compressed=True) as writer:
+        write(found, segments, shelf, writer)
+        writer.finish(metadata=wanted.form == ROSBAG2)
+        return writer.counts
+
+
+def _table(found: Export, counts: Mapping[str, int]) -> Table:
+    rows = [
+        {
+            "topic": topic.name,
+            "type": topic.type,
+            "messages": counts[topic.name],
+            "left_out": found.left_out[topic.name],
+        }
+        for topic in found.topics
+    ]
+    missing = sum(found.left_out.values())
+    refusal = f"{missing} messages are not in the export; the first: {found.problems[0]}" if missing else ""
+    return Table("topics", COLUMNS, rows, refusal=refusal)
+
+
+def _definition(type_name: str) -> str:
+    return definition(type_name, Path(sys.prefix) / "share")
+
+
+def _moment(option: str, text: str | None, begin: int, default: int) -> int:
+    if text is None:
+        return default
+    try:
+        number = float(text)
+    except ValueError:
+        number = None
+    if number is not None and 0 <= number <= SECONDS_MAX:
+        return begin + round(number * NANOSECONDS)
+    if text.isdecimal() and len(text) <= 19:
+        return int(text)
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError:
+        moment = None
+    if moment is None or moment.tzinfo is None:
+        raise InputError(
+            f"{option} {text!r} must be ns, seconds from the begin, or a time such as 2026-11-22T10:00:00Z"
+        )
+    return round(moment.astimezone(UTC).timestamp() * 1000) * 1_000_000
+
+
+def _say(text: str) -> None:
+    print(f"robotkube: {text}", file=sys.stderr)

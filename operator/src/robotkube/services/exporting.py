@@ -1,0 +1,169 @@
+"""Exporting a recording: its messages read back, proved by their digests, and written in the order of reception.
+
+Small messages wait on a shelf (a file), so that memory holds only where they are. Large ones are read when their turn
+comes. What cannot be read or is not what was recorded is left out and said.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, Protocol
+
+from robotkube.domain.bags import BagTopic
+from robotkube.domain.errors import InputError, UnavailableError
+from robotkube.domain.recordings import SegmentPlace
+from robotkube.domain.topics import TopicPattern
+from robotkube.ports.recordings import RecordingReader, SegmentReader
+
+MESSAGES_MAX = 20_000_000
+PROBLEMS_MAX = 100
+DEPTH_DEFAULT, DEPTH_LATCHED = 1000, 1
+
+
+class Shelf(Protocol):
+    """Keeps bytes for a while. OSError: there is no room."""
+
+    def put(self, data: bytes) -> int:
+        """Keep them; where they are."""
+        ...
+
+    def get(self, place: int, size: int) -> bytes:
+        """What was kept there."""
+        ...
+
+
+class Target(Protocol):
+    """What the messages are written to."""
+
+    def add(self, topic: str, moment: int, data: bytes, stamp: int | None = None) -> None:
+        """One message: when it was received and its stamp, ns."""
+        ...
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Topics by name or pattern, all when there are none, and stamps, both ends included. Latched topics are always
+    whole: what they say holds all the time."""
+
+    topics: tuple[TopicPattern, ...] = ()
+    first: int = 0
+    last: int = 2**63 - 1
+
+    def has(self, topic: str) -> bool:
+        """Whether the topic is chosen."""
+        return not self.topics or any(pattern.agent(topic) is not None for pattern in self.topics)
+
+
+class _Entry(NamedTuple):
+    """A message and where it is: on the shelf at `place`, or in a segment."""
+
+    received: int
+    stamp: int
+    topic: str
+    sha256: str
+    size: int
+    place: int
+    volume: str = ""
+    segment: str = ""
+
+
+@dataclass
+class Export:
+    """A recording that is about to be exported. `entries` are in the order of reception."""
+
+    topics: Sequence[BagTopic]
+    entries: Sequence[_Entry]
+    left_out: Counter[str] = field(default_factory=Counter)
+    problems: list[str] = field(default_factory=list)
+
+    def leave_out(self, entry: _Entry, reason: str) -> None:
+        """Count a message that is not exported, and say why of the first ones."""
+        self.left_out[entry.topic] += 1
+        if len(self.problems) < PROBLEMS_MAX:
+            self.problems.append(f"{entry.topic} at {entry.stamp}: {reason}")
+
+
+def prepare(reader: RecordingReader, recording: Mapping[str, Any], selection: Selection, shelf: Shelf) -> Export:
+    """Find the recording's messages; `recording` is its document. InputError when nothing is chosen or too much."""
+    planned = _Planned(recording.get("topics") or {})
+    entries: list[_Entry] = []
+    for entry in _entries(reader, str(recording["_id"]), selection, planned, shelf):
+        entries.append(entry)
+        if len(entries) > MESSAGES_MAX:
+            raise InputError(f"more than {MESSAGES_MAX} messages; export a part with --from and --to")
+    if not entries:
+        there = ", ".join(planned.names) or "none"
+        raise InputError(
+            f"{recording['_id']}: no message is chosen; its topics are {there}; see --topics, --from, --to"
+        )
+    entries.sort()
+    names = sorted({entry.topic for entry in entries})
+    return Export([planned.topic(name) for name in names], entries)
+
+
+def write(export: Export, segments: SegmentReader, shelf: Shelf, target: Target) -> None:
+    """Write all messages whose bytes are what was recorded; the others are counted in `export`."""
+    for entry in export.entries:
+        try:
+            data = _data(entry, segments, shelf)
+        except UnavailableError as error:
+            export.leave_out(entry, str(error))
+            continue
+        if hashlib.sha256(data).hexdigest() != entry.sha256:
+            export.leave_out(entry, "its bytes are not those that were recorded")
+            continue
+        target.add(entry.topic, entry.received, data, entry.stamp)
+
+
+def _data(entry: _Entry, segments: SegmentReader, shelf: Shelf) -> bytes:
+    if not entry.volume:
+        return shelf.get(entry.place, entry.size)
+    return segments.read(entry.volume, SegmentPlace(entry.segment, entry.place), entry.size)
+
+
+class _Planned:
+    """The topics of a recording's document, by pattern."""
+
+    def __init__(self, documents: Mapping[str, Mapping[str, Any]]) -> None:
+        self.names = sorted(documents)
+        self._patterns = [(TopicPattern(text), found) for text, found in documents.items()]
+        self._topics: dict[str, BagTopic] = {}
+
+    def topic(self, name: str) -> BagTopic:
+        """A topic with its type and quality."""
+        if name not in self._topics:
+            fitting = (found for pattern, found in self._patterns if pattern.agent(name) is not None)
+            found = next(fitting, None)
+            if found is None:
+                raise InputError(f"the recording holds {name}, which its document does not name; it cannot be exported")
+            latched = bool(found.get("latched"))
+            durability, depth = ("transient_local", DEPTH_LATCHED) if latched else ("volatile", DEPTH_DEFAULT)
+            self._topics[name] = BagTopic(name, str(found["type"]), "reliable", durability, depth)
+        return self._topics[name]
+
+    def chosen(self, topic: str, stamp: int, selection: Selection) -> bool:
+        """Whether a message belongs to the selection."""
+        if not selection.has(topic):
+            return False
+        return self.topic(topic).latched or selection.first <= stamp <= selection.last
+
+
+def _entries(
+    reader: RecordingReader, recording: str, selection: Selection, planned: _Planned, shelf: Shelf
+) -> Iterator[_Entry]:
+    for bucket in reader.buckets(recording):
+        topic = bucket["topic"]
+        for sample in bucket["samples"]:
+            if planned.chosen(topic, sample["stamp"], selection):
+                data = bytes(sample["data"])
+                place = shelf.put(data)
+                yield _Entry(sample["received"], sample["stamp"], topic, sample["sha256"], len(data), place)
+    for found in reader.index(recording):
+        if planned.chosen(found["topic"], found["stamp"], selection):
+            yield _Entry(
+                found["received"], found["stamp"], found["topic"], found["sha256"], found["size"], found["offset"],
+                found["volume"], found["segment"],
+            )  # fmt: skip

@@ -1,0 +1,140 @@
+"""Collective learning: the clouds of a bag with labels made of the others' poses.
+
+Twice through the bag: first poses and transforms, which are small and are all kept; then cloud by cloud.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from robotkube.domain.errors import InputError
+from robotkube.domain.labels import Label, Labelling, Scene, points_within
+from robotkube.domain.layouts import FieldReader, Layouts
+from robotkube.domain.perception_messages import CLOUD_TYPE, Cloud, read_cloud
+from robotkube.domain.topics import TopicPattern, ros_name
+from robotkube.domain.transforms import Mounts, Path, transform
+from robotkube.ports.bags import BagSource
+
+POSES_DEFAULT = "/vehicles/{agent}/pose"
+POSES_MAX = 10_000_000
+TRANSFORM_TYPES = {"geometry_msgs/msg/TransformStamped": "", "tf2_msgs/msg/TFMessage": "transforms[]."}
+_POSE_PATHS = ("pose", "pose.pose")
+_AXES = (*(f"translation.{axis}" for axis in "xyz"), *(f"rotation.{axis}" for axis in "xyzw"))
+
+
+@dataclass(frozen=True)
+class LabelledCloud:
+    """A cloud with its labels, none when nobody was near."""
+
+    topic: str
+    cloud: Cloud
+    labels: tuple[Label, ...]
+
+
+@dataclass
+class LabellingCounts:
+    """What came of it. `nowhere`: clouds of which nobody knows where their sensor was; they are left out."""
+
+    clouds: int = 0
+    nowhere: int = 0
+    unreadable: int = 0
+    boxes: int = 0
+    problems: list[str] = field(default_factory=list)
+
+
+def label_clouds(
+    bag: BagSource, layouts: Layouts, settings: Labelling, counts: LabellingCounts, poses: str = POSES_DEFAULT
+) -> Iterator[LabelledCloud]:
+    """Every cloud whose sensor's place is known, in the order of the times. `poses`: pattern of the pose topics.
+
+    InputError when the bag has no poses of two agents or no clouds."""
+    types = bag.types
+    clouds = {name for name, kind in types.items() if kind == CLOUD_TYPE}
+    scene = _scene(bag, types, layouts, TopicPattern(poses), counts)
+    if not clouds or len(scene.paths) < 2:
+        raise InputError(
+            f"labels need clouds and the poses of at least two: the bag has {len(clouds)} topics of {CLOUD_TYPE} and "
+            f"poses of {', '.join(sorted(scene.paths)) or 'nobody'} on {poses}; record them together"
+        )
+    for topic, _, data in bag.messages(clouds):
+        try:
+            cloud = read_cloud(data)
+        except ValueError:
+            counts.unreadable += 1
+            continue
+        labels = scene.labels(cloud.header.frame.lstrip("/"), cloud.header.stamp, settings)
+        if labels is None:
+            counts.nowhere += 1
+            continue
+        found = tuple(replace(label, points=len(points_within(label, cloud))) for label in labels)
+        counts.clouds += 1
+        counts.boxes += len(found)
+        yield LabelledCloud(topic, cloud, found)
+
+
+def _scene(
+    bag: BagSource, types: Mapping[str, str], layouts: Layouts, pattern: TopicPattern, counts: LabellingCounts
+) -> Scene:
+    agents = {name: agent for name in types if (agent := pattern.agent(name))}
+    readers: dict[str, Callable[[bytes], None]] = {}
+    paths: dict[str, Path] = {}
+    mounts = Mounts()
+    for name, agent in agents.items():
+        reader = _pose_reader(layouts, types[name], counts)
+        if reader is not None:
+            path = paths[agent] = Path()
+            readers[name] = _pose_taker(path, reader)
+    for name, kind in types.items():
+        if kind in TRANSFORM_TYPES:
+            readers[name] = _transform_taker(mounts, layouts, kind)
+    for number, (name, _, data) in enumerate(bag.messages(set(readers))):
+        if number >= POSES_MAX:
+            raise InputError(f"more than {POSES_MAX} poses and transforms; export a part with --from and --to")
+        try:
+            readers[name](data)
+        except ValueError:
+            counts.unreadable += 1
+    moving = {agent: path for agent, path in paths.items() if path.poses}
+    return Scene(moving, mounts, {ros_name(agent): agent for agent in moving})
+
+
+def _pose_reader(layouts: Layouts, type_name: str, counts: LabellingCounts) -> FieldReader | None:
+    problem = ""
+    for pose in _POSE_PATHS:
+        axes = [f"{pose}.position.{axis}" for axis in "xyz"] + [f"{pose}.orientation.{axis}" for axis in "xyzw"]
+        try:
+            return layouts.reader(type_name, ["header.stamp", "header.frame_id", *axes])
+        except ValueError as error:
+            problem = problem or str(error)
+    counts.problems.append(f"{type_name} has no pose: {problem}")
+    return None
+
+
+def _pose_taker(path: Path, reader: FieldReader) -> Callable[[bytes], None]:
+    def take(data: bytes) -> None:
+        stamp, frame, *values = reader(data)
+        pose = transform(values)
+        path.frame = path.frame or frame
+        if pose is None or frame != path.frame:
+            raise ValueError(f"a pose in frame {frame}, or of no numbers")
+        path.add(stamp, pose)
+
+    return take
+
+
+def _transform_taker(mounts: Mounts, layouts: Layouts, type_name: str) -> Callable[[bytes], None]:
+    before = TRANSFORM_TYPES[type_name]
+    names = ["header.frame_id", "child_frame_id", *(f"transform.{axis}" for axis in _AXES)]
+    reader = layouts.reader(type_name, [f"{before}{name}" for name in names])
+
+    def take(data: bytes) -> None:
+        values: Sequence[Any] = reader(data)
+        rows = zip(*values, strict=True) if before else [values]
+        for parent, child, *numbers in rows:
+            found = transform(numbers)
+            if found is not None:
+                mounts.add(str(parent).lstrip("/"), str(child).lstrip("/"), found)
+
+    return take

@@ -1,0 +1,188 @@
+"""Topics that come by MQTT and messages that go there, over a connection in memory."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pytest
+
+from robotkube.domain.bridging_properties import type_properties
+from robotkube.domain.detector_settings import MQTT, TopicSettings
+from robotkube.domain.frames import encode_frame
+from robotkube.domain.mqtt_properties import read_properties
+from robotkube.domain.qualities import Quality
+from robotkube.domain.reaction_settings import MqttReaction
+from robotkube.domain.rules import START
+from robotkube.domain.topics import TopicPattern
+from robotkube.ports.reactions import Delivery
+from robotkube.ports.robots import ChannelEvents
+from robotkube.services.detector.broker import QUEUE_MAX, Broker, MqttReactions
+from robotkube.services.reactions.dead import DeadLetterBox
+
+TYPE = "geometry_msgs/msg/PoseStamped"
+POSES = TopicSettings(TopicPattern("/vehicles/{agent}/pose"), TYPE, MQTT, depth=5)
+POSE = "mqtt/vehicles/vehicle_00/pose"
+NAME = "/vehicles/vehicle_00/pose"
+
+
+class Channel:
+    """Port FrameChannel, in memory."""
+
+    def __init__(self) -> None:
+        self.complaint: str | None = "not connected"
+        self.filters: set[str] = set()
+        self.published: list[tuple[str, bytes, bool, bytes]] = []
+        self.closed = False
+
+    def turn(self, now: float) -> None: ...
+
+    def publish(self, topic: str, payload: bytes, retained: bool, properties: bytes = b"") -> int | None:
+        if self.complaint is not None:
+            return None
+        self.published.append((topic, payload, retained, properties))
+        return len(self.published)
+
+    def subscribe(self, topics: Sequence[str]) -> None:
+        self.filters |= set(topics)
+
+    def unsubscribe(self, topics: Sequence[str]) -> None:
+        self.filters -= set(topics)
+
+    def flush(self) -> None: ...
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class Stage:
+    def __init__(self) -> None:
+        self.channel, self.learned, self.seconds = Channel(), list[str](), 0.0
+        self.broker = Broker(self._make, lambda: 1_000, lambda: self.seconds, self.learned.append)
+
+    def _make(self, events: ChannelEvents) -> Channel:
+        return self.channel
+
+    def connect(self) -> None:
+        self.channel.complaint = None
+        self.broker.connected(False)
+
+    def frame(self, sequence: int, *messages: bytes, topic: str = POSE, type_name: str = TYPE) -> None:
+        self.broker.received(topic, encode_frame(1, sequence, messages), type_properties(type_name, ""))
+
+
+@pytest.fixture
+def stage() -> Stage:
+    return Stage()
+
+
+def test_topics_of_any_agent_are_found_by_what_comes(stage: Stage) -> None:
+    stage.broker.follow([POSES])
+    stage.connect()
+    assert stage.channel.filters == {"mqtt/vehicles/+/pose", "robotkube/types/mqtt/vehicles/+/pose"}
+    assert stage.broker.visible() == {}
+    stage.frame(0, b"a", b"b")
+    stage.frame(1, b"c")
+    stage.frame(1, b"c")
+    assert stage.broker.visible() == {NAME: (TYPE,)}
+    topic = stage.broker.subscribe(NAME, POSES, Quality())
+    assert topic.drain(2) == [(b"a", 1_000), (b"b", 1_000)], "what came before somebody subscribed is there"
+    assert topic.drain(500) == [(b"c", 1_000)], "a frame that came twice counts once"
+    assert topic.drain(500) == ()
+
+
+def test_the_oldest_go_when_nobody_drains(stage: Stage) -> None:
+    stage.broker.follow([POSES])
+    topic = stage.broker.subscribe(NAME, POSES, Quality())
+    stage.frame(0, *(b"%d" % number for number in range(8)))
+    assert [data for data, _ in topic.drain(500)] == [b"3", b"4", b"5", b"6", b"7"]
+    assert topic.lost == 3
+
+
+def test_what_is_no_frame_or_of_another_type_is_counted(stage: Stage) -> None:
+    stage.broker.follow([POSES])
+    stage.broker.received(POSE, b"nonsense", b"")
+    stage.broker.received(POSE, b"x", b"\xff\xff")
+    stage.frame(0, b"a", type_name="std_msgs/msg/String")
+    stage.frame(1, b"a", topic="mqtt/other")
+    stage.broker.received(POSE, b"", b"")
+    assert stage.broker.malformed == 3
+
+
+def test_definitions_come_with_the_messages(stage: Stage) -> None:
+    stage.broker.follow([POSES])
+    topic = "robotkube/types/" + POSE
+    for _ in range(2):
+        stage.broker.received(topic, b"float64 x\n", type_properties("other_msgs/msg/Odd", "", ""))
+    assert stage.learned == ["other_msgs/msg/Odd"]
+    assert stage.broker.definitions == {"other_msgs/msg/Odd": "float64 x\n"}
+    stage.broker.received(topic, b"float64 x\n", b"")
+    assert stage.broker.malformed == 1
+
+
+def test_a_topic_that_is_not_followed_any_more_is_given_up(stage: Stage) -> None:
+    stage.connect()
+    stage.broker.follow([POSES])
+    stage.frame(0, b"a")
+    stage.broker.follow([])
+    assert (stage.channel.filters, stage.broker.visible()) == (set(), {})
+
+
+def reaction(stage: Stage, box: DeadLetterBox, retry_seconds: float = 10.0) -> MqttReactions:
+    settings = MqttReaction("near", "events/near", True, retry_seconds)
+    return MqttReactions(settings, stage.broker, box, lambda: stage.seconds)
+
+
+def delivery(number: int) -> Delivery:
+    return Delivery(f"{number}-start", START, "2" * 32, b"{}")
+
+
+def test_messages_wait_for_the_broker_and_are_sent_again_in_order(stage: Stage) -> None:
+    box = DeadLetterBox(lambda: 7)
+    told = reaction(stage, box)
+    for number in (1, 2):
+        told.react(delivery(number))
+    stage.broker.turn()
+    assert (stage.channel.published, told.counts()["waiting"]) == ([], 2)
+    assert told.unreachable == "not connected"
+    stage.connect()
+    stage.broker.turn()
+    stage.broker.acknowledged(1, True)
+    stage.broker.disconnected()
+    stage.connect()
+    stage.broker.turn()
+    stage.broker.acknowledged(3, False)
+    sent = [read_properties(properties) for _, _, _, properties in stage.channel.published]
+    assert [said.user["id"] for said in sent] == ["1-start", "2-start", "2-start"]
+    assert (sent[0].content_type, sent[0].user["trace"]) == ("application/json", "2" * 32)
+    assert stage.channel.published[0][:3] == ("events/near", b"{}", True)
+    assert told.counts() == {"delivered": 2, "retries": 1, "dead": 0, "waiting": 0}
+    assert stage.broker.close(1.0, lambda _: None)
+    assert stage.channel.closed
+
+
+def test_what_the_broker_does_not_take_is_a_dead_letter(stage: Stage) -> None:
+    box = DeadLetterBox(lambda: 7)
+    told = reaction(stage, box)
+    stage.connect()
+    told.react(delivery(1))
+    stage.broker.turn()
+    stage.broker.rejected(1, "not authorised")
+    stage.channel.complaint = "gone"
+    told.react(delivery(2))
+    stage.seconds = 11.0
+    stage.broker.turn()
+    for number in range(QUEUE_MAX + 1):
+        told.react(delivery(100 + number))
+    assert told.dead == 3
+    assert not stage.broker.close(1.0, lambda _: None)
+    reasons = [letter["reason"] for letter in box.documents()]
+    assert told.dead == 3 + QUEUE_MAX
+    assert reasons[-1] == "the detector ended"
+
+
+def test_a_refused_subscription_is_named(stage: Stage) -> None:
+    stage.connect()
+    stage.broker.refused("robotkube/types/mqtt/x", "not authorised")
+    assert stage.broker.unreachable == ""
+    stage.broker.refused("mqtt/x", "not authorised")
+    assert "look at the broker's ACL" in stage.broker.unreachable

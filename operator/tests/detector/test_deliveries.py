@@ -1,0 +1,252 @@
+"""Reactions that tell somebody: signed webhooks, installed reactions, MQTT; retries, order, bounds and dead letters."""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import json
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+import pytest
+from waiting import until
+
+from robotkube.adapters.reaction_processes import ProcessSender
+from robotkube.adapters.traces_otlp import OtlpSpans
+from robotkube.adapters.webhook_sender import WebhookSender
+from robotkube.domain.errors import InputError, UnavailableError
+from robotkube.domain.notifications import delivery_id, notification
+from robotkube.domain.rules import START, Cause, Edge
+from robotkube.ports.reactions import Delivery, Sender
+from robotkube.services.reactions.dead import DeadLetterBox
+from robotkube.services.reactions.deliveries import QUEUE_MAX, Deliveries
+
+SECRET = b"shared"
+EDGE = Edge(
+    "near", START, ("a", "b"), "1" * 16, "2" * 32, 20, 10, 1.5, (Cause("/a", 10, {"x": 1.0}),), {"distance_m": 1.5}
+)
+
+
+class Receiver(ThreadingHTTPServer):
+    """Keeps what is posted; answers with `statuses`, then 204."""
+
+    def __init__(self) -> None:
+        super().__init__(("127.0.0.1", 0), Handler)
+        self.statuses: list[int] = []
+        self.posted: list[tuple[dict[str, str], bytes]] = []
+
+    @property
+    def url(self) -> str:
+        return f"http://127.0.0.1:{self.server_port}/hook"
+
+
+class Handler(BaseHTTPRequestHandler):
+    server: Receiver
+
+    def do_POST(self) -> None:
+        body = self.rfile.read(int(self.headers["Content-Length"]))
+        self.server.posted.append(({key.lower(): value for key, value in self.headers.items()}, body))
+        self.send_response(self.server.statuses.pop(0) if self.server.statuses else 204)
+        self.end_headers()
+
+    def log_message(self, *_: Any) -> None:
+        return None
+
+
+@pytest.fixture
+def receiver() -> Iterator[Receiver]:
+    server = Receiver()
+    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.05})
+    thread.start()
+    yield server
+    server.shutdown()
+    server.server_close()
+    thread.join(10)
+
+
+@pytest.fixture
+def box() -> DeadLetterBox:
+    return DeadLetterBox(lambda: 7)
+
+
+@pytest.fixture
+def make(box: DeadLetterBox) -> Iterator[Callable[..., Deliveries]]:
+    made: list[Deliveries] = []
+
+    def make(sender: Sender, retry_seconds: float = 60.0) -> Deliveries:
+        made.append(Deliveries("told", sender, retry_seconds, box, time.monotonic))
+        made[-1].start()
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.stop(2.0)
+
+
+def delivery(number: int = 0) -> Delivery:
+    return Delivery(f"{number:016x}-start", START, EDGE.trace, notification(EDGE, "cloud-0/d", "{agents} are near"))
+
+
+class Script:
+    """A sender that does what it is told: None, or an error to raise."""
+
+    def __init__(self, *outcomes: Exception | None) -> None:
+        self.outcomes, self.sent, self.closed = list(outcomes), list[str](), False
+        self.going = threading.Event()
+        self.going.set()
+
+    def probe(self) -> None: ...
+
+    def send(self, delivery: Delivery) -> None:
+        self.going.wait(10)
+        self.sent.append(delivery.id)
+        if self.outcomes and (error := self.outcomes.pop(0)) is not None:
+            raise error
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def test_a_notification_says_everything() -> None:
+    told = json.loads(notification(EDGE, "cloud-0/d", "{agents} are near"))
+    assert told["id"] == delivery_id(EDGE) == f"{'1' * 16}-start"
+    assert (told["event"], told["edge"], told["rule"], told["agents"]) == ("1" * 16, "start", "near", ["a", "b"])
+    assert (told["time"], told["stamp"], told["trace"], told["distance_m"]) == (20, 10, "2" * 32, 1.5)
+    assert (told["detector"], told["reason"]) == ("cloud-0/d", "a, b are near")
+    assert told["causes"] == [{"topic": "/a", "stamp": 10, "values": {"x": 1.0}}]
+
+
+def test_webhooks_are_signed_and_tried_again(receiver: Receiver, make: Callable[..., Deliveries]) -> None:
+    receiver.statuses = [503, 429]
+    deliveries = make(WebhookSender(receiver.url, lambda: SECRET, 5.0))
+    deliveries.react(delivery())
+    until(lambda: deliveries.counts()["delivered"] == 1)
+    assert deliveries.counts() == {"delivered": 1, "retries": 2, "dead": 0, "waiting": 0}
+    assert len(receiver.posted) == 3
+    headers, body = receiver.posted[0]
+    assert receiver.posted[2] == receiver.posted[0], "a repetition is the same to the letter"
+    assert headers["x-hub-signature-256"] == f"sha256={hmac.new(SECRET, body, hashlib.sha256).hexdigest()}"
+    assert headers["x-robotkube-delivery"] == delivery().id
+    assert headers["x-robotkube-event"] == "start"
+    assert headers["traceparent"].split("-")[1] == EDGE.trace
+    assert body == delivery().body
+
+
+@pytest.mark.parametrize("status", [400, 404, 302])
+def test_a_refused_webhook_is_a_dead_letter(
+    receiver: Receiver, make: Callable[..., Deliveries], box: DeadLetterBox, status: int
+) -> None:
+    receiver.statuses = [status]
+    deliveries = make(WebhookSender(receiver.url, None, 5.0))
+    deliveries.react(delivery(1))
+    deliveries.react(delivery(2))
+    until(lambda: deliveries.counts()["delivered"] == 1)
+    assert deliveries.counts()["dead"] == 1
+    [letter] = box.documents()
+    assert (letter["reaction"], letter["id"], letter["time"]) == ("told", delivery(1).id, 7)
+    assert f"answered {status}" in letter["reason"]
+    assert "x-hub-signature-256" not in receiver.posted[0][0]
+
+
+def test_a_receiver_that_is_away_is_named_until_it_is_there(make: Callable[..., Deliveries]) -> None:
+    server = Receiver()
+    port = server.server_port
+    server.server_close()
+    deliveries = make(WebhookSender(f"http://127.0.0.1:{port}/", None, 1.0))
+    until(lambda: "does not answer" in deliveries.unreachable)
+
+
+def test_order_is_kept_and_who_waits_too_long_is_given_up(make: Callable[..., Deliveries], box: DeadLetterBox) -> None:
+    away = UnavailableError("away")
+    sender = Script(away, away, None, InputError("no"), None)
+    deliveries = make(sender)
+    for number in range(3):
+        deliveries.react(delivery(number))
+    until(lambda: deliveries.counts()["delivered"] == 2)
+    first, second, third = (delivery(number).id for number in range(3))
+    assert sender.sent == [first, first, first, second, third]
+    impatient = make(Script(*[away] * 100), retry_seconds=0.3)
+    impatient.react(delivery(9))
+    until(lambda: impatient.counts()["dead"] == 1)
+    assert [letter["reason"] for letter in box.documents()] == ["no", "away"]
+
+
+def test_a_full_queue_and_the_end_lose_nothing_in_silence(make: Callable[..., Deliveries], box: DeadLetterBox) -> None:
+    sender = Script(*[UnavailableError("away")] * 1000)
+    sender.going.clear()
+    deliveries = make(sender)
+    began = time.monotonic()
+    for number in range(QUEUE_MAX + 10):
+        deliveries.react(delivery(number))
+    assert time.monotonic() - began < 1.0, "who reacts never waits"
+    assert deliveries.counts()["dead"] in (9, 10)
+    sender.going.set()
+    assert not deliveries.stop(0.5)
+    until(lambda: deliveries.counts()["dead"] == QUEUE_MAX + 10)
+    assert box.documents()[-1]["reason"] in ("the detector ended", "away")
+
+
+def test_what_waits_is_delivered_at_the_end(make: Callable[..., Deliveries]) -> None:
+    sender = Script()
+    deliveries = make(sender)
+    for number in range(50):
+        deliveries.react(delivery(number))
+    assert deliveries.stop(5.0)
+    assert len(sender.sent) == 50
+    assert sender.closed
+
+
+REACTION = """
+import os, sys, time
+from robotkube.adapters.reaction_processes import serve
+
+def load(plugin, settings):
+    def react(event):
+        print("to the log", event["id"])
+        with open(settings["file"], "a") as file:
+            file.write(event["id"] + "\\n")
+        lines = open(settings["file"]).read().split()
+        what = settings["does"][len(lines) - 1]
+        if what == "fail": raise OSError("not now")
+        if what == "refuse": raise ValueError("never")
+        if what == "sleep": time.sleep(60)
+        if what == "die": os._exit(3)
+    return react
+
+serve(load)
+"""
+
+
+def test_an_installed_reaction_fails_hangs_and_dies_alone(
+    make: Callable[..., Deliveries], box: DeadLetterBox, tmp_path: Path
+) -> None:
+    script, told = tmp_path / "host.py", tmp_path / "told"
+    script.write_text(REACTION)
+    does = ["fail", "sleep", "die", "well", "refuse", "well"]
+    settings = {"file": str(told), "does": does}
+    deliveries = make(ProcessSender("whisper", settings, 0.5, [sys.executable, str(script)]))
+    for number in range(3):
+        deliveries.react(delivery(number))
+    until(lambda: deliveries.counts()["delivered"] == 2)
+    assert deliveries.counts()["retries"] == 3
+    assert [line[-7] for line in told.read_text().split()] == ["1"] * 6, "the document of the edge, each time the same"
+    assert [letter["reason"] for letter in box.documents()] == ["whisper: ValueError: never"]
+    assert deliveries.stop(5.0)
+
+
+def test_spans_go_to_the_collector(receiver: Receiver) -> None:
+    spans = OtlpSpans(receiver.url, "robotkube-event-detector", "cloud-0/d")
+    spans.span("2" * 32, "event", 10, 20, {"robotkube.rule": "near"})
+    spans.close()
+    [(headers, body)] = receiver.posted
+    assert headers["content-type"] == "application/json"
+    [scope] = json.loads(body)["resourceSpans"][0]["scopeSpans"]
+    [span] = scope["spans"]
+    assert (span["traceId"], span["name"]) == ("2" * 32, "event")
+    assert (span["startTimeUnixNano"], span["endTimeUnixNano"]) == ("10", "20")
+    assert span["attributes"] == [{"key": "robotkube.rule", "value": {"stringValue": "near"}}]

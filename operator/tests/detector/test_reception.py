@@ -1,0 +1,242 @@
+"""Reception goes on: beside a rule that sleeps, while the detector rests, over changed settings, jumps and silence."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from detector_stage import MS, NOW, DetectorStage, MemoryTasks, pose
+from proximity import SETTINGS
+from rule_stage import NUMBER
+from waiting import until
+
+from robotkube.adapters.rule_processes import ChildProcess
+from robotkube.domain.qualities import Asked, Offer, Quality, matched, mismatch
+from robotkube.services.rule_workers import RuleWorkers
+
+POSE_TYPE = "geometry_msgs/msg/PoseStamped"
+PLAIN = {key: value for key, value in SETTINGS.items() if key != "reactions"}
+TOPIC = "/vehicles/vehicle_00/pose"
+SLEEPER = """
+import time
+from robotkube.adapters.rule_processes import serve
+
+def load(job):
+    def answer(question):
+        time.sleep(5)
+        return []
+    return answer
+
+serve(load)
+"""
+
+
+@pytest.fixture
+def stage() -> Iterator[DetectorStage]:
+    stage = DetectorStage(MemoryTasks())
+    yield stage
+    stage.close()
+
+
+def names(stage: DetectorStage) -> list[str]:
+    return [event["rule"] for event in stage.events()]
+
+
+def workers(stage: DetectorStage) -> dict[str, Any]:
+    found: dict[str, Any] = stage.status.document()["rules"]["workers"]
+    return found
+
+
+def test_a_rule_that_sleeps_five_seconds_holds_nothing_up(tmp_path: Path) -> None:
+    """500 messages at full speed beside it: all in the buffer at once, all other rules evaluated."""
+    script = tmp_path / "sleeper.py"
+    script.write_text(SLEEPER)
+    processes: list[ChildProcess] = []
+
+    def start(rule: Any) -> ChildProcess:
+        processes.append(ChildProcess({}, 0.1, [sys.executable, str(script)]))
+        return processes[-1]
+
+    stage = DetectorStage(MemoryTasks(), lambda: RuleWorkers(start, time.monotonic))
+    sleeper = {"name": "slow", "kind": "python", "plugin": "sleeper", "topics": ["/vehicles/{agent}/pose"]}
+    stage.apply({**PLAIN, "rules": [*PLAIN["rules"], sleeper]}, adopting=False)
+    until(lambda: workers(stage)["slow"]["state"] == "running")
+    began = time.monotonic()
+    for number in range(250):
+        stage.send("vehicle-00", 0)
+        stage.send("vehicle-01", 100 if number % 2 else 900)
+    took = time.monotonic() - began
+    buffers, slow = stage.detector.pool.snapshot(), workers(stage)["slow"]
+    stage.detector.stop()
+    assert (slow["answered"], slow["asked"]) == (0, 500)
+    assert took < 4.0, "the slow rule has not answered once by then"
+    assert [buffers[name]["messages"] for name in sorted(buffers)] == [250, 250]
+    assert len(stage.events()) == 249
+    assert len(processes) == 1
+
+
+def test_changed_rules_keep_the_buffers(stage: DetectorStage) -> None:
+    stage.apply(PLAIN)
+    for _ in range(50):
+        stage.send("vehicle-00", 0)
+    before = stage.detector.pool.snapshot()[TOPIC]["messages"]
+    stage.apply({**PLAIN, "rules": [{**PLAIN["rules"][0], "start_distance_m": 300}]})
+    stage.send("vehicle-00", 0)
+    assert (before, stage.detector.pool.snapshot()[TOPIC]["messages"]) == (50, 51)
+
+
+def test_states_end_events_and_close_subscriptions(stage: DetectorStage) -> None:
+    stage.apply(PLAIN)
+    stage.send("vehicle-00", 0)
+    stage.send("vehicle-01", 100)
+    stage.detector.change_state("buffering")
+    stage.send("vehicle-01", 100)
+    assert [event["edge"] for event in stage.events()] == ["start", "stop"]
+    assert stage.detector.pool.snapshot()["/vehicles/vehicle_01/pose"]["messages"] == 2
+    stage.detector.change_state("inactive")
+    assert all(topic.closed for topic in stage.live.topics.values())
+    assert (stage.detector.subscribed, stage.status.not_ready()) == (0, "")
+    stage.detector.change_state("active")
+    stage.send("vehicle-00", 0)
+    stage.send("vehicle-01", 100)
+    assert [event["edge"] for event in stage.events()] == ["start", "stop", "start"]
+    assert 'robotkube_detector_info{state="active"} 1' in stage.status.metrics()
+
+
+def test_settings_decide_the_state_until_they_are_overruled(stage: DetectorStage) -> None:
+    stage.apply({**PLAIN, "state": "inactive"})
+    assert (stage.detector.state, stage.live.topics) == ("inactive", {})
+    stage.detector.change_state("active")
+    stage.apply({**PLAIN, "state": "inactive", "rules": []})
+    assert stage.detector.state == "active", "the settings say of the state what they said before"
+    stage.apply({**PLAIN, "state": "buffering"})
+    assert stage.detector.state == "buffering"
+
+
+def test_a_jump_of_time_is_an_event_of_its_own(stage: DetectorStage) -> None:
+    hook = {"rule": "time-jump", "kind": "mqtt", "topic": "jumps"}
+    stage.apply({**PLAIN, "reactions": [hook]})
+    for _ in range(20):
+        stage.send("vehicle-00", 0)
+    for _ in range(20):
+        stage.send("vehicle-00", 0, age_ms=3_600_000)
+    assert names(stage) == ["time-jump", "time-jump"]
+    assert [delivery.edge for delivery in stage.reactions["mqtt time-jump jumps"].told] == ["start", "stop"]
+    assert stage.detector.pool.snapshot()[TOPIC]["jumps"] == 1
+
+
+def test_recordings_get_what_is_new_and_hear_of_events(stage: DetectorStage) -> None:
+    topic = {"name": "/vehicles/{agent}/pose", "storage": "document", "before_seconds": 2, "after_seconds": 1}
+    reaction = {"rule": "near", "kind": "recording", "recording": "r", "volume": "v", "topics": [topic]}
+    stage.apply({**PLAIN, "reactions": [reaction]})
+    stage.send("vehicle-00", 0)
+    stage.live.topics[TOPIC].waiting *= 2
+    stage.send("vehicle-01", 100)
+    stage.send("vehicle-01", 900)
+    [recordings] = stage.recordings
+    assert (recordings.plan.always, recordings.plan.topics[0].before_seconds) == (False, 2)
+    assert [name for name, _ in recordings.offered] == [TOPIC, *["/vehicles/vehicle_01/pose"] * 2]
+    assert recordings.triggers == recordings.ends == [stage.events()[0]["id"]]
+    assert recordings.buffers[TOPIC] is stage.detector.pool.buffers[TOPIC]
+
+
+def test_a_duplicate_is_neither_recorded_nor_evaluated(stage: DetectorStage) -> None:
+    topic = {"name": "/vehicles/{agent}/pose", "storage": "document"}
+    reaction = {"rule": "all", "kind": "recording", "recording": "r", "volume": "v", "topics": [topic]}
+    stage.apply({**PLAIN, "rules": [{"name": "all", "kind": "always"}], "reactions": [reaction], "topics": [
+        {**PLAIN["topics"][0], "name": TOPIC}, PLAIN["topics"][0]]})  # fmt: skip
+    message = (pose(NOW, 1.0), NOW)
+    stage.live.topics[TOPIC].waiting = [message, message]
+    stage.detector.turn()
+    assert len(stage.recordings[0].offered) == 1
+    assert stage.events() == [], "that everything is recorded is no news"
+
+
+def test_a_stamp_that_nobody_set_is_the_time_of_reception(stage: DetectorStage) -> None:
+    stage.apply(PLAIN)
+    stage.live.topics[TOPIC].waiting = [(pose(0, 1.0), NOW + 5)]
+    stage.detector.turn()
+    assert [sample.stamp for sample in stage.detector.pool.buffers[TOPIC].samples()] == [NOW + 5]
+
+
+def test_silent_agents_are_stale_and_then_forgotten(stage: DetectorStage) -> None:
+    topics = [{**PLAIN["topics"][0], "stale_seconds": 1, "expire_seconds": 5}]
+    stage.apply({**PLAIN, "topics": topics})
+    stage.live.published = {"/vehicles/vehicle_07/pose": [POSE_TYPE]}
+    stage.pass_seconds(1.1)
+    stage.send("vehicle-07", 0)
+    stage.live.published = {}
+    assert stage.status.document()["topics"]["/vehicles/vehicle_07/pose"]["stale"] is False
+    stage.pass_seconds(2)
+    assert stage.status.document()["topics"]["/vehicles/vehicle_07/pose"]["stale"] is True
+    assert 'robotkube_detector_stale_topics{topic="/vehicles/{agent}/pose"} 3' in stage.status.metrics()
+    stage.pass_seconds(4)
+    assert set(stage.status.document()["topics"]) == {TOPIC, "/vehicles/vehicle_01/pose"}, "who is expected stays"
+    assert "/vehicles/vehicle_07/pose" in stage.detector.input_document()["topics"], "counters only grow"
+
+
+# quality of service ---------------------------------------------------------------------------------------------------
+
+STRONG = Quality("reliable", "transient_local", 100 * MS, "manual_by_topic", 200 * MS)
+WEAK = Quality("best_effort", "volatile")
+
+
+@pytest.mark.parametrize(
+    ("asked", "offers", "expected"),
+    [
+        (Asked(), [], Quality()),
+        (Asked(), [STRONG], Quality("reliable", "transient_local")),
+        (Asked(), [STRONG, WEAK], Quality("best_effort", "volatile")),
+        (Asked("reliable", "transient_local"), [WEAK], Quality("reliable", "transient_local")),
+        (Asked(deadline_ns=5, liveliness="manual_by_topic", lease_ns=6), [], Quality(deadline_ns=5,
+            liveliness="manual_by_topic", lease_ns=6)),
+    ],
+)  # fmt: skip
+def test_a_subscription_asks_for_what_all_publishers_give(
+    asked: Asked, offers: list[Quality], expected: Quality
+) -> None:
+    assert matched(asked, [Offer("/p", POSE_TYPE, offer) for offer in offers]) == expected
+
+
+@pytest.mark.parametrize(
+    ("wanted", "offered", "expected"),
+    [
+        (Quality(), STRONG, ""),
+        (Quality(), WEAK, "reliability: asked reliable, offered best_effort"),
+        (Quality(durability="transient_local"), Quality(), "durability: asked transient_local, offered volatile"),
+        (Quality(deadline_ns=50 * MS), STRONG, "deadline: asked 0.05 s, offered 0.1 s"),
+        (Quality(deadline_ns=100 * MS), STRONG, ""),
+        (Quality(deadline_ns=50 * MS), Quality(), "deadline: asked 0.05 s, offered endless"),
+        (Quality(liveliness="manual_by_topic"), Quality(), "liveliness: asked manual_by_topic, offered automatic"),
+        (Quality(lease_ns=50 * MS), STRONG, "liveliness lease: asked 0.05 s, offered 0.2 s"),
+    ],
+)
+def test_a_mismatch_names_both_sides(wanted: Quality, offered: Quality, expected: str) -> None:
+    found = mismatch(POSE_TYPE, wanted, Offer("/p", POSE_TYPE, offered))
+    assert found == (f"/p does not fit: {expected}" if expected else "")
+
+
+def test_another_type_is_a_mismatch() -> None:
+    assert "type: asked a/msg/B, offered " in mismatch("a/msg/B", Quality(), Offer("", NUMBER, Quality()))
+
+
+def test_a_weak_publisher_is_subscribed_to_anew_unless_the_settings_insist(stage: DetectorStage) -> None:
+    stage.apply(PLAIN)
+    stage.send("vehicle-00", 0)
+    first = stage.live.topics[TOPIC]
+    stage.live.offered[TOPIC] = [Offer("/player", POSE_TYPE, WEAK)]
+    stage.pass_seconds(1.1)
+    assert first.closed
+    assert stage.live.topics[TOPIC].quality == WEAK
+    assert stage.detector.pool.snapshot()[TOPIC]["messages"] == 1, "the buffer stays"
+    stage.apply({**PLAIN, "topics": [{**PLAIN["topics"][0], "reliability": "reliable"}]})
+    stage.pass_seconds(1.1)
+    shown = stage.status.document()["topics"][TOPIC]
+    assert shown["asked"] == "reliable, volatile"
+    assert shown["offered"] == [{"node": "/player", "quality": "best_effort, volatile"}]
+    assert shown["problem"] == "/player does not fit: reliability: asked reliable, offered best_effort"
+    assert 'robotkube_detector_mismatched_topics{topic="/vehicles/{agent}/pose"} 1' in stage.status.metrics()
