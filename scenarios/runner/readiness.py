@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from scenarios.definition import Scenario
@@ -24,7 +24,7 @@ class Readiness:
         """Looks once, at the dearest things last and only when the others are as they should be."""
         self._deployment.fetch()
         releases = self._deployment.releases()
-        looks = (
+        looks: Sequence[Callable[[], Sequence[str]]] = (
             lambda: [f"release {name} is not in the repository" for name in self._needed() if name not in releases],
             lambda: self._unruled(releases),
             self._plans,
