@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from scenarios.definition import Scenario
@@ -24,8 +24,9 @@ class Readiness:
         """Looks once, at the dearest things last and only when the others are as they should be."""
         self._deployment.fetch()
         releases = self._deployment.releases()
-        looks = (
+        looks: Sequence[Callable[[], Sequence[str]]] = (
             lambda: [f"release {name} is not in the repository" for name in self._needed() if name not in releases],
+            lambda: self._unruled(releases),
             self._plans,
             lambda: not_observed(releases, self._access.applications()),
             self._pods,
@@ -46,6 +47,20 @@ class Readiness:
         if self._scenario.records:
             found += [f"{story.recording_agent}/mqtt-bridge", f"{story.recording_agent}/{collecting.DETECTOR}"]
         return found
+
+    def _unruled(self, releases: Mapping[str, Any]) -> Sequence[str]:
+        """Whether the operator has another rule than the scenario's: after an earlier run its release is there already,
+        and the plan that changes it may be still to come."""
+        if not self._scenario.records:
+            return ()
+        parameters, detector = (
+            self._scenario.parameters,
+            f"{self._scenario.story.recording_agent}/{collecting.DETECTOR}",
+        )
+        wanted = (list(self._scenario.lidar_vehicles), parameters.start_distance_m, parameters.stop_distance_m)
+        rules = releases[detector]["spec"]["values"]["detector"]["rules"]
+        found = [tuple(rule.get(key) for key in ("agents", "start_distance_m", "stop_distance_m")) for rule in rules]
+        return () if wanted in found else (f"release {detector} has another rule than the scenario's",)
 
     def _plans(self) -> Sequence[str]:
         plans = collecting.plans(self._access)

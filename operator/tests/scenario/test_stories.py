@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import jsonschema
 import pytest
@@ -97,6 +98,24 @@ def test_releases_that_a_run_begins_with_are_the_players_and_operators(scenario:
     players = {f"{agent}/bag-player" for agent in scenario.players}
     assert players <= set(needed)
     assert ("cloud-0/event-detector" in needed) == scenario.records
+
+
+def test_a_run_waits_for_the_plan_that_gives_the_operator_its_rule(scenario: definition.Scenario) -> None:
+    """After another scenario on the same cluster the operator is there already, with that one's rule."""
+
+    def detector(agents: list[str]) -> dict[str, Any]:
+        parameters = scenario.parameters
+        rule = {
+            "agents": agents,
+            "start_distance_m": parameters.start_distance_m,
+            "stop_distance_m": parameters.stop_distance_m,
+        }
+        return {"cloud-0/event-detector": {"spec": {"values": {"detector": {"rules": [rule]}}}}}
+
+    ready = readiness.Readiness(None, None, scenario)  # type: ignore[arg-type]
+    vehicles = list(scenario.lidar_vehicles)
+    assert not ready._unruled(detector(vehicles) if scenario.records else {})
+    assert bool(ready._unruled(detector([*vehicles, "vehicle-99"]))) == scenario.records
 
 
 def test_every_expectation_has_a_measure_and_a_place_in_the_reference() -> None:
