@@ -54,7 +54,7 @@ class Room:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.nodes = pods.Nodes(prefix="rkbr", second=250)
+        self.nodes = pods.Nodes()
         self.broker = pods.Broker(folder / "broker", RULES)
         self.pods: list[pods.Pod] = []
         self.node = -1

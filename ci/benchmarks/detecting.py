@@ -129,7 +129,7 @@ def room() -> Iterator[Room]:
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="detecting-")))
         folder.chmod(0o755)
-        nodes = pods.Nodes(prefix="rkdt", second=249)
+        nodes = pods.Nodes()
         stack.callback(nodes.close)
         made = Room(folder, nodes, nodes.node(), [], [])
         stack.callback(lambda: [pod.stop() for pod in made.pods])

@@ -4,11 +4,11 @@ still its own."""
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 from typing import Any
 
 import pytest
 from fakes import Channel, Network
+from settings_reading import Reading
 from waiting import until
 
 from robotkube.adapters.kubernetes_http import ApiServer, ConfigMapWatch
@@ -30,18 +30,6 @@ TRANSFORM = {
     "durability": "transient_local",
 }
 MOVABLE = {"movable": "true"}
-
-
-@dataclass
-class Reading:
-    """The settings as the test reads them."""
-
-    read_at: float | None = None
-    interrupted_at: float | None = None
-    asked: int = 0
-
-    def read_again(self) -> None:
-        self.asked += 1
 
 
 class Stage:

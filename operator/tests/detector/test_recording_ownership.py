@@ -3,10 +3,10 @@ release was taken over meanwhile, what waits is discarded and counted, and is in
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import pytest
+from settings_reading import Reading
 
 from robotkube.domain.recordings import AUDITS, RECORDINGS, SAMPLES
 from robotkube.services.ownership import BOUND_SECONDS_MAX, GAP_SECONDS_MAX, Ownership
@@ -19,18 +19,6 @@ RECORDING, VOLUME, TOPIC = "task-1", "edge-0/recordings", "/pose"
 SECOND_NS = 1_000_000_000
 MOVABLE = {"movable": "true"}
 ELSEWHERE = {"node": "edge-1", **MOVABLE}
-
-
-@dataclass
-class Reading:
-    """The settings as the test reads them."""
-
-    read_at: float | None = None
-    interrupted_at: float | None = None
-    asked: int = 0
-
-    def read_again(self) -> None:
-        self.asked += 1
 
 
 class Stage:

@@ -98,9 +98,10 @@ class Broker:
         clock_ns: Callable[[], int],
         monotonic: Callable[[], float],
         learned: Learned,
-        ownership: Ownership,
+        ownership: Ownership | None = None,
     ) -> None:
-        self._clock_ns, self._monotonic, self._learned, self._ownership = clock_ns, monotonic, learned, ownership
+        self._clock_ns, self._monotonic, self._learned = clock_ns, monotonic, learned
+        self._ownership = ownership or Ownership()
         self._connected_before = False
         self._followed: Sequence[TopicSettings] = ()
         self._filters: tuple[str, ...] = ()
