@@ -23,6 +23,7 @@ from robotkube.services.recording.recordings import Recordings
 
 if TYPE_CHECKING:
     from robotkube.adapters.kubernetes_http import ApiServer
+    from robotkube.domain.audits import Gap
     from robotkube.domain.buffers import RingBuffer
     from robotkube.domain.layouts import Layouts
     from robotkube.ports.reactions import Reaction, Sender, Spans
@@ -216,7 +217,7 @@ def _open_claim(root: Path, owner: str) -> Claim:
     return VolumeClaim(root, owner, time.time_ns)
 
 
-def make_broker(pod: PodSettings, name: str, learned: Callable[[str], None]) -> Broker:
+def make_broker(pod: PodSettings, name: str, learned: Callable[[str], None], lacking: Callable[[Gap], None]) -> Broker:
     """The detector's connection to the broker; its name there is that of its release, which no bridge has."""
     from robotkube.adapters.mqtt_paho import BrokerAccount, PahoChannel
     from robotkube.services.detector.broker import Broker
@@ -231,7 +232,11 @@ def make_broker(pod: PodSettings, name: str, learned: Callable[[str], None]) -> 
 
     client = name.replace("/", "-")
     return Broker(
-        lambda events: PahoChannel(account, client, SESSION_SECONDS, events), time.time_ns, time.monotonic, learned
+        lambda events: PahoChannel(account, client, SESSION_SECONDS, events),
+        time.time_ns,
+        time.monotonic,
+        learned,
+        lacking,
     )
 
 
