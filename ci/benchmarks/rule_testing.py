@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
@@ -94,7 +95,8 @@ def _theirs(made: Sequence[Path]) -> Result:
     with AnyReader(list(made), default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
         chosen = [connection for connection in reader.connections if connection.msgtype == POSE]
         for connection, moment, data in reader.messages(chosen):
-            position = reader.deserialize(data, connection.msgtype).pose.position
+            decoded: Any = reader.deserialize(data, connection.msgtype)
+            position = decoded.pose.position
             places[connection.topic] = position.x, position.y, position.z
             messages, first, last = messages + 1, moment if first is None else first, moment
             if connection.topic in watched and all(name in places for name in watched):

@@ -139,3 +139,12 @@ def test_live_equals_rule_test(
     )
     until(lambda: len(edges(page(port, "/events"))) >= len(expected), "as many events")
     assert edges(page(port, "/events")) == expected
+    met = next(edge for edge in page(port, "/events")["events"] if edge["rule"] == "near")
+    address = f"http://127.0.0.1:{port}"
+    assert cli.main(["rule", "explain", met["id"], "--source", address, "-o", "json"]) == 0
+    explained = json.loads(capsys.readouterr().out)
+    assert {cause["topic"] for edge in explained["edges"] for cause in edge["causes"]} == {
+        f"/vehicles/{agent.replace('-', '_')}/pose" for agent in AGENTS
+    }
+    assert cli.main(["rule", "explain", met["id"], "--source", "http://127.0.0.1:9"]) == 3
+    assert "is that the address of a running detector?" in capsys.readouterr().err
