@@ -3,9 +3,9 @@
     python -m ci.benchmarks [--only planning]
 
 Prints a table and writes build/reports/benchmarks.json; what registry and gate cost in seconds goes to
-build/bench/registry.json, what the manager costs to build/bench/application-manager.json. Exit code 1 when a ratio is
-beyond its bound. What a benchmark needs (tool chain; images, for those on a cluster) is made before its time begins,
-and cached.
+build/bench/registry.json, what the manager costs to build/bench/application-manager.json, what event detector and
+bridge cost to build/bench/event-detector.json. Exit code 1 when a ratio is beyond its bound. What a benchmark needs
+(tool chain; images, for those on a cluster) is made before its time begins, and cached.
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ from ci.benchmarks import (
     application_manager,
     application_manager_cluster,
     bridging,
+    encounters,
+    event_detector,
     files,
     gate,
     planning,
@@ -37,13 +39,15 @@ BENCHMARKS: dict[str, Callable[[], list[Figure]]] = {
     "planning": planning.figures,
     "files": files.figures,
     "bridging": bridging.figures,
+    "event-detector": event_detector.figures,
     "registry": registry.figures,
     "gate": gate.figures,
     "application-manager": application_manager.figures,
     "publication": publication.figures,
     "application-manager-cluster": application_manager_cluster.figures,
+    "encounters": encounters.figures,
 }
-NEED_IMAGES = frozenset({"publication", "application-manager-cluster"})
+NEED_IMAGES = frozenset({"publication", "application-manager-cluster", "encounters"})
 
 
 def row(figure: Figure) -> str:

@@ -140,7 +140,7 @@ def receive(seconds: float = SECONDS) -> Received:
     """At the demo's rate, 15 x 100 Hz."""
     with room() as here:
         drained = here.start("drain", "--agents", str(AGENTS))
-        _play(here, seconds, DEMO_RATE)
+        play(here, seconds, DEMO_RATE)
         drained.stop()
         found = here.wait("drain", END_SECONDS_MAX)
         baseline = 1e6 * found["cpu_seconds"] / found["messages"]
@@ -159,7 +159,7 @@ def sustained(rate: float = SUSTAINED_RATE, seconds: float = SECONDS) -> Sustain
     cores = sorted(os.sched_getaffinity(0))
     with room() as here:
         here.detector(core=cores[-1])
-        sent = _play(here, seconds, rate, core=cores[0])
+        sent = play(here, seconds, rate, core=cores[0])
         deadline = time.monotonic() + END_SECONDS_MAX
         while (received := here.received()) < sent["messages"] and time.monotonic() < deadline:
             time.sleep(0.2)
@@ -172,7 +172,7 @@ def latency(n: int = 1000) -> Latency:
     seconds = 3 + n / (AGENTS // 2 * DEMO_RATE / AGENTS / SWING)
     with room() as here:
         detector = here.detector()
-        _play(here, seconds, DEMO_RATE, swing=SWING)
+        play(here, seconds, DEMO_RATE, swing=SWING)
         detector.stop()
         found: Sequence[int] = here.wait("detector", END_SECONDS_MAX)["latencies_ns"]
     if len(found) < n:
@@ -202,7 +202,7 @@ def _flowing(here: Room) -> bool:
         return False
 
 
-def _play(here: Room, seconds: float, rate: float, swing: int = 0, core: int | None = None) -> Any:
+def play(here: Room, seconds: float, rate: float, swing: int = 0, core: int | None = None) -> Any:
     """Have all poses published; what the source says of it."""
     _begin(here, seconds, rate, swing, core)
     return here.wait("source", START_SECONDS_MAX + 2 * seconds)

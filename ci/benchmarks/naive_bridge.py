@@ -1,7 +1,7 @@
 """The bridge one would write first, as a baseline: an rclpy executor, and one MQTT message per ROS message.
 
 Takes the settings and the Secret of our bridge and speaks its frames, with one message in each, so that the other end
-understands both. Only the direction ROS -> MQTT.
+understands both.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from paho.mqtt.enums import CallbackAPIVersion
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 
-from robotkube.domain.frames import encode_frame
+from robotkube.domain.frames import decode_frame, encode_frame
 
 CONNECT_SECONDS_MAX = 30
 
@@ -54,6 +54,23 @@ def forward(client: mqtt.Client, topic: str, session: int) -> Callable[[bytes], 
     return publish
 
 
+def backward(client: mqtt.Client, node: Any, topics: list[dict[str, Any]]) -> None:
+    """Publish in ROS what the broker sends, in the callback of paho's thread."""
+    profile: Any = QoSProfile
+    publishers = {
+        f"mqtt{topic['name']}": node.create_publisher(kind(topic["type"]), topic["name"], profile(depth=topic["depth"]))
+        for topic in topics
+    }
+
+    def received(_: mqtt.Client, __: object, message: mqtt.MQTTMessage) -> None:
+        for data in decode_frame(message.payload).messages:
+            publishers[message.topic].publish(bytes(data))
+
+    client.on_message = received
+    for name in publishers:
+        client.subscribe(name, qos=1)
+
+
 def kind(name: str) -> Any:
     """The Python class of geometry_msgs/msg/PoseStamped and the like."""
     package, _, message = name.split("/")
@@ -68,7 +85,8 @@ def main() -> None:
     rclpy.init()
     node = rclpy.create_node("naive_bridge")
     profile: Any = QoSProfile
-    for topic in settings["out"]:
+    backward(client, node, settings.get("in", []))
+    for topic in settings.get("out", []):
         act = forward(client, topic["name"], session)
         node.create_subscription(kind(topic["type"]), topic["name"], act, profile(depth=topic["depth"]), raw=True)
     executor = SingleThreadedExecutor()

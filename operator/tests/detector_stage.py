@@ -224,6 +224,10 @@ class MemoryRecordings:
         self.offered: list[tuple[str, int]] = []
         self.triggers: list[str] = []
         self.ends: list[str] = []
+        self.gaps: list[Any] = []
+
+    def lack(self, gap: Any) -> None:
+        self.gaps.append(gap)
 
     def offer(self, topic: str, type_name: str, sample: Any) -> None:
         self.offered.append((topic, sample.stamp))

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import pytest
 
-from robotkube.domain.bridging_properties import type_properties
+from robotkube.domain.audits import Gap
+from robotkube.domain.bridging_properties import gaps_property, type_properties
 from robotkube.domain.detector_settings import MQTT, TopicSettings
 from robotkube.domain.frames import encode_frame
 from robotkube.domain.mqtt_properties import read_properties
@@ -57,7 +58,8 @@ class Channel:
 class Stage:
     def __init__(self) -> None:
         self.channel, self.learned, self.seconds = Channel(), list[str](), 0.0
-        self.broker = Broker(self._make, lambda: 1_000, lambda: self.seconds, self.learned.append)
+        self.gaps: list[Gap] = []
+        self.broker = Broker(self._make, lambda: 1_000, lambda: self.seconds, self.learned.append, self.gaps.append)
 
     def _make(self, events: ChannelEvents) -> Channel:
         return self.channel
@@ -117,6 +119,13 @@ def test_definitions_come_with_the_messages(stage: Stage) -> None:
     assert stage.broker.definitions == {"other_msgs/msg/Odd": "float64 x\n"}
     stage.broker.received(topic, b"float64 x\n", b"")
     assert stage.broker.malformed == 1
+
+
+def test_gaps_of_senders_are_told(stage: Stage) -> None:
+    stage.broker.follow([POSES])
+    gap = Gap(NAME, "mqtt-bridge of vehicle-00", "waited too long", 3, 10, 30)
+    stage.broker.received(POSE, encode_frame(1, 0, [b"a"]), type_properties(TYPE, "") + gaps_property([gap]))
+    assert stage.gaps == [gap]
 
 
 def test_a_topic_that_is_not_followed_any_more_is_given_up(stage: Stage) -> None:

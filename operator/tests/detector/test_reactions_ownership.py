@@ -69,7 +69,8 @@ class Stage:
         self.now, self.reading, self.channel = 100.0, Reading(read_at=100.0), Channel()
         self.ownership = Ownership("edge-0", True, lambda: self.now)
         self.ownership.follow(self.reading)
-        self.broker = Broker(self._make, lambda: 1, lambda: self.now, lambda name: None, self.ownership)
+        clock = lambda: self.now  # noqa: E731
+        self.broker = Broker(self._make, lambda: 1, clock, lambda name: None, lambda gap: None, self.ownership)
         self.box = DeadLetterBox(lambda: 1)
         settings = MqttReaction("near", "alerts", retry_seconds=3600.0)
         self.reaction = MqttReactions(settings, self.broker, self.box, lambda: self.now)

@@ -15,6 +15,9 @@ from rule_stage import NUMBER
 from waiting import until
 
 from robotkube.adapters.rule_processes import ChildProcess
+from robotkube.domain.audits import Gap
+from robotkube.domain.bridging_properties import gap_text
+from robotkube.domain.messages import string_message
 from robotkube.domain.qualities import Asked, Offer, Quality, matched, mismatch
 from robotkube.services.rule_workers import RuleWorkers
 
@@ -142,6 +145,19 @@ def test_recordings_get_what_is_new_and_hear_of_events(stage: DetectorStage) -> 
     assert [name for name, _ in recordings.offered] == [TOPIC, *["/vehicles/vehicle_01/pose"] * 2]
     assert recordings.triggers == recordings.ends == [stage.events()[0]["id"]]
     assert recordings.buffers[TOPIC] is stage.detector.pool.buffers[TOPIC]
+
+
+def test_what_bridges_gave_up_is_told_to_recordings(stage: DetectorStage) -> None:
+    topic = {"name": "/vehicles/{agent}/pose", "storage": "document"}
+    reaction = {"rule": "near", "kind": "recording", "recording": "r", "volume": "v", "topics": [topic]}
+    stage.apply({**PLAIN, "reactions": [reaction]})
+    gap = Gap(TOPIC, "mqtt-bridge of vehicle-00", "waited too long", 3, 10, 30)
+    text = gap_text(gap).encode()
+    stage.live.topics["/robotkube/gaps"].waiting = [(string_message(text), NOW), (string_message(b"[]"), NOW)]
+    stage.pass_seconds(1.1)
+    assert stage.recordings[0].gaps == [gap]
+    stage.detector.change_state("inactive")
+    assert stage.live.topics["/robotkube/gaps"].closed
 
 
 def test_a_duplicate_is_neither_recorded_nor_evaluated(stage: DetectorStage) -> None:

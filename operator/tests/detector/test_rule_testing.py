@@ -34,7 +34,6 @@ THRESHOLD = {
     "stop_below": 4,
 }  # fmt: skip
 ABSENCE = {"name": "silent", "kind": "absence", "topic": "/vehicles/{agent}/value", "seconds": 1}
-BOTH = {"name": "both", "kind": "combination", "all": ["near", "high"], "scope": "group", "agents": list(AGENTS)}
 
 Message = tuple[str, int, bytes]
 

@@ -20,6 +20,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -181,8 +182,8 @@ class Room:
         """Go on for as long as the recordings ask for, take what has arrived already, then store and deliver it."""
         finish(self._turn, self.detector.recordings.after_seconds)
         stopping = [
-            _beside(lambda: self.detector.raising.stop(DELIVER_SECONDS_MAX)),
-            *(_beside(lambda one=one: one.stop(STORE_SECONDS_MAX)) for one in self.detector.recordings.at_work),
+            _beside(partial(self.detector.raising.stop, DELIVER_SECONDS_MAX)),
+            *(_beside(partial(one.stop, STORE_SECONDS_MAX)) for one in self.detector.recordings.at_work),
         ]
         complete = [stopped() for stopped in stopping]
         if self._broker is not None:
@@ -207,7 +208,7 @@ class Room:
         while self._news:
             self.detector.apply(self._news.popleft())
             for one in [*self.detector.recordings.leaving(), *self.detector.raising.leaving()]:
-                _beside(lambda one=one: one.stop(STORE_SECONDS_MAX))
+                _beside(partial(one.stop, STORE_SECONDS_MAX))
         while self._commands:
             self.detector.change_state(self._commands.popleft())
 
@@ -216,7 +217,8 @@ class Room:
 
     def _connection(self) -> Broker:
         if self._broker is None:
-            self._broker = parts.make_broker(self._pod, self._name, self._ownership, self._learned.append)
+            lack = self.detector.recordings.lack
+            self._broker = parts.make_broker(self._pod, self._name, self._ownership, self._learned.append, lack)
         return self._broker
 
     # on other threads ------------------------------------------------------------------------------------------------

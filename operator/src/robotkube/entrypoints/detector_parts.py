@@ -24,6 +24,7 @@ from robotkube.services.recording.recordings import Recordings
 
 if TYPE_CHECKING:
     from robotkube.adapters.kubernetes_http import ApiServer
+    from robotkube.domain.audits import Gap
     from robotkube.domain.buffers import RingBuffer
     from robotkube.domain.layouts import Layouts
     from robotkube.ports.reactions import Reaction, Sender, Spans
@@ -227,7 +228,13 @@ def _open_claim(root: Path, owner: str) -> Claim:
     return VolumeClaim(root, owner, time.time_ns)
 
 
-def make_broker(pod: PodSettings, name: str, ownership: Ownership, learned: Callable[[str], None]) -> Broker:
+def make_broker(
+    pod: PodSettings,
+    name: str,
+    ownership: Ownership,
+    learned: Callable[[str], None],
+    lacking: Callable[[Gap], None],
+) -> Broker:
     """The detector's connection to the broker; its name there is that of its release, which no bridge has, and of the
     Node that the release names."""
     from robotkube.adapters.mqtt_paho import BrokerAccount, PahoChannel
@@ -247,6 +254,7 @@ def make_broker(pod: PodSettings, name: str, ownership: Ownership, learned: Call
         time.time_ns,
         time.monotonic,
         learned,
+        lacking,
         ownership,
     )
 

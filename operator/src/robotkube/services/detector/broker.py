@@ -14,8 +14,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from robotkube.domain.audits import Gap
 from robotkube.domain.bridging import MQTT_PREFIX
-from robotkube.domain.bridging_properties import TRACE, TYPE, TYPES_PREFIX, types_topic
+from robotkube.domain.bridging_properties import GAPS, TRACE, TYPE, TYPES_PREFIX, read_gaps, types_topic
 from robotkube.domain.detector_settings import TopicSettings
 from robotkube.domain.errors import InputError
 from robotkube.domain.frames import SeenFrames, decode_frame
@@ -89,8 +90,8 @@ class _Message:
 class Broker:
     """Port LiveTopics for the source mqtt, and what MQTT reactions write to.
 
-    `make` gives the connection for its events; `learned` is told of a type whose definition has come. Nothing is sent
-    while `ownership` is not sure."""
+    `make` gives the connection for its events; `learned` is told of a type whose definition has come, `lacking` of
+    messages that were given up on their way. Nothing is sent while `ownership` is not sure."""
 
     def __init__(
         self,
@@ -98,9 +99,10 @@ class Broker:
         clock_ns: Callable[[], int],
         monotonic: Callable[[], float],
         learned: Learned,
+        lacking: Callable[[Gap], None],
         ownership: Ownership | None = None,
     ) -> None:
-        self._clock_ns, self._monotonic, self._learned = clock_ns, monotonic, learned
+        self._clock_ns, self._monotonic, self._learned, self._lacking = clock_ns, monotonic, learned, lacking
         self._ownership = ownership or Ownership()
         self._connected_before = False
         self._followed: Sequence[TopicSettings] = ()
@@ -229,11 +231,14 @@ class Broker:
         if not payload:
             return  # a retained message was taken back
         try:
-            said = read_properties(properties).user.get(TYPE, "")
+            user = read_properties(properties).user
+            said = user.get(TYPE, "")
             if topic.startswith(TYPES_PREFIX):
                 self._learn(said, payload)
             elif (found := self._input(topic.removeprefix(MQTT_PREFIX))) is not None:
                 found.take(payload, said, self._clock_ns())
+                for gap in read_gaps(user[GAPS]) if GAPS in user else ():
+                    self._lacking(gap)
         except InputError as error:
             self.malformed += 1
             if self.malformed == 1:

@@ -14,15 +14,19 @@ from dataclasses import replace
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
+from robotkube.domain.bridging import GAPS_TOPIC
+from robotkube.domain.bridging_properties import read_gap_text
 from robotkube.domain.buffers import DUPLICATE, JUMPED, BufferPool, Sample
 from robotkube.domain.detector_settings import ACTIVE, INACTIVE, PROCESS_BYTES_DEFAULT, TIME_JUMP, DetectorSettings
+from robotkube.domain.errors import InputError
 from robotkube.domain.layouts import Layouts
+from robotkube.domain.messages import string_text
 from robotkube.domain.rules import START, STOP, Edge, Message, Question, Rule, RuleEngine, event_identity
 from robotkube.services.detector.recording import RecordingReactions
 from robotkube.services.detector.topics import DISCOVERY_SECONDS, Topic, Topics
 
 if TYPE_CHECKING:
-    from robotkube.ports.robots import LiveTopics
+    from robotkube.ports.robots import LiveTopics, TopicInput
     from robotkube.services.detector.raising import Raising
     from robotkube.services.rule_workers import RuleWorkers
 
@@ -63,6 +67,7 @@ class EventDetector:
         self._adopted = True
         self._discover_at = float("-inf")
         self._jumps: deque[Edge] = deque()
+        self._gaps: TopicInput | None = None
 
     @property
     def subscribed(self) -> int:
@@ -99,6 +104,7 @@ class EventDetector:
         if self.raising.operator is not None and not had_operator:
             self._adopted, self._adopt_until = False, self._monotonic() + ADOPT_SECONDS_MAX
         self.recordings.apply(settings)
+        self._listen_to_gaps()
         self._renew_rules(before)
         self._connect(self.topics.topics.values())
         numbers = len(settings.topics), len(settings.rules), len(settings.reactions)
@@ -112,6 +118,7 @@ class EventDetector:
         self.state = state
         if state == INACTIVE:
             self.topics.close_all()
+            self._listen_to_gaps()
         self._subscribe()
         self._renew_rules(self.settings)
         self._connect(self.topics.topics.values())
@@ -241,6 +248,7 @@ class EventDetector:
     def _subscribe(self) -> None:
         if self.state != INACTIVE:
             self._connect(self.topics.subscribe_expected())
+            self._listen_to_gaps()
             self._discover_at = float("-inf")
 
     def _discover(self) -> None:
@@ -248,6 +256,23 @@ class EventDetector:
             self._connect(self.topics.discover())
             self.topics.inspect()
             self.topics.expire()
+            self._take_gaps()
+
+    def _listen_to_gaps(self) -> None:
+        """Bridges tell what they gave up; recordings note it."""
+        wanted = bool(self.settings.recordings) and self.state != INACTIVE
+        if wanted and self._gaps is None:
+            self._gaps = self.topics.open_gaps()
+        elif not wanted and self._gaps is not None:
+            self._gaps.close()
+            self._gaps = None
+
+    def _take_gaps(self) -> None:
+        for data, _ in () if self._gaps is None else self._gaps.drain(DRAIN_MESSAGES_MAX):
+            try:
+                self.recordings.lack(read_gap_text(string_text(data).decode()))
+            except (ValueError, InputError) as error:
+                log.warning("topic %s: %s", GAPS_TOPIC, error)
 
     def _connect(self, topics: Iterable[Topic]) -> None:
         """Tell topics which recordings their messages go to, and whether rules read them."""

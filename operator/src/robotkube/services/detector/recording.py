@@ -11,6 +11,7 @@ from robotkube.domain.recording_plans import RecordedTopic, RecordingPlan
 from robotkube.domain.rules import START, Edge
 
 if TYPE_CHECKING:
+    from robotkube.domain.audits import Gap
     from robotkube.domain.buffers import RingBuffer
     from robotkube.services.recording.recordings import Recordings
 
@@ -75,6 +76,11 @@ class RecordingReactions:
         for one in self.at_work:
             if one.plan.rule == edge.rule:
                 one.trigger(edge, now) if edge.edge == START else one.end(edge, now)
+
+    def lack(self, gap: Gap) -> None:
+        """Messages were given up on their way here."""
+        for one in self.at_work:
+            one.lack(gap)
 
     def tick(self, now: int) -> None:
         """Close what is over."""

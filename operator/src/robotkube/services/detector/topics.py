@@ -10,14 +10,16 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from robotkube.domain.bridging import GAPS_DEPTH, GAPS_TOPIC, GAPS_TYPE
 from robotkube.domain.buffers import BufferPool, RingBuffer
-from robotkube.domain.detector_settings import DetectorSettings, TopicSettings
+from robotkube.domain.detector_settings import ROS, DetectorSettings, TopicSettings
 from robotkube.domain.errors import DocumentError
 from robotkube.domain.freshness import EXPIRED, FRESH, FreshnessBounds, freshness
 from robotkube.domain.layouts import Layouts
 from robotkube.domain.messages import STAMPED_TYPES, header_stamp
-from robotkube.domain.qualities import Offer, Quality, matched, mismatch
+from robotkube.domain.qualities import TRANSIENT_LOCAL, Offer, Quality, matched, mismatch
 from robotkube.domain.rules import Proximity
+from robotkube.domain.topics import TopicPattern
 from robotkube.services.detector.counting import InputCounter
 
 if TYPE_CHECKING:
@@ -94,6 +96,11 @@ class Topics:
     def discover(self) -> list[Topic]:
         """Subscribe to topics that fit a pattern and have appeared; those that are new."""
         return self._subscribe(self._found())
+
+    def open_gaps(self) -> TopicInput:
+        """The topic on which bridges of this node tell what they gave up."""
+        settings = TopicSettings(TopicPattern(GAPS_TOPIC), GAPS_TYPE, ROS, durability=TRANSIENT_LOCAL, depth=GAPS_DEPTH)
+        return self._source(ROS).subscribe(GAPS_TOPIC, settings, Quality(durability=TRANSIENT_LOCAL))
 
     def missing(self) -> list[str]:
         """Topics of the settings that are not subscribed to."""

@@ -7,7 +7,7 @@ causes. What came before an event is taken from the ring buffers; latched topics
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -121,6 +121,16 @@ class Recordings:
             if one.keeps(planned, sample.stamp):
                 one.recorder.offer(topic, type_name, planned.storage, sample.stamp, sample.received, sample.data)
 
+    def lack(self, gap: Gap) -> None:
+        """Messages were given up before they came here; each open recording notes what lies in its window."""
+        planned = self._topic(gap.topic)
+        if planned is None:
+            return
+        for one in self._open:
+            spans = ((0, FOREVER),) if one.windows is None else one.windows.intervals(planned)
+            for part in _within(gap, spans):
+                one.recorder.lack(part)
+
     def trigger(self, edge: Trigger, now: int) -> None:
         """An event of the plan's rule began; once more for the same event changes nothing."""
         if self.plan.always or any(one.windows and edge.id in one.windows.causes for one in self._open):
@@ -231,6 +241,15 @@ class Recordings:
         left = buffer.evicted_seconds + buffer.evicted_bytes + buffer.evicted_count + buffer.evicted_process
         if samples and samples[0].stamp > first and left + buffer.cleared:
             recorder.lack(Gap(name, BUFFER, EVICTED, None, first, samples[0].stamp - 1))
+
+
+def _within(gap: Gap, spans: Sequence[Interval]) -> Iterator[Gap]:
+    """The parts of a gap that lie in these intervals; of a gap that was cut nobody knows how many messages it had."""
+    for first, last in spans:
+        begin, end = max(first, gap.first), min(last, gap.last)
+        if begin <= end:
+            whole = (begin, end) == (gap.first, gap.last)
+            yield gap if whole else Gap(gap.topic, gap.where, gap.why, None, begin, end)
 
 
 def _add(counts: dict[str, int], recorder: Recorder) -> None:
