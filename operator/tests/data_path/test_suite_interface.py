@@ -56,7 +56,7 @@ def subject(chart: Path, entry: Mapping[str, Any], render: Render) -> Subject:
 
 
 def bridge_objects(values: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
-    settings = {"agent": values["placement"]["agent"], "out": values["bridge"]["out"], "in": values["bridge"]["in"]}
+    settings = {"agent": values["placement"]["agent"], **values["bridge"]}
     command = ["python3", "-m", "robotkube.entrypoints.bridge"]
     return deployment(name, command, {"config.yaml": yaml.safe_dump(settings)}, "broker-account")
 
