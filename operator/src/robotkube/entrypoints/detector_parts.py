@@ -18,8 +18,6 @@ from robotkube.domain.reaction_settings import DeliveryReaction, MqttReaction, P
 from robotkube.domain.recording_plans import RecordingPlan
 from robotkube.entrypoints.processes import PodSettings, read_secret
 from robotkube.services.reactions.operator import OperatorReactions
-from robotkube.services.recording.places import RecorderPlace
-from robotkube.services.recording.recordings import Recordings
 
 if TYPE_CHECKING:
     from robotkube.adapters.kubernetes_http import ApiServer
@@ -30,6 +28,7 @@ if TYPE_CHECKING:
     from robotkube.ports.recordings import Claim, RecordingStore
     from robotkube.services.detector.broker import Broker
     from robotkube.services.reactions.dead import DeadLetterBox
+    from robotkube.services.recording.recordings import Recordings
     from robotkube.services.rule_workers import RuleWorkers
 
 RECORDINGS_FOLDER = "/var/lib/robotkube/recordings"
@@ -189,6 +188,9 @@ def _sender(settings: WebhookReaction | PythonReaction, pod: PodSettings) -> Sen
 
 def make_recordings(plan: RecordingPlan, buffers: Mapping[str, RingBuffer], pod: PodSettings) -> Recordings:
     """The started recording reaction."""
+    from robotkube.services.recording.places import RecorderPlace
+    from robotkube.services.recording.recordings import Recordings
+
     node = os.environ.get("NODE_NAME", "")
     if not node:
         raise InputError("NODE_NAME is not set; a recording's index names the node: set it from spec.nodeName")
