@@ -150,7 +150,9 @@ class Drafter:
         self._placements[service.name] = agent.name
         name = self._render(service.release, scope)
         draft, chart = self._draft, chosen[0]
-        release = make_release(agent, name, chart, fill(service.values, scope, self._render), self._scene)
+        its_chart = {"name": chart.chart, "version": chart.version, "digest": chart.digest}
+        values = fill(service.values, {**scope, "chart": its_chart}, self._render)
+        release = make_release(agent, name, chart, values, self._scene)
         key = release.key
         if key in draft.releases:
             raise RefusalError("CompositionFailed", f"two services of {draft.application} make the release {key}")
