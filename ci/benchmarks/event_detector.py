@@ -50,7 +50,7 @@ def naive_receive() -> float:
         here.namespaces.append(here.nodes.pod(here.node))
         command = pods.python("ci.benchmarks.naive_detector")
         naive = pods.start("naive", command, environment, here.folder / "naive.log", here.namespaces[-1])
-        here.pods.append(naive)
+        here.started.append(naive)
         detecting.play(here, NAIVE_SECONDS, DEMO_RATE)
         naive.stop()
         found = here.wait("naive", detecting.END_SECONDS_MAX)

@@ -239,6 +239,11 @@ def test_an_installed_reaction_fails_hangs_and_dies_alone(
     assert deliveries.stop(5.0)
 
 
+def test_a_reaction_that_nobody_has_installed_is_named(make: Callable[..., Deliveries]) -> None:
+    deliveries = make(ProcessSender("whisper", {}, 5.0))
+    until(lambda: "no installed package offers the reaction whisper" in deliveries.unreachable)
+
+
 def test_spans_go_to_the_collector(receiver: Receiver) -> None:
     spans = OtlpSpans(receiver.url, "robotkube-event-detector", "cloud-0/d")
     spans.span("2" * 32, "event", 10, 20, {"robotkube.rule": "near"})

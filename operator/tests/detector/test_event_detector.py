@@ -135,6 +135,34 @@ def test_nothing_is_raised_before_own_tasks_are_known(stage: Stage, tasks: Memor
     assert stage.detector.not_ready == ""
 
 
+def test_an_api_server_that_stays_away_at_the_start_holds_rules_up_for_a_while(
+    make_stage: Callable[[], Stage], tasks: MemoryTasks
+) -> None:
+    """Then events are raised, and the one that a predecessor has a task for goes on with that task."""
+    first = make_stage()
+    first.apply(DOCUMENT)
+    first.send("vehicle-00", 0)
+    first.send("vehicle-01", 100)
+    until(lambda: len(tasks.objects) == 1)
+    tasks.away = 10**6
+    second = make_stage()
+    second.now += 1_000 * MS
+    second.apply(DOCUMENT, adopting=False)
+    second.send("vehicle-00", 0)
+    second.send("vehicle-01", 100)
+    assert second.events() == []
+    second.pass_seconds(5.1)
+    second.send("vehicle-00", 0)
+    second.send("vehicle-01", 100)
+    assert [event["edge"] for event in second.events()] == ["start"]
+    tasks.away = 0
+    until(lambda: second.edges() == [(START, True)])
+    assert (tasks.creations, second.events()[0]["task"]) == (1, f"cloud-0/{next(iter(tasks.objects))}")
+    second.send("vehicle-01", 600)
+    until(lambda: second.edges() == [(START, True), ("stop", True)])
+    assert not tasks.objects
+
+
 def test_an_api_server_that_is_away_gets_the_task_later(stage: Stage, tasks: MemoryTasks) -> None:
     stage.apply(DOCUMENT)
     tasks.away = 2

@@ -281,7 +281,6 @@ def test_damage_is_said_and_the_rest_is_used(bag: Path, rules: str, capsys: pyte
 
 
 def test_rules_with_processes_of_their_own(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("cel")
     cel = {
         "name": "high", "kind": "cel", "topic": "/vehicles/{agent}/value", "fields": {"value": "data"},
         "expression": "value > 5.0", "until": "value < 4.0",

@@ -160,6 +160,9 @@ def test_a_task_adds_a_recorder_and_extends_three_bridges() -> None:
     recorder = desired.releases["releases/cloud-0/recorder-vehicle-00-vehicle-01.yaml"].values["detector"]
     assert len(recorder["topics"]) == 6
     assert recorder["reactions"][0]["provenance"]["task"] == "cloud-0/meeting"
+    release = desired.releases["releases/cloud-0/recorder-vehicle-00-vehicle-01.yaml"]
+    chart = f"event-detector@{release.version}@{release.digest}"
+    assert recorder["reactions"][0]["provenance"]["chart"] == chart
 
 
 def without_plans(files: dict[str, str]) -> dict[str, str]:

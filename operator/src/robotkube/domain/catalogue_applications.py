@@ -28,7 +28,7 @@ TOPIC_KEYS = ("name", "type", "channel", "reliability", "durability", "depth")
 CHANNELS = ("telemetry", "bulk")
 DEPTH_MAX = 100_000
 SET_BY_MANAGER = ("placement", "global")
-RESERVED = frozenset({"parameters", "agent", "task", "placement", "topics"})
+RESERVED = frozenset({"parameters", "agent", "task", "placement", "topics", "chart"})
 
 _VALUES_PATH = re.compile(r"[A-Za-z0-9_-]{1,63}(\.[A-Za-z0-9_-]{1,63}){0,15}", re.ASCII)
 _LINK_END = ("agent", "medium", "role", "service")

@@ -151,7 +151,9 @@ class Drafter:
         name = self._render(service.release, scope)
         draft, chart = self._draft, chosen[0]
         movable = not self._draft.steps[step].group.wanted.named
-        release = make_release(agent, name, chart, fill(service.values, scope, self._render), self._scene, movable)
+        its_chart = {"name": chart.chart, "version": chart.version, "digest": chart.digest}
+        values = fill(service.values, {**scope, "chart": its_chart}, self._render)
+        release = make_release(agent, name, chart, values, self._scene, movable)
         key = release.key
         if key in draft.releases:
             raise RefusalError("CompositionFailed", f"two services of {draft.application} make the release {key}")

@@ -6,7 +6,7 @@ History is not announced by anybody and is no part of it. A duration of None is 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 RELIABLE, BEST_EFFORT = "reliable", "best_effort"
 VOLATILE, TRANSIENT_LOCAL = "volatile", "transient_local"
@@ -16,8 +16,7 @@ RELIABILITIES, DURABILITIES = (RELIABLE, BEST_EFFORT), (VOLATILE, TRANSIENT_LOCA
 LIVELINESSES = (AUTOMATIC, MANUAL_BY_TOPIC)
 
 
-@dataclass(frozen=True)
-class Quality:
+class Quality(NamedTuple):
     """One side's settings. `deadline_ns`: the longest time between two messages; `lease_ns`: that between two signs of
     life."""
 
@@ -38,8 +37,7 @@ class Quality:
         return ", ".join(parts)
 
 
-@dataclass(frozen=True)
-class Offer:
+class Offer(NamedTuple):
     """A publisher: its node (empty while unknown), its message type and its quality."""
 
     node: str
@@ -47,8 +45,7 @@ class Offer:
     quality: Quality
 
 
-@dataclass(frozen=True)
-class Asked:
+class Asked(NamedTuple):
     """What the settings ask for; what is None is taken over from the publishers, and without any from the defaults."""
 
     reliability: str | None = None

@@ -1,11 +1,14 @@
-"""What is done about events: the list `reactions` of a detector's settings as values."""
+"""What is done about events: the list `reactions` of a detector's settings as values.
+
+Named tuples, since dataclasses cost a millisecond each at every start.
+"""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 from robotkube.domain.fields import Fields
 from robotkube.domain.topics import TopicPattern
@@ -13,6 +16,7 @@ from robotkube.domain.topics import TopicPattern
 OPERATOR, RECORDING, WEBHOOK, MQTT, PYTHON = "operator", "recording", "webhook", "mqtt", "python"
 KINDS = (OPERATOR, RECORDING, WEBHOOK, MQTT, PYTHON)
 
+NOTHING: Mapping[str, Any] = MappingProxyType({})
 TOPICS_MAX = 200
 LEASE_SECONDS_MIN, LEASE_SECONDS_MAX = 5, 86_400
 AFTER_SECONDS_MAX = 2.0
@@ -24,8 +28,7 @@ URL = re.compile(r"https?://(?P<host>[A-Za-z0-9][-.A-Za-z0-9]*|\[[0-9a-fA-F:]+\]
 SECRET_KEY = re.compile(r"[A-Za-z0-9][-._A-Za-z0-9]{0,99}")
 
 
-@dataclass(frozen=True)
-class OperatorReaction:
+class OperatorReaction(NamedTuple):
     """A TaskDescription for `application` while the event of `rule` lasts; the text `{agents}` in `parameters` is
     replaced by the list of the event's agents. With `lease_seconds` the task ends when nobody renews it for so long."""
 
@@ -35,8 +38,7 @@ class OperatorReaction:
     lease_seconds: int | None = None
 
 
-@dataclass(frozen=True)
-class RecordingTopic:
+class RecordingTopic(NamedTuple):
     """A topic to record. `storage`: document | segment; the seconds before an event's start and after its end."""
 
     pattern: TopicPattern
@@ -45,8 +47,7 @@ class RecordingTopic:
     after_seconds: float = 0.0
 
 
-@dataclass(frozen=True)
-class RecordingReaction:
+class RecordingReaction(NamedTuple):
     """What is received on the topics goes to storage: around the events of `rule`, or all of it when that is of kind
     always. It goes on for `after_seconds` once the process is asked to end, so that what is under way arrives."""
 
@@ -56,11 +57,10 @@ class RecordingReaction:
     topics: tuple[RecordingTopic, ...]
     after_seconds: float = 0.0
     trace: str = ""
-    provenance: Mapping[str, Any] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = NOTHING
 
 
-@dataclass(frozen=True)
-class WebhookReaction:
+class WebhookReaction(NamedTuple):
     """A signed POST to `url` for every edge. `secret`: key of the mounted Secret `webhooks`, empty for no signature."""
 
     rule: str
@@ -76,8 +76,7 @@ class WebhookReaction:
         return f"webhook {self.rule} {found['host'] if found else ''}".rstrip()
 
 
-@dataclass(frozen=True)
-class MqttReaction:
+class MqttReaction(NamedTuple):
     """A message on the broker's topic `topic` for every edge, QoS 1. `retained`: the broker keeps the last one."""
 
     rule: str
@@ -91,13 +90,12 @@ class MqttReaction:
         return f"mqtt {self.rule} {self.topic}"
 
 
-@dataclass(frozen=True)
-class PythonReaction:
+class PythonReaction(NamedTuple):
     """A reaction of an installed package, by its name in the entry point group `robotkube.reactions`."""
 
     rule: str
     plugin: str
-    settings: Mapping[str, Any] = field(default_factory=dict)
+    settings: Mapping[str, Any] = NOTHING
     timeout_seconds: float = TIMEOUT_SECONDS_DEFAULT
     retry_seconds: float = RETRY_SECONDS_DEFAULT
 

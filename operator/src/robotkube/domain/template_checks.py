@@ -24,6 +24,7 @@ Problem = tuple[str, str]
 
 LOOPS_TRIED_MAX = 3
 SHOWN_CHARACTERS_MAX = 120
+CHART_NAMES = ("name", "version", "digest")
 TASK_NAMES = ("name", "namespace", "event", "rule", "trace", "time", "requester")
 AGENT = "vehicle-00"
 
@@ -79,6 +80,7 @@ def _unknown_names(application: Application, tools: Tools) -> Iterator[Problem]:
         "parameters": properties if closed and isinstance(properties, Mapping) else () if closed else None,
         "placement": [service.name for service in application.services],
         "task": TASK_NAMES,
+        "chart": CHART_NAMES,
         "agent": None,
     }
     if application.bridges:
@@ -174,7 +176,8 @@ class _Trial:
             yield from self._release_name(service, path, scope)
             yield from self._word(service.placement.agent, f"{path}.placement.agent", scope)
             self.placed[service.name] = AGENT
-            values, problems = rendered(service.values, f"{path}.values", scope, self.tools)
+            its_chart = dict(zip(CHART_NAMES, ("chart", "0.0.0", "sha256:0"), strict=True))
+            values, problems = rendered(service.values, f"{path}.values", {**scope, "chart": its_chart}, self.tools)
             yield from problems
             if not problems:
                 for folder in self.folders.get(service.name, ()):

@@ -207,8 +207,10 @@ class Room:
     def _obey(self) -> None:
         while self._news:
             self.detector.apply(self._news.popleft())
-            for one in [*self.detector.recordings.leaving(), *self.detector.raising.leaving()]:
-                _beside(partial(one.stop, STORE_SECONDS_MAX))
+            for recordings in self.detector.recordings.leaving():
+                _beside(partial(recordings.stop, STORE_SECONDS_MAX))
+            for reaction in self.detector.raising.leaving():
+                _beside(partial(reaction.stop, DELIVER_SECONDS_MAX))
         while self._commands:
             self.detector.change_state(self._commands.popleft())
 

@@ -19,8 +19,6 @@ from robotkube.domain.recording_plans import RecordingPlan
 from robotkube.entrypoints.processes import PodSettings, read_secret
 from robotkube.services.ownership import Ownership
 from robotkube.services.reactions.operator import OperatorReactions
-from robotkube.services.recording.places import RecorderPlace
-from robotkube.services.recording.recordings import Recordings
 
 if TYPE_CHECKING:
     from robotkube.adapters.kubernetes_http import ApiServer
@@ -31,6 +29,7 @@ if TYPE_CHECKING:
     from robotkube.ports.recordings import Claim, RecordingStore
     from robotkube.services.detector.broker import Broker
     from robotkube.services.reactions.dead import DeadLetterBox
+    from robotkube.services.recording.recordings import Recordings
     from robotkube.services.rule_workers import RuleWorkers
 
 RECORDINGS_FOLDER = "/var/lib/robotkube/recordings"
@@ -200,6 +199,9 @@ def make_recordings(
     plan: RecordingPlan, buffers: Mapping[str, RingBuffer], pod: PodSettings, ownership: Ownership
 ) -> Recordings:
     """The started recording reaction."""
+    from robotkube.services.recording.places import RecorderPlace
+    from robotkube.services.recording.recordings import Recordings
+
     if not pod.node:
         raise InputError("NODE_NAME is not set; a recording's index names the node: set it from spec.nodeName")
     root = Path(os.environ.get("ROBOTKUBE_RECORDINGS", RECORDINGS_FOLDER))

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 
-@dataclass(frozen=True)
-class Delivery:
+class Delivery(NamedTuple):
     """An edge on its way to somebody. `id`: the same for the same edge, so that a receiver can tell a repetition;
     `body`: the edge as JSON (docs/reference/event-detector.md)."""
 
@@ -18,8 +16,7 @@ class Delivery:
     body: bytes
 
 
-@dataclass(frozen=True)
-class DeadLetter:
+class DeadLetter(NamedTuple):
     """An edge that a reaction has given up. `time`: when, ns since 1970; `reason`: why, in words."""
 
     reaction: str

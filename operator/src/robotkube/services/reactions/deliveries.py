@@ -55,14 +55,15 @@ class Deliveries:
 
     def stop(self, seconds: float) -> bool:
         """See the port."""
+        dead = self._dead
         self._deadline = self._monotonic() + seconds
         self._ending.set()
         self._thread.join(seconds)
-        left = 0
-        while not self._queue.empty():
-            self._give_up(self._queue.get_nowait(), "the detector ended")
-            left += 1
-        return not left and not self._thread.is_alive()
+        while True:
+            try:
+                self._give_up(self._queue.get_nowait(), "the detector ended")
+            except queue.Empty:
+                return self._dead == dead and not self._thread.is_alive()
 
     def _run(self) -> None:
         self._reach()

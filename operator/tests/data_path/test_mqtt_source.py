@@ -1,0 +1,139 @@
+"""The detector's process without ROS: topics from a real broker, also of a type that is not installed, events to it."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from programs import free_port
+from rule_stage import number
+
+from ci.benchmarks import pods
+from robotkube.adapters.mqtt_paho import BrokerAccount, PahoChannel
+from robotkube.domain.bridging_properties import type_properties, types_topic
+from robotkube.domain.frames import encode_frame
+from robotkube.domain.texts import write_mapping
+
+WAIT_SECONDS = 30.0
+LEVELS, TYPE = "/vehicles/{agent}/level", "odd_msgs/msg/Level"
+TOPIC = "mqtt/vehicles/vehicle_07/level"
+SETTINGS: dict[str, Any] = {
+    "name": "cloud-0/watch",
+    "topics": [{"name": LEVELS, "type": TYPE, "source": "mqtt"}],
+    "rules": [
+        {"name": "low", "kind": "threshold", "topic": LEVELS, "field": "left", "start_below": 5, "stop_above": 6}
+    ],
+    "reactions": [{"rule": "low", "kind": "mqtt", "topic": "events/low"}],
+}
+
+
+class Peer:
+    """A sender of levels that listens to events."""
+
+    def __init__(self, broker: pods.Broker) -> None:
+        account = BrokerAccount("127.0.0.1", broker.port, "vehicle-07", pods.password("vehicle-07"))
+        self.connections, self.heard = 0, list[dict[str, Any]]()
+        self.channel = PahoChannel(lambda: account, "vehicle-07-telemetry", 60, self)
+
+    def connected(self, session_kept: bool) -> None:
+        self.connections += 1
+        self.channel.subscribe(["events/#"])
+
+    def disconnected(self) -> None: ...
+
+    def acknowledged(self, token: int, heard: bool) -> None: ...
+
+    def rejected(self, token: int, reason: str) -> None:
+        pytest.fail(reason)
+
+    def refused(self, topic: str, reason: str) -> None:
+        pytest.fail(reason)
+
+    def received(self, topic: str, payload: bytes, properties: bytes) -> None:
+        self.heard.append(json.loads(payload))
+
+    def until(self, condition: Callable[[], object]) -> None:
+        deadline = time.monotonic() + WAIT_SECONDS
+        while not condition():
+            assert time.monotonic() < deadline, "did not happen in time"
+            self.channel.turn(time.monotonic())
+            self.channel.flush()
+            time.sleep(0.01)
+
+
+@pytest.fixture
+def broker(tmp_path: Path) -> Iterator[pods.Broker]:
+    accounts = {name: ["topic readwrite #"] for name in ("vehicle-07", "cloud-0")}
+    broker = pods.Broker(tmp_path / "broker", accounts)
+    broker.start()
+    yield broker
+    broker.stop()
+
+
+def test_a_type_that_is_not_installed_comes_with_its_definition(broker: pods.Broker, tmp_path: Path) -> None:
+    (tmp_path / "config.yaml").write_text(write_mapping(SETTINGS))
+    port = free_port()
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(sys.path),
+        "ROS_DOMAIN_ID": str(100 + os.getpid() % 100),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "ROBOTKUBE_CONFIG": str(tmp_path / "config.yaml"),
+        "ROBOTKUBE_SECRETS": str(broker.secret("cloud-0", "127.0.0.1")),
+        "ROBOTKUBE_HEALTH_PORT": str(port),
+    }
+    command = [sys.executable, "-m", "robotkube.entrypoints.detector"]
+    detector = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)
+    peer, frames = Peer(broker), iter(range(1000))
+
+    def say(value: float) -> None:
+        frame = encode_frame(1, next(frames), [number(value)])
+        assert peer.channel.publish(TOPIC, frame, False, type_properties(TYPE, "")) is not None
+
+    def status() -> Any:
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/status", timeout=5) as answer:
+            return json.load(answer)
+
+    def ready() -> bool:
+        try:
+            return status()["not_ready"] == ""
+        except OSError:
+            return False
+
+    try:
+        peer.until(lambda: peer.connections)
+        peer.until(ready)
+        definition = type_properties(TYPE, "", "text/plain")
+        peer.channel.publish(types_topic(TOPIC), b"float64 left\n", True, definition)
+        say(9.0)
+        peer.until(lambda: "/vehicles/vehicle_07/level" in status()["topics"])
+        say(4.0)
+        peer.until(lambda: len(peer.heard) == 1)
+        broker.stop()
+        broker.start()
+        peer.until(lambda: peer.connections == 2 and ready())
+        say(7.0)
+        peer.until(lambda: len(peer.heard) == 2)
+        shown = status()
+        detector.send_signal(signal.SIGTERM)
+        assert detector.wait(9.0) == 0
+    finally:
+        detector.kill()
+        detector.communicate(timeout=WAIT_SECONDS)
+        peer.channel.close()
+    assert [(told["edge"], told["agents"]) for told in peer.heard] == [
+        ("start", ["vehicle-07"]),
+        ("stop", ["vehicle-07"]),
+    ]
+    assert peer.heard[0]["causes"][0]["values"] == {"left": 4.0}
+    assert shown["topics"]["/vehicles/vehicle_07/level"]["received"] == 3
+    assert shown["reactions"]["mqtt low events/low"]["delivered"] == 2
