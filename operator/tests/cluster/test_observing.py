@@ -38,6 +38,13 @@ def seconds_until_observed(stage: Stage, key: str, repaired: float) -> float:
     return time.monotonic() - repaired
 
 
+def withdraw(stage: Stage, *keys: str) -> None:
+    """Take the demands back and wait until main has none of them, so that the next try begins as the first did."""
+    for key in keys:
+        stage.withdraw(key)
+    eventually("main has none of them", lambda: not any(stage.seats(key) for key in keys))
+
+
 def in_time(repair: Callable[[int], float]) -> None:
     """`repair` (given the number of the try) says after how many seconds the next plan was observed."""
     taken: list[float] = []
@@ -71,7 +78,7 @@ def test_a_plan_is_observed_whose_hook_was_lost(platform: Platform, stage: Stage
             key = asked(stage, f"hook-lost-{number}", "vehicle-00")
             eventually(f"{key} is merged", lambda: stage.told(key, COMMITTED).get("reason") == "Merged")
         taken = seconds_until_observed(stage, key, time.monotonic())
-        stage.withdraw(key)
+        withdraw(stage, key)
         return taken
 
     in_time(repair)
@@ -94,7 +101,7 @@ def test_a_broken_file_is_named_reverted_and_the_next_plan_observed(
         commit = eventually("the repair is on main", lambda: repair_of(stage, broken), REPAIRED_SECONDS_MAX)
         taken = seconds_until_observed(stage, key, time.monotonic())
         assert commit.paths == (BROKEN,)
-        stage.withdraw(key)
+        withdraw(stage, key)
         return taken
 
     in_time(repair)
@@ -124,8 +131,7 @@ def test_after_the_forge_was_away_the_demands_are_carried_out_in_their_order(pla
         made = [commit for commit in commits if set(keys) & set(commit.trailers.get("Task", ()))]
         assert {task for commit in made for task in commit.trailers["Task"]} == set(keys)
         assert keys[0] in made[-1].trailers["Task"]
-        for key in keys:
-            stage.withdraw(key)
+        withdraw(stage, *keys)
         return taken
 
     in_time(repair)
