@@ -205,7 +205,7 @@ WEAK = Quality("best_effort", "volatile")
     ("asked", "offers", "expected"),
     [
         (Asked(), [], Quality()),
-        (Asked(), [STRONG], Quality("reliable", "transient_local")),
+        (Asked(), [STRONG], Quality("reliable", "volatile")),
         (Asked(), [STRONG, WEAK], Quality("best_effort", "volatile")),
         (Asked("reliable", "transient_local"), [WEAK], Quality("reliable", "transient_local")),
         (Asked(deadline_ns=5, liveliness="manual_by_topic", lease_ns=6), [], Quality(deadline_ns=5,

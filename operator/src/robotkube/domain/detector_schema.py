@@ -93,7 +93,7 @@ _TOPIC: Mapping[str, Schema] = {
     "type": text("ROS message type, such as geometry_msgs/msg/PoseStamped.", pattern=TYPE_PATTERN),
     "source": choice(settings.SOURCES, "ros, or mqtt: straight from the broker, topic mqtt/<name>.", settings.ROS),
     "reliability": choice(RELIABILITIES, "ROS reliability; without it that of the publishers."),
-    "durability": choice(DURABILITIES, "ROS durability; without it that of the publishers."),
+    "durability": choice(DURABILITIES, "ROS durability; transient_local: also what was said before."),
     "depth": _whole(1, settings.DEPTH_MAX, "ROS history depth, our own.", settings.DEPTH_DEFAULT),
     "deadline_seconds": _seconds("ROS deadline that is asked of the publishers; without it none."),
     "liveliness": choice(LIVELINESSES, "ROS liveliness that is asked of the publishers.", AUTOMATIC),

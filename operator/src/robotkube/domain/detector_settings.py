@@ -68,8 +68,8 @@ _TASK = re.compile(r"[a-z0-9]([-a-z0-9]*[a-z0-9])?/[a-z0-9]([-.a-z0-9]*[a-z0-9])
 class TopicSettings:
     """A subscription, or one per agent when `pattern` holds `{agent}`, and its buffer.
 
-    `reliability` and `durability` are the publishers' when None. Without a message for `stale_seconds` a topic counts
-    as stale; one that a pattern found is forgotten after `expire_seconds`.
+    `reliability` is the publishers' when None, `durability` volatile. Without a message for `stale_seconds` a topic
+    counts as stale; one that a pattern found is forgotten after `expire_seconds`.
     """
 
     pattern: TopicPattern

@@ -46,7 +46,8 @@ class Offer(NamedTuple):
 
 
 class Asked(NamedTuple):
-    """What the settings ask for; what is None is taken over from the publishers, and without any from the defaults."""
+    """What the settings ask for. Reliability is the publishers' when None; durability is volatile then, which fits
+    every publisher, so that a subscription is what an interface declares whoever publishes."""
 
     reliability: str | None = None
     durability: str | None = None
@@ -59,10 +60,9 @@ def matched(asked: Asked, offers: Sequence[Offer]) -> Quality:
     """The quality of a subscription that all of the publishers fit, as far as the settings leave it open."""
     offered = [offer.quality for offer in offers]
     weak = any(quality.reliability == BEST_EFFORT for quality in offered)
-    latched = bool(offered) and all(quality.durability == TRANSIENT_LOCAL for quality in offered)
     return Quality(
         reliability=asked.reliability or (BEST_EFFORT if weak else RELIABLE),
-        durability=asked.durability or (TRANSIENT_LOCAL if latched else VOLATILE),
+        durability=asked.durability or VOLATILE,
         deadline_ns=asked.deadline_ns,
         liveliness=asked.liveliness,
         lease_ns=asked.lease_ns,
