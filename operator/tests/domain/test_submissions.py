@@ -142,7 +142,7 @@ def test_the_catalogue_must_hold_together_afterwards() -> None:
     dangling = submitted({"applications/relaying.yaml": application(chart_name="nothing")})
     assert "there is no chart 'nothing'" in dangling.problems[0]
     second = chart(version="0.3.0", replaces="0.2.0")
-    found = submitted({entry_path(second[0]): entry(*second)})
+    found = submitted({entry_path(second[0]): entry(*second)}, published(PACKED, SPEC))
     assert any("spec.replaces" in problem for problem in found.problems)
 
 
