@@ -279,7 +279,7 @@ TEMPLATES = [
         put(RECORDING, f"{REACTION}.recording", "{{ nothing.name }}"),
         RECORDING,
         f"{REACTION}.recording",
-        "unknown name 'nothing'; the names are agent, parameters, placement, task",
+        "unknown name 'nothing'; the names are agent, chart, parameters, placement, task",
     ),
     Mistake(
         "unknown parameter",
