@@ -33,7 +33,7 @@ class WholeSetting(Setting):
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
-        self.nodes = pods.Nodes(prefix="rkwp", second=248)  # beside tests of the data path
+        self.nodes = pods.Nodes()  # beside tests of the data path
 
     def _receiver(self, node: int) -> None:
         super()._receiver(node)
