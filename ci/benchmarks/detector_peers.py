@@ -24,9 +24,10 @@ from typing import Any
 from ci.benchmarks.bags import POSE_TYPE
 from robotkube.adapters.ros_rclpy import RosNode
 from robotkube.domain.rules import Edge
-from robotkube.entrypoints import detector
+from robotkube.entrypoints.detector import BUSY_SECONDS
+from robotkube.entrypoints.detector import body as detect
 from robotkube.entrypoints.processes import Process, run
-from robotkube.services.detector import raising
+from robotkube.services.detector.raising import Raising
 
 DEPTH = 20_000
 MATCH_SECONDS_MAX = 60.0
@@ -80,7 +81,7 @@ def drain(process: Process, options: argparse.Namespace) -> Mapping[str, Any]:
     node = RosNode("drain")
     inputs = [node.subscribe(topic(number), POSE_TYPE, depth=DEPTH) for number in range(options.agents)]
     messages, before = 0, 0.0
-    while not process.stopping.wait(detector.BUSY_SECONDS):
+    while not process.stopping.wait(BUSY_SECONDS):
         taken = sum(len(one.take()) for one in inputs)
         if taken and not messages:
             before = _cpu_seconds()
@@ -91,14 +92,14 @@ def drain(process: Process, options: argparse.Namespace) -> Mapping[str, Any]:
 def measured(process: Process, options: argparse.Namespace) -> Mapping[str, Any]:
     """The detector."""
     latencies: list[int] = []
-    react = raising.Raising.react
+    react = Raising.react
 
-    def timed(self: raising.Raising, edge: Edge) -> None:
+    def timed(self: Raising, edge: Edge) -> None:
         latencies.append(time.time_ns() - edge.time)
         react(self, edge)
 
-    raising.Raising.react = timed  # type: ignore[method-assign]
-    detector.body(process)
+    Raising.react = timed  # type: ignore[method-assign]
+    detect(process)
     return {"latencies_ns": latencies}
 
 
