@@ -31,10 +31,6 @@ class WholeSetting(Setting):
 
     detector = "robotkube.entrypoints.detector"
 
-    def __init__(self, *arguments: Any) -> None:
-        super().__init__(*arguments)
-        self.nodes = pods.Nodes()  # beside tests of the data path
-
     def _receiver(self, node: int) -> None:
         super()._receiver(node)
         self._launch("detector", node, "cloud-0", "event-detector", self.detector, settings(len(self.agents)))
