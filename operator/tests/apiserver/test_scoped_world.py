@@ -10,7 +10,7 @@ from api_server import ApiServerProcess
 from waiting import until
 
 from robotkube.adapters.kubernetes_api import KubernetesWorld, api_client
-from robotkube.domain.vetoes import HOLD_SECONDS_MAX, Hold
+from robotkube.domain.holds import HOLD_SECONDS_MAX, Hold
 
 EVENTS = "/apis/events.k8s.io/v1/namespaces/argocd/events"
 NEAR_SECONDS = 120.0

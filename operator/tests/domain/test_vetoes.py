@@ -8,9 +8,10 @@ from typing import Any
 import pytest
 
 from robotkube.domain.errors import DocumentError
+from robotkube.domain.holds import HOLD_SECONDS_MAX, Hold, message_hold, node_hold
 from robotkube.domain.planning import Change
 from robotkube.domain.releases import Cause, Release
-from robotkube.domain.vetoes import HOLD_SECONDS_MAX, Hold, held, message_hold, node_hold, standing, waiting_tasks
+from robotkube.domain.vetoes import held, standing, waiting_tasks
 
 SECOND = 1_000_000_000
 TEN = 1_795_255_200 * SECOND  # 2026-11-21T10:00:00Z

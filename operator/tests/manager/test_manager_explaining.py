@@ -11,7 +11,7 @@ import pytest
 from manager_stage import START_NS, Stage
 
 from robotkube.domain.errors import UnavailableError
-from robotkube.domain.vetoes import Hold
+from robotkube.domain.holds import Hold
 from robotkube.services import manager_explaining
 from robotkube.services.application_manager import DEPLOYMENT
 from robotkube.services.manager_explaining import Explainer

@@ -22,11 +22,11 @@ from kubernetes.watch.watch import iter_resp_lines
 
 from robotkube.domain.capacities import Resources, read_resources
 from robotkube.domain.errors import InputError, UnavailableError
+from robotkube.domain.holds import node_hold
 from robotkube.domain.json_texts import read_json
 from robotkube.domain.observation import ApplicationState, PodState
 from robotkube.domain.placement import NodeState
 from robotkube.domain.tasks import GROUP, PLURAL, VERSION, object_key
-from robotkube.domain.vetoes import node_hold
 from robotkube.ports.writing import writes
 
 REQUEST_SECONDS_MAX = 10.0

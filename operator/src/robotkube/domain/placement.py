@@ -12,7 +12,7 @@ from robotkube.domain.catalogue_applications import PlacementRule
 from robotkube.domain.errors import RefusalError
 
 if TYPE_CHECKING:
-    from robotkube.domain.vetoes import Hold
+    from robotkube.domain.holds import Hold
 
 NODE_LOST_SECONDS = 40.0
 LISTED_MAX = 10  # candidates that are listed one by one; more are counted by reason

@@ -10,7 +10,7 @@ from typing import Any
 
 from robotkube.adapters.metrics_prometheus import PrometheusMetrics
 from robotkube.domain.documents import Reader
-from robotkube.domain.vetoes import Hold
+from robotkube.domain.holds import Hold
 from robotkube.entrypoints import settings as files
 from robotkube.ports.clusters import Cluster, TaskStore
 from robotkube.services.application_manager import ApplicationManager

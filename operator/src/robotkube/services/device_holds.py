@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Sequence
 
 from robotkube.domain.errors import DocumentError
-from robotkube.domain.vetoes import PAYLOAD_BYTES_MAX, Hold, message_hold
+from robotkube.domain.holds import PAYLOAD_BYTES_MAX, Hold, message_hold
 
 log = logging.getLogger(__name__)
 

@@ -10,6 +10,7 @@ from robotkube.domain.chains import ChainTask, judge, lineage
 from robotkube.domain.composition import Met, Refused
 from robotkube.domain.conflicts import Outcome
 from robotkube.domain.errors import RefusalError
+from robotkube.domain.holds import Hold
 from robotkube.domain.placement import Agent, Fleet
 from robotkube.domain.planning import Change
 from robotkube.domain.releases import Release, Tree
@@ -23,7 +24,7 @@ from robotkube.domain.scopes import (
     scoped_fleet,
 )
 from robotkube.domain.tasks import TaskDescription
-from robotkube.domain.vetoes import Hold, held, waiting_tasks
+from robotkube.domain.vetoes import held, waiting_tasks
 
 Tasks = Mapping[str, TaskDescription]
 

@@ -13,6 +13,7 @@ from typing import Any
 from robotkube.domain.composition import Composer, Demand, Desired, Met, Refused, Validate, World
 from robotkube.domain.conflicts import History, Outcome, Postponed, Resolution, resolve
 from robotkube.domain.explanations import Explanation, explain
+from robotkube.domain.holds import Hold
 from robotkube.domain.initial import initial_demands
 from robotkube.domain.loops import Render
 from robotkube.domain.placement import NODE_LOST_SECONDS, Agent, Fleet, NodeState, fleet, next_loss_ns
@@ -22,7 +23,6 @@ from robotkube.domain.releases import Cause, Release, Tree
 from robotkube.domain.scopes import Operators
 from robotkube.domain.tasks import POSTPONED, TaskDescription, object_key
 from robotkube.domain.updates import Pin
-from robotkube.domain.vetoes import Hold
 from robotkube.ports.clusters import Cluster, TaskStore
 from robotkube.services.assured_catalogue import AssuredCatalogue
 from robotkube.services.manager_bounds import Bounds

@@ -37,8 +37,8 @@ from robotkube.domain.door_messages import (
     task_document,
 )
 from robotkube.domain.errors import InputError, UnavailableError
+from robotkube.domain.holds import HOLDS_TOPIC
 from robotkube.domain.tasks import object_key
-from robotkube.domain.vetoes import HOLDS_TOPIC
 from robotkube.ports.clusters import TaskStore
 from robotkube.ports.doors import DoorChannel, DoorMessage, TaskWriter
 from robotkube.ports.leadership import Leadership
