@@ -48,10 +48,10 @@ class Group:
 
 GROUPS = (
     Group("check", (), 180, "nothing"),
-    Group("unit", ("data_path", "manager", "domain", "unit", "images", "detector", "scenario"), 220, "tests", 2),
-    Group("charts", ("charts",), 60, "toolchain", 2),
-    Group("forge", ("forge", "database", "apiserver"), 240, "toolchain", 2),
-    Group("cluster", ("cluster", "table_one"), 1320, "images"),
+    Group("unit", ("data_path", "manager", "domain", "unit", "images", "detector", "scenario"), 300, "tests", 2),
+    Group("charts", ("charts",), 80, "toolchain", 2),
+    Group("forge", ("forge", "database", "apiserver"), 280, "toolchain", 2),
+    Group("cluster", ("cluster", "table_one"), 960, "images"),
 )
 THOROUGH = Group("thorough", tuple(folder for group in GROUPS for folder in group.folders), 6000, "images")
 

@@ -2,8 +2,8 @@
 
     python3 -m ci.benchmarks.receiver RESULT [--hashes] [--period-ms 30] TOPIC=TYPE[:latched] ...
 
-RESULT is written at SIGTERM: per topic the number of messages, ages in ms by bucket and, with --hashes, stamp and
-SHA-256 of every message in the order of arrival.
+RESULT is written whenever nothing more comes, and at SIGTERM (the middleware may hang there): per topic the number of
+messages, ages in ms by bucket and, with --hashes, stamp and SHA-256 of every message in the order of arrival.
 """
 
 from __future__ import annotations
@@ -36,7 +36,19 @@ def body(process: Process) -> None:
     ages: dict[str, Counter[int]] = {name: Counter() for name in sources}
     hashes: dict[str, list[tuple[int, str]]] = {name: [] for name in sources}
     received: Counter[str] = Counter()
+
+    def save() -> None:
+        result = {
+            name: {"received": received[name], "ages_ms": sorted(ages[name].items()), "hashes": hashes[name]}
+            for name in sources
+        }
+        unfinished = Path(f"{arguments.result}.part")
+        unfinished.write_text(json.dumps(result))
+        unfinished.rename(arguments.result)
+
+    saved = 0
     while not process.stopping.wait(arguments.period_ms / 1000):
+        before = received.total()
         for name, source in sources.items():
             messages = source.take()
             now = time.time_ns()
@@ -46,11 +58,10 @@ def body(process: Process) -> None:
                 if arguments.hashes:
                     hashes[name].append((stamp, hashlib.sha256(data).hexdigest()))
             received[name] += len(messages)
-    result = {
-        name: {"received": received[name], "ages_ms": sorted(ages[name].items()), "hashes": hashes[name]}
-        for name in sources
-    }
-    Path(arguments.result).write_text(json.dumps(result))
+        if saved < before == received.total():
+            save()
+            saved = before
+    save()
 
 
 def _arguments() -> argparse.Namespace:

@@ -264,7 +264,6 @@ DETECTOR_REFUSALS: list[tuple[dict[str, Any], str]] = [
         ("mqtt-bridge", {"bridge": {"in": [{"name": "/a"}]}}, "at '/bridge/in/0': missing property 'type'"),
         ("mqtt-bridge", {"serviceAccount": "admin"}, "additional properties 'serviceAccount' not allowed"),
         ("mqtt-bridge", {"placement": {"zone": "x"}}, "at '/placement': additional properties 'zone' not allowed"),
-        ("mqtt-bridge", {"placement": {"node": "A b"}}, "at '/placement/node': 'A b' does not match"),
         ("mqtt-bridge", {"placement": {"agent": "Vehicle 1"}}, "at '/placement/agent': 'Vehicle 1' does not match"),
         ("mqtt-bridge", {"global": {"image": "x"}}, "at '/global': additional properties 'image' not allowed"),
         ("mqtt-bridge", {"robotkube-app": {"x": 1}}, "at '/robotkube-app': additional properties 'x' not allowed"),

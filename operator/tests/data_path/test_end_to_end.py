@@ -53,7 +53,9 @@ def play(setting: Setting, acts: dict[float, Callable[[], None]]) -> Received:
     eventually(lambda: any('"end"' in f.read_text() for f in ends.glob("*/*pose.jsonl")), "end of the bag")
     time.sleep(DRAIN_SECONDS)
     setting.close()
-    result = json.loads((setting.folder / "received.json").read_text())
+    found = setting.folder / "received.json"
+    assert found.exists(), f"the receiver said:\n{(setting.folder / 'receiver.log').read_text()[-4000:]}"
+    result = json.loads(found.read_text())
     return {name: [(stamp, digest) for stamp, digest in topic["hashes"]] for name, topic in result.items()}
 
 

@@ -56,6 +56,14 @@ class Replicas:
         self.pods.append(pod)
         return pod
 
+    def start_both(self) -> tuple[Pod, Pod]:
+        """One that leads, and a second that waits."""
+        first = self.start()
+        until(lambda: self.settled(first), "the first leads", 40)
+        second = self.start()
+        until(second.ready, "the second waits")
+        return first, second
+
     def spec(self) -> dict[str, Any]:
         return dict(self.api.get(f"{LEASES}/{self.lease}").get("spec") or {})
 
@@ -143,10 +151,7 @@ def test_a_leader_that_stood_still_before_its_push_is_refused_afterwards(
 def test_the_second_takes_over_in_time_and_goes_on(
     own_installation: Installation, replicas: Replicas, api: Api
 ) -> None:
-    first = replicas.start()
-    until(lambda: replicas.settled(first), "the first leads", 40)
-    second = replicas.start()
-    until(second.ready, "the second waits")
+    first, second = replicas.start_both()
     assert replicas.leads(first)
     api.task("before", **MEETING)
     until(lambda: committed(api, "before"), "committed by the first")
@@ -163,10 +168,7 @@ def test_the_second_takes_over_in_time_and_goes_on(
 
 
 def test_a_leader_that_ends_gives_its_lease_back(replicas: Replicas) -> None:
-    first = replicas.start()
-    until(lambda: replicas.settled(first), "the first leads", 40)
-    second = replicas.start()
-    until(second.ready, "the second waits")
+    first, second = replicas.start_both()
     assert first.end() == 0
     until(lambda: replicas.leads(second), "the second leads at once", 5)
     assert replicas.api.get(f"{LEASES}/{replicas.lease}")["metadata"]["labels"] == LEASE_LABELS
@@ -175,10 +177,7 @@ def test_a_leader_that_ends_gives_its_lease_back(replicas: Replicas) -> None:
 def test_what_reaches_the_one_that_waits_is_answered_by_the_leader(
     own_installation: Installation, replicas: Replicas, api: Api
 ) -> None:
-    first = replicas.start()
-    until(lambda: replicas.settled(first), "the first leads", 40)
-    second = replicas.start()
-    until(second.ready, "the second waits")
+    first, second = replicas.start_both()
     api.task("asked", **MEETING)
     until(lambda: committed(api, "asked"), "committed by the first")
     until(lambda: second.plans() == first.plans(), "the second shows the plans of the first")
