@@ -35,6 +35,7 @@ ORDER = (
     "test_observing",
     "test_doors",
     "test_how_to",
+    "test_how_to_detector",
     "test_agents",
     "test_updates",
     "test_refusals",
