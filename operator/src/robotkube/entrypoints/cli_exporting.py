@@ -15,7 +15,7 @@ from typing import Any
 from robotkube.adapters.bag_writing import BagWriter
 from robotkube.adapters.bags import open_bag
 from robotkube.adapters.datasets_kitti import KittiDataset
-from robotkube.adapters.segments_mcap import McapSegmentReader, definition
+from robotkube.adapters.segments_mcap import definition
 from robotkube.adapters.shelf_files import FileShelf
 from robotkube.domain.errors import InputError
 from robotkube.domain.labels import DISTANCE_DEFAULT, GAP_SECONDS_DEFAULT, SIZE_DEFAULT, Labelling
@@ -23,6 +23,7 @@ from robotkube.domain.layouts import Layouts
 from robotkube.domain.topics import TopicPattern
 from robotkube.entrypoints import cli_recordings
 from robotkube.entrypoints.cli_output import Table
+from robotkube.entrypoints.cli_volumes import add_argument as add_segments
 from robotkube.ports.recordings import RecordingReader, SegmentReader
 from robotkube.services.exporting import Export, Selection, prepare, write
 from robotkube.services.labelling import POSES_DEFAULT, LabellingCounts, label_clouds
@@ -45,13 +46,7 @@ def exporting(parser: argparse.ArgumentParser) -> None:
     when = "stamp in ns, seconds from the recording's begin, or a time such as 2026-11-22T10:00:00Z"
     parser.add_argument("--from", dest="first", metavar="WHEN", help=f"only from here: {when}")
     parser.add_argument("--to", dest="last", metavar="WHEN", help="only up to here, as --from")
-    parser.add_argument(
-        "--segments",
-        action="append",
-        default=[],
-        metavar="VOLUME=FOLDER",
-        help="where a volume (<node>/<claim>) is in reach; once per volume",
-    )
+    add_segments(parser)
     labelling(parser)
 
 
@@ -74,7 +69,7 @@ def export(options: argparse.Namespace) -> Table:
     """Write the recording's bag, and with --labels its dataset; refused when something had to be left out."""
     readers = cli_recordings.readers_of(options)
     _, reader, found = cli_recordings.find(readers, options.recording)
-    segments = McapSegmentReader(dict(cli_recordings.volume_place(text) for text in options.segments))
+    segments = cli_recordings.segments_of(options)
     settings = labelling_settings(options) if options.labels else None
     return exported(reader, segments, found, options.folder, Wanted.of(options, found), settings)
 

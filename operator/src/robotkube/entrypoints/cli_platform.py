@@ -64,6 +64,10 @@ class Platform:
         """Pods of agents' releases."""
         return self._items("/api/v1/pods", [("labelSelector", AGENT_LABEL)])
 
+    def volumes(self) -> Sequence[Mapping[str, Any]]:
+        """PersistentVolumes."""
+        return self._items("/api/v1/persistentvolumes")
+
     def detector_events(self) -> Mapping[str, Mapping[str, Any]]:
         """`<namespace>/<pod>` -> `/events`, of the event detectors that answer."""
         found: dict[str, Mapping[str, Any]] = {}

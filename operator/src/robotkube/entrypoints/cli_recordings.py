@@ -21,6 +21,8 @@ from robotkube.domain.recordings import SEGMENT, LedgerLine
 from robotkube.domain.topics import AGENT
 from robotkube.entrypoints.cli_output import Table
 from robotkube.entrypoints.cli_platform import Platform
+from robotkube.entrypoints.cli_volumes import add_argument as add_segments
+from robotkube.entrypoints.cli_volumes import folders_here, volume_place
 from robotkube.ports.recordings import RecordingReader, SegmentReader
 from robotkube.services.recordings import (
     audits,
@@ -62,13 +64,7 @@ def verifying(parser: argparse.ArgumentParser) -> None:
         metavar="FOLDER",
         help="compare with a player's ledgers of one run, too; once per player",
     )
-    parser.add_argument(
-        "--segments",
-        action="append",
-        default=[],
-        metavar="VOLUME=FOLDER",
-        help="where a volume (<node>/<claim>) is in reach; once per volume",
-    )
+    add_segments(parser)
     parser.add_argument(
         "--window",
         metavar="FIRST:LAST",
@@ -88,8 +84,8 @@ def show(options: argparse.Namespace) -> Table:
 
 def verify_one(options: argparse.Namespace) -> Table:
     """Whether one recording is what was received, and what ledgers say; refused unless it is complete."""
-    segments = McapSegmentReader(dict(volume_place(text) for text in options.segments))
     window = _window(options.window) if options.window else None
+    segments = segments_of(options)
     folders = [Path(folder) for folder in options.ledgers]
     return verified(readers_of(options), segments, options.recording, folders, window)
 
@@ -187,6 +183,12 @@ def readers_of(options: argparse.Namespace) -> Readers:
     return {agent: _reader(agent, values, host, port) for agent, values in sorted(accounts.items())}
 
 
+def segments_of(options: argparse.Namespace) -> SegmentReader:
+    """The segments within reach, by the options of the command."""
+    named = dict(volume_place(text) for text in options.segments)
+    return McapSegmentReader({**folders_here(Platform(options).volumes()), **named})
+
+
 def _reader(agent: str, values: Mapping[str, str], host: str, port: int) -> RecordingReader:
     try:
         account = Account(
@@ -281,14 +283,6 @@ def _ledgers(folders: Sequence[Path], topics: Sequence[str]) -> Iterator[tuple[s
 
 def _file_name(topic: str) -> str:
     return f"{topic.replace('/', '__')}.jsonl"
-
-
-def volume_place(text: str) -> tuple[str, Path]:
-    """`VOLUME=FOLDER` of an option."""
-    volume, separator, folder = text.partition("=")
-    if not separator or "/" not in volume or not Path(folder).is_dir():
-        raise InputError(f"--segments {text!r} must be <node>/<claim>=<existing folder>, as cloud-0/recordings=...")
-    return volume, Path(folder)
 
 
 def _window(text: str) -> Window:
