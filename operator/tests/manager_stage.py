@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from robotkube.domain.placement import Agent, NodeState
 from robotkube.domain.releases import Release, read_tree
 from robotkube.services.application_manager import (
     APPLICATIONS,
+    DEPLOYMENT,
     TASKS,
     ApplicationManager,
     World,
@@ -68,6 +69,8 @@ def catalogue_files(signing: Signing) -> dict[str, str]:
 class Stage:
     """Everything around one manager; the clock moves only when a test moves it."""
 
+    told: Sequence[str] = ()
+
     def __init__(self, folder: Path, vehicles: int = 3) -> None:
         key = signing_key(folder / "key")
         self.verifier = trusting(folder / "trusted", key)
@@ -110,6 +113,14 @@ class Stage:
         for _ in range(steps):
             self.manager.step()
             self.seconds += seconds
+            self.tell()
+
+    def tell(self) -> None:
+        """What gate and forge say of proposals: nothing of main when a person moved it."""
+        states = [pull.state for pull in self.forge.pulls.values()]
+        if states != self.told:
+            self.told = states
+            self.manager.wake(DEPLOYMENT)
 
     def fail(self) -> None:
         """One turn of the loop in which the world does not answer."""

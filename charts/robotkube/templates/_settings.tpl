@@ -25,6 +25,8 @@ webhook:
   secret: /var/run/secrets/robotkube/webhook/secret
 evidence:
   keys: /etc/robotkube/keys
+gate:
+  objects: http://{{ include "robotkube.host" (dict "root" . "name" "gate") }}:8080/objects
 lease: {namespace: {{ .Release.Namespace }}, name: robotkube-manager-{{ $manager.name }}}
 agents:
 {{- include "robotkube.agents" . }}

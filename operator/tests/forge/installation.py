@@ -28,12 +28,13 @@ from programs import free_port
 
 from robotkube.adapters.forges.gitea import GiteaForge
 from robotkube.adapters.git import GitClone
-from robotkube.adapters.push_hooks import PushHook, PushRelay
+from robotkube.adapters.push_hooks import ObjectsRelay, PushHook, PushRelay
 from robotkube.adapters.schemas_jsonschema import validate
 from robotkube.adapters.webhooks import WebServer
 from robotkube.domain.checks import Proposer
 from robotkube.domain.proposals import ChartReference, CommitMessage, write_message
 from robotkube.domain.releases import Cause, Release, Source, write_release, write_source
+from robotkube.entrypoints.gate import OBJECTS_PATH, take_objects
 from robotkube.services.assured_catalogue import AssuredCatalogue
 from robotkube.services.bootstrapping import Account, ForgeSetup, Organisation, Repository, Webhook
 from robotkube.services.gate import Gate, metrics_text
@@ -264,6 +265,12 @@ def outside(installation: Installation) -> Outside:
     return Outside(installation.url, password, WEBHOOK_SECRET, key_folder(), CHARTS_URL, nowhere)
 
 
+def objects_relay(installation: Installation, secret: str = WEBHOOK_SECRET) -> ObjectsRelay:
+    """What hands objects to the installation's gate."""
+    url = f"http://127.0.0.1:{installation.gate_port}{OBJECTS_PATH}"
+    return ObjectsRelay(url, secret.encode(), "robotkube/deployment")
+
+
 def release_files(made_by: str, name: str = "recorder", **changes: Any) -> dict[str, str | None]:
     """A release of the recorder and its source."""
     release = Release(
@@ -351,6 +358,7 @@ def start_gate(
         lambda: metrics_text(gate.statistics),
         WEBHOOK_SECRET.encode(),
         lambda delivery: gate.wake(delivery.event, delivery.payload),
+        signed={OBJECTS_PATH: take_objects(gate, "robotkube/deployment")},
     )
     stopping = threading.Event()
     thread = threading.Thread(target=gate.run, args=(stopping,), daemon=True)

@@ -12,11 +12,21 @@ from typing import Any
 
 import pytest
 from evidence_of_tests import trusted_keys, unproved_chart
-from installation import CATALOGUE, CHARTS_URL, TERM, ApplicationSetController, Installation, RunningGate, start_gate
+from installation import (
+    CATALOGUE,
+    CHARTS_URL,
+    TERM,
+    ApplicationSetController,
+    Installation,
+    RunningGate,
+    objects_relay,
+    start_gate,
+)
 from waiting import until
 
 from robotkube.adapters.forges.gitea import GiteaForge
 from robotkube.adapters.git import GitClone, ProposalWriter
+from robotkube.adapters.push_hooks import ObjectsRelay
 from robotkube.adapters.schemas_jsonschema import validate
 from robotkube.adapters.templates_jinja2 import Jinja2Templates
 from robotkube.domain.placement import Agent, NodeState
@@ -47,11 +57,13 @@ class RunningManager:
     deployment: GitClone
     forge: GiteaForge
     catalogue: AssuredCatalogue
+    relay: ObjectsRelay
 
     def stop(self) -> None:
         self.manager.stop(self.stopping)
         self.thread.join(10)
         self.forge.disconnect()
+        self.relay.disconnect()
 
     def plans(self) -> list[dict[str, Any]]:
         return list(self.manager.records.as_json()["plans"])
@@ -67,7 +79,8 @@ def start_manager(
     """A new manager on `folder`; it leads, unless a test says otherwise."""
     url, account = installation.url, ("manager", installation.passwords["manager"])
     deployment = GitClone(url, "robotkube/deployment", *account, folder / "deployment")
-    proposals = ProposalWriter(folder / "deployment", *account, "robotkube-manager", time.time)
+    relay = objects_relay(installation)
+    proposals = ProposalWriter(folder / "deployment", *account, "robotkube-manager", time.time, hand=relay.hand)
     catalogue = AssuredCatalogue(GitClone(url, "robotkube/catalogue", *account, folder / "catalogue"), trusted_keys())
     nodes = [NodeState(name, name, role, frozenset({"recording"}), True) for name, role in AGENTS]
     cluster, main = MemoryCluster(nodes), MainReader(deployment)
@@ -80,7 +93,7 @@ def start_manager(
     stopping = threading.Event()
     thread = threading.Thread(target=manager.run, args=(stopping,), daemon=True)
     thread.start()
-    return RunningManager(manager, thread, stopping, tasks, cluster, deployment, forge, catalogue)
+    return RunningManager(manager, thread, stopping, tasks, cluster, deployment, forge, catalogue, relay)
 
 
 def releases(installation: Installation) -> dict[str, Release]:

@@ -256,6 +256,7 @@ def test_a_hold_ends_by_itself(stage: Stage) -> None:
     stage.seconds += 31.0
     for _ in range(4):
         stage.manager.step()
+        stage.tell()
         stage.seconds += 0.1
     assert stage.tasks.condition(key, "Committed") == ("True", "Merged")
 

@@ -55,6 +55,8 @@ def test_a_manager_that_is_away_holds_nothing_up(url: str) -> None:
         ("push", {"ref": "refs/heads/main", "after": 7}, (DEPLOYMENT, "")),
         ("push", {"ref": "refs/heads/other", "after": AFTER}, None),
         ("pull_request", {"action": "closed"}, (DEPLOYMENT, "")),
+        ("pull_request", {"action": "closed", "pull_request": {"merged": False}}, (DEPLOYMENT, "")),
+        ("pull_request", {"action": "closed", "pull_request": {"merged": True}}, None),
         ("pull_request", {"action": "opened"}, None),
         (
             "push",

@@ -3,6 +3,7 @@ taken and logs why not; who was not reached looks by himself, or hears it from t
 
 `PushHook` tells the ApplicationSet controller, which takes GitHub's shape only. `PushRelay` tells a manager in the
 words of Gitea, whose own delivery comes about a fifth of a second after the push: it computes its records first.
+`ObjectsRelay` hands the gate what a manager proposes while the forge still takes the push.
 """
 
 from __future__ import annotations
@@ -11,9 +12,12 @@ import hashlib
 import hmac
 import json
 import logging
+import threading
 from collections.abc import Callable, Mapping
 
 import httpx
+
+from robotkube.domain.handed_objects import HandedObjects, write_objects
 
 HOOK_SECONDS_MAX = 5.0
 RELAY_SECONDS_MAX = 1.0  # the gate's next decision waits for it
@@ -78,3 +82,35 @@ class PushRelay(_SignedPush):
             return {"X-Gitea-Event": "push", "X-Gitea-Signature": signature}
 
         super().__init__(url, secret, {"full_name": repository}, branch, RELAY_SECONDS_MAX, headers)
+
+
+class ObjectsRelay:
+    """Hands objects for `repository` (`<organisation>/<name>`) to the gate at `url`; `secret` is the one that the gate
+    shares with the forge. One at a time, on a thread of its own: the push does not wait for it, nor it for the push."""
+
+    def __init__(self, url: str, secret: bytes, repository: str) -> None:
+        self._url, self._secret, self._repository = url, secret, repository
+        self._client, self._free = httpx.Client(timeout=RELAY_SECONDS_MAX), threading.Semaphore(1)
+
+    def disconnect(self) -> None:
+        """Give the connection back."""
+        self._client.close()
+
+    def hand(self, handed: HandedObjects) -> None:
+        """Returns at once. While others are still under way these are dropped: the gate fetches them."""
+        if self._free.acquire(blocking=False):
+            threading.Thread(target=self._send, args=(handed,), daemon=True).start()
+
+    def _send(self, handed: HandedObjects) -> None:
+        body = write_objects(handed, self._repository)
+        signature = hmac.new(self._secret, body, hashlib.sha256).hexdigest()
+        headers = {"Content-Type": "application/json", "X-Gitea-Signature": signature}
+        try:
+            answer = self._client.post(self._url, content=body, headers=headers)
+            if answer.is_error:
+                reason = answer.text[:200].strip()
+                log.warning("objects refused url=%s status=%d reason=%s", self._url, answer.status_code, reason)
+        except (httpx.HTTPError, RuntimeError) as error:  # the latter: disconnected meanwhile
+            log.warning("objects not handed over url=%s reason=%s", self._url, error or type(error).__name__)
+        finally:
+            self._free.release()

@@ -6,7 +6,8 @@
     GET  /readyz    200, or 503 with one reason per line
     GET  /metrics   Prometheus text
     GET  <page>     a JSON document of the process, where it offers one
-    POST <path>     what the process answers to a question, where it takes any
+    POST <path>     what the process answers to a question, where it takes any; for some the body must be signed as a
+                    delivery is: 401 otherwise
     PUT  <path>     what `put` answers, where a process takes requests
 
 A delivery only wakes its receiver: what happened is read from the forge afterwards, so a lost, doubled or replayed
@@ -80,9 +81,7 @@ def read_delivery(headers: Mapping[str, str], body: bytes, secret: bytes) -> Del
     """The delivery in a request of Gitea, GitHub or GitLab; raises with the HTTP status when signature or body are
     wrong. GitLab's events are told in the words of the other two."""
     names = {name.lower(): value for name, value in headers.items()}
-    if not _genuine(names, body, secret):
-        problem = "X-Gitea-Signature, X-Hub-Signature-256 or X-Gitlab-Token does not fit"
-        raise _DeliveryError(401, f"{problem}: both sides need the same webhook secret")
+    _check(names, body, secret)
     try:
         payload = json.loads(body)
     except ValueError as error:
@@ -92,6 +91,12 @@ def read_delivery(headers: Mapping[str, str], body: bytes, secret: bytes) -> Del
     if "x-gitlab-event" in names:
         return _of_gitlab(payload)
     return Delivery(names.get("x-gitea-event") or names.get("x-github-event", ""), payload)
+
+
+def _check(names: Mapping[str, str], body: bytes, secret: bytes) -> None:
+    if not _genuine(names, body, secret):
+        problem = "X-Gitea-Signature, X-Hub-Signature-256 or X-Gitlab-Token does not fit"
+        raise _DeliveryError(401, f"{problem}: both sides need the same webhook secret")
 
 
 def _genuine(names: Mapping[str, str], body: bytes, secret: bytes) -> bool:
@@ -120,7 +125,8 @@ class WebServer:
 
     `deliver` must return at once (it wakes a loop); `ready` gives the reasons why the process is not ready (empty = it
     is); `metrics` gives Prometheus text; `pages` are JSON documents by path, `posts` answer questions by path. Port 0
-    takes a free one, see `port`. Without a secret there is no /webhook. `put` gets path, headers (lower-case names) and
+    takes a free one, see `port`. Without a secret there is no /webhook. `signed` are posts by path that are answered
+    only when their body is signed with the secret. `put` gets path, headers (lower-case names) and
     body of a PUT, and gives status and JSON. `elsewhere` may answer genuine deliveries, pages and questions instead.
     """
 
@@ -136,12 +142,13 @@ class WebServer:
         put: Put | None = None,
         posts: Mapping[str, Post] | None = None,
         elsewhere: Elsewhere | None = None,
+        signed: Mapping[str, Post] | None = None,
     ) -> None:
         self._server = _Server((address, port), _Handler)
         self._server.ready, self._server.metrics = ready, metrics
         self._server.secret, self._server.deliver = secret, deliver
         self._server.pages, self._server.put, self._server.posts = pages or {}, put, posts or {}
-        self._server.elsewhere = elsewhere
+        self._server.elsewhere, self._server.signed = elsewhere, signed or {}
         self._thread = threading.Thread(target=self._server.serve_forever, kwargs={"poll_interval": 0.2}, daemon=True)
 
     @property
@@ -174,6 +181,7 @@ class _Server(ThreadingHTTPServer):
     put: Put | None
     posts: Mapping[str, Post]
     elsewhere: Elsewhere | None
+    signed: Mapping[str, Post]
 
     def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
         super().__init__(address, handler)
@@ -246,6 +254,9 @@ class _Handler(BaseHTTPRequestHandler):
         if self.path in self.server.posts:
             self._reply(self.server.posts[self.path])
             return
+        if self.path in self.server.signed:
+            self._reply(self.server.signed[self.path], signed=True)
+            return
         if self.path != "/webhook" or self.server.deliver is None:
             self._refuse(404, "not found")
             return
@@ -269,10 +280,12 @@ class _Handler(BaseHTTPRequestHandler):
         put, headers = self.server.put, self._names()
         self._reply(lambda body: put(self.path, headers, body))
 
-    def _reply(self, reply: Post) -> None:
+    def _reply(self, reply: Post, signed: bool = False) -> None:
         """Answer a request by its body."""
         try:
             body = self._body()
+            if signed:
+                _check(self._names(), body, self.server.secret)
         except _DeliveryError as error:
             self._refuse(error.status, str(error))
             return

@@ -11,6 +11,7 @@ from robotkube.adapters.forges.gitea import GiteaForge
 from robotkube.adapters.git import GitClone, ProposalWriter
 from robotkube.domain.catalogue_entries import read_one_of
 from robotkube.domain.documents import Reader
+from robotkube.domain.handed_objects import HandedObjects
 from robotkube.entrypoints import settings as files
 
 GITEA, GITHUB, GITLAB = "gitea", "github", "gitlab"
@@ -48,12 +49,12 @@ class ForgeAddress:
         author: str,
         clock: Callable[[], float],
         branch: str,
+        hand: Callable[[HandedObjects], None] | None = None,
     ) -> ProposalWriter:
         """The port Proposals on the clone in `folder`: by AGit where `forge` takes that, else by branches."""
         opens = None if isinstance(forge, GiteaForge) else forge.open_pull_request
-        return ProposalWriter(
-            folder, account.username, account.password, author, clock, branch=branch, open_pull_request=opens
-        )
+        name, password = account.username, account.password
+        return ProposalWriter(folder, name, password, author, clock, branch, opens, hand)
 
 
 def read_address(reader: Reader, forge: Mapping[str, object]) -> ForgeAddress:

@@ -20,10 +20,11 @@ from robotkube.adapters.git import GitNotes
 from robotkube.adapters.oci_registry import Registry
 from robotkube.adapters.push_hooks import PushHook, PushRelay
 from robotkube.adapters.suite_runner_http import SuiteRunnerClient
-from robotkube.adapters.webhooks import Delivery, WebServer
+from robotkube.adapters.webhooks import Delivery, Post, WebServer
 from robotkube.domain.checks import Proposer
 from robotkube.domain.documents import Reader
-from robotkube.domain.errors import UnavailableError
+from robotkube.domain.errors import DocumentError, UnavailableError
+from robotkube.domain.handed_objects import read_objects
 from robotkube.domain.suite_requests import SuiteProgress, SuiteRequest
 from robotkube.entrypoints import settings as files
 from robotkube.entrypoints.bounded_schemas import BoundedSchemas
@@ -40,6 +41,7 @@ from robotkube.services.verifying import Verifying, VerifyingSettings
 
 GRACE_SECONDS = 5.0
 STOP_LOOK_SECONDS = 0.2
+OBJECTS_PATH = "/objects"
 
 
 @dataclass(frozen=True)
@@ -209,6 +211,19 @@ def build_notes(found: GateConfiguration, work: Path) -> NoteKeeper:
     return NoteKeeper(forge, notes, found.gate.accounts, time.monotonic)
 
 
+def take_objects(gate: Gate, repository: str) -> Post:
+    """What POST /objects does: 200, or 400 with what is wrong."""
+
+    def post(body: bytes) -> tuple[int, Mapping[str, Any]]:
+        try:
+            gate.hand(read_objects(body, repository))
+        except DocumentError as error:
+            return 400, {"problems": error.problems}
+        return 200, {}
+
+    return post
+
+
 def _now() -> str:
     return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
@@ -238,6 +253,7 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
         lambda: metrics_text(gate.statistics) + publication_metrics(publication.statistics),
         found.webhook_secret.encode(),
         wake,
+        signed={OBJECTS_PATH: take_objects(gate, found.gate.deployment)},
     )
     server.start()
     process.log("started", port=server.port, proposers=len(found.gate.proposers))

@@ -24,7 +24,7 @@ from robotkube.adapters.evidence_dsse import TrustedKeys
 from robotkube.adapters.kubernetes_api import KubernetesWorld, api_client
 from robotkube.adapters.leader_http import LeaderRequests
 from robotkube.adapters.lease_kubernetes import LeaseElection, identity_of
-from robotkube.adapters.push_hooks import PushHook
+from robotkube.adapters.push_hooks import ObjectsRelay, PushHook
 from robotkube.adapters.templates_jinja2 import Jinja2Templates
 from robotkube.adapters.webhooks import Delivery, WebServer
 from robotkube.domain.documents import Reader
@@ -79,6 +79,7 @@ class ManagerConfiguration:
     hook_url: str
     hook_secret: str
     webhook_secret: str
+    gate_objects_url: str
     lease_namespace: str
     lease_name: str
     broker: BrokerSettings | None
@@ -91,7 +92,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ManagerCo
     """The settings document of the manager."""
     keys = ["listen", "log_level", "forge", "registry", "evidence", "argocd", "hook", "webhook"]
     keys += ["agents", "lease", "scope", "operators", "node_lost_seconds"]
-    root = reader.mapping(document, "", keys, ["broker", "traces"])
+    root = reader.mapping(document, "", keys, ["broker", "traces", "gate"])
     forge_keys = ["url", "credentials", "deployment", "catalogue", "branch"]
     forge = reader.mapping(root.get("forge") or {}, "forge", forge_keys, ["kind", "api"])
     registry = reader.mapping(root.get("registry") or {}, "registry", ["charts"])
@@ -100,6 +101,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ManagerCo
     lease = reader.mapping(root.get("lease") or {}, "lease", ["namespace", "name"])
     webhook = reader.mapping(root.get("webhook") or {}, "webhook", ["secret"])
     evidence = reader.mapping(root.get("evidence") or {}, "evidence", ["keys"])
+    gate = reader.mapping(root.get("gate") or {}, "gate", [], ["objects"])
     return ManagerConfiguration(
         listen=files.listen(reader, root.get("listen")),
         log_level=files.log_level(reader, root.get("log_level")),
@@ -115,6 +117,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ManagerCo
         hook_url=reader.word(hook.get("url"), "hook.url", files.HTTP_URL),
         hook_secret=files.secret(reader, hook.get("secret"), "hook.secret"),
         webhook_secret=files.secret(reader, webhook.get("secret"), "webhook.secret"),
+        gate_objects_url=reader.word(gate.get("objects"), "gate.objects", files.HTTP_URL, default=""),
         lease_namespace=reader.word(lease.get("namespace"), "lease.namespace", files.WORD),
         lease_name=reader.word(lease.get("name"), "lease.name", files.WORD),
         broker=read_broker(reader, root.get("broker")),
@@ -170,7 +173,9 @@ def build_manager(
     work.mkdir(parents=True, exist_ok=True)
     deployment = found.forge.clone(found.deployment, account, work / "deployment", branch)
     forge = found.forge.pull_requests(found.deployment, account, branch)
-    proposals = found.forge.writer(forge, work / "deployment", account, COMMIT_AUTHOR, time.time, branch)
+    gate, secret = found.gate_objects_url, found.webhook_secret.encode()
+    hand = ObjectsRelay(gate, secret, found.deployment).hand if gate else None
+    proposals = found.forge.writer(forge, work / "deployment", account, COMMIT_AUTHOR, time.time, branch, hand)
     clone = found.forge.clone(found.catalogue, account, work / "catalogue", branch)
     catalogue = AssuredCatalogue(clone, TrustedKeys(found.evidence_keys))
     main = MainReader(deployment)
@@ -264,9 +269,10 @@ def _stop_with(process: Process, manager: ApplicationManager) -> None:
 
 def news(delivery: Delivery, catalogue: str) -> tuple[str, str] | None:
     """What to wake the manager with: what may have changed, and main's new tip when the delivery says it. None for what
-    is no news, such as that a proposal was opened."""
+    is no news, such as that a proposal was opened, or that one was merged: the push that did it is told for itself."""
     moved = delivery.event == "push" and delivery.payload.get("ref") == "refs/heads/main"
-    if not moved and delivery.payload.get("action") != "closed":
+    merged = (delivery.payload.get("pull_request") or {}).get("merged") is True
+    if not moved and (delivery.payload.get("action") != "closed" or merged):
         return None
     tip = delivery.payload.get("after") if moved else ""
     return CATALOGUE if delivery.repository == catalogue else DEPLOYMENT, tip if isinstance(tip, str) else ""

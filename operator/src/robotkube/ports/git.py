@@ -6,6 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+from robotkube.domain.handed_objects import HandedObjects
+
 
 @dataclass(frozen=True)
 class Commit:
@@ -114,6 +116,11 @@ class MainBranch(MainHistory, Protocol):
 
     def proposal(self, number: int) -> Commit:
         """The head commit of a pull request, fetched together with main."""
+        ...
+
+    def take(self, handed: HandedObjects) -> Commit | None:
+        """The commit that was handed over with its objects, when it stands on main's tip as it is known here and
+        everything that it brings is here now; None: it has to be fetched."""
         ...
 
     def contains(self, commit: str) -> bool:

@@ -124,7 +124,10 @@ class ApplicationManager:
 
     def wake(self, what: str, tip: str = "") -> None:
         """Something may have changed: TASKS, NODES, APPLICATIONS, DEPLOYMENT or CATALOGUE. `tip`: main's new tip when
-        the forge said it under its signature, which saves fetching what was proposed from here."""
+        the forge said it under its signature, which saves fetching what was proposed from here; it is no news when it
+        was read already, as when the forge tells later what the gate had told."""
+        if what == DEPLOYMENT and tip and tip == self._main.tip:
+            return
         with self._lock:
             self._flags.add(what)
             self._told_tip = tip or self._told_tip
@@ -212,8 +215,9 @@ class ApplicationManager:
             flags |= {TASKS}
         if self._monotonic() - self._main_looked_at >= MAIN_SECONDS:
             flags |= {DEPLOYMENT}
-        self._look(flags, told)
-        if self._proposal is not None:
+        reads = DEPLOYMENT in flags or self._decision_is_due(flags)
+        self._look(flags, reads, told)
+        if self._proposal is not None and reads:
             self._follow(self._proposal)
         closed = self._proposal is not None and TASKS in flags and self._supersede(self._proposal)
         if closed:
@@ -231,6 +235,14 @@ class ApplicationManager:
             self._telling.tell_one()
         self.statistics.step()
         return self._pause()
+
+    def _decision_is_due(self, flags: set[str]) -> bool:
+        """Whether it is looked for although nobody has told of one. Not for every task or node that changes meanwhile:
+        the forge has enough to do for the gate. Before a proposal is closed it is."""
+        if self._proposal is None:
+            return False
+        late = self._monotonic() - self._main_looked_at >= DECISION_POLL_SECONDS
+        return late or (TASKS in flags and superseded(self._proposal.asked, self._world.tasks.tasks()))
 
     def _stand_by(self) -> float:
         """Fetch main now and then: whoever leads next can, and need not fetch much."""
@@ -254,11 +266,11 @@ class ApplicationManager:
         due = self._planner.next_due_ns
         return LOOK_SECONDS if due is None else (due - self._now_ns()) / 1e9
 
-    def _look(self, flags: set[str], told: str) -> None:
-        """Read what may have changed in the two repositories; `told` is main's tip as the forge last told it."""
+    def _look(self, flags: set[str], reads: bool, told: str) -> None:
+        """Read the catalogue when it may have changed, and main when `reads`; `told` is main's tip as last told."""
         if CATALOGUE in flags:
             self._catalogue.read()
-        if DEPLOYMENT in flags or self._proposal is not None:
+        if reads:
             self._main_looked_at = self._monotonic()
             own = self._proposal is not None and told == self._proposal.record.commit
             if self._main.read(told if own else ""):

@@ -4,7 +4,8 @@ Level-triggered: a round looks at the open pull requests and at main's tip, deci
 next round forward, and names the pull request to look at first. So lost webhooks, restarts and half-finished rounds are
 repaired by the next round. A pull request whose commit is in main already is left to the forge, which marks it merged
 by itself. Nobody's word about a commit counts (statuses, labels): what is judged is read from Git, by whom it was
-proposed from the forge.
+proposed from the forge. A manager may hand over its commit's objects, which saves fetching them: only a merge is
+decided on those, and only the forge makes it one, by taking the push onto main's tip.
 """
 
 from __future__ import annotations
@@ -17,12 +18,14 @@ from typing import Any
 
 from robotkube.domain import verdict_texts
 from robotkube.domain.checks import Proposal, Verdict
-from robotkube.domain.errors import DocumentError, RobotKubeError
+from robotkube.domain.errors import DocumentError, InputError, RobotKubeError
+from robotkube.domain.handed_objects import HandedObjects
 from robotkube.domain.merging import APPROVAL, AUTOMATIC, Way, is_approved
 from robotkube.domain.values_schemas import Validate
 from robotkube.ports.forges import Forge, PullRequest, PushHook
 from robotkube.ports.git import Commit, MainBranch
 from robotkube.services.assured_catalogue import AssuredCatalogue
+from robotkube.services.gate_handed import Handed
 from robotkube.services.gate_rules import GateSettings, RuleBook
 
 POLL_SECONDS = 2.0  # open pull requests, when no webhook came for so long
@@ -31,6 +34,7 @@ SILENT_SECONDS_MAX = 30.0  # not ready when the forge was not seen for longer
 HINTS_MAX = 100
 VERDICTS = ("accepted", "refused", "stale", "checked", "failed")
 HOOKS = ("taken", "lost")
+SOURCES = ("handed", "fetched")
 WAKING_ACTIONS = frozenset({"opened", "reopened", "synchronized", "synchronize"})  # the last is GitHub's
 REVIEWED = "reviewed"
 
@@ -44,6 +48,7 @@ class GateStatistics:
 
     verdicts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(VERDICTS, 0))
     hooks: dict[str, int] = field(default_factory=lambda: dict.fromkeys(HOOKS, 0))
+    sources: dict[str, int] = field(default_factory=lambda: dict.fromkeys(SOURCES, 0))
     decision_seconds: float = 0.0
     rounds: int = 0
 
@@ -58,6 +63,8 @@ class _Case:
     verdict: Verdict
     way: Way
     approved: bool
+    source: str
+    check_seconds: float
 
     @property
     def mergeable(self) -> bool:
@@ -87,6 +94,7 @@ class Gate:
         self._rules = RuleBook(settings, main, catalogue, validate)
         self.statistics = GateStatistics()
         self._announced = ""
+        self._handed = Handed()
         self._settled: dict[int, str] = {}
         self._waiting: set[int] = set()
         self._said: dict[int, set[str]] = {}
@@ -108,6 +116,10 @@ class Gate:
         elif action in WAKING_ACTIONS and repository == self._settings.deployment:
             self._hint(payload.get("pull_request") or {})
             self._woken.set()
+
+    def hand(self, handed: HandedObjects) -> None:
+        """Objects of a commit that may be proposed, from its proposer; they decide nothing."""
+        self._handed.keep(handed)
 
     def _hint(self, found: Mapping[str, Any]) -> None:
         """Remember what was proposed: the round need not ask the forge for all that is open first."""
@@ -192,16 +204,13 @@ class Gate:
     def _decide(self, pull: PullRequest) -> None:
         started = self._monotonic()
         try:
-            commit = self._main.proposal(pull.number)
-            if self._main.contains(commit.id):
-                self._settled[pull.number] = commit.id
-                return
-            fetched = self._monotonic()
-            case = self._case(pull, commit)
+            case = self._handed_case(pull) or self._fetched_case(pull)
         except DocumentError as error:
             self._unreadable(pull, str(error))
             return
-        judged = self._monotonic()
+        if case is None:
+            return
+        commit, judged = case.commit, self._monotonic()
         before = self._main.tip
         merged = case.mergeable and self._main.push_main(commit.id)
         verdict = case.verdict
@@ -218,7 +227,7 @@ class Gate:
                 manager.hook(before, commit.id)
             self._announce(before, commit.id)
         if news:
-            self._record(case, verdict, merged, (started, fetched, judged, decided, self._monotonic()))
+            self._record(case, verdict, merged, (started, judged, decided, self._monotonic()))
 
     def _unreadable(self, pull: PullRequest, problem: str) -> None:
         """What cannot even be read is refused as it stands."""
@@ -229,9 +238,31 @@ class Gate:
             self._forge.close(pull.number)
         self._settled[pull.number] = pull.head
 
-    def _case(self, pull: PullRequest, commit: Commit) -> _Case:
+    def _handed_case(self, pull: PullRequest) -> _Case | None:
+        """What the forge names as a manager's proposal, when its objects were handed over and may become main. All else
+        is judged on what the forge has: here main's tip may be an old one, and a refusal is not proved by any push."""
+        handed = self._handed.take(pull.head)
+        if handed is None or self._settings.proposer(pull.author) is None:
+            return None
+        try:
+            commit = self._main.take(handed)
+            case = self._case(pull, commit, "handed") if commit is not None else None
+        except InputError:
+            return None
+        return case if case is not None and case.mergeable else None
+
+    def _fetched_case(self, pull: PullRequest) -> _Case | None:
+        """The head of a pull request as the forge has it; None when it is in main already."""
+        commit = self._main.proposal(pull.number)
+        if self._main.contains(commit.id):
+            self._settled[pull.number] = commit.id
+            return None
+        return self._case(pull, commit, "fetched")
+
+    def _case(self, pull: PullRequest, commit: Commit, source: str) -> _Case:
         """Everything that decides, read from Git, the catalogue and main; a refusal only after the catalogue was read
         again, since its webhook may have been lost."""
+        began = self._monotonic()
         plans = self._settings.proposer(pull.author) is not None
         commit = commit if plans else self._main.brought(commit.id)
         proposal = self._rules.proposal(commit)
@@ -243,7 +274,7 @@ class Gate:
         approved = asks and is_approved(
             self._forge.reviews(pull.number), commit.id, pull.author, self._settings.accounts
         )
-        return _Case(pull, commit, proposal, verdict, way, approved)
+        return _Case(pull, commit, proposal, verdict, way, approved, source, self._monotonic() - began)
 
     # -- what is said ---------------------------------------------------------------------------------------------
 
@@ -288,17 +319,19 @@ class Gate:
             self.statistics.hooks["lost"] += 1
 
     def _record(self, case: _Case, verdict: Verdict, merged: bool, at: tuple[float, ...]) -> None:
-        started, fetched, judged, decided, announced = at
+        started, judged, decided, announced = at
         plans = self._settings.proposer(case.pull.author) is not None
         refusal = "stale" if verdict.stale else "refused" if verdict.problems else "checked"
         name = "accepted" if merged else refusal if plans else "checked"
         self.statistics.verdicts[name] += 1
+        self.statistics.sources[case.source] += 1
         self.statistics.decision_seconds += decided - started
         log.info(
-            "proposal number=%d author=%s commit=%s verdict=%s way=%s problems=%d "
+            "proposal number=%d author=%s commit=%s verdict=%s way=%s problems=%d source=%s "
             "fetch_ms=%.0f check_ms=%.1f decide_ms=%.0f hook_ms=%.0f subject=%r",
             *(case.pull.number, case.pull.author, case.commit.id[:12], name, case.way, len(verdict.problems)),
-            *(1000 * (fetched - started), 1000 * (judged - fetched), 1000 * (decided - judged)),
+            *(case.source, 1000 * (judged - started - case.check_seconds), 1000 * case.check_seconds),
+            1000 * (decided - judged),
             1000 * (announced - decided),
             case.commit.message.partition("\n")[0],
         )
@@ -309,6 +342,8 @@ def metrics_text(statistics: GateStatistics) -> str:
     lines = [
         "# TYPE robotkube_gate_proposals_total counter",
         *(f'robotkube_gate_proposals_total{{verdict="{k}"}} {v}' for k, v in statistics.verdicts.items()),
+        "# TYPE robotkube_gate_proposals_read_total counter",
+        *(f'robotkube_gate_proposals_read_total{{source="{k}"}} {v}' for k, v in statistics.sources.items()),
         "# TYPE robotkube_gate_hooks_total counter",
         *(f'robotkube_gate_hooks_total{{result="{k}"}} {v}' for k, v in statistics.hooks.items()),
         "# TYPE robotkube_gate_decision_seconds_total counter",

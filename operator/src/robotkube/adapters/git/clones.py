@@ -14,7 +14,9 @@ import pygit2
 from pygit2.enums import FileMode
 
 from robotkube.adapters.git.connections import Connection, look_up, open_clone
+from robotkube.adapters.git.handing import LOOSE_MAX, pack_loose, take_in
 from robotkube.domain.errors import DocumentError, InputError, UnavailableError
+from robotkube.domain.handed_objects import HandedObjects
 from robotkube.ports.git import Commit
 from robotkube.ports.writing import writes
 
@@ -50,6 +52,7 @@ class GitClone:
         self._branch = branch
         self._repository = open_clone(folder, url, repository)
         self._text = lru_cache(TEXTS_KEPT_MAX)(self._read_text)
+        self._loose = 0  # objects that were taken in since the last pack was made
 
     @property
     def tip(self) -> str:
@@ -60,6 +63,9 @@ class GitClone:
     def fetch(self) -> str:
         """Bring the branch's tip here and return its commit id."""
         self._fetch([])
+        if self._loose > LOOSE_MAX:
+            pack_loose(self._repository)
+            self._loose = 0
         return self.tip
 
     def moved_to(self, commit: str) -> None:
@@ -73,6 +79,12 @@ class GitClone:
         if reference is None:
             raise InputError(f"{self._where}: {self._heads.format(number)} is not there")
         return self.commit(str(reference.target))
+
+    def take(self, handed: HandedObjects) -> Commit | None:
+        """The commit that was handed over, when it stands on the branch's tip as it is known here and everything that
+        it brings is here now; None: it has to be fetched."""
+        self._loose += len(handed.objects)
+        return self.commit(handed.commit) if take_in(self._repository, handed, self.tip) else None
 
     def contains(self, commit: str) -> bool:
         """Whether `commit` is the branch's tip or one of its ancestors."""

@@ -16,7 +16,9 @@ import pygit2
 from pygit2.enums import FileMode
 
 from robotkube.adapters.git.connections import EMAIL_DOMAIN, Connection, look_up
+from robotkube.adapters.git.handing import new_objects
 from robotkube.domain.errors import RefusalError, UnavailableError
+from robotkube.domain.handed_objects import HandedObjects
 from robotkube.ports.writing import writes
 
 DESCRIPTION_BYTES_MAX = 48 * 1024  # the forge takes 64 KiB per push option; base64 makes a third more
@@ -30,7 +32,8 @@ class ProposalWriter:
     """The port Proposals on the bare clone in `folder`. `author` is the name in the commits; `clock` gives seconds.
 
     `open_pull_request(branch, title, body)` is for forges without AGit: the commit goes to `robotkube/<topic>` and that
-    opens its pull request; such an account must be allowed to push branches."""
+    opens its pull request; such an account must be allowed to push branches. `hand` is given what a proposed commit
+    brings, before it is pushed; it returns at once, and what becomes of that changes nothing here."""
 
     def __init__(
         self,
@@ -41,11 +44,12 @@ class ProposalWriter:
         clock: Callable[[], float],
         branch: str = "main",
         open_pull_request: Callable[[str, str, str], int] | None = None,
+        hand: Callable[[HandedObjects], None] | None = None,
     ) -> None:
         self._repository = pygit2.Repository(str(folder))
         self._account = (username, password)
         self._author, self._clock, self._branch = author, clock, branch
-        self._open = open_pull_request
+        self._open, self._hand = open_pull_request, hand
 
     def commit(self, parent: str, changes: Mapping[str, str | None], message: str, merged: str = "") -> str:
         """Make a commit on `parent` and return its id; nothing outside the object store changes. `merged`: a second
@@ -83,7 +87,10 @@ class ProposalWriter:
         """Push `commit` for review; the pull request's number when the forge says it.
 
         UnavailableError when the forge does not answer; RefusalError when it refuses the push."""
-        self._repository.references.create(PROPOSAL_REFERENCE, self._lookup(commit).id, force=True)
+        found = self._lookup(commit)
+        self._repository.references.create(PROPOSAL_REFERENCE, found.id, force=True)
+        if self._hand is not None and (brought := new_objects(self._repository, found)) is not None:
+            self._hand(brought)
         text = body.encode()[:DESCRIPTION_BYTES_MAX].decode(errors="ignore")
         if self._open is None:
             options = [
@@ -91,8 +98,8 @@ class ProposalWriter:
                 f"title={title}",
                 "description={base64}" + base64.b64encode(text.encode()).decode(),
             ]
-            found = _NUMBER.findall(self._push(topic, f"refs/for/{self._branch}", options))
-            return int(found[-1]) if found else None
+            numbers = _NUMBER.findall(self._push(topic, f"refs/for/{self._branch}", options))
+            return int(numbers[-1]) if numbers else None
         self._push(topic, f"refs/heads/{BRANCHES}/{topic}", [], force=True)
         return self._open(f"{BRANCHES}/{topic}", title, text)
 
