@@ -93,6 +93,34 @@ class Handler(BaseHTTPRequestHandler):
         return None
 
 
+class Receiver(ThreadingHTTPServer):
+    """Takes webhooks when it is told to."""
+
+    def __init__(self) -> None:
+        super().__init__(("127.0.0.1", 0), HookHandler)
+        self.taking = False
+        self.refused: list[str] = []
+        self.taken: list[str] = []
+
+    @property
+    def url(self) -> str:
+        return f"http://127.0.0.1:{self.server_port}/hook"
+
+
+class HookHandler(BaseHTTPRequestHandler):
+    server: Receiver
+
+    def do_POST(self) -> None:
+        self.rfile.read(int(self.headers["Content-Length"]))
+        heard = self.server.taken if self.server.taking else self.server.refused
+        heard.append(self.headers["X-Robotkube-Delivery"])
+        self.send_response(204 if self.server.taking else 503)
+        self.end_headers()
+
+    def log_message(self, *_: Any) -> None:
+        return None
+
+
 def read(port: int, path: str, data: bytes | None = None) -> str:
     with urllib.request.urlopen(f"http://127.0.0.1:{port}{path}", data, timeout=5) as answer:
         return str(answer.read().decode())
@@ -107,6 +135,17 @@ def api() -> Iterator[Api]:
     api.closing.set()
     api.shutdown()
     api.server_close()
+    thread.join(SECONDS_MAX)
+
+
+@pytest.fixture
+def receiver() -> Iterator[Receiver]:
+    receiver = Receiver()
+    thread = threading.Thread(target=receiver.serve_forever)
+    thread.start()
+    yield receiver
+    receiver.shutdown()
+    receiver.server_close()
     thread.join(SECONDS_MAX)
 
 
@@ -200,6 +239,56 @@ def test_live_poses_become_tasks_until_the_rule_changes(
     assert status["topics"]["/vehicles/vehicle_00/pose"]["buffer"]["cleared"] == 0
     detector.send_signal(signal.SIGTERM)
     assert detector.wait(8.0) == 0
+
+
+def test_a_killed_detector_owes_nobody_an_edge(
+    api: Api, receiver: Receiver, start: Callable[..., subprocess.Popen[str]], tmp_path: Path, unused_port: int
+) -> None:
+    """What the receiver had not taken it gets from the next process, with the same ids; the task goes on."""
+    hook = {"rule": "near", "kind": "webhook", "url": receiver.url}
+    api.settings = write_mapping({**SETTINGS, "reactions": [*SETTINGS["reactions"], hook]})
+    (tmp_path / "config.yaml").write_text(api.settings)
+
+    def detector() -> subprocess.Popen[str]:
+        return start(
+            "-m", "robotkube.entrypoints.detector",
+            ROBOTKUBE_API_SERVER=f"http://127.0.0.1:{api.server_port}",
+            ROBOTKUBE_CONFIG=str(tmp_path / "config.yaml"),
+            ROBOTKUBE_CONFIGMAP="cloud-0/event-detector",
+            ROBOTKUBE_HEALTH_PORT=str(unused_port),
+            ROBOTKUBE_REACTIONS=str(tmp_path / "reactions"),
+        )  # fmt: skip
+
+    def raised() -> list[str]:
+        events = json.loads(read(unused_port, "/events"))["events"]
+        return [f"{event['id']}-{event['edge']}" for event in events]
+
+    def kept() -> int:
+        return int(json.loads(read(unused_port, "/status"))["reactions_journal"]["kept"])
+
+    first = detector()
+    publisher = start(str(PUBLISHER), str(tmp_path), "60")
+    until(lambda: is_up(unused_port))
+    until(lambda: len(raised()) % 2 and len(raised()) == len(api.calls) and receiver.refused)
+    publisher.send_signal(signal.SIGSTOP)
+    until(lambda: kept() == len(raised()))
+    owed, calls = raised(), list(api.calls)
+    first.kill()
+    first.wait(SECONDS_MAX)
+    assert receiver.taken == []
+    receiver.taking = True
+    detector()
+    until(lambda: len(receiver.taken) >= len(owed))
+    assert receiver.taken == owed
+    until(lambda: kept() == 0)
+
+    # the event that lasted goes on, and ends as what it was
+    [task] = api.objects
+    publisher.send_signal(signal.SIGCONT)
+    until(lambda: len(receiver.taken) > len(owed))
+    assert receiver.taken[len(owed)] == owed[-1].replace("start", "stop")
+    until(lambda: len(api.calls) > len(calls))
+    assert api.calls[: len(calls) + 1] == [*calls, ("delete", task)]
 
 
 def test_wrong_settings_are_refused_with_file_key_and_fix(

@@ -25,7 +25,10 @@ TOPICS = {"/pose": ("document", 10, 30), "/cloud": ("segment", 100, 900)}
 BOUNDS = RecordingBounds(queue_bytes=12_000, waiting_bytes=8_000, spool_bytes=30_000)
 STEPS, MS = 60, 1_000_000
 BEGIN = 1_795_250_000_000_000_000
-SEEDS, SEEDS_THOROUGH = range(200), range(200, 3000)
+FOUND = (575, 1156, 1221, 1474, 1560, 1691, 1928, 1993, 2029, 2082, 2213, 2839)
+"""Seeds that have found something: a recorder that took itself for its predecessor, and one whose predecessor had
+stored without an audit after another one that was killed."""
+SEEDS, SEEDS_THOROUGH = (*range(200), *FOUND), range(200, 3000)
 
 
 class History:

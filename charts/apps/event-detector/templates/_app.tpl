@@ -5,6 +5,7 @@ serviceAccount: event-detector
 broker: {{ .Values.broker.existingSecret | quote }}
 database: {{ .Values.database.existingSecret | quote }}
 webhooks: {{ .Values.webhooks.existingSecret | quote }}
+environment: {ROBOTKUBE_REACTIONS: /tmp/reactions}      # outlives the container, not the pod
 claims:
 {{- with .Values.recordings.claim }}
 - {name: recordings, claim: {{ . }}, path: /var/lib/robotkube/recordings}

@@ -103,6 +103,9 @@ containers:
   - {name: ROBOTKUBE_CONFIGMAP, value: {{ .root.Release.Namespace }}/{{ .root.Release.Name }}}
   - {name: HOME, value: /tmp}
   - {name: ROS_LOG_DIR, value: /tmp/ros}
+  {{- range $name, $value := .environment }}
+  - {name: {{ $name }}, value: {{ $value | quote }}}
+  {{- end }}
   - {name: NODE_NAME, valueFrom: {fieldRef: {fieldPath: spec.nodeName}}}
   ports: [{name: health, containerPort: 8081}]
   # The start is looked at every second: it is on the way from an event to its recording. Afterwards looking costs more than it tells.

@@ -192,30 +192,39 @@ class Interruption:
     until: int | None
 
 
-def interruptions(audits: Sequence[Mapping[str, Any]], stamps: Mapping[str, Sequence[int]]) -> list[Interruption]:
+def interruptions(
+    audits: Sequence[Mapping[str, Any]], stamps: Mapping[str, Sequence[int]], own_life: int | None = None
+) -> list[Interruption]:
     """What killed writers of a recording may have lost, by their audits that are not closed, or that they did not even
-    begin. `stamps`: what is stored.
+    begin. `stamps`: what is stored. Audits of `own_life` are those of the writer who asks: they only say where the
+    others end.
 
     A writer stores in the order of its stamps, and says what it drops in its next audit: what it lost without a word
-    comes after the last stamp that is stored, or that its last audit had seen, whichever is earlier."""
+    comes after the last stamp that is stored, as far as its last audit had seen any. What is stored beyond that may be
+    of a later writer who was killed before its first audit, and says nothing of this one."""
     found, later = [], dict[str, int]()
     for audit in sorted(audits, key=lambda audit: int(audit["life"]), reverse=True):
         topic, window, until = audit["topic"], audit["window"], later.get(audit["topic"])
-        stored = max((stamp for stamp in stamps.get(topic, ()) if until is None or stamp < until), default=None)
-        since = None if stored is None and not window else _doubtful(stored, window)
-        if not audit["closed"] and since is not None:
+        since = _doubtful(_before(until, stamps.get(topic, ())), window)
+        if not audit["closed"] and audit["life"] != own_life and since is not None:
             found.append(Interruption(topic, since, until))
         if window:
             later[topic] = min(window[0], until) if until is not None else window[0]
-    told = {audit["topic"] for audit in audits}
-    return found + [Interruption(topic, max(known) + 1, None) for topic, known in stamps.items() if topic not in told]
+    told = {audit["topic"] for audit in audits if audit["life"] != own_life}
+    untold = {topic: _before(later.get(topic), known) for topic, known in stamps.items() if topic not in told}
+    return found + [Interruption(name, max(known) + 1, later.get(name)) for name, known in untold.items() if known]
 
 
-def _doubtful(stored: int | None, window: Sequence[int] | None) -> int:
-    """The first stamp that may be lost. At least one of both is there."""
-    if stored is None or window is None:
-        return stored + 1 if stored is not None else window[0] if window else 0
-    return max(window[0], min(stored, window[1]) + 1)
+def _before(until: int | None, stamps: Sequence[int]) -> Sequence[int]:
+    return stamps if until is None else [stamp for stamp in stamps if stamp < until]
+
+
+def _doubtful(stored: Sequence[int], window: Sequence[int] | None) -> int | None:
+    """The first stamp that may be lost; None when the writer has neither received nor stored anything."""
+    if window is None:
+        return max(stored) + 1 if stored else None
+    first, last = window
+    return max((stamp + 1 for stamp in stored if first <= stamp <= last), default=first)
 
 
 @dataclass(frozen=True)

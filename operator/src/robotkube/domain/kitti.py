@@ -62,8 +62,9 @@ circle) and transformed into the sensor's frame by the sensor's own pose and the
 
 - `position` (of the box's centre, m), `heading` (about z, rad), `size` (length, width, height), `distance_m`
 - `age_seconds`: from the cloud to the nearest pose message of that vehicle
-- `position_uncertainty_m`, `heading_uncertainty_rad`: the poses' own deviation ({settings.pose_sigma_m:g} m, \
-{settings.heading_sigma_rad:g} rad as given) and the most that interpolation can be wrong at 10 m/s2 and 3 rad/s2
+- `position_uncertainty_m`, `heading_uncertainty_rad`: the poses' own deviation (of their covariance, or \
+{settings.pose_sigma_m:g} m, {settings.heading_sigma_rad:g} rad as given
+  where they have none) and the most that interpolation can be wrong at 10 m/s2 and 3 rad/s2
 - `points`: points of the cloud within the box, 5 cm of noise allowed; 0: hidden, or too far for the sensor
 
 Boxes are {length:g} x {width:g} x {height:g} m, the pose on the ground at the centre. Vehicles beyond \

@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from robotkube.domain.perception_messages import Cloud
-from robotkube.domain.transforms import Mounts, Path, Placed, Transform, Vector
+from robotkube.domain.transforms import Deviation, Mounts, Path, Placed, Transform, Vector
 
 NANOSECONDS = 1_000_000_000
 ACCELERATION_MAX = 10.0
@@ -29,7 +29,7 @@ MARGIN_M = 0.05
 class Labelling:
     """`size`: length, width, height of the others in m, their pose on the ground at the centre. Poses farther apart
     than `gap_seconds` are not joined; who is farther than `distance_m` is not labelled. `pose_sigma_m`,
-    `heading_sigma_rad`: of the poses as they were measured."""
+    `heading_sigma_rad`: of poses that come without a covariance, as they were measured."""
 
     size: Vector = SIZE_DEFAULT
     gap_seconds: float = GAP_SECONDS_DEFAULT
@@ -92,9 +92,12 @@ def _label(agent: str, sensor: Transform, here: Placed, there: Placed, settings:
     relative = sensor.inverse @ there.transform
     centre = relative.apply((0.0, 0.0, settings.size[2] / 2))
     distance = math.hypot(*centre)
-    turn = math.hypot(settings.heading_sigma_rad, _bound(TURN_ACCELERATION_MAX, here))
+    given = Deviation(settings.pose_sigma_m, settings.heading_sigma_rad)
+    own, other = here.deviation or given, there.deviation or given
+    turn = math.hypot(own.heading_rad, _bound(TURN_ACCELERATION_MAX, here))
     position = math.hypot(
-        settings.pose_sigma_m * math.sqrt(2),
+        own.position_m,
+        other.position_m,
         _bound(ACCELERATION_MAX, here),
         _bound(ACCELERATION_MAX, there),
         turn * distance,
@@ -107,7 +110,7 @@ def _label(agent: str, sensor: Transform, here: Placed, there: Placed, settings:
         distance_m=distance,
         age_seconds=there.age_ns / NANOSECONDS,
         position_uncertainty_m=position,
-        heading_uncertainty_rad=math.hypot(turn, settings.heading_sigma_rad, _bound(TURN_ACCELERATION_MAX, there)),
+        heading_uncertainty_rad=math.hypot(turn, other.heading_rad, _bound(TURN_ACCELERATION_MAX, there)),
     )
 
 

@@ -5,6 +5,8 @@ Named tuples, since dataclasses cost a millisecond each at every start.
 
 from __future__ import annotations
 
+import hashlib
+import json
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from types import MappingProxyType
@@ -75,6 +77,11 @@ class WebhookReaction(NamedTuple):
         found = URL.fullmatch(self.url)
         return f"webhook {self.rule} {found['host'] if found else ''}".rstrip()
 
+    @property
+    def key(self) -> str:
+        """The same as long as the same receiver is told of the same rule."""
+        return _digest(WEBHOOK, self.rule, self.url)
+
 
 class MqttReaction(NamedTuple):
     """A message on the broker's topic `topic` for every edge, QoS 1. `retained`: the broker keeps the last one."""
@@ -88,6 +95,11 @@ class MqttReaction(NamedTuple):
     def name(self) -> str:
         """What status and metrics call it."""
         return f"mqtt {self.rule} {self.topic}"
+
+    @property
+    def key(self) -> str:
+        """The same as long as the same topic is told of the same rule."""
+        return _digest(MQTT, self.rule, self.topic)
 
 
 class PythonReaction(NamedTuple):
@@ -103,6 +115,16 @@ class PythonReaction(NamedTuple):
     def name(self) -> str:
         """What status and metrics call it."""
         return f"python {self.rule} {self.plugin}"
+
+    @property
+    def key(self) -> str:
+        """The same as long as the same package with the same settings is told of the same rule."""
+        return _digest(PYTHON, self.rule, self.plugin, json.dumps(self.settings, sort_keys=True, default=str))
+
+
+def _digest(*texts: str) -> str:
+    """Of an address, too, which may hold what is nobody's business."""
+    return hashlib.sha256("\0".join(texts).encode()).hexdigest()[:32]
 
 
 DeliveryReaction = WebhookReaction | MqttReaction | PythonReaction

@@ -60,13 +60,40 @@ def transform(values: Sequence[float]) -> Transform | None:
     return Transform((x, y, z), (a, b, c, d))
 
 
+COVARIANCE_VALUES, HEADING_VARIANCE = 36, 35
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """Standard deviations of a pose: of its position where it is worst, and of its angle about the z axis."""
+
+    position_m: float
+    heading_rad: float
+
+
+def deviation(covariance: Sequence[float]) -> Deviation | None:
+    """Of geometry_msgs/PoseWithCovariance: 6 x 6 by rows, of x, y, z and the angles about x, y, z.
+
+    None when it says nothing: all zero, a negative variance (the sign of unknown in other messages), no numbers. The
+    position's is exact for axes that do not vary together, otherwise at most too large (Gershgorin's bound)."""
+    if len(covariance) != COVARIANCE_VALUES or not all(math.isfinite(value) for value in covariance):
+        return None
+    variances = covariance[0], covariance[7], covariance[14], covariance[HEADING_VARIANCE]
+    if min(variances) < 0 or not any(variances):
+        return None
+    worst = max(sum(abs(value) for value in covariance[row : row + 3]) for row in (0, 6, 12))
+    return Deviation(math.sqrt(worst), math.sqrt(covariance[HEADING_VARIANCE]))
+
+
 @dataclass(frozen=True)
 class Placed:
-    """Where a frame was. `age_ns`: to the nearest of the messages it was made of; `span_ns`: between those two."""
+    """Where a frame was. `age_ns`: to the nearest of the messages it was made of; `span_ns`: between those two;
+    `deviation`: the larger of theirs, None when not both say one."""
 
     transform: Transform
     age_ns: int
     span_ns: int
+    deviation: Deviation | None = None
 
 
 @dataclass
@@ -76,14 +103,16 @@ class Path:
     frame: str = ""
     stamps: array[int] = field(default_factory=lambda: array("q"))
     poses: list[Transform] = field(default_factory=list)
+    deviations: list[Deviation | None] = field(default_factory=list)
 
-    def add(self, stamp: int, pose: Transform) -> None:
+    def add(self, stamp: int, pose: Transform, deviation: Deviation | None = None) -> None:
         """One pose; what is not newer than the last one is put in its place, and the same stamp counts once."""
         place = bisect_right(self.stamps, stamp)
         if place and self.stamps[place - 1] == stamp:
             return
         self.stamps.insert(place, stamp)
         self.poses.insert(place, pose)
+        self.deviations.insert(place, deviation)
 
     def at(self, stamp: int, gap_ns: int) -> Placed | None:
         """Position linear, orientation on the great circle; None outside the poses and in gaps wider than `gap_ns`."""
@@ -92,14 +121,15 @@ class Path:
             return None
         first = self.stamps[behind - 1]
         if first == stamp:
-            return Placed(self.poses[behind - 1], 0, 0)
+            return Placed(self.poses[behind - 1], 0, 0, self.deviations[behind - 1])
         if behind == len(self.stamps) or (span := self.stamps[behind] - first) > gap_ns:
             return None
         share = (stamp - first) / span
         a, b = self.poses[behind - 1], self.poses[behind]
         x, y, z = (p + (q - p) * share for p, q in zip(a.translation, b.translation, strict=True))
         mixed = Transform((x, y, z), slerp(a.rotation, b.rotation, share))
-        return Placed(mixed, min(stamp - first, self.stamps[behind] - stamp), span)
+        worst = _larger(self.deviations[behind - 1], self.deviations[behind])
+        return Placed(mixed, min(stamp - first, self.stamps[behind] - stamp), span, worst)
 
 
 @dataclass
@@ -124,6 +154,12 @@ class Mounts:
             frame, step = self.parents[frame]
             found = step @ found
         return None
+
+
+def _larger(one: Deviation | None, other: Deviation | None) -> Deviation | None:
+    if one is None or other is None:
+        return None
+    return Deviation(max(one.position_m, other.position_m), max(one.heading_rad, other.heading_rad))
 
 
 def _rotated(rotation: Quaternion, point: Vector) -> Vector:

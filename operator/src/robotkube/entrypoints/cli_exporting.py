@@ -62,7 +62,9 @@ def labelling(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--gap", type=float, default=GAP_SECONDS_DEFAULT, metavar="S", help="poses farther apart are not joined"
     )
-    parser.add_argument("--pose-sigma", type=float, default=0.0, metavar="M", help="standard deviation of the poses")
+    parser.add_argument(
+        "--pose-sigma", type=float, default=0.0, metavar="M", help="standard deviation of poses without covariance"
+    )
 
 
 def export(options: argparse.Namespace) -> Table:

@@ -22,7 +22,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from robotkube.adapters.health_http import HealthServer
 from robotkube.adapters.ros_rclpy import RosNode
@@ -37,11 +37,14 @@ from robotkube.services.detector.detector import EventDetector
 from robotkube.services.detector.raising import Raising
 from robotkube.services.detector.recording import RecordingReactions
 from robotkube.services.detector.status import Refusal, Status
+from robotkube.services.reactions.keeping import MEMORY_ONLY
 
 if TYPE_CHECKING:
     from robotkube.adapters.kubernetes_http import ConfigMapWatch
     from robotkube.ports.robots import LiveTopics
     from robotkube.services.detector.broker import Broker
+    from robotkube.services.reactions.dead import DeadLetterBox
+    from robotkube.services.reactions.keeping import DeliveryJournal
 
 BUSY_SECONDS, IDLE_SECONDS = 0.01, 0.02
 """From one look at the subscriptions to the next, while messages come and when none has come for IDLE_AFTER_SECONDS."""
@@ -49,6 +52,7 @@ IDLE_AFTER_SECONDS = 1.0
 LAST_DRAIN_SECONDS_MAX = 0.5
 STORE_SECONDS_MAX = 5.0
 DELIVER_SECONDS_MAX = 1.0
+KEEP_SECONDS_MAX = 0.5
 LEAVE_SECONDS_MAX = 1.0
 GRACE_SECONDS = 9.0
 NEWS_MAX, COMMANDS_MAX = 16, 16
@@ -88,6 +92,7 @@ class Room:
         self._node = RosNode("event_detector")
         self._ros = parts.RosTopics(self._node)
         self._broker: Broker | None = None
+        self._journal: DeliveryJournal | None = None
         self._name = pod.config_map or ""
         self._news: deque[DetectorSettings] = deque(maxlen=NEWS_MAX)
         self._commands: deque[str] = deque(maxlen=COMMANDS_MAX)
@@ -97,12 +102,14 @@ class Room:
         self._spans = parts.make_spans(os.environ, self._name)
         self.layouts = Layouts(self._definition)
         self.detector = self._make()
-        self.status = Status(self.detector, time.time_ns, self.refusal, self._unreachable)
+        self.status = Status(self.detector, time.time_ns, self.refusal, self._unreachable, self._kept)
 
     def _make(self) -> EventDetector:
         raising = Raising(
             lambda settings, box: parts.make_operator(settings, self._pod, self._ownership, box),
-            lambda settings, box: parts.make_reaction(settings, self._pod, self._ownership, box, self._connection),
+            lambda settings, box: parts.make_reaction(
+                settings, self._pod, self._ownership, box, self._connection, self._journal_of(box)
+            ),
             time.time_ns,
             self._spans,
         )
@@ -181,6 +188,8 @@ class Room:
     def end(self) -> None:
         """Go on for as long as the recordings ask for, take what has arrived already, then store and deliver it."""
         finish(self._turn, self.detector.recordings.after_seconds)
+        if self._journal is not None:
+            self._journal.end()
         stopping = [
             _beside(partial(self.detector.raising.stop, DELIVER_SECONDS_MAX)),
             *(_beside(partial(one.stop, STORE_SECONDS_MAX)) for one in self.detector.recordings.at_work),
@@ -188,6 +197,8 @@ class Room:
         complete = [stopped() for stopped in stopping]
         if self._broker is not None:
             complete.append(self._broker.close(DELIVER_SECONDS_MAX, time.sleep))
+        if self._journal is not None:
+            complete.append(self._journal.stop(KEEP_SECONDS_MAX))
         self.detector.stop()
         if self._spans is not None:
             self._spans.close()
@@ -213,6 +224,13 @@ class Room:
                 _beside(partial(reaction.stop, DELIVER_SECONDS_MAX))
         while self._commands:
             self.detector.change_state(self._commands.popleft())
+
+    def _journal_of(self, box: DeadLetterBox) -> DeliveryJournal | None:
+        """What keeps deliveries on the disk, made for the first reaction that tells somebody."""
+        folder = os.environ.get(parts.JOURNAL_VARIABLE, "")
+        if self._journal is None and folder:
+            self._journal = parts.make_journal(folder, self._name, box)
+        return self._journal
 
     def _source(self, name: str) -> LiveTopics:
         return self._connection() if name == MQTT else self._ros
@@ -267,6 +285,9 @@ class Room:
         if self._broker is not None and type_name in self._broker.definitions:
             return self._broker.definitions[type_name]
         return parts.installed_definition(type_name)
+
+    def _kept(self) -> Mapping[str, Any]:
+        return MEMORY_ONLY if self._journal is None else self._journal.document()
 
     def _unreachable(self) -> str:
         return "" if self._broker is None else self._broker.unreachable

@@ -29,12 +29,14 @@ if TYPE_CHECKING:
     from robotkube.ports.recordings import Claim, RecordingStore
     from robotkube.services.detector.broker import Broker
     from robotkube.services.reactions.dead import DeadLetterBox
+    from robotkube.services.reactions.keeping import DeliveryJournal
     from robotkube.services.recording.recordings import Recordings
     from robotkube.services.rule_workers import RuleWorkers
 
 RECORDINGS_FOLDER = "/var/lib/robotkube/recordings"
 TASKS = ("robotkube.io", "v1alpha1", "taskdescriptions")
 SESSION_SECONDS = 60
+JOURNAL_VARIABLE = "ROBOTKUBE_REACTIONS"
 SPANS_VARIABLE = "OTEL_EXPORTER_OTLP_TRACES_ENDPOINT"
 
 
@@ -166,19 +168,38 @@ def make_operator(
     return reactions
 
 
+def make_journal(folder: str, name: str, box: DeadLetterBox) -> DeliveryJournal:
+    """The started journal of what a detector's reactions have not delivered; `name` is the detector's."""
+    from robotkube.adapters.delivery_files import DeliveryFile
+    from robotkube.services.reactions.keeping import DeliveryJournal
+
+    place = DeliveryFile(Path(folder) / name.replace("/", "_"))
+    journal = DeliveryJournal(place, box, time.time_ns, time.monotonic)
+    journal.start()
+    return journal
+
+
 def make_reaction(
-    settings: DeliveryReaction, pod: PodSettings, ownership: Ownership, box: DeadLetterBox, broker: Callable[[], Broker]
+    settings: DeliveryReaction,
+    pod: PodSettings,
+    ownership: Ownership,
+    box: DeadLetterBox,
+    broker: Callable[[], Broker],
+    journal: DeliveryJournal | None,
 ) -> Reaction:
     """A started reaction that tells somebody."""
+    from robotkube.services.reactions.keeping import Kept
+
+    kept = Kept(journal, settings.key, settings.name)
     if isinstance(settings, MqttReaction):
         from robotkube.services.detector.broker import MqttReactions
 
-        return MqttReactions(settings, broker(), box, time.monotonic)
+        return MqttReactions(settings, broker(), box, time.monotonic, kept)
     from robotkube.services.reactions.deliveries import Deliveries
     from robotkube.services.reactions.owned import OwnedSender
 
     sender = OwnedSender(_sender(settings, pod), ownership)
-    found = Deliveries(settings.name, sender, settings.retry_seconds, box, time.monotonic)
+    found = Deliveries(settings.name, sender, settings.retry_seconds, box, time.monotonic, kept)
     found.start()
     return found
 

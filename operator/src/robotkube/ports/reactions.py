@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 
@@ -16,6 +16,16 @@ class Delivery(NamedTuple):
     body: bytes
 
 
+class KeptDelivery(NamedTuple):
+    """A delivery as it is kept on a disk. `reaction`: whom it is for, by a key that is the same after a restart;
+    `name`: what status calls that reaction; `time`: when it was raised, ns since 1970."""
+
+    reaction: str
+    name: str
+    time: int
+    delivery: Delivery
+
+
 class DeadLetter(NamedTuple):
     """An edge that a reaction has given up. `time`: when, ns since 1970; `reason`: why, in words."""
 
@@ -27,6 +37,30 @@ class DeadLetter(NamedTuple):
     def document(self) -> dict[str, Any]:
         """As JSON values."""
         return {"reaction": self.reaction, "id": self.id, "time": self.time, "reason": self.reason}
+
+
+class DeliveryLog(Protocol):
+    """Deliveries that wait, on a disk; for one thread. Every method but `close` may raise OSError: the disk refuses."""
+
+    size: int
+    """Bytes that it takes."""
+
+    def open(self) -> Sequence[KeptDelivery]:
+        """Make it ready to be written; returns what an earlier process has left, oldest first."""
+        ...
+
+    def write(self, added: Sequence[KeptDelivery], removed: Sequence[tuple[str, str]]) -> None:
+        """First forget what was removed (reaction, id), then keep what was added; returns when that is on the disk.
+        After an OSError nobody knows what is; it may be written again."""
+        ...
+
+    def replace(self, entries: Sequence[KeptDelivery]) -> None:
+        """Keep these and nothing else. After an OSError the former are there, or these."""
+        ...
+
+    def close(self) -> None:
+        """Give it back."""
+        ...
 
 
 class Sender(Protocol):

@@ -14,13 +14,15 @@ from robotkube.domain.labels import Label, Labelling, Scene, points_within
 from robotkube.domain.layouts import FieldReader, Layouts
 from robotkube.domain.perception_messages import CLOUD_TYPE, Cloud, read_cloud
 from robotkube.domain.topics import TopicPattern, ros_name
-from robotkube.domain.transforms import Mounts, Path, transform
+from robotkube.domain.transforms import Mounts, Path, deviation, transform
 from robotkube.ports.bags import BagSource
 
 POSES_DEFAULT = "/vehicles/{agent}/pose"
 POSES_MAX = 10_000_000
+POSE_VALUES = 7
 TRANSFORM_TYPES = {"geometry_msgs/msg/TransformStamped": "", "tf2_msgs/msg/TFMessage": "transforms[]."}
-_POSE_PATHS = ("pose", "pose.pose")
+_POSE_PATHS = (("pose", ()), ("pose.pose", ("pose.covariance",)), ("pose.pose", ()))
+"""Where a pose may stand, and its covariance."""
 _AXES = (*(f"translation.{axis}" for axis in "xyz"), *(f"rotation.{axis}" for axis in "xyzw"))
 
 
@@ -102,10 +104,10 @@ def _scene(
 
 def _pose_reader(layouts: Layouts, type_name: str, counts: LabellingCounts) -> FieldReader | None:
     problem = ""
-    for pose in _POSE_PATHS:
+    for pose, covariance in _POSE_PATHS:
         axes = [f"{pose}.position.{axis}" for axis in "xyz"] + [f"{pose}.orientation.{axis}" for axis in "xyzw"]
         try:
-            return layouts.reader(type_name, ["header.stamp", "header.frame_id", *axes])
+            return layouts.reader(type_name, ["header.stamp", "header.frame_id", *axes, *covariance])
         except ValueError as error:
             problem = problem or str(error)
     counts.problems.append(f"{type_name} has no pose: {problem}")
@@ -115,11 +117,11 @@ def _pose_reader(layouts: Layouts, type_name: str, counts: LabellingCounts) -> F
 def _pose_taker(path: Path, reader: FieldReader) -> Callable[[bytes], None]:
     def take(data: bytes) -> None:
         stamp, frame, *values = reader(data)
-        pose = transform(values)
+        pose = transform(values[:POSE_VALUES])
         path.frame = path.frame or frame
         if pose is None or frame != path.frame:
             raise ValueError(f"a pose in frame {frame}, or of no numbers")
-        path.add(stamp, pose)
+        path.add(stamp, pose, deviation(values[POSE_VALUES]) if len(values) > POSE_VALUES else None)
 
     return take
 

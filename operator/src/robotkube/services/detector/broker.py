@@ -28,6 +28,7 @@ from robotkube.domain.topics import AGENT
 from robotkube.ports.reactions import Delivery
 from robotkube.services.ownership import Ownership
 from robotkube.services.reactions.dead import DeadLetterBox
+from robotkube.services.reactions.keeping import OPEN_SECONDS_MAX, Kept
 
 if TYPE_CHECKING:
     from robotkube.ports.robots import ChannelEvents, FrameChannel
@@ -37,6 +38,7 @@ TOPICS_MAX = 1000
 DEFINITION_BYTES_MAX = 1_000_000
 DEFINITIONS_MAX = 500
 END_SECONDS_STEP = 0.01
+ENDED = "the detector ended"
 
 Learned = Callable[[str], None]
 
@@ -110,6 +112,7 @@ class Broker:
         self._inputs: dict[str, MqttInput] = {}
         self._waiting: deque[_Message] = deque()
         self._sent: dict[int, _Message] = {}
+        self._senders: list[MqttReactions] = []
         self.definitions: dict[str, str] = {}
         self.refusals: dict[str, str] = {}
         self.malformed = 0
@@ -149,6 +152,10 @@ class Broker:
 
     # reactions -------------------------------------------------------------------------------------------------------
 
+    def listen(self, sender: MqttReactions) -> None:
+        """Take a reaction's messages from now on; it is asked for them at every turn."""
+        self._senders = [*(one for one in self._senders if not one.over), sender]
+
     def put(self, message: _Message) -> bool:
         """Send a message when its turn comes; False when too many wait."""
         if len(self._waiting) + len(self._sent) >= QUEUE_MAX:
@@ -164,6 +171,8 @@ class Broker:
         """Read and write what is there."""
         now = self._monotonic()
         self._channel.turn(now)
+        for sender in self._senders:
+            sender.hand_over(now)
         while self._waiting and now - self._waiting[0].begun > self._waiting[0].sender.retry_seconds:
             one = self._waiting.popleft()
             one.sender.give_up(one.delivery, self.unreachable or "the broker has not acknowledged it")
@@ -178,12 +187,14 @@ class Broker:
     def close(self, seconds: float, pause: Callable[[float], None]) -> bool:
         """Deliver what waits within `seconds`, then part; True when nothing is left."""
         end = self._monotonic() + seconds
+        for sender in self._senders:
+            sender.hand_over(end)
         while (self._waiting or self._sent) and not self._is_in_vain and self._monotonic() < end:
             self.turn()
             pause(END_SECONDS_STEP)
         left = [*self._sent.values(), *self._waiting]
         for one in left:
-            one.sender.give_up(one.delivery, "the detector ended")
+            one.sender.leave(one.delivery, ENDED)
         self._channel.close()
         return not left
 
@@ -213,7 +224,7 @@ class Broker:
     def acknowledged(self, token: int, heard: bool) -> None:
         """See the port."""
         if (one := self._sent.pop(token, None)) is not None:
-            one.sender.delivered += 1
+            one.sender.deliver(one.delivery)
 
     def rejected(self, token: int, reason: str) -> None:
         """See the port."""
@@ -268,10 +279,21 @@ class Broker:
 class MqttReactions:
     """An MQTT reaction (port Reaction); all methods belong to the receiving thread."""
 
-    def __init__(self, settings: MqttReaction, broker: Broker, box: DeadLetterBox, clock: Callable[[], float]) -> None:
+    def __init__(
+        self,
+        settings: MqttReaction,
+        broker: Broker,
+        box: DeadLetterBox,
+        clock: Callable[[], float],
+        kept: Kept | None = None,
+    ) -> None:
         self.name, self.retry_seconds = settings.name, settings.retry_seconds
         self._settings, self._broker, self._box, self._clock = settings, broker, box, clock
         self.delivered = self.retries = self.dead = 0
+        self._kept, self._new = kept or Kept(), deque[Delivery]()
+        self._waits_until = clock() + OPEN_SECONDS_MAX
+        self._stopped = False
+        broker.listen(self)
 
     @property
     def unreachable(self) -> str:
@@ -280,6 +302,23 @@ class MqttReactions:
 
     def react(self, delivery: Delivery) -> None:
         """See the port."""
+        self._kept.add(delivery)
+        if len(self._new) < QUEUE_MAX:
+            self._new.append(delivery)
+            self.hand_over(self._clock())
+        else:
+            self.give_up(delivery, f"{QUEUE_MAX} messages wait for the broker already")
+
+    def hand_over(self, now: float) -> None:
+        """Give the broker what is new, behind what an earlier process has left."""
+        if not self._kept.settled and now < self._waits_until:
+            return
+        for delivery in self._kept.left():
+            self._put(delivery)
+        while self._new:
+            self._put(self._new.popleft())
+
+    def _put(self, delivery: Delivery) -> None:
         properties = (
             content_type(CONTENT_TYPE) + user_property(TRACE, delivery.trace) + user_property("id", delivery.id)
         )
@@ -290,17 +329,36 @@ class MqttReactions:
 
     def counts(self) -> Mapping[str, int]:
         """See the port."""
-        waiting = self._broker.waiting(self)
+        waiting = self._broker.waiting(self) + len(self._new)
         return {"delivered": self.delivered, "retries": self.retries, "dead": self.dead, "waiting": waiting}
 
     def stop(self, seconds: float) -> bool:
         """See the port: the broker's connection delivers what waits when it is closed."""
+        self._stopped = True
         return True
+
+    @property
+    def over(self) -> bool:
+        """Whether it is stopped and has nothing to hand over."""
+        return self._stopped and not self._new
+
+    def deliver(self, delivery: Delivery) -> None:
+        """The broker has it."""
+        self.delivered += 1
+        self._kept.done(delivery)
+
+    def leave(self, delivery: Delivery, reason: str) -> None:
+        """The time is over: to the next process, when that will find it."""
+        if self._kept.outlives(delivery):
+            log.warning("reaction %s: %s is left to the next process: %s", self.name, delivery.id, reason)
+        else:
+            self.give_up(delivery, reason)
 
     def give_up(self, delivery: Delivery, reason: str) -> None:
         """A dead letter."""
         self.dead += 1
         self._box.add(self.name, delivery.id, reason)
+        self._kept.done(delivery)
 
 
 def _any_agent(name: str) -> str:

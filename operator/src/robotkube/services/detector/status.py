@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from robotkube.domain.detector_settings import STATES
+from robotkube.services.reactions.keeping import MEMORY_ONLY
 
 if TYPE_CHECKING:
     from robotkube.services.detector.detector import EventDetector
@@ -44,6 +45,8 @@ METRICS: Mapping[str, tuple[str, str, str]] = {
     "reaction_retries_total": ("counter", "reaction", "Attempts that were repeated."),
     "reaction_dead_total": ("counter", "reaction", "Edges that were given up."),
     "reaction_waiting": ("gauge", "reaction", "Edges on their way."),
+    "reaction_journal_entries": ("gauge", "", "Edges on their way that a restart would find on the disk."),
+    "reaction_journal_unkept_total": ("counter", "", "Edges that were in memory only, since the disk refused."),
 }
 """Name without prefix -> kind, label, meaning."""
 
@@ -59,12 +62,14 @@ class Refusal:
 
 @dataclass
 class Status:
-    """The pages of one detector. `unreachable`: what else is waited for, such as the broker."""
+    """The pages of one detector. `unreachable`: what else is waited for, such as the broker. `kept`: what reactions
+    have on the disk."""
 
     detector: EventDetector
     clock_ns: Callable[[], int]
     refusal: Refusal = field(default_factory=Refusal)
     unreachable: Callable[[], str] = str
+    kept: Callable[[], Mapping[str, Any]] = lambda: MEMORY_ONLY
 
     def not_ready(self) -> str:
         """Why it is not ready, in words; empty when it is."""
@@ -92,6 +97,7 @@ class Status:
                 "workers": {} if workers is None else workers.document(),
             },
             "reactions": detector.raising.document(),
+            "reactions_journal": dict(self.kept()),
             "dead_letters": detector.raising.box.documents(),
             "recordings": {one.plan.recording: one.counts() for one in detector.recordings.at_work},
         }
@@ -126,6 +132,9 @@ class Status:
         for rule, worker in workers.items():
             yield "rule_suspended", rule, int(worker["state"] == "suspended")
             yield "rule_dropped_total", rule, worker["dropped"]
+        kept = self.kept()
+        yield "reaction_journal_entries", "", kept["kept"]
+        yield "reaction_journal_unkept_total", "", kept["unkept"]
         for reaction, counts in detector.raising.document().items():
             yield "reaction_waiting", reaction, counts["waiting"]
             yield from ((f"reaction_{key}_total", reaction, counts[key]) for key in ("delivered", "retries", "dead"))

@@ -2,7 +2,7 @@
 
 What the receiver does not take for `retry_seconds`, refuses, or what does not fit into the queue is a dead letter. The
 order of edges is kept, so that nobody hears of an event's end before its begin: one that is tried again holds up those
-behind it.
+behind it. What an earlier process has left comes first.
 """
 
 from __future__ import annotations
@@ -10,15 +10,18 @@ from __future__ import annotations
 import logging
 import queue
 import threading
+from collections import deque
 from collections.abc import Callable, Mapping
 
 from robotkube.domain.errors import RobotKubeError
 from robotkube.ports.reactions import Delivery, Sender
 from robotkube.services.reactions.dead import DeadLetterBox
+from robotkube.services.reactions.keeping import OPEN_SECONDS_MAX, Kept
 
 QUEUE_MAX = 256
 WAIT_SECONDS = 0.5
 RETRY_SECONDS_FIRST, RETRY_SECONDS_LONGEST = 0.2, 10.0
+ENDED = "the detector ended"
 
 log = logging.getLogger(__name__)
 
@@ -27,13 +30,20 @@ class Deliveries:
     """Port Reaction over a sender."""
 
     def __init__(
-        self, name: str, sender: Sender, retry_seconds: float, box: DeadLetterBox, monotonic: Callable[[], float]
+        self,
+        name: str,
+        sender: Sender,
+        retry_seconds: float,
+        box: DeadLetterBox,
+        monotonic: Callable[[], float],
+        kept: Kept | None = None,
     ) -> None:
         self.name, self._sender, self._retry_seconds = name, sender, retry_seconds
         self._box, self._monotonic = box, monotonic
         self._queue: queue.Queue[Delivery] = queue.Queue(QUEUE_MAX)
+        self._kept, self._earlier = kept or Kept(), deque[Delivery]()
         self._ending, self._deadline = threading.Event(), float("inf")
-        self._delivered = self._retries = self._dead = self._busy = 0
+        self._delivered = self._retries = self._dead = self._busy = self._left = 0
         self.unreachable = f"{name}: not tried yet"
         self._thread = threading.Thread(target=self._run, name=f"deliveries {name}", daemon=True)
 
@@ -43,6 +53,7 @@ class Deliveries:
 
     def react(self, delivery: Delivery) -> None:
         """See the port."""
+        self._kept.add(delivery)
         try:
             self._queue.put_nowait(delivery)
         except queue.Full:
@@ -50,7 +61,7 @@ class Deliveries:
 
     def counts(self) -> Mapping[str, int]:
         """See the port."""
-        waiting = self._queue.qsize() + self._busy
+        waiting = self._queue.qsize() + len(self._earlier) + self._busy
         return {"delivered": self._delivered, "retries": self._retries, "dead": self._dead, "waiting": waiting}
 
     def stop(self, seconds: float) -> bool:
@@ -59,13 +70,16 @@ class Deliveries:
         self._deadline = self._monotonic() + seconds
         self._ending.set()
         self._thread.join(seconds)
+        while self._earlier:
+            self._leave(self._earlier.popleft(), ENDED)
         while True:
             try:
-                self._give_up(self._queue.get_nowait(), "the detector ended")
+                self._leave(self._queue.get_nowait(), ENDED)
             except queue.Empty:
-                return self._dead == dead and not self._thread.is_alive()
+                return self._dead == dead and not (self._left or self._thread.is_alive())
 
     def _run(self) -> None:
+        self._kept.wait(OPEN_SECONDS_MAX)
         self._reach()
         while (delivery := self._next()) is not None:
             self._busy = 1
@@ -77,8 +91,11 @@ class Deliveries:
         """The next one; None when the time to end has come."""
         while True:
             over = self._ending.is_set()
+            self._earlier.extend(self._kept.left())
             if over and self._monotonic() >= self._deadline:
                 return None
+            if self._earlier:
+                return self._earlier.popleft()
             try:
                 return self._queue.get(timeout=0.001 if over else WAIT_SECONDS)
             except queue.Empty:
@@ -88,7 +105,8 @@ class Deliveries:
     def _reach(self) -> None:
         """Find the receiver before there is something to say; who waits for it meanwhile is not held up."""
         pause = RETRY_SECONDS_FIRST
-        while not self._ending.is_set() and self._queue.empty():
+        while not (self._ending.is_set() or self._earlier) and self._queue.empty():
+            self._earlier.extend(self._kept.left())
             try:
                 self._sender.probe()
             except RobotKubeError as error:
@@ -106,11 +124,14 @@ class Deliveries:
                 self._sender.send(delivery)
             except RobotKubeError as error:
                 now = self._monotonic()
-                over = now - began + pause > self._retry_seconds or now + pause > self._deadline
+                over = now - began + pause > self._retry_seconds
                 if error.retriable:
                     self.unreachable = f"{self.name}: {error}"
                 if over or not error.retriable:
                     self._give_up(delivery, str(error))
+                    return
+                if now + pause > self._deadline:
+                    self._leave(delivery, str(error))
                     return
                 self._retries += 1
                 log.warning("reaction %s: %s: %s; trying again in %.1f s", self.name, delivery.id, error, pause)
@@ -118,6 +139,7 @@ class Deliveries:
                 pause = min(2 * pause, RETRY_SECONDS_LONGEST)
             else:
                 self._delivered += 1
+                self._kept.done(delivery)
                 self.unreachable = ""
                 return
 
@@ -126,6 +148,15 @@ class Deliveries:
         ending = self._ending
         (threading.Event() if ending.is_set() else ending).wait(seconds)
 
+    def _leave(self, delivery: Delivery, reason: str) -> None:
+        """The time is over: to the next process, when that will find it."""
+        self._left += 1
+        if self._kept.outlives(delivery):
+            log.warning("reaction %s: %s is left to the next process: %s", self.name, delivery.id, reason)
+        else:
+            self._give_up(delivery, reason)
+
     def _give_up(self, delivery: Delivery, reason: str) -> None:
         self._dead += 1
         self._box.add(self.name, delivery.id, reason)
+        self._kept.done(delivery)

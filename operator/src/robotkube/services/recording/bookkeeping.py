@@ -47,9 +47,7 @@ class Bookkeeping:
     def receive(self, topic: str, stamp: int, note: Callable[[TopicAudit], None] | None = None) -> None:
         """A message was taken in, and this came of it at once."""
         with self._lock:
-            if self._since is not None and topic not in self._known_before:
-                self._known_before.add(topic)  # of which a killed writer left nothing at all
-                self._lack(topic, self._since, stamp)
+            self._lack_before(topic, stamp)
             audit = self._of(topic)
             audit.receive(stamp)
             since = self._interrupted.get(topic)
@@ -71,18 +69,24 @@ class Bookkeeping:
                 self._of(topic).store(1)
 
     def take_up(self, audits: Sequence[Mapping[str, Any]], stamps: Mapping[str, Sequence[int]]) -> None:
-        """Go on after earlier writers, of whom these audits and stored stamps are left."""
+        """Go on after earlier writers, of whom these audits and stored stamps are left.
+
+        Some may be of this writer itself, when the database has them by way of the spool."""
+        earlier = [audit for audit in audits if audit["life"] != self.life]
         with self._lock:
-            for audit in audits:
+            for audit in earlier:
                 if not audit["closed"]:
                     self._open_before.setdefault(audit["topic"], []).append(audit["_id"])
-            killed = interruptions(audits, stamps)
+            killed = interruptions(audits, stamps, self.life)
             for found in killed:
                 self._interrupt(found)
             if killed:
-                windows = [audit["window"][0] for audit in audits if audit["window"]]
+                windows = [audit["window"][0] for audit in earlier if audit["window"]]
                 self._since = min([*windows, *(min(known) for known in stamps.values())])
-                self._known_before = {audit["topic"] for audit in audits} | stamps.keys()
+                self._known_before = {audit["topic"] for audit in earlier} | {found.topic for found in killed}
+                for topic, begun in list(self._audits.items()):
+                    if begun.first is not None:
+                        self._lack_before(topic, begun.first)
 
     def tell_changes(self) -> bool:
         """Write audits with new gaps at once, all of them now and then; whether there were any.
@@ -124,6 +128,12 @@ class Bookkeeping:
             self._interrupted[found.topic] = found.since
         else:
             self._lack(found.topic, found.since, until)
+
+    def _lack_before(self, topic: str, first: int) -> None:
+        """A killed writer may have left nothing at all of a topic whose `first` stamp this one has received."""
+        if self._since is not None and topic not in self._known_before:
+            self._known_before.add(topic)
+            self._lack(topic, self._since, first)
 
     def _lack(self, topic: str, since: int, until: int) -> None:
         if until > since:
