@@ -236,15 +236,17 @@ class RosSubscription:
                 taken.append(message[0])
         return taken
 
-    def take_timed(self, messages_max: int = 1000) -> list[tuple[bytes, dict[str, Any]]]:
-        """As `take`, each with what the middleware says of it: `received_timestamp` and `source_timestamp` in ns since
-        1970, `publication_sequence_number` of its publisher."""
-        taken: list[tuple[bytes, dict[str, Any]]] = []
-        take, kind = self._take, self._kind
-        with self._handle:
-            while len(taken) < messages_max and (message := take(kind, True)) is not None:
-                taken.append(message)
-        return taken
+    def take_timed(self, messages_max: int = 1000) -> tuple[list[tuple[bytes, int]], int | None]:
+        """As `take`, each with the time at which the middleware received it (ns since 1970), and the last one's number
+        in its publisher's sequence; None without a message, or when the middleware does not number them.
+
+        The handle is not held by `with`, which takes as long as half a message: all methods belong to one thread."""
+        taken: list[tuple[bytes, int]] = []
+        take, kind, said = self._take, self._kind, None
+        while len(taken) < messages_max and (message := take(kind, True)) is not None:
+            data, said = message
+            taken.append((data, said["received_timestamp"]))
+        return taken, None if said is None else said["publication_sequence_number"]
 
     @property
     def matched(self) -> int:

@@ -27,6 +27,7 @@ __all__ = ["NUMBER", "SERIES", "TEXT", "TRUTH", "FieldReader", "Layouts", "Unkno
 
 Steps = Sequence[Step]
 PATHS_MAX = 1000
+_NOTHING: list[Any] = []
 FIELDS_LISTED_MAX = 500
 
 
@@ -58,7 +59,7 @@ class FieldReader:
             if data[0] or data[1] > 1:
                 raise ValueError(f"encapsulation {bytes(data[:2]).hex()} is not that of classic CDR (0000 or 0001)")
             steps, structs = self._orders[data[1]]
-            out: list[Any] = [None] * self._slots
+            out = _NOTHING if structs is not None else [None] * self._slots  # nothing but the last step reads then
             position = ENCAPSULATION
             for step in steps:
                 position = step(data, position, out)

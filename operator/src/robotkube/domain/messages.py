@@ -39,10 +39,12 @@ STAMPED_TYPES = frozenset(
 def header_stamp(data: bytes) -> int:
     """The header's stamp of a serialised message of one of STAMPED_TYPES; ValueError when it is too short."""
     try:
+        seconds: int
+        nanoseconds: int
         seconds, nanoseconds = (_LITTLE_HEADER if data[1] & 1 else _BIG_HEADER).unpack_from(data, _ENCAPSULATION)
     except (struct.error, IndexError) as error:
         raise ValueError(f"a message of {len(data)} bytes has no header") from error
-    return int(seconds) * 1_000_000_000 + int(nanoseconds)
+    return seconds * 1_000_000_000 + nanoseconds
 
 
 def pose_position(data: bytes) -> tuple[float, float, float]:

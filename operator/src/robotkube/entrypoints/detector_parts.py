@@ -96,16 +96,13 @@ class RosInput:
 
     def drain(self, messages_max: int) -> Sequence[tuple[bytes, int]]:
         """What waits, with the time at which the middleware received it."""
-        messages = self._subscription.take_timed(messages_max)
-        if not messages:
-            return ()
-        number = messages[-1][1]["publication_sequence_number"]
+        messages, number = self._subscription.take_timed(messages_max)
         if number is not None:
             missing = number - self._last - len(messages)
-            if self._last >= 0 and missing > 0:
+            if missing > 0 and self._last >= 0:
                 self.lost += missing
             self._last = number
-        return [(data, said["received_timestamp"]) for data, said in messages]
+        return messages
 
     def close(self) -> None:
         """Unsubscribe."""

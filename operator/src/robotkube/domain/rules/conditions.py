@@ -55,11 +55,11 @@ class Timers:
 
 
 class Condition:
-    """The beginning of a condition that only messages change."""
+    """The beginning of a condition that only messages change. `paired`: agent -> with whom it holds for the agent."""
 
     def __init__(self) -> None:
         self.holding: set[Member] = set()
-        self._partners: dict[str, dict[str, None]] = {}
+        self.paired: dict[str, dict[str, None]] = {}
 
     def observe(self, reading: Reading) -> Sequence[Finding]:
         """What a message changes. ValueError: its fields are not what the condition compares."""
@@ -88,16 +88,16 @@ class Condition:
 
     def partners(self, agent: str) -> Iterable[str]:
         """With whom it holds for the agent."""
-        return self._partners.get(agent, ())
+        return self.paired.get(agent, ())
 
     def _pair_up(self, member: Member, holds: bool) -> None:
         agent, other = member
         if holds:
-            self._partners.setdefault(agent, {})[other] = None
-        elif agent in self._partners:
-            self._partners[agent].pop(other, None)
-            if not self._partners[agent]:
-                del self._partners[agent]
+            self.paired.setdefault(agent, {})[other] = None
+        elif agent in self.paired:
+            self.paired[agent].pop(other, None)
+            if not self.paired[agent]:
+                del self.paired[agent]
 
 
 def beyond(level: Level, value: float) -> int:

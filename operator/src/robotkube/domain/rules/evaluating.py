@@ -32,6 +32,7 @@ from robotkube.domain.rules.specifications import (
     Threshold,
 )
 
+NEVER_NS = 1 << 63
 AGENTS_MAX = 10_000
 """So many agents are looked at by one rule; what others send is counted in `ignored`."""
 
@@ -77,6 +78,7 @@ class Evaluator:
         self.ignored = 0
         self._asked = isinstance(rule.condition, (Cel, Python))
         self._expire_ns, self._every_ns = int(rule.timing.expire * 1e9), int(rule.timing.every * 1e9)
+        self._silence_ns = self._expire_ns or NEVER_NS
         self._only = frozenset(rule.agents)
         self._seen: dict[str, tuple[int, int]] = {}
         self._slots: dict[str, int] = {}
@@ -99,20 +101,27 @@ class Evaluator:
 
     def observe(self, reading: Reading) -> list[Edge]:
         """The edges that a message causes; ValueError when its fields are not what the rule compares."""
-        agent, stamp = reading.agent, reading.stamp
+        _, agent, stamp, received, _, _, _ = reading
         if self._only and agent not in self._only:
             return []
         if self._asked:
             self._ask(reading)
             return []
-        found = self._hear(agent, stamp, reading.received)
-        if agent not in self._seen or (self._every_ns and self._repeated(agent, stamp)):
+        found: list[Edge] = []
+        last = self._seen.get(agent)
+        if last is None or stamp - last[0] > self._silence_ns or received < last[1] or agent in self.condition.paired:
+            found = self._hear(agent, stamp, received)
+            if agent not in self._seen:
+                return found
+        else:  # heard of lately and alone: nothing can have expired, and who looks after its silence is set
+            self._seen[agent] = stamp, received
+        if self._every_ns and self._repeated(agent, stamp):
             return found
         findings = self.condition.observe(reading)
         if findings:
             found += self._take(findings)
         if self.occurrences.pending:
-            found += self._mature(agent, stamp, reading.received)
+            found += self._mature(agent, stamp, received)
         return found
 
     def answer(self, verdict: Verdict) -> list[Edge]:

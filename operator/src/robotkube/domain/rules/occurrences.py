@@ -28,7 +28,7 @@ class _State:
 
 
 class Occurrences:
-    """The events of one rule. Findings go in, edges come out."""
+    """The events of one rule. Findings go in, edges come out. `pending`: for whom it holds, but is no event yet."""
 
     def __init__(self, rule: Rule) -> None:
         self.rule = rule
@@ -37,7 +37,7 @@ class Occurrences:
         self._interval = int(timing.minimum_interval * 1e9)
         self._states: dict[Agents, _State] = {}
         self._idle: OrderedDict[Agents, _State] = OrderedDict()
-        self._pending: set[Agents] = set()
+        self.pending: set[Agents] = set()
         self._members: set[Member] = set()
         self._group: Agents = tuple(sorted(rule.agents))
         self._adopted: dict[Agents, int | None] = {}
@@ -47,11 +47,6 @@ class Occurrences:
     def active(self) -> tuple[Edge, ...]:
         """The start edges of the events that last."""
         return tuple(state.active for state in self._states.values() if state.active is not None)
-
-    @property
-    def pending(self) -> bool:
-        """Whether something holds that is no event yet."""
-        return bool(self._pending)
 
     @property
     def provisional(self) -> bool:
@@ -90,7 +85,7 @@ class Occurrences:
     def mature(self, agents: Agents, stamp: int, received: int) -> list[Edge]:
         """The start of an event whose time has come at `stamp`, the agents' common progress."""
         state = self._states.get(agents)
-        if agents not in self._pending or state is None or state.since is None:
+        if agents not in self.pending or state is None or state.since is None:
             return []
         beginning = self._beginning(state)
         return [self._start(agents, state, beginning, received)] if beginning <= stamp else []
@@ -98,7 +93,7 @@ class Occurrences:
     def waiting(self, agent: str) -> Iterable[Agents]:
         """Those with this agent whose event has still to begin."""
         group = self.rule.scope == GROUP
-        return [agents for agents in self._pending if group or agent in agents] if self._pending else ()
+        return [agents for agents in self.pending if group or agent in agents] if self.pending else ()
 
     def elapse(self, now: int) -> list[Edge]:
         """The events that begin by the time alone, up to `now` on this machine's clock."""
@@ -151,13 +146,13 @@ class Occurrences:
         beginning = self._beginning(state)
         if beginning <= stamp:
             return [self._start(agents, state, beginning, finding.received)]
-        self._pending.add(agents)
+        self.pending.add(agents)
         self._timers.watch(agents, finding.received + beginning - stamp + GRACE_NS)
         return []
 
     def _cease(self, agents: Agents, state: _State, finding: Finding) -> list[Edge]:
         found = self.mature(agents, finding.stamp - 1, finding.received)
-        self._pending.discard(agents)
+        self.pending.discard(agents)
         if state.active is not None:
             distance, causes, detail = finding.detail.get("distance_m"), finding.causes, finding.detail
             edge = replace(state.active, edge=STOP, time=finding.received, stamp=finding.stamp)
@@ -187,12 +182,12 @@ class Occurrences:
             self.rule.name, START, agents, event, trace, received, beginning, detail.get("distance_m"), causes, detail
         )
         state.started, state.stamp = beginning, max(state.stamp, beginning)
-        self._pending.discard(agents)
+        self.pending.discard(agents)
         return state.active
 
     def _moment(self, agents: Agents) -> int | None:
         """When the event begins, on this machine's clock, if nothing comes that says otherwise."""
         state = self._states.get(agents)
-        if agents not in self._pending or state is None or state.since is None:
+        if agents not in self.pending or state is None or state.since is None:
             return None
         return state.since.received + self._beginning(state) - state.since.stamp + GRACE_NS

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from math import floor
+from operator import attrgetter
 
 from robotkube.domain.rules.conditions import Condition
 from robotkube.domain.rules.edges import Cause
@@ -13,16 +15,24 @@ from robotkube.domain.rules.specifications import Proximity
 
 POSITION_MAX = 1e12
 
+_name = attrgetter("agent")
+
 Cell = tuple[int, int]
 
 
-class _Place(NamedTuple):
+@dataclass(slots=True)
+class _Place:
+    """Where an agent is; changed in place, because everybody around looks at it. `around`: who stands in its cell and
+    the eight next to it, itself included."""
+
+    agent: str
     stamp: int
     x: float
     y: float
     z: float
     topic: str
     cell: Cell
+    around: dict[str, _Place]
 
 
 class ProximityCondition(Condition):
@@ -30,70 +40,86 @@ class ProximityCondition(Condition):
 
     Whoever is nearer than the start distance stands in one of the nine cells around; whoever was near is compared
     until he is farther than the stop distance, wherever he stands. The stamp of a finding is the later of the two.
+    Each cell knows who stands around it: agents send much more often than they change their cell.
     """
 
     def __init__(self, settings: Proximity) -> None:
         super().__init__()
         self._settings = settings
         self._stale_ns = int(settings.stale_seconds * 1e9)
+        self._width = settings.start_distance_m
         self._start_squared, self._stop_squared = settings.start_distance_m**2, settings.stop_distance_m**2
         self._places: dict[str, _Place] = {}
-        self._cells: dict[Cell, dict[str, _Place]] = {}
+        self._around: dict[Cell, dict[str, _Place]] = {}
 
     def observe(self, reading: Reading) -> Sequence[Finding]:
         """See the base; the values are x, y and z in metres."""
         place = self._put(reading)
-        agent, found, holding = reading.agent, [], self.holding
-        column, row = place.cell
-        for cell in (
-            (column, row), (column - 1, row), (column + 1, row), (column, row - 1), (column, row + 1),
-            (column - 1, row - 1), (column - 1, row + 1), (column + 1, row - 1), (column + 1, row + 1),
-        ):  # fmt: skip
-            for other, theirs in self._cells.get(cell, {}).items():
-                squared = (place.x - theirs.x) ** 2 + (place.y - theirs.y) ** 2 + (place.z - theirs.z) ** 2
-                if squared >= self._start_squared or other == agent or not self._comparable(place, theirs):
-                    continue
-                if pair(agent, other) not in holding:
-                    found.append(self._finding(reading, place, other, theirs, RISE))
-        for other in self.partners(agent):
-            known = self._places.get(other)
-            if known is not None and self._comparable(place, known) and _squared(place, known) > self._stop_squared:
-                found.append(self._finding(reading, place, other, known, FALL))
+        found: list[Finding] = []
+        if len(place.around) > 1:
+            found = [self._finding(reading, place, other, RISE) for other in self._near(place)]
+        if self.paired:
+            for agent in self.partners(place.agent):
+                known = self._places.get(agent)
+                if known is not None and self._comparable(place, known) and _squared(place, known) > self._stop_squared:
+                    found.append(self._finding(reading, place, known, FALL))
         return found
 
     def forget(self, agent: str) -> None:
         """See the base."""
         place = self._places.pop(agent, None)
         if place is not None:
-            self._leave(agent, place.cell)
+            self._leave(place)
+
+    def _near(self, place: _Place) -> list[_Place]:
+        """Who has come near, by name, so that the order does not depend on who came first into which cell."""
+        found, holding = [], self.holding
+        x, y, z, limit = place.x, place.y, place.z, self._start_squared
+        for other in place.around.values():
+            across, along, up = x - other.x, y - other.y, z - other.z
+            if across * across + along * along + up * up < limit and other is not place:
+                if self._comparable(place, other) and pair(place.agent, other.agent) not in holding:
+                    found.append(other)
+        return sorted(found, key=_name) if len(found) > 1 else found
 
     def _put(self, reading: Reading) -> _Place:
-        x, y, z = reading.values
-        if not (abs(x) <= POSITION_MAX and abs(y) <= POSITION_MAX and abs(z) <= POSITION_MAX):
+        topic, agent, stamp, _, (x, y, z), _, _ = reading
+        most = POSITION_MAX
+        if not (-most <= x <= most and -most <= y <= most and -most <= z <= most):
             raise ValueError(f"{self._settings.position} is no position")
-        width = self._settings.start_distance_m
-        cell = math.floor(x / width), math.floor(y / width)
-        agent, before = reading.agent, self._places.get(reading.agent)
-        if before is not None and before.cell != cell:
-            self._leave(agent, before.cell)
-        place = self._places[agent] = _Place(reading.stamp, x, y, z, reading.topic, cell)
-        self._cells.setdefault(cell, {})[agent] = place
+        cell = floor(x / self._width), floor(y / self._width)
+        place = self._places.get(agent)
+        if place is None:
+            place = self._places[agent] = _Place(agent, stamp, x, y, z, topic, cell, {})
+            self._enter(place)
+        else:
+            place.stamp, place.x, place.y, place.z, place.topic = stamp, x, y, z, topic
+            if place.cell != cell:
+                self._leave(place)
+                place.cell = cell
+                self._enter(place)
         return place
 
-    def _leave(self, agent: str, cell: Cell) -> None:
-        inhabitants = self._cells[cell]
-        del inhabitants[agent]
-        if not inhabitants:
-            del self._cells[cell]
+    def _enter(self, place: _Place) -> None:
+        for cell in _nine(place.cell):
+            self._around.setdefault(cell, {})[place.agent] = place
+        place.around = self._around[place.cell]
+
+    def _leave(self, place: _Place) -> None:
+        for cell in _nine(place.cell):
+            inhabitants = self._around[cell]
+            del inhabitants[place.agent]
+            if not inhabitants:
+                del self._around[cell]
 
     def _comparable(self, one: _Place, other: _Place) -> bool:
         return abs(one.stamp - other.stamp) <= self._stale_ns
 
-    def _finding(self, reading: Reading, mine: _Place, other: str, theirs: _Place, verdict: int) -> Finding:
+    def _finding(self, reading: Reading, mine: _Place, theirs: _Place, verdict: int) -> Finding:
         distance = math.sqrt(_squared(mine, theirs))
         causes = (self._cause(mine), self._cause(theirs))
         stamp = max(mine.stamp, theirs.stamp)
-        member = pair(reading.agent, other)
+        member = pair(mine.agent, theirs.agent)
         return Finding(member, verdict, stamp, reading.received, {"distance_m": distance}, causes)
 
     def _cause(self, place: _Place) -> Cause:
@@ -103,3 +129,8 @@ class ProximityCondition(Condition):
 
 def _squared(one: _Place, other: _Place) -> float:
     return (one.x - other.x) ** 2 + (one.y - other.y) ** 2 + (one.z - other.z) ** 2
+
+
+def _nine(cell: Cell) -> Iterator[Cell]:
+    column, row = cell
+    return ((column + right, row + up) for right in (-1, 0, 1) for up in (-1, 0, 1))

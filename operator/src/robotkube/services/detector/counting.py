@@ -24,13 +24,13 @@ class InputCounter:
         """One message measured at `stamp` and received at `received` (ns)."""
         self.received += 1
         self.newest = received
-        second = received // 1_000_000_000
-        if second != self._second[0]:
-            self._second = [second, 0]
-            self._seconds.append(self._second)
-        self._second[1] += 1
+        second = self._second
+        if received // 1_000_000_000 != second[0]:
+            second = self._second = [received // 1_000_000_000, 0]
+            self._seconds.append(second)
+        second[1] += 1
         age = (received - stamp) // 1_000_000
-        self._ages[0 if age < 0 else age if age < AGE_MS_MAX else AGE_MS_MAX] += 1
+        self._ages[age if 0 <= age < AGE_MS_MAX else 0 if age < 0 else AGE_MS_MAX] += 1
 
     def document(self, unreadable: int = 0) -> dict[str, Any]:
         """The counter as JSON values; `unreadable`: messages whose fields a rule could not read."""
