@@ -62,7 +62,8 @@ class TopicAudit:
 
     `received = stored + early + duplicates + dropped + waiting`; `stored` counts what was handed to the journal, which
     keeps order: once the database has this audit it has these messages, too, or the journal's own audit says why not.
-    `changed`: there is a gap that nobody has written down yet.
+    `gaps`: what was received and given up; `lacking`: what was never received, as somebody knows. `changed`: there is
+    one that nobody has written down yet.
     """
 
     topic: str
@@ -73,14 +74,15 @@ class TopicAudit:
     first: int | None = None
     last: int | None = None
     gaps: list[Gap] = field(default_factory=list)
+    lacking: list[Gap] = field(default_factory=list)
     changed: bool = False
-    _holes: list[Gap] = field(default_factory=list)
+    _spaces: list[_Space] = field(default_factory=list)
     _joinable: bool = False
     _stamps: array[int] = field(default_factory=lambda: array("q"))
 
     @property
     def dropped(self) -> int:
-        """Messages that were received and are not in storage, as far as they were counted."""
+        """Messages that were received and are not in storage."""
         return sum(gap.count or 0 for gap in self.gaps)
 
     @property
@@ -114,25 +116,28 @@ class TopicAudit:
         """A message that was received is given up. Neighbours of one reason are one gap; beyond GAPS_MAX all are."""
         last = self.gaps[-1] if self.gaps else None
         full = len(self.gaps) >= GAPS_MAX
+        gap = Gap(self.topic, where, why, 1, stamp, stamp)
         if last is None or not (full or (self._joinable and (last.where, last.why) == (where, why))):
-            self.gaps.append(Gap(self.topic, where, why, 1, stamp, stamp))
+            self.gaps.append(gap)
         else:
-            count = None if last.count is None else last.count + 1
-            span = min(last.first, stamp), max(last.last, stamp)
-            self.gaps[-1] = Gap(self.topic, last.where, last.why, count, *span)
+            self.gaps[-1] = _joined(last, gap)
         self._joinable = self.changed = True
 
     def lack(self, gap: Gap) -> None:
-        """Messages are missing that were never received here."""
-        self.gaps.append(gap)
-        self._joinable, self.changed = False, True
+        """Messages are missing that were never received here. Beyond GAPS_MAX all are one."""
+        if len(self.lacking) >= GAPS_MAX:
+            self.lacking[-1] = _joined(self.lacking[-1], gap)
+        else:
+            self.lacking.append(gap)
+        self.changed = True
 
     def document(self, holes_within: Sequence[Interval] | None = None) -> dict[str, Any]:
         """The audit as it is stored; with `holes_within` also what is missing in the received stamps of each of these
-        intervals."""
-        found = self.gaps + self._holes
+        intervals and nobody has told."""
+        spaces = list(self._spaces)
         if holes_within is not None:
-            found += [self._hole(hole) for hole in _holes_of(self._stamps, holes_within)]
+            spaces += _spaces_of(self._stamps, holes_within)
+        found = self.gaps + self.lacking + self._untold(spaces)
         return {
             "topic": self.topic,
             "window": None if self.first is None else [self.first, self.last],
@@ -148,17 +153,57 @@ class TopicAudit:
         """Look for holes in the older half of the stamps and forget it."""
         stamps = sorted(self._stamps)
         middle = len(stamps) // 2
-        self._holes += [self._hole(hole) for hole in holes(stamps[: middle + 1])]
+        self._spaces += _spaces(stamps[: middle + 1])
         self._stamps = array("q", stamps[middle:])
 
-    def _hole(self, hole: tuple[int, int, int]) -> Gap:
-        first, last, count = hole
-        return Gap(self.topic, SOURCE, MISSING, count, first, last)
+    def _untold(self, spaces: Iterable[_Space]) -> list[Gap]:
+        """A gap for each space in which more is missing than somebody has told."""
+        left = [gap.count or 0 for gap in self.lacking]
+        found = []
+        for space in spaces:
+            count = space.count
+            for number, gap in enumerate(self.lacking):
+                if gap.first < space.later and gap.last > space.earlier:
+                    told = min(count, left[number])
+                    count, left[number] = count - told, left[number] - told
+            if count:
+                found.append(Gap(self.topic, SOURCE, MISSING, count, space.first, space.last))
+        return found
 
 
-def _holes_of(stamps: Iterable[int], intervals: Sequence[Interval]) -> Iterable[tuple[int, int, int]]:
+@dataclass(frozen=True, slots=True)
+class _Space:
+    """Two stamps of a regular topic, one after the other, between which there should be more."""
+
+    earlier: int
+    later: int
+    period: int
+
+    @property
+    def count(self) -> int:
+        """How many; exact for an even period."""
+        return round((self.later - self.earlier) / self.period) - 1
+
+    @property
+    def first(self) -> int:
+        """The first missing stamp."""
+        return min(self.earlier + self.period, self.later - 1)
+
+    @property
+    def last(self) -> int:
+        """The last missing stamp."""
+        return max(self.later - self.period, self.first)
+
+
+def _joined(one: Gap, other: Gap) -> Gap:
+    """Two gaps as one, for the first one's reason."""
+    count = None if one.count is None or other.count is None else one.count + other.count
+    return Gap(one.topic, one.where, one.why, count, min(one.first, other.first), max(one.last, other.last))
+
+
+def _spaces_of(stamps: Iterable[int], intervals: Sequence[Interval]) -> Iterable[_Space]:
     for first, last in intervals:
-        yield from holes([stamp for stamp in stamps if first <= stamp <= last])
+        yield from _spaces([stamp for stamp in stamps if first <= stamp <= last])
 
 
 def holes(stamps: Iterable[int]) -> list[tuple[int, int, int]]:
@@ -167,6 +212,10 @@ def holes(stamps: Iterable[int]) -> list[tuple[int, int, int]]:
     Regular: nine of ten distances lie within a fifth of the median. Of other topics nobody can say that something is
     missing: they have no holes. An even period gives the exact number.
     """
+    return [(space.first, space.last, space.count) for space in _spaces(stamps)]
+
+
+def _spaces(stamps: Iterable[int]) -> list[_Space]:
     ordered = sorted(set(stamps))
     distances = [later - earlier for earlier, later in pairwise(ordered)]
     if len(ordered) < REGULAR_STAMPS_MIN:
@@ -176,7 +225,7 @@ def holes(stamps: Iterable[int]) -> list[tuple[int, int, int]]:
     if regular < REGULAR_SHARE_MIN * len(distances):
         return []
     return [
-        (earlier + period, later - period, round((later - earlier) / period) - 1)
+        _Space(earlier, later, period)
         for earlier, later in pairwise(ordered)
         if later - earlier >= HOLE_PERIODS * period
     ]
@@ -262,7 +311,6 @@ def add_up(documents: Iterable[Mapping[str, Any]]) -> dict[str, AuditSum]:
             for name in ("received", "stored", "early", "duplicates", "dropped")
         }
         gaps = tuple(read_gap(topic, values) for values in document["gaps"])
-        sums[topic] = AuditSum(
-            topic=topic, gaps=known.gaps + gaps, open=known.open or not document["closed"], **numbers
-        )
+        both = tuple(dict.fromkeys(known.gaps + gaps))  # bridges tell their gaps to each writer
+        sums[topic] = AuditSum(topic=topic, gaps=both, open=known.open or not document["closed"], **numbers)
     return sums

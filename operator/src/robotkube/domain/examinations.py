@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from robotkube.domain.audits import SOURCE, AuditSum
+from robotkube.domain.audits import AuditSum
 from robotkube.domain.recordings import LedgerLine, StoredMessage, TopicVerdict, compare_topic
 
 Window = tuple[int, int]
@@ -40,9 +40,8 @@ class TopicExamination:
 
     @property
     def missing(self) -> int:
-        """Messages that the gaps say are not there: dropped, or missing in what was received."""
-        gaps = self.audit.gaps if self.audit else ()
-        return sum(gap.count or 0 for gap in gaps if gap.where == SOURCE) + (self.audit.dropped if self.audit else 0)
+        """Messages that the gaps say are not there: dropped on the way or here, or missing in what was received."""
+        return sum(gap.count or 0 for gap in self.audit.gaps) if self.audit else 0
 
     @property
     def problems(self) -> list[str]:

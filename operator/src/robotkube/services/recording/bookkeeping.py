@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-from robotkube.domain.audits import KILLED, RECORDER, Gap, Interruption, Interval, TopicAudit, interruptions
+from robotkube.domain.audits import GAPS_MAX, KILLED, RECORDER, Gap, Interruption, Interval, TopicAudit, interruptions
 from robotkube.domain.recordings import AUDITS, Write
 from robotkube.services.recording.journal import AUDIT_BYTES, Journal
 from robotkube.services.recording.places import RecorderPlace
@@ -33,6 +33,8 @@ class Bookkeeping:
         self._interrupted: dict[str, int] = {}
         self._open_before: dict[str, list[str]] = {}
         self._since: int | None = None
+        self._begun_at: dict[str, int] = {}
+        self._heard: dict[str, list[Gap]] = {}
         self._known_before: set[str] = set()
 
     def __bool__(self) -> bool:
@@ -50,12 +52,24 @@ class Bookkeeping:
             self._lack_before(topic, stamp)
             audit = self._of(topic)
             audit.receive(stamp)
+            for gap in self._heard.pop(topic, ()):
+                self._hear(audit, gap)
             since = self._interrupted.get(topic)
             if since is not None and stamp >= since:
                 del self._interrupted[topic]
                 self._lack(topic, since, stamp)
             if note is not None:
                 note(audit)
+
+    def hear(self, gap: Gap) -> None:
+        """Somebody on the way tells what is missing: it counts from the first message of the topic on, which may still
+        come. Nothing begins by it."""
+        with self._lock:
+            audit = self._audits.get(gap.topic)
+            if audit is not None and audit.first is not None:
+                self._hear(audit, gap)
+            elif len(heard := self._heard.setdefault(gap.topic, [])) < GAPS_MAX:
+                heard.append(gap)
 
     def note(self, topic: str, note: Callable[[TopicAudit], None]) -> None:
         """Something came of a message that was taken in."""
@@ -77,6 +91,9 @@ class Bookkeeping:
             for audit in earlier:
                 if not audit["closed"]:
                     self._open_before.setdefault(audit["topic"], []).append(audit["_id"])
+                if audit["window"]:
+                    begun = self._begun_at.get(audit["topic"], audit["window"][0])
+                    self._begun_at[audit["topic"]] = min(begun, audit["window"][0])
             killed = interruptions(audits, stamps, self.life)
             for found in killed:
                 self._interrupt(found)
@@ -120,6 +137,12 @@ class Bookkeeping:
         if audit is None:
             audit = self._audits[topic] = TopicAudit(topic)
         return audit
+
+    def _hear(self, audit: TopicAudit, gap: Gap) -> None:
+        """Note a gap unless it was over before the recording had anything of the topic."""
+        firsts = [first for first in (audit.first, self._begun_at.get(gap.topic)) if first is not None]
+        if gap.last >= min(firsts):
+            audit.lack(gap)
 
     def _interrupt(self, found: Interruption) -> None:
         audit = self._audits.get(found.topic)

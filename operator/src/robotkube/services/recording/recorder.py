@@ -4,10 +4,9 @@
 is hashed beside the writing of the segment (hashing and writing let go of the interpreter), and a file is hashed as a
 whole behind its messages, when they are safe already.
 
-A recording that is asked to begins when its streams flow: subscriptions of different topics are matched at different
-moments, and a cloud without the poses of its time would only look like a loss. So large messages measured before the
-first message of every stream are not stored; they are counted in `early`. A silent stream holds the begin up for
-BEGIN_SECONDS_MAX.
+A recording that is asked to begins when its streams flow: subscriptions are matched at different moments, and a cloud
+without the poses of its time would only look like a loss. So large messages measured before the first message of every
+stream are not stored; they are counted in `early`. A silent stream holds the begin up for BEGIN_SECONDS_MAX.
 """
 
 from __future__ import annotations
@@ -173,6 +172,10 @@ class Recorder:
     def lack(self, gap: Gap) -> None:
         """Messages are missing that nobody can offer any more."""
         self._books.note(gap.topic, lambda audit: audit.lack(gap))
+
+    def hear(self, gap: Gap) -> None:
+        """Somebody on the way tells what is missing; what was before the recording does not count."""
+        self._books.hear(gap)
 
     def stop(self, seconds: float) -> bool:
         """Store what was offered and end the recording, within `seconds`; True when the journal has everything."""

@@ -127,8 +127,10 @@ class Recordings:
         if planned is None:
             return
         for one in self._open:
-            spans = ((0, FOREVER),) if one.windows is None else one.windows.intervals(planned)
-            for part in _within(gap, spans):
+            if one.windows is None:
+                one.recorder.hear(gap)
+                continue
+            for part in _within(gap, one.windows.intervals(planned)):
                 one.recorder.lack(part)
 
     def trigger(self, edge: Trigger, now: int) -> None:

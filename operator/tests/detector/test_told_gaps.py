@@ -1,0 +1,92 @@
+"""What somebody on the way tells about missing messages is in the audit once, also when the stamps show it, too."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from waiting import until
+
+from robotkube.domain.audits import GAPS_MAX, SOURCE, Gap, TopicAudit, add_up
+from robotkube.domain.buffers import Sample
+from robotkube.domain.recording_plans import RecordedTopic, RecordingPlan
+from robotkube.domain.topics import TopicPattern
+from robotkube.services.recording.places import RecorderPlace
+from robotkube.services.recording.recordings import Recordings
+from robotkube.testing.recordings import RecordingDatabase, RecordingVolume
+
+POSE = "/vehicles/vehicle_00/pose"
+PERIOD, NUMBERS = 10_000_000, 200
+BRIDGE = Gap(POSE, "mqtt-bridge of vehicle-00", "too many waited for the broker", 3, 50 * PERIOD, 52 * PERIOD)
+PLAN = RecordingPlan("all", "r", "v", (RecordedTopic(TopicPattern("/vehicles/{agent}/pose"), "p", "document"),))
+
+
+def written(audit: TopicAudit) -> list[Gap]:
+    """The gaps of its document, with all holes."""
+    document = {**audit.document([(0, 2**63 - 1)]), "closed": True}
+    return list(add_up([document])[POSE].gaps)
+
+
+@given(st.sets(st.integers(1, NUMBERS - 2), max_size=16), st.sets(st.integers(1, NUMBERS - 2)))
+def test_what_is_told_and_what_the_stamps_show_is_counted_once(missing: set[int], known: set[int]) -> None:
+    audit = TopicAudit(POSE)
+    for number in range(NUMBERS):
+        if number not in missing:
+            audit.receive(number * PERIOD)
+    for number in sorted(missing & known):
+        audit.lack(replace(BRIDGE, count=1, first=number * PERIOD, last=number * PERIOD))
+    gaps = written(audit)
+    assert sum(gap.count or 0 for gap in gaps) == len(missing)
+    assert all(any(gap.covers(number * PERIOD) for gap in gaps) for number in missing)
+    assert sum(gap.count or 0 for gap in gaps if gap.where == SOURCE) == len(missing - known)
+    assert (audit.dropped, audit.waiting) == (0, audit.received)
+
+
+def test_gaps_are_bounded() -> None:
+    audit = TopicAudit(POSE)
+    for number in range(GAPS_MAX + 5):
+        audit.lack(replace(BRIDGE, count=1, first=2 * number, last=2 * number))
+    assert len(audit.lacking) == GAPS_MAX
+    assert audit.lacking[-1] == replace(BRIDGE, count=6, first=2 * (GAPS_MAX - 1), last=2 * (GAPS_MAX + 4))
+
+
+@pytest.fixture
+def database() -> RecordingDatabase:
+    return RecordingDatabase()
+
+
+def recorded(database: RecordingDatabase, numbers: range, *told: Gap) -> None:
+    """One recorder from its start to its end; it is told before its first message, as who comes later is."""
+    volume = RecordingVolume()
+    place = RecorderPlace("n/c", lambda: database, lambda: volume, time.time_ns, time.monotonic)
+    recordings = Recordings(PLAN, place, {})
+    recordings.start()
+    until(lambda: recordings.ready)
+    for gap in told:
+        recordings.lack(gap)
+    for number in numbers:
+        recordings.offer(POSE, "p", Sample(number * PERIOD, number * PERIOD, b"pose %d" % number))
+    assert recordings.stop(5.0)
+
+
+def test_what_was_over_before_the_recording_is_none_of_its_gaps(database: RecordingDatabase) -> None:
+    earlier = replace(BRIDGE, first=0, last=2 * PERIOD)
+    recorded(database, range(40, 50), earlier, BRIDGE)
+    (audit,) = database.audits("r")
+    assert [gap.first for gap in add_up([audit])[POSE].gaps] == [BRIDGE.first]
+
+
+def test_a_gap_alone_begins_no_recording(database: RecordingDatabase) -> None:
+    recorded(database, range(0), BRIDGE)
+    assert not database.recordings()
+
+
+def test_a_second_writer_is_told_the_same_again(database: RecordingDatabase) -> None:
+    recorded(database, range(40, 50), BRIDGE)
+    recorded(database, range(53, 60), BRIDGE)
+    assert len(database.audits("r")) == 2
+    found = add_up(database.audits("r"))[POSE]
+    assert (found.gaps, found.unexplained(17)) == ((BRIDGE,), 0)
