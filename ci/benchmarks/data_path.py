@@ -146,9 +146,12 @@ class Setting:
 
     def _player(self, node: int, agent: str) -> None:
         bag = self.folder / "bags" / agent
-        bags.write_bag(bag, self.tracks[agent], self.seconds)
+        self._write_bag(bag, agent)
         settings = {"agent": agent, "bag": str(bag), "ledger": str(self.folder / "ledger" / agent)}
         self._launch("players", node, agent, "bag-player", "robotkube.entrypoints.player", settings)
+
+    def _write_bag(self, folder: Path, agent: str) -> None:
+        bags.write_bag(folder, self.tracks[agent], self.seconds)
 
     def _receiver(self, node: int) -> None:
         """Subscribes to every topic of the bags, also to those that are not bridged (yet)."""

@@ -21,9 +21,11 @@ SETUP_PASSWORD = "set-up password"  # noqa: S105
 
 @dataclass
 class DatabaseServer:
-    """One FerretDB process on a folder; it can be killed and started again on the same data and port."""
+    """One FerretDB process on a folder; it can be killed and started again on the same data and port. It listens on
+    `address`; tests reach it on the loopback."""
 
     folder: Path
+    address: str = "127.0.0.1"
     port: int = field(default_factory=free_port)
     process: subprocess.Popen[bytes] | None = None
     clients: list[pymongo.MongoClient[dict[str, Any]]] = field(default_factory=list)
@@ -32,7 +34,7 @@ class DatabaseServer:
         (self.folder / "data").mkdir(parents=True, exist_ok=True)
         command = [
             program("ferretdb"), "--handler=sqlite", f"--sqlite-url=file:{self.folder}/data/",
-            f"--state-dir={self.folder}", f"--listen-addr=127.0.0.1:{self.port}", "--debug-addr=-",
+            f"--state-dir={self.folder}", f"--listen-addr={self.address}:{self.port}", "--debug-addr=-",
             "--telemetry=disable", "--setup-database=admin", "--log-level=ERROR",
         ]  # fmt: skip
         environment = {

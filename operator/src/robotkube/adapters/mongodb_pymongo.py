@@ -14,7 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from bson.codec_options import CodecOptions, TypeDecoder, TypeRegistry
 from bson.errors import BSONError
+from bson.int64 import Int64
 from pymongo import MongoClient, UpdateOne
 from pymongo.database import Database
 from pymongo.errors import BulkWriteError, DocumentTooLarge, PyMongoError
@@ -66,6 +68,16 @@ def read_account(folder: Path) -> Account:
     )
 
 
+class _PlainInteger(TypeDecoder):
+    """Long integers come as int: the library's own kind is one that others, such as YAML, do not write."""
+
+    bson_type = Int64
+
+    def transform_bson(self, value: Any) -> int:
+        """See TypeDecoder."""
+        return int(value)
+
+
 @contextmanager
 def _translated(doing: str) -> Iterator[None]:
     try:
@@ -93,7 +105,8 @@ def connect(account: Account, answer_seconds_max: float = ANSWER_SECONDS_MAX) ->
         retryWrites=False,  # every write may be done twice anyway
         journal=True,  # acknowledged means on the disk
     )
-    return client[account.database]
+    options: CodecOptions[dict[str, Any]] = CodecOptions(type_registry=TypeRegistry([_PlainInteger()]))
+    return client.get_database(account.database, codec_options=options)
 
 
 class PymongoRecordingStore:
