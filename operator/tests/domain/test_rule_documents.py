@@ -15,7 +15,7 @@ from robotkube.domain.errors import DocumentError
 from robotkube.domain.rules.schema import KINDS, PROPERTIES, rules_schema
 from robotkube.domain.rules.specifications import Proximity, Threshold
 
-CASES = [200, pytest.param(5000, marks=pytest.mark.thorough)]
+CASES = [200, pytest.param(20_000, marks=pytest.mark.thorough)]
 SQUARE = [[0, 0], [10, 0], [10, 10], [0, 10], [0, 0]]
 SCHEMA = jsonschema.Draft7Validator(rules_schema())
 

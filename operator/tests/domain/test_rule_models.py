@@ -180,7 +180,7 @@ def rates_by_definition(stamps: list[int], end: int, low: float, high: float, wi
     return edges
 
 
-@pytest.mark.parametrize("cases", [60, pytest.param(1000, marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("cases", [200, pytest.param(1000, marks=pytest.mark.thorough)])
 def test_rates_are_what_counting_gives(cases: int) -> None:
     for seed in range(cases):
         chance = random.Random(seed)  # noqa: S311 - the same cases every time
