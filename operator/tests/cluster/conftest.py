@@ -34,6 +34,7 @@ ORDER = (
     "test_withdrawing",
     "test_observing",
     "test_doors",
+    "test_rule_reload",
     "test_how_to",
     "test_how_to_detector",
     "test_agents",

@@ -6,7 +6,9 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -17,6 +19,7 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from robotkube.entrypoints import cli, cli_recordings
+from robotkube.entrypoints.cli_volumes import HOSTNAME
 from robotkube.services.recordings import audits, stored_messages
 
 KILLED_AFTER = 2.0
@@ -79,16 +82,31 @@ def test_the_audit_has_what_the_ledgers_say_is_missing(way: RecordedWay) -> None
     assert not any(gap.covers(stamp) for gap in gaps for stamp in clouds)
 
 
+@dataclass(frozen=True)
+class Here:
+    """A cluster whose one volume is a folder of this machine."""
+
+    claim: Path
+
+    def volumes(self) -> list[dict[str, Any]]:
+        """PersistentVolumes."""
+        node, claim = VOLUME.split("/")
+        here = [{"key": HOSTNAME, "operator": "In", "values": [node]}]
+        affinity = {"required": {"nodeSelectorTerms": [{"matchExpressions": here}]}}
+        return [{"spec": {"local": {"path": str(self.claim)}, "claimRef": {"name": claim}, "nodeAffinity": affinity}}]
+
+
 def command(way: RecordedWay, monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
-    """A command about the recording, with the accounts of this place in place of a cluster's."""
+    """A command about the recording, with the accounts and volumes of this place in place of a cluster's."""
     monkeypatch.setattr(cli_recordings, "readers_of", lambda options: {"cloud-0": way.reader})
+    monkeypatch.setattr(cli_recordings, "Platform", lambda options: Here(way.claim))
     return cli.main(["recording", words[0], RECORDING, *words[1:]])
 
 
 def test_verify_proves_the_checksums_and_names_the_gaps(
     way: RecordedWay, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    places = [f"--segments={VOLUME}={way.claim}", *(f"--ledgers={folder}" for folder in way.ledger_folders())]
+    places = [f"--ledgers={folder}" for folder in way.ledger_folders()]
     assert command(way, monkeypatch, "verify", *places, "-o", "json") == cli.EXIT_REFUSED
     out, err = capsys.readouterr()
     rows = {row["topic"]: row for row in json.loads(out)["topics"]}
@@ -123,7 +141,7 @@ def test_one_changed_byte_is_found(
     try:
         place = entry["offset"] + entry["size"] // 2
         path.write_bytes(data[:place] + bytes([data[place] ^ 1]) + data[place + 1 :])
-        assert command(way, monkeypatch, "verify", f"--segments={VOLUME}={way.claim}", "-o", "json") == cli.EXIT_REFUSED
+        assert command(way, monkeypatch, "verify", "-o", "json") == cli.EXIT_REFUSED
         out, err = capsys.readouterr()
         (row,) = [row for row in json.loads(out)["topics"] if row["topic"] == CLOUDS]
         assert row["mismatches"] == 1
@@ -163,7 +181,7 @@ def test_a_part_is_exported_as_one_mcap_file(
     last = first + 1_000_000_000
     words = ["--format=mcap", "--from", str(first), "--to", str(last), "--topics", POSES[1], CLOUD]
     target = tmp_path / "out"
-    assert command(way, monkeypatch, "export", str(target), f"--segments={VOLUME}={way.claim}", *words) == 0
+    assert command(way, monkeypatch, "export", str(target), *words) == 0
     capsys.readouterr()
     with (target / f"{RECORDING}.mcap").open("rb") as file:
         found = [(channel.topic, message.publish_time) for _, channel, message in make_reader(file).iter_messages()]

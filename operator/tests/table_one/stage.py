@@ -121,6 +121,10 @@ class Stage:
         finally:
             self._put_policy(lambda kept: [entry for entry in kept if entry not in entries])
 
+    def ask_otherwise(self, entry: Mapping[str, Any], other: Mapping[str, Any]) -> None:
+        """Another entry of policies/initial.yaml in the place of one, by a person's pull request."""
+        self._put_policy(lambda kept: [other if one == entry else one for one in kept])
+
     def _put_policy(self, change: Any) -> None:
         self.deployment.fetch()
         document = yaml.safe_load(self.deployment.file(policy.PATH)) or {}
