@@ -89,8 +89,9 @@ class Room:
         self._ros = parts.RosTopics(self._node)
         self._broker: Broker | None = None
         self._name = pod.config_map or ""
-        self._news: deque[DetectorSettings] = deque(maxlen=NEWS_MAX)
-        self._commands: deque[str] = deque(maxlen=COMMANDS_MAX)
+        self._news: deque[tuple[DetectorSettings, int]] = deque(maxlen=NEWS_MAX)
+        self._commands: deque[tuple[str, int]] = deque(maxlen=COMMANDS_MAX)
+        self._expressions = parts.KnownExpressions(parts.check_expressions)
         self._learned: deque[str] = deque()
         self._ready = False
         self.refusal = Refusal()
@@ -122,7 +123,7 @@ class Room:
     def read(self, text: str, where: str) -> DetectorSettings:
         """Settings from a text; DocumentError with all problems."""
         document = read_mapping(text, where)
-        return read_detector_settings(document, where, parts.knowledge(document, self.layouts))
+        return read_detector_settings(document, where, parts.knowledge(document, self.layouts, self._expressions))
 
     def begin(self, settings: DetectorSettings) -> None:
         """Apply the first settings, and fill the buffers when they name a bag."""
@@ -206,13 +207,13 @@ class Room:
 
     def _obey(self) -> None:
         while self._news:
-            self.detector.apply(self._news.popleft())
+            self.detector.apply(*self._news.popleft())
             for recordings in self.detector.recordings.leaving():
                 _beside(partial(recordings.stop, STORE_SECONDS_MAX))
             for reaction in self.detector.raising.leaving():
                 _beside(partial(reaction.stop, DELIVER_SECONDS_MAX))
         while self._commands:
-            self.detector.change_state(self._commands.popleft())
+            self.detector.change_state(*self._commands.popleft())
 
     def _source(self, name: str) -> LiveTopics:
         return self._connection() if name == MQTT else self._ros
@@ -227,6 +228,7 @@ class Room:
 
     def _change(self, text: str) -> None:
         """Settings that were refused are reported, and the present ones stay."""
+        asked = time.time_ns()
         try:
             settings = self.read(text, CONFIG_KEY)
         except InputError as error:
@@ -236,7 +238,7 @@ class Room:
             self._warn(str(error))
             return
         self.refusal.error = ""
-        self._news.append(settings)
+        self._news.append((settings, asked))
 
     def _warn(self, sentence: str) -> None:
         """A Kubernetes Event about the ConfigMap, where its author looks."""
@@ -260,7 +262,7 @@ class Room:
             state = None
         if state not in STATES:
             return 400, json.dumps({"error": f'send {{"state": ...}} with one of {", ".join(STATES)}'})
-        self._commands.append(state)
+        self._commands.append((state, time.time_ns()))
         return 202, json.dumps({"state": state})
 
     def _definition(self, type_name: str) -> str:
