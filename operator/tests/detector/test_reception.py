@@ -205,7 +205,12 @@ WEAK = Quality("best_effort", "volatile")
     ("asked", "offers", "expected"),
     [
         (Asked(), [], Quality()),
-        (Asked(), [STRONG], Quality("reliable", "volatile")),
+        (Asked(), [STRONG], STRONG),
+        (Asked(), [STRONG, STRONG._replace(deadline_ns=300 * MS, lease_ns=MS)],
+            STRONG._replace(deadline_ns=300 * MS)),
+        (Asked(), [STRONG, Quality("reliable", "transient_local")], Quality("reliable", "transient_local")),
+        (Asked(durability="volatile", liveliness="automatic", deadline_ns=9, lease_ns=8), [STRONG],
+            Quality(deadline_ns=9, lease_ns=8)),
         (Asked(), [STRONG, WEAK], Quality("best_effort", "volatile")),
         (Asked("reliable", "transient_local"), [WEAK], Quality("reliable", "transient_local")),
         (Asked(deadline_ns=5, liveliness="manual_by_topic", lease_ns=6), [], Quality(deadline_ns=5,

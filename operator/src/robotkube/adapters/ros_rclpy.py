@@ -36,6 +36,7 @@ if TYPE_CHECKING:  # only who looks at the graph needs them
 PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"  # the middleware's word until a node has said its name
 ENDLESS_NS = 1 << 62
+POLICY_PREFIX = "RMW_QOS_POLICY_"
 _TYPE_NAME = re.compile(r"([a-z][a-z0-9_]*)/msg/([A-Z][A-Za-z0-9]*)")
 _WORD_START = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 
@@ -103,7 +104,8 @@ class RosNode:
         quality = self._quality(reliability, durability, depth, deadline_ns, liveliness, lease_ns)
         with self._node:
             handle = self._make(lambda: self._bindings.Subscription(self._node, kind, topic, quality), topic)
-        return RosSubscription(topic, handle, kind)
+            refusals = self._refusals(handle)
+        return RosSubscription(topic, handle, kind, refusals)
 
     def advertise(
         self, topic: str, type_name: str, reliability: str = "reliable", durability: str = "volatile", depth: int = 1000
@@ -147,6 +149,14 @@ class RosNode:
         self._node.destroy_when_not_in_use()
         with self._context:
             self._context.shutdown()
+
+    def _refusals(self, handle: Any) -> Any:
+        """The middleware's count of publishers that do not fit; None where a middleware does not count them."""
+        kinds = self._bindings.rcl_subscription_event_type_t
+        try:
+            return self._bindings.EventHandle(handle, kinds.RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS)
+        except self._bindings.UnsupportedEventTypeError:
+            return None
 
     def _make(self, factory: Callable[[], Any], topic: str) -> Any:
         try:
@@ -223,9 +233,9 @@ def _duration(found: Any) -> int | None:
 class RosSubscription:
     """Receives serialised messages of one topic."""
 
-    def __init__(self, topic: str, handle: Any, kind: Any) -> None:
+    def __init__(self, topic: str, handle: Any, kind: Any, refusals: Any = None) -> None:
         self.topic = topic
-        self._handle, self._kind, self._take = handle, kind, handle.take_message
+        self._handle, self._kind, self._take, self._refusals = handle, kind, handle.take_message, refusals
 
     def take(self, messages_max: int = 1000) -> list[bytes]:
         """The messages that wait, in their order, at most `messages_max`; empty when none waits."""
@@ -254,8 +264,22 @@ class RosSubscription:
         with self._handle:
             return int(self._handle.get_publisher_count())
 
+    @property
+    def incompatible(self) -> tuple[int, str]:
+        """How many publishers the middleware has refused because of their quality so far, and the policy in which the
+        last of them did not fit, such as durability."""
+        if self._refusals is None:
+            return 0, ""
+        with self._refusals:
+            said = self._refusals.take_event()
+        if said is None or not said.total_count:
+            return 0, ""
+        return int(said.total_count), said.last_policy_kind.name.removeprefix(POLICY_PREFIX).lower()
+
     def close(self) -> None:
         """Stop receiving; what was not taken is gone."""
+        if self._refusals is not None:
+            self._refusals.destroy_when_not_in_use()
         self._handle.destroy_when_not_in_use()
 
 

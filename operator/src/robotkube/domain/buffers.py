@@ -185,6 +185,21 @@ class RingBuffer:
         self.bytes = 0
         self._newest, self._ahead = -_FOREVER, _FOREVER
 
+    def rebound(self, bounds: BufferBounds, latched: bool, duplicates: str, jump: str) -> None:
+        """Other bounds and policies from now on; what fits stays, the oldest leave."""
+        self.latched, self.duplicate_policy, self.jump_policy = latched, duplicates, jump
+        self._window_ns = _FOREVER if latched else int(bounds.seconds * 1e9)
+        self._bytes_max, self._count_max = bounds.bytes, bounds.count
+        if self._samples:
+            self._ahead = self._newest + self._window_ns
+            self._evict()
+
+    def share(self, budget: _Budget) -> None:
+        """Belong to these bytes from now on."""
+        self._budget.bytes -= self.bytes
+        self._budget = budget
+        budget.bytes += self.bytes
+
     def give_way(self) -> None:
         """Drop the oldest message for the sake of the process's bytes."""
         self._drop()
@@ -326,6 +341,18 @@ class BufferPool:
         self._buffers[name] = buffer
         if not latched:
             self._budget.buffers.append(buffer)
+        return buffer
+
+    def rebound(self, name: str, bounds: BufferBounds, latched: bool, duplicates: str, jump: str) -> RingBuffer:
+        """Other bounds and policies for a topic's buffer, which keeps what fits; KeyError when it has none."""
+        buffer = self._buffers[name]
+        if latched != buffer.latched:
+            others = [other for other in self._budget.buffers if other is not buffer]
+            self._budget.buffers = others if latched else [*others, buffer]
+            buffer.share(_Budget(_FOREVER, []) if latched else self._budget)
+        buffer.rebound(bounds, latched, duplicates, jump)
+        if self._budget.bytes > self._budget.bytes_max:
+            self._budget.relieve()
         return buffer
 
     def remove(self, name: str) -> None:

@@ -14,7 +14,7 @@ from robotkube.domain import detector_settings as settings
 from robotkube.domain import reaction_settings as reactions
 from robotkube.domain.buffers import COUNT_DEFAULT, DUPLICATES_DROP, DUPLICATES_KEEP, JUMP_KEEP, JUMP_RESTART
 from robotkube.domain.fields import NAME_LENGTH_MAX
-from robotkube.domain.qualities import AUTOMATIC, DURABILITIES, LIVELINESSES, RELIABILITIES
+from robotkube.domain.qualities import DURABILITIES, LIVELINESSES, RELIABILITIES
 from robotkube.domain.rules.schema import TOPIC_PATTERN, Schema, choice, number, rules_schema, text
 
 TYPE_PATTERN = "^[a-z][a-z0-9_]*/msg/[A-Za-z][A-Za-z0-9]*$"
@@ -92,12 +92,16 @@ _TOPIC: Mapping[str, Schema] = {
     "name": _TOPIC_NAME,
     "type": text("ROS message type, such as geometry_msgs/msg/PoseStamped.", pattern=TYPE_PATTERN),
     "source": choice(settings.SOURCES, "ros, or mqtt: straight from the broker, topic mqtt/<name>.", settings.ROS),
-    "reliability": choice(RELIABILITIES, "ROS reliability; without it that of the publishers."),
-    "durability": choice(DURABILITIES, "ROS durability; transient_local: also what was said before."),
+    "reliability": choice(RELIABILITIES, "ROS reliability; without it reliable if all publishers are."),
+    "durability": choice(
+        DURABILITIES,
+        "ROS durability; without it transient_local if all publishers are. transient_local: the topic speaks once, so "
+        "its buffer has no window and is in every recording.",
+    ),
     "depth": _whole(1, settings.DEPTH_MAX, "ROS history depth, our own.", settings.DEPTH_DEFAULT),
-    "deadline_seconds": _seconds("ROS deadline that is asked of the publishers; without it none."),
-    "liveliness": choice(LIVELINESSES, "ROS liveliness that is asked of the publishers.", AUTOMATIC),
-    "liveliness_seconds": _seconds("Lease of the liveliness; without it endless."),
+    "deadline_seconds": _seconds("ROS deadline; without it the longest that the publishers promise, if all do."),
+    "liveliness": choice(LIVELINESSES, "ROS liveliness; without it manual_by_topic if all publishers are."),
+    "liveliness_seconds": _seconds("Lease of the liveliness; without it the longest that the publishers promise."),
     "stale_seconds": _seconds("Without a message for so long it counts as stale.", settings.STALE_SECONDS_DEFAULT),
     "expire_seconds": number(
         1,

@@ -22,7 +22,6 @@ from robotkube.domain.buffers import (
 from robotkube.domain.errors import DocumentError
 from robotkube.domain.fields import Fields
 from robotkube.domain.qualities import (
-    AUTOMATIC,
     DURABILITIES,
     LIVELINESSES,
     RELIABILITIES,
@@ -68,7 +67,7 @@ _TASK = re.compile(r"[a-z0-9]([-a-z0-9]*[a-z0-9])?/[a-z0-9]([-.a-z0-9]*[a-z0-9])
 class TopicSettings:
     """A subscription, or one per agent when `pattern` holds `{agent}`, and its buffer.
 
-    `reliability` is the publishers' when None, `durability` volatile. Without a message for `stale_seconds` a topic
+    What of the quality of service is None is that of the publishers. Without a message for `stale_seconds` a topic
     counts as stale; one that a pattern found is forgotten after `expire_seconds`.
     """
 
@@ -79,7 +78,7 @@ class TopicSettings:
     durability: str | None = None
     depth: int = DEPTH_DEFAULT
     deadline_seconds: float | None = None
-    liveliness: str = AUTOMATIC
+    liveliness: str | None = None
     liveliness_seconds: float | None = None
     stale_seconds: float = STALE_SECONDS_DEFAULT
     expire_seconds: float = EXPIRE_SECONDS_DEFAULT
@@ -91,7 +90,7 @@ class TopicSettings:
 
     @property
     def latched(self) -> bool:
-        """Whether a subscriber gets the last messages although it comes later."""
+        """Whether the settings say that the topic speaks once: its last messages stay for who comes later."""
         return self.durability == TRANSIENT_LOCAL
 
     @property
@@ -211,7 +210,7 @@ def _topic(item: Fields) -> TopicSettings:
         durability=_chosen(item, "durability", DURABILITIES),
         depth=item.whole("depth", 1, DEPTH_MAX, DEPTH_DEFAULT),
         deadline_seconds=_given(item, "deadline_seconds"),
-        liveliness=item.choice("liveliness", LIVELINESSES, AUTOMATIC),
+        liveliness=_chosen(item, "liveliness", LIVELINESSES),
         liveliness_seconds=_given(item, "liveliness_seconds"),
         stale_seconds=item.number("stale_seconds", SECONDS_MIN, SECONDS_MAX, STALE_SECONDS_DEFAULT),
         expire_seconds=item.number("expire_seconds", 1, SECONDS_MAX, EXPIRE_SECONDS_DEFAULT),

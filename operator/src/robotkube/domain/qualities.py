@@ -45,28 +45,43 @@ class Offer(NamedTuple):
     quality: Quality
 
 
+class Incompatible(NamedTuple):
+    """What the middleware said of publishers that it did not connect: how many so far, and the last one's policy."""
+
+    publishers: int = 0
+    policy: str = ""
+
+
 class Asked(NamedTuple):
-    """What the settings ask for. Reliability is the publishers' when None; durability is volatile then, which fits
-    every publisher, so that a subscription is what an interface declares whoever publishes."""
+    """What the settings ask for; what is None is taken from the publishers."""
 
     reliability: str | None = None
     durability: str | None = None
     deadline_ns: int | None = None
-    liveliness: str = AUTOMATIC
+    liveliness: str | None = None
     lease_ns: int | None = None
 
 
 def matched(asked: Asked, offers: Sequence[Offer]) -> Quality:
-    """The quality of a subscription that all of the publishers fit, as far as the settings leave it open."""
+    """The most that all of the publishers give, as far as the settings leave it open: the longest of the promised
+    durations, and a strong kind only where each of them has it. Without publishers reliable and volatile."""
     offered = [offer.quality for offer in offers]
-    weak = any(quality.reliability == BEST_EFFORT for quality in offered)
+    kinds = [quality.liveliness for quality in offered]
+    reliable = all(quality.reliability == RELIABLE for quality in offered)
+    kept = bool(offered) and all(quality.durability == TRANSIENT_LOCAL for quality in offered)
+    manual = bool(offered) and all(kind == MANUAL_BY_TOPIC for kind in kinds)
     return Quality(
-        reliability=asked.reliability or (BEST_EFFORT if weak else RELIABLE),
-        durability=asked.durability or VOLATILE,
-        deadline_ns=asked.deadline_ns,
-        liveliness=asked.liveliness,
-        lease_ns=asked.lease_ns,
+        reliability=asked.reliability or (RELIABLE if reliable else BEST_EFFORT),
+        durability=asked.durability or (TRANSIENT_LOCAL if kept else VOLATILE),
+        deadline_ns=asked.deadline_ns or _longest([quality.deadline_ns for quality in offered]),
+        liveliness=asked.liveliness or (MANUAL_BY_TOPIC if manual else AUTOMATIC),
+        lease_ns=asked.lease_ns or _longest([quality.lease_ns for quality in offered]),
     )
+
+
+def _longest(durations: Sequence[int | None]) -> int | None:
+    finite = [duration for duration in durations if duration is not None]
+    return max(finite) if finite and len(finite) == len(durations) else None
 
 
 def mismatches(wanted: Quality, offer: Quality) -> Iterator[str]:

@@ -94,8 +94,9 @@ class Room:
         self._broker: Broker | None = None
         self._journal: DeliveryJournal | None = None
         self._name = pod.config_map or ""
-        self._news: deque[DetectorSettings] = deque(maxlen=NEWS_MAX)
-        self._commands: deque[str] = deque(maxlen=COMMANDS_MAX)
+        self._news: deque[tuple[DetectorSettings, int]] = deque(maxlen=NEWS_MAX)
+        self._commands: deque[tuple[str, int]] = deque(maxlen=COMMANDS_MAX)
+        self._expressions = parts.KnownExpressions(parts.check_expressions)
         self._learned: deque[str] = deque()
         self._ready = False
         self.refusal = Refusal()
@@ -129,7 +130,7 @@ class Room:
     def read(self, text: str, where: str) -> DetectorSettings:
         """Settings from a text; DocumentError with all problems."""
         document = read_mapping(text, where)
-        return read_detector_settings(document, where, parts.knowledge(document, self.layouts))
+        return read_detector_settings(document, where, parts.knowledge(document, self.layouts, self._expressions))
 
     def begin(self, settings: DetectorSettings) -> None:
         """Apply the first settings, and fill the buffers when they name a bag."""
@@ -217,13 +218,13 @@ class Room:
 
     def _obey(self) -> None:
         while self._news:
-            self.detector.apply(self._news.popleft())
+            self.detector.apply(*self._news.popleft())
             for recordings in self.detector.recordings.leaving():
                 _beside(partial(recordings.stop, STORE_SECONDS_MAX))
             for reaction in self.detector.raising.leaving():
                 _beside(partial(reaction.stop, DELIVER_SECONDS_MAX))
         while self._commands:
-            self.detector.change_state(self._commands.popleft())
+            self.detector.change_state(*self._commands.popleft())
 
     def _journal_of(self, box: DeadLetterBox) -> DeliveryJournal | None:
         """What keeps deliveries on the disk, made for the first reaction that tells somebody."""
@@ -245,6 +246,7 @@ class Room:
 
     def _change(self, text: str) -> None:
         """Settings that were refused are reported, and the present ones stay."""
+        asked = time.time_ns()
         try:
             settings = self.read(text, CONFIG_KEY)
         except InputError as error:
@@ -254,7 +256,7 @@ class Room:
             self._warn(str(error))
             return
         self.refusal.error = ""
-        self._news.append(settings)
+        self._news.append((settings, asked))
 
     def _warn(self, sentence: str) -> None:
         """A Kubernetes Event about the ConfigMap, where its author looks."""
@@ -278,7 +280,7 @@ class Room:
             state = None
         if state not in STATES:
             return 400, json.dumps({"error": f'send {{"state": ...}} with one of {", ".join(STATES)}'})
-        self._commands.append(state)
+        self._commands.append((state, time.time_ns()))
         return 202, json.dumps({"state": state})
 
     def _definition(self, type_name: str) -> str:

@@ -13,7 +13,7 @@ from robotkube.adapters.ros_rclpy import MessageTypeError, RosNode, RosSubscript
 from robotkube.domain.demands import renewal
 from robotkube.domain.detector_settings import DetectorSettings, Knowledge, TopicSettings
 from robotkube.domain.errors import DocumentError, InputError, RefusalError
-from robotkube.domain.qualities import Offer, Quality
+from robotkube.domain.qualities import Incompatible, Offer, Quality
 from robotkube.domain.reaction_settings import DeliveryReaction, MqttReaction, PythonReaction, WebhookReaction
 from robotkube.domain.recording_plans import RecordingPlan
 from robotkube.entrypoints.processes import PodSettings, read_secret
@@ -93,6 +93,11 @@ class RosInput:
         if count != 1:
             self._last = -1
         return count
+
+    @property
+    def incompatible(self) -> Incompatible:
+        """What the middleware said of publishers that it did not connect."""
+        return Incompatible(*self._subscription.incompatible)
 
     def drain(self, messages_max: int) -> Sequence[tuple[bytes, int]]:
         """What waits, with the time at which the middleware received it."""
@@ -317,7 +322,31 @@ def read_bag(path: Path, complain: Callable[[str], None]) -> Iterator[tuple[str,
             yield topic, types[topic], moment, data
 
 
-def knowledge(document: Mapping[str, Any], layouts: Layouts) -> Knowledge:
+class KnownExpressions:
+    """What is wrong with expressions; asked only about those that are new, since the answer takes a second."""
+
+    def __init__(self, check: Callable[[Sequence[str]], Sequence[str]]) -> None:
+        self._check = check
+        self._known: dict[str, str] = {}
+
+    def __call__(self, texts: Sequence[str]) -> Sequence[str]:
+        """One text each, empty when it is well."""
+        known = {text: self._known[text] for text in texts if text in self._known}
+        new = [text for text in dict.fromkeys(texts) if text not in known]
+        self._known = {**known, **(dict(zip(new, self._check(new), strict=True)) if new else {})}
+        return [self._known[text] for text in texts]
+
+
+def check_expressions(texts: Sequence[str]) -> Sequence[str]:
+    """What is wrong with each of these expressions, by a process of its own."""
+    from robotkube.entrypoints import rule_host
+
+    return rule_host.check_expressions(texts)
+
+
+def knowledge(
+    document: Mapping[str, Any], layouts: Layouts, check: Callable[[Sequence[str]], Sequence[str]] = check_expressions
+) -> Knowledge:
     """What a document is compared with; only what it needs is imported."""
     kinds = {
         item.get("kind")
@@ -326,14 +355,10 @@ def knowledge(document: Mapping[str, Any], layouts: Layouts) -> Knowledge:
         for item in items
         if isinstance(item, Mapping) and isinstance(item.get("kind"), str)
     }
-    rules = reactions = check = None
+    rules = reactions = None
     if "python" in kinds:
         from robotkube.adapters.reaction_processes import installed_reactions
         from robotkube.adapters.rule_processes import installed_rules
 
         rules, reactions = installed_rules(), installed_reactions()
-    if "cel" in kinds:
-        from robotkube.entrypoints.rule_host import check_expressions
-
-        check = check_expressions
-    return Knowledge(layouts, rules, reactions, check)
+    return Knowledge(layouts, rules, reactions, check if "cel" in kinds else None)

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 from robotkube.domain.bags import BagTopic, LedgerState
 from robotkube.domain.detector_settings import TopicSettings
 from robotkube.domain.interface_checks import Endpoint
-from robotkube.domain.qualities import Offer, Quality
+from robotkube.domain.qualities import Incompatible, Offer, Quality
 
 
 class TopicInput(Protocol):
@@ -22,6 +22,11 @@ class TopicInput(Protocol):
     @property
     def matched(self) -> int:
         """Publishers that are connected, as far as they are known."""
+        ...
+
+    @property
+    def incompatible(self) -> Incompatible:
+        """The publishers that the middleware has refused to connect because of their quality of service."""
         ...
 
     def drain(self, messages_max: int) -> Sequence[tuple[bytes, int]]:

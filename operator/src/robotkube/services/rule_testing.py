@@ -14,7 +14,7 @@ from typing import NoReturn
 from robotkube.domain.detector_settings import ACTIVE, DetectorSettings, TopicSettings
 from robotkube.domain.errors import InputError
 from robotkube.domain.layouts import Layouts
-from robotkube.domain.qualities import Offer, Quality
+from robotkube.domain.qualities import Incompatible, Offer, Quality
 from robotkube.domain.rules import Edge, Verdict
 from robotkube.services.detector.detector import EventDetector
 from robotkube.services.detector.raising import Raising
@@ -36,6 +36,7 @@ class BagInput:
     waiting: deque[tuple[bytes, int]] = field(default_factory=deque)
     lost: int = 0
     matched: int = 1
+    incompatible: Incompatible = field(default_factory=Incompatible)
 
     def drain(self, messages_max: int) -> Sequence[tuple[bytes, int]]:
         """See the port."""

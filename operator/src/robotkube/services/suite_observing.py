@@ -74,8 +74,11 @@ class InterfaceObserver:
         self._deadline = began + self.seconds_max
         for place, topic in self._inputs():
             if topic.medium == ROS:
-                # reliable and kept: what every subscription accepts, whatever it asks for
-                sink = self.world.network.advertise(topic.example, topic.type, "reliable", "transient_local", DEPTH)
+                # what the entry says that the input needs, and no more: one that asks for more gets nothing in the
+                # field either, and one that takes what it is given shows itself as it is declared
+                sink = self.world.network.advertise(
+                    topic.example, topic.type, topic.reliability, topic.durability, DEPTH
+                )
                 self._sinks[place] = sink
         self._until(self._settled, self.bounds.settle)
         answers = tuple(self._ask(place, topic) for place, topic in self._inputs())

@@ -22,7 +22,7 @@ from robotkube.domain.errors import InputError
 from robotkube.domain.frames import SeenFrames, decode_frame
 from robotkube.domain.mqtt_properties import content_type, read_properties, user_property
 from robotkube.domain.notifications import CONTENT_TYPE
-from robotkube.domain.qualities import Offer, Quality
+from robotkube.domain.qualities import Incompatible, Offer, Quality
 from robotkube.domain.reaction_settings import MqttReaction
 from robotkube.domain.topics import AGENT
 from robotkube.ports.reactions import Delivery
@@ -49,12 +49,12 @@ class MqttInput:
     """One topic by MQTT (port TopicInput): what came and is not drained yet, at most `depth` messages."""
 
     def __init__(self, type_name: str, depth: int) -> None:
-        self.type, self._depth = type_name, depth
+        self.type, self.depth = type_name, depth
         self._waiting: deque[tuple[bytes, int]] = deque()
         self._seen = SeenFrames()
         self.lost = 0
         self.matched = 0
-        self.problem = ""
+        self.incompatible = Incompatible()
 
     def take(self, payload: bytes, type_name: str, received: int) -> None:
         """A frame came. InputError when it is none, or of another type."""
@@ -64,7 +64,7 @@ class MqttInput:
         self.matched = 1
         if self._seen.fresh(frame.session, frame.sequence):
             self._waiting.extend((message, received) for message in frame.messages)
-            while len(self._waiting) > self._depth:
+            while len(self._waiting) > self.depth:
                 self._waiting.popleft()
                 self.lost += 1
 
@@ -140,6 +140,7 @@ class Broker:
         found = self._inputs.get(topic)
         if found is None or found.type != settings.type:
             found = self._inputs[topic] = MqttInput(settings.type, settings.depth)
+        found.depth = settings.depth
         return found
 
     def visible(self) -> Mapping[str, Sequence[str]]:

@@ -12,10 +12,11 @@ AGE_MS_MAX = 1000
 class InputCounter:
     """Messages per second of reception, and how old they were."""
 
-    __slots__ = ("_ages", "_second", "_seconds", "lost", "malformed", "newest", "received", "type")
+    __slots__ = ("_ages", "_second", "_seconds", "incompatible", "lost", "malformed", "newest", "received", "type")
 
     def __init__(self, type_name: str) -> None:
-        self.type, self.received, self.malformed, self.lost, self.newest = type_name, 0, 0, 0, 0
+        self.type, self.received, self.malformed, self.newest = type_name, 0, 0, 0
+        self.lost = self.incompatible = 0
         self._seconds: deque[list[int]] = deque(maxlen=SECONDS_KEPT)
         self._second: list[int] = [0, 0]
         self._ages = [0] * (AGE_MS_MAX + 1)

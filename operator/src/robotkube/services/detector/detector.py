@@ -23,7 +23,8 @@ from robotkube.domain.layouts import Layouts
 from robotkube.domain.messages import string_text
 from robotkube.domain.rules import START, STOP, Edge, Message, Question, Rule, RuleEngine, event_identity
 from robotkube.services.detector.recording import RecordingReactions
-from robotkube.services.detector.topics import DISCOVERY_SECONDS, Topic, Topics
+from robotkube.services.detector.topic import Topic
+from robotkube.services.detector.topics import DISCOVERY_SECONDS, Topics
 
 if TYPE_CHECKING:
     from robotkube.ports.robots import LiveTopics, TopicInput
@@ -64,6 +65,7 @@ class EventDetector:
         self.started = self.applied = clock_ns()
         self.settings = DetectorSettings("", ())
         self.state = INACTIVE
+        self.state_asked = self.state_since = self.started
         self.engine = RuleEngine((), layouts, "", self._ask)
         self._adopt_until: float | None = None
         self._adopted = True
@@ -89,41 +91,38 @@ class EventDetector:
         unreachable = self.raising.unreachable
         return unreachable[0] if unreachable else self.recordings.not_ready
 
-    def apply(self, settings: DetectorSettings) -> None:
-        """Take new settings; buffers, running events and unchanged reactions go on."""
+    def apply(self, settings: DetectorSettings, asked: int | None = None) -> None:
+        """Take new settings, which came at `asked` (ns since 1970; now when None); buffers, running events and
+        unchanged reactions go on."""
         if settings == self.settings:
             return
         before, self.settings = self.settings, settings
         self.applied = self._clock_ns()
         self.pool.limit(settings.buffer_bytes)
-        if settings.state != before.state or not before.name:
-            self.state = settings.state
-        self.topics.close_changed(settings)
+        moved = settings.state != self.state and (settings.state != before.state or not before.name)
+        was = self._move(settings.state) if moved else self.state
+        self.topics.adapt(settings)
         self._subscribe()
         # after the subscriptions: reactions import and connect beside, and that takes time from everything else
-        had_operator = self.raising.operator is not None
-        self.raising.apply(settings)
-        if self.raising.operator is not None and not had_operator:
-            self._adopted, self._adopt_until = False, self._monotonic() + ADOPT_SECONDS_MAX
-        self.recordings.apply(settings)
-        self._listen_to_gaps()
-        self._renew_rules(before)
+        self._apply_reactions(settings)
+        self._renew_rules(before, was)
         self._connect(self.topics.topics.values())
+        if moved:
+            self._moved(asked or self.applied)
         numbers = len(settings.topics), len(settings.rules), len(settings.reactions)
         log.info("settings: topics=%d rules=%d reactions=%d subscriptions=%d", *numbers, self.subscribed)
 
-    def change_state(self, state: str) -> None:
-        """Be active, only buffer, or be inactive, until the settings say something else; events that last end."""
+    def change_state(self, state: str, asked: int | None = None) -> None:
+        """Be active, only buffer, or be inactive, until the settings say something else; events that last end.
+        `asked`: when it was asked for, ns since 1970; now when None."""
         if state == self.state:
             return
-        log.info("state: %s, was %s", state, self.state)
-        self.state = state
-        if state == INACTIVE:
-            self.topics.close_all()
-            self._listen_to_gaps()
+        asked = asked or self._clock_ns()
+        was = self._move(state)
         self._subscribe()
-        self._renew_rules(self.settings)
+        self._renew_rules(self.settings, was)
         self._connect(self.topics.topics.values())
+        self._moved(asked)
 
     def learn(self, type_name: str) -> None:
         """The definition of a type has come that was not known; rules that read it begin."""
@@ -157,11 +156,15 @@ class EventDetector:
         # each step for all topics before the next one: its code stays in the processor's caches
         arrived = [(topic, topic.input.drain(DRAIN_MESSAGES_MAX)) for topic in self.topics.topics.values()]
         for topic, messages in arrived:
+            if topic.leaving:
+                messages = [*topic.left(DRAIN_MESSAGES_MAX), *messages]
             if messages:
                 total += len(messages)
                 self._take(topic, messages, batch if evaluating and topic.evaluated else None)
         if evaluating:
             self._evaluate(batch)
+        elif self.workers is not None:
+            self.workers.collect()  # who rests looks after their processes all the same, and drops what they say
         self._jumps.clear()
         self.recordings.tick(self._clock_ns())
         return total
@@ -205,7 +208,7 @@ class EventDetector:
                 self._jumped(topic, sample)
             if batch is not None:
                 batch.append(_new(Message, (name, type_name, stamp, received, data)))
-        topic.counter.lost = topic.input.lost
+        topic.counter.lost = topic.counted_before[0] + topic.input.lost
 
     def _stamp_of(self, topic: Topic, data: bytes, received: int) -> int | None:
         try:
@@ -248,11 +251,31 @@ class EventDetector:
 
     # settings, adoption, subscriptions -------------------------------------------------------------------------------
 
+    def _move(self, state: str) -> str:
+        """Go to another state, and give up what it has no use for; the one before."""
+        was, self.state = self.state, state
+        log.info("state: %s, was %s", state, was)
+        if state == INACTIVE:
+            self.topics.close_all()
+        return was
+
+    def _moved(self, asked: int) -> None:
+        self.state_asked, self.state_since = asked, self._clock_ns()
+
     def _subscribe(self) -> None:
+        self.topics.follow(self.state == INACTIVE)
         if self.state != INACTIVE:
             self._connect(self.topics.subscribe_expected())
-            self._listen_to_gaps()
             self._discover_at = float("-inf")
+        self._listen_to_gaps()
+
+    def _apply_reactions(self, settings: DetectorSettings) -> None:
+        had_operator = self.raising.operator is not None
+        self.raising.apply(settings)
+        if self.raising.operator is not None and not had_operator:
+            self._adopted, self._adopt_until = False, self._monotonic() + ADOPT_SECONDS_MAX
+        self.recordings.apply(settings)
+        self._listen_to_gaps()
 
     def _discover(self) -> None:
         if self.state != INACTIVE:
@@ -284,11 +307,10 @@ class EventDetector:
             topic.evaluated = any(pattern.agent(topic.name) is not None for pattern in read)
             topic.recordings = self.recordings.of(topic.name)
 
-    def _renew_rules(self, before: DetectorSettings) -> None:
+    def _renew_rules(self, before: DetectorSettings, was: str) -> None:
         """Events of unchanged rules go on; those of another chain, or of a detector that rests, end."""
         now, settings = self._clock_ns(), self.settings
-        rules = settings.rules if self.state == ACTIVE else ()
-        if any(rule.kind in ("cel", "python") for rule in rules) and self.workers is None:
+        if any(rule.kind in ("cel", "python") for rule in settings.rules) and self.workers is None:
             self.workers = self._make_workers()
         if settings.name != before.name:
             self._end(self.engine.active, now)
@@ -296,8 +318,12 @@ class EventDetector:
         if settings.task != before.task or settings.types != before.types:
             self._replace((), now)
         if self.workers is not None:
-            self.workers.apply(rules)
-        self._replace(rules, now)
+            if was == ACTIVE and self.state != ACTIVE:
+                self.workers.apply(
+                    ()
+                )  # what they know goes with the events; new ones are loaded by the time it matters
+            self.workers.apply(settings.rules)
+        self._replace(settings.rules if self.state == ACTIVE else (), now)
 
     def _ask(self, question: Question) -> None:
         if self.workers is not None:

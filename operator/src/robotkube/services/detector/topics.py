@@ -7,53 +7,30 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from robotkube.domain.bridging import GAPS_DEPTH, GAPS_TOPIC, GAPS_TYPE
 from robotkube.domain.buffers import BufferPool, RingBuffer
 from robotkube.domain.detector_settings import ROS, DetectorSettings, TopicSettings
 from robotkube.domain.errors import DocumentError
-from robotkube.domain.freshness import EXPIRED, FRESH, FreshnessBounds, freshness
+from robotkube.domain.freshness import EXPIRED
 from robotkube.domain.layouts import Layouts
 from robotkube.domain.messages import STAMPED_TYPES, header_stamp
-from robotkube.domain.qualities import TRANSIENT_LOCAL, Offer, Quality, matched, mismatch
+from robotkube.domain.qualities import TRANSIENT_LOCAL, Quality, matched
 from robotkube.domain.rules import Proximity
 from robotkube.domain.topics import TopicPattern
 from robotkube.services.detector.counting import InputCounter
+from robotkube.services.detector.topic import Stamp, Topic, how_fresh, of_type, problem_of, topic_document
 
 if TYPE_CHECKING:
     from robotkube.ports.robots import LiveTopics, TopicInput
-    from robotkube.services.recording.recordings import Recordings
 
 DISCOVERY_SECONDS = 1.0
 SUBSCRIPTIONS_MAX, COUNTERS_MAX = 1000, 2000
 INSPECTED_MAX = 50
 """So many topics' publishers are looked at in one go; the others the next time."""
 
-Stamp = Callable[[bytes], int]
-
 log = logging.getLogger(__name__)
-
-
-@dataclass
-class Topic:
-    """A subscription with everything its messages go to. `problem`: why it cannot be subscribed or does not fit."""
-
-    name: str
-    agent: str
-    settings: TopicSettings
-    input: TopicInput
-    counter: InputCounter
-    buffer: RingBuffer
-    quality: Quality
-    stamp: Stamp | None
-    since: int
-    offers: tuple[Offer, ...] = ()
-    problem: str = ""
-    matched: int = 0
-    evaluated: bool = False
-    recordings: list[Recordings] = field(default_factory=list)
 
 
 class Topics:
@@ -68,25 +45,36 @@ class Topics:
         self._counters: dict[str, InputCounter] = {}
         self._settings = DetectorSettings("", ())
         self._inspected = 0
+        self._buffered: dict[str, TopicSettings] = {}
 
     def counters(self) -> Mapping[str, InputCounter]:
         """Topic -> its counter, also of topics that are not subscribed to any more."""
         return dict(self._counters)
 
-    def close_changed(self, settings: DetectorSettings) -> None:
-        """Give up what the settings do not ask for in the same way any more."""
+    def adapt(self, settings: DetectorSettings) -> None:
+        """Take new settings. A topic whose name and type stay keeps its buffer, within other bounds; its subscription
+        is made anew only when another one is asked for. What is not asked for any more is given up."""
         self._settings = settings
         self.problems.clear()
-        for topic in list(self.topics.values()):
-            if topic.settings not in settings.topics:
-                self._forget(topic)
-        for source in sorted({topic.source for topic in settings.topics}):
-            self._source(source).follow([topic for topic in settings.topics if topic.source == source])
+        for name, before in list(self._buffered.items()):
+            chosen, topic = self._chosen(name, before), self.topics.get(name)
+            if chosen is None:
+                self._forget(name)
+            elif chosen != before:
+                self._buffer(name, chosen)
+                if topic is not None:
+                    self._change(topic, chosen)
+
+    def follow(self, resting: bool = False) -> None:
+        """Tell the sources which topics may be asked for; while the detector rests, none."""
+        for source in sorted({topic.source for topic in self._settings.topics}):
+            wanted = [topic for topic in self._settings.topics if topic.source == source and not resting]
+            self._source(source).follow(wanted)
 
     def close_all(self) -> None:
         """Give up every subscription; buffers and counters stay."""
         for topic in self.topics.values():
-            topic.input.close()
+            topic.close()
         self.topics.clear()
 
     def subscribe_expected(self) -> list[Topic]:
@@ -119,16 +107,44 @@ class Topics:
         now = self._clock_ns()
         expected = {name for name, _ in self._expected()}
         silent = [topic for topic in self.topics.values() if topic.name not in expected]
-        gone = [topic for topic in silent if _freshness(topic, now) == EXPIRED]
+        gone = [topic for topic in silent if how_fresh(topic, now) == EXPIRED]
         for topic in gone:
             log.info("topic %s: silent for %.0f s; forgotten", topic.name, topic.settings.expire_seconds)
-            self._forget(topic)
+            self._forget(topic.name)
         return gone
 
-    def _forget(self, topic: Topic) -> None:
-        topic.input.close()
-        self.pool.remove(topic.name)
-        del self.topics[topic.name]
+    def _forget(self, name: str) -> None:
+        topic = self.topics.pop(name, None)
+        if topic is not None:
+            topic.close()
+        self.pool.remove(name)
+        self._buffered.pop(name, None)
+
+    def _chosen(self, name: str, before: TopicSettings) -> TopicSettings | None:
+        """What the settings say now of a topic that is buffered already; the name itself goes before a pattern."""
+        fitting = [
+            one for one in self._settings.topics if one.type == before.type and one.pattern.agent(name) is not None
+        ]
+        if before in fitting:
+            return before
+        return min(fitting, key=lambda one: (one.pattern.general, one.pattern != before.pattern), default=None)
+
+    def _change(self, topic: Topic, settings: TopicSettings) -> None:
+        before, topic.settings = topic.settings, settings
+        topic.agent = settings.pattern.agent(topic.name) or self._settings.agent
+        if settings.source != before.source:
+            topic.close()
+            del self.topics[topic.name]  # to be subscribed to where it is now
+        elif (settings.asked, settings.depth) != (before.asked, before.depth):
+            source = self._source(settings.source)
+            self._subscribe_anew(topic, matched(settings.asked, of_type(topic, source.offers(topic.name))))
+
+    def _subscribe_anew(self, topic: Topic, quality: Quality) -> None:
+        """The new subscription is there before the old one goes."""
+        fresh = self._source(topic.settings.source).subscribe(topic.name, topic.settings, quality)
+        topic.take_over(fresh, quality)
+        topic.offers, topic.problem = (), ""
+        log.info("topic %s: subscribed anew as %s", topic.name, quality.text())
 
     def _expected(self) -> Iterator[tuple[str, TopicSettings]]:
         for settings in self._settings.topics:
@@ -160,7 +176,7 @@ class Topics:
 
     def _open(self, name: str, settings: TopicSettings) -> Topic | None:
         source = self._source(settings.source)
-        quality = matched(settings.asked, source.offers(name))
+        quality = matched(settings.asked, [offer for offer in source.offers(name) if offer.type == settings.type])
         try:
             subscription = source.subscribe(name, settings, quality)
         except DocumentError as error:
@@ -169,13 +185,20 @@ class Topics:
             self.problems[name] = str(error)
             return None
         self.problems.pop(name, None)
-        buffer = self.pool.buffers.get(name) or self.pool.make(
-            name, settings.bounds, settings.latched, settings.duplicates, settings.jump
-        )
+        buffer = self._buffer(name, settings)
         counter = self._counter(name, settings.type)
         agent = settings.pattern.agent(name) or self._settings.agent
         stamp = self._stamp(settings.type)
         return Topic(name, agent, settings, subscription, counter, buffer, quality, stamp, self._clock_ns())
+
+    def _buffer(self, name: str, settings: TopicSettings) -> RingBuffer:
+        """The topic's buffer, within the bounds of these settings; a new one when its messages are of another type."""
+        before = self._buffered.get(name)
+        if before is not None and before.type != settings.type:
+            self.pool.remove(name)
+        self._buffered[name] = settings
+        give = self.pool.rebound if name in self.pool.buffers else self.pool.make
+        return give(name, settings.bounds, settings.latched, settings.duplicates, settings.jump)
 
     def _counter(self, name: str, type_name: str) -> InputCounter:
         """The topic's counter goes on when the topic comes back; of those that are gone the oldest is forgotten."""
@@ -202,56 +225,41 @@ class Topics:
                 topic.stamp = self._stamp(type_name)
 
     def _look_at(self, topic: Topic) -> bool:
-        """Compare a topic with its publishers; True when it was subscribed anew."""
-        source = self._source(topic.settings.source)
-        offers, topic.matched = tuple(source.offers(topic.name)), topic.input.matched
-        if offers == topic.offers:
-            return False
+        """Compare a topic with its publishers; True when it was subscribed anew.
+
+        At once when a publisher does not fit that could, or when the first ones have come; for more than is asked now,
+        when the publishers have stayed the same for a look, since what comes and goes must not cost messages."""
+        known, refused = topic.offers, topic.counter.incompatible
+        topic.count()
+        offers = tuple(self._source(topic.settings.source).offers(topic.name))
         topic.offers = offers
-        quality = matched(topic.settings.asked, offers)
-        problem = _problem(topic, topic.quality)
-        renewed = bool(problem) and quality != topic.quality and len(_problem(topic, quality)) < len(problem)
+        fitting = of_type(topic, offers)
+        quality = matched(topic.settings.asked, fitting)
+        relieved = len(problem_of(topic, quality)) < len(problem_of(topic, topic.quality))
+        steady = offers == known or not known
+        renewed = bool(fitting) and quality != topic.quality and (relieved or steady)
         if renewed:
-            topic.input.close()
-            topic.input, topic.quality = source.subscribe(topic.name, topic.settings, quality), quality
-            log.info("topic %s: subscribed anew as %s", topic.name, quality.text())
-            problem = _problem(topic, quality)
+            self._subscribe_anew(topic, quality)
+            topic.offers = offers
+        self._report(topic, refused)
+        return renewed
+
+    @staticmethod
+    def _report(topic: Topic, refused: int) -> None:
+        """Say what does not fit, by comparison and by the middleware's own count, and when it does again."""
+        problem = problem_of(topic, topic.quality)
         if problem and problem != topic.problem:
             log.warning("topic %s: %s", topic.name, problem)
+        elif topic.problem and not problem:
+            log.info("topic %s: every publisher fits: asked %s", topic.name, topic.quality.text())
         topic.problem = problem
-        return renewed
+        if topic.counter.incompatible > refused:
+            text = "topic %s: the middleware has refused publishers because of %s (%d so far): asked %s, offered %s"
+            offered = "; ".join(dict.fromkeys(offer.quality.text() for offer in topic.offers)) or "not known any more"
+            count, policy = topic.counter.incompatible, topic.incompatible.policy
+            log.warning(text, topic.name, policy, count, topic.quality.text(), offered)
 
     def document(self) -> dict[str, Any]:
         """Every subscription as JSON values, for `/status`."""
         now = self._clock_ns()
-        return {topic.name: _document(topic, now) for topic in list(self.topics.values())}
-
-
-def _problem(topic: Topic, quality: Quality) -> str:
-    found = (mismatch(topic.settings.type, quality, offer) for offer in topic.offers)
-    return "; ".join(text for text in found if text)
-
-
-def _freshness(topic: Topic, now: int) -> str:
-    """By when something came last, or the subscription was made."""
-    bounds = FreshnessBounds(topic.settings.stale_seconds, topic.settings.expire_seconds)
-    return freshness({topic.name: max(topic.counter.newest, topic.since)}, now, bounds)[topic.name]
-
-
-def _document(topic: Topic, now: int) -> dict[str, Any]:
-    counter = topic.counter
-    return {
-        "pattern": topic.settings.pattern.text,
-        "agent": topic.agent,
-        "type": topic.settings.type,
-        "source": topic.settings.source,
-        "matched": topic.matched,
-        "asked": topic.quality.text(),
-        "offered": [{"node": offer.node, "quality": offer.quality.text()} for offer in topic.offers],
-        "problem": topic.problem,
-        "stale": not topic.settings.latched and _freshness(topic, now) != FRESH,
-        "received": counter.received,
-        "malformed": counter.malformed,
-        "lost": counter.lost,
-        "buffer": dict(topic.buffer.counters()),
-    }
+        return {topic.name: topic_document(topic, now) for topic in list(self.topics.values())}

@@ -22,6 +22,8 @@ QUEUE_MAX = 256
 WAIT_SECONDS = 0.5
 RETRY_SECONDS_FIRST, RETRY_SECONDS_LONGEST = 0.2, 10.0
 ENDED = "the detector ended"
+PROBE_SECONDS = 5.0
+"""A receiver to which nothing has been said for so long is asked for: it may be gone, or back."""
 
 log = logging.getLogger(__name__)
 
@@ -44,6 +46,7 @@ class Deliveries:
         self._kept, self._earlier = kept or Kept(), deque[Delivery]()
         self._ending, self._deadline = threading.Event(), float("inf")
         self._delivered = self._retries = self._dead = self._busy = self._left = 0
+        self._heard_at = float("-inf")
         self.unreachable = f"{name}: not tried yet"
         self._thread = threading.Thread(target=self._run, name=f"deliveries {name}", daemon=True)
 
@@ -84,6 +87,7 @@ class Deliveries:
         while (delivery := self._next()) is not None:
             self._busy = 1
             self._deliver(delivery)
+            self._heard_at = self._monotonic()
             self._busy = 0
         self._sender.close()
 
@@ -101,21 +105,29 @@ class Deliveries:
             except queue.Empty:
                 if over:
                     return None
+            if self._monotonic() - self._heard_at >= PROBE_SECONDS:
+                self._probe()
 
     def _reach(self) -> None:
         """Find the receiver before there is something to say; who waits for it meanwhile is not held up."""
         pause = RETRY_SECONDS_FIRST
         while not (self._ending.is_set() or self._earlier) and self._queue.empty():
             self._earlier.extend(self._kept.left())
-            try:
-                self._sender.probe()
-            except RobotKubeError as error:
-                self.unreachable = f"{self.name}: {error}"
-                self._ending.wait(pause)
-                pause = min(2 * pause, RETRY_SECONDS_LONGEST)
-            else:
-                self.unreachable = ""
+            if self._probe():
                 return
+            self._ending.wait(pause)
+            pause = min(2 * pause, RETRY_SECONDS_LONGEST)
+
+    def _probe(self) -> bool:
+        """Note whether the receiver is within reach."""
+        try:
+            self._sender.probe()
+        except RobotKubeError as error:
+            self.unreachable = f"{self.name}: {error}"
+        else:
+            self.unreachable = ""
+        self._heard_at = self._monotonic()
+        return not self.unreachable
 
     def _deliver(self, delivery: Delivery) -> None:
         began, pause = self._monotonic(), RETRY_SECONDS_FIRST

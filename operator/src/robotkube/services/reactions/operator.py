@@ -32,6 +32,8 @@ QUEUE_MAX = 256
 RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX = 0.2, 5.0
 TRY_SECONDS_MAX = 3600.0
 WAIT_SECONDS, DRAIN_SECONDS = 0.5, 0.02
+LOOK_SECONDS = 10.0
+"""An API server of which nothing has been asked for so long is asked for the tasks."""
 NAME = "operator"
 RENEWED_SHARE = 1 / 3  # of a lease
 
@@ -95,6 +97,7 @@ class OperatorReactions:
         self._adopted_parent = parent
         self.adopted: list[Edge] | None = None
         self.reachable = False
+        self._asked_at = monotonic()
         self._thread = threading.Thread(target=self._run, name="operator-reactions", daemon=True)
 
     def start(self) -> None:
@@ -132,6 +135,23 @@ class OperatorReactions:
                 self._carry_out(order)
             self._busy = 0
             self._renew_leases()
+            self._look_again()
+
+    def _look_again(self) -> None:
+        """An API server that nothing has been asked of for a while may be gone, or back."""
+        if self._monotonic() - self._asked_at < LOOK_SECONDS:
+            return
+        try:
+            self._tasks.tasks()
+        except RobotKubeError as error:
+            self._heard(error)
+        else:
+            self._heard(None)
+
+    def _heard(self, error: RobotKubeError | None) -> None:
+        """Note what a call has said of the API server: one that refuses is there."""
+        self.reachable = not isinstance(error, UnavailableError)
+        self._asked_at = self._monotonic()
 
     def _adopt(self) -> None:
         pause = RETRY_SECONDS_FIRST
@@ -147,7 +167,8 @@ class OperatorReactions:
                 pause = min(pause * 2, RETRY_SECONDS_MAX)
                 continue
             self._adopted_parent = self.parent
-            self.adopted, self.reachable = self._taken_over(found), True
+            self.adopted = self._taken_over(found)
+            self._heard(None)
             return
 
     def _withdraw(self, name: str) -> None:
@@ -184,7 +205,9 @@ class OperatorReactions:
                     del self._leases[name]
                     continue
                 lease.due = now + lease.seconds * RENEWED_SHARE
+                self._heard(None)
             except RobotKubeError as error:
+                self._heard(error)
                 log.warning("task %s/%s: its lease was not renewed: %s", self._namespace, name, error)
                 lease.due = now + min(RETRY_SECONDS_MAX, lease.seconds * RENEWED_SHARE)
 
@@ -194,10 +217,10 @@ class OperatorReactions:
             try:
                 self._attempt(order)
                 self._done += 1
-                self.reachable = True
+                self._heard(None)
                 return
             except UnavailableError as error:
-                self.reachable = False
+                self._heard(error)
                 record.error = str(error)
                 if self._monotonic() - began > TRY_SECONDS_MAX:
                     self._give_up(record, f"given up after {TRY_SECONDS_MAX:.0f} s: {error}")

@@ -1,0 +1,122 @@
+"""One subscription of a detector, and how its publishers suit it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from robotkube.domain.buffers import RingBuffer
+from robotkube.domain.detector_settings import TopicSettings
+from robotkube.domain.freshness import FRESH, FreshnessBounds, freshness
+from robotkube.domain.qualities import Incompatible, Offer, Quality, mismatch
+from robotkube.services.detector.counting import InputCounter
+
+if TYPE_CHECKING:
+    from robotkube.ports.robots import TopicInput
+    from robotkube.services.recording.recordings import Recordings
+
+Stamp = Callable[[bytes], int]
+
+
+@dataclass
+class Topic:
+    """A subscription with everything its messages go to. `problem`: which publishers do not fit, and why; `leaving`:
+    subscriptions that another one has taken the place of, and what they still hold."""
+
+    name: str
+    agent: str
+    settings: TopicSettings
+    input: TopicInput
+    counter: InputCounter
+    buffer: RingBuffer
+    quality: Quality
+    stamp: Stamp | None
+    since: int
+    offers: tuple[Offer, ...] = ()
+    problem: str = ""
+    matched: int = 0
+    incompatible: Incompatible = field(default_factory=Incompatible)
+    evaluated: bool = False
+    leaving: list[TopicInput] = field(default_factory=list)
+    counted_before: tuple[int, int] = (0, 0)
+    recordings: list[Recordings] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self._go_on_counting()
+
+    def take_over(self, fresh: TopicInput, quality: Quality) -> None:
+        """Go on with another subscription; what the one before holds is drained first."""
+        self.count()
+        if fresh is not self.input:
+            self.leaving.append(self.input)
+        self.input, self.quality = fresh, quality
+        self._go_on_counting()
+
+    def left(self, messages_max: int) -> list[tuple[bytes, int]]:
+        """What the subscriptions before this one still held; they are closed."""
+        leaving, self.leaving = self.leaving, []
+        found: list[tuple[bytes, int]] = []
+        for one in leaving:
+            said = one.lost
+            while part := one.drain(messages_max):
+                found += part
+            one.close()
+            lost, refused = self.counted_before
+            self.counted_before = lost + one.lost - said, refused
+        return found
+
+    def count(self) -> None:
+        """Note what the subscription says of itself; counters only grow."""
+        self.matched, self.incompatible = self.input.matched, self.input.incompatible
+        lost, refused = self.counted_before
+        self.counter.lost = lost + self.input.lost
+        self.counter.incompatible = refused + self.incompatible.publishers
+
+    def close(self) -> None:
+        """Unsubscribe."""
+        self.count()
+        for one in (*self.leaving, self.input):
+            one.close()
+
+    def _go_on_counting(self) -> None:
+        before, said = self.counter, self.input
+        self.counted_before = before.lost - said.lost, before.incompatible - said.incompatible.publishers
+
+
+def of_type(topic: Topic, offers: Iterable[Offer]) -> list[Offer]:
+    """Publishers of another type are none of its."""
+    return [offer for offer in offers if offer.type == topic.settings.type]
+
+
+def problem_of(topic: Topic, quality: Quality) -> str:
+    """Which publishers would not fit a subscription of that quality, and why; empty when all do."""
+    found = (mismatch(topic.settings.type, quality, offer) for offer in topic.offers)
+    return "; ".join(text for text in found if text)
+
+
+def how_fresh(topic: Topic, now: int) -> str:
+    """By when something came last, or the subscription was made."""
+    bounds = FreshnessBounds(topic.settings.stale_seconds, topic.settings.expire_seconds)
+    return freshness({topic.name: max(topic.counter.newest, topic.since)}, now, bounds)[topic.name]
+
+
+def topic_document(topic: Topic, now: int) -> dict[str, Any]:
+    """As `/status` shows it."""
+    counter = topic.counter
+    return {
+        "pattern": topic.settings.pattern.text,
+        "agent": topic.agent,
+        "type": topic.settings.type,
+        "source": topic.settings.source,
+        "matched": topic.matched,
+        "asked": topic.quality.text(),
+        "offered": [{"node": offer.node, "quality": offer.quality.text()} for offer in topic.offers],
+        "problem": topic.problem,
+        "incompatible": {"count": counter.incompatible, "policy": topic.incompatible.policy},
+        "stale": not topic.settings.latched and how_fresh(topic, now) != FRESH,
+        "received": counter.received,
+        "malformed": counter.malformed,
+        "lost": counter.lost,
+        "buffer": dict(topic.buffer.counters()),
+    }
