@@ -247,7 +247,7 @@ class Room:
 
         namespace, name = split_name(self._pod.config_map or "")
         message = f"{sentence}; the settings before go on"
-        component, now = "robotkube-event-detector", time_text(time.time_ns())
+        component, now = "event-detector", time_text(time.time_ns())
         event = config_map_warning(namespace, name, "SettingsRefused", message, component, now)
         try:
             ApiServer.from_environment(os.environ).create(event_path(namespace), event)
