@@ -66,7 +66,7 @@ def config_map_warning(
     return {
         "apiVersion": "events.k8s.io/v1",
         "kind": "Event",
-        "metadata": {"generateName": f"{name[:200]}.", "namespace": namespace},
+        "metadata": {"generateName": f"{name[:200]}-", "namespace": namespace},
         "regarding": {"apiVersion": "v1", "kind": "ConfigMap", "namespace": namespace, "name": name},
         "reason": reason,
         "action": "ReadSettings",
