@@ -15,7 +15,7 @@ import tempfile
 import time
 import urllib.request
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -147,7 +147,7 @@ def main() -> None:
     """Measure and print."""
     preparing.for_tests()
     found = activate()
-    print(json.dumps({key: value._asdict() for key, value in found._asdict().items()}, indent=1))
+    print(json.dumps({key: asdict(value) for key, value in found._asdict().items()}, indent=1))
 
 
 if __name__ == "__main__":

@@ -82,8 +82,8 @@ def going() -> list[Figure]:
     """From rest to active, by command and by configuration."""
     found = activating.activate()
     values = {
-        "activation_ms": found.active_ms._asdict(),
-        "activation_first_message_ms": found.first_message_ms._asdict(),
+        "activation_ms": asdict(found.active_ms),
+        "activation_first_message_ms": asdict(found.first_message_ms),
     }
     record(RECORD, values)
     name = f"from rest to active, p99 of {found.active_ms.n}"
