@@ -3,11 +3,13 @@
     python3 -m ci.benchmarks.detector_peers source RESULT --agents 15 --rate 1500 --count 15000 [--swing 10]
     python3 -m ci.benchmarks.detector_peers drain RESULT --agents 15
     python3 -m ci.benchmarks.detector_peers detector RESULT
+    python3 -m ci.benchmarks.detector_peers activated RESULT
 
 `source` publishes poses of all agents in turn, `rate` a second altogether, once somebody subscribes to each of them;
 with `--swing n` every agent goes near its neighbours and away again every n messages. `drain` takes and counts, nothing
 else: what receiving costs at least in Python. `detector` is the detector's process, which also notes how long after the
-reception of a message its event was raised. RESULT is JSON, written at the end.
+reception of a message its event was raised; `activated` notes how it becomes active. With `--early` the source does
+not wait for subscriptions. RESULT is JSON, written at the end.
 """
 
 from __future__ import annotations
@@ -23,10 +25,12 @@ from typing import Any
 
 from ci.benchmarks.bags import POSE_TYPE
 from robotkube.adapters.ros_rclpy import RosNode
+from robotkube.domain.detector_settings import ACTIVE
 from robotkube.domain.rules import Edge
 from robotkube.entrypoints.detector import BUSY_SECONDS
 from robotkube.entrypoints.detector import body as detect
 from robotkube.entrypoints.processes import Process, run
+from robotkube.services.detector.detector import EventDetector
 from robotkube.services.detector.raising import Raising
 
 DEPTH = 20_000
@@ -59,7 +63,7 @@ def source(process: Process, options: argparse.Namespace) -> Mapping[str, Any]:
     node = RosNode("source")
     outputs = [node.advertise(topic(number), POSE_TYPE, depth=DEPTH) for number in range(options.agents)]
     deadline = time.monotonic() + MATCH_SECONDS_MAX
-    while not all(output.matched for output in outputs) and time.monotonic() < deadline:
+    while not options.early and not all(output.matched for output in outputs) and time.monotonic() < deadline:
         time.sleep(0.05)
     time.sleep(SETTLE_SECONDS)
     began, first, done = time.monotonic(), time.time_ns(), 0
@@ -103,12 +107,29 @@ def measured(process: Process, options: argparse.Namespace) -> Mapping[str, Any]
     return {"latencies_ns": latencies}
 
 
+def activated(process: Process, options: argparse.Namespace) -> Mapping[str, Any]:
+    """The detector, which notes of each time it became active when that was asked for, since when it was, and when the
+    first message was taken after it; ns since 1970."""
+    found: list[tuple[int, int, int]] = []
+    turn = EventDetector.turn
+
+    def timed(self: EventDetector) -> int:
+        total = turn(self)
+        if total and self.state == ACTIVE and (not found or found[-1][0] != self.state_asked):
+            found.append((self.state_asked, self.state_since, time.time_ns()))
+        return total
+
+    EventDetector.turn = timed  # type: ignore[method-assign]
+    detect(process)
+    return {"activations": found}
+
+
 def _cpu_seconds() -> float:
     used = resource.getrusage(resource.RUSAGE_SELF)
     return used.ru_utime + used.ru_stime
 
 
-ROLES = {"source": source, "drain": drain, "detector": measured}
+ROLES = {"source": source, "drain": drain, "detector": measured, "activated": activated}
 
 
 def main() -> None:
@@ -120,6 +141,7 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=1500.0)
     parser.add_argument("--count", type=int, default=15_000)
     parser.add_argument("--swing", type=int, default=0)
+    parser.add_argument("--early", action="store_true")
     options = parser.parse_args()
 
     def body(process: Process) -> None:

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import asdict
 
 from ci import preparing
-from ci.benchmarks import bridge, detecting, pods, proximity, recording, rule_testing, whole_path
+from ci.benchmarks import activating, bridge, detecting, pods, proximity, recording, rule_testing, whole_path
 from ci.benchmarks.detecting import AGENTS, DEMO_RATE
 from ci.benchmarks.measuring import Figure, record
 from ci.errors import SetUpError
@@ -19,6 +19,7 @@ from ci.folders import PROJECT
 
 RECORD = PROJECT / "build" / "bench" / "event-detector.json"
 RECEIVE_US_MAX, SUSTAINED_MIN, LATENCY_P99_MS_MAX, EVENTS = 40.0, 15_000.0, 20.0, 1000
+ACTIVATION_MS_MAX = 100.0
 BRIDGE_MIN, REALTIME_MIN, PATH_RATIO_MAX = 10_000.0, 20.0, 0.6
 ROSBAGS_RATIO_MAX = 2.0  # ours reads whatever rule and any bag, and gives events with their causes
 NAIVE_SECONDS = 20.0
@@ -75,6 +76,18 @@ def noticing() -> list[Figure]:
         Figure("sustained on one core, time per message", "us", needed, 1e6 / SUSTAINED_MIN, 1.0, "the goal"),
         Figure(f"message to event, p99 of {delay.n}", "ms", delay.p99_ms, LATENCY_P99_MS_MAX, 1.0, "the goal"),
     ]
+
+
+def going() -> list[Figure]:
+    """From rest to active, by command and by configuration."""
+    found = activating.activate()
+    values = {
+        "activation_ms": asdict(found.active_ms),
+        "activation_first_message_ms": asdict(found.first_message_ms),
+    }
+    record(RECORD, values)
+    name = f"from rest to active, p99 of {found.active_ms.n}"
+    return [Figure(name, "ms", found.active_ms.p99, ACTIVATION_MS_MAX, 1.0, "the goal")]
 
 
 def nearness() -> list[Figure]:
@@ -152,7 +165,7 @@ def whole() -> list[Figure]:
     return [Figure(name, "us", ours.us_per_message, naive.us_per_message, PATH_RATIO_MAX, "the naive path")]
 
 
-PARTS: tuple[Callable[[], list[Figure]], ...] = (receiving, noticing, nearness, storing, carrying, trying, whole)
+PARTS: tuple[Callable[[], list[Figure]], ...] = (receiving, noticing, going, nearness, storing, carrying, trying, whole)
 
 
 def figures() -> list[Figure]:

@@ -30,8 +30,7 @@ class ModelBuffer:
     """Keeps the whole history and works everything out from it."""
 
     def __init__(self, bounds: BufferBounds, latched: bool, duplicates: str, jump: str) -> None:
-        self.bounds, self.latched, self.duplicates, self.jump = bounds, latched, duplicates, jump
-        self.window = 10**30 if latched else int(bounds.seconds * 1e9)
+        self._bind(bounds, latched, duplicates, jump)
         self.kept: list[Sample] = []
         self.history: list[Sample] = []
         self.newest: Sample | None = None
@@ -41,6 +40,14 @@ class ModelBuffer:
             ("late", "duplicates", "disordered", "jumps", "cleared", "evicted_seconds", "evicted_bytes",
              "evicted_count", "evicted_process"), 0,
         )  # fmt: skip
+
+    def rebound(self, bounds: BufferBounds, latched: bool, duplicates: str, jump: str) -> None:
+        self._bind(bounds, latched, duplicates, jump)
+        self._evict_all()
+
+    def _bind(self, bounds: BufferBounds, latched: bool, duplicates: str, jump: str) -> None:
+        self.bounds, self.latched, self.duplicates, self.jump = bounds, latched, duplicates, jump
+        self.window = 10**30 if latched else int(bounds.seconds * 1e9)
 
     def insert(self, sample: Sample) -> str:
         self.history.append(sample)
@@ -97,10 +104,13 @@ class ModelBuffer:
         if self.newest is None or sample.stamp > self.newest.stamp:
             self.newest = sample
         self.kept = sorted([*self.kept, sample], key=lambda kept: kept.stamp)
+        self._evict_all()
+        return KEPT
+
+    def _evict_all(self) -> None:
         self._evict("evicted_seconds", lambda: self.kept[0].stamp < self.newest.stamp - self.window)
         self._evict("evicted_bytes", lambda: self.bytes() > self.bounds.bytes)
         self._evict("evicted_count", lambda: len(self.kept) > self.bounds.count)
-        return KEPT
 
     def _evict(self, counter: str, too_much: object) -> None:
         while self.kept and too_much():

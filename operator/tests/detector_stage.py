@@ -37,9 +37,10 @@ def pose(stamp: int, x: float, frame: bytes = b"map", order: str = "<") -> bytes
 class MemoryTopic:
     """Port TopicInput."""
 
-    lost, matched = 0, 1
+    matched = 1
 
     def __init__(self, quality: Quality) -> None:
+        self.lost = 0
         self.quality, self.incompatible = quality, Incompatible()
         self.waiting: list[tuple[bytes, int]] = []
         self.closed = False
@@ -136,7 +137,7 @@ class DetectorStage:
     def __init__(self, tasks: MemoryTasks, make_workers: Callable[[], Any] | None = None) -> None:
         self.live, self.tasks, self.now, self.seconds = MemoryTopics(), tasks, NOW, 0.0
         self.operators: list[OperatorReactions] = []
-        self.reactions: dict[str, MemoryReaction] = {}
+        self.reactions: dict[str, Any] = {}
         self.recordings: list[Any] = []
         self.detector = EventDetector(
             lambda name: self.live,
@@ -157,7 +158,7 @@ class DetectorStage:
         found.start()
         return found
 
-    def _reaction(self, settings: DeliveryReaction, box: DeadLetterBox) -> MemoryReaction:
+    def _reaction(self, settings: DeliveryReaction, box: DeadLetterBox) -> Any:
         return self.reactions.setdefault(settings.name, MemoryReaction(settings.name))
 
     def _recordings(self, plan: Any, buffers: Any) -> Any:

@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from detector_process import COMMAND, is_up, read
 from installed_chart import CHART, Cluster, prepared_cluster
 from kubernetes import client, config
+from programs import free_port, program
+from proximity import SETTINGS as DETECTOR
+from waiting import until
+
+from robotkube.domain.texts import write_mapping
 
 pytestmark = pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning")  # a server of its own
 PROFILES = Path(__file__).parent / "profiles"
@@ -142,6 +152,68 @@ def test_every_account_of_the_platform_is_listed(installed: Cluster) -> None:
 def test_no_account_reaches_into_anothers_scope(installed: Cluster, account: str, question: str) -> None:
     asked = installed.run("kubectl", "auth", "can-i", *question.split(), f"--as=system:serviceaccount:{account}")
     assert asked.stdout.strip() == "no"
+
+
+@pytest.fixture
+def as_detector(installed: Cluster) -> Iterator[str]:
+    """Where the API server takes calls as the detector's account in cloud-0."""
+    environment = {**os.environ, "KUBECONFIG": str(installed.kubeconfig), "HOME": str(installed.kubeconfig.parent)}
+    account = "--as=system:serviceaccount:cloud-0:event-detector"
+    proxy = subprocess.Popen(
+        [program("kubectl"), "proxy", "--port=0", account], env=environment, stdout=subprocess.PIPE, text=True
+    )
+    assert proxy.stdout is not None
+    yield "http://" + proxy.stdout.readline().split()[-1]
+    proxy.kill()
+    proxy.communicate(timeout=10)
+
+
+def test_a_detector_tells_of_a_bad_rule_file_by_its_own_account(
+    installed: Cluster, as_detector: str, tmp_path: Path
+) -> None:
+    """As an Event of its ConfigMap, which says key and fix; the settings before go on, and good ones are taken."""
+
+    def configure(verb: str, **changes: Any) -> None:
+        data = {"config.yaml": write_mapping({**DETECTOR, **changes})}
+        metadata = {"name": "event-detector", "namespace": "cloud-0"}
+        document = {"apiVersion": "v1", "kind": "ConfigMap", "metadata": metadata, "data": data}
+        installed.kubectl(verb, "-n", "cloud-0", "-f", "-", text=json.dumps(document))
+
+    def warnings() -> list[dict[str, Any]]:
+        listed = installed.kubectl("get", "events.events.k8s.io", "-n", "cloud-0", "-o", "json")
+        return [item for item in json.loads(listed)["items"] if item["reason"] == "SettingsRefused"]
+
+    configure("create")
+    (tmp_path / "config.yaml").write_text(write_mapping(DETECTOR))
+    port = free_port()
+    variables = {
+        "ROBOTKUBE_API_SERVER": as_detector,
+        "ROBOTKUBE_CONFIG": str(tmp_path / "config.yaml"),
+        "ROBOTKUBE_CONFIGMAP": "cloud-0/event-detector",
+        "ROBOTKUBE_HEALTH_PORT": str(port),
+        "ROS_DOMAIN_ID": str(100 + os.getpid() % 100),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "PYTHONPATH": os.pathsep.join(sys.path),
+    }
+    detector = subprocess.Popen([sys.executable, *COMMAND], env={**os.environ, **variables})
+    try:
+        until(lambda: is_up(port) and json.loads(read(port, "/status"))["not_ready"] == "")
+        configure("replace", rules=[{**DETECTOR["rules"][0], "stop_distance_m": 1}])
+        until(warnings)
+        [warning] = warnings()
+        assert (warning["type"], warning["regarding"]["kind"], warning["regarding"]["name"]) == (
+            "Warning", "ConfigMap", "event-detector")  # fmt: skip
+        expected = "config.yaml: rules[0].stop_distance_m: must not be less than start_distance_m"
+        assert warning["note"].startswith(expected)
+        assert warning["note"].endswith("the settings before go on")
+        status = json.loads(read(port, "/status"))
+        assert (status["rules"]["names"], status["settings"]["refused"][: len(expected)]) == (["near"], expected)
+        configure("replace", rules=[{**DETECTOR["rules"][0], "name": "nearer"}], reactions=[])
+        until(lambda: json.loads(read(port, "/status"))["rules"]["names"] == ["nearer"])
+        assert len(warnings()) == 1
+    finally:
+        detector.kill()
+        detector.wait(10)
 
 
 def test_one_manager_of_everything_may_answer_everywhere(helm: Any) -> None:

@@ -119,6 +119,7 @@ def test_a_type_that_is_not_installed_comes_with_its_definition(broker: pods.Bro
         say(4.0)
         peer.until(lambda: len(peer.heard) == 1)
         broker.stop()
+        peer.until(lambda: "broker" in status()["not_ready"])
         broker.start()
         peer.until(lambda: peer.connections == 2 and ready())
         say(7.0)

@@ -69,6 +69,51 @@ def test_it_does_what_a_plain_list_would(count: int) -> None:
     assert min(seen.values()) > count / 10, "the random messages must have led to every outcome"
 
 
+@pytest.mark.parametrize("count", CASES)
+def test_other_bounds_take_what_does_not_fit_and_nothing_else(count: int) -> None:
+    """Bounds and policies that change between random messages, against the model."""
+    kept_over = 0
+    for seed in range(count):
+        draw = random.Random(seed)  # noqa: S311 - the same cases every time
+        terms = random_terms(draw)
+        buffer, model = RingBuffer(*terms), ModelBuffer(*terms)
+        for message in random_messages(draw):
+            if draw.random() < 0.1:
+                terms = random_terms(draw)
+                buffer.rebound(*terms)
+                model.rebound(*terms)
+                assert buffer.samples() == tuple(model.kept), seed
+                kept_over += len(buffer) > 1
+            assert buffer.insert(message) == model.insert(message), (seed, message)
+            assert buffer.samples() == tuple(model.kept), (seed, message)
+        assert {name: buffer.counters()[name] for name in model.counters} == model.counters, seed
+        check_sums(buffer)
+    assert kept_over > count
+
+
+def random_terms(draw: random.Random) -> tuple[BufferBounds, bool, str, str]:
+    bounds = BufferBounds(draw.choice([0.5, 1.0, 3.0]), draw.choice([200, 2000, 10**6]), draw.choice([1, 7, 1000]))
+    return bounds, *draw.choice(KNOWN_POLICIES)
+
+
+def test_a_topic_of_a_pool_becomes_latched_and_back_with_its_bytes() -> None:
+    pool = BufferPool(100)
+    wide = BufferBounds(60.0, 1000)
+    for name in "ab":
+        buffer = pool.make(name, wide)
+        for stamp in range(4):
+            buffer.insert(sample(stamp, data=b"0123456789"))
+    assert (pool.bytes, pool.rebound("a", wide, True, "drop", "restart"), pool.bytes) == (80, pool.buffers["a"], 40)
+    for stamp in range(4, 14):
+        pool.buffers["a"].insert(sample(stamp, data=b"0123456789"))
+    assert (len(pool.buffers["a"]), pool.bytes) == (14, 40), "no part in the process's bytes"
+    pool.rebound("a", wide, False, "drop", "restart")
+    assert pool.bytes <= 100
+    assert (len(pool.buffers["a"]), len(pool.buffers["b"])) == (5, 4), "from whoever holds most"
+    with pytest.raises(KeyError):
+        pool.rebound("c", wide, False, "drop", "restart")
+
+
 def check_sums(buffer: RingBuffer) -> None:
     """Every message received is somewhere."""
     numbers = buffer.counters()

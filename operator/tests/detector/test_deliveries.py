@@ -14,15 +14,19 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from detector_stage import DetectorStage, MemoryTasks
+from proximity import SETTINGS
 from waiting import until
 
 from robotkube.adapters.reaction_processes import ProcessSender
 from robotkube.adapters.traces_otlp import OtlpSpans
 from robotkube.adapters.webhook_sender import WebhookSender
+from robotkube.domain.detector_settings import read_detector_settings
 from robotkube.domain.errors import InputError, UnavailableError
 from robotkube.domain.notifications import delivery_id, notification
 from robotkube.domain.rules import START, Cause, Edge
 from robotkube.ports.reactions import Delivery, Sender
+from robotkube.services.reactions import deliveries as module
 from robotkube.services.reactions.dead import DeadLetterBox
 from robotkube.services.reactions.deliveries import QUEUE_MAX, Deliveries
 
@@ -35,8 +39,8 @@ EDGE = Edge(
 class Receiver(ThreadingHTTPServer):
     """Keeps what is posted; answers with `statuses`, then 204."""
 
-    def __init__(self) -> None:
-        super().__init__(("127.0.0.1", 0), Handler)
+    def __init__(self, port: int = 0) -> None:
+        super().__init__(("127.0.0.1", port), Handler)
         self.statuses: list[int] = []
         self.posted: list[tuple[dict[str, str], bytes]] = []
 
@@ -159,6 +163,28 @@ def test_a_receiver_that_is_away_is_named_until_it_is_there(make: Callable[..., 
     server.server_close()
     deliveries = make(WebhookSender(f"http://127.0.0.1:{port}/", None, 1.0))
     until(lambda: "does not answer" in deliveries.unreachable)
+
+
+def test_a_detector_is_ready_while_its_receiver_is_there(
+    make: Callable[..., Deliveries], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also when there is nothing to say to it: away, back, and the page and the metric with it."""
+    monkeypatch.setattr(module, "PROBE_SECONDS", 0.1)
+    server = Receiver()
+    port, stage = server.server_port, DetectorStage(MemoryTasks())
+    hook = {"rule": "near", "kind": "webhook", "url": f"http://127.0.0.1:{port}/"}
+    document = {**SETTINGS, "reactions": [hook]}
+    [settings] = read_detector_settings(document, "config.yaml").deliveries
+    stage.reactions[settings.name] = make(WebhookSender(hook["url"], None, 1.0))
+    stage.apply(document)
+    until(lambda: stage.status.not_ready() == "")
+    server.server_close()
+    until(lambda: "does not answer" in stage.status.not_ready())
+    assert "robotkube_detector_ready 0" in stage.status.metrics()
+    server = Receiver(port)
+    until(lambda: stage.status.not_ready() == "")
+    assert "robotkube_detector_ready 1" in stage.status.metrics()
+    server.server_close()
 
 
 def test_order_is_kept_and_who_waits_too_long_is_given_up(make: Callable[..., Deliveries], box: DeadLetterBox) -> None:

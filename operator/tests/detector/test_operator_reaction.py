@@ -172,3 +172,16 @@ def test_a_task_that_somebody_deleted_is_renewed_no_more(stage: Stage) -> None:
     stage.send(0.01)
     assert stage.done() == ["start", "stop"]
     assert len(stage.tasks.renewals) == 1
+
+
+def test_an_api_server_that_goes_away_in_silence_makes_it_not_ready(make_stage: Callable[[MemoryTasks], Stage]) -> None:
+    tasks = MemoryTasks()
+    stage = make_stage(tasks)
+    stage.apply(DOCUMENT)
+    assert stage.status.not_ready() == ""
+    tasks.away = 10**6
+    stage.seconds += 11
+    until(lambda: "API server" in stage.status.not_ready())
+    tasks.away = 0
+    stage.seconds += 11
+    until(lambda: stage.status.not_ready() == "")

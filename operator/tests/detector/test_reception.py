@@ -17,8 +17,9 @@ from waiting import until
 from robotkube.adapters.rule_processes import ChildProcess
 from robotkube.domain.audits import Gap
 from robotkube.domain.bridging_properties import gap_text
+from robotkube.domain.detector_settings import read_detector_settings
 from robotkube.domain.messages import string_message
-from robotkube.domain.qualities import Asked, Offer, Quality, matched, mismatch
+from robotkube.domain.qualities import Asked, Incompatible, Offer, Quality, matched, mismatch
 from robotkube.services.rule_workers import RuleWorkers
 
 POSE_TYPE = "geometry_msgs/msg/PoseStamped"
@@ -118,6 +119,77 @@ def test_settings_decide_the_state_until_they_are_overruled(stage: DetectorStage
     assert stage.detector.state == "active", "the settings say of the state what they said before"
     stage.apply({**PLAIN, "state": "buffering"})
     assert stage.detector.state == "buffering"
+
+
+def test_a_detector_that_only_buffers_raises_with_the_first_message_once_active(stage: DetectorStage) -> None:
+    """Subscriptions and buffers are there already and stay; the change says when it was asked for and since when."""
+    stage.apply({**PLAIN, "state": "buffering"})
+    stage.send("vehicle-00", 0)
+    stage.send("vehicle-01", 100)
+    before = dict(stage.live.topics)
+    assert stage.events() == []
+    stage.now += 50 * MS
+    stage.detector.change_state("active", stage.now - 20 * MS)
+    assert stage.live.topics == before, "the same subscriptions"
+    assert stage.detector.pool.snapshot()[TOPIC]["messages"] == 1
+    stage.send("vehicle-00", 0)
+    stage.send("vehicle-01", 100)
+    assert [event["edge"] for event in stage.events()] == ["start"]
+    status = stage.status.document()
+    assert status["state_since"] - status["state_asked"] == 20 * MS
+
+
+def test_settings_switch_to_rest_and_back_and_the_buffers_stay(stage: DetectorStage) -> None:
+    stage.apply(PLAIN)
+    stage.send("vehicle-00", 0)
+    stage.send("vehicle-01", 100)
+    first = dict(stage.live.topics)
+    stage.apply({**PLAIN, "state": "inactive"})
+    assert all(topic.closed for topic in first.values())
+    assert ([event["edge"] for event in stage.events()], stage.live.followed) == (["start", "stop"], [])
+    narrow = {**PLAIN["topics"][0], "buffer": {"seconds": 0.01}}
+    stage.apply({**PLAIN, "state": "inactive", "topics": [narrow]})
+    asked = stage.now
+    stage.now += 7
+    stage.detector.apply(read_detector_settings({**PLAIN, "topics": [narrow]}, "config.yaml"), asked)
+    assert stage.live.followed == ["/vehicles/{agent}/pose"]
+    assert (stage.detector.state_asked, stage.detector.state_since) == (asked, asked + 7)
+    stage.send("vehicle-00", 0)
+    stage.send("vehicle-00", 0)
+    counters = stage.detector.pool.snapshot()[TOPIC]
+    assert (counters["messages"], counters["evicted_seconds"], counters["received"]) == (2, 1, 3), "the new bounds"
+    stage.apply({**PLAIN, "state": "inactive", "topics": [narrow]})
+    stage.apply({"name": PLAIN["name"], "topics": [{**narrow, "type": NUMBER}], "state": "inactive"})
+    assert stage.detector.pool.snapshot() == {}, "messages of another type are no use"
+
+
+def test_a_changed_topic_keeps_its_buffer_within_the_new_bounds(stage: DetectorStage) -> None:
+    """The subscription stays, too, unless another one is asked for; then what it still held is taken first."""
+    topic = PLAIN["topics"][0]
+    stage.apply({**PLAIN, "topics": [{**topic, "buffer": {"seconds": 60}}]})
+    for _ in range(100):
+        stage.send("vehicle-00", 0)
+    first = stage.live.topics[TOPIC]
+    stage.apply({**PLAIN, "topics": [{**topic, "buffer": {"seconds": 0.2}, "stale_seconds": 1}]})
+    assert (stage.live.topics[TOPIC], first.closed) == (first, False)
+    counters = stage.detector.pool.snapshot()[TOPIC]
+    assert (counters["messages"], counters["received"], counters["evicted_seconds"]) == (21, 100, 79)
+    first.waiting.append((pose(stage.now + MS, 0), stage.now))
+    first.lost = 3
+    wide = {**topic, "name": TOPIC, "buffer": {"seconds": 60}, "depth": 7}
+    stage.apply({**PLAIN, "topics": [topic, wide]})
+    assert stage.live.topics[TOPIC] is not first
+    stage.live.topics[TOPIC].waiting.append((pose(stage.now + 2 * MS, 0), stage.now))
+    stage.live.topics[TOPIC].lost = 1
+    stage.detector.turn()
+    assert first.closed
+    assert stage.detector.pool.snapshot()[TOPIC]["messages"] == 23
+    assert [sample.stamp for sample in stage.detector.pool.buffers[TOPIC].samples()][-2:] == [
+        stage.now + MS, stage.now + 2 * MS]  # fmt: skip
+    shown = stage.status.document()["topics"][TOPIC]
+    assert (shown["pattern"], shown["lost"]) == (TOPIC, 4), "counters only grow"
+    stage.apply({**PLAIN, "rules": [], "topics": [{**wide, "source": "mqtt"}]})
+    assert stage.detector.pool.snapshot()[TOPIC]["messages"] == 23, "another way to the same messages"
 
 
 def test_a_jump_of_time_is_an_event_of_its_own(stage: DetectorStage) -> None:
@@ -243,6 +315,69 @@ def test_a_mismatch_names_both_sides(wanted: Quality, offered: Quality, expected
 
 def test_another_type_is_a_mismatch() -> None:
     assert "type: asked a/msg/B, offered " in mismatch("a/msg/B", Quality(), Offer("", NUMBER, Quality()))
+
+
+def test_what_publishers_give_is_asked_for_and_a_flash_of_one_is_not_followed(stage: DetectorStage) -> None:
+    def quality() -> Quality:
+        return stage.live.topics[TOPIC].quality
+
+    stage.apply(PLAIN)
+    stage.send("vehicle-00", 0)
+    strong, weak = Offer("/a", POSE_TYPE, STRONG), Offer("/b", POSE_TYPE, WEAK)
+    stage.live.offered[TOPIC] = [strong, Offer("/c", NUMBER, WEAK)]
+    stage.pass_seconds(1.1)
+    assert quality() == STRONG, "the first ones, at once; those of another type do not count"
+    stage.live.offered[TOPIC] = [strong, weak]
+    stage.pass_seconds(1.1)
+    assert quality() == WEAK, "who does not fit, at once"
+    stage.live.offered[TOPIC] = []
+    stage.pass_seconds(2.2)
+    stage.live.offered[TOPIC] = [weak]
+    stage.pass_seconds(1.1)
+    before = stage.live.topics[TOPIC]
+    stage.live.offered[TOPIC] = [strong]
+    stage.pass_seconds(1.1)
+    assert stage.live.topics[TOPIC] is before, "more is asked for when it lasts"
+    stage.pass_seconds(1.1)
+    assert quality() == STRONG
+    assert stage.detector.pool.snapshot()[TOPIC]["messages"] == 1, "the buffer stays"
+    assert stage.status.document()["topics"][TOPIC]["problem"].startswith("/a does not fit") is False
+
+
+def test_a_misfit_is_told_until_it_is_mended(stage: DetectorStage, caplog: pytest.LogCaptureFixture) -> None:
+    """By comparison in /status and the gauge, by the middleware's own count in the counter, by both in the log."""
+    caplog.set_level("INFO")
+
+    def shown() -> tuple[str, dict[str, Any]]:
+        found = stage.status.document()["topics"][TOPIC]
+        return found["problem"], found["incompatible"]
+
+    stage.apply({**PLAIN, "topics": [{**PLAIN["topics"][0], "durability": "transient_local"}]})
+    stage.live.offered[TOPIC] = [Offer("/player", POSE_TYPE, Quality())]
+    stage.live.topics[TOPIC].incompatible = Incompatible(1, "durability")
+    stage.pass_seconds(1.1)
+    sentence = "/player does not fit: durability: asked transient_local, offered volatile"
+    assert shown() == (sentence, {"count": 1, "policy": "durability"})
+    assert f"topic {TOPIC}: {sentence}" in caplog.messages
+    assert (
+        f"topic {TOPIC}: the middleware has refused publishers because of durability (1 so far): asked reliable, "
+        "transient_local, offered reliable, volatile"
+    ) in caplog.messages
+    label = '{topic="/vehicles/{agent}/pose"}'
+    assert f"robotkube_detector_incompatible_total{label} 1" in stage.status.metrics()
+    assert f"robotkube_detector_mismatched_topics{label} 1" in stage.status.metrics()
+    stage.live.offered[TOPIC] = [Offer("/player", POSE_TYPE, Quality(durability="transient_local"))]
+    stage.pass_seconds(1.1)
+    assert shown() == ("", {"count": 1, "policy": "durability"})
+    assert f"topic {TOPIC}: every publisher fits: asked reliable, transient_local" in caplog.messages
+    assert f"robotkube_detector_mismatched_topics{label} 0" in stage.status.metrics()
+    assert f"robotkube_detector_incompatible_total{label} 1" in stage.status.metrics()
+    stage.apply({**PLAIN, "topics": [{**PLAIN["topics"][0], "durability": "volatile"}]})
+    stage.live.topics[TOPIC].incompatible = Incompatible(2, "reliability")
+    stage.live.offered[TOPIC] = []
+    stage.pass_seconds(1.1)
+    assert shown() == ("", {"count": 3, "policy": "reliability"})
+    assert "because of reliability (3 so far): asked reliable, volatile, offered not known any more" in caplog.text
 
 
 def test_a_weak_publisher_is_subscribed_to_anew_unless_the_settings_insist(stage: DetectorStage) -> None:

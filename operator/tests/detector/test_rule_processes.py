@@ -12,11 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rule_stage import DEFINITIONS, NOW, NUMBERS, POSES, SECOND, TOPICS, RuleStage, read, seconds
+from detector_stage import DetectorStage, MemoryTasks
+from rule_stage import DEFINITIONS, NOW, NUMBER, NUMBERS, POSES, SECOND, TOPICS, RuleStage, read, seconds
 from waiting import until
 
 from robotkube.adapters.rule_processes import ChildProcess
 from robotkube.domain.rules import RISE, START, STOP, Answer, Edge, Question, Rule
+from robotkube.entrypoints.detector_parts import KnownExpressions
 from robotkube.entrypoints.rule_host import check_expressions, start_rule
 from robotkube.ports.rules import Reply
 from robotkube.services import rule_workers
@@ -288,3 +290,47 @@ def test_changed_rules_get_new_processes_and_others_keep_theirs() -> None:
     assert [process.stopped for process in policy.processes] == [True, True, False]
     policy.workers.stop()
     assert policy.processes[-1].stopped
+
+
+def test_expressions_stay_loaded_while_the_detector_rests_and_know_nothing_of_before() -> None:
+    stage = DetectorStage(MemoryTasks(), lambda: RuleWorkers(Stage.start, time.monotonic))
+    topic = "/vehicles/vehicle_00/value"
+
+    def loaded() -> bool:
+        stage.detector.turn()
+        return bool(stage.status.document()["rules"]["workers"]["fast"]["state"] == "running")
+
+    def edges() -> list[str]:
+        stage.detector.turn()
+        return [edge for edge, _ in stage.edges()]
+
+    settings = {
+        "name": "cloud-0/d",
+        "topics": [{"name": topic, "type": NUMBER}],
+        "rules": [{**FORMULA, "topic": topic}],
+    }
+    stage.apply({**settings, "state": "inactive"})
+    for told in (["start"], ["start", "stop", "start"]):
+        until(loaded)
+        stage.detector.change_state("active")
+        assert loaded(), "nothing has to be started"
+        stage.say(topic, 3.0)
+        until(lambda told=told: edges() == told)
+        stage.detector.change_state("inactive")
+        assert edges() == [*told, "stop"]
+    stage.detector.stop()
+
+
+def test_only_expressions_that_are_new_are_checked() -> None:
+    asked: list[Sequence[str]] = []
+
+    def check(texts: Sequence[str]) -> Sequence[str]:
+        asked.append(list(texts))
+        return [f"{text} is wrong" if "!" in text else "" for text in texts]
+
+    known = KnownExpressions(check)
+    assert known(["a", "b!", "a"]) == ["", "b! is wrong", ""]
+    assert known(["b!", "a"]) == ["b! is wrong", ""]
+    assert known(["a", "c"]) == ["", ""]
+    assert known(["b!"]) == ["b! is wrong"]
+    assert asked == [["a", "b!"], ["c"], ["b!"]], "what is not used any more is forgotten"

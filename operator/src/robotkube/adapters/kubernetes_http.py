@@ -37,7 +37,7 @@ TIMEOUT_SECONDS = 10.0
 WATCH_SECONDS = 240
 BACKOFF_SECONDS_MIN, BACKOFF_SECONDS_MAX = 0.5, 10.0
 EVENT_BYTES_MAX = 4 * 1024 * 1024
-EVENT_MESSAGE_MAX = 1024  # of an Event's message, by the API
+EVENT_NOTE_BYTES_MAX, EVENT_INSTANCE_MAX = 1024, 128  # of an Event, by the API
 KEEPALIVE_IDLE_SECONDS, KEEPALIVE_INTERVAL_SECONDS, KEEPALIVE_PROBES = 20, 5, 3
 
 ConfigMapData = Mapping[str, str]
@@ -56,26 +56,25 @@ def custom_path(group: str, version: str, namespace: str, plural: str, name: str
 
 def event_path(namespace: str) -> str:
     """Path of the namespace's Events."""
-    return f"/api/v1/namespaces/{quote(namespace)}/events"
+    return f"/apis/events.k8s.io/v1/namespaces/{quote(namespace)}/events"
 
 
 def config_map_warning(
     namespace: str, name: str, reason: str, message: str, component: str, now: str
 ) -> dict[str, Any]:
-    """A Kubernetes Event of type Warning about a ConfigMap; `now` in RFC 3339."""
-    about = {"apiVersion": "v1", "kind": "ConfigMap", "namespace": namespace, "name": name}
+    """The Event (events.k8s.io/v1) that puts a warning on a ConfigMap; `now` in RFC 3339 with microseconds."""
     return {
-        "apiVersion": "v1",
+        "apiVersion": "events.k8s.io/v1",
         "kind": "Event",
-        "metadata": {"generateName": f"{name[:200]}.", "namespace": namespace},
-        "involvedObject": about,
+        "metadata": {"generateName": f"{name[:200]}-", "namespace": namespace},
+        "regarding": {"apiVersion": "v1", "kind": "ConfigMap", "namespace": namespace, "name": name},
         "reason": reason,
-        "message": message[:EVENT_MESSAGE_MAX],
+        "action": "ReadSettings",
+        "note": message.encode()[:EVENT_NOTE_BYTES_MAX].decode(errors="ignore"),
         "type": "Warning",
-        "source": {"component": component},
-        "firstTimestamp": now,
-        "lastTimestamp": now,
-        "count": 1,
+        "reportingController": f"robotkube.io/{component}",
+        "reportingInstance": f"{namespace}.{name}"[:EVENT_INSTANCE_MAX],
+        "eventTime": now,
     }
 
 

@@ -190,8 +190,9 @@ class RingBuffer:
         self.latched, self.duplicate_policy, self.jump_policy = latched, duplicates, jump
         self._window_ns = _FOREVER if latched else int(bounds.seconds * 1e9)
         self._bytes_max, self._count_max = bounds.bytes, bounds.count
-        if self._samples:
+        if self._newest > -_FOREVER:
             self._ahead = self._newest + self._window_ns
+        if self._samples:
             self._evict()
 
     def share(self, budget: _Budget) -> None:

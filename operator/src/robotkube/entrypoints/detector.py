@@ -97,6 +97,7 @@ class Room:
         self._news: deque[tuple[DetectorSettings, int]] = deque(maxlen=NEWS_MAX)
         self._commands: deque[tuple[str, int]] = deque(maxlen=COMMANDS_MAX)
         self._expressions = parts.KnownExpressions(parts.check_expressions)
+        self._orders = threading.Event()
         self._learned: deque[str] = deque()
         self._ready = False
         self.refusal = Refusal()
@@ -176,7 +177,9 @@ class Room:
         """Turn until the process shall end."""
         heard = time.monotonic()
         pause = BUSY_SECONDS
-        while not self._process.stopping.wait(pause):
+        while not self._process.stopping.is_set():
+            self._orders.wait(pause)
+            self._orders.clear()
             self._obey()
             now = time.monotonic()
             heard = now if self._turn() else heard
@@ -257,6 +260,7 @@ class Room:
             return
         self.refusal.error = ""
         self._news.append((settings, asked))
+        self._orders.set()
 
     def _warn(self, sentence: str) -> None:
         """A Kubernetes Event about the ConfigMap, where its author looks."""
@@ -265,7 +269,7 @@ class Room:
 
         namespace, name = split_name(self._pod.config_map or "")
         message = f"{sentence}; the settings before go on"
-        component, now = "robotkube-event-detector", time_text(time.time_ns())
+        component, now = "event-detector", time_text(time.time_ns())
         event = config_map_warning(namespace, name, "SettingsRefused", message, component, now)
         try:
             ApiServer.from_environment(os.environ).create(event_path(namespace), event)
@@ -281,6 +285,7 @@ class Room:
         if state not in STATES:
             return 400, json.dumps({"error": f'send {{"state": ...}} with one of {", ".join(STATES)}'})
         self._commands.append((state, time.time_ns()))
+        self._orders.set()
         return 202, json.dumps({"state": state})
 
     def _definition(self, type_name: str) -> str:

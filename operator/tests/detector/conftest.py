@@ -1,0 +1,62 @@
+"""Processes of detectors and publishers, on a ROS domain of this test run."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from detector_process import SECONDS_MAX, Api
+from proximity import SETTINGS
+
+from robotkube.domain.texts import write_mapping
+
+
+@pytest.fixture
+def api() -> Iterator[Api]:
+    api = Api(write_mapping(SETTINGS))
+    thread = threading.Thread(target=api.serve_forever)
+    thread.start()
+    yield api
+    api.closing.set()
+    api.shutdown()
+    api.server_close()
+    thread.join(SECONDS_MAX)
+
+
+@pytest.fixture
+def unused_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    processes: list[subprocess.Popen[str]] = []
+
+    def start(*arguments: str, **environment: str) -> subprocess.Popen[str]:
+        variables = {
+            **os.environ,
+            "ROS_DOMAIN_ID": str(100 + os.getpid() % 100),
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "ROS_LOG_DIR": str(tmp_path / "ros"),
+            "PYTHONPATH": os.pathsep.join(sys.path),
+            **environment,
+        }
+        processes.append(
+            subprocess.Popen(
+                [sys.executable, *arguments], env=variables, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+            )
+        )
+        return processes[-1]
+
+    yield start
+    for process in processes:
+        process.kill()
+        process.communicate(timeout=SECONDS_MAX)
