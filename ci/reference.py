@@ -1,5 +1,6 @@
-"""`make reference`: docs/reference/schemas.md from the JSON Schemas of registry/schemas/, metrics.md and rules.md from
-the code, and the commands of command-line.md from the command line's parser; and what is generated in charts.
+"""`make reference`: docs/reference/schemas.md from the JSON Schemas of registry/schemas/, metrics.md, rules.md and
+the metrics of event-detector.md from the code, and the commands of command-line.md from the command line's parser; and
+what is generated in charts.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ci import chart_reference, command_reference, rule_reference
+from ci import chart_reference, command_reference, detector_reference, rule_reference
 from robotkube.adapters.metrics_prometheus import reference
 
 TOP = Path(__file__).resolve().parent.parent
@@ -172,5 +173,8 @@ if __name__ == "__main__":
     commands = command_reference.PAGE
     commands.write_text(command_reference.page(commands.read_text(encoding="utf-8")), encoding="utf-8")
     rule_reference.PAGE.write_text(rule_reference.page(), encoding="utf-8")
+    detector = detector_reference.PAGE
+    detector.write_text(detector_reference.page(detector.read_text(encoding="utf-8")), encoding="utf-8")
+    print(detector.relative_to(TOP))
     print(rule_reference.PAGE.relative_to(TOP), *(path.relative_to(TOP) for path in chart_reference.write()))
     print(PAGE.relative_to(TOP), METRICS_PAGE.relative_to(TOP), commands.relative_to(TOP))

@@ -30,17 +30,19 @@ TOPICS = {
     CLOUD: (bags.CLOUD_TYPE, "segment", "volatile"),
     TRANSFORM: (bags.TRANSFORM_TYPE, "document", "transient_local"),
 }
-RECORDING, DATABASE, VOLUME = "task-1", "recordings_cloud_0", "cloud-0/recordings"
+RECORDING, ENCOUNTER = "task-1", "encounter"
+DATABASE, VOLUME = "recordings_cloud_0", "cloud-0/recordings"
 FRAME, MOUNT = "vehicle_00/lidar_center", scene.MOUNTS[0]
 POINTS = 20_000
 POSE_HZ, CLOUD_HZ = 100, 10
+NEAR_M, BEFORE_SECONDS = 30, 1
 SECOND = 1_000_000_000
 LEAD_SECONDS, START_SECONDS_MAX, DRAIN_SECONDS_MAX = 2.0, 60.0, 60.0
 
 
 class RecordedWay(Setting):
     """Poses of two vehicles at 100 Hz and clouds of one at 10 Hz for `seconds`, recorded at the cloud from the begin
-    to the end. `server` is a running database that pods reach."""
+    to the end, and once more around their being near each other. `server` is a running database that pods reach."""
 
     def __init__(self, folder: Path, server: DatabaseServer, seconds: float, away: float) -> None:
         super().__init__(folder, vehicles=len(AGENTS), lidars=1, seconds=seconds, clouds=True)
@@ -126,14 +128,21 @@ class RecordedWay(Setting):
         topics, recorded = [], []
         for pattern, name in names:
             kind, storage, durability = TOPICS[pattern]
-            topics.append({"name": name, "type": kind, "durability": durability, "buffer": {"seconds": 1}})
+            topics.append({"name": name, "type": kind, "durability": durability})
             recorded.append({"name": name, "storage": storage})
-        reaction = {"rule": "everything", "kind": "recording", "recording": RECORDING, "volume": "recordings"}
+        around = [{**topic, "before_seconds": BEFORE_SECONDS, "after_seconds": 1} for topic in recorded]
+        recording = {"kind": "recording", "volume": "recordings"}
         settings = {
             "name": "cloud-0/recorder",
-            "topics": topics,
-            "rules": [{"name": "everything", "kind": "always"}],
-            "reactions": [{**reaction, "topics": recorded}],
+            "topics": [*topics, {"name": POSE, "type": bags.POSE_TYPE}],
+            "rules": [
+                {"name": "everything", "kind": "always"},
+                {"name": "near", "kind": "proximity", "topic": POSE, "start_distance_m": NEAR_M, "stop_distance_m": 60},
+            ],
+            "reactions": [
+                {**recording, "rule": "everything", "recording": RECORDING, "topics": recorded},
+                {**recording, "rule": "near", "recording": ENCOUNTER, "topics": around},
+            ],
         }
         place = self.nodes.pod(node)
         self.recorder_address = f"{self.nodes.gateway(node)[:-2]}.{10 + int(place.rpartition('p')[2])}"

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from ci.benchmarks.bags import message
 from robotkube.domain.audits import Gap
 from robotkube.domain.bridging import GAPS_TOPIC
-from robotkube.domain.bridging_properties import gaps_property, read_gap_text, read_gaps
+from robotkube.domain.bridging_properties import GAPS_PER_MESSAGE_MAX, gaps_property, read_gap_text, read_gaps
 from robotkube.domain.frames import encode_frame
 from robotkube.domain.losses import OTHERS, TOPICS_MAX, Losses
 from robotkube.domain.messages import string_text
@@ -128,6 +128,23 @@ def test_each_bound_has_its_reason_and_retained_frames_stay() -> None:
         outbox.put(frame(number, 71))
     assert [(gap.why, gap.first, gap.last) for gap in outbox.losses.sums] == [(OLD, 1, 1), (LARGE, 2, 3), (MANY, 4, 4)]
     assert outbox.bytes == 5
+
+
+def test_what_does_not_fit_beside_a_message_is_told_with_the_next() -> None:
+    outbox = Outbox(Bounds(seconds_max=60, frames_max=5, bytes_max=100, inflight_max=2))
+    reasons = [f"reason {number}" for number in range(GAPS_PER_MESSAGE_MAX + 2)]
+    for number, why in enumerate(reasons):
+        outbox.losses.add(Gap("/t", "here", why, 1, number, number))
+    told = []
+    for number in range(2):
+        outbox.put(frame(number, 0))
+        found = outbox.next(0)
+        assert found is not None
+        outbox.sent(number, found)
+        told.append([gap.why for gap in found.gaps])
+        assert read_gaps(read_properties(gaps_property(found.gaps)).user["gaps"]) == list(found.gaps)
+    assert told == [reasons[:GAPS_PER_MESSAGE_MAX], reasons[GAPS_PER_MESSAGE_MAX:]]
+    assert outbox.untold == [Gap("/t", "here", why, 1, number, number) for number, why in enumerate(reasons)]
 
 
 def test_losses_are_bounded() -> None:

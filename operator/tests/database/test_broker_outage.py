@@ -14,7 +14,18 @@ import pytest
 import yaml
 from database_server import DatabaseServer
 from mcap.reader import make_reader
-from recorded_way import AGENTS, CLOUD, CLOUD_HZ, POSE, RECORDING, TRANSFORM, VOLUME, RecordedWay
+from recorded_way import (
+    AGENTS,
+    BEFORE_SECONDS,
+    CLOUD,
+    CLOUD_HZ,
+    ENCOUNTER,
+    POSE,
+    RECORDING,
+    TRANSFORM,
+    VOLUME,
+    RecordedWay,
+)
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
@@ -96,6 +107,23 @@ class Here:
         return [{"spec": {"local": {"path": str(self.claim)}, "claimRef": {"name": claim}, "nodeAffinity": affinity}}]
 
 
+def test_what_came_before_an_event_is_in_its_recording(way: RecordedWay) -> None:
+    (found,) = [one for one in way.reader.recordings() if one["_id"] != RECORDING]
+    (cause,) = found["causes"]
+    assert (found["_id"], cause["rule"]) == (f"{ENCOUNTER}-{cause['event'][:8]}", "near")
+    assert cause["agents"] == list(AGENTS)
+    stored = list(stored_messages(way.reader, way.segments, found["_id"]))
+    first = cause["started"] - BEFORE_SECONDS * 1_000_000_000
+    for topic in (*POSES, CLOUDS):
+        missing = lost(way, topic)
+        expected = [line for line in way.ledgers()[topic] if line.stamp >= first and line.stamp not in missing]
+        assert len(expected) > CLOUD_HZ
+        assert sorted((one.stamp, one.sha256) for one in stored if one.topic == topic) == sorted(
+            (line.stamp, line.sha256) for line in expected
+        )
+    assert [one.topic for one in stored if one.topic == TRANSFORMS] == [TRANSFORMS]
+
+
 def command(way: RecordedWay, monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
     """A command about the recording, with the accounts and volumes of this place in place of a cluster's."""
     monkeypatch.setattr(cli_recordings, "readers_of", lambda options: {"cloud-0": way.reader})
@@ -129,7 +157,8 @@ def test_everything_about_it_is_shown(
         BRIDGE,
         min(gap.first for gap in audits(way.reader, RECORDING)[CLOUDS].gaps),
     )
-    assert shown["files"][0]["sha256"] == hashlib.sha256(next(way.claim.rglob("*.mcap")).read_bytes()).hexdigest()
+    files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in (way.claim / RECORDING).iterdir()]
+    assert sorted(file["sha256"] for file in shown["files"]) == sorted(files)
 
 
 def test_one_changed_byte_is_found(

@@ -34,7 +34,7 @@ TYPES = {
     "transform": ("geometry_msgs/msg/TransformStamped", "document", "transient_local", 1),
 }
 TOPICS = {f"/vehicles/vehicle_0{n}/{kind}": values for n in (0, 1) for kind, values in TYPES.items()}
-SETTINGS = {
+SETTINGS: dict[str, Any] = {
     "name": "cloud-0/recorder",
     "topics": [
         {"name": name, "type": kind, "durability": durability, "depth": depth, "buffer": {"seconds": 1}}
@@ -200,6 +200,30 @@ def last(text: str) -> list[LedgerLine]:
         return [LedgerLine(line["sequence"], line["stamp"], line["sha256"])]
     except (ValueError, KeyError):
         return []
+
+
+def test_a_topic_that_nobody_can_read_does_not_spoil_the_rest(site: Site) -> None:
+    strange, kind = "/vehicles/vehicle_00/strange", "strange_msgs/msg/Strange"
+    (reaction,) = SETTINGS["reactions"]
+    recorded = [*reaction["topics"], {"name": strange, "storage": "segment"}]
+    changed = {
+        **SETTINGS,
+        "topics": [{"name": strange, "type": kind}, *SETTINGS["topics"]],
+        "reactions": [{**reaction, "topics": recorded}],
+    }
+    (site.folder / "config.yaml").write_text(write_mapping(changed))
+    publisher, port = site.publish(), free_port()
+    recorder = site.record(port)
+    site.until_stored(10)
+    status, told = state(port)
+    assert (status, strange in told, "strange_msgs" in told) == (503, True, True), told
+    recorder.send_signal(signal.SIGTERM)
+    assert recorder.wait(SECONDS_MAX) == 0
+    publisher.terminate()
+    publisher.wait(SECONDS_MAX)
+    stored = list(stored_messages(site.reader, site.segments, RECORDING))
+    assert {message.topic for message in stored} == set(TOPICS)
+    assert all(message.sha256 == message.claimed for message in stored)
 
 
 def test_without_a_node_name_the_process_says_what_to_set(site: Site) -> None:

@@ -1,24 +1,9 @@
-"""What the reference says of metrics is what the detector serves."""
+"""The metrics that a detector serves."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from detector_stage import DetectorStage, MemoryTasks
 from proximity import SETTINGS
-
-from robotkube.services.detector.status import METRICS
-
-PAGE = Path(__file__).parents[3] / "docs" / "reference" / "event-detector.md"
-
-
-def test_the_reference_lists_every_metric() -> None:
-    rows = [line for line in PAGE.read_text().partition("## Metrics")[2].splitlines() if line.startswith("| `")]
-    expected = [
-        f"| `{name}` | {kind} | {f'`{label}`' if label else '-'} | {text} |"
-        for name, (kind, label, text) in METRICS.items()
-    ]
-    assert rows == expected
 
 
 def test_labels_are_patterns_rules_and_reactions_never_agents() -> None:

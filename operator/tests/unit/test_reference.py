@@ -6,7 +6,7 @@ import copy
 
 import pytest
 
-from ci import command_reference, reference, rule_reference
+from ci import command_reference, detector_reference, reference, rule_reference
 
 
 def test_the_page_is_current() -> None:
@@ -19,6 +19,13 @@ def test_the_page_of_metrics_is_current() -> None:
 
 def test_the_page_of_rules_is_current() -> None:
     assert rule_reference.PAGE.read_text(encoding="utf-8") == rule_reference.page(), "run: make reference"
+
+
+def test_the_metrics_of_the_detector_are_current() -> None:
+    text = detector_reference.PAGE.read_text(encoding="utf-8")
+    assert text == detector_reference.page(text), "run: make reference"
+    with pytest.raises(ValueError, match="needs both marks"):
+        detector_reference.page("nothing")
 
 
 def test_the_commands_are_current() -> None:

@@ -15,6 +15,7 @@ from collections import deque
 from dataclasses import dataclass, replace
 
 from robotkube.domain.audits import Gap
+from robotkube.domain.bridging_properties import GAPS_PER_MESSAGE_MAX
 from robotkube.domain.losses import Losses
 
 SETTLING_SECONDS = 10.0
@@ -32,7 +33,7 @@ OLD, MANY, LARGE, REFUSED, CLOSED = (
 class OutgoingFrame:
     """An encoded frame for the MQTT topic `topic`; `messages` is their number in it, `first` and `last` their stamps in
     ns, `born` the time it was put, `name` the ROS topic they come from, empty for what is no message of a robot, `gaps`
-    what was given up before it and is told with it."""
+    what was given up before it and is told with it, at most GAPS_PER_MESSAGE_MAX."""
 
     topic: str
     payload: bytes
@@ -163,8 +164,13 @@ class Outbox:
     def _pop(self) -> OutgoingFrame:
         frame = self._waiting.popleft()
         self._bytes -= len(frame.payload)
-        gaps = self.losses.close(frame.name) if frame.name else ()
-        return replace(frame, gaps=(*frame.gaps, *gaps)) if gaps else frame
+        found = self.losses.close(frame.name) if frame.name else ()
+        if not found:
+            return frame
+        gaps = (*frame.gaps, *found)
+        for gap in gaps[GAPS_PER_MESSAGE_MAX:]:  # the next frame tells them
+            self.losses.reopen(gap)
+        return replace(frame, gaps=gaps[:GAPS_PER_MESSAGE_MAX])
 
     def _bound(self, now: float) -> None:
         while (excess := self._excess(now)) is not None:
