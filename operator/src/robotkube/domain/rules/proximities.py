@@ -77,9 +77,10 @@ class ProximityCondition(Condition):
         x, y, z, limit = place.x, place.y, place.z, self._start_squared
         for other in place.around.values():
             across, along, up = x - other.x, y - other.y, z - other.z
-            if across * across + along * along + up * up < limit and other is not place:
-                if self._comparable(place, other) and pair(place.agent, other.agent) not in holding:
-                    found.append(other)
+            if across * across + along * along + up * up >= limit or other is place:
+                continue
+            if self._comparable(place, other) and pair(place.agent, other.agent) not in holding:
+                found.append(other)
         return sorted(found, key=_name) if len(found) > 1 else found
 
     def _put(self, reading: Reading) -> _Place:
