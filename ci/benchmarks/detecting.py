@@ -45,10 +45,12 @@ class Received(NamedTuple):
 
 
 class Sustained(NamedTuple):
-    """Messages a second that one core took, from the first to the last one sent, and those that never came."""
+    """Messages a second that one core took, from the first to the last one sent, and those that never came. No more
+    come than the source sends; `core_fraction`: how much of the core the detector's process took for them."""
 
     messages_per_second_one_core: float
     lost: int
+    core_fraction: float
 
 
 class Latency(NamedTuple):
@@ -162,13 +164,15 @@ def sustained(rate: float = SUSTAINED_RATE, seconds: float = SECONDS) -> Sustain
     """The detector alone on the last core."""
     cores = sorted(os.sched_getaffinity(0))
     with room() as here:
-        here.detector(core=cores[-1])
+        detector = here.detector(core=cores[-1])
+        before = detector.cpu_seconds()  # the start counts, too: a few hundredths
         sent = play(here, seconds, rate, core=cores[0])
         deadline = time.monotonic() + END_SECONDS_MAX
         while (received := here.received()) < sent["messages"] and time.monotonic() < deadline:
             time.sleep(0.2)
+        spent = detector.cpu_seconds() - before
     took = (sent["last"] - sent["first"]) / 1e9
-    return Sustained(round(received / took, 1), sent["messages"] - received)
+    return Sustained(round(received / took, 1), sent["messages"] - received, round(spent / took, 3))
 
 
 def latency(n: int = 1000) -> Latency:

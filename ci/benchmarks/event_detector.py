@@ -64,6 +64,7 @@ def noticing() -> list[Figure]:
     values = {
         "sustained_messages_per_second_one_core": throughput.messages_per_second_one_core,
         "sustained_lost": throughput.lost,
+        "sustained_core_fraction": throughput.core_fraction,
         "event_latency_p99_ms": delay.p99_ms,
         "event_latency_p50_ms": delay.p50_ms,
         "event_latency_n": delay.n,

@@ -33,7 +33,7 @@ _new = tuple.__new__
 
 @dataclass(slots=True)
 class _Route:
-    """What happens to the messages of a topic."""
+    """What happens to the messages of a topic; without `agent` no rule knows it, without evaluators none wants it."""
 
     agent: str
     type: str
@@ -103,9 +103,9 @@ class RuleEngine:
         route = self._routes.get(topic)
         if route is None or route.type != type_name:
             route = self._route(message)
+        found = self._begin(stamp, received) if self._beginning and route.agent else []
         if not route.evaluators:
-            return []
-        found = self._begin(stamp, received) if self._beginning else []
+            return found
         if stamp < route.stamp and not self._restarted(route, stamp):
             self.counts.late += 1
             return found
@@ -214,8 +214,11 @@ class RuleEngine:
         for evaluator in self._evaluators.values():
             agents = [pattern.agent(message.topic) for pattern in evaluator.rule.topics]
             fits = next((found for found in agents if found is not None), None)
-            if fits is not None and self._readable(evaluator.rule, message):
-                agent = fits or self._agent
+            if fits is None:
+                continue
+            agent = fits or self._agent
+            wanted = not evaluator.rule.agents or agent in evaluator.rule.agents
+            if wanted and self._readable(evaluator.rule, message):
                 takers.append(evaluator)
         together = tuple(dict.fromkeys(path for evaluator in takers for path in paths(evaluator.rule)))
         reader = self._layouts.reader(message.type, together) if together else None

@@ -77,8 +77,9 @@ class ProximityCondition(Condition):
         x, y, z, limit = place.x, place.y, place.z, self._start_squared
         for other in place.around.values():
             across, along, up = x - other.x, y - other.y, z - other.z
-            near = across * across + along * along + up * up < limit and other is not place
-            if near and self._comparable(place, other) and pair(place.agent, other.agent) not in holding:
+            if across * across + along * along + up * up >= limit or other is place:
+                continue
+            if self._comparable(place, other) and pair(place.agent, other.agent) not in holding:
                 found.append(other)
         return sorted(found, key=_name) if len(found) > 1 else found
 
