@@ -262,13 +262,18 @@ def outside(installation: Installation) -> Outside:
     """What a manager's settings name."""
     nowhere = f"http://127.0.0.1:{free_port()}"
     password = installation.passwords["manager"]
-    return Outside(installation.url, password, WEBHOOK_SECRET, key_folder(), CHARTS_URL, nowhere)
+    objects = objects_url(installation)
+    return Outside(installation.url, password, WEBHOOK_SECRET, key_folder(), CHARTS_URL, nowhere, objects)
+
+
+def objects_url(installation: Installation) -> str:
+    """Where the installation's gate takes objects."""
+    return f"http://127.0.0.1:{installation.gate_port}{OBJECTS_PATH}"
 
 
 def objects_relay(installation: Installation, secret: str = WEBHOOK_SECRET) -> ObjectsRelay:
     """What hands objects to the installation's gate."""
-    url = f"http://127.0.0.1:{installation.gate_port}{OBJECTS_PATH}"
-    return ObjectsRelay(url, secret.encode(), "robotkube/deployment")
+    return ObjectsRelay(objects_url(installation), secret.encode(), "robotkube/deployment")
 
 
 def release_files(made_by: str, name: str = "recorder", **changes: Any) -> dict[str, str | None]:

@@ -28,7 +28,7 @@ EVERYTHING = {"namespaces": ["*"], "agents": ["*"], "applications": ["*"]}
 
 @dataclass(frozen=True)
 class Outside:
-    """What the settings of a manager name: the forge, the keys' folder, where charts come from."""
+    """What the settings of a manager name: the forge, the keys' folder, where charts come from, and objects go to."""
 
     forge_url: str
     password: str
@@ -36,6 +36,7 @@ class Outside:
     keys: Path
     charts_url: str
     nowhere: str
+    objects_url: str = ""
 
 
 def write_settings(outside: Outside, folder: Path, port: int, lease: str, **changes: Any) -> Path:
@@ -68,6 +69,7 @@ def write_settings(outside: Outside, folder: Path, port: int, lease: str, **chan
         "scope": EVERYTHING,
         "operators": [],
         "node_lost_seconds": 40,
+        **({"gate": {"objects": outside.objects_url}} if outside.objects_url else {}),
         **changes,
     }  # fmt: skip
     (folder / "config.yaml").write_text(yaml.safe_dump(document))

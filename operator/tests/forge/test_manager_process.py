@@ -31,7 +31,7 @@ def pod(installation: Installation, gate: RunningGate, api: Api, tmp_path: Path)
     found.kill()
 
 
-def test_a_task_of_the_api_server_is_on_main(pod: Pod, api: Api) -> None:
+def test_a_task_of_the_api_server_is_on_main(pod: Pod, api: Api, gate: RunningGate) -> None:
     until(pod.ready, "ready", 30)
     until(lambda: all(p["on_main"] or p["error"] for p in pod.plans()), "initial configuration on main")
     api.task("meeting", application="pose-point-cloud-recording", parameters={"vehicles": ["vehicle-00", "vehicle-01"]})
@@ -50,6 +50,7 @@ def test_a_task_of_the_api_server_is_on_main(pod: Pod, api: Api) -> None:
     assert "robotkube_manager_plans_total" in httpx.get(f"{pod.url}/metrics").text
     api.delete(f"{TASKS}/meeting")
     until(lambda: pod.plans()[-1]["cause"] == "withdrawal" and pod.plans()[-1]["on_main"], "withdrawn")
+    assert gate.gate.statistics.sources["handed"] > 0, "its objects were handed over"
     assert pod.end() == 0
 
 

@@ -17,6 +17,7 @@ from installation import (
     ApplicationSetController,
     Installation,
     forge_setup,
+    objects_relay,
     start_gate,
 )
 from programs import free_port
@@ -25,6 +26,7 @@ from waiting import until
 from robotkube.adapters.forges.gitea import GiteaForge
 from robotkube.adapters.git import GitClone, ProposalWriter
 from robotkube.adapters.gitea_administration import GiteaAdministration
+from robotkube.adapters.push_hooks import ObjectsRelay
 from robotkube.adapters.schemas_jsonschema import validate
 from robotkube.adapters.templates_jinja2 import Jinja2Templates
 from robotkube.domain.checks import Proposer
@@ -78,6 +80,7 @@ class Running:
     manager: ApplicationManager
     tasks: MemoryTasks
     forge: GiteaForge
+    relay: ObjectsRelay
     stopping: threading.Event = field(default_factory=threading.Event)
     thread: threading.Thread | None = None
     failure: str = ""
@@ -95,6 +98,7 @@ class Running:
         if self.thread is not None:
             self.thread.join(10)
         self.forge.disconnect()
+        self.relay.disconnect()
 
     def work(self, pairs: int) -> None:
         """So many tasks one after the other, each withdrawn when its plan is on main: two plans each."""
@@ -122,7 +126,8 @@ def make(installation: Installation, name: str, folder: Path) -> Running:
     """A manager that knows all agents and has its own two as scope."""
     url, account = installation.url, (name, installation.passwords[name])
     deployment = GitClone(url, "robotkube/deployment", *account, folder / "deployment")
-    proposals = ProposalWriter(folder / "deployment", *account, name, time.time)
+    relay = objects_relay(installation)
+    proposals = ProposalWriter(folder / "deployment", *account, name, time.time, hand=relay.hand)
     catalogue = AssuredCatalogue(GitClone(url, "robotkube/catalogue", *account, folder / "catalogue"), trusted_keys())
     roles = [(f"{role}-{one}", role) for one in MANAGERS for role in ("cloud", "vehicle")]
     nodes = [NodeState(agent, agent, role, frozenset({"recording"}), True) for agent, role in roles]
@@ -135,7 +140,7 @@ def make(installation: Installation, name: str, folder: Path) -> Running:
     forge = GiteaForge(url, "robotkube/deployment", *account)
     world = World(tasks, cluster, deployment, proposals, forge, MemoryLeadership(), name)
     manager = ApplicationManager(world, catalogue, main, planner, observer, time.time_ns, time.monotonic)
-    return Running(name, manager, tasks, forge)
+    return Running(name, manager, tasks, forge, relay)
 
 
 @pytest.fixture

@@ -328,3 +328,30 @@ def test_plans_are_observed_while_the_next_is_written(stage: Stage) -> None:
     stage.cluster.settle(stage.releases())
     stage.go(wake=APPLICATIONS)
     assert all(p["observed"] for p in stage.plans())
+
+
+def test_main_is_not_fetched_for_what_is_known_of_it(stage: Stage) -> None:
+    stage.settle()
+    fetches = stage.repository.fetches
+    stage.manager.wake(DEPLOYMENT, stage.repository.tip)  # the forge tells what the gate has told
+    stage.manager.step()
+    assert stage.repository.fetches == fetches
+    stage.manager.wake(DEPLOYMENT, stage.repository.push({"README.md": "by hand\n"}))
+    stage.manager.step()
+    assert stage.repository.fetches == fetches + 1
+
+
+def test_a_proposal_that_waits_is_looked_after_by_the_second_and_not_for_every_task(stage: Stage) -> None:
+    stage.settle()
+    stage.forge.decide = stage.forge.leave
+    stage.ask()
+    stage.go()
+    fetches = stage.repository.fetches
+    for _ in range(5):
+        stage.go(steps=1, seconds=0.1, wake=TASKS)
+    assert stage.repository.fetches <= fetches + 1
+    stage.forge.merge(stage.forge.pulls[max(stage.forge.pulls)])
+    stage.told = [pull.state for pull in stage.forge.pulls.values()]  # nobody says so
+    stage.seconds += 1.0
+    stage.manager.step()
+    assert stage.tasks.condition("cloud-0/meeting", "Committed") == ("True", "Merged")
