@@ -226,20 +226,20 @@ def test_an_entry_edited_to_verified_without_evidence_is_no_verified_version(
     installation: Installation, manager: RunningManager
 ) -> None:
     """Somebody who may write the catalogue writes a newer version of the detector by hand, and withdraws the proved."""
-    digest, version = "sha256:" + "d" * 64, "0.1.9"
+    digest, version = "sha256:" + "d" * 64, "0.2.1"
     proved = CATALOGUE["charts/event-detector/0.2.0.yaml"]
     edited = unproved_chart("event-detector", version, digest)
     edited["charts/event-detector/0.2.0.yaml"] = proved.replace("state: verified", "state: withdrawn")
     installation.publish(edited)
     try:
         manager.manager.wake(CATALOGUE_MOVED)
-        until(lambda: "0.1.9" in str(manager.manager.catalogue_page()), "catalogue read")
+        until(lambda: "0.2.1" in str(manager.manager.catalogue_page()), "catalogue read")
         ask(manager.tasks)
         manager.manager.wake(TASKS)
         until(lambda: manager.tasks.condition(KEY, "Accepted")[0] == "False", "refused")
         assert manager.tasks.condition(KEY, "Accepted") == ("False", "NoVerifiedVersion")
         text = manager.tasks.objects[KEY]["status"]["conditions"][0]["message"]
-        assert "event-detector 0.1.9 (verified): no valid evidence: suite static: there is no evidence" in text
+        assert "event-detector 0.2.1 (verified): no valid evidence: suite static: there is no evidence" in text
         assert "event-detector 0.2.0 (withdrawn): state withdrawn is not allowed" in text
         assert manager.tasks.told == [(KEY, "NoVerifiedVersion", text)]
     finally:
