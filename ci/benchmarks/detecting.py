@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 
 from ci import preparing
 from ci.benchmarks import pods
-from ci.benchmarks.bags import POSE_TYPE
+from ci.benchmarks.bags import CLOUD_TYPE, POSE_TYPE
 from ci.benchmarks.measuring import quantiles
 from ci.errors import SetUpError
 
@@ -61,8 +61,8 @@ class Latency(NamedTuple):
     n: int
 
 
-def settings(agents: int) -> dict[str, Any]:
-    """The detector's settings: who is within 400 m of whom."""
+def settings(agents: int, clouds: bool = False) -> dict[str, Any]:
+    """The detector's settings: who is within 400 m of whom; with `clouds` it buffers 10 s of everything."""
     pattern = "/vehicles/{agent}/pose"
     rule = {
         "name": "near",
@@ -72,7 +72,11 @@ def settings(agents: int) -> dict[str, Any]:
         "start_distance_m": 400,
         "stop_distance_m": 500,
     }
-    topics = [{"name": pattern, "type": POSE_TYPE, "depth": 20_000}]
+    topics: list[dict[str, Any]] = [{"name": pattern, "type": POSE_TYPE, "depth": 20_000}]
+    if clouds:
+        topics.append({"name": "/vehicles/{agent}/lidar_center/pointcloud", "type": CLOUD_TYPE, "depth": 10})
+        for topic in topics:
+            topic["buffer"] = {"seconds": 10, "bytes": 50_000_000}
     return {"name": "cloud-0/event-detector", "topics": topics, "rules": [rule]}
 
 
@@ -100,10 +104,10 @@ class Room:
         for pod in self.started:
             pod.stop()
 
-    def detector(self, core: int | None = None) -> pods.Pod:
+    def detector(self, core: int | None = None, clouds: bool = False) -> pods.Pod:
         """The detector's process."""
         path = self.folder / "config.yaml"
-        path.write_text(json.dumps(settings(AGENTS)))
+        path.write_text(json.dumps(settings(AGENTS, clouds)))
         return self.start("detector", core=core, ROBOTKUBE_CONFIG=str(path), ROBOTKUBE_HEALTH_PORT=str(PORT))
 
     def received(self) -> int:
@@ -189,9 +193,26 @@ def latency(n: int = 1000) -> Latency:
     return Latency(figures.p99, figures.p50, figures.n)
 
 
-def _begin(here: Room, seconds: float, rate: float, swing: int = 0, core: int | None = None) -> pods.Pod:
+def memory(minutes: int) -> list[int]:
+    """Resident bytes of the detector after each minute at the paper's full rate: 15 poses at 100 Hz, two clouds of
+    320 kB at 10 Hz, 10 s of everything in the buffers, an edge per pair every 5 poses."""
+    found = []
+    with room() as here:
+        detector = here.detector(clouds=True)
+        _begin(here, 60.0 * minutes + 5, DEMO_RATE, swing=SWING, clouds=2)
+        began = time.monotonic()
+        for minute in range(1, minutes + 1):
+            time.sleep(max(0.0, began + 60 * minute - time.monotonic()))
+            found.append(detector.memory_bytes())
+    return found
+
+
+def _begin(
+    here: Room, seconds: float, rate: float, swing: int = 0, core: int | None = None, clouds: int = 0
+) -> pods.Pod:
     """Start the source and wait until poses flow."""
     options = ["--agents", str(AGENTS), "--rate", str(rate), "--count", str(int(rate * seconds)), "--swing", str(swing)]
+    options += ["--clouds", str(clouds)]
     source = here.start("source", *options, core=core)
     if here.started[0].component != "detector":
         return source

@@ -6,7 +6,8 @@
     python3 -m ci.benchmarks.detector_peers activated RESULT
 
 `source` publishes poses of all agents in turn, `rate` a second altogether, once somebody subscribes to each of them;
-with `--swing n` every agent goes near its neighbours and away again every n messages. `drain` takes and counts, nothing
+with `--swing n` every agent goes near its neighbours and away again every n messages, and `--clouds n` of them publish
+a cloud of 320 kB with each tenth pose. `drain` takes and counts, nothing
 else: what receiving costs at least in Python. `detector` is the detector's process, which also notes how long after the
 reception of a message its event was raised; `activated` notes how it becomes active. With `--early` the source does
 not wait for subscriptions. RESULT is JSON, written at the end.
@@ -23,7 +24,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ci.benchmarks.bags import POSE_TYPE
+from ci.benchmarks.bags import CLOUD_TYPE, POSE_TYPE, message
 from robotkube.adapters.ros_rclpy import RosNode
 from robotkube.domain.detector_settings import ACTIVE
 from robotkube.domain.rules import Edge
@@ -33,7 +34,7 @@ from robotkube.entrypoints.processes import Process, run
 from robotkube.services.detector.detector import EventDetector
 from robotkube.services.detector.raising import Raising
 
-DEPTH = 20_000
+DEPTH, CLOUDS_DEPTH, CLOUD_BYTES = 20_000, 10, 320_000
 MATCH_SECONDS_MAX = 60.0
 SETTLE_SECONDS = 1.0
 PERIOD_SECONDS = 0.005
@@ -52,6 +53,11 @@ def pose(stamp: int, x: float) -> bytes:
     return b"\0\1\0\0" + head + _POSE.pack(x, 0, 0, 0, 0, 0, 1)
 
 
+def cloud_topic(number: int) -> str:
+    """The cloud topic of an agent."""
+    return f"/vehicles/vehicle_{number:02d}/lidar_center/pointcloud"
+
+
 def place(agent: int, number: int, swing: int) -> float:
     """Where an agent is: far from everybody, or every second time on the neighbour's place."""
     away = bool(swing) and agent % 2 == 1 and number // swing % 2 == 1
@@ -62,8 +68,9 @@ def source(process: Process, options: argparse.Namespace) -> Mapping[str, Any]:
     """Publishes."""
     node = RosNode("source")
     outputs = [node.advertise(topic(number), POSE_TYPE, depth=DEPTH) for number in range(options.agents)]
+    clouds = [node.advertise(cloud_topic(number), CLOUD_TYPE, depth=CLOUDS_DEPTH) for number in range(options.clouds)]
     deadline = time.monotonic() + MATCH_SECONDS_MAX
-    while not options.early and not all(output.matched for output in outputs) and time.monotonic() < deadline:
+    while not options.early and not all(output.matched for output in outputs + clouds) and time.monotonic() < deadline:
         time.sleep(0.05)
     time.sleep(SETTLE_SECONDS)
     began, first, done = time.monotonic(), time.time_ns(), 0
@@ -72,6 +79,8 @@ def source(process: Process, options: argparse.Namespace) -> Mapping[str, Any]:
         for number in range(done, due):
             agent, turn = number % options.agents, number // options.agents
             outputs[agent].publish(pose(time.time_ns(), place(agent, turn, options.swing)))
+            if agent < options.clouds and turn % 10 == 0:
+                clouds[agent].publish(message(turn, time.time_ns(), CLOUD_BYTES))
         done = due
         time.sleep(PERIOD_SECONDS)
     found = {"messages": done, "first": first, "last": time.time_ns()}
@@ -141,6 +150,7 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=1500.0)
     parser.add_argument("--count", type=int, default=15_000)
     parser.add_argument("--swing", type=int, default=0)
+    parser.add_argument("--clouds", type=int, default=0)
     parser.add_argument("--early", action="store_true")
     options = parser.parse_args()
 
