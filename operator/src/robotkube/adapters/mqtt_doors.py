@@ -77,7 +77,8 @@ class PahoDoor:
             return None
         with self._lock:
             self._waiting_bytes -= len(message.payload)
-        return message
+            stale = message.token[0] != self._connection  # it comes again, behind those before it
+        return None if stale else message
 
     @writes("message")
     def acknowledge(self, message: DoorMessage) -> None:
@@ -130,8 +131,8 @@ class PahoDoor:
 
     def _forget(self) -> None:
         """What was not acknowledged comes again with the next connection."""
-        while self.take(0.0) is not None:
-            pass
+        while not self._waiting.empty():
+            self.take(0.0)
 
     def _received(self, client: Any, userdata: Any, message: Any) -> None:
         size = len(message.payload)
