@@ -13,7 +13,7 @@ from waiting import until
 
 from robotkube.domain.detector_settings import DetectorSettings, TopicSettings, read_detector_settings
 from robotkube.domain.errors import RefusalError, UnavailableError
-from robotkube.domain.qualities import Incompatible, Offer, Quality
+from robotkube.domain.qualities import Broken, Incompatible, Offer, Quality
 from robotkube.domain.reaction_settings import DeliveryReaction
 from robotkube.services.detector.detector import EventDetector
 from robotkube.services.detector.raising import Raising
@@ -41,7 +41,7 @@ class MemoryTopic:
 
     def __init__(self, quality: Quality) -> None:
         self.lost = 0
-        self.quality, self.incompatible = quality, Incompatible()
+        self.quality, self.incompatible, self.broken = quality, Incompatible(), Broken()
         self.waiting: list[tuple[bytes, int]] = []
         self.closed = False
 

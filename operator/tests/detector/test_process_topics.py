@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import http.client
 import json
+import signal
 import socket
 import struct
 import subprocess
@@ -97,6 +98,29 @@ def test_quality_of_service_is_that_of_whoever_publishes(start: Start, tmp_path:
     assert any(event.startswith("topic /strict: ") and event.endswith(sentence) for event in told)
     assert any("the middleware has refused publishers because of durability" in event for event in told)
     assert any(event.startswith("topic /strict: every publisher fits") for event in told)
+
+
+def test_promises_that_a_publisher_breaks_are_counted(start: Start, tmp_path: Path, unused_port: int) -> None:
+    """It is stopped as a whole, as a process that hangs: it misses its deadline again and again, and shows
+    no sign of life."""
+    topics = [{"name": "/promised", "type": NUMBER}]
+    detector = Detector(start, tmp_path, unused_port, {"name": "cloud-0/d", "topics": topics})
+    publisher = start(str(QUALITY_PUBLISHER), "/promised", json.dumps({"deadline": 0.5, "lease": 2}))
+    expected = "reliable, volatile, deadline 0.5 s, liveliness manual_by_topic 2 s"
+    until(lambda: detector.topic("/promised")["asked"] == expected)
+    until(lambda: detector.topic("/promised")["received"] > 0)
+    before = detector.topic("/promised")
+    publisher.send_signal(signal.SIGSTOP)
+    until(lambda: detector.topic("/promised")["missed_deadlines"] >= before["missed_deadlines"] + 3)
+    until(lambda: detector.topic("/promised")["lost_liveliness"] > before["lost_liveliness"])
+    silent = detector.topic("/promised")
+    publisher.send_signal(signal.SIGCONT)
+    until(lambda: detector.topic("/promised")["received"] > silent["received"])
+    for key in ("missed_deadlines", "lost_liveliness"):
+        lines = read(unused_port, "/metrics").splitlines()
+        label = f'robotkube_detector_{key}_total{{topic="/promised"}} '
+        [shown] = [int(line.removeprefix(label)) for line in lines if line.startswith(label)]
+        assert silent[key] <= shown <= detector.topic("/promised")[key]
 
 
 def test_it_becomes_active_by_command_and_by_configuration_with_all_it_has(

@@ -19,7 +19,7 @@ from robotkube.domain.audits import Gap
 from robotkube.domain.bridging_properties import gap_text
 from robotkube.domain.detector_settings import read_detector_settings
 from robotkube.domain.messages import string_message
-from robotkube.domain.qualities import Asked, Incompatible, Offer, Quality, matched, mismatch
+from robotkube.domain.qualities import Asked, Broken, Incompatible, Offer, Quality, matched, mismatch
 from robotkube.services.rule_workers import RuleWorkers
 
 POSE_TYPE = "geometry_msgs/msg/PoseStamped"
@@ -342,6 +342,24 @@ def test_what_publishers_give_is_asked_for_and_a_flash_of_one_is_not_followed(st
     assert quality() == STRONG
     assert stage.detector.pool.snapshot()[TOPIC]["messages"] == 1, "the buffer stays"
     assert stage.status.document()["topics"][TOPIC]["problem"].startswith("/a does not fit") is False
+
+
+def test_broken_promises_are_counted_on_over_a_new_subscription(stage: DetectorStage) -> None:
+    def shown() -> tuple[int, int]:
+        found = stage.status.document()["topics"][TOPIC]
+        return found["missed_deadlines"], found["lost_liveliness"]
+
+    stage.apply({**PLAIN, "topics": [{**PLAIN["topics"][0], "deadline_seconds": 1}]})
+    stage.live.topics[TOPIC].broken = Broken(3, 1)
+    stage.pass_seconds(1.1)
+    assert shown() == (3, 1)
+    stage.apply({**PLAIN, "topics": [{**PLAIN["topics"][0], "deadline_seconds": 2}]})
+    stage.live.topics[TOPIC].broken = Broken(1, 0)
+    stage.pass_seconds(1.1)
+    assert shown() == (4, 1)
+    label = '{topic="/vehicles/{agent}/pose"}'
+    assert f"robotkube_detector_missed_deadlines_total{label} 4" in stage.status.metrics()
+    assert f"robotkube_detector_lost_liveliness_total{label} 1" in stage.status.metrics()
 
 
 def test_a_misfit_is_told_until_it_is_mended(stage: DetectorStage, caplog: pytest.LogCaptureFixture) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -163,6 +164,39 @@ def test_a_group_has_one_event_while_it_holds_for_enough_of_its_members() -> Non
         for edge in seconds(stage.send(agent, value, step))
     ]
     assert found == [(2, START, tuple(agents)), (5, STOP, tuple(agents))]
+
+
+@pytest.mark.parametrize("moments", [[], [42.5], [41.15, 60]])
+def test_a_silent_member_leaves_its_group_when_its_time_is_over_whoever_is_heard_of_next(moments: list[float]) -> None:
+    """The two others hold until the second falls: what the silent one did is over long before, though nobody looked."""
+    agents = ["vehicle-00", "vehicle-01", "vehicle-02"]
+    stage = RuleStage({**HIGH, "scope": "group", "agents": agents, "at_least": 2, "expire_seconds": 30})
+    sent = [("vehicle-01", 11, 9), ("vehicle-02", 30, 9), ("vehicle-00", 40, 9), ("vehicle-02", 44, 1),
+            ("vehicle-01", 50, 9), ("vehicle-02", 70.5, 9)]  # fmt: skip
+    found = []
+    for agent, at, value in sent:
+        found += [edge for moment in moments if moment < at for edge in stage.tick(moment)]
+        found += stage.send(agent, value, at)
+    group = tuple(agents)
+    expected = [(START, group, 30.0), (STOP, group, 44.0), (START, group, 50.0), (STOP, group, 70.0)]
+    assert seconds([*found, *stage.tick(90)]) == [*expected, (START, group, 70.5), (STOP, group, 80.0)]
+
+
+def test_members_that_fall_silent_leave_in_the_order_of_their_stamps() -> None:
+    """Not of their reception: the later one's message was there earlier."""
+    agents = ["vehicle-00", "vehicle-01"]
+    stage = RuleStage({**HIGH, "scope": "group", "agents": agents, "at_least": 2, "expire_seconds": 30})
+    stage.send("vehicle-00", 9, 10.0, 10.05)
+    stage.send("vehicle-01", 9, 10.02, 10.03)
+    assert seconds(stage.tick(40.14)) == [(STOP, tuple(agents), 40.0)]
+    assert stage.tick(60) == []
+
+
+def test_a_message_that_cannot_be_compared_does_not_hide_what_ended_before_it() -> None:
+    stage = RuleStage({**FENCE, "expire_seconds": 30})
+    stage.send("vehicle-00", (5, 1, 0), 1)
+    assert seconds(stage.send("vehicle-00", (math.nan, 0, 0), 50)) == [(STOP, ("vehicle-00",), 31.0)]
+    assert stage.engine.active == ()
 
 
 def test_every_so_often_only_the_first_message_of_a_span_is_looked_at() -> None:

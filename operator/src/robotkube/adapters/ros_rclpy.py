@@ -36,6 +36,7 @@ if TYPE_CHECKING:  # only who looks at the graph needs them
 PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"  # the middleware's word until a node has said its name
 ENDLESS_NS = 1 << 62
+INCOMPATIBLE, DEADLINE, LIVELINESS = "incompatible", "deadline", "liveliness"
 POLICY_PREFIX = "RMW_QOS_POLICY_"
 _TYPE_NAME = re.compile(r"([a-z][a-z0-9_]*)/msg/([A-Z][A-Za-z0-9]*)")
 _WORD_START = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
@@ -104,8 +105,13 @@ class RosNode:
         quality = self._quality(reliability, durability, depth, deadline_ns, liveliness, lease_ns)
         with self._node:
             handle = self._make(lambda: self._bindings.Subscription(self._node, kind, topic, quality), topic)
-            refusals = self._refusals(handle)
-        return RosSubscription(topic, handle, kind, refusals)
+            kinds = self._bindings.rcl_subscription_event_type_t
+            events = {INCOMPATIBLE: self._event(handle, kinds.RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS)}
+            if deadline_ns is not None:
+                events[DEADLINE] = self._event(handle, kinds.RCL_SUBSCRIPTION_REQUESTED_DEADLINE_MISSED)
+            if lease_ns is not None:
+                events[LIVELINESS] = self._event(handle, kinds.RCL_SUBSCRIPTION_LIVELINESS_CHANGED)
+        return RosSubscription(topic, handle, kind, events)
 
     def advertise(
         self, topic: str, type_name: str, reliability: str = "reliable", durability: str = "volatile", depth: int = 1000
@@ -150,11 +156,10 @@ class RosNode:
         with self._context:
             self._context.shutdown()
 
-    def _refusals(self, handle: Any) -> Any:
-        """The middleware's count of publishers that do not fit; None where a middleware does not count them."""
-        kinds = self._bindings.rcl_subscription_event_type_t
+    def _event(self, handle: Any, kind: Any) -> Any:
+        """The middleware's own count of something; None where a middleware does not count it."""
         try:
-            return self._bindings.EventHandle(handle, kinds.RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS)
+            return self._bindings.EventHandle(handle, kind)
         except self._bindings.UnsupportedEventTypeError:
             return None
 
@@ -233,9 +238,11 @@ def _duration(found: Any) -> int | None:
 class RosSubscription:
     """Receives serialised messages of one topic."""
 
-    def __init__(self, topic: str, handle: Any, kind: Any, refusals: Any = None) -> None:
+    def __init__(self, topic: str, handle: Any, kind: Any, events: Mapping[str, Any]) -> None:
         self.topic = topic
-        self._handle, self._kind, self._take, self._refusals = handle, kind, handle.take_message, refusals
+        self._handle, self._kind, self._take = handle, kind, handle.take_message
+        self._events = {name: event for name, event in events.items() if event is not None}
+        self._lost_liveliness = 0
 
     def take(self, messages_max: int = 1000) -> list[bytes]:
         """The messages that wait, in their order, at most `messages_max`; empty when none waits."""
@@ -264,22 +271,40 @@ class RosSubscription:
         with self._handle:
             return int(self._handle.get_publisher_count())
 
+    def _said(self, name: str) -> Any:
+        event = self._events.get(name)
+        if event is None:
+            return None
+        with event:
+            return event.take_event()
+
     @property
     def incompatible(self) -> tuple[int, str]:
         """How many publishers the middleware has refused because of their quality so far, and the policy in which the
         last of them did not fit, such as durability."""
-        if self._refusals is None:
-            return 0, ""
-        with self._refusals:
-            said = self._refusals.take_event()
+        said = self._said(INCOMPATIBLE)
         if said is None or not said.total_count:
             return 0, ""
         return int(said.total_count), said.last_policy_kind.name.removeprefix(POLICY_PREFIX).lower()
 
+    @property
+    def missed_deadlines(self) -> int:
+        """How often the deadline that was asked for has passed without a message so far."""
+        said = self._said(DEADLINE)
+        return 0 if said is None else int(said.total_count)
+
+    @property
+    def lost_liveliness(self) -> int:
+        """How many publishers have been seen to give no sign of life for as long as the lease that was asked for; one
+        that fell silent and came back between two looks is not seen."""
+        said = self._said(LIVELINESS)
+        self._lost_liveliness += 0 if said is None else max(int(said.not_alive_count_change), 0)
+        return self._lost_liveliness
+
     def close(self) -> None:
         """Stop receiving; what was not taken is gone."""
-        if self._refusals is not None:
-            self._refusals.destroy_when_not_in_use()
+        for event in self._events.values():
+            event.destroy_when_not_in_use()
         self._handle.destroy_when_not_in_use()
 
 

@@ -52,6 +52,14 @@ class Incompatible(NamedTuple):
     policy: str = ""
 
 
+class Broken(NamedTuple):
+    """What connected publishers promised and did not keep: deadlines that passed without a message, and how often one
+    gave no sign of life for as long as its lease; so many so far."""
+
+    deadlines: int = 0
+    liveliness: int = 0
+
+
 class Asked(NamedTuple):
     """What the settings ask for; what is None is taken from the publishers."""
 

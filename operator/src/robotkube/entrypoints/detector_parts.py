@@ -13,7 +13,7 @@ from robotkube.adapters.ros_rclpy import MessageTypeError, RosNode, RosSubscript
 from robotkube.domain.demands import renewal
 from robotkube.domain.detector_settings import DetectorSettings, Knowledge, TopicSettings
 from robotkube.domain.errors import DocumentError, InputError, RefusalError
-from robotkube.domain.qualities import Incompatible, Offer, Quality
+from robotkube.domain.qualities import Broken, Incompatible, Offer, Quality
 from robotkube.domain.reaction_settings import DeliveryReaction, MqttReaction, PythonReaction, WebhookReaction
 from robotkube.domain.recording_plans import RecordingPlan
 from robotkube.entrypoints.processes import PodSettings, read_secret
@@ -98,6 +98,11 @@ class RosInput:
     def incompatible(self) -> Incompatible:
         """What the middleware said of publishers that it did not connect."""
         return Incompatible(*self._subscription.incompatible)
+
+    @property
+    def broken(self) -> Broken:
+        """What the middleware said of publishers' promises."""
+        return Broken(self._subscription.missed_deadlines, self._subscription.lost_liveliness)
 
     def drain(self, messages_max: int) -> Sequence[tuple[bytes, int]]:
         """What waits, with the time at which the middleware received it."""

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 from robotkube.domain.bags import BagTopic, LedgerState
 from robotkube.domain.detector_settings import TopicSettings
 from robotkube.domain.interface_checks import Endpoint
-from robotkube.domain.qualities import Incompatible, Offer, Quality
+from robotkube.domain.qualities import Broken, Incompatible, Offer, Quality
 
 
 class TopicInput(Protocol):
@@ -27,6 +27,11 @@ class TopicInput(Protocol):
     @property
     def incompatible(self) -> Incompatible:
         """The publishers that the middleware has refused to connect because of their quality of service."""
+        ...
+
+    @property
+    def broken(self) -> Broken:
+        """Deadlines and leases that connected publishers have not kept, of those that were asked for."""
         ...
 
     def drain(self, messages_max: int) -> Sequence[tuple[bytes, int]]:

@@ -14,7 +14,7 @@ from typing import NoReturn
 from robotkube.domain.detector_settings import ACTIVE, DetectorSettings, TopicSettings
 from robotkube.domain.errors import InputError
 from robotkube.domain.layouts import Layouts
-from robotkube.domain.qualities import Incompatible, Offer, Quality
+from robotkube.domain.qualities import Broken, Incompatible, Offer, Quality
 from robotkube.domain.rules import Edge, Verdict
 from robotkube.services.detector.detector import EventDetector
 from robotkube.services.detector.raising import Raising
@@ -37,6 +37,7 @@ class BagInput:
     lost: int = 0
     matched: int = 1
     incompatible: Incompatible = field(default_factory=Incompatible)
+    broken: Broken = field(default_factory=Broken)
 
     def drain(self, messages_max: int) -> Sequence[tuple[bytes, int]]:
         """See the port."""

@@ -267,7 +267,7 @@ class RuleEngine:
             # a named tuple without its own constructor, which is a Python function and takes three times as long
             reading = _new(Reading, (topic, route.agent, stamp, received, picked, type_name, data))
             try:
-                found += evaluator.observe(reading)
+                evaluator.observe(reading, found)
             except ValueError as error:
                 self._malformed(topic)
                 if len(self.problems) < PROBLEMS_MAX:

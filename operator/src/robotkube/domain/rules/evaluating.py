@@ -83,6 +83,7 @@ class Evaluator:
         self._seen: dict[str, tuple[int, int]] = {}
         self._slots: dict[str, int] = {}
         self._silences = Timers(self._silent_at)
+        self._ends = Timers(self._end) if rule.scope == GROUP and self._expire_ns else None
         self._unseen: set[str] = set()
         self._begun = False
 
@@ -99,36 +100,38 @@ class Evaluator:
             return self._take([Finding((self._agent,), RISE, stamp, received)])
         return []
 
-    def observe(self, reading: Reading) -> list[Edge]:
-        """The edges that a message causes; ValueError when its fields are not what the rule compares."""
+    def observe(self, reading: Reading, found: list[Edge]) -> None:
+        """Add the edges that a message causes to `found`; ValueError when its fields are not what the rule compares,
+        after those that its coming alone has caused."""
         _, agent, stamp, received, _, _, _ = reading
         if self._only and agent not in self._only:
-            return []
+            return
         if self._asked:
             self._ask(reading)
-            return []
-        found: list[Edge] = []
+            return
+        if self._ends is not None:
+            found += self._pass(stamp - 1, received)
         last = self._seen.get(agent)
         if last is None or stamp - last[0] > self._silence_ns or received < last[1] or agent in self.condition.paired:
-            found = self._hear(agent, stamp, received)
+            found += self._hear(agent, stamp, received)
             if agent not in self._seen:
-                return found
+                return
         else:  # heard of lately and alone: nothing can have expired, and who looks after its silence is set
             self._seen[agent] = stamp, received
         if self._every_ns and self._repeated(agent, stamp):
-            return found
+            return
         findings = self.condition.observe(reading)
         if findings:
             found += self._take(findings)
         if self.occurrences.pending:
             found += self._mature(agent, stamp, received)
-        return found
 
     def answer(self, verdict: Verdict) -> list[Edge]:
         """The edges that come of the answers to a question."""
         question = verdict.question
         found: list[Edge] = []
         agents = {*question.member, *(agent for answer in verdict.answers for agent in answer.member)}
+        found += self._pass(question.stamp - 1, question.received)
         for agent in sorted(agents):
             found += self._hear(agent, question.stamp, question.received)
         for answer in verdict.answers:
@@ -153,7 +156,9 @@ class Evaluator:
             found += self._hear(agent, now, now)
         self._unseen.clear()
         for (agent,) in list(self._silences.passed(now)):
-            found += self._expire(agent, now)
+            end = self._end((agent,))
+            found += self._pass(end, now) if end is not None and self._ends is not None else []
+            found += self._expire(agent, now) if agent in self._seen else []
         found += self._take(self.condition.elapse(now))
         return found + self.occurrences.elapse(now)
 
@@ -201,6 +206,16 @@ class Evaluator:
         self._seen[agent] = (stamp, received)
         if self._expire_ns:
             self._silences.watch((agent,), received + self._expire_ns + GRACE_NS)
+        if self._ends is not None:
+            self._ends.watch((agent,), stamp + self._expire_ns)
+        return found
+
+    def _pass(self, stamp: int, received: int) -> list[Edge]:
+        """A group has one time: whose silence was too long up to `stamp` has left it before anything later counts, in
+        the order of stamps, whoever is heard of and whenever the clock is looked at."""
+        found: list[Edge] = []
+        for (agent,) in self._ends.passed(stamp) if self._ends is not None else ():
+            found += self._expire(agent, received)
         return found
 
     def _expire(self, agent: str, now: int) -> list[Edge]:
@@ -210,6 +225,11 @@ class Evaluator:
         self._slots.pop(agent, None)
         self.condition.forget(agent)
         return self._take([Finding(member, FALL, end, now) for member, end in zip(gone, ends, strict=True)])
+
+    def _end(self, member: Member) -> int | None:
+        """When the agent's silence is too long, in its own time."""
+        last = self._seen.get(member[0])
+        return None if last is None else last[0] + self._expire_ns
 
     def _silent_at(self, member: Member) -> int | None:
         last = self._seen.get(member[0])

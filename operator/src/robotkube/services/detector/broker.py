@@ -22,7 +22,7 @@ from robotkube.domain.errors import InputError
 from robotkube.domain.frames import SeenFrames, decode_frame
 from robotkube.domain.mqtt_properties import content_type, read_properties, user_property
 from robotkube.domain.notifications import CONTENT_TYPE
-from robotkube.domain.qualities import Incompatible, Offer, Quality
+from robotkube.domain.qualities import Broken, Incompatible, Offer, Quality
 from robotkube.domain.reaction_settings import MqttReaction
 from robotkube.domain.topics import AGENT
 from robotkube.ports.reactions import Delivery
@@ -54,7 +54,7 @@ class MqttInput:
         self._seen = SeenFrames()
         self.lost = 0
         self.matched = 0
-        self.incompatible = Incompatible()
+        self.incompatible, self.broken = Incompatible(), Broken()
 
     def take(self, payload: bytes, type_name: str, received: int) -> None:
         """A frame came. InputError when it is none, or of another type."""

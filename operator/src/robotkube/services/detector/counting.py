@@ -12,11 +12,14 @@ AGE_MS_MAX = 1000
 class InputCounter:
     """Messages per second of reception, and how old they were."""
 
-    __slots__ = ("_ages", "_second", "_seconds", "incompatible", "lost", "malformed", "newest", "received", "type")
+    __slots__ = (
+        "_ages", "_second", "_seconds", "incompatible", "lost", "lost_liveliness", "malformed", "missed_deadlines",
+        "newest", "received", "type",
+    )  # fmt: skip
 
     def __init__(self, type_name: str) -> None:
         self.type, self.received, self.malformed, self.newest = type_name, 0, 0, 0
-        self.lost = self.incompatible = 0
+        self.lost = self.incompatible = self.missed_deadlines = self.lost_liveliness = 0
         self._seconds: deque[list[int]] = deque(maxlen=SECONDS_KEPT)
         self._second: list[int] = [0, 0]
         self._ages = [0] * (AGE_MS_MAX + 1)

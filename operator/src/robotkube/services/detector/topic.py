@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from robotkube.domain.buffers import RingBuffer
 from robotkube.domain.detector_settings import TopicSettings
@@ -17,6 +17,15 @@ if TYPE_CHECKING:
     from robotkube.services.recording.recordings import Recordings
 
 Stamp = Callable[[bytes], int]
+
+
+class _Counted(NamedTuple):
+    """What a subscription counts of itself."""
+
+    lost: int = 0
+    incompatible: int = 0
+    missed_deadlines: int = 0
+    lost_liveliness: int = 0
 
 
 @dataclass
@@ -39,7 +48,7 @@ class Topic:
     incompatible: Incompatible = field(default_factory=Incompatible)
     evaluated: bool = False
     leaving: list[TopicInput] = field(default_factory=list)
-    counted_before: tuple[int, int] = (0, 0)
+    counted_before: _Counted = field(default_factory=_Counted)
     recordings: list[Recordings] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -62,16 +71,18 @@ class Topic:
             while part := one.drain(messages_max):
                 found += part
             one.close()
-            lost, refused = self.counted_before
-            self.counted_before = lost + one.lost - said, refused
+            before = self.counted_before
+            self.counted_before = before._replace(lost=before.lost + one.lost - said)
         return found
 
     def count(self) -> None:
         """Note what the subscription says of itself; counters only grow."""
         self.matched, self.incompatible = self.input.matched, self.input.incompatible
-        lost, refused = self.counted_before
-        self.counter.lost = lost + self.input.lost
-        self.counter.incompatible = refused + self.incompatible.publishers
+        before, said = self.counted_before, self._said()
+        self.counter.lost = before.lost + said.lost
+        self.counter.incompatible = before.incompatible + said.incompatible
+        self.counter.missed_deadlines = before.missed_deadlines + said.missed_deadlines
+        self.counter.lost_liveliness = before.lost_liveliness + said.lost_liveliness
 
     def close(self) -> None:
         """Unsubscribe."""
@@ -80,8 +91,16 @@ class Topic:
             one.close()
 
     def _go_on_counting(self) -> None:
-        before, said = self.counter, self.input
-        self.counted_before = before.lost - said.lost, before.incompatible - said.incompatible.publishers
+        before, said = self.counter, self._said()
+        self.counted_before = _Counted(
+            before.lost - said.lost,
+            before.incompatible - said.incompatible,
+            before.missed_deadlines - said.missed_deadlines,
+            before.lost_liveliness - said.lost_liveliness,
+        )
+
+    def _said(self) -> _Counted:
+        return _Counted(self.input.lost, self.input.incompatible.publishers, *self.input.broken)
 
 
 def of_type(topic: Topic, offers: Iterable[Offer]) -> list[Offer]:
@@ -114,6 +133,8 @@ def topic_document(topic: Topic, now: int) -> dict[str, Any]:
         "offered": [{"node": offer.node, "quality": offer.quality.text()} for offer in topic.offers],
         "problem": topic.problem,
         "incompatible": {"count": counter.incompatible, "policy": topic.incompatible.policy},
+        "missed_deadlines": counter.missed_deadlines,
+        "lost_liveliness": counter.lost_liveliness,
         "stale": not topic.settings.latched and how_fresh(topic, now) != FRESH,
         "received": counter.received,
         "malformed": counter.malformed,
