@@ -48,6 +48,9 @@ Put = Callable[[str, Mapping[str, str], bytes], tuple[int, Mapping[str, Any]]]
 """Path, headers and body -> status and JSON document."""
 Post = Callable[[bytes], tuple[int, Mapping[str, Any]]]
 """Body -> status and JSON document."""
+Elsewhere = Callable[[str, str, Mapping[str, str], bytes], tuple[int, str, str] | None]
+"""Method, path, headers (lower-case names) and body -> status, text and content type of another process's answer; None:
+this one answers itself."""
 
 
 class Signed(NamedTuple):
@@ -55,11 +58,6 @@ class Signed(NamedTuple):
 
     secret: bytes
     answer: Post
-
-
-Elsewhere = Callable[[str, str, Mapping[str, str], bytes], tuple[int, str, str] | None]
-"""Method, path, headers (lower-case names) and body -> status, text and content type of another process's answer; None:
-this one answers itself."""
 
 
 @dataclass(frozen=True)

@@ -240,8 +240,8 @@ class Gate:
 
     def _handed_case(self, pull: PullRequest) -> _Case | None:
         """What the forge names as a manager's proposal, when the same manager handed its objects over and it may become
-        main. All else is judged on what the forge has: here main's tip may be an old one, and a refusal is not proved by
-        any push."""
+        main. All else is judged on what the forge has: here main's tip may be an old one, and a refusal is not proved
+        by any push."""
         handed = self._handed.take(pull.author, pull.head)
         if handed is None or self._settings.proposer(pull.author) is None:
             return None
