@@ -3,6 +3,11 @@
 {{ include "robotkube.managerNames" . }} gate argocd publisher suite-runner operator-team
 {{- end }}
 
+{{- /* Who hears from the forge. Each has a secret of its own, so that none can speak to another in the forge's name. */ -}}
+{{- define "robotkube.hearers" -}}
+gate {{ include "robotkube.managerNames" . }}
+{{- end }}
+
 {{- /* app.ini. A Secret, since it holds keys. The file is read-only for the forge, so every key it would write there itself is given. */ -}}
 {{- define "robotkube.forgeIni" -}}
 APP_NAME = RobotKube

@@ -26,7 +26,7 @@ webhook:
 evidence:
   keys: /etc/robotkube/keys
 gate:
-  objects: http://{{ include "robotkube.host" (dict "root" . "name" "gate") }}:8080/objects
+  objects: http://{{ include "robotkube.host" (dict "root" . "name" "gate") }}:8080/objects/{{ $manager.name }}
 lease: {namespace: {{ .Release.Namespace }}, name: robotkube-manager-{{ $manager.name }}}
 agents:
 {{- include "robotkube.agents" . }}
@@ -57,6 +57,7 @@ forge:
   - account: {{ .name }}
     namespaces: [{{ include "robotkube.managerAgents" (dict "root" $ "manager" .) | replace " " ", " }}]
     webhook: http://{{ include "robotkube.host" (dict "root" $ "name" .name) }}:8080/webhook
+    secret: /var/run/secrets/robotkube/proposers/{{ .name }}/secret
   {{- end }}
   publishers: [publisher]
 registry:
@@ -80,8 +81,6 @@ webhook:
 {{- end }}
 
 {{- define "robotkube.bootstrapSettings" -}}
-{{- $webhook := "/var/run/secrets/robotkube/webhook/secret" -}}
-{{- $managers := splitList " " (include "robotkube.managerNames" .) -}}
 {{- $readers := include "robotkube.managerNames" . | replace " " ": read, " -}}
 log_level: {{ .Values.logLevel }}
 wait_seconds: {{ .Values.bootstrap.waitSeconds | int }}
@@ -111,12 +110,13 @@ forge:
     access: { {{- $readers }}: read, gate: write, publisher: read, operator-team: write}
     main: [gate]
   webhooks:
-  {{- range $process := prepend $managers "gate" }}
+  {{- range $process := splitList " " (include "robotkube.hearers" .) }}
+  {{- $secret := printf "/var/run/secrets/robotkube/webhook/%s/secret" $process }}
   {{- $url := printf "http://%s:8080/webhook" (include "robotkube.host" (dict "root" $ "name" $process)) }}
   {{- $events := eq $process "gate" | ternary "[push, pull_request, pull_request_comment]" "[push, pull_request]" }}
-  - {repository: robotkube/deployment, url: {{ $url | quote }}, events: {{ $events }}, secret: {{ $webhook }}}
+  - {repository: robotkube/deployment, url: {{ $url | quote }}, events: {{ $events }}, secret: {{ $secret }}}
   {{- $events = eq $process "gate" | ternary "[push, pull_request]" "[push]" }}
-  - {repository: robotkube/catalogue, url: {{ $url | quote }}, events: {{ $events }}, secret: {{ $webhook }}}
+  - {repository: robotkube/catalogue, url: {{ $url | quote }}, events: {{ $events }}, secret: {{ $secret }}}
   {{- end }}
 {{- end }}
 {{- if ne .Values.database.kind "external" }}

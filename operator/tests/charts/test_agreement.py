@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import httpx
 import pytest
 import yaml
 
@@ -14,6 +15,7 @@ from robotkube.domain.bags import read_player_settings
 from robotkube.domain.bridging import read_bridge_settings
 from robotkube.domain.catalogue import read_assurance
 from robotkube.domain.detector_settings import read_detector_settings
+from robotkube.domain.errors import InputError
 from robotkube.domain.initial import InitialPolicy, read_initial_policy
 from robotkube.domain.perception_settings import read_detection_settings, read_track_settings
 from robotkube.domain.verification import read_verification_policy
@@ -90,6 +92,29 @@ def test_the_bootstrap_gets_all_seeds_and_accounts(official: Any, tmp_path: Path
     initial = read_initial_policy(deployment.seed["policies/initial.yaml"].decode(), "initial.yaml")
     assert initial == InitialPolicy()
     assert [account.database for account in found.database.accounts] == ["recordings_cloud_0"]
+
+
+def test_each_webhook_has_a_secret_of_its_own_that_both_ends_know(helm: Any, tmp_path: Path) -> None:
+    rendered = helm.template(CHARTS / "robotkube", PROFILES / "official.yaml", PROFILES / "managers.yaml")
+    path = mounted(rendered, "gate", tmp_path / "gate")
+    hearing = read_settings(path, gate.read_configuration)
+    managers = {
+        name: read_settings(mounted(rendered, name, tmp_path / name), manager.read_configuration)
+        for name in ("manager", "manager-north")
+    }
+    own = {name: found.webhook_secret for name, found in managers.items()}
+    assert hearing.proposer_secrets == own
+    assert len({hearing.webhook_secret, *own.values()}) == 3
+    for name, found in managers.items():
+        assert found.gate_objects_url == f"http://gate.robotkube.svc.cluster.local:8080{gate.OBJECTS_PATH}/{name}"
+    making = read_settings(mounted(rendered, "bootstrap", tmp_path / "bootstrap"), bootstrap.read_configuration)
+    assert making.forge is not None
+    told = {(str(httpx.URL(hook.url).host).partition(".")[0], hook.secret) for hook in making.forge.setup.webhooks}
+    assert told == {("gate", hearing.webhook_secret), *own.items()}
+    for shared in (own["manager"], hearing.webhook_secret):
+        write(tmp_path / "gate/secrets/proposers/manager-north/secret", shared)
+        with pytest.raises(InputError, match=r"forge.proposers\[1\].secret: the forge .* or another proposer has"):
+            read_settings(path, gate.read_configuration)
 
 
 @pytest.mark.parametrize("chart", APPS)

@@ -57,11 +57,47 @@ def test_a_manager_with_namespaces_has_no_right_on_tasks_elsewhere(two: Any) -> 
 
 
 def test_the_gate_takes_from_each_what_is_in_its_scope(two: Any) -> None:
-    url = "http://{}.robotkube.svc.cluster.local:8080/webhook"
+    scopes = {"manager": ["vehicle-00", "cloud-0"], "manager-north": ["vehicle-01"]}
     assert settings(two, "gate")["forge"]["proposers"] == [
-        {"account": "manager", "namespaces": ["vehicle-00", "cloud-0"], "webhook": url.format("manager")},
-        {"account": "manager-north", "namespaces": ["vehicle-01"], "webhook": url.format("manager-north")},
+        {
+            "account": name,
+            "namespaces": namespaces,
+            "webhook": f"http://{name}.robotkube.svc.cluster.local:8080/webhook",
+            "secret": f"/var/run/secrets/robotkube/proposers/{name}/secret",
+        }
+        for name, namespaces in scopes.items()
     ]
+
+
+def test_no_manager_has_what_the_forge_signs_for_others_with(two: Any) -> None:
+    everybody = {"Deployment/gate", "Job/bootstrap"}
+    assert holders(two) == {
+        "forge-webhook-gate": everybody,
+        "forge-webhook-manager": {*everybody, "Deployment/manager"},
+        "forge-webhook-manager-north": {*everybody, "Deployment/manager-north"},
+    }
+
+
+def test_on_an_external_forge_only_who_hears_has_a_secret(helm: Any) -> None:
+    external = {"kind": "external", "external": {"url": "https://git.example"}}
+    found = helm.template(PLATFORM, PROFILES / "official.yaml", forge=external)
+    assert holders(found) == {
+        "forge-webhook-gate": {"Deployment/gate"},
+        "forge-webhook-manager": {"Deployment/gate", "Deployment/manager"},
+    }
+
+
+def holders(rendered: Any) -> dict[str, set[str]]:
+    """The secrets of webhooks, with the pods that mount them."""
+    names = [o["metadata"]["name"] for o in rendered.of_kind("Secret")]
+    found: dict[str, set[str]] = {name: set() for name in names if name.startswith("forge-webhook")}
+    for pod, specification in rendered.pods:
+        for volume in specification.get("volumes", []):
+            sources = [*volume.get("projected", {}).get("sources", []), volume]
+            mounted = {s["secret"].get("name") or s["secret"]["secretName"] for s in sources if "secret" in s}
+            for name in mounted & set(found):
+                found[name].add(pod)
+    return found
 
 
 def test_the_policy_merges_by_itself_what_is_in_the_authors_scope(two: Any, official: Any) -> None:

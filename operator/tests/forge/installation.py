@@ -34,7 +34,7 @@ from robotkube.adapters.webhooks import WebServer
 from robotkube.domain.checks import Proposer
 from robotkube.domain.proposals import ChartReference, CommitMessage, write_message
 from robotkube.domain.releases import Cause, Release, Source, write_release, write_source
-from robotkube.entrypoints.gate import OBJECTS_PATH, take_objects
+from robotkube.entrypoints.gate import OBJECTS_PATH, objects_posts
 from robotkube.services.assured_catalogue import AssuredCatalogue
 from robotkube.services.bootstrapping import Account, ForgeSetup, Organisation, Repository, Webhook
 from robotkube.services.gate import Gate, metrics_text
@@ -48,7 +48,7 @@ PACKAGES: Mapping[str, Mapping[str, str]] = {
     "verified": {"gate": "write", "manager": "read", "argocd": "read", "suite-runner": "read"},
 }
 CHARTS_URL = "oci://forge.robotkube.svc.cluster.local:3000/verified"
-WEBHOOK_SECRET = "webhook secret"  # noqa: S105
+WEBHOOK_SECRET = "webhook secret of the gate"  # noqa: S105
 HOOK_SECRET = "hook secret"  # noqa: S105
 DIGESTS = {
     name: "sha256:" + hashlib.sha256(name.encode()).hexdigest() for name in ("mqtt-bridge", "event-detector", "old")
@@ -263,17 +263,22 @@ def outside(installation: Installation) -> Outside:
     nowhere = f"http://127.0.0.1:{free_port()}"
     password = installation.passwords["manager"]
     objects = objects_url(installation)
-    return Outside(installation.url, password, WEBHOOK_SECRET, key_folder(), CHARTS_URL, nowhere, objects)
+    return Outside(installation.url, password, manager_secret(), key_folder(), CHARTS_URL, nowhere, objects)
 
 
-def objects_url(installation: Installation) -> str:
-    """Where the installation's gate takes objects."""
-    return f"http://127.0.0.1:{installation.gate_port}{OBJECTS_PATH}"
+def manager_secret(account: str = "manager") -> str:
+    """What that manager shares with the forge and the gate."""
+    return f"webhook secret of {account}"
 
 
-def objects_relay(installation: Installation, secret: str = WEBHOOK_SECRET) -> ObjectsRelay:
-    """What hands objects to the installation's gate."""
-    return ObjectsRelay(objects_url(installation), secret.encode(), "robotkube/deployment")
+def objects_url(installation: Installation, account: str = "manager") -> str:
+    """Where the installation's gate takes that manager's objects."""
+    return f"http://127.0.0.1:{installation.gate_port}{OBJECTS_PATH}/{account}"
+
+
+def objects_relay(installation: Installation, account: str = "manager") -> ObjectsRelay:
+    """What hands that manager's objects to the installation's gate."""
+    return ObjectsRelay(objects_url(installation, account), manager_secret(account).encode(), "robotkube/deployment")
 
 
 def release_files(made_by: str, name: str = "recorder", **changes: Any) -> dict[str, str | None]:
@@ -339,11 +344,12 @@ def start_gate(
     managers: Sequence[str] = (),
     proposers: tuple[Proposer, ...] = PROPOSERS,
 ) -> RunningGate:
-    """A new gate on `folder`; without `webhooks` it only polls; `managers` are the webhooks it tells of main."""
+    """A new gate on `folder`; without `webhooks` it only polls; `managers` are the webhooks of account manager's
+    processes, which it tells of main."""
     account = ("gate", installation.passwords["gate"])
     forge = GiteaForge(installation.url, "robotkube/deployment", *account)
     hook = PushHook(hook_url, HOOK_SECRET.encode(), f"{installation.url}/robotkube/deployment")
-    relays = [PushRelay(url, WEBHOOK_SECRET.encode(), "robotkube/deployment") for url in managers]
+    relays = [PushRelay(url, manager_secret().encode(), "robotkube/deployment") for url in managers]
     gate = Gate(
         forge,
         GitClone(installation.url, "robotkube/deployment", *account, folder / "deployment"),
@@ -363,7 +369,7 @@ def start_gate(
         lambda: metrics_text(gate.statistics),
         WEBHOOK_SECRET.encode(),
         lambda delivery: gate.wake(delivery.event, delivery.payload),
-        signed={OBJECTS_PATH: take_objects(gate, "robotkube/deployment")},
+        signed=objects_posts(gate, "robotkube/deployment", {p.account: manager_secret(p.account) for p in proposers}),
     )
     stopping = threading.Event()
     thread = threading.Thread(target=gate.run, args=(stopping,), daemon=True)

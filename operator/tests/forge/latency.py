@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from forge_process import ForgeProcess
-from installation import ACCOUNTS, WEBHOOK_SECRET, ApplicationSetController, Installation, forge_setup, start_gate
+from installation import ACCOUNTS, ApplicationSetController, Installation, forge_setup, manager_secret, start_gate
 from programs import free_port
 from test_manager import RunningManager, start_manager
 
@@ -78,7 +78,7 @@ class Stage:
         )
         Bootstrap(30, time.monotonic, time.sleep).forge(setup, administration)
         hook = f"http://127.0.0.1:{self.manager_port}/webhook"
-        administration.make_webhook(REPOSITORY, hook, ("push", "pull_request"), WEBHOOK_SECRET)
+        administration.make_webhook(REPOSITORY, hook, ("push", "pull_request"), manager_secret())
         administration.disconnect()
         self.installation = Installation(self.process.url, passwords, gate_port, folder, setup)
 
@@ -130,7 +130,7 @@ class Stage:
             if heard := news(delivery, "robotkube/catalogue"):
                 running.manager.wake(*heard)
 
-        secret = WEBHOOK_SECRET.encode()
+        secret = manager_secret().encode()
         server = WebServer("127.0.0.1", self.manager_port, lambda: [], lambda: "", secret, deliver)
         server.start()
         return server

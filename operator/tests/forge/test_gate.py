@@ -1,23 +1,28 @@
 """The gate against a real forge: what it takes, what it refuses and in which words, and what survives restarts."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
+import httpx
 import pytest
 from evidence_of_tests import published_chart
 from installation import (
     CAUSE,
     DIGESTS,
+    WEBHOOK_SECRET,
     ApplicationSetController,
     Clone,
     Installation,
     RunningGate,
+    manager_secret,
     message,
     release_files,
     start_gate,
 )
 from waiting import until
 
+from robotkube.adapters.webhooks import sign
 from robotkube.domain.proposals import ChartReference
 from robotkube.domain.releases import Cause
 
@@ -223,6 +228,20 @@ def test_a_forged_status_changes_nothing(
         until(lambda: merged(installation, numbers[1]), "merged in spite of a forged failure")
     finally:
         running.stop()
+
+
+def test_only_the_forge_delivers_to_the_gate(gate: RunningGate) -> None:
+    """A manager's secret does not let it name what was proposed, or by whom."""
+    pull = {"number": 1, "user": {"login": "manager"}, "head": {"sha": "1" * 40}}
+    named = {"action": "closed", "repository": {"full_name": "robotkube/deployment"}, "pull_request": pull}
+
+    def deliver(secret: str) -> int:
+        body = json.dumps(named).encode()
+        headers = {"X-Gitea-Event": "pull_request", "X-Gitea-Signature": sign(body, secret.encode())}
+        return httpx.post(f"http://127.0.0.1:{gate.server.port}/webhook", content=body, headers=headers).status_code
+
+    assert deliver(manager_secret()) == 401
+    assert deliver(WEBHOOK_SECRET) == 204
 
 
 def test_removal_of_a_release_is_taken(installation: Installation, gate: RunningGate, manager: Clone) -> None:

@@ -1,16 +1,19 @@
 """Objects that a manager hands to the gate besides its push: they save a fetch, and decide nothing."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import httpx
 import pytest
 from installation import (
+    PROPOSERS,
     WEBHOOK_SECRET,
     ApplicationSetController,
     Clone,
     Installation,
     RunningGate,
+    manager_secret,
     message,
     objects_relay,
     release_files,
@@ -20,6 +23,7 @@ from waiting import until
 
 from robotkube.adapters.git.handing import new_objects
 from robotkube.adapters.webhooks import sign
+from robotkube.domain.checks import Proposer
 from robotkube.domain.handed_objects import HandedObjects, write_objects
 
 REPOSITORY = "robotkube/deployment"
@@ -36,13 +40,14 @@ def brought(manager: Clone, commit: str) -> HandedObjects:
     return found
 
 
-def post(gate: RunningGate, body: bytes, secret: str = WEBHOOK_SECRET) -> httpx.Response:
-    headers = {"X-Gitea-Signature": sign(body, secret.encode())}
-    return httpx.post(f"http://127.0.0.1:{gate.server.port}/objects", content=body, headers=headers)
+def post(gate: RunningGate, body: bytes, secret: str = "", account: str = "manager") -> httpx.Response:
+    """As `account`; `secret` is that account's unless it is given."""
+    headers = {"X-Gitea-Signature": sign(body, (secret or manager_secret(account)).encode())}
+    return httpx.post(f"http://127.0.0.1:{gate.server.port}/objects/{account}", content=body, headers=headers)
 
 
-def hand(gate: RunningGate, handed: HandedObjects) -> None:
-    assert post(gate, write_objects(handed, REPOSITORY)).status_code == 200
+def hand(gate: RunningGate, handed: HandedObjects, account: str = "manager") -> None:
+    assert post(gate, write_objects(handed, REPOSITORY), account=account).status_code == 200
 
 
 def a_plan(installation: Installation, manager: Clone, gate: RunningGate, name: str) -> tuple[str, str]:
@@ -116,7 +121,7 @@ def test_objects_on_a_main_that_has_moved_give_a_stale_proposal(
         other = installation.clone("gate")
         moved = other.commit({"policies/note.md": f"{plan}\n"}, "by hand\n", [other.tip()])
         assert other.push(moved, "refs/heads/main") == ""
-        running.gate.hand(brought(manager, commit))
+        running.gate.hand("manager", brought(manager, commit))
         number = installation.propose(manager, commit, plan)
         assert not decided(installation, number)
         assert "Closed, main moved" in installation.comments(number)
@@ -125,17 +130,46 @@ def test_objects_on_a_main_that_has_moved_give_a_stale_proposal(
         running.stop()
 
 
-def test_only_signed_objects_are_taken(installation: Installation, gate: RunningGate, manager: Clone) -> None:
+@pytest.fixture
+def two_managers(
+    installation: Installation, controller: ApplicationSetController, tmp_path: Path
+) -> Iterator[RunningGate]:
+    """A gate that knows another manager, `north`, besides the one of these tests."""
+    proposers = (*PROPOSERS, Proposer("north", frozenset({"edge-0"})))
+    running = start_gate(installation, controller.url, tmp_path, proposers=proposers)
+    until(lambda: not running.gate.reasons_not_ready(), "gate ready")
+    yield running
+    running.stop()
+
+
+def test_a_manager_hands_over_for_itself_alone(
+    installation: Installation, two_managers: RunningGate, manager: Clone
+) -> None:
+    gate = two_managers
+    plan, commit = a_plan(installation, manager, gate, "for-another")
+    handed = brought(manager, commit)
+    assert post(gate, write_objects(handed, REPOSITORY), manager_secret("north")).status_code == 401
+    hand(gate, handed, account="north")
+    assert decided(installation, installation.propose(manager, commit, plan))
+    until(lambda: gate.gate.statistics.sources == {"handed": 0, "fetched": 1}, "fetched")
+
+
+@pytest.mark.parametrize("secret", ["another", WEBHOOK_SECRET])
+def test_only_what_a_manager_signed_is_taken(
+    installation: Installation, gate: RunningGate, manager: Clone, secret: str
+) -> None:
+    """What is signed for the gate's webhook is as good as not signed."""
     _, commit = a_plan(installation, manager, gate, "unsigned")
     body = write_objects(brought(manager, commit), REPOSITORY)
-    assert post(gate, body, "another").status_code == 401
-    assert httpx.post(f"http://127.0.0.1:{gate.server.port}/objects", content=body).status_code == 401
+    assert post(gate, body, secret).status_code == 401
+    assert post(gate, body, secret, account="nobody").status_code == 404
+    assert httpx.post(f"http://127.0.0.1:{gate.server.port}/objects/manager", content=body).status_code == 401
     answer = post(gate, body.replace(commit.encode(), b"0" * 40))
     assert (answer.status_code, answer.json()) == (
         400,
         {"problems": ["commit: must be the id of one of objects, of kind commit"]},
     )
-    assert gate.gate._handed.take(commit) is None
+    assert gate.gate._handed.take("manager", commit) is None
 
 
 def test_the_relay_hands_over_while_the_forge_takes_the_push(

@@ -11,7 +11,7 @@ from typing import Any
 import httpx
 import pytest
 from api_calls import TASKS, Api
-from installation import WEBHOOK_SECRET, Installation, RunningGate, outside
+from installation import WEBHOOK_SECRET, Installation, RunningGate, manager_secret, outside
 from manager_process import Pod, write_settings
 from programs import free_port
 from waiting import until
@@ -44,8 +44,10 @@ def test_a_task_of_the_api_server_is_on_main(pod: Pod, api: Api, gate: RunningGa
     assert catalogue is not None
     assert "proximity-operator" in catalogue.text
     body = json.dumps({"repository": {"full_name": "robotkube/deployment"}}).encode()
-    headers = {"X-Gitea-Event": "push", "X-Gitea-Signature": sign(body, WEBHOOK_SECRET.encode())}
+    headers = {"X-Gitea-Event": "push", "X-Gitea-Signature": sign(body, manager_secret().encode())}
     assert httpx.post(f"{pod.url}/webhook", content=body, headers=headers).status_code == 204
+    headers["X-Gitea-Signature"] = sign(body, WEBHOOK_SECRET.encode())
+    assert httpx.post(f"{pod.url}/webhook", content=body, headers=headers).status_code == 401, "signed for the gate"
     assert httpx.post(f"{pod.url}/webhook", content=body, headers={}).status_code == 401
     assert "robotkube_manager_plans_total" in httpx.get(f"{pod.url}/metrics").text
     api.delete(f"{TASKS}/meeting")

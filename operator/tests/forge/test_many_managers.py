@@ -126,7 +126,7 @@ def make(installation: Installation, name: str, folder: Path) -> Running:
     """A manager that knows all agents and has its own two as scope."""
     url, account = installation.url, (name, installation.passwords[name])
     deployment = GitClone(url, "robotkube/deployment", *account, folder / "deployment")
-    relay = objects_relay(installation)
+    relay = objects_relay(installation, name)
     proposals = ProposalWriter(folder / "deployment", *account, name, time.time, hand=relay.hand)
     catalogue = AssuredCatalogue(GitClone(url, "robotkube/catalogue", *account, folder / "catalogue"), trusted_keys())
     roles = [(f"{role}-{one}", role) for one in MANAGERS for role in ("cloud", "vehicle")]

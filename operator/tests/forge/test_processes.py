@@ -29,6 +29,7 @@ from installation import (
     WEBHOOK_SECRET,
     ApplicationSetController,
     Installation,
+    manager_secret,
     message,
     release_files,
 )
@@ -93,7 +94,13 @@ def gate_settings(installation: Installation, folder: Path, hook_url: str) -> di
             "deployment": "robotkube/deployment",
             "catalogue": "robotkube/catalogue",
             "branch": "main",
-            "proposers": [{"account": "manager", "namespaces": ["cloud-0"]}],
+            "proposers": [
+                {
+                    "account": "manager",
+                    "namespaces": ["cloud-0"],
+                    "secret": secret_file(folder, "proposers/manager/secret", manager_secret()),
+                }
+            ],
             "publishers": ["publisher"],
         },
         "registry": {"charts": CHARTS_URL, "staging": CHARTS_URL.replace("verified", "staging")},

@@ -126,10 +126,10 @@ def test_what_cannot_be_read_is_refused_in_words(body: bytes, problem: str) -> N
     assert any(problem in found for found in refusal.value.problems), refusal.value.problems
 
 
-def test_the_gate_keeps_a_bounded_number_and_gives_each_once() -> None:
-    kept = Handed()
+def test_the_gate_keeps_a_bounded_number_of_each_and_gives_it_its_own_once() -> None:
+    kept, first = Handed(), HandedObjects("1", ())
+    kept.keep("north", first)
     for number in range(KEPT_MAX + 1):
-        kept.keep(HandedObjects(str(number), ()))
-    assert kept.take("0") is None
-    assert kept.take("1") == HandedObjects("1", ())
-    assert kept.take("1") is None
+        kept.keep("south", HandedObjects(str(number), ()))
+    assert kept.take("south", "0") is None
+    assert [kept.take(account, "1") for account in ("south", "south", "north", "west")] == [first, None, first, None]

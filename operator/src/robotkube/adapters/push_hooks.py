@@ -75,7 +75,7 @@ class PushHook(_SignedPush):
 
 
 class PushRelay(_SignedPush):
-    """`repository` is `<organisation>/<name>`, `secret` the one that the manager shares with the forge."""
+    """`repository` is `<organisation>/<name>`, `secret` the manager's own, with which the forge signs as well."""
 
     def __init__(self, url: str, secret: bytes, repository: str, branch: str = "main") -> None:
         def headers(signature: str) -> Mapping[str, str]:
@@ -85,8 +85,8 @@ class PushRelay(_SignedPush):
 
 
 class ObjectsRelay:
-    """Hands objects for `repository` (`<organisation>/<name>`) to the gate at `url`; `secret` is the one that the gate
-    shares with the forge. One at a time, on a thread of its own: the push does not wait for it, nor it for the push."""
+    """Hands objects for `repository` (`<organisation>/<name>`) to the gate at `url`; `secret` is the manager's own.
+    One at a time, on a thread of its own: the push does not wait for it, nor it for the push."""
 
     def __init__(self, url: str, secret: bytes, repository: str) -> None:
         self._url, self._secret, self._repository = url, secret, repository

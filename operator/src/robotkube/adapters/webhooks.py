@@ -7,7 +7,7 @@
     GET  /metrics   Prometheus text
     GET  <page>     a JSON document of the process, where it offers one
     POST <path>     what the process answers to a question, where it takes any; for some the body must be signed as a
-                    delivery is: 401 otherwise
+                    delivery is, each with a secret of its own: 401 otherwise
     PUT  <path>     what `put` answers, where a process takes requests
 
 A delivery only wakes its receiver: what happened is read from the forge afterwards, so a lost, doubled or replayed
@@ -28,7 +28,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Any
+from typing import Any, NamedTuple
 
 GITLAB_ACTIONS = {
     "open": "opened",
@@ -51,6 +51,13 @@ Post = Callable[[bytes], tuple[int, Mapping[str, Any]]]
 Elsewhere = Callable[[str, str, Mapping[str, str], bytes], tuple[int, str, str] | None]
 """Method, path, headers (lower-case names) and body -> status, text and content type of another process's answer; None:
 this one answers itself."""
+
+
+class Signed(NamedTuple):
+    """What answers a post whose body is signed with `secret`, and with no other."""
+
+    secret: bytes
+    answer: Post
 
 
 @dataclass(frozen=True)
@@ -125,9 +132,9 @@ class WebServer:
 
     `deliver` must return at once (it wakes a loop); `ready` gives the reasons why the process is not ready (empty = it
     is); `metrics` gives Prometheus text; `pages` are JSON documents by path, `posts` answer questions by path. Port 0
-    takes a free one, see `port`. Without a secret there is no /webhook. `signed` are posts by path that are answered
-    only when their body is signed with the secret. `put` gets path, headers (lower-case names) and
-    body of a PUT, and gives status and JSON. `elsewhere` may answer genuine deliveries, pages and questions instead.
+    takes a free one, see `port`. `secret` is that of deliveries; without one there is no /webhook. `signed` are posts
+    by path, each with its own secret. `put` gets path, headers (lower-case names) and body of a PUT, and gives status
+    and JSON. `elsewhere` may answer genuine deliveries, pages and questions instead.
     """
 
     def __init__(
@@ -142,7 +149,7 @@ class WebServer:
         put: Put | None = None,
         posts: Mapping[str, Post] | None = None,
         elsewhere: Elsewhere | None = None,
-        signed: Mapping[str, Post] | None = None,
+        signed: Mapping[str, Signed] | None = None,
     ) -> None:
         self._server = _Server((address, port), _Handler)
         self._server.ready, self._server.metrics = ready, metrics
@@ -181,7 +188,7 @@ class _Server(ThreadingHTTPServer):
     put: Put | None
     posts: Mapping[str, Post]
     elsewhere: Elsewhere | None
-    signed: Mapping[str, Post]
+    signed: Mapping[str, Signed]
 
     def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
         super().__init__(address, handler)
@@ -255,7 +262,8 @@ class _Handler(BaseHTTPRequestHandler):
             self._reply(self.server.posts[self.path])
             return
         if self.path in self.server.signed:
-            self._reply(self.server.signed[self.path], signed=True)
+            signed = self.server.signed[self.path]
+            self._reply(signed.answer, signed.secret)
             return
         if self.path != "/webhook" or self.server.deliver is None:
             self._refuse(404, "not found")
@@ -280,12 +288,12 @@ class _Handler(BaseHTTPRequestHandler):
         put, headers = self.server.put, self._names()
         self._reply(lambda body: put(self.path, headers, body))
 
-    def _reply(self, reply: Post, signed: bool = False) -> None:
-        """Answer a request by its body."""
+    def _reply(self, reply: Post, secret: bytes | None = None) -> None:
+        """Answer a request by its body, signed when there is a secret for it."""
         try:
             body = self._body()
-            if signed:
-                _check(self._names(), body, self.server.secret)
+            if secret is not None:
+                _check(self._names(), body, secret)
         except _DeliveryError as error:
             self._refuse(error.status, str(error))
             return

@@ -20,7 +20,7 @@ from robotkube.adapters.git import GitNotes
 from robotkube.adapters.oci_registry import Registry
 from robotkube.adapters.push_hooks import PushHook, PushRelay
 from robotkube.adapters.suite_runner_http import SuiteRunnerClient
-from robotkube.adapters.webhooks import Delivery, Post, WebServer
+from robotkube.adapters.webhooks import Delivery, Post, Signed, WebServer
 from robotkube.domain.checks import Proposer
 from robotkube.domain.documents import Reader
 from robotkube.domain.errors import DocumentError, UnavailableError
@@ -46,7 +46,8 @@ OBJECTS_PATH = "/objects"
 
 @dataclass(frozen=True)
 class GateConfiguration:
-    """Everything the process needs, secrets included. `suites_url` is empty when there is no suite-runner."""
+    """Everything the process needs, secrets included: `webhook_secret` is the forge's, `proposer_secrets` are what it
+    shares with each account. `suites_url` is empty when there is no suite-runner."""
 
     listen: files.Listen
     log_level: str
@@ -56,6 +57,7 @@ class GateConfiguration:
     hook_url: str
     hook_secret: str
     webhook_secret: str
+    proposer_secrets: Mapping[str, str]
     key: Path
     keys: Path
     verifier: str
@@ -79,6 +81,8 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> GateConfi
     charts_url = reader.word(registry.get("charts"), "registry.charts", files.CHARTS_URL)
     catalogue = reader.word(forge.get("catalogue"), "forge.catalogue", files.REPOSITORY)
     suites_url, suites_token = _suites(reader, root.get("suites"))
+    webhook_secret = files.secret(reader, webhook.get("secret"), "webhook.secret")
+    proposers = _proposers(reader, forge.get("proposers"), webhook_secret)
     return GateConfiguration(
         listen=files.listen(reader, root.get("listen")),
         log_level=files.log_level(reader, root.get("log_level")),
@@ -87,7 +91,8 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> GateConfi
         branch=reader.word(forge.get("branch"), "forge.branch", files.WORD),
         hook_url=reader.word(hook.get("url"), "hook.url", files.HTTP_URL),
         hook_secret=files.secret(reader, hook.get("secret"), "hook.secret"),
-        webhook_secret=files.secret(reader, webhook.get("secret"), "webhook.secret"),
+        webhook_secret=webhook_secret,
+        proposer_secrets={proposer.account: secret for proposer, secret in proposers},
         key=Path(reader.word(evidence.get("key"), "evidence.key", files.PATH)),
         keys=Path(reader.word(evidence.get("keys"), "evidence.keys", files.PATH)),
         verifier=reader.word(evidence.get("verifier"), "evidence.verifier", files.WORD),
@@ -97,7 +102,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> GateConfi
             account=account.username,
             deployment=reader.word(forge.get("deployment"), "forge.deployment", files.REPOSITORY),
             catalogue=catalogue,
-            proposers=_proposers(reader, forge.get("proposers")),
+            proposers=tuple(proposer for proposer, _ in proposers),
             charts_url=charts_url,
         ),
         publication=PublicationSettings(
@@ -121,16 +126,21 @@ def _suites(reader: Reader, value: Any) -> tuple[str, str]:
     return url, files.secret(reader, suites.get("token"), "suites.token")
 
 
-def _proposers(reader: Reader, value: Any) -> tuple[Proposer, ...]:
-    found = []
+def _proposers(reader: Reader, value: Any, forge_secret: str) -> list[tuple[Proposer, str]]:
+    """Each with its secret, which is nobody else's: who has it speaks in its name."""
+    found: list[tuple[Proposer, str]] = []
     for index, item in enumerate(reader.sequence(value, "forge.proposers")):
         path = f"forge.proposers[{index}]"
-        proposer = reader.mapping(item, path, ["account", "namespaces"], ["webhook"])
+        proposer = reader.mapping(item, path, ["account", "namespaces", "secret"], ["webhook"])
         account = reader.word(proposer.get("account"), f"{path}.account", files.WORD)
         namespaces = frozenset(_words(reader, proposer.get("namespaces"), f"{path}.namespaces"))
         webhook = reader.word(proposer.get("webhook"), f"{path}.webhook", files.HTTP_URL, default="")
-        found.append(Proposer(account, namespaces, webhook))
-    return tuple(found)
+        secret = files.secret(reader, proposer.get("secret"), f"{path}.secret")
+        if secret and secret in (forge_secret, *(known for _, known in found)):
+            problem = "the forge (webhook.secret) or another proposer has the same one; give each a secret of its own"
+            reader.problems.append(f"{path}.secret: {problem}")
+        found.append((Proposer(account, namespaces, webhook), secret))
+    return found
 
 
 def _words(reader: Reader, value: Any, path: str) -> list[str]:
@@ -161,6 +171,7 @@ def build_gate(found: GateConfiguration, work: Path, schemas: BoundedSchemas) ->
     forge, url, account = found.forge, found.forge.url, found.account
     work.mkdir(parents=True, exist_ok=True)
     catalogue = forge.clone(found.gate.catalogue, account, work / "catalogue", found.branch)
+    secrets = found.proposer_secrets
     return Gate(
         forge.pull_requests(found.gate.deployment, account, found.branch),
         forge.clone(found.gate.deployment, account, work / "deployment", found.branch),
@@ -170,7 +181,7 @@ def build_gate(found: GateConfiguration, work: Path, schemas: BoundedSchemas) ->
         schemas.validate,
         time.monotonic,
         [
-            PushRelay(proposer.webhook, found.webhook_secret.encode(), found.gate.deployment, branch=found.branch)
+            PushRelay(proposer.webhook, secrets[proposer.account].encode(), found.gate.deployment, branch=found.branch)
             for proposer in found.gate.proposers
             if proposer.webhook
         ],
@@ -211,12 +222,20 @@ def build_notes(found: GateConfiguration, work: Path) -> NoteKeeper:
     return NoteKeeper(forge, notes, found.gate.accounts, time.monotonic)
 
 
-def take_objects(gate: Gate, repository: str) -> Post:
-    """What POST /objects does: 200, or 400 with what is wrong."""
+def objects_posts(gate: Gate, repository: str, secrets: Mapping[str, str]) -> dict[str, Signed]:
+    """POST /objects/<account>, for each account that has a secret."""
+    return {
+        f"{OBJECTS_PATH}/{account}": Signed(secret.encode(), _take_objects(gate, repository, account))
+        for account, secret in secrets.items()
+    }
+
+
+def _take_objects(gate: Gate, repository: str, account: str) -> Post:
+    """200, or 400 with what is wrong."""
 
     def post(body: bytes) -> tuple[int, Mapping[str, Any]]:
         try:
-            gate.hand(read_objects(body, repository))
+            gate.hand(account, read_objects(body, repository))
         except DocumentError as error:
             return 400, {"problems": error.problems}
         return 200, {}
@@ -253,7 +272,7 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
         lambda: metrics_text(gate.statistics) + publication_metrics(publication.statistics),
         found.webhook_secret.encode(),
         wake,
-        signed={OBJECTS_PATH: take_objects(gate, found.gate.deployment)},
+        signed=objects_posts(gate, found.gate.deployment, found.proposer_secrets),
     )
     server.start()
     process.log("started", port=server.port, proposers=len(found.gate.proposers))

@@ -117,9 +117,9 @@ class Gate:
             self._hint(payload.get("pull_request") or {})
             self._woken.set()
 
-    def hand(self, handed: HandedObjects) -> None:
-        """Objects of a commit that may be proposed, from its proposer; they decide nothing."""
-        self._handed.keep(handed)
+    def hand(self, account: str, handed: HandedObjects) -> None:
+        """Objects of a commit that `account` may propose, from that proposer; they decide nothing."""
+        self._handed.keep(account, handed)
 
     def _hint(self, found: Mapping[str, Any]) -> None:
         """Remember what was proposed: the round need not ask the forge for all that is open first."""
@@ -239,9 +239,10 @@ class Gate:
         self._settled[pull.number] = pull.head
 
     def _handed_case(self, pull: PullRequest) -> _Case | None:
-        """What the forge names as a manager's proposal, when its objects were handed over and may become main. All else
-        is judged on what the forge has: here main's tip may be an old one, and a refusal is not proved by any push."""
-        handed = self._handed.take(pull.head)
+        """What the forge names as a manager's proposal, when the same manager handed its objects over and it may become
+        main. All else is judged on what the forge has: here main's tip may be an old one, and a refusal is not proved
+        by any push."""
+        handed = self._handed.take(pull.author, pull.head)
         if handed is None or self._settings.proposer(pull.author) is None:
             return None
         try:
