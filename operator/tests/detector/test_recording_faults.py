@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import hashlib
 import random
+from collections.abc import Mapping
 
 import pytest
 
-from robotkube.domain.audits import add_up
+from robotkube.domain.audits import KILLED, add_up
 from robotkube.domain.examinations import TopicExamination, examine
 from robotkube.domain.recordings import AUDITS, LedgerLine
 from robotkube.services.recording.journal import Journal
@@ -22,6 +23,8 @@ from robotkube.testing.recordings import Killed, RecordingDatabase, RecordingVol
 
 RECORDING, VOLUME = "task-1", "cloud-0/recordings"
 TOPICS = {"/pose": ("document", 10, 30), "/cloud": ("segment", 100, 900)}
+MIXED = {"/pose": ("document", 10, 30), "/picture": ("either", 20, 200)}
+"""Of pictures every other one is too large for a document."""
 BOUNDS = RecordingBounds(queue_bytes=12_000, waiting_bytes=8_000, spool_bytes=30_000)
 STEPS, MS = 60, 1_000_000
 BEGIN = 1_795_250_000_000_000_000
@@ -34,13 +37,13 @@ SEEDS, SEEDS_THOROUGH = (*range(200), *FOUND), range(200, 3000)
 class History:
     """Processes that record one after another, and the world they do it in."""
 
-    def __init__(self, seed: int) -> None:
-        self.random = random.Random(seed)  # noqa: S311 - not for secrets
+    def __init__(self, seed: int, topics: Mapping[str, tuple[str, int, int]] = TOPICS) -> None:
+        self.random, self.topics = random.Random(seed), topics  # noqa: S311 - not for secrets
         self.database = RecordingDatabase(self.kill_now_and_then)
         self.volume = RecordingVolume(self.kill_now_and_then)
-        self.ledgers: dict[str, list[LedgerLine]] = {topic: [] for topic in TOPICS}
-        self.lives: dict[str, list[int]] = {topic: [] for topic in TOPICS}
-        self.offered = dict.fromkeys(TOPICS, 0)
+        self.ledgers: dict[str, list[LedgerLine]] = {topic: [] for topic in topics}
+        self.lives: dict[str, list[int]] = {topic: [] for topic in topics}
+        self.offered = dict.fromkeys(topics, 0)
         self.kills = 0
         self.now = 0
         self.deadly = False
@@ -73,16 +76,22 @@ class History:
 
     def publish(self) -> None:
         """Up to 100 ms of messages; a few come twice."""
-        for topic, (storage, period, size) in TOPICS.items():
+        for topic, (storage, period, _) in self.topics.items():
             for _ in range(self.random.randrange(100 // period + 1)):
-                number = len(self.ledgers[topic])
-                data = number.to_bytes(4, "little") * (size // 4)
-                stamp = BEGIN + number * period * MS
-                self.ledgers[topic].append(LedgerLine(number, stamp, hashlib.sha256(data).hexdigest()))
-                self.lives[topic].append(self.life)
-                for _ in range(1 + (self.random.random() < 0.05)):
-                    self.offered[topic] += 1
-                    self.recorder.offer(topic, "t", storage, stamp, stamp, data)
+                place = ("segment", "document")[self.random.randrange(2)] if storage == "either" else storage
+                self.say(topic, place)
+
+    def say(self, topic: str, storage: str) -> None:
+        """One message; now and then twice."""
+        _, period, size = self.topics[topic]
+        number = len(self.ledgers[topic])
+        data = number.to_bytes(4, "little") * (size // 4)
+        stamp = BEGIN + number * period * MS
+        self.ledgers[topic].append(LedgerLine(number, stamp, hashlib.sha256(data).hexdigest()))
+        self.lives[topic].append(self.life)
+        for _ in range(1 + (self.random.random() < 0.05)):
+            self.offered[topic] += 1
+            self.recorder.offer(topic, "t", storage, stamp, stamp, data)
 
     def step(self) -> None:
         """Something happens."""
@@ -114,6 +123,10 @@ class History:
                 self.begin()
         self.deadly = self.database.away = self.volume.away = False
         self.volume.bytes_max = 1 << 60
+        self.finish()
+
+    def finish(self) -> None:
+        """The end of a process that nothing is in the way of."""
         for _ in range(3):
             self.now += 10_000
             self.journal.turn()
@@ -146,8 +159,8 @@ def assert_explained(history: History) -> None:
     assert all(audit["closed"] for audit in history.database.audits(RECORDING))
 
 
-def check(seed: int) -> History:
-    history = History(seed)
+def check(seed: int, topics: Mapping[str, tuple[str, int, int]] = TOPICS) -> History:
+    history = History(seed, topics)
     history.run()
     assert_explained(history)
     return history
@@ -161,10 +174,44 @@ def test_what_is_missing_is_explained_under_random_faults() -> None:
     assert sum(history.kills > 0 for history in histories) > 20
 
 
+def test_what_is_missing_is_explained_where_messages_go_two_ways() -> None:
+    """Small ones overtake large ones while the volume refuses, and large ones are on the disk before small ones."""
+    assert sum(check(seed, MIXED).kills > 0 for seed in range(300)) > 50
+
+
+def test_a_kill_hides_no_large_message_that_smaller_ones_have_overtaken() -> None:
+    """The volume is full for the large ones; the small ones behind them are in the database when the process ends."""
+    history = History(1, {"/picture": ("document", 20, 200)})
+    history.journal.turn()
+    for storage in ("document", "document"):
+        history.say("/picture", storage)
+    history.recorder.turn()
+    history.journal.turn()
+    history.volume.bytes_max = 0
+    for _ in range(3):
+        for storage in ("segment", "document"):
+            history.say("/picture", storage)
+        history.now += 6_000  # the audit is told again, with all that came
+        history.recorder.turn()
+        history.journal.turn()
+    assert len(list(history.database.known(RECORDING))) == 5
+    history.begin()
+    history.volume.bytes_max = 1 << 60
+    history.finish()
+    [picture] = history.examined()
+    assert picture.audit is not None
+    assert (picture.stored, picture.unexplained) == (5, 0)
+    lost = [BEGIN + number * 20 * MS for number in (2, 4, 6)]
+    assert [one.stamp for one in picture.verdict.lost] == lost
+    assert all(any(gap.why == KILLED and gap.covers(stamp) for gap in picture.audit.gaps) for stamp in lost)
+    assert min(gap.first for gap in picture.audit.gaps) == lost[0], "what is stored before is not doubted"
+
+
 @pytest.mark.thorough
 def test_what_is_missing_is_explained_under_many_more_random_faults() -> None:
     for seed in SEEDS_THOROUGH:
         check(seed)
+        check(seed, MIXED)
 
 
 def test_nothing_empty_is_created() -> None:

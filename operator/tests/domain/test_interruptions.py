@@ -17,6 +17,14 @@ def test_what_comes_after_the_last_stored_message_is_in_doubt() -> None:
     assert interruptions([audit(1, (0, 400), closed=True)], {"/cloud": [0]}) == []
 
 
+def test_what_was_not_settled_is_in_doubt_although_later_messages_are_stored() -> None:
+    """Of a topic with small and large messages, which go two ways."""
+    known = {**audit(1, (0, 400)), "unsettled": 150}
+    assert interruptions([known], {"/cloud": [0, 100, 200]}) == [Interruption("/cloud", 150, None)]
+    both = [{**audit(1, (0, 400)), "unsettled": None}, {**audit(2, (900, 950)), "unsettled": 950}]
+    assert interruptions(both, {"/cloud": [0, 200, 900]}, own_life=2) == [Interruption("/cloud", 201, 900)]
+
+
 def test_messages_of_a_later_writer_without_an_audit_say_nothing_of_an_earlier_one() -> None:
     """The later one wrote segments, and was killed before its first audit reached anything."""
     assert interruptions([audit(1, (0, 400))], {"/cloud": [0, 200, 700, 800]}) == [Interruption("/cloud", 201, None)]

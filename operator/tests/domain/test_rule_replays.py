@@ -23,6 +23,11 @@ RULES: list[dict[str, Any]] = [
     {"name": "lost", "kind": "absence", "topic": POSES, "seconds": 0.6},
     {"name": "crowd", "kind": "threshold", "topic": NUMBERS, "field": "data", "start_above": 5, "stop_below": 3,
      "scope": "group", "agents": ["vehicle-00", "vehicle-01", "vehicle-02"], "at_least": 2, "expire_seconds": 30},
+    {"name": "few", "kind": "threshold", "topic": NUMBERS, "field": "data", "start_above": 5, "stop_below": 3,
+     "scope": "group", "agents": ["vehicle-00", "vehicle-01", "vehicle-02"], "at_least": 2, "expire_seconds": 2,
+     "sustained_seconds": 0.2, "minimum_interval_seconds": 1},
+    {"name": "close", "kind": "proximity", "topic": POSES, "start_distance_m": 8, "stop_distance_m": 11,
+     "scope": "group", "agents": ["vehicle-00", "vehicle-01", "vehicle-02"], "at_least": 2, "expire_seconds": 2},
     {"name": "both", "kind": "combination", "all": ["yard", "high"]},
     {"name": "pairs", "kind": "combination", "all": ["near", {"not": "high"}], "scope": "pair"},
 ]  # fmt: skip
@@ -57,7 +62,7 @@ def test_when_the_clock_is_looked_at_does_not_matter(cases: int) -> None:
             found += often.send(agent, value, at, at + chance.uniform(0, 0.05))
         seen = [edge for message in messages for edge in never.send(*message)]
         end = messages[-1][2] + 10
-        simple = {"near", "yard", "high", "slow", "fast", "lost", "crowd"}
+        simple = {"near", "yard", "high", "slow", "fast", "lost", "crowd", "few", "close"}
         one = told([edge for edge in [*found, *often.tick(end)] if edge.rule in simple])
         other = told([edge for edge in [*seen, *never.tick(end)] if edge.rule in simple])
         assert one == other, seed

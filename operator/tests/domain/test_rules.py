@@ -192,6 +192,25 @@ def test_members_that_fall_silent_leave_in_the_order_of_their_stamps() -> None:
     assert stage.tick(60) == []
 
 
+def test_who_was_heard_of_last_leaves_last_however_long_he_has_been_there() -> None:
+    agents = ["vehicle-00", "vehicle-01"]
+    stage = RuleStage({**HIGH, "scope": "group", "agents": agents, "expire_seconds": 2})
+    for agent, at in [("vehicle-00", 1), ("vehicle-01", 2), ("vehicle-00", 2.8)]:
+        stage.send(agent, 9, at)
+    assert seconds(stage.send("vehicle-01", 1, 9)) == [(STOP, tuple(agents), 4.8)]
+
+
+def test_a_group_that_somebody_leaves_before_its_event_begins_has_none() -> None:
+    """By the stamps, although by the times of reception the event would have begun before that."""
+    agents = ["vehicle-00", "vehicle-01"]
+    stage = RuleStage({**HIGH, "scope": "group", "agents": agents, "at_least": 2, "expire_seconds": 2,
+                       "sustained_seconds": 1})  # fmt: skip
+    stage.send("vehicle-00", 9, 0.99, 1.05)
+    stage.send("vehicle-01", 9, 2.0, 2.0)
+    assert stage.tick(3.12) == []
+    assert stage.tick(9) == []
+
+
 def test_a_message_that_cannot_be_compared_does_not_hide_what_ended_before_it() -> None:
     stage = RuleStage({**FENCE, "expire_seconds": 30})
     stage.send("vehicle-00", (5, 1, 0), 1)

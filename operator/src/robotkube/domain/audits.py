@@ -63,7 +63,8 @@ class TopicAudit:
     `received = stored + early + duplicates + dropped + waiting`; `stored` counts what was handed to the journal, which
     keeps order: once the database has this audit it has these messages, too, or the journal's own audit says why not.
     `gaps`: what was received and given up; `lacking`: what was never received, as somebody knows. `changed`: there is
-    one that nobody has written down yet.
+    one that nobody has written down yet. `unsettled`: of a topic whose messages go two ways, large and small ones, the
+    first stamp that may not have been handed over yet; None where all go one way, in order.
     """
 
     topic: str
@@ -76,6 +77,7 @@ class TopicAudit:
     gaps: list[Gap] = field(default_factory=list)
     lacking: list[Gap] = field(default_factory=list)
     changed: bool = False
+    unsettled: int | None = None
     _spaces: list[_Space] = field(default_factory=list)
     _joinable: bool = False
     _stamps: array[int] = field(default_factory=lambda: array("q"))
@@ -98,6 +100,12 @@ class TopicAudit:
         self._stamps.append(stamp)
         if len(self._stamps) > STAMPS_KEPT_MAX:
             self._settle_older()
+
+    def unsettle(self, stamp: int, due: bool) -> None:
+        """Messages from this stamp on are not handed over. That it is a later one than before is worth telling when
+        everything is told (`due`)."""
+        if due or self.unsettled is None or stamp < self.unsettled:
+            self.unsettled, self.changed = stamp, True
 
     def leave_out(self) -> None:
         """A message that was received came before the begin."""
@@ -146,6 +154,7 @@ class TopicAudit:
             "early": self.early,
             "duplicates": self.duplicates,
             "dropped": self.dropped,
+            "unsettled": self.unsettled,
             "gaps": [gap.document() for gap in sorted(found, key=lambda gap: (gap.first, gap.last))],
         }
 
@@ -250,11 +259,14 @@ def interruptions(
 
     A writer stores in the order of its stamps, and says what it drops in its next audit: what it lost without a word
     comes after the last stamp that is stored, as far as its last audit had seen any. What is stored beyond that may be
-    of a later writer who was killed before its first audit, and says nothing of this one."""
+    of a later writer who was killed before its first audit, and says nothing of this one. Where messages go two ways,
+    one may be ahead of the other: what is lost comes after what the last audit knew to be settled."""
     found, later = [], dict[str, int]()
     for audit in sorted(audits, key=lambda audit: int(audit["life"]), reverse=True):
         topic, window, until = audit["topic"], audit["window"], later.get(audit["topic"])
-        since = _doubtful(_before(until, stamps.get(topic, ())), window)
+        since = audit.get("unsettled")
+        if since is None:
+            since = _doubtful(_before(until, stamps.get(topic, ())), window)
         if not audit["closed"] and audit["life"] != own_life and since is not None:
             found.append(Interruption(topic, since, until))
         if window:

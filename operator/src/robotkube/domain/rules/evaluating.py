@@ -160,6 +160,8 @@ class Evaluator:
             found += self._pass(end, now) if end is not None and self._ends is not None else []
             found += self._expire(agent, now) if agent in self._seen else []
         found += self._take(self.condition.elapse(now))
+        beginning = self.occurrences.beginning(now) if self._ends is not None else None
+        found += self._pass(beginning, now) if beginning is not None else []
         return found + self.occurrences.elapse(now)
 
     def due(self) -> int | None:
@@ -213,10 +215,10 @@ class Evaluator:
     def _pass(self, stamp: int, received: int) -> list[Edge]:
         """A group has one time: whose silence was too long up to `stamp` has left it before anything later counts, in
         the order of stamps, whoever is heard of and whenever the clock is looked at."""
-        found: list[Edge] = []
-        for (agent,) in self._ends.passed(stamp) if self._ends is not None else ():
-            found += self._expire(agent, received)
-        return found
+        if self._ends is None or not (gone := [agent for (agent,) in self._ends.passed(stamp)]):
+            return []
+        ordered = sorted(gone, key=lambda agent: (self._seen[agent][0], agent))
+        return [edge for agent in ordered for edge in self._expire(agent, received)]
 
     def _expire(self, agent: str, now: int) -> list[Edge]:
         gone = sorted(member for member in self.condition.holding if agent in member)

@@ -95,6 +95,11 @@ class Occurrences:
         group = self.rule.scope == GROUP
         return [agents for agents in self.pending if group or agent in agents] if self.pending else ()
 
+    def beginning(self, now: int) -> int | None:
+        """When the group's event begins by the time alone, if that moment has come on this machine's clock."""
+        moment = self._moment(self._group)
+        return None if moment is None or moment > now else self._beginning(self._states[self._group])
+
     def elapse(self, now: int) -> list[Edge]:
         """The events that begin by the time alone, up to `now` on this machine's clock."""
         found = []

@@ -13,6 +13,9 @@ from robotkube.services.recording.places import RecorderPlace
 
 AUDIT_SECONDS = 5.0
 
+Arrival = tuple[str, int]
+"""Topic and stamp of a message."""
+
 
 class Bookkeeping:
     """`intervals`: topic -> the stamps to look for holes in, asked when the audits are closed."""
@@ -34,6 +37,7 @@ class Bookkeeping:
         self._open_before: dict[str, list[str]] = {}
         self._since: int | None = None
         self._begun_at: dict[str, int] = {}
+        self._ways: tuple[set[str], set[str]] = set(), set()
         self._heard: dict[str, list[Gap]] = {}
         self._known_before: set[str] = set()
 
@@ -105,14 +109,17 @@ class Bookkeeping:
                     if begun.first is not None:
                         self._lack_before(topic, begun.first)
 
-    def tell_changes(self) -> bool:
-        """Write audits with new gaps at once, all of them now and then; whether there were any.
+    def tell_changes(self, small: Iterable[Arrival] = (), large: Iterable[Arrival] = ()) -> bool:
+        """Write audits with new gaps at once, all of them now and then; whether there were any. `small`, `large`: what
+        is not stored yet and goes to the journal, or to a segment first: that there is a topic, what was dropped and
+        what may be overtaken is told before messages are stored.
 
         The first word of a topic is kept although the database is away: without it nobody knew what a kill has cost."""
         now = self._place.monotonic()
         due = now >= self._due_at
         self._due_at = now + AUDIT_SECONDS if due else self._due_at
         with self._lock:
+            self._unsettle(small, large, due)
             new = self._audits.keys() - self._told
             changed = new | {name for name, audit in self._audits.items() if due or audit.changed}
         if changed:
@@ -137,6 +144,17 @@ class Bookkeeping:
         if audit is None:
             audit = self._audits[topic] = TopicAudit(topic)
         return audit
+
+    def _unsettle(self, small: Iterable[Arrival], large: Iterable[Arrival], due: bool) -> None:
+        """What goes one way may be stored before what goes the other way, whatever their stamps are."""
+        first: dict[str, int] = {}
+        for topics, arrivals in zip(self._ways, (small, large), strict=True):
+            for topic, stamp in arrivals:
+                topics.add(topic)
+                first[topic] = min(first.get(topic, stamp), stamp)
+        for topic in set.intersection(*self._ways):
+            audit = self._of(topic)
+            audit.unsettle(first.get(topic, (audit.last or 0) + 1), due)
 
     def _hear(self, audit: TopicAudit, gap: Gap) -> None:
         """Note a gap unless it was over before the recording had anything of the topic."""

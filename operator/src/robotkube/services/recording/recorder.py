@@ -18,6 +18,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 from robotkube.domain.audits import QUEUE, VOLUME, Gap, Interval
@@ -36,7 +37,7 @@ from robotkube.domain.recordings import (
     bucket_documents,
     messages_of,
 )
-from robotkube.services.recording.bookkeeping import Bookkeeping
+from robotkube.services.recording.bookkeeping import Arrival, Bookkeeping
 from robotkube.services.recording.counts import RecorderCounts
 from robotkube.services.recording.journal import NO_SPACE, Journal
 from robotkube.services.recording.places import BOUNDS, ROUND_SECONDS, RecorderPlace, RecordingBounds
@@ -45,11 +46,12 @@ from robotkube.services.recording.repairing import index_write, segment_begun, s
 if TYPE_CHECKING:
     from robotkube.ports.recordings import RecordingStore, Segments
 
-BATCH_BYTES = 4 * 1024 * 1024
-BATCH_BYTES_MAX = 128 * 1024 * 1024
+BATCH_BYTES, BATCH_BYTES_MAX = 4 * 1024 * 1024, 128 * 1024 * 1024
 SETTLED_BYTES_PER_ROUND = 16 * 1024 * 1024
 BEGIN_SECONDS_MAX = 3.0
 KNOWN_SECONDS_MAX, PRIOR_SECONDS_MAX = 5.0, 2.0
+
+_arrival: Callable[[_Offer], Arrival] = attrgetter("topic", "stamp")
 
 log = logging.getLogger(__name__)
 
@@ -304,7 +306,7 @@ class Recorder:
         small = self._take()
         if self._books:
             self._begin()
-        self._books.tell_changes()  # that there is a topic, and what was dropped, is told before messages are stored
+        self._books.tell_changes(map(_arrival, small), [_arrival(large.offer) for large in self._large])
         large = self._begin_large()
         self._store_small(small)  # beside the writing of the large ones
         self._end_large(large)
@@ -330,8 +332,7 @@ class Recorder:
 
     def _take(self) -> list[_Offer]:
         """Empty the queue: large messages join those that the volume has not taken yet, small ones are returned."""
-        small = []
-        taken = 0
+        small, taken = list[_Offer](), 0
         while self._queue and taken < BATCH_BYTES_MAX:
             offer = self._queue.popleft()
             taken += len(offer.data)
@@ -413,7 +414,7 @@ class Recorder:
         chosen: list[_Large] = []
         seen: dict[tuple[str, int], _Large] = {}
         for large in self._large:
-            key = large.offer.topic, large.offer.stamp
+            key = _arrival(large.offer)
             if key in seen or not (large.admitted or self._duplicates.fresh(*key)):
                 if key in seen:
                     self._admit(seen[key])
@@ -489,10 +490,9 @@ class Recorder:
             document = {"recording": self.recording, **self._document, "started": self.life}
         begun = {**document, "volumes": [self._place.volume], "ended": None}
         again = {"ended": None, **{name: document[name] for name in ("causes",) if name in document}}
-        volumes = {"volumes": self._place.volume}
         self._journal.add([
             Write(RECORDINGS, self.recording, begun, size=1000),
-            Write(RECORDINGS, self.recording, again, update=True, size=200, add=volumes),
+            Write(RECORDINGS, self.recording, again, update=True, size=200, add={"volumes": self._place.volume}),
         ])  # fmt: skip
 
 
