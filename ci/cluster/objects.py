@@ -77,29 +77,41 @@ def _storage_class() -> tuple[str, dict[str, Any]]:
 
 
 def _rights() -> list[tuple[str, dict[str, Any]]]:
+    """Of the name service, of the API server at the kubelets, and of kubelets to see claims and volumes.
+
+    The node authorizer gives them those of their pods, but learns of a pod later than its kubelet may: that one then
+    gives the pod up for 10 to 15 s. What a claim or a volume says is no secret."""
     names = [
         {"apiGroups": [""], "resources": ["services", "namespaces"], "verbs": ["list", "watch"]},
         {"apiGroups": ["discovery.k8s.io"], "resources": ["endpointslices"], "verbs": ["list", "watch"]},
     ]
-    role = {
-        "apiVersion": "rbac.authorization.k8s.io/v1",
-        "kind": "ClusterRole",
-        "metadata": {"name": "robotkube:name-service"},
-        "rules": names,
-    }
+    claims = [{"apiGroups": [""], "resources": ["persistentvolumeclaims", "persistentvolumes"], "verbs": ["get"]}]
     return [
-        (f"{RBAC}/clusterroles/robotkube:name-service", role),
+        _role("robotkube:name-service", names),
         _binding("robotkube:name-service", "robotkube:name-service"),
         _binding("robotkube:kubelet-client", "system:kubelet-api-admin"),
+        _role("robotkube:node-volumes", claims),
+        _binding("system:nodes", "robotkube:node-volumes", "Group"),
     ]
 
 
-def _binding(user: str, role: str) -> tuple[str, dict[str, Any]]:
+def _role(name: str, rules: list[dict[str, Any]]) -> tuple[str, dict[str, Any]]:
+    manifest = {
+        "apiVersion": "rbac.authorization.k8s.io/v1",
+        "kind": "ClusterRole",
+        "metadata": {"name": name},
+        "rules": rules,
+    }
+    return f"{RBAC}/clusterroles/{name}", manifest
+
+
+def _binding(subject: str, role: str, kind: str = "User") -> tuple[str, dict[str, Any]]:
+    name = subject if kind == "User" else role
     manifest = {
         "apiVersion": "rbac.authorization.k8s.io/v1",
         "kind": "ClusterRoleBinding",
-        "metadata": {"name": user},
+        "metadata": {"name": name},
         "roleRef": {"apiGroup": "rbac.authorization.k8s.io", "kind": "ClusterRole", "name": role},
-        "subjects": [{"apiGroup": "rbac.authorization.k8s.io", "kind": "User", "name": user}],
+        "subjects": [{"apiGroup": "rbac.authorization.k8s.io", "kind": kind, "name": subject}],
     }
-    return f"{RBAC}/clusterrolebindings/{user}", manifest
+    return f"{RBAC}/clusterrolebindings/{name}", manifest
