@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -148,6 +149,9 @@ def test_values_and_settings_of_the_earlier_version_are_still_read(
         APPS[chart](yaml.safe_load(found.one("ConfigMap", chart)["data"]["config.yaml"]), chart)
         for found in (earlier, later)
     )
+    if chart == "mqtt-bridge":
+        assert newer.publish_gaps, "the later one tells of gaps by itself"
+        newer = replace(newer, publish_gaps=False)
     assert older == newer
     packed = [pack(CHARTS / folder / chart, {"ros": "x@sha256:" + "5" * 64}) for folder in ("apps", "earlier")]
     assert [one.version for one in packed] == ["0.2.0", "0.1.0"]

@@ -119,6 +119,8 @@ class PymongoRecordingStore:
     def known(self, recording: str) -> Iterable[tuple[str, int, str]]:
         """Topic, stamp, SHA-256 of every stored message of the recording."""
         with _translated(f"reading recording {recording}"):
+            if self._database[RECORDINGS].find_one({"_id": recording}, {"_id": 1}) is None:
+                return  # it is written before all else; not every server finds the rest without reading everything
             fields = {"topic": 1, "samples.stamp": 1, "samples.sha256": 1}
             for bucket in self._database[SAMPLES].find({"recording": recording}, fields):
                 for sample in bucket["samples"]:
