@@ -30,7 +30,7 @@ LINK = re.compile(r"(?<!!)\[[^\]]*\]\(([^)\s]+)\)")
 HEADING = re.compile(r"^#{1,6} +(.+?) *$", re.MULTILINE)
 CODE = re.compile(r"```.*?```|`[^`\n]+`", re.DOTALL)
 MAKE = re.compile(r"\bmake ([a-z][a-z-]*)")
-COMMAND = re.compile(r"(?:\brobotkube|robotkube\.entrypoints\.cli) ([a-z]+) ([a-z]+)\b")
+COMMAND = re.compile(r"(?:(?<!-n )\brobotkube|robotkube\.entrypoints\.cli) ([a-z]+) ([a-z]+)\b")
 MODULE = re.compile(r"-m ((?:ci|scenarios|robotkube)(?:\.\w+)+)(?![.\w])")
 
 
