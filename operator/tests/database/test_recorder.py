@@ -265,7 +265,8 @@ def test_a_claim_that_refuses_loses_nothing_once_it_takes_again(bench: Bench, mo
     full.set()
     bench.second(recorder, 1)
     until(lambda: refused >= 3)
-    assert recorder.counts()["documents"] == 200, "documents do not wait for the volume"
+    until(lambda: recorder.counts()["documents"] == 200)  # documents do not wait for the volume
+    assert recorder.counts()["segments"] == 10
     full.clear()
     assert recorder.stop(8.0)
     bench.assert_complete(2)

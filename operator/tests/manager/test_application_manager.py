@@ -20,6 +20,7 @@ from robotkube.services.application_manager import (
     SAID_SECONDS,
     TASKS,
 )
+from robotkube.services.looking_around import LOOK_SECONDS, LOOK_SECONDS_BUSY
 from robotkube.services.manager_decisions import VERDICT_SECONDS_MAX
 from robotkube.services.manager_observing import ASK_SECONDS, OBSERVE_SECONDS_MAX
 
@@ -339,6 +340,17 @@ def test_main_is_not_fetched_for_what_is_known_of_it(stage: Stage) -> None:
     stage.manager.wake(DEPLOYMENT, stage.repository.push({"README.md": "by hand\n"}))
     stage.manager.step()
     assert stage.repository.fetches == fetches + 1
+
+
+def test_nobody_looks_around_while_plan_follows_plan(stage: Stage) -> None:
+    stage.settle()
+    looks, began = stage.catalogue.fetches, stage.seconds
+    while stage.seconds - began < 2 * LOOK_SECONDS_BUSY:
+        stage.ask() if "cloud-0/meeting" not in stage.tasks.objects else stage.tasks.delete("cloud-0/meeting")
+        stage.go(steps=2, seconds=0.25)
+    assert stage.catalogue.fetches == looks + 2
+    stage.go(steps=2, seconds=LOOK_SECONDS)
+    assert stage.catalogue.fetches > looks + 2
 
 
 def test_a_proposal_that_waits_is_looked_after_by_the_second_and_not_for_every_task(stage: Stage) -> None:

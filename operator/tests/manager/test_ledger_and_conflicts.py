@@ -12,7 +12,7 @@ from robotkube.domain.capacities import Resources
 from robotkube.domain.composition import Met, Refused
 from robotkube.domain.ledger import moment
 from robotkube.domain.tasks import RENEWED_ANNOTATION
-from robotkube.services.application_manager import LOOK_SECONDS
+from robotkube.services.looking_around import LOOK_SECONDS
 
 FIRST, SECOND, THIRD = ("vehicle-00", "vehicle-01"), ("vehicle-01", "vehicle-02"), ("vehicle-00", "vehicle-02")
 

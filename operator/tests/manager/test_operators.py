@@ -15,8 +15,9 @@ from robotkube.domain.holds import Hold
 from robotkube.domain.placement import Agent, NodeState
 from robotkube.domain.scopes import Operators, Scope
 from robotkube.ports.doors import DoorMessage
-from robotkube.services.application_manager import DEPLOYMENT, LOOK_SECONDS, NODES
+from robotkube.services.application_manager import DEPLOYMENT, NODES
 from robotkube.services.device_holds import DeviceHolds
+from robotkube.services.looking_around import LOOK_SECONDS
 from robotkube.services.manager_agents import TOLD_AT_ONCE_MAX
 from robotkube.services.manager_upkeep import ORPHAN_SECONDS
 from robotkube.services.task_doors import TaskDoor

@@ -14,13 +14,8 @@ from robotkube.domain.edits import PATH as EDITS_PATH
 from robotkube.domain.planning import Plan
 from robotkube.domain.proposals import REPAIR, REVERT, CommitMessage, read_message, write_message
 from robotkube.domain.releases import write_release
-from robotkube.services.application_manager import (
-    ATTEMPTS_MAX,
-    DEPLOYMENT,
-    LOOK_SECONDS,
-    MAIN_SECONDS,
-    QUIET_SECONDS,
-)
+from robotkube.services.application_manager import ATTEMPTS_MAX, DEPLOYMENT, MAIN_SECONDS
+from robotkube.services.looking_around import LOOK_SECONDS, QUIET_SECONDS
 
 BRIDGE = "releases/vehicle-00/mqtt-bridge.yaml"
 

@@ -25,6 +25,7 @@ from robotkube.ports.forges import Forge
 from robotkube.ports.git import DeploymentRepository, Proposals
 from robotkube.ports.leadership import Leadership
 from robotkube.services.assured_catalogue import AssuredCatalogue, read_policy
+from robotkube.services.looking_around import LOOK_SECONDS, is_quiet, look_is_due
 from robotkube.services.main_history import Terms
 from robotkube.services.manager_decisions import Decisions, Proposal
 from robotkube.services.manager_leading import OpenProposals, asked_for, superseded
@@ -43,9 +44,7 @@ DECISION_EAGER_SECONDS = 5.0
 DECISION_POLL_SECONDS_LATER = 2.0
 ATTEMPTS_MAX = 10  # how often a plan is built again at once; then its tasks are told, and it is tried again later
 PAUSE_SECONDS = 5.0
-LOOK_SECONDS = 10.0
 MAIN_SECONDS = 5.0  # a file broken by hand is named within 10 s, also when the forge's delivery is lost
-QUIET_SECONDS = 1.0  # nothing was planned for so long: time to tell what was observed
 STANDBY_SECONDS = 0.5
 OBSERVE_POLL_SECONDS = 1.0
 FAILURE_SECONDS = 1.0
@@ -208,7 +207,7 @@ class ApplicationManager:
         with self._lock:
             flags, self._flags = self._flags, set()
             told, self._told_tip = self._told_tip, ""
-        if self._monotonic() - self._looked_at >= LOOK_SECONDS:
+        if look_is_due(self._monotonic() - self._looked_at, self._idle_seconds()):
             flags |= {TASKS, DEPLOYMENT, CATALOGUE}
             self._looked_at = self._monotonic()
         if self._seconds_until_due() <= 0:
@@ -231,17 +230,21 @@ class ApplicationManager:
         for record in self._observer.given_up():
             self.statistics.plan(record, "unobserved")
         self._statuses.write(self._situation())
-        if self._proposal is None and self._monotonic() - self._planned_at > QUIET_SECONDS:
+        if is_quiet(self._idle_seconds()):
             self._telling.tell_one()
         self.statistics.step()
         return self._pause()
+
+    def _idle_seconds(self) -> float:
+        """Since the forge had work with a plan of this manager."""
+        return 0.0 if self._proposal is not None else self._monotonic() - self._planned_at
 
     def _decision_is_due(self, flags: set[str]) -> bool:
         """Whether it is looked for although nobody has told of one. Not for every task or node that changes meanwhile:
         the forge has enough to do for the gate. Before a proposal is closed it is."""
         if self._proposal is None:
             return False
-        late = self._monotonic() - self._main_looked_at >= DECISION_POLL_SECONDS
+        late = self._monotonic() - max(self._main_looked_at, self._proposal.since) >= DECISION_POLL_SECONDS
         return late or (TASKS in flags and superseded(self._proposal.asked, self._world.tasks.tasks()))
 
     def _stand_by(self) -> float:

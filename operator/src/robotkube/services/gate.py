@@ -27,9 +27,9 @@ from robotkube.ports.git import Commit, MainBranch
 from robotkube.services.assured_catalogue import AssuredCatalogue
 from robotkube.services.gate_handed import Handed
 from robotkube.services.gate_rules import GateSettings, RuleBook
+from robotkube.services.looking_around import LOOK_SECONDS, look_is_due
 
 POLL_SECONDS = 2.0  # open pull requests, when no webhook came for so long
-LOOK_SECONDS = 10.0  # main's tip, the catalogue and approvals, when no webhook came
 SILENT_SECONDS_MAX = 30.0  # not ready when the forge was not seen for longer
 HINTS_MAX = 100
 VERDICTS = ("accepted", "refused", "stale", "checked", "failed")
@@ -147,15 +147,17 @@ class Gate:
 
     def run(self, stopping: threading.Event) -> None:
         """Rounds until `stopping` is set; errors of the world are logged and met again in the next round."""
-        looked_at = listed_at = self._monotonic() - LOOK_SECONDS
+        looked_at = listed_at = answered_at = self._monotonic() - LOOK_SECONDS
         while not stopping.is_set():
             self._woken.clear()
-            look = self._look_due or self._monotonic() - looked_at >= LOOK_SECONDS
             try:
                 if self.answer_hints():
-                    listed_at = self._monotonic()  # deliveries arrive; asking for a list would only delay the next one
-                if look or self._monotonic() - listed_at >= POLL_SECONDS:
-                    self._look_due, listed_at = False, self._monotonic()
+                    # deliveries arrive; asking for a list would only delay the next one
+                    listed_at = answered_at = self._monotonic()
+                now = self._monotonic()
+                look = self._look_due or look_is_due(now - looked_at, now - answered_at)
+                if look or now - listed_at >= POLL_SECONDS:
+                    self._look_due, listed_at = False, now
                     looked_at = listed_at if look else looked_at
                     self.round(look)
             except RobotKubeError as error:
