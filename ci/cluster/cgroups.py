@@ -3,7 +3,11 @@
     /robotkube-<cluster>/daemons/<process>   the processes of the cluster itself
     /robotkube-<cluster>/<node>/...          kubelet's cgroupRoot, with the pods below
 
-On version 1 the daemons are put into the accounting hierarchy only; the others stay as the caller has them.
+On version 1 the daemons are put into the hierarchies of processor time only; the others stay as the caller has them.
+
+All machines of the cluster share the processors of one. Left to themselves a thread of any daemon weighs as much as all
+pods together, and each kubelet reads the open files of all that stand in the root folder. So everything has a folder
+and a weight here (100 is an ordinary one): what all machines wait for goes first.
 """
 
 from __future__ import annotations
@@ -15,6 +19,9 @@ from pathlib import Path
 
 ROOT = Path("/sys/fs/cgroup")
 ACCOUNTING = "cpuacct"
+TIME_V1 = (ACCOUNTING, "cpu")
+SHARES_OF_100 = 1024  # version 1 writes a weight of 100 like that
+TOP_WEIGHT = DAEMONS_WEIGHT = 800
 CPUSET_FILES = ("cpuset.cpus", "cpuset.mems")
 REMOVAL_ATTEMPTS = 50
 REMOVAL_PAUSE_SECONDS = 0.1
@@ -38,15 +45,22 @@ def top(cluster: str) -> str:
     return f"robotkube-{cluster}"
 
 
-def daemon_folder(cluster: str, process: str) -> Path:
-    """The folder a daemon joins, made if it is not there."""
-    base = ROOT if unified() else (ROOT / ACCOUNTING).resolve()
-    folder = base / top(cluster) / "daemons" / process
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder
+def daemon_folders(cluster: str, process: str, weight: int | None = None) -> tuple[Path, ...]:
+    """The folders a daemon joins, made if they are not there. `weight` among the daemons; None: as it is."""
+    bases = (ROOT,) if unified() else tuple(sorted({(ROOT / name).resolve() for name in TIME_V1}))
+    found = []
+    for base in bases:
+        folder = base / top(cluster) / "daemons" / process
+        folder.mkdir(parents=True, exist_ok=True)
+        _weigh(base / top(cluster), TOP_WEIGHT)
+        _weigh(folder.parent, DAEMONS_WEIGHT)
+        if weight is not None:
+            _weigh(folder, weight)
+        found.append(folder)
+    return tuple(found)
 
 
-def node_root(cluster: str, node: str) -> str:
+def node_root(cluster: str, node: str, weight: int) -> str:
     """Make a node's folder in every hierarchy; returns it as kubelet's cgroupRoot. cpusets begin empty on version 1."""
     for hierarchy in hierarchies():
         folder = hierarchy
@@ -56,7 +70,15 @@ def node_root(cluster: str, node: str) -> str:
             folder = folder / part
             folder.mkdir(exist_ok=True)
             _inherit_cpuset(hierarchy, folder)
+        _weigh(folder, weight)
     return f"/{top(cluster)}/{node}"
+
+
+def _weigh(folder: Path, weight: int) -> None:
+    """Where the folder has a say in processor time."""
+    for name, value in (("cpu.weight", weight), ("cpu.shares", weight * SHARES_OF_100 // 100)):
+        if (folder / name).exists():
+            (folder / name).write_text(str(value))
 
 
 def _inherit_cpuset(hierarchy: Path, folder: Path) -> None:

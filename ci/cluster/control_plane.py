@@ -7,6 +7,7 @@ from ci.cluster.pki import Authority, control_plane_identities
 from ci.cluster.processes import Launcher, Process
 from ci.cluster.records import ClusterFolders
 
+WEIGHT = 400  # among the daemons: every node waits for these
 KUBECONFIGS = {
     "admin": "kubeconfig",
     "controller-manager": "controller-manager.kubeconfig",
@@ -41,12 +42,12 @@ def start_etcd(launcher: Launcher, plan: AddressPlan) -> Process:
     ]
     command += [f"--cert-file={pki / 'etcd.crt'}", f"--key-file={pki / 'etcd.key'}"]
     command += ["--client-cert-auth", f"--trusted-ca-file={pki / 'etcd-ca.crt'}"]
-    return launcher.start("etcd", command)
+    return launcher.start("etcd", command, weight=WEIGHT)
 
 
 def start_api_server(launcher: Launcher, plan: AddressPlan) -> Process:
     """The API server; Node and RBAC authorization, no anonymous access."""
-    return launcher.start("kube-apiserver", api_server_command(plan, launcher.folders))
+    return launcher.start("kube-apiserver", api_server_command(plan, launcher.folders), weight=WEIGHT)
 
 
 def api_server_command(plan: AddressPlan, folders: ClusterFolders) -> list[str]:
@@ -100,8 +101,8 @@ def start_controllers(launcher: Launcher, plan: AddressPlan) -> tuple[Process, P
         "--secure-port=0",
     ]
     return (
-        launcher.start("kube-controller-manager", manager),
-        launcher.start("kube-scheduler", scheduler),
+        launcher.start("kube-controller-manager", manager, weight=WEIGHT),
+        launcher.start("kube-scheduler", scheduler, weight=WEIGHT),
     )
 
 
@@ -109,7 +110,7 @@ def start_name_service(launcher: Launcher, plan: AddressPlan) -> Process:
     """CoreDNS on the gateway: one process of the host serves all nodes, so no pod waits for a pod."""
     corefile = launcher.folders.base / "Corefile"
     corefile.write_text(_corefile(plan, launcher.folders), encoding="utf-8")
-    return launcher.start("name-service", ["coredns", "-conf", str(corefile)])
+    return launcher.start("name-service", ["coredns", "-conf", str(corefile)], weight=WEIGHT)
 
 
 def _corefile(plan: AddressPlan, folders: ClusterFolders) -> str:

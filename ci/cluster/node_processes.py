@@ -67,6 +67,11 @@ class Node:
         return self.folders.node(self.name)
 
     @property
+    def daemon_weight(self) -> int:
+        """Of each of its daemons, among those of the cluster."""
+        return self.spec.weight // 4
+
+    @property
     def held(self) -> Path:
         """Exists as soon as the node's namespaces are ready."""
         return self.folder / "held"
@@ -108,7 +113,9 @@ def start_containerd(node: Node, launcher: Launcher, holder: Process, sandbox: s
     )
     configuration.write_text(settings.toml(), encoding="utf-8")
     command = ["containerd", "--config", str(configuration)]
-    return launcher.start(f"{node.name}.containerd", command, inside(holder), containerd.ENVIRONMENT)
+    return launcher.start(
+        f"{node.name}.containerd", command, inside(holder), containerd.ENVIRONMENT, node.daemon_weight
+    )
 
 
 def socket_of(holder: Process) -> Path:
@@ -139,7 +146,7 @@ def write_credentials(node: Node, authority: Authority) -> None:
 def start_kubelet(node: Node, launcher: Launcher, holder: Process) -> Process:
     """Start kubelet; it registers the node with its labels and taints."""
     configuration = node.folder / "kubelet.yaml"
-    root = cgroups.node_root(node.folders.name, node.name)
+    root = cgroups.node_root(node.folders.name, node.name, node.spec.weight)
     configuration.write_text(json.dumps(_kubelet(node, root), indent=1), encoding="utf-8")
     (node.folder / "resolv.conf").write_text(f"nameserver {node.plan.gateway}\n", encoding="utf-8")
     labels = ",".join(f"{key}={value}" for key, value in node.spec.labels.items())
@@ -154,7 +161,7 @@ def start_kubelet(node: Node, launcher: Launcher, holder: Process) -> Process:
         f"--housekeeping-interval={HOUSEKEEPING_SECONDS}s",
         "--v=1",
     ]
-    return launcher.start(f"{node.name}.kubelet", command, inside(holder))
+    return launcher.start(f"{node.name}.kubelet", command, inside(holder), weight=node.daemon_weight)
 
 
 def _kubelet(node: Node, cgroup_root: str) -> dict[str, Any]:
@@ -218,7 +225,8 @@ def start_proxy(node: Node, launcher: Launcher, holder: Process) -> Process:
     """Start kube-proxy, which makes the Services' addresses work in the node's network namespace."""
     configuration = node.folder / "kube-proxy.yaml"
     configuration.write_text(json.dumps(_proxy(node), indent=1), encoding="utf-8")
-    return launcher.start(f"{node.name}.kube-proxy", ["kube-proxy", f"--config={configuration}"], inside(holder))
+    command = ["kube-proxy", f"--config={configuration}"]
+    return launcher.start(f"{node.name}.kube-proxy", command, inside(holder), weight=node.daemon_weight)
 
 
 def _proxy(node: Node) -> dict[str, Any]:

@@ -25,7 +25,7 @@ LOG_LINES = 15
 KILL_TIMEOUT_SECONDS = 20
 PAUSE_SECONDS = 0.05
 SEARCH_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
-JOIN = 'echo $$ > "$1/cgroup.procs" && shift && exec "$@"'
+JOIN = 'for folder in $1; do echo $$ > "$folder/cgroup.procs" || exit 1; done; shift; exec "$@"'
 # The daemon becomes a child of init, not of whoever starts the cluster; `setsid` does not fork here, so $! is its pid.
 DETACH = 'log=$1; shift; setsid "$@" < /dev/null >> "$log" 2>&1 & echo $!'
 START_TIMEOUT_SECONDS = 10
@@ -76,15 +76,17 @@ class Launcher:
         command: Sequence[str],
         prefix: Sequence[str] = (),
         environment: Mapping[str, str] | None = None,
+        weight: int | None = None,
     ) -> Process:
-        """Start `command` (its first word below `binaries` if it has no slash) through `prefix` (nsenter ...)."""
+        """Start `command` (its first word below `binaries` if it has no slash) through `prefix` (nsenter ...).
+        `weight`: see `cgroups`; None: that of an earlier start."""
         program = command[0] if "/" in command[0] else str(self.binaries / command[0])
-        group = cgroups.daemon_folder(self.folders.name, name)
+        groups = " ".join(map(str, cgroups.daemon_folders(self.folders.name, name, weight)))
         log = self.folders.log / f"{name}.log"
         for folder in (self.folders.log, self.folders.processes):
             folder.mkdir(parents=True, exist_ok=True)
         words = [*prefix, program, *command[1:]]
-        pid = self._detached(["/bin/sh", "-c", JOIN, "join", str(group), *words], log, environment or {})
+        pid = self._detached(["/bin/sh", "-c", JOIN, "join", groups, *words], log, environment or {})
         process = Process(name, pid, start_ticks(pid) or 0, tuple(words), str(log))
         write_atomically(self.folders.processes / f"{name}.json", json.dumps(asdict(process)))
         return process

@@ -24,6 +24,10 @@ MEMORY_UNITS = {"Ki": 2**10, "Mi": 2**20, "Gi": 2**30}
 MEMORY_MINIMUM_BYTES = 256 * 2**20
 NODE_KEYS = {"name", "count", "role", "agent", "capacity", "capabilities"}
 
+# In the world each of them is a machine of its own. Where all share one, all wait for the platform, and then the cloud.
+WEIGHTS = {"platform": 800, "cloud": 400}
+WEIGHT = 100
+
 
 @dataclass(frozen=True)
 class NodeSpec:
@@ -35,6 +39,11 @@ class NodeSpec:
     cpu_millicores: int
     memory_bytes: int
     capabilities: tuple[str, ...]
+
+    @property
+    def weight(self) -> int:
+        """Of its pods, when nodes want more processor time than there is."""
+        return WEIGHTS.get(self.role, WEIGHT)
 
     @property
     def labels(self) -> dict[str, str]:
