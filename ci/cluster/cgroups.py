@@ -21,7 +21,7 @@ ROOT = Path("/sys/fs/cgroup")
 ACCOUNTING = "cpuacct"
 TIME_V1 = (ACCOUNTING, "cpu")
 SHARES_OF_100 = 1024  # version 1 writes a weight of 100 like that
-TOP_WEIGHT = DAEMONS_WEIGHT = 800
+TOP_WEIGHT, DAEMONS_WEIGHT = 800, 400
 CPUSET_FILES = ("cpuset.cpus", "cpuset.mems")
 REMOVAL_ATTEMPTS = 50
 REMOVAL_PAUSE_SECONDS = 0.1

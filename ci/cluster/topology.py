@@ -24,8 +24,8 @@ MEMORY_UNITS = {"Ki": 2**10, "Mi": 2**20, "Gi": 2**30}
 MEMORY_MINIMUM_BYTES = 256 * 2**20
 NODE_KEYS = {"name", "count", "role", "agent", "capacity", "capabilities"}
 
-# In the world each of them is a machine of its own. Where all share one, all wait for the platform, and then the cloud.
-WEIGHTS = {"platform": 800, "cloud": 400}
+# In the world each of them is a machine of its own. Where all share one, all vehicles wait for these.
+WEIGHTS = {"platform": 400, "cloud": 400}
 WEIGHT = 100
 
 

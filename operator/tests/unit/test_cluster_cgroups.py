@@ -48,7 +48,8 @@ def test_a_daemon_is_where_its_time_is_counted_and_where_it_is_weighed(first_ver
     assert {folder.relative_to(first_version).parts[0] for folder in found} == {"cpu", "cpuacct"}
     assert all(folder.is_dir() for folder in found)
     assert shares(first_version, "daemons/etcd") == 4096
-    assert shares(first_version, ".") == shares(first_version, "daemons") == 8192
+    assert shares(first_version, ".") == cgroups.TOP_WEIGHT * 1024 // 100
+    assert shares(first_version, "daemons") == cgroups.DAEMONS_WEIGHT * 1024 // 100
 
 
 def test_a_daemon_that_is_started_again_keeps_its_weight(first_version: Path) -> None:
