@@ -25,7 +25,7 @@ MEMORY_MINIMUM_BYTES = 256 * 2**20
 NODE_KEYS = {"name", "count", "role", "agent", "capacity", "capabilities"}
 
 # In the world each of them is a machine of its own. Where all share one, all vehicles wait for these.
-WEIGHTS = {"platform": 400, "cloud": 400}
+WEIGHTS = {"platform": 250, "cloud": 400}
 WEIGHT = 100
 
 
