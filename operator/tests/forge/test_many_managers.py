@@ -104,7 +104,7 @@ class Running:
         """So many tasks one after the other, each withdrawn when its plan is on main: two plans each."""
         cloud, vehicle = self.agents
         for number in range(pairs):
-            key = f"{cloud}/task-{number}"
+            key = f"{cloud}/task-{number}-of-{pairs}"  # a name of an earlier run would count as withdrawn at once
             event = {"rule": "near", "id": f"e{number}", "trace": f"{number:032x}", "time": "2026-11-21T10:00:00Z"}
             spec = {"requester": self.name, "event": event, "application": "pose-point-cloud-recording"}
             self.tasks.create(cloud, key.partition("/")[2], {**spec, "parameters": {"vehicles": [vehicle]}})
@@ -177,8 +177,8 @@ def test_all_plans_of_three_managers_are_merged_exactly_once(
     for one in managers:
         mine = [(verb, tasks) for plan, name, (verb, tasks) in made if name == one.name and tasks]
         cloud = one.agents[0]
-        wanted = [("deploy", (f"{cloud}/task-{n}",)) for n in range(plans // 2)]
-        gone = [("withdraw", (f"{cloud}/task-{n}",)) for n in range(plans // 2)]
+        wanted = [("deploy", (f"{cloud}/task-{n}-of-{plans // 2}",)) for n in range(plans // 2)]
+        gone = [("withdraw", (f"{cloud}/task-{n}-of-{plans // 2}",)) for n in range(plans // 2)]
         assert mine[-plans:] == [step for pair in zip(wanted, gone, strict=True) for step in pair]
         assert one.manager.statistics.plans["refused"] == 0
 
