@@ -157,8 +157,9 @@ class Gate:
                 now = self._monotonic()
                 look = self._look_due or look_is_due(now - looked_at, now - answered_at)
                 if look or now - listed_at >= POLL_SECONDS:
-                    self._look_due, listed_at = False, now
-                    looked_at = listed_at if look else looked_at
+                    listed_at = now
+                    if look:  # a push that is told in this very moment is not for a round that only lists
+                        self._look_due, looked_at = False, now
                     self.round(look)
             except RobotKubeError as error:
                 log.error("round failed reason=%s", error)
