@@ -151,6 +151,8 @@ def template(text: str) -> tuple[str, str]:
 
 MORE = "\n---\napiVersion: v1\nkind: Secret\nmetadata: {name: account}\n"
 TIME = '(dict "root" .)) | replace "replicas: 1" (printf "replicas: %s" (randNumeric 9)) }}'
+NO_PLAN = '(dict "root" .)) | replace "robotkube.io/plan" "example.org/plan" }}'
+OTHER_PLAN = '(dict "root" .)) | replace "robotkube.io/plan: \\"" "robotkube.io/plan: \\"x" }}'
 PLAN = '(dict "root" .)) | replace "replicas: 1" (printf "replicas: %v" (.Values.global | default dict | len)) }}'
 
 
@@ -161,6 +163,8 @@ PLAN = '(dict "root" .)) | replace "replicas: 1" (printf "replicas: %v" (.Values
         ("templates/deployment.yaml", template(MORE), "names", "is not named as the release"),
         ("templates/deployment.yaml", ('(dict "root" .)) }}', TIME), "renders-the-same-twice", "set first: two"),
         ("templates/deployment.yaml", ('(dict "root" .)) }}', PLAN), "plan", "every plan would restart pods"),
+        ("templates/configmap.yaml", ('(dict "root" .)) }}', NO_PLAN), "plan", "nothing says whose plan runs"),
+        ("templates/configmap.yaml", ('(dict "root" .)) }}', OTHER_PLAN), "plan", "annotation robotkube.io/plan is 'x"),
         ("templates/_app.tpl", ("serviceAccount: application", "serviceAccount: admin"), "service-account", "is admin"),
         ("templates/_app.tpl", ("image: ros", "image: rose"), "renders", "no image. Pack the chart with images.yaml"),
         ("values.yaml", ("limits: {memory: 256Mi}", "limits: {}"), "resources", "resources.limits.memory is missing"),

@@ -25,7 +25,7 @@ TOP = Path(__file__).resolve().parents[3]
 CHART = "mqtt-bridge"
 ENTRY = yaml.safe_load((TOP / "registry" / "charts" / CHART / "0.2.0.yaml").read_text(encoding="utf-8"))
 IMAGES = {"ros": "forge.robotkube.svc.cluster.local:3000/robotkube/ros@sha256:" + "0" * 64}
-RULE = SuiteRule("static", "1", 60)
+RULE = SuiteRule("static", "2", 60)
 
 
 @pytest.fixture

@@ -15,6 +15,9 @@ apiVersion: v1
 kind: ConfigMap
 metadata:
 {{ include "robotkube-app.metadata" .root | indent 2 }}
+  {{- with dig "plan" "" (.root.Values.global | default dict) }}
+  annotations: {robotkube.io/plan: {{ . | quote }}}     # here alone: a plan that leaves the pod as it is writes no Deployment
+  {{- end }}
 data:
   config.yaml: |
     {{- toYaml .config | nindent 4 }}
@@ -30,13 +33,9 @@ data:
   {{- end }}
 {{- end }}
 
-{{- /* The plan stands here and never in a pod template, where it would restart the pod with every plan. */ -}}
 {{- define "robotkube-app.metadata" -}}
 name: {{ .Release.Name }}
 labels: {{- include "robotkube-app.labels" . | nindent 2 }}
-{{- with dig "plan" "" (.Values.global | default dict) }}
-annotations: {robotkube.io/plan: {{ . | quote }}}
-{{- end }}
 {{- end }}
 
 {{- define "robotkube-app.labels" -}}

@@ -218,18 +218,25 @@ def strategy_advice(renderings: Sequence[Rendering]) -> Check:
 
 
 def plan_problems(without: Rendering, planned: Rendering, plan: str) -> list[str]:
-    """`planned` was rendered with `global.plan`: only annotations of the objects themselves may differ."""
+    """`planned` was rendered with `global.plan`: only annotations of the objects themselves may differ, and one object
+    carries it. Which ones is the chart's choice: each that does is written by every plan."""
     problems = []
     if [_bare(one) for one in without.objects] != [_bare(one) for one in planned.objects]:
         problems.append(
             f"set {planned.test_set}: global.plan changes more than annotations: every plan would restart pods"
         )
-    for one in planned.objects:
-        value = mapping(mapping(one.get("metadata")).get("annotations")).get(PLAN_ANNOTATION)
-        if value != plan:
-            problems.append(
-                f"set {planned.test_set}: {title(one)}: annotation {PLAN_ANNOTATION} is {value!r}, not {plan!r}"
-            )
+    found = [
+        (one, mapping(mapping(one.get("metadata")).get("annotations")).get(PLAN_ANNOTATION)) for one in planned.objects
+    ]
+    problems += [
+        f"set {planned.test_set}: {title(one)}: annotation {PLAN_ANNOTATION} is {value!r}, not {plan!r}"
+        for one, value in found
+        if value not in (None, plan)
+    ]
+    if all(value is None for _, value in found):
+        problems.append(
+            f"set {planned.test_set}: no object has the annotation {PLAN_ANNOTATION}: nothing says whose plan runs"
+        )
     return problems
 
 

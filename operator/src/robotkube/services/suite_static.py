@@ -47,7 +47,7 @@ class StaticSuite:
     """Suite `static`: `violations` validates values, `fill` fills the templates of the test sets."""
 
     name = "static"
-    version = "1"
+    version = "2"
     needs_room = False
 
     def __init__(self, violations: Violations, fill: Fill) -> None:
@@ -135,7 +135,9 @@ class StaticSuite:
                 planned.append(f"set {one.name}: with global.plan: {_short(error)}")
         return [
             check("renders-the-same-twice", changing, "leave out times, random texts and lookups"),
-            check("plan", planned, "take metadata from robotkube-app.metadata, and let the schema have global.plan"),
+            check(
+                "plan", planned, "take the ConfigMap from robotkube-app.configmap, and let the schema have global.plan"
+            ),
         ]
 
 
