@@ -47,6 +47,8 @@ spec:
       finalizers: [resources-finalizer.argocd.argoproj.io]
     spec:
       project: robotkube-apps
+      # Git is the history. Ten copies of a source and its values would be written with every change of the status.
+      revisionHistoryLimit: 0
       source:
         repoURL: {{ include "robotkube.charts" . | printf "'%s/{{ index .metadata.annotations \"robotkube.io/chart\" }}'" }}
         path: .                                                # required, also for a chart
