@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from event_peer import EventPeer, broker_for_events
 from programs import free_port
 from proximity import SETTINGS
 
 from ci.benchmarks import pods
-from robotkube.adapters.mqtt_paho import BrokerAccount, PahoChannel
 from robotkube.domain.texts import write_mapping
 
 WAIT_SECONDS = 30.0
@@ -26,51 +26,17 @@ PUBLISHER = Path(__file__).parents[1] / "publisher.py"
 NEAR = {**SETTINGS, "reactions": [{"rule": "near", "kind": "mqtt", "topic": "events/near"}]}
 
 
-class Listener:
-    """Hears events."""
-
-    def __init__(self, broker: pods.Broker) -> None:
-        account = BrokerAccount("127.0.0.1", broker.port, "vehicle-07", pods.password("vehicle-07"))
-        self.connections, self.heard = 0, list[dict[str, Any]]()
-        self.channel = PahoChannel(lambda: account, "vehicle-07-telemetry", 60, self)
-
-    def connected(self, session_kept: bool) -> None:
-        self.connections += 1
-        self.channel.subscribe(["events/#"])
-
-    def disconnected(self) -> None: ...
-
-    def acknowledged(self, token: int, heard: bool) -> None: ...
-
-    def rejected(self, token: int, reason: str) -> None:
-        pytest.fail(reason)
-
-    def refused(self, topic: str, reason: str) -> None:
-        pytest.fail(reason)
-
-    def received(self, topic: str, payload: bytes, properties: bytes) -> None:
-        self.heard.append(json.loads(payload))
-
-    def turn(self) -> None:
-        self.channel.turn(time.monotonic())
-        self.channel.flush()
-
-
-def until(condition: Callable[[], object], meanwhile: Callable[[], None] = lambda: None) -> None:
+def until(condition: Callable[[], object]) -> None:
     deadline = time.monotonic() + WAIT_SECONDS
     while not condition():
         assert time.monotonic() < deadline, "did not happen in time"
-        meanwhile()
         time.sleep(0.01)
 
 
 @pytest.fixture
 def broker(tmp_path: Path) -> Iterator[pods.Broker]:
-    accounts = {name: ["topic readwrite #"] for name in ("vehicle-07", "cloud-0")}
-    broker = pods.Broker(tmp_path / "broker", accounts)
-    broker.start()
-    yield broker
-    broker.stop()
+    with broker_for_events(tmp_path / "broker") as broker:
+        yield broker
 
 
 @pytest.fixture
@@ -130,12 +96,12 @@ def test_what_a_killed_detector_owed_the_broker_is_published_once(
     first.wait(WAIT_SECONDS)
 
     broker.start()
-    listener = Listener(broker)
-    until(lambda: listener.connections, listener.turn)
+    listener = EventPeer(broker)
+    listener.until(lambda: listener.connections)
     listener.turn()
     detector()
-    until(lambda: len(listener.heard) >= len(owed), listener.turn)
+    listener.until(lambda: len(listener.heard) >= len(owed))
     assert [event["id"] for event in listener.heard] == owed
-    until(lambda: page("status")["reactions_journal"]["kept"] == 0, listener.turn)
+    listener.until(lambda: page("status")["reactions_journal"]["kept"] == 0)
     assert [event["id"] for event in listener.heard] == owed
     listener.channel.close()

@@ -7,18 +7,17 @@ import os
 import signal
 import subprocess
 import sys
-import time
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from event_peer import EventPeer, broker_for_events
 from programs import free_port
 from rule_stage import number
 
 from ci.benchmarks import pods
-from robotkube.adapters.mqtt_paho import BrokerAccount, PahoChannel
 from robotkube.domain.bridging_properties import type_properties, types_topic
 from robotkube.domain.frames import encode_frame
 from robotkube.domain.texts import write_mapping
@@ -36,47 +35,10 @@ SETTINGS: dict[str, Any] = {
 }
 
 
-class Peer:
-    """A sender of levels that listens to events."""
-
-    def __init__(self, broker: pods.Broker) -> None:
-        account = BrokerAccount("127.0.0.1", broker.port, "vehicle-07", pods.password("vehicle-07"))
-        self.connections, self.heard = 0, list[dict[str, Any]]()
-        self.channel = PahoChannel(lambda: account, "vehicle-07-telemetry", 60, self)
-
-    def connected(self, session_kept: bool) -> None:
-        self.connections += 1
-        self.channel.subscribe(["events/#"])
-
-    def disconnected(self) -> None: ...
-
-    def acknowledged(self, token: int, heard: bool) -> None: ...
-
-    def rejected(self, token: int, reason: str) -> None:
-        pytest.fail(reason)
-
-    def refused(self, topic: str, reason: str) -> None:
-        pytest.fail(reason)
-
-    def received(self, topic: str, payload: bytes, properties: bytes) -> None:
-        self.heard.append(json.loads(payload))
-
-    def until(self, condition: Callable[[], object]) -> None:
-        deadline = time.monotonic() + WAIT_SECONDS
-        while not condition():
-            assert time.monotonic() < deadline, "did not happen in time"
-            self.channel.turn(time.monotonic())
-            self.channel.flush()
-            time.sleep(0.01)
-
-
 @pytest.fixture
 def broker(tmp_path: Path) -> Iterator[pods.Broker]:
-    accounts = {name: ["topic readwrite #"] for name in ("vehicle-07", "cloud-0")}
-    broker = pods.Broker(tmp_path / "broker", accounts)
-    broker.start()
-    yield broker
-    broker.stop()
+    with broker_for_events(tmp_path / "broker") as broker:
+        yield broker
 
 
 def test_a_type_that_is_not_installed_comes_with_its_definition(broker: pods.Broker, tmp_path: Path) -> None:
@@ -93,7 +55,7 @@ def test_a_type_that_is_not_installed_comes_with_its_definition(broker: pods.Bro
     }
     command = [sys.executable, "-m", "robotkube.entrypoints.detector"]
     detector = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)
-    peer, frames = Peer(broker), iter(range(1000))
+    peer, frames = EventPeer(broker), iter(range(1000))
 
     def say(value: float) -> None:
         frame = encode_frame(1, next(frames), [number(value)])
