@@ -76,7 +76,8 @@ def test_leaves_to_the_bootstrap_job_what_it_patches(argocd: list[Object]) -> No
 
 def test_keeps_what_the_manifests_set(argocd: list[Object]) -> None:
     data = one(argocd, "ConfigMap", "argocd-cm")["data"]
-    assert "resource.exclusions" in data
+    excluded = {(tuple(e["apiGroups"]), *e["kinds"]) for e in yaml.safe_load(data["resource.exclusions"])}
+    assert {(("coordination.k8s.io",), "Lease"), (("argoproj.io", "robotkube.io"), "*"), (("",), "Node")} <= excluded
     assert data["timeout.reconciliation"] == "300s"
     assert one(argocd, "ConfigMap", "argocd-cmd-params-cm")["data"]["server.insecure"] == "true"
 

@@ -320,6 +320,26 @@ def test_ready_follows_the_health_of_its_releases(stage: Stage) -> None:
     assert stage.tasks.condition(MEETING, "Ready") == ("False", "Progressing")
 
 
+def test_words_of_progress_are_written_once_in_a_second_and_the_last_ones_always(stage: Stage) -> None:
+    stage.ask()
+    stage.go()
+    stage.cluster.settle(stage.releases())
+    stage.go(20)
+    name = "vehicle-00-mqtt-bridge"
+    settled, before = stage.cluster.states[name], stage.tasks.patches
+    for turn in range(20):
+        stage.cluster.states[name] = replace(settled, health="Degraded", conditions=(f"turn {turn}",))
+        stage.go(1, wake=APPLICATIONS)
+    assert stage.tasks.condition(MEETING, "Ready") == ("False", "Progressing")
+    assert 2 <= stage.tasks.patches - before <= 3
+    assert 0 < stage.manager.step() <= 1.0
+    stage.go(12, wake=APPLICATIONS)
+    assert "turn 19" in stage.tasks.objects[MEETING]["status"]["conditions"][-1]["message"]
+    stage.cluster.states[name] = settled
+    stage.go(1, wake=APPLICATIONS)
+    assert stage.tasks.condition(MEETING, "Ready") == ("True", "Observed")
+
+
 def test_plans_are_observed_while_the_next_is_written(stage: Stage) -> None:
     stage.ask("a")
     stage.go()

@@ -262,7 +262,8 @@ class ApplicationManager:
         if self._flags & PLANNED_FOR:
             return min(max(self._not_before - self._monotonic(), 0.0), LOOK_SECONDS)
         pause = OBSERVE_POLL_SECONDS if self._observer.waiting or self._telling.waiting else MAIN_SECONDS
-        return min(pause, max(self._seconds_until_due(), 0.0))
+        held = self._statuses.seconds_until_due()
+        return min(pause, max(self._seconds_until_due(), 0.0), pause if held is None else held)
 
     def _seconds_until_due(self) -> float:
         """Until time alone changes what is wanted: a lease or a place in the queue ends."""

@@ -44,6 +44,7 @@ TOLD = frozenset({*REFUSAL_REASONS, PROPOSAL_REFUSED, EDITED_BY_HAND, *OBSTACLES
 
 WRITERS = 4
 ALONE_MAX = 3  # so few statuses are written one after the other
+PROGRESS_NS = 1_000_000_000  # nothing but words of progress changed: written this often. A deployment has twenty in 5 s
 
 log = logging.getLogger(__name__)
 
@@ -68,6 +69,15 @@ class Situation:
 
 
 @dataclass(frozen=True)
+class _Written:
+    """What stands in a task's status: of which object, since when."""
+
+    identity: str
+    status: dict[str, Any]
+    at_ns: int
+
+
+@dataclass(frozen=True)
 class _Due:
     """A status to be written: the task's object, its conditions as values and as they go out, those that it had."""
 
@@ -83,19 +93,25 @@ class StatusWriter:
 
     def __init__(self, tasks: TaskStore, now_ns: Callable[[], int]) -> None:
         self._tasks, self._now_ns = tasks, now_ns
-        self._written: dict[str, tuple[str, dict[str, Any]]] = {}
+        self._written: dict[str, _Written] = {}
+        self._held_until_ns: int | None = None
 
     def write(self, situation: Situation) -> None:
-        """Bring the statuses of all tasks up to date."""
+        """Bring the statuses of all tasks up to date; words of progress may be held back, see `seconds_until_due`."""
         documents = {object_key(d): d for d in self._tasks.tasks() if not is_withdrawn(d)}
-        same = {key for key, (identity, _) in self._written.items() if identity == _identity(documents.get(key))}
-        self._written = {key: written for key, written in self._written.items() if key in same}
+        kept = self._written.items()
+        self._written = {key: one for key, one in kept if one.identity == _identity(documents.get(key))}
+        self._held_until_ns = None
         due = [found for key, document in documents.items() if (found := self._due(key, document, situation))]
         if len(due) <= ALONE_MAX:
             for one in due:
                 self._send(one)
         else:
             self._send_together(due)
+
+    def seconds_until_due(self) -> float | None:
+        """Until a status that was held back wants to be written; None: there is none."""
+        return None if self._held_until_ns is None else max(self._held_until_ns - self._now_ns(), 0) / 1e9
 
     def _send_together(self, due: Sequence[_Due]) -> None:
         """Several at once: the API server answers each after milliseconds, and a storm brings hundreds."""
@@ -112,7 +128,8 @@ class StatusWriter:
         if not conditions:
             return None
         generation = int(document["metadata"].get("generation", 1))
-        before = self._written[key][1] if key in self._written else document.get("status") or {}
+        written = self._written.get(key)
+        before = written.status if written else document.get("status") or {}
         now = datetime.fromtimestamp(self._now_ns() / 1e9, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
         status = {
             "observedGeneration": generation,
@@ -121,12 +138,22 @@ class StatusWriter:
         }
         if all(before.get(name) == value for name, value in status.items()):
             return None
+        if written and _is_progress(before, status) and self._hold(written.at_ns):
+            return None
         return _Due(key, document, conditions, status, before.get("conditions", []))
+
+    def _hold(self, since_ns: int) -> bool:
+        """Whether it is too early to write again; then the moment is remembered. A clock that was put back holds nothing."""
+        if not 0 <= self._now_ns() - since_ns < PROGRESS_NS:
+            return False
+        until = since_ns + PROGRESS_NS
+        self._held_until_ns = min(until, self._held_until_ns or until)
+        return True
 
     def _send(self, due: _Due) -> None:
         self._tell(due.document, due.conditions, due.before)  # first: a status that stands is not looked at again
         if self._patch(due.key, due.status):
-            self._written[due.key] = (object_identity(due.document), due.status)
+            self._written[due.key] = _Written(object_identity(due.document), due.status, self._now_ns())
             words = [f"task={due.key}", *(f"{c.type}={c.status}/{c.reason}" for c in due.conditions)]
             log.info("task %s", " ".join(words))
 
@@ -151,6 +178,16 @@ class StatusWriter:
         except InputError as error:
             log.error("status refused task=%s reason=%s", key, error)
             return True
+
+
+def _is_progress(before: Mapping[str, Any], after: Mapping[str, Any]) -> bool:
+    """Whether the same conditions stand for the same reasons, and only say it in other words."""
+    return _without_words(before) == _without_words(after)
+
+
+def _without_words(status: Mapping[str, Any]) -> dict[str, Any]:
+    conditions = [{key: value for key, value in c.items() if key != "message"} for c in status.get("conditions", [])]
+    return {**status, "conditions": conditions}
 
 
 def _said(kind: Any, reason: Any, message: Any) -> tuple[Any, ...]:
