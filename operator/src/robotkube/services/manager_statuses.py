@@ -143,7 +143,7 @@ class StatusWriter:
         return _Due(key, document, conditions, status, before.get("conditions", []))
 
     def _hold(self, since_ns: int) -> bool:
-        """Whether it is too early to write again; then the moment is remembered. A clock that was put back holds nothing."""
+        """Whether it is too early to write again; the moment is remembered. A clock put back holds nothing."""
         if not 0 <= self._now_ns() - since_ns < PROGRESS_NS:
             return False
         until = since_ns + PROGRESS_NS
