@@ -39,6 +39,9 @@ ip link set lo up
 touch "$1"
 exec sleep infinity
 """
+# kube-proxy 1.36 now and then panics while it starts (it registers a handler with an informer that runs already), and
+# exits on purpose when its node changes: whoever runs it is to start it again, as a DaemonSet does.
+AGAIN = 'until "$@"; do echo "$1 ended with $?: started again in 1 s" >&2; sleep 1; done'
 HOUSEKEEPING_SECONDS = 300  # each reads the open files of every process of the machine
 
 
@@ -226,7 +229,8 @@ def start_proxy(node: Node, launcher: Launcher, holder: Process) -> Process:
     configuration = node.folder / "kube-proxy.yaml"
     configuration.write_text(json.dumps(_proxy(node), indent=1), encoding="utf-8")
     command = ["kube-proxy", f"--config={configuration}"]
-    return launcher.start(f"{node.name}.kube-proxy", command, inside(holder), weight=node.daemon_weight)
+    prefix = [*inside(holder), "/bin/sh", "-c", AGAIN, "again"]
+    return launcher.start(f"{node.name}.kube-proxy", command, prefix, weight=node.daemon_weight)
 
 
 def _proxy(node: Node) -> dict[str, Any]:
