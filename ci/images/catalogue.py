@@ -88,7 +88,7 @@ def _suites(sources: Sources) -> tuple[Copied, ...]:
 def _gitea(sources: Sources) -> tuple[Copied, ...]:
     module = sources.module("code.gitea.io/gitea", "toolchain/gitea")
     data = [Copied(module / name, f"share/gitea/{name}") for name in ("options", "templates", "public")]
-    return (_program(sources, "gitea"), *data)
+    return (_program(sources, "gitea"), _program(sources, "forge-hook"), *data)
 
 
 def _argocd(sources: Sources) -> tuple[Copied, ...]:

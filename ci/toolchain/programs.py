@@ -154,4 +154,12 @@ PROGRAMS = (
         cgo=True,
         stamps=lambda versions: {"main.Version": versions[GITEA].removeprefix("v")},
     ),
+    Program(
+        "forge-hook",
+        GITEA,
+        "./forge-hook",
+        {"forge-hook": VERSION},
+        folder=FOLDER / "gitea",
+        stamps=lambda versions: {"main.version": versions[GITEA].removeprefix("v")},
+    ),
 )

@@ -27,6 +27,7 @@ WORK_PATH = {data}
 HTTP_ADDR = 127.0.0.1
 HTTP_PORT = {port}
 ROOT_URL = {url}/
+LOCAL_ROOT_URL = {url}/
 STATIC_ROOT_PATH = {static}
 DISABLE_SSH = true
 OFFLINE_MODE = true
@@ -104,6 +105,7 @@ class ForgeProcess:
             "HOME": str(self.data),
             "GITEA_I_AM_BEING_UNSAFE_RUNNING_AS_ROOT": "true",
             "FORGE_PROGRAM": program("gitea"),
+            "FORGE_HOOK": program("forge-hook"),
             "FORGE_CONFIG": str(self.data / "app.ini"),
             **self.environment,
         }
