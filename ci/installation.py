@@ -30,6 +30,7 @@ RESTRICTED = {"pod-security.kubernetes.io/enforce": "restricted"}
 BAGS_SIZE = "2Gi"
 PLAYERS = ("vehicle", "roadside")  # roles whose agents play a bag
 PLATFORM_IMAGES = ("platform", "suites", "ros", "mosquitto", "gitea", "ferretdb")
+AGENT = "robotkube.io/agent"  # label of claims and volumes
 KEY_SECRET = "evidence-key"  # noqa: S105
 LOG_LINES = 15
 
@@ -94,8 +95,21 @@ class Installer:
             )
         except SetUpError as error:
             raise SetUpError(f"{error}\n{self.state(NAMESPACE)}\n{self.state(ARGOCD)}") from error
+        self.bind_claims()
         for namespace in (NAMESPACE, ARGOCD):
             self.rollout(namespace)
+
+    def bind_claims(self) -> None:
+        """Claims of agents with one node get their volume now. Left to the first pod, the scheduler looks once in a
+        second whether the volume that it chose is bound: the first event's recorder started that much later."""
+        claims, volumes = (
+            json.loads(self.kubectl("get", kind, *more, "-o", "json"))["items"]
+            for kind, *more in (("persistentvolumeclaims", "-A", "-l", AGENT), ("persistentvolumes",))
+        )
+        bound = chosen_volumes(claims, volumes)
+        if bound:
+            text = yaml.safe_dump({"apiVersion": "v1", "kind": "List", "items": bound})
+            self.kubectl("apply", "--server-side", "--field-manager=robotkube-installation", "-f", "-", text=text)
 
     def signing_key(self) -> dict[str, Any]:
         """The Secret with this user's signing key; returns what the chart has to know of it."""
@@ -136,6 +150,23 @@ class Installer:
         except SetUpError as error:
             return f"(state of {namespace} cannot be read: {error})"
         return "\n".join(lines)
+
+
+def chosen_volumes(claims: Sequence[Mapping[str, Any]], volumes: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """What to apply so that each waiting claim gets a free volume of its agent, if all of these are on one node."""
+    free = [one for one in volumes if one["status"].get("phase") == "Available" and not one["spec"].get("claimRef")]
+    found = []
+    for claim in (one for one in claims if one["status"].get("phase") == "Pending"):
+        agent = claim["metadata"]["labels"][AGENT]
+        own = [one for one in free if one["metadata"].get("labels", {}).get(AGENT) == agent]
+        if len({json.dumps(one["spec"].get("nodeAffinity"), sort_keys=True) for one in own}) != 1:
+            continue
+        free.remove(own[0])
+        place = {"namespace": claim["metadata"]["namespace"], "name": claim["metadata"]["name"]}
+        reference = {"apiVersion": "v1", "kind": "PersistentVolumeClaim", **place}
+        volume = {"apiVersion": "v1", "kind": "PersistentVolume", "metadata": {"name": own[0]["metadata"]["name"]}}
+        found.append({**volume, "spec": {"claimRef": reference}})
+    return found
 
 
 def _not_ready(pod: Mapping[str, Any]) -> bool:

@@ -26,7 +26,7 @@ NODE_KEYS = {"name", "count", "role", "agent", "capacity", "capabilities"}
 
 # In the world each of them is a machine of its own. Where all share one, all vehicles wait for these.
 WEIGHTS = {"platform": 250, "cloud": 400}
-WEIGHT = 100
+WEIGHT = 200
 
 
 @dataclass(frozen=True)

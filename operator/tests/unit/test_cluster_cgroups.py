@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from ci.cluster import cgroups
-from ci.cluster.topology import WEIGHTS, NodeSpec
+from ci.cluster.topology import WEIGHT, WEIGHTS, NodeSpec
 
 CLUSTER = "weighed"
 
@@ -39,7 +39,7 @@ def node(role: str) -> NodeSpec:
 def test_nodes_weigh_by_what_waits_for_them(first_version: Path) -> None:
     for name, role in (("platform-0", "platform"), ("vehicle-00", "vehicle")):
         cgroups.node_root(CLUSTER, name, node(role).weight)
-    assert shares(first_version, "vehicle-00") == 1024
+    assert shares(first_version, "vehicle-00") == 1024 * WEIGHT // 100
     assert shares(first_version, "platform-0") == 1024 * WEIGHTS["platform"] // 100
 
 

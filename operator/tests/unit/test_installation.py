@@ -1,0 +1,44 @@
+"""Which volume a waiting claim gets when the platform is installed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ci.installation import chosen_volumes
+
+
+def claim(name: str, agent: str, phase: str = "Pending") -> dict[str, Any]:
+    labels = {"robotkube.io/agent": agent}
+    return {"metadata": {"namespace": agent, "name": name, "labels": labels}, "status": {"phase": phase}}
+
+
+def volume(name: str, agent: str, node: str = "", phase: str = "Available", **spec: Any) -> dict[str, Any]:
+    affinity = {"required": {"nodeSelectorTerms": [{"values": [node or agent]}]}}
+    labels = {"robotkube.io/agent": agent}
+    return {
+        "metadata": {"name": name, "labels": labels},
+        "spec": {"nodeAffinity": affinity, **spec},
+        "status": {"phase": phase},
+    }
+
+
+def chosen(claims: list[dict[str, Any]], volumes: list[dict[str, Any]]) -> dict[str, str]:
+    found = chosen_volumes(claims, volumes)
+    return {
+        one["metadata"]["name"]: f"{one['spec']['claimRef']['namespace']}/{one['spec']['claimRef']['name']}"
+        for one in found
+    }
+
+
+def test_each_claim_gets_a_free_volume_of_its_agent() -> None:
+    volumes = [volume("a-0", "a", phase="Bound"), volume("a-1", "a", claimRef={"name": "x"}), volume("a-2", "a")]
+    volumes += [volume("a-3", "a"), volume("b-0", "b")]
+    claims = [claim("recordings", "a"), claim("bags", "a"), claim("bags", "b")]
+    assert chosen(claims, volumes) == {"a-2": "a/recordings", "a-3": "a/bags", "b-0": "b/bags"}
+
+
+def test_what_is_bound_or_could_run_on_several_nodes_is_left_to_the_scheduler() -> None:
+    volumes = [volume("a-0", "a", "one"), volume("a-1", "a", "two"), volume("b-0", "b"), volume("c-0", "c")]
+    claims = [claim("recordings", "a"), claim("bags", "b", "Bound"), claim("bags", "c"), claim("more", "c")]
+    assert chosen(claims, volumes) == {"c-0": "c/bags"}
+    assert chosen_volumes([], volumes) == []
