@@ -19,35 +19,18 @@ import yaml
 Object = dict[str, Any]
 
 NAMESPACE = "argocd"
-CLUSTER_KINDS = {
-    "CustomResourceDefinition",
-    "ClusterRole",
-    "ClusterRoleBinding",
-    "Namespace",
-}
+CLUSTER_KINDS = {"CustomResourceDefinition", "ClusterRole", "ClusterRoleBinding", "Namespace"}
 # Single sign-on and notifications are not used. NetworkPolicies would promise what a cluster without a controller for
 # them does not keep.
 DROPPED_PARTS = ("dex", "notifications")
 DROPPED_KINDS = {"NetworkPolicy"}
-IMAGES = {
-    "quay.io/argoproj/argocd": "argocd",
-    "public.ecr.aws/docker/library/redis": "redis",
-}
+IMAGES = {"quay.io/argoproj/argocd": "argocd", "public.ecr.aws/docker/library/redis": "redis"}
 PLACE: Object = {
     "nodeSelector": {"robotkube.io/role": "platform"},
-    "tolerations": [
-        {
-            "key": "robotkube.io/role",
-            "operator": "Equal",
-            "value": "platform",
-            "effect": "NoSchedule",
-        }
-    ],
+    "tolerations": [{"key": "robotkube.io/role", "operator": "Equal", "value": "platform", "effect": "NoSchedule"}],
 }
 # Requests are small and there is no CPU limit: all of it stands on the way from a commit to its pods.
-RESOURCES: dict[
-    str, tuple[str, str, str]
-] = {  # container -> CPU and memory requested, memory limit
+RESOURCES: dict[str, tuple[str, str, str]] = {  # container -> CPU and memory requested, memory limit
     "argocd-application-controller": ("150m", "256Mi", "1Gi"),
     "argocd-applicationset-controller": ("50m", "64Mi", "384Mi"),
     "argocd-repo-server": ("100m", "128Mi", "1Gi"),
@@ -89,20 +72,13 @@ SERVER_KEY = {
 }
 # Less collecting of garbage while memory is there, as much as is needed towards the limit.
 COLLECTING = [{"name": "GOGC", "value": "400"}]
-LARGE, SMALL = (
-    [*COLLECTING, {"name": "GOMEMLIMIT", "value": limit}]
-    for limit in ("800MiB", "300MiB")
-)
+LARGE, SMALL = ([*COLLECTING, {"name": "GOMEMLIMIT", "value": limit}] for limit in ("800MiB", "300MiB"))
 # A forge that goes away in the middle of an answer holds all releases for that long: 90 s by default.
 IMPATIENT = [{"name": "ARGOCD_EXEC_TIMEOUT", "value": "10s"}]
 ENVIRONMENT: dict[str, list[Object]] = {
     "argocd-application-controller": LARGE,
     "argocd-applicationset-controller": [SERVER_KEY, *SMALL],
-    "argocd-repo-server": [
-        {"name": "ARGOCD_GPG_ENABLED", "value": "false"},
-        *IMPATIENT,
-        *LARGE,
-    ],
+    "argocd-repo-server": [{"name": "ARGOCD_GPG_ENABLED", "value": "false"}, *IMPATIENT, *LARGE],
     "argocd-server": [{"name": "ARGOCD_GPG_ENABLED", "value": "false"}, *SMALL],
 }
 
@@ -115,26 +91,19 @@ def render(manifests: str, images: Mapping[str, str]) -> str:
     """
     missing = [name for name in IMAGES.values() if not images.get(name)]
     if missing:
-        raise ValueError(
-            f"Argo CD: no image reference for {', '.join(missing)}; add them to the images file"
-        )
+        raise ValueError(f"Argo CD: no image reference for {', '.join(missing)}; add them to the images file")
     documents = filter(None, yaml.load_all(manifests, Loader=_LOADER))
     return yaml.dump_all(_rendered(documents, images), Dumper=_DUMPER, sort_keys=True)
 
 
-def _rendered(
-    documents: Iterator[Object], images: Mapping[str, str]
-) -> Iterator[Object]:
+def _rendered(documents: Iterator[Object], images: Mapping[str, str]) -> Iterator[Object]:
     for document in documents:
         if not _kept(document):
             continue
         if document["kind"] not in CLUSTER_KINDS:
             document["metadata"]["namespace"] = NAMESPACE
         if document["kind"] == "ConfigMap" and document["metadata"]["name"] in SETTINGS:
-            document["data"] = {
-                **document.get("data", {}),
-                **SETTINGS[document["metadata"]["name"]],
-            }
+            document["data"] = {**document.get("data", {}), **SETTINGS[document["metadata"]["name"]]}
             if "resource.exclusions" in document["data"]:
                 document["data"]["resource.exclusions"] += yaml.safe_dump(EXCLUSIONS)
         if document["kind"] in {"Deployment", "StatefulSet"}:
@@ -144,25 +113,19 @@ def _rendered(
 
 def _kept(document: Object) -> bool:
     name: str = document["metadata"]["name"]
-    return document["kind"] not in DROPPED_KINDS and not any(
-        part in name for part in DROPPED_PARTS
-    )
+    return document["kind"] not in DROPPED_KINDS and not any(part in name for part in DROPPED_PARTS)
 
 
 def _adapt_workload(workload: Object, images: Mapping[str, str]) -> None:
     pod = workload["spec"]["template"]["spec"]
     pod["nodeSelector"] = {**pod.get("nodeSelector", {}), **PLACE["nodeSelector"]}
     pod["tolerations"] = [*pod.get("tolerations", []), *PLACE["tolerations"]]
-    pod.pop(
-        "affinity", None
-    )  # one node: spreading is work for the scheduler and no gain
+    pod.pop("affinity", None)  # one node: spreading is work for the scheduler and no gain
     for container in [*pod.get("initContainers", []), *pod["containers"]]:
         _adapt_container(workload["metadata"]["name"], container, images)
 
 
-def _adapt_container(
-    workload: str, container: Object, images: Mapping[str, str]
-) -> None:
+def _adapt_container(workload: str, container: Object, images: Mapping[str, str]) -> None:
     repository = container["image"].rsplit("@", 1)[0].rsplit(":", 1)[0]
     if repository not in IMAGES or container["name"] not in RESOURCES:
         raise ValueError(
@@ -172,21 +135,13 @@ def _adapt_container(
     container["image"] = images[IMAGES[repository]]
     container["imagePullPolicy"] = "IfNotPresent"
     cpu, memory, memory_limit = RESOURCES[container["name"]]
-    container["resources"] = {
-        "requests": {"cpu": cpu, "memory": memory},
-        "limits": {"memory": memory_limit},
-    }
-    container["env"] = [
-        *container.get("env", []),
-        *ENVIRONMENT.get(container["name"], []),
-    ]
+    container["resources"] = {"requests": {"cpu": cpu, "memory": memory}, "limits": {"memory": memory_limit}}
+    container["env"] = [*container.get("env", []), *ENVIRONMENT.get(container["name"], [])]
     if "readinessProbe" in container:
         container["readinessProbe"].update(READINESS)
 
 
-_LOADER: Any = getattr(
-    yaml, "CSafeLoader", yaml.SafeLoader
-)  # 34 000 lines: 0.6 s in C, 9 s in Python
+_LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # 34 000 lines: 0.6 s in C, 9 s in Python
 
 
 class _PlainDumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[misc]
@@ -201,24 +156,14 @@ _DUMPER = _PlainDumper
 
 def main() -> int:
     parser = argparse.ArgumentParser(
-        prog="gitops.argocd.render",
-        description="Argo CD's manifests for the embedded cluster",
+        prog="gitops.argocd.render", description="Argo CD's manifests for the embedded cluster"
     )
-    parser.add_argument(
-        "--manifests", type=Path, required=True, help="Argo CD's manifests/install.yaml"
-    )
-    parser.add_argument(
-        "--images",
-        type=Path,
-        required=True,
-        help="YAML: {images: {argocd: <reference>, redis: ...}}",
-    )
+    parser.add_argument("--manifests", type=Path, required=True, help="Argo CD's manifests/install.yaml")
+    parser.add_argument("--images", type=Path, required=True, help="YAML: {images: {argocd: <reference>, redis: ...}}")
     arguments = parser.parse_args()
     images = yaml.safe_load(arguments.images.read_text(encoding="utf-8"))["images"]
     try:
-        sys.stdout.write(
-            render(arguments.manifests.read_text(encoding="utf-8"), images)
-        )
+        sys.stdout.write(render(arguments.manifests.read_text(encoding="utf-8"), images))
     except ValueError as error:
         print(error, file=sys.stderr)
         return 1
