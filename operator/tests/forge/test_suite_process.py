@@ -20,12 +20,13 @@ from robotkube.domain.verification import SuiteRule
 from robotkube.entrypoints import suite_process
 from robotkube.entrypoints.settings import Credentials, Listen
 from robotkube.entrypoints.suite_settings import RunnerConfiguration
+from robotkube.services.suite_static import StaticSuite
 
 TOP = Path(__file__).resolve().parents[3]
 CHART = "mqtt-bridge"
 ENTRY = yaml.safe_load((TOP / "registry" / "charts" / CHART / "0.2.0.yaml").read_text(encoding="utf-8"))
 IMAGES = {"ros": "forge.robotkube.svc.cluster.local:3000/robotkube/ros@sha256:" + "0" * 64}
-RULE = SuiteRule("static", "2", 60)
+RULE = SuiteRule("static", StaticSuite.version, 60)
 
 
 @pytest.fixture
@@ -67,7 +68,7 @@ def test_charts_that_are_not_what_was_asked_for(configuration: RunnerConfigurati
         (replace(request_, artefact=replace(artefact, digest="sha256:" + "1" * 64)), "1111"),
         (replace(request_, artefact=replace(artefact, version="0.9.0")), "asked for was mqtt-bridge 0.9.0"),
         (replace(request_, repository=f"verified/{CHART}"), "must be in staging"),
-        (replace(request_, rule=SuiteRule("static", "9", 60)), "this platform has 1"),
+        (replace(request_, rule=SuiteRule("static", "9", 60)), f"this platform has {StaticSuite.version}"),
         (replace(request_, rule=SuiteRule("dynamic", "1", 60)), "there is no suite dynamic"),
     ):
         result = run(request=wrong)

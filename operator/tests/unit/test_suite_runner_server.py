@@ -19,6 +19,7 @@ from robotkube.adapters.suite_runner_server import REQUEST_BYTES_MAX, RunsEndpoi
 from robotkube.adapters.webhooks import BODY_BYTES_MAX, WebServer
 from robotkube.domain.errors import InputError, UnavailableError
 from robotkube.domain.suite_requests import SuiteProgress, SuiteRequest, request_document
+from robotkube.services.suite_static import StaticSuite
 from robotkube.testing.suites import make_request, passed
 
 TOKEN = "shared word"  # noqa: S105 - of the tests
@@ -154,6 +155,7 @@ def test_the_process_runs_suites_and_ends_on_sigterm(process: tuple[subprocess.P
     running, url = process
     client = SuiteRunnerClient(url, "word")
     request = make_request("static")
+    request = replace(request, rule=replace(request.rule, version=StaticSuite.version))
     until(lambda: client.run(request).finished, "finished", START_SECONDS_MAX)
     result = client.run(request).result
     assert result is not None
