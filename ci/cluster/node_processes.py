@@ -123,7 +123,7 @@ def start_containerd(node: Node, launcher: Launcher, holder: Process, sandbox: s
 
 def socket_of(holder: Process) -> Path:
     """containerd's socket as seen from the host."""
-    return Path(f"/proc/{holder.pid}/root/run/containerd/containerd.sock")
+    return Path("/proc", str(holder.pid), "root", "run", "containerd", "containerd.sock")
 
 
 def _cni(node: Node) -> dict[str, Any]:

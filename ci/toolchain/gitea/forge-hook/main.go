@@ -1,5 +1,5 @@
 // Command forge-hook is the forge's hooks without the forge: it asks the running one over its internal API, as Gitea's own
-// `gitea hook` does, but does not start all of Gitea for it, which costs 70 ms of processor time for each of the four hooks
+// `gitea hook` does, but does not start all of Gitea for it, which costs 70 ms of processor time for each of the five hooks
 // of a proposal that becomes main. Whatever goes wrong is a refusal.
 //
 //	forge-hook pre-receive|post-receive|proc-receive   (by git-receive-pack, in the repository)
