@@ -8,6 +8,7 @@ import httpx
 import pytest
 from evidence_of_tests import published_chart
 from installation import (
+    CATALOGUE,
     CAUSE,
     DIGESTS,
     WEBHOOK_SECRET,
@@ -289,6 +290,32 @@ def test_the_catalogue_is_read_again_before_a_refusal(
         until(lambda: merged(installation, number), "merged")
     finally:
         running.stop()
+
+
+def test_what_the_catalogue_withdrew_is_refused_when_both_are_told_at_once(
+    installation: Installation, gate: RunningGate, manager: Clone
+) -> None:
+    """The gate is busy while a version is withdrawn and a plan with it proposed; it reads the catalogue first."""
+    gate.gate.stop(gate.stopping)
+    gate.thread.join(20)
+    gate.server.stop()
+    path, plan = "charts/event-detector/0.2.0.yaml", installation.plan()
+    number = installation.propose(
+        manager, manager.commit(release_files(plan, "late"), message(plan), [manager.tip()]), plan
+    )
+    head = installation.pull_request(number)["head"]["sha"]
+    installation.publish({path: CATALOGUE[path].replace("state: verified", "state: withdrawn")})
+    try:
+        gate.gate.wake("push", {"repository": {"full_name": "robotkube/catalogue"}})
+        opened = {"number": number, "user": {"login": "manager"}, "head": {"sha": head}}
+        repository = {"full_name": "robotkube/deployment"}
+        gate.gate.wake("pull_request", {"repository": repository, "action": "opened", "pull_request": opened})
+        assert gate.gate.answer_hints() == 1
+        assert "state withdrawn is not allowed" in installation.comments(number)
+        assert installation.pull_request(number)["state"] == "closed"
+        assert not merged(installation, number)
+    finally:
+        installation.publish({path: CATALOGUE[path]})
 
 
 def test_a_persons_policy_is_merged_by_the_person_and_relayed(

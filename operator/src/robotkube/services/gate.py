@@ -100,7 +100,7 @@ class Gate:
         self._said: dict[int, set[str]] = {}
         self._hints: dict[int, PullRequest] = {}
         self._lock, self._woken = threading.Lock(), threading.Event()
-        self._look_due = True
+        self._look_due, self._catalogue_moved = True, False
         self._seen_at = monotonic() - SILENT_SECONDS_MAX - 1
 
     # -- waking ---------------------------------------------------------------------------------------------------
@@ -109,6 +109,7 @@ class Gate:
         """A signed delivery of the forge; only decides what the next round looks at, and that it comes now."""
         repository = (payload.get("repository") or {}).get("full_name")
         action = payload.get("action") if event.startswith("pull_request") else ""
+        self._catalogue_moved |= repository == self._settings.catalogue
         moved_main = event == "push" and payload.get("after") not in (self._main.tip, self._announced)
         if repository == self._settings.catalogue or moved_main or action == REVIEWED:
             self._look_due = True
@@ -168,8 +169,11 @@ class Gate:
     # -- one round ------------------------------------------------------------------------------------------------
 
     def answer_hints(self) -> int:
-        """Decide what webhooks named; whatever goes wrong with it, the next round finds it open. Their number."""
+        """Decide what webhooks named, by the catalogue as it was when they named it; whatever goes wrong with it, the
+        next round finds it open. Their number."""
         hints = self._take_hints()
+        if hints and self._catalogue_moved:
+            self._refresh()
         for pull in hints:
             if self._settled.get(pull.number) != pull.head:
                 self._try_to_decide(pull)
@@ -183,13 +187,23 @@ class Gate:
         self._forget_all_but({pull.number for pull in pulls})
         if look_at_main:
             self._main.fetch()
-            self._rules.refresh()
+        if look_at_main or self._catalogue_moved:
+            self._refresh()
         for pull in sorted(pulls, key=lambda found: found.number):
             waits = pull.number in self._waiting
             if self._settled.get(pull.number) != pull.head or (waits and look_at_main):
                 self._try_to_decide(pull)
         if self._main.tip != self._announced:
             self._announce(self._announced, self._main.tip)
+
+    def _refresh(self) -> None:
+        """Read the catalogue; nothing is decided by an old one that is known to have moved."""
+        self._catalogue_moved = False  # before it is read: a push that is told meanwhile is read for itself
+        try:
+            self._rules.refresh()
+        except RobotKubeError:
+            self._catalogue_moved = True
+            raise
 
     def _forget_all_but(self, numbers: set[int]) -> None:
         self._waiting &= numbers
