@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from robotkube.services.reactions.dead import DeadLetterBox
     from robotkube.services.reactions.keeping import DeliveryJournal
 
-BUSY_SECONDS, IDLE_SECONDS = 0.01, 0.02
+BUSY_SECONDS, IDLE_SECONDS = 0.0125, 0.02
 """From one look at the subscriptions to the next, while messages come and when none has come for IDLE_AFTER_SECONDS."""
 IDLE_AFTER_SECONDS = 1.0
 LAST_DRAIN_SECONDS_MAX = 0.5
@@ -97,7 +97,6 @@ class Room:
         self._news: deque[tuple[DetectorSettings, int]] = deque(maxlen=NEWS_MAX)
         self._commands: deque[tuple[str, int]] = deque(maxlen=COMMANDS_MAX)
         self._expressions = parts.KnownExpressions(parts.check_expressions)
-        self._orders = threading.Event()
         self._learned: deque[str] = deque()
         self._ready = False
         self.refusal = Refusal()
@@ -178,8 +177,9 @@ class Room:
         heard = time.monotonic()
         pause = BUSY_SECONDS
         while not self._process.stopping.is_set():
-            self._orders.wait(pause)
-            self._orders.clear()
+            time.sleep(
+                pause
+            )  # an event that could be set earlier costs a tenth of all that receiving 1,500 poses/s does
             self._obey()
             now = time.monotonic()
             heard = now if self._turn() else heard
@@ -260,7 +260,6 @@ class Room:
             return
         self.refusal.error = ""
         self._news.append((settings, asked))
-        self._orders.set()
 
     def _warn(self, sentence: str) -> None:
         """A Kubernetes Event about the ConfigMap, where its author looks."""
@@ -285,7 +284,6 @@ class Room:
         if state not in STATES:
             return 400, json.dumps({"error": f'send {{"state": ...}} with one of {", ".join(STATES)}'})
         self._commands.append((state, time.time_ns()))
-        self._orders.set()
         return 202, json.dumps({"state": state})
 
     def _definition(self, type_name: str) -> str:

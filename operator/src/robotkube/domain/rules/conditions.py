@@ -17,6 +17,15 @@ GRACE_NS = 100_000_000
 """So long a moment that should have shown itself by a message is waited for, because messages take their time."""
 
 
+def earliest(moments: Iterable[int | None]) -> int | None:
+    """The first of the moments; None when there is none."""
+    found = None
+    for moment in moments:
+        if moment is not None and (found is None or moment < found):
+            found = moment
+    return found
+
+
 class Timers:
     """At which moment of this machine's clock (ns) something has to be looked at, per member.
 

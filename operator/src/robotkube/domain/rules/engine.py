@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from robotkube.domain.rules.asking import Ask, Question, Verdict
 from robotkube.domain.rules.combinations import CombinationCondition
+from robotkube.domain.rules.conditions import earliest
 from robotkube.domain.rules.edges import STOP, Edge
 from robotkube.domain.rules.evaluating import Evaluator
 from robotkube.domain.rules.messages import Message, Reading
@@ -131,8 +132,7 @@ class RuleEngine:
         """The next moment at which `tick` may have something to say."""
         if self._beginning:
             return 0
-        moments = [evaluator.due() for evaluator in self._evaluators.values()]
-        return min((moment for moment in moments if moment is not None), default=None)
+        return earliest([evaluator.due() for evaluator in self._evaluators.values()])
 
     def adopt(self, edge: Edge) -> bool:
         """Take over an event that began earlier; False when no rule can have it or it is there already."""

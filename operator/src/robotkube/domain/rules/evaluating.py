@@ -12,6 +12,7 @@ from robotkube.domain.rules.conditions import (
     GeofenceCondition,
     ThresholdCondition,
     Timers,
+    earliest,
 )
 from robotkube.domain.rules.edges import Edge
 from robotkube.domain.rules.messages import FALL, KEEP, RISE, Agents, Finding, Member, Reading
@@ -168,8 +169,7 @@ class Evaluator:
         """When `elapse` may have something to say."""
         if self._unseen:
             return 0
-        moments = (self._silences.due(), self.condition.due(), self.occurrences.due())
-        return min((moment for moment in moments if moment is not None), default=None)
+        return earliest((self._silences.due(), self.condition.due(), self.occurrences.due()))
 
     def adopt(self, edge: Edge) -> bool:
         """Take over an event that began earlier; False when the rule cannot have it or has it already."""
