@@ -109,8 +109,9 @@ class Gate:
         """A signed delivery of the forge; only decides what the next round looks at, and that it comes now."""
         repository = (payload.get("repository") or {}).get("full_name")
         action = payload.get("action") if event.startswith("pull_request") else ""
-        self._catalogue_moved |= repository == self._settings.catalogue
         moved_main = event == "push" and payload.get("after") not in (self._main.tip, self._announced)
+        if repository == self._settings.catalogue:
+            self._catalogue_moved = True
         if repository == self._settings.catalogue or moved_main or action == REVIEWED:
             self._look_due = True
             self._woken.set()
