@@ -50,6 +50,13 @@ class CpuSampler:
         spent["scenario (observer, watch)"] = time.process_time() - self._own
         return {name: seconds for name, seconds in sorted(spent.items()) if seconds >= 0.005}
 
+    def cores_used(self, seconds: float = SAMPLE_SECONDS) -> float | None:
+        """How many cores the cluster takes, on average over the next `seconds`; None when nobody counts it."""
+        before, began = usage_seconds(self._root), time.monotonic()
+        time.sleep(seconds)
+        after = usage_seconds(self._root)
+        return None if before is None or after is None else (after - before) / (time.monotonic() - began)
+
     def sample(self) -> None:
         """Reads every group that is there now."""
         for folder in self._folders():

@@ -34,6 +34,8 @@ REPORTS = PROJECT / "build" / "reports"
 EVIDENCE_FOLDER = "evidence"
 START_DELAY_SECONDS = 3
 READY_SECONDS_MAX = 600.0
+REST_CORES_MAX, REST_SECONDS_MAX = 1.0, 60.0
+"""A run begins when the cluster takes no more cores than that: the start of all its pods is not part of the story."""
 PLAY_SECONDS_MARGIN = 60.0
 REMOVAL_SECONDS_MAX = 60.0
 LOOK_SECONDS_AFTER_REMOVAL = 6.0
@@ -203,8 +205,25 @@ def prepare(going: Run, made: Mapping[str, Path]) -> None:
         say=going.say,
     )
     going.set_up_seconds["players and releases ready"] = round(time.monotonic() - began, 2)
+    settle(going)
     going.main_before = going.deployment.fetch()
     going.releases_before = specification_digests(going.deployment.releases())
+
+
+def settle(going: Run) -> None:
+    """Lets the cluster finish what the start of its pods has left to do; a run on a busy one goes on with a warning."""
+    began, used = time.monotonic(), 0.0
+
+    def rested() -> bool:
+        nonlocal used
+        used = going.sampler.cores_used() or 0.0
+        return used <= REST_CORES_MAX
+
+    try:
+        wait_for("the cluster to be at rest", REST_SECONDS_MAX, rested, lambda: f"it takes {used:.2f} cores", 0.0)
+    except RunError as error:
+        going.warn(f"the run begins all the same: {error}")
+    going.set_up_seconds["cluster at rest"] = round(time.monotonic() - began, 2)
 
 
 def ask(going: Run) -> None:

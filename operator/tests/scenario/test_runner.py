@@ -25,6 +25,7 @@ from scenarios.runner import (
     placing,
     policy,
     readiness,
+    running,
     waiting,
 )
 from scenarios.runner.access import Endpoint
@@ -195,6 +196,53 @@ def test_cpu_is_summed_by_component_also_of_pods_that_came_and_went(tmp_path: Pa
     spent = sampler.stop({UID: ("cloud-0", "recorder-x", marks)})
     spent.pop("scenario (observer, watch)", None)
     assert spent == {"etcd": 1.0, "kubelet": 3.0, "recorder (cloud)": 2.0}
+
+
+def spending(root: Path, core_seconds: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """While somebody sleeps, the cluster below `root` spends that much."""
+    spent = 0.0
+
+    def sleep(_seconds: float) -> None:
+        nonlocal spent
+        spent += core_seconds
+        group(root, "", spent)
+
+    group(root, "", spent)
+    monkeypatch.setattr(cpu.time, "sleep", sleep)
+    ticks = iter(range(0, 1000, 2))
+    monkeypatch.setattr(cpu.time, "monotonic", lambda: float(next(ticks)))
+
+
+def test_the_cores_that_a_cluster_takes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    spending(tmp_path, 3.0, monkeypatch)
+    assert cpu.CpuSampler(tmp_path).cores_used() == 1.5
+    assert cpu.CpuSampler(tmp_path / "nobody").cores_used() is None
+
+
+def settled(figures: list[float | None]) -> SimpleNamespace:
+    """A run that looked at a cluster which takes these numbers of cores, one after the other."""
+    going = SimpleNamespace(
+        sampler=SimpleNamespace(cores_used=lambda: figures.pop(0)), set_up_seconds={}, warnings=[], warn=None
+    )
+    going.warn = going.warnings.append
+    running.settle(going)
+    return going
+
+
+def test_a_run_begins_when_the_cluster_is_at_rest() -> None:
+    figures: list[float | None] = [1.9, 1.4, 1.0, 0.2]
+    going = settled(figures)
+    assert figures == [0.2]
+    assert going.warnings == []
+    assert list(going.set_up_seconds) == ["cluster at rest"]
+    assert settled([None]).warnings == []  # nobody counts: nothing to wait for
+
+
+def test_a_cluster_that_finds_no_rest_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(running, "REST_SECONDS_MAX", -1.0)
+    (warning,) = settled([1.7]).warnings
+    assert "the cluster to be at rest" in warning
+    assert warning.endswith("it takes 1.70 cores")
 
 
 def test_both_versions_of_control_groups_are_read(tmp_path: Path) -> None:
