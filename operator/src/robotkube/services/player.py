@@ -2,14 +2,17 @@
 
 A message is due at `start + offset` of the wall clock, absolutely: a stall is made up for, nothing drifts, nothing is
 left out. A player that comes back in the middle of a run goes on where its ledger ends, without what was missed.
+
+Messages are prepared some at a time (stamp, hash, line), so that nothing but the publication is left when one is due: a
+hundred times a second its code comes from memory, not from the processor's caches, and costs many times as much.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from robotkube.domain.bags import LATE_NS, BagTopic, Run, ledger_end, ledger_line, restamped
 from robotkube.domain.messages import STAMPED_TYPES
@@ -19,6 +22,8 @@ if TYPE_CHECKING:  # the ports know every part's domain: 25 ms of a start
 
 IDLE_NS = 200_000_000
 FLUSH_NS = 1_000_000_000
+AHEAD_NS, AHEAD_MAX = 100_000_000, 100
+"""Messages of so long a time, and not more of them, are prepared together."""
 
 
 @dataclass
@@ -48,6 +53,15 @@ class _Track:
         return restamped(data, due) if self.topic.type in STAMPED_TYPES else data
 
 
+class _Ready(NamedTuple):
+    """A message with its ledger line, to be published when it is due."""
+
+    track: _Track
+    due: int
+    data: bytes
+    line: str
+
+
 @dataclass
 class Player:
     """Plays runs as they are ordered. `order` may be called from any thread, `serve` runs on one until `stopped`."""
@@ -61,6 +75,7 @@ class Player:
     counts: Counts = field(default_factory=Counts)
     _ordered: Run | None = None
     _sinks: dict[str, MessageSink] = field(default_factory=dict)
+    _published: list[_Ready] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         for topic in self.bag.topics:
@@ -105,6 +120,7 @@ class Player:
             if finished:
                 self._end(tracks)
         finally:
+            self._note()
             self.ledgers.close()
         self.log("run ended", run=run.id, finished=finished, published=self.counts.published, late=self.counts.late)
 
@@ -120,32 +136,58 @@ class Player:
         """Whether the bag was played to its end."""
         resumed = any(track.lines for track in tracks.values())
         begun, flush_at = self.clock.now(), 0
-        for name, offset, data in self.bag.messages():
+        for batch in _ahead(self.bag.messages()):
+            ready = self._prepared(run, tracks, batch, begun - LATE_NS if resumed else None)
+            self._note()
+            if (now := self.clock.now()) >= flush_at:
+                self.ledgers.flush()
+                flush_at = now + FLUSH_NS
+            if not self._publish(run, ready):
+                return False
+        self._note()
+        return True
+
+    def _prepared(
+        self, run: Run, tracks: dict[str, _Track], batch: Sequence[tuple[str, int, bytes]], missed: int | None
+    ) -> list[_Ready]:
+        """What is to be published of the batch; what was due before `missed` is not."""
+        ready = []
+        for name, offset, data in batch:
             track, due = tracks[name], run.start + offset
             sequence, track.sequence = track.sequence, track.sequence + 1
-            if sequence < track.next or (resumed and due < begun - LATE_NS):
+            if sequence < track.next or (missed is not None and due < missed):
                 self._skip(track, sequence, data, due)
                 continue
             message = track.message(data, due)
             line = ledger_line(sequence, due, hashlib.sha256(message).hexdigest())
-            now = self.clock.now()
-            if now >= flush_at:
-                self.ledgers.flush()
-                flush_at = now + FLUSH_NS
-            while (left := due - self.clock.now()) > 0:
-                self.clock.sleep(min(left, IDLE_NS))
+            ready.append(_Ready(track, due, message, line))
+        return ready
+
+    def _publish(self, run: Run, ready: Iterable[_Ready]) -> bool:
+        """Each when it is due; False when the run shall not go on."""
+        now, sleep, counts = self.clock.now, self.clock.sleep, self.counts
+        for one in ready:
+            while (left := one.due - now()) > 0:
+                sleep(min(left, IDLE_NS))
                 if left > IDLE_NS:
+                    self._note()
                     self.ledgers.flush()
                     if self._interrupted(run):
                         return False
             if self._interrupted(run):
                 return False
-            track.sink.publish(message)
-            self.ledgers.append(name, line)
-            track.lines += 1
-            self.counts.published += 1
-            self.counts.late += left < -LATE_NS
+            one.track.sink.publish(one.data)
+            self._published.append(one)
+            counts.published += 1
+            counts.late += left < -LATE_NS
         return True
+
+    def _note(self) -> None:
+        """Put what was published into the ledgers."""
+        for one in self._published:
+            self.ledgers.append(one.track.topic.name, one.line)
+            one.track.lines += 1
+        self._published.clear()
 
     def _skip(self, track: _Track, sequence: int, data: bytes, due: int) -> None:
         """A message of an earlier life of this player, or missed between the two; late subscribers of latched topics
@@ -161,4 +203,16 @@ class Player:
                 self.ledgers.append(name, ledger_end(track.lines))
 
     def _interrupted(self, run: Run) -> bool:
-        return self.stopped() or self._ordered != run
+        return self.stopped() or (self._ordered is not run and self._ordered != run)
+
+
+def _ahead(messages: Iterable[tuple[str, int, bytes]]) -> Iterator[list[tuple[str, int, bytes]]]:
+    """The messages in batches of AHEAD_NS and AHEAD_MAX."""
+    batch: list[tuple[str, int, bytes]] = []
+    for message in messages:
+        if batch and (message[1] - batch[0][1] >= AHEAD_NS or len(batch) >= AHEAD_MAX):
+            yield batch
+            batch = []
+        batch.append(message)
+    if batch:
+        yield batch
