@@ -176,6 +176,7 @@ TOPIC = {"name": "/a", "type": "std_msgs/msg/String"}
 
 BRIDGE_REFUSALS: list[tuple[dict[str, Any], str]] = [
     ({"out": [{**TOPIC, "name": "pose"}]}, "at '/bridge/out/0/name': 'pose' does not match"),
+    ({"out": [{**TOPIC, "type": "std_msgs/msg/string"}]}, "at '/bridge/out/0/type': 'std_msgs/msg/string' does not"),
     ({"out": [{**TOPIC, "format": "json"}]}, "value must be one of 'frames', 'mqtt_client'"),
     (
         {"out": [{**TOPIC, "mqtt_topic": "a/#", "format": "mqtt_client"}]},
@@ -295,6 +296,12 @@ def test_application_charts_without_an_image_say_what_to_do(helm: Any, chart: st
     assert f"{chart}: no image. Pack the chart with images.yaml (key ros), or give image.reference." in said
 
 
+@pytest.mark.parametrize("broker", [None, {"existingSecret": None}])
+def test_a_bridge_without_an_account_says_what_to_do(helm: Any, broker: Any) -> None:
+    said = helm.refusal(CHARTS / "apps" / "mqtt-bridge", PROFILES / "mqtt-bridge.yaml", broker=broker)
+    assert "mqtt-bridge: no account at the broker. Give broker.existingSecret." in said
+
+
 @pytest.mark.parametrize(
     "chart", ["robotkube", *(f"apps/{name}" for name in APP_CHARTS), *(f"earlier/{name}" for name in EARLIER_CHARTS)]
 )
@@ -338,6 +345,10 @@ NEEDS: dict[str, tuple[dict[str, Any], str]] = {
     "broker.existingSecret for reactions": (
         {"broker": {"existingSecret": ""}},
         "detector.reactions[4] of rule in-the-depot: kind mqtt needs an account at the broker. Give broker.existingSec",
+    ),
+    "sections that were emptied": (
+        dict.fromkeys(["recordings", "database", "broker", "webhooks", "bags"]),
+        "event-detector: 8 problem(s) in the values, nothing was changed:",
     ),
     "webhooks.existingSecret": (
         {"webhooks": {"existingSecret": ""}},

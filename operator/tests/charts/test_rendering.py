@@ -83,6 +83,45 @@ def test_every_pod_of_an_application_runs_restricted(apps: Mapping[str, Any], ch
     assert restricted_problems(pod) == []
 
 
+NUMBER = "07"  # a name that YAML takes for something else: so do 1e3, on and 123
+
+
+@pytest.mark.parametrize("chart", ["mqtt-bridge", "event-detector"])
+def test_names_that_look_like_numbers_stay_names(helm: Any, chart: str) -> None:
+    secret, claim = {"existingSecret": NUMBER}, {"claim": NUMBER}
+    values = {"broker": secret}
+    if chart == "event-detector":
+        values |= {"database": secret, "webhooks": secret, "recordings": claim, "bags": claim}
+    values |= {"placement": {"agent": NUMBER}, "image": {"reference": "123"}}
+    shown = helm.template(CHARTS / "apps" / chart, PROFILE.with_name(f"{chart}.yaml"), release="123", **values)
+    config = yaml.safe_load(shown.one("ConfigMap", "123")["data"]["config.yaml"])
+    deployment = shown.one("Deployment", "123")
+    pod = deployment["spec"]["template"]["spec"]
+    assert config.get("agent", NUMBER) == NUMBER
+    assert deployment["metadata"]["labels"]["robotkube.io/agent"] == pod["nodeSelector"]["robotkube.io/agent"] == NUMBER
+    assert deployment["spec"]["selector"]["matchLabels"]["app.kubernetes.io/instance"] == "123"
+    assert pod["containers"][0]["image"] == "123"
+    named = [volume["secret"]["secretName"] for volume in pod["volumes"] if "secret" in volume]
+    named += [v["persistentVolumeClaim"]["claimName"] for v in pod["volumes"] if "persistentVolumeClaim" in v]
+    assert set(named) == {NUMBER}
+
+
+@pytest.mark.parametrize(
+    ("chart", "empty", "expected"),
+    [
+        ("event-detector", ["detector"], {"topics": [], "rules": [], "reactions": [], "task": "", "state": "active"}),
+        ("mqtt-bridge", ["bridge"], {"out": [], "in": [], "trace": "", "publish_types": False, "publish_gaps": True}),
+    ],
+)
+def test_an_emptied_section_is_its_defaults(helm: Any, chart: str, empty: list[str], expected: Object) -> None:
+    """As when everything below a key is commented out: YAML's null, which helm takes for `remove the default`."""
+    values = dict.fromkeys([*empty, "terminationGracePeriodSeconds", "resources"])
+    shown = helm.template(CHARTS / "apps" / chart, PROFILE.with_name(f"{chart}.yaml"), release="a", **values)
+    config = yaml.safe_load(shown.one("ConfigMap", "a")["data"]["config.yaml"])
+    assert {key: config[key] for key in expected} == expected
+    assert "terminationGracePeriodSeconds" not in shown.one("Deployment", "a")["spec"]["template"]["spec"]
+
+
 def test_the_checker_sees_what_it_looks_for(official: Any) -> None:
     _, pod = official.pods[0]
     pod["containers"][0]["securityContext"]["readOnlyRootFilesystem"] = False

@@ -2,9 +2,9 @@
 image: ros
 command: [python3, -m, robotkube.entrypoints.player]
 serviceAccount: bag-player
-claims: [{name: bags, claim: {{ .Values.bags.claim }}, path: /var/lib/robotkube/bags}]
+claims: [{name: bags, claim: {{ .Values.bags.claim | quote }}, path: /var/lib/robotkube/bags}]
 config:
-  agent: {{ .Values.player.agent | default .Values.placement.agent }}
+  agent: {{ .Values.player.agent | default .Values.placement.agent | quote }}
   bag: {{ .Values.player.bag | default (printf "/var/lib/robotkube/bags/%s" .Values.placement.agent) }}
   ledger: {{ .Values.player.ledger }}
 {{- end }}

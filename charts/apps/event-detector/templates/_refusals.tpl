@@ -2,28 +2,30 @@
 {{- define "event-detector.refusals" -}}
 {{- $problems := list -}}
 {{- $values := .Values -}}
-{{- range $i, $topic := $values.detector.topics -}}
-{{- if and (eq (dig "source" "ros" $topic) "mqtt") (not $values.broker.existingSecret) -}}
+{{- range $i, $topic := ($values.detector).topics -}}
+{{- if and (eq (dig "source" "ros" $topic) "mqtt") (not ($values.broker).existingSecret) -}}
 {{- $problems = append $problems (printf "detector.topics[%d] %s: source mqtt needs an account at the broker. Give broker.existingSecret." $i $topic.name) -}}
 {{- end -}}
 {{- end -}}
-{{- range $i, $reaction := $values.detector.reactions -}}
+{{- range $i, $reaction := ($values.detector).reactions -}}
 {{- $at := printf "detector.reactions[%d] of rule %s" $i $reaction.rule -}}
-{{- if and (eq $reaction.kind "recording") (not $values.recordings.claim) -}}
+{{- if and (eq $reaction.kind "recording") (not ($values.recordings).claim) -}}
 {{- $problems = append $problems (printf "%s: a recording needs a place for its segments. Give recordings.claim." $at) -}}
 {{- end -}}
-{{- if and (eq $reaction.kind "recording") (not $values.database.existingSecret) -}}
+{{- if and (eq $reaction.kind "recording") (not ($values.database).existingSecret) -}}
 {{- $problems = append $problems (printf "%s: a recording needs a database for its index. Give database.existingSecret." $at) -}}
 {{- end -}}
-{{- if and (eq $reaction.kind "mqtt") (not $values.broker.existingSecret) -}}
+{{- if and (eq $reaction.kind "mqtt") (not ($values.broker).existingSecret) -}}
 {{- $problems = append $problems (printf "%s: kind mqtt needs an account at the broker. Give broker.existingSecret." $at) -}}
 {{- end -}}
-{{- if and (eq $reaction.kind "webhook") $reaction.secret (not $values.webhooks.existingSecret) -}}
+{{- if and (eq $reaction.kind "webhook") $reaction.secret (not ($values.webhooks).existingSecret) -}}
 {{- $problems = append $problems (printf "%s: secret %s is a key of no Secret. Give webhooks.existingSecret." $at $reaction.secret) -}}
 {{- end -}}
 {{- end -}}
-{{- if and $values.detector.buffer.bag (not $values.bags.claim) -}}
-{{- $problems = append $problems (printf "detector.buffer.bag %s: no claim holds it. Give bags.claim, which is mounted at /var/lib/robotkube/bags." $values.detector.buffer.bag) -}}
+{{- with (($values.detector).buffer).bag -}}
+{{- if not ($values.bags).claim -}}
+{{- $problems = append $problems (printf "detector.buffer.bag %s: no claim holds it. Give bags.claim, which is mounted at /var/lib/robotkube/bags." .) -}}
+{{- end -}}
 {{- end -}}
 {{- with $problems -}}
 {{- $lines := list -}}

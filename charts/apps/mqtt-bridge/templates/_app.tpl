@@ -2,12 +2,12 @@
 image: ros
 command: [python3, -m, robotkube.entrypoints.bridge]
 serviceAccount: mqtt-bridge
-broker: {{ .Values.broker.existingSecret }}
+broker: {{ (.Values.broker).existingSecret | required "\n\nmqtt-bridge: no account at the broker. Give broker.existingSecret.\n" | quote }}
 config:
-  agent: {{ .Values.placement.agent }}
-  out: {{ toJson .Values.bridge.out }}
-  in: {{ toJson .Values.bridge.in }}
-  trace: {{ .Values.bridge.trace | quote }}
-  publish_types: {{ .Values.bridge.publish_types }}
-  publish_gaps: {{ .Values.bridge.publish_gaps }}
+  agent: {{ .Values.placement.agent | quote }}
+  out: {{ toJson ((.Values.bridge).out | default list) }}
+  in: {{ toJson ((.Values.bridge).in | default list) }}
+  trace: {{ (.Values.bridge).trace | default "" | quote }}
+  publish_types: {{ (.Values.bridge).publish_types | default false }}
+  publish_gaps: {{ dig "publish_gaps" true (.Values.bridge | default dict) }}
 {{- end }}

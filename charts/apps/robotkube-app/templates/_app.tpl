@@ -34,7 +34,7 @@ data:
 {{- end }}
 
 {{- define "robotkube-app.metadata" -}}
-name: {{ .Release.Name }}
+name: {{ .Release.Name | quote }}
 labels: {{- include "robotkube-app.labels" . | nindent 2 }}
 {{- end }}
 
@@ -42,17 +42,17 @@ labels: {{- include "robotkube-app.labels" . | nindent 2 }}
 {{ include "robotkube-app.selector" . }}
 app.kubernetes.io/part-of: robotkube
 app.kubernetes.io/managed-by: {{ .Release.Service }}
-robotkube.io/agent: {{ .Values.placement.agent }}
+robotkube.io/agent: {{ .Values.placement.agent | quote }}
 {{- end }}
 
 {{- define "robotkube-app.selector" -}}
 app.kubernetes.io/name: {{ .Chart.Name }}
-app.kubernetes.io/instance: {{ .Release.Name }}
+app.kubernetes.io/instance: {{ .Release.Name | quote }}
 {{- end }}
 
 {{- define "robotkube-app.image" -}}
 {{- $packed := .root.Files.Get "images.yaml" | fromYaml -}}
-{{- with .root.Values.image.reference | default (get $packed .image) -}}
+{{- with (.root.Values.image).reference | default (get $packed .image) -}}
 {{ . }}
 {{- else -}}
 {{ fail (printf "\n\n%s: no image. Pack the chart with images.yaml (key %s), or give image.reference.\n" $.root.Chart.Name $.image) }}
@@ -83,8 +83,10 @@ spec:
 serviceAccountName: {{ .serviceAccount | default "application" }}
 automountServiceAccountToken: false   # mounted below, as the one account this pod needs
 enableServiceLinks: false
-terminationGracePeriodSeconds: {{ .root.Values.terminationGracePeriodSeconds | int }}
-nodeSelector: {robotkube.io/agent: {{ .root.Values.placement.agent }}{{ with .root.Values.placement.node }}, kubernetes.io/hostname: {{ . | quote }}{{ end }}}
+{{- with .root.Values.terminationGracePeriodSeconds }}
+terminationGracePeriodSeconds: {{ . | int }}
+{{- end }}
+nodeSelector: {robotkube.io/agent: {{ .root.Values.placement.agent | quote }}{{ with .root.Values.placement.node }}, kubernetes.io/hostname: {{ . | quote }}{{ end }}}
 dnsConfig: {options: [{name: ndots, value: "1"}]}          # addresses are full names: one question each
 securityContext:
   runAsNonRoot: true
@@ -95,7 +97,7 @@ securityContext:
   seccompProfile: {type: RuntimeDefault}
 containers:
 - name: {{ .root.Chart.Name }}
-  image: {{ include "robotkube-app.image" . }}
+  image: {{ include "robotkube-app.image" . | quote }}
   imagePullPolicy: IfNotPresent
   command: {{ toJson .command }}
   env:
@@ -133,7 +135,7 @@ containers:
   {{- end }}
   - {name: tmp, mountPath: /tmp}
 volumes:
-- {name: settings, configMap: {name: {{ .root.Release.Name }}}}
+- {name: settings, configMap: {name: {{ .root.Release.Name | quote }}}}
 - name: token
   projected:
     defaultMode: 0440
@@ -142,16 +144,16 @@ volumes:
     - configMap: {name: kube-root-ca.crt, items: [{key: ca.crt, path: ca.crt}]}
     - downwardAPI: {items: [{path: namespace, fieldRef: {fieldPath: metadata.namespace}}]}
 {{- with .broker }}
-- {name: broker, secret: {secretName: {{ . }}, defaultMode: 0440}}
+- {name: broker, secret: {secretName: {{ . | quote }}, defaultMode: 0440}}
 {{- end }}
 {{- with .database }}
-- {name: database, secret: {secretName: {{ . }}, defaultMode: 0440}}
+- {name: database, secret: {secretName: {{ . | quote }}, defaultMode: 0440}}
 {{- end }}
 {{- with .webhooks }}
-- {name: webhooks, secret: {secretName: {{ . }}, defaultMode: 0440}}
+- {name: webhooks, secret: {secretName: {{ . | quote }}, defaultMode: 0440}}
 {{- end }}
 {{- range .claims }}
-- {name: {{ .name }}, persistentVolumeClaim: {claimName: {{ .claim }}}}
+- {name: {{ .name }}, persistentVolumeClaim: {claimName: {{ .claim | quote }}}}
 {{- end }}
 - {name: tmp, emptyDir: {sizeLimit: 256Mi}}
 {{- end }}
