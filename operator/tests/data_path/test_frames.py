@@ -39,6 +39,7 @@ def test_arbitrary_bytes_are_a_frame_or_refused(data: bytes) -> None:
         (encode_frame(1, 1, [b"abc"]) + b"x", "1 bytes follow the last of 1 messages"),
         (encode_frame(1, 1, [b"abc"])[:-1], "message 1 of 1 ends at byte"),
         (encode_frame(1, 1, [b"a", b"b"])[:-5], "before message 2 of 2"),
+        (encode_frame(1, 1, [b""] * 20_001), "a frame of 20001 messages; send at most 20000 in one"),
     ],
 )
 def test_the_refusal_says_what_is_wrong(data: bytes, words: str) -> None:

@@ -17,7 +17,10 @@ from rule_stage import DEFINITIONS, NOW, NUMBER, NUMBERS, POSES, SECOND, TOPICS,
 from waiting import until
 
 from robotkube.adapters.rule_processes import ChildProcess
+from robotkube.domain.layouts import Layouts
 from robotkube.domain.rules import RISE, START, STOP, Answer, Edge, Question, Rule
+from robotkube.domain.rules.plugins import BUFFERS_MAX, Arrival, Holding, PluginHost
+from robotkube.domain.windows import Window
 from robotkube.entrypoints.detector_parts import KnownExpressions
 from robotkube.entrypoints.rule_host import check_expressions, start_rule
 from robotkube.ports.rules import Reply
@@ -55,6 +58,10 @@ class Wrong:
             list(range(10**9))
         if self.kind == "lies":
             return ["nonsense"]
+        if self.kind == "mumbles":
+            from robotkube.domain.rules.edges import Cause
+            from robotkube.domain.rules.plugins import Holding
+            return [Holding((arrival.agent,), True, {}, (Cause("/t", 1, {"x": b"no JSON"}),))]
         return []
 '''
 
@@ -135,9 +142,47 @@ def test_an_expression_that_fails_is_suspended_and_the_others_go_on(make_stage: 
 
 
 def test_expressions_are_checked_before_they_are_used() -> None:
-    good, bad = check_expressions(["a.x > 1.0", "a >"])
+    good, bad = check_expressions([("a.x > 1.0", ("a.x", "b.x")), ("a >", ("a",))])
     assert good == ""
     assert bad.startswith("cannot be read: ")
+
+
+NAMES, PAIRS = ("charge", "heat", "agent"), ("a.x", "a.agent", "b.x", "b.agent")
+
+
+@pytest.mark.parametrize(
+    ("expression", "names", "problem"),
+    [
+        ("charge < 0.3 && heat > 50.0 && agent != 'x'", NAMES, ""),
+        ("charge < 0.3 && het > 50.0", NAMES, "het is none of the names in fields (agent, charge, heat)"),
+        ("charge < 0.3 || math.abs(heat) > 1.0", NAMES, "math is none of the names"),
+        ("charge.exists(i, i > 0.5) && charge.map(j, j * 2.0).all(k, k > 1.0)", NAMES, ""),
+        ("charge.exists(i, j > 0.5)", NAMES, "j is none of the names"),
+        ("size(charge) > 2 && type(heat) == int", NAMES, ""),
+        ("charge.startsWith('a') || heat.matches('b')", NAMES, ""),
+        ("abs(charge) > 0.5", NAMES, "cannot be evaluated: RuntimeError: Undefined variable or function: 'abs'"),
+        ("charge + 1.0", NAMES, "is float, not true or false; compare it with something"),
+        ("agent", NAMES, "is str, not true or false"),
+        ("charge", NAMES, ""),
+        ("charge + 1 > 2", NAMES, ""),
+        ("a.x - b.x < 3.0 && a.agent != b.agent", PAIRS, ""),
+        ("a.q - b.x < 3.0", PAIRS, "cannot be evaluated: KeyError: 'q'"),
+        ("x < 3.0", PAIRS, "x is none of the names in fields (a.agent, a.x, b.agent, b.x)"),
+        ("[1,2,3,4,5,6,7,8,9].all(a, " * 9 + "a > 0" + ")" * 9, NAMES,
+         "takes too long to be evaluated; make it simpler"),
+    ],
+)  # fmt: skip
+def test_what_an_expression_cannot_know_is_named(expression: str, names: tuple[str, ...], problem: str) -> None:
+    [found] = check_expressions([(expression, names)])
+    assert found.startswith(problem) if problem else not found
+
+
+def test_a_number_that_is_none_leaves_everything_as_it_was(make_stage: Callable[..., Stage]) -> None:
+    stage = make_stage(FORMULA)
+    for at, value in enumerate([3.0, float("nan"), 1.5, float("nan"), 0.5]):
+        stage.send("vehicle-00", value, at)
+    assert [(edge, at) for edge, _, at in seconds(stage.settled())] == [(START, 0.0), (STOP, 4.0)]
+    assert stage.workers.document()["fast"]["suspensions"] == 0
 
 
 @pytest.mark.usefixtures("plugins")
@@ -158,6 +203,36 @@ def test_the_example_package_finds_vehicles_that_approach_fast(make_stage: Calla
 
 
 @pytest.mark.usefixtures("plugins")
+def test_the_example_package_says_which_settings_are_missing(make_stage: Callable[..., Stage]) -> None:
+    """As the how-to asks of every package."""
+    stage = make_stage({
+        "name": "approach", "kind": "python", "plugin": "closing-speed", "topics": [POSES], "scope": "pair",
+        "settings": {"stop_mps": 5},
+    })  # fmt: skip
+    stage.send("vehicle-00", (0.0, 0.0, 0.0), 1)
+    assert stage.settled() == []
+    assert "ValueError: settings: topic, start_mps missing; give" in stage.workers.document()["approach"]["problem"]
+
+
+def test_agents_that_come_and_go_do_not_end_a_rule() -> None:
+    """A window has so many topics; who has been silent longest makes room."""
+
+    class Counting:
+        def evaluate(self, arrival: Arrival, window: Window) -> list[Holding]:
+            found = window.topics(POSES)
+            return [Holding((arrival.agent,), True, {"topics": float(len(found)), "v1": float("v1" in found)})]
+
+    def ask(number: int, at: int) -> dict[str, float]:
+        topic = f"/vehicles/v{number}/pose"
+        return dict(host.answer(Question("r", (f"v{number}",), topic, at, at, type=TOPICS[POSES]))[0].detail)
+
+    host = PluginHost(Counting(), TOPICS, Layouts(DEFINITIONS.__getitem__), 5)
+    assert [ask(number, number) for number in range(BUFFERS_MAX)][-1] == {"topics": BUFFERS_MAX, "v1": 1}
+    assert ask(0, BUFFERS_MAX) == {"topics": BUFFERS_MAX, "v1": 1}
+    assert ask(BUFFERS_MAX, BUFFERS_MAX + 1) == {"topics": BUFFERS_MAX, "v1": 0}
+
+
+@pytest.mark.usefixtures("plugins")
 @pytest.mark.parametrize(
     ("kind", "problem"),
     [
@@ -168,6 +243,7 @@ def test_the_example_package_finds_vehicles_that_approach_fast(make_stage: Calla
         ("ends", "exit code 7"),
         ("eats", "MemoryError"),
         ("lies", "AttributeError"),
+        ("mumbles", "TypeError: Object of type bytes is not JSON serializable"),
     ],
 )
 def test_a_rule_that_does_wrong_is_suspended_by_name(
@@ -324,13 +400,15 @@ def test_expressions_stay_loaded_while_the_detector_rests_and_know_nothing_of_be
 def test_only_expressions_that_are_new_are_checked() -> None:
     asked: list[Sequence[str]] = []
 
-    def check(texts: Sequence[str]) -> Sequence[str]:
-        asked.append(list(texts))
-        return [f"{text} is wrong" if "!" in text else "" for text in texts]
+    a, b, c = ("a", ("x",)), ("b!", ("x",)), ("c", ("x",))
+
+    def check(texts: Sequence[tuple[str, tuple[str, ...]]]) -> Sequence[str]:
+        asked.append([text for text, _ in texts])
+        return [f"{text} is wrong" if "!" in text else "" for text, _ in texts]
 
     known = KnownExpressions(check)
-    assert known(["a", "b!", "a"]) == ["", "b! is wrong", ""]
-    assert known(["b!", "a"]) == ["b! is wrong", ""]
-    assert known(["a", "c"]) == ["", ""]
-    assert known(["b!"]) == ["b! is wrong"]
+    assert known([a, b, a]) == ["", "b! is wrong", ""]
+    assert known([b, a]) == ["b! is wrong", ""]
+    assert known([a, c]) == ["", ""]
+    assert known([b]) == ["b! is wrong"]
     assert asked == [["a", "b!"], ["c"], ["b!"]], "what is not used any more is forgotten"

@@ -90,7 +90,16 @@ REFUSED = [
     (changed("high", topic="/words"), "field: data of std_msgs/msg/String is no number"),
     (changed("high", stop_below=6), "stop_below: must not lie beyond start_above"),
     (changed("high", start_below=1), "start_below: unknown key"),
-    (changed("high", start_above=None), "start_below: is missing"),
+    (changed("high", start_above=None), "start_above: is missing; it must be a number"),
+    (changed("high", start_above=None, stop_below=None, above=5),
+     "start_above: is missing; it needs start_above and stop_below, or start_below and stop_above"),
+    (changed("slow", start_below_hz=None), "start_below_hz: is missing; it must be a number"),
+    (changed("near", start_distance_m="30 m"), "1e+07, not the text '30 m'; without unit and quotes, as 30 or 1.5"),
+    (changed("few", at_least=2), "at_least: must not be more than 1: for so many it can hold, of 2 agents"),
+    (changed("both", scope="group", agents=["a", "b"], at_least=2), "at_least: must not be more than 1"),
+    (changed("high", scope="group", agents=["a", "b"], at_least=3), "at_least: must not be more than 2"),
+    (changed("yard", area={"type": "Polygon", "coordinates": [[[0, 0], [2, 2], [2, 0], [0, 2]]]}),
+     "area.coordinates: must hold rings that do not cross themselves; the edge from [0, 0] crosses that from [2, 0]"),
     (changed("high", sustained_seconds=-1), "sustained_seconds: must be a number from 0"),
     (changed("high", silent="yes"), "silent: must be true or false"),
     (changed("high", scope="pair"), "scope: must be one of agent, group"),
@@ -131,6 +140,13 @@ def test_all_problems_are_named_at_once() -> None:
     assert {text.partition(".")[0].partition(":")[0] for text in found} == {"rules[0]", "rules[1]", "rules[3]"}
 
 
+@pytest.mark.parametrize("name", ["n" * 201, "two\nlines", "nothing\0"])
+def test_a_name_is_short_and_on_one_line(name: str) -> None:
+    (problem,) = problems_of(changed("near", name=name))
+    assert problem == "rules[0].name: must be at most 200 characters on one line"
+    assert not problems_of(changed("near", name="nähe, 200 m"))
+
+
 def test_names_are_unique_and_processes_few() -> None:
     assert "is the name of another rule, too" in str(problems_of(GOOD[0], GOOD[0]))
     assert "at most 16 rules" in str(problems_of(*(changed("formula", name=f"f{n}") for n in range(17))))
@@ -138,7 +154,8 @@ def test_names_are_unique_and_processes_few() -> None:
 
 def test_expressions_are_checked_where_the_caller_can() -> None:
     def check(texts: Any) -> list[str]:
-        return ["" if ">" in text else f"no sense in {text}" for text in texts]
+        assert {names for _, names in texts} == {("v", "agent")}
+        return ["" if ">" in text else f"no sense in {text}" for text, _ in texts]
 
     from rule_stage import TOPICS, layouts
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import random
+from fractions import Fraction
 from itertools import combinations
 from typing import Any
 
@@ -204,11 +206,10 @@ def test_rates_are_what_counting_gives(cases: int) -> None:
         assert [(edge, round(at * 1000)) for edge, _, at in seconds(found)] == expected, seed
 
 
-def area(*rings: list[list[float]]) -> Area:
+def problems_of_area(*rings: list[list[float]]) -> list[str]:
     problems: list[str] = []
-    found = Area(read_area(Fields({"type": "Polygon", "coordinates": list(rings)}, "area", problems)))
-    assert not problems
-    return found
+    read_area(Fields({"type": "Polygon", "coordinates": list(rings)}, "area", problems))
+    return problems
 
 
 def inside_by_winding(ring: list[list[float]], x: int, y: int) -> bool | None:
@@ -235,11 +236,40 @@ def test_areas_hold_what_winding_says(cases: int) -> None:
         crossed = [(b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1]) for a, b, c in [outer[:3]]]
         if flat or not crossed[0]:
             continue
-        found = area([*outer, outer[0]], hole)
+        found = Area([tuple(tuple((float(x), float(y)) for x, y in ring) for ring in (outer, hole))])
         for _ in range(40):
             x, y = chance.randint(-10, 10), chance.randint(-10, 10)
             out, into = inside_by_winding(outer, x, y), inside_by_winding(hole, x, y)
             assert found.holds(x, y) == (out is not False and into is not True), (seed, x, y)
+
+
+def crosses_by_every_pair(ring: list[list[float]]) -> bool:
+    """Whole numbers: every edge with every other, by the parameters at which their lines meet."""
+    edges = list(zip(ring, ring[1:] + ring[:1], strict=True))
+    for (a, b), (c, d) in combinations(edges, 2):
+        across = (b[0] - a[0]) * (d[1] - c[1]) - (b[1] - a[1]) * (d[0] - c[0])
+        if across:
+            one = Fraction(int((c[0] - a[0]) * (d[1] - c[1]) - (c[1] - a[1]) * (d[0] - c[0])), int(across))
+            other = Fraction(int((c[0] - a[0]) * (b[1] - a[1]) - (c[1] - a[1]) * (b[0] - a[0])), int(across))
+            if 0 < one < 1 and 0 < other < 1:
+                return True
+    return False
+
+
+@pytest.mark.parametrize("cases", CASES)
+def test_rings_that_cross_themselves_are_refused_and_no_others(cases: int) -> None:
+    crossing = 0
+    for seed in range(cases):
+        chance = random.Random(seed)  # noqa: S311 - the same cases every time
+        ring = [[chance.randint(-9, 9), chance.randint(-9, 9)] for _ in range(chance.randint(4, 7))]
+        if ring[0] == ring[-1] or "enclose something" in str(problems := problems_of_area(ring)):
+            continue
+        crossing += crosses_by_every_pair(ring)
+        assert ("cross themselves" in str(problems)) == crosses_by_every_pair(ring), (seed, ring, problems)
+    assert 0 < crossing < cases
+    wide = [[math.cos(n / 500 * math.pi) * 1e6, math.sin(n / 500 * math.pi) * 1e6] for n in range(1000)]
+    assert not problems_of_area(wide)
+    assert not problems_of_area([[0, 0], [0.1, 0.1], [0.2, 0.2], [0.3, 0.3], [0.7, 0.7], [0, 1]]), "digits of rounding"
 
 
 def chains_by_definition(starts: list[tuple[int, str]], parts: list[str], within: int) -> list[int]:

@@ -277,6 +277,34 @@ def test_any_and_not() -> None:
     assert sorted((e.rule, e.edge) for e in calm.send("vehicle-00", 9, 1)) == [("calm", STOP), ("high", START)]
 
 
+def test_a_message_that_changes_two_parts_shows_nothing_in_between() -> None:
+    def above(name: str, value: float) -> dict[str, Any]:
+        bounds = {"start_above": value, "stop_below": value}
+        return {"name": name, "kind": "threshold", "topic": NUMBERS, "field": "data", "silent": True, **bounds}
+
+    stage = RuleStage(
+        above("some", 3), above("much", 6),
+        {"name": "middle", "kind": "combination", "all": ["some", {"not": "much"}]},
+    )  # fmt: skip
+    found = [edge for at, value in enumerate((1, 7, 1, 4, 7, 4, 1)) for edge in stage.send("vehicle-00", value, at)]
+    assert [(edge, at) for edge, _, at in seconds(found)] == [(START, 3.0), (STOP, 4.0), (START, 5.0), (STOP, 6.0)]
+
+
+def test_combinations_that_share_their_parts_are_built_at_once() -> None:
+    """Two rules a layer, each of both below: by way of the last there are 2^40 ways to the first."""
+    layers: list[dict[str, Any]] = [
+        {"name": f"{name}0", "kind": "absence", "topic": NUMBERS, "seconds": 1, "agents": ["vehicle-00"]}
+        for name in "ab"
+    ]
+    for level in range(1, 40):
+        parts = [f"a{level - 1}", f"b{level - 1}"]
+        for name, mode in (("a", "all"), ("b", "any")):
+            layers.append({"name": f"{name}{level}", "kind": "combination", mode: parts})
+    stage = RuleStage(*layers)
+    stage.tick(0)
+    assert len(stage.tick(5)) == len(layers)
+
+
 def test_always_holds_from_the_first_moment() -> None:
     stage = RuleStage({"name": "ever", "kind": "always"})
     [edge] = stage.tick(1)

@@ -190,18 +190,20 @@ def _reply_to(
     budget_seconds: float,
 ) -> bool:
     """Reply to all questions of a frame, or up to the first at which the rule fails."""
-    replies: list[Any] = []
+    replies: list[str] = []
+    failed = False
     for question in batch:
         signal.setitimer(signal.ITIMER_PROF, budget_seconds)  # SIGPROF ends the process, also within a library
         try:
-            replies.append(answer(question))
+            replies.append(json.dumps(answer(question)))
         except Exception as error:
-            replies.append(_words(error))
+            replies.append(json.dumps(_words(error)))
+            failed = True
         signal.setitimer(signal.ITIMER_PROF, 0)
-        if isinstance(replies[-1], str):
+        if failed:
             break
-    _say(answers, replies)
-    return not isinstance(replies[-1], str)
+    write_frame(answers, f"[{','.join(replies)}]".encode())
+    return not failed
 
 
 def _own_streams() -> tuple[IO[bytes], IO[bytes]]:

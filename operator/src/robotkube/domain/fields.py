@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
-from robotkube.domain.topics import TopicPattern
+from robotkube.domain.topics import UNREADABLE, TopicPattern
 
 NAME_LENGTH_MAX = 100
 
@@ -66,7 +66,7 @@ class Fields:
         value = self._take(key, default)
         if isinstance(value, (int, float)) and not isinstance(value, bool) and least <= value <= most:
             return value
-        return self._wrong(key, value, f"must be a number from {least:g} to {most:g}", least)
+        return self._wrong(key, value, f"must be a number from {least:g} to {most:g}{_instead_of(value)}", least)
 
     def whole(self, key: str, least: int, most: int, default: int | None = None) -> int:
         value = self._take(key, default)
@@ -77,7 +77,7 @@ class Fields:
             and value % 1 == 0
         ):
             return int(value)
-        return self._wrong(key, value, f"must be a whole number from {least} to {most}", least)
+        return self._wrong(key, value, f"must be a whole number from {least} to {most}{_instead_of(value)}", least)
 
     def flag(self, key: str, default: bool) -> bool:
         value = self._take(key, default)
@@ -97,7 +97,7 @@ class Fields:
         except ValueError as error:
             if text:
                 self.problem(key, str(error))
-            return TopicPattern("/unreadable")
+            return TopicPattern(UNREADABLE)
 
     def mapping(self, key: str, required: bool = True) -> Fields:
         return Fields(self._take(key, None if required else {}), self._key(key), self._problems)
@@ -122,3 +122,8 @@ class Fields:
     def _wrong(self, key: str, value: object, text: str, instead: T) -> T:
         self.problem(key, f"{'is missing; it ' if value is None else ''}{text}")
         return instead
+
+
+def _instead_of(value: object) -> str:
+    """What stands where a number has to be: YAML takes 3e1, 30m and 1,5 for text."""
+    return f", not the text {value!r:.40}; without unit and quotes, as 30 or 1.5" if isinstance(value, str) else ""

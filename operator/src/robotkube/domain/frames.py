@@ -17,6 +17,7 @@ from robotkube.domain.errors import InputError
 
 MAGIC = b"RKF1"
 CONTENT_TYPE = "application/x-robotkube-frames"
+MESSAGES_MAX = 20_000  # of a frame: what a sender gathers in one turn, and a receiver takes at once
 SESSIONS_MAX = 8
 MISSING_MAX = 10_000
 
@@ -53,6 +54,8 @@ def decode_frame(data: bytes) -> Frame:
     magic, session, sequence, count = _HEAD.unpack_from(data)
     if magic != MAGIC:
         raise FrameError(f"the frame begins with {magic!r} instead of {MAGIC!r}; the sender speaks another format")
+    if count > MESSAGES_MAX:
+        raise FrameError(f"a frame of {count} messages; send at most {MESSAGES_MAX} in one")
     messages, place, size = [], _HEAD.size, len(data)
     for number in range(count):
         if place + 4 > size:

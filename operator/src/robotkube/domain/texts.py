@@ -75,12 +75,14 @@ def _text(dumper: _Dumper, value: str) -> yaml.ScalarNode:
 _Dumper.add_representer(str, _text)
 
 
-def read_mapping(text: str, where: str) -> dict[str, Any]:
-    """The one mapping in `text`; DocumentError names `where` and the problem when it is anything else."""
+def read_mapping(text: str, where: str, values: bool = True) -> dict[str, Any]:
+    """The one mapping in `text`; DocumentError names `where` and the problem when it is anything else. Without `values`
+    numbers that JSON has not are let through, for who asks `json_problems` himself, to name them with the rest."""
     documents = _read(text, where, TEXT_BYTES_MAX)
     if len(documents) != 1 or not isinstance(documents[0], dict):
         raise DocumentError(where, ["must hold exactly one YAML document, a mapping"])
-    _refuse_values(documents, where)
+    if values:
+        _refuse_values(documents, where)
     return documents[0]
 
 
@@ -100,7 +102,15 @@ def _read(text: str, where: str, bytes_max: int) -> list[Any]:
         _refuse_structure(text, where)
         return list(yaml.load_all(text, Loader=_Loader))
     except (yaml.YAMLError, ValueError) as error:  # a number that is none, or with thousands of digits
-        raise DocumentError(where, [f"not readable as YAML: {' '.join(str(error).split())}"]) from error
+        said = " ".join(str(error).split())
+        raise DocumentError(where, [f"not readable as YAML: {said}{_tab_hint(text, error)}"]) from error
+
+
+def _tab_hint(text: str, error: Exception) -> str:
+    mark = getattr(error, "problem_mark", None)
+    lines = text.splitlines()
+    at = lines[mark.line][mark.column : mark.column + 1] if mark and mark.line < len(lines) else ""
+    return "; there is a tab: indent with spaces" if at == "\t" else ""
 
 
 def _refuse_values(documents: Sequence[Any], where: str) -> None:
@@ -114,7 +124,8 @@ def _refuse_structure(text: str, where: str) -> None:
     depth = 0
     for event in yaml.parse(text, Loader=_Loader):
         if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
-            raise DocumentError(where, ["anchors and aliases are not allowed; write the value out"])
+            line = (event.start_mark.line if event.start_mark else 0) + 1
+            raise DocumentError(where, [f"line {line}: anchors and aliases are not allowed; write the value out"])
         if getattr(event, "tag", None):
             mark, tag = event.start_mark, getattr(event, "tag", "")
             line = mark.line + 1 if mark else 0

@@ -6,9 +6,11 @@ import re
 from dataclasses import dataclass, field
 
 AGENT = "{agent}"
+UNREADABLE = "/_unreadable_"
+"""What stands for a topic whose name could not be read; that was told, and nothing else can be said about it."""
 
 _NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
-_ROS_AGENT = re.compile(r"[a-z][a-z0-9_]*")
+_ROS_AGENT = re.compile(r"[a-z][a-z0-9_]{0,62}")  # agents' names are labels of Kubernetes: 63 characters at most
 
 
 def ros_name(agent: str) -> str:

@@ -4,7 +4,8 @@
     window.latest_per_agent("/vehicles/{agent}/pose", ["pose.position.x"])["vehicle-00"]
     window.at("/vehicles/vehicle_00/pose", stamp, ["pose.position.x", "pose.position.y"])
     window.pose_at("/vehicles/vehicle_00/pose", stamp).orientation                      # x, y, z, w
-    numpy.frombuffer(window.range(topic, first, last, ["pose.position.x"])["pose.position.x"])
+    column = window.range(topic, first, last, ["pose.position.x"])["pose.position.x"]
+    numpy.frombuffer(column, column.typecode)
 
 Topics are full ROS names, patterns hold `{agent}`, agents are names such as `vehicle-00`. Fields are paths as in
 `robotkube.domain.layouts`; units are those of the message type. Stamps are ints, ns since 1970: when a message was

@@ -6,6 +6,7 @@ with expressions. `start_rule` and `ExpressionCheck` are what detectors and `rob
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import entry_points
@@ -14,8 +15,10 @@ from typing import Any
 from robotkube.adapters import bounded_process
 from robotkube.adapters.bounded_process import BoundedProcess
 from robotkube.adapters.rule_processes import COMMAND, ChildProcess, serve
+from robotkube.domain.errors import InputError
 from robotkube.domain.layouts import Layouts
 from robotkube.domain.rules import FALL, KEEP, RISE, Answer, Cause, Cel, Python, Question, Rule
+from robotkube.domain.rules.asking import Checked
 from robotkube.domain.rules.plugins import ENTRY_POINT_GROUP, PluginHost
 
 CHECK_COMMAND = (*COMMAND, "check")
@@ -42,36 +45,38 @@ def start_rule(rule: Rule, types: Mapping[str, str], lookup: Callable[[str], str
     return ChildProcess(job, settings.budget_seconds)
 
 
-def check_expressions(texts: Sequence[str]) -> Sequence[str]:
+def check_expressions(texts: Sequence[Checked]) -> Sequence[str]:
     """What is wrong with each of these expressions; `""` when it is well. In a process of its own, which takes 1 s."""
     process = BoundedProcess(CHECK_COMMAND)
     try:
-        found: Sequence[str] = process.call("problems", list(texts))
+        return [_checked(process, text) for text in texts]
     finally:
         process.close()
-    return found
+
+
+def _checked(process: BoundedProcess, text: Checked) -> str:
+    try:
+        return str(process.call("problem", list(text)))
+    except InputError:  # more time or memory than a check may take
+        return "takes too long to be evaluated; make it simpler"
 
 
 def main() -> None:
     """Answer until the parent ends."""
     if sys.argv[1:] == ["check"]:
-        bounded_process.serve({"problems": _problems}, sys.stdin.buffer, sys.stdout.buffer)
+        bounded_process.serve({"problem": _problem}, sys.stdin.buffer, sys.stdout.buffer)
     else:
         serve(_load)
 
 
-def _problems(texts: Sequence[str]) -> Sequence[str]:
+def _problem(checked: Checked) -> str:
     from robotkube.adapters.expressions_cel import Expression
 
-    found = []
-    for text in texts:
-        try:
-            Expression(text)
-        except ValueError as error:
-            found.append(str(error))
-        else:
-            found.append("")
-    return found
+    text, names = checked
+    try:
+        return Expression(text).unknown(names)
+    except ValueError as error:
+        return str(error)
 
 
 def _definitions(types: Any, lookup: Callable[[str], str]) -> Mapping[str, str]:
@@ -95,17 +100,29 @@ def _expression(job: Mapping[str, Any]) -> Answering:
     start = Expression(job["expression"])
     until = Expression(job["until"]) if job["until"] else None
 
+    def judged(values: Mapping[str, Any]) -> int:
+        try:
+            if start.holds(values):
+                return RISE
+            return FALL if until is None or until.holds(values) else KEEP
+        except ValueError:
+            if _measured(values):
+                raise
+            return KEEP  # CEL compares nothing with what is no number, which is how a sensor says that it knows nothing
+
     def answer(question: Question) -> Sequence[Answer]:
-        if start.holds(question.values):
-            verdict = RISE
-        elif until is None or until.holds(question.values):
-            verdict = FALL
-        else:
-            verdict = KEEP
+        verdict = judged(question.values)
         numbers = {key: float(v) for key, v in question.values.items() if isinstance(v, (int, float))}
         return [Answer(question.member, verdict, numbers, (Cause(question.topic, question.stamp, question.values),))]
 
     return answer
+
+
+def _measured(value: Any) -> bool:
+    """Whether none of the numbers is NaN."""
+    if isinstance(value, (Mapping, list, tuple)):
+        return all(map(_measured, value.values() if isinstance(value, Mapping) else value))
+    return not (isinstance(value, float) and math.isnan(value))
 
 
 def _plugin(job: Mapping[str, Any]) -> Answering:

@@ -15,12 +15,18 @@ from robotkube.domain.rules.plugins import Arrival, Holding
 from robotkube.domain.windows import Window
 
 FIELDS = ("pose.position.x", "pose.position.y")
+REQUIRED = ("topic", "start_mps", "stop_mps")
 
 
 class ClosingSpeed:
     """Settings: `topic` (pattern of the poses), `start_mps` and `stop_mps` (metres a second), `span_seconds`."""
 
     def __init__(self, settings: Mapping[str, Any]) -> None:
+        missing = [key for key in REQUIRED if key not in settings]
+        if missing:
+            raise ValueError(
+                f"settings: {', '.join(missing)} missing; give the poses' topic and speeds in metres a second"
+            )
         self._topic = str(settings["topic"])
         self._start, self._stop = float(settings["start_mps"]), float(settings["stop_mps"])
         self._span_ns = int(float(settings.get("span_seconds", 0.5)) * 1e9)

@@ -13,7 +13,11 @@ from robotkube.domain.rules.specifications import Point, Ring
 CORNERS_MAX = 1000
 COORDINATE_MAX = 1e9
 
+ROUNDING = 1e-9
+"""Of a product: corners so near a straight line are on it, whatever their last digits say."""
+
 Polygon = tuple[Ring, ...]
+Edge = tuple[Point, Point]
 
 
 class AreaError(ValueError):
@@ -52,7 +56,42 @@ def _ring(value: Any) -> Ring:
         points.pop()
     if len(points) < 3 or not _extent(points):
         raise AreaError("must hold rings of at least three corners that enclose something")
+    if crossing := _crossing(tuple(points)):
+        (start, _), (other, _) = crossing
+        raise AreaError(
+            f"must hold rings that do not cross themselves; the edge from {_words(start)} crosses that from "
+            f"{_words(other)}: list the corners in the order in which one walks around"
+        )
     return tuple(points)
+
+
+def _words(point: Point) -> str:
+    return f"[{point[0]:g}, {point[1]:g}]"
+
+
+def _crossing(ring: Ring) -> tuple[Edge, Edge] | None:
+    """Two edges that go through each other; edges that only touch do not. Only those that overlap in x are compared."""
+    ordered = sorted(_edges(ring), key=lambda edge: min(edge[0][0], edge[1][0]))
+    open_edges: list[Edge] = []
+    for edge in ordered:
+        left = min(edge[0][0], edge[1][0])
+        open_edges = [other for other in open_edges if max(other[0][0], other[1][0]) > left]
+        for other in open_edges:
+            if _cross(*edge, *other):
+                return other, edge
+        open_edges.append(edge)
+    return None
+
+
+def _cross(a: Point, b: Point, c: Point, d: Point) -> bool:
+    return _turn(a, b, c) * _turn(a, b, d) < 0 and _turn(c, d, a) * _turn(c, d, b) < 0
+
+
+def _turn(a: Point, b: Point, c: Point) -> int:
+    """1 to the left, -1 to the right, 0 straight on."""
+    one, other = (b[0] - a[0]) * (c[1] - a[1]), (b[1] - a[1]) * (c[0] - a[0])
+    close = abs(one - other) <= ROUNDING * (abs(one) + abs(other))
+    return 0 if close else 1 if one > other else -1
 
 
 def _point(value: Any) -> Point:
@@ -88,7 +127,7 @@ class Area:
         return min(_to_edge(x, y, *start, *end) for start, end in self._edges)
 
 
-def _edges(ring: Ring) -> Sequence[tuple[Point, Point]]:
+def _edges(ring: Ring) -> Sequence[Edge]:
     return list(zip(ring, (*ring[1:], ring[0]), strict=True))
 
 

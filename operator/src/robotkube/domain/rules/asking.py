@@ -49,6 +49,16 @@ SERIES_MAX = 10_000
 """So many values of a series are handed to an expression."""
 
 Ask = Callable[[Question], None]
+Checked = tuple[str, tuple[str, ...]]
+"""An expression and the names that it may use; of a pair `a.x` and `b.x`."""
+Check = Callable[[Sequence[Checked]], Sequence[str]]
+"""What is wrong with each expression, empty when nothing is."""
+
+
+def names_of(settings: Cel, scope: str) -> tuple[str, ...]:
+    """What the expressions of a rule may name."""
+    names = (*settings.fields, "agent")
+    return tuple(f"{one}.{name}" for one in "ab" for name in names) if scope == PAIR else names
 
 
 def _plain(value: Any) -> Any:

@@ -21,7 +21,7 @@ from robotkube.domain.rules.specifications import (
     Rule,
     paths,
 )
-from robotkube.domain.topics import AGENT
+from robotkube.domain.topics import AGENT, UNREADABLE
 
 if TYPE_CHECKING:
     from robotkube.domain.layouts import Layouts
@@ -39,22 +39,23 @@ def cross_problems(
     topics: Mapping[str, str],
     layouts: Layouts | None,
     plugins: Collection[str] | None,
+    unread: Collection[str] = (),
 ) -> Iterator[Problem]:
-    """What is wrong with `rule` beside the others."""
+    """What is wrong with `rule` beside the others; `unread`: names of rules of which nothing else is known."""
     by_name = {other.name: other for other in rules}
     if rule.name and sum(other.name == rule.name for other in rules) > 1:
         yield "name", f"{rule.name} is the name of another rule, too; give each its own"
     yield from _topic_problems(rule, topics, layouts)
     yield from _worker_problems(rule, rules, plugins)
     if isinstance(rule.condition, Combination):
-        yield from _combination_problems(rule, rule.condition, by_name)
+        yield from _combination_problems(rule, rule.condition, by_name, unread)
 
 
 def _topic_problems(rule: Rule, topics: Mapping[str, str], layouts: Layouts | None) -> Iterator[Problem]:
     key = "topics" if isinstance(rule.condition, Python) else "topic"
     for topic in rule.topics:
         if topic.text not in topics:
-            if topic.text != "/unreadable":
+            if topic.text != UNREADABLE:
                 yield key, f"{topic.text} is not listed under topics; add it there"
         elif layouts is not None:
             yield from _field_problems(rule, topics[topic.text], layouts)
@@ -100,13 +101,16 @@ def _worker_problems(rule: Rule, rules: Sequence[Rule], plugins: Collection[str]
         yield "plugin", f"no installed package offers the rule {rule.condition.plugin}; there are: {known}"
 
 
-def _combination_problems(rule: Rule, condition: Combination, by_name: Mapping[str, Rule]) -> Iterator[Problem]:
+def _combination_problems(
+    rule: Rule, condition: Combination, by_name: Mapping[str, Rule], unread: Collection[str]
+) -> Iterator[Problem]:
     key = condition.mode if condition.parts else "kind"
     if len(condition.parts) == 1:
         key = "not"
     missing = [part.rule for part in condition.parts if part.rule not in by_name]
     for name in missing:
-        yield key, f"there is no rule {name}; name one of {', '.join(sorted(by_name))}"
+        if name and name not in unread:
+            yield key, f"there is no rule {name}; name one of {', '.join(sorted(by_name))}"
     if _reaches(rule, rule.name, by_name):
         yield key, "the rule looks at itself, perhaps by way of others; take one of them out"
     elif condition.parts and not missing:

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from itertools import combinations
+from itertools import combinations, groupby
+from operator import attrgetter
 
 from robotkube.domain.rules.checking import universal
 from robotkube.domain.rules.conditions import Condition
@@ -21,6 +22,9 @@ STARTS_MAX = 10_000
 """So many starts of a sequence's part are remembered."""
 STATIC_AGENTS_MAX = 100
 CAUSES_MAX = 8
+
+
+_stamp = attrgetter("stamp")
 
 
 class CombinationCondition(Condition):
@@ -49,17 +53,26 @@ class CombinationCondition(Condition):
             if member not in self.holding and self._holds(member)
         ]
 
-    def follow(self, edge: Edge) -> list[Finding]:
-        """What the edge of a part changes."""
-        events = self._active[edge.rule]
-        if edge.edge == START:
-            events[edge.agents] = edge
-        else:
-            events.pop(edge.agents, None)
+    def moments(self, edges: Sequence[Edge]) -> list[list[Edge]]:
+        """The edges of one message, or of one look at the clock, so that those of one moment count together: a message
+        that begins one part and ends another must not show what holds in between. Of a sequence the order counts."""
+        ordered = sorted(edges, key=_stamp)
         if self._settings.mode == SEQUENCE:
-            return list(self._sequence(edge))
+            return [[edge] for edge in ordered]
+        return [list(together) for _, together in groupby(ordered, key=_stamp)]
+
+    def follow(self, edges: Sequence[Edge]) -> list[Finding]:
+        """What edges of parts change that count together."""
+        for edge in edges:
+            if edge.edge == START:
+                self._active[edge.rule][edge.agents] = edge
+            else:
+                self._active[edge.rule].pop(edge.agents, None)
+        if self._settings.mode == SEQUENCE:
+            return [finding for edge in edges for finding in self._sequence(edge)]
+        last = {member: edge for edge in edges for member in self._concerned(edge)}
         found = []
-        for member in self._concerned(edge):
+        for member, edge in last.items():
             holds = self._holds(member)
             if holds != (member in self.holding):
                 found.append(self._finding(member, RISE if holds else FALL, edge))

@@ -34,6 +34,26 @@ def edge_document(edge: Edge) -> dict[str, Any]:
     }
 
 
+def is_edge(value: object) -> bool:
+    """Whether it is such a document, as far as `explained` needs it."""
+    if not isinstance(value, Mapping) or not all(isinstance(value.get(key), str) for key in ("id", "rule", "edge")):
+        return False
+    agents, causes, detail = (
+        value.get(key) or kind() for key, kind in (("agents", list), ("causes", list), ("detail", dict))
+    )
+    return (
+        {"stamp", "time"} <= set(value)
+        and isinstance(detail, Mapping)
+        and isinstance(agents, list)
+        and all(isinstance(agent, str) for agent in agents)
+        and isinstance(causes, list)
+        and all(
+            isinstance(cause, Mapping) and {"topic", "stamp"} <= set(cause) and isinstance(cause.get("values"), Mapping)
+            for cause in causes
+        )
+    )
+
+
 def plain(value: Any) -> Any:
     """A field's value as JSON has it: numbers that JSON has not and bytes as text."""
     if isinstance(value, Mapping):

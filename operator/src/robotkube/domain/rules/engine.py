@@ -199,7 +199,7 @@ class RuleEngine:
         told, self._unfollowed = dict.fromkeys(self._unfollowed), []
         found: list[Edge] = []
         for evaluator, edge in told:
-            found += evaluator.follow(edge)
+            found += evaluator.follow([edge])
         for evaluator in self._evaluators.values():
             found += evaluator.begin(stamp, received)
         return self._propagated(found)
@@ -281,11 +281,11 @@ class RuleEngine:
         """The edges with those of the combinations that follow them; silent rules' are left out then."""
         if not edges:
             return edges
-        for edge in edges:  # grows on the way; parts come before those that look at them, and nobody at himself
-            for evaluator in self._combinations:
-                condition = evaluator.condition
-                if isinstance(condition, CombinationCondition) and edge.rule in condition.names:
-                    edges.extend(evaluator.follow(edge))
+        for evaluator in self._combinations:  # parts come before those that look at them
+            condition = evaluator.condition
+            assert isinstance(condition, CombinationCondition)
+            if followed := [edge for edge in edges if edge.rule in condition.names]:
+                edges += evaluator.follow(followed)
         return [edge for edge in edges if not self._evaluators[edge.rule].rule.silent]
 
 
@@ -305,9 +305,11 @@ def _parts_first(rules: Sequence[Rule], by_name: Mapping[str, Rule]) -> list[Rul
     found: dict[str, Rule] = {}
 
     def add(rule: Rule) -> None:
+        if rule.name in found:
+            return  # parts that are shared are gone through once, or twenty layers of them would take for ever
         for part in rule.condition.parts if isinstance(rule.condition, Combination) else ():
             add(by_name[part.rule])
-        found.setdefault(rule.name, rule)
+        found[rule.name] = rule
 
     for rule in rules:
         add(rule)

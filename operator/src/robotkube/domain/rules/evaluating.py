@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 from robotkube.domain.rules.asking import Ask, ExpressionCondition, PluginCondition, Verdict
 from robotkube.domain.rules.combinations import CombinationCondition
@@ -145,10 +145,13 @@ class Evaluator:
             found += self._mature(agent, question.stamp, question.received)
         return found
 
-    def follow(self, edge: Edge) -> list[Edge]:
-        """The edges that an edge of a part causes."""
+    def follow(self, edges: Sequence[Edge]) -> list[Edge]:
+        """The edges that those of its parts cause."""
         assert isinstance(self.condition, CombinationCondition)
-        return self._take(self.condition.follow(edge))
+        found: list[Edge] = []
+        for together in self.condition.moments(edges):
+            found += self._take(self.condition.follow(together))
+        return found
 
     def elapse(self, now: int) -> list[Edge]:
         """The edges that the time alone causes, up to `now` on this machine's clock."""

@@ -78,7 +78,7 @@ class PluginHost:
         buffer = self._buffers.get(question.topic)
         if buffer is None:
             if len(self._buffers) >= BUFFERS_MAX:
-                raise ValueError(f"its topics stand for more than {BUFFERS_MAX} topics")
+                del self._buffers[min(self._buffers, key=self._heard)]
             buffer = self._buffers[question.topic] = RingBuffer(self._bounds)
         buffer.insert(Sample(question.stamp, question.received, question.data))
         if not question.evaluate:
@@ -88,6 +88,10 @@ class PluginHost:
         if len(found) > ANSWERS_MAX:
             raise ValueError(f"it gave {len(found)} answers to one message; at most {ANSWERS_MAX}")
         return found
+
+    def _heard(self, topic: str) -> int:
+        newest = self._buffers[topic].latest()
+        return newest.received if newest else 0
 
 
 def _answer(holding: Holding) -> Answer:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from robotkube.domain.fields import Fields
 from robotkube.domain.rules import specifications as kinds
 from robotkube.domain.rules.areas import read_area
+from robotkube.domain.rules.asking import Check, names_of
 from robotkube.domain.rules.checking import cross_problems
 from robotkube.domain.rules.specifications import Level, Part, Rule, Timing
 from robotkube.domain.topics import AGENT, TopicPattern
@@ -21,7 +22,7 @@ AGENTS_MAX = 1000
 PARTS_MAX = 32
 FIELDS_MAX = 32
 PLUGIN_TOPICS_MAX = 32
-EXPRESSION_LENGTH_MAX = 2000
+EXPRESSION_LENGTH_MAX, RULE_NAME_LENGTH_MAX = 2000, 200
 SECONDS_MAX = 86_400.0
 DISTANCE_MIN, DISTANCE_MAX = 0.001, 1e7
 VALUE_MAX = 1e12
@@ -36,31 +37,35 @@ def read_rules(
     topics: Mapping[str, str],
     layouts: Layouts | None = None,
     plugins: Collection[str] | None = None,
-    check: Callable[[Sequence[str]], Sequence[str]] | None = None,
+    check: Check | None = None,
 ) -> tuple[Rule, ...]:
     """The rules; problems go to the list that `items` share, and what is returned then is of no use.
 
     `topics`: pattern -> type of the document's topics. Fields are looked for in `layouts`, when given; a type that is
     not known there may come with the messages. `plugins`: the names that are installed, None when nobody knows.
-    `check` says what is wrong with each of some expressions, `""` for those that are well.
+    `check` says what is wrong with each of some expressions (with the names that it may use), `""` when nothing is.
     """
-    found = [(item, rule) for item in items if (rule := _rule(item)) is not None]
+    read = [(item, _rule(item)) for item in items]
+    found = [(item, rule) for item, rule in read if rule is not None]
+    unread = {str(item.anything("name")) for item, rule in read if rule is None}
     for item, rule in found:
         item.done()
-        for key, text in cross_problems(rule, [other for _, other in found], topics, layouts, plugins):
+        for key, text in cross_problems(rule, [other for _, other in found], topics, layouts, plugins, unread):
             item.problem(key, text)
     if check is not None:
-        _check_expressions([(item, rule.condition) for item, rule in found], check)
+        _check_expressions(found, check)
     return tuple(rule for _, rule in found)
 
 
-def _check_expressions(
-    found: Sequence[tuple[Fields, kinds.Condition]], check: Callable[[Sequence[str]], Sequence[str]]
-) -> None:
-    cels = [(item, condition) for item, condition in found if isinstance(condition, kinds.Cel)]
-    asked = [(item, "expression", it.expression) for item, it in cels]
-    asked = [entry for entry in [*asked, *((item, "until", it.until) for item, it in cels)] if entry[2]]
-    answers = check([text for _, _, text in asked]) if asked else ()
+def _check_expressions(found: Sequence[tuple[Fields, Rule]], check: Check) -> None:
+    asked = [
+        (item, key, (text, names_of(rule.condition, rule.scope)))
+        for item, rule in found
+        if isinstance(rule.condition, kinds.Cel)
+        for key, text in (("expression", rule.condition.expression), ("until", rule.condition.until))
+        if text
+    ]
+    answers = check([expression for _, _, expression in asked]) if asked else ()
     for (item, key, _), problem in zip(asked, answers, strict=True):
         if problem:
             item.problem(key, problem)
@@ -73,19 +78,30 @@ def _rule(item: Fields) -> Rule | None:
     if not known:
         return None
     name = item.text("name")
+    if len(name) > RULE_NAME_LENGTH_MAX or not name.isprintable():
+        item.problem("name", f"must be at most {RULE_NAME_LENGTH_MAX} characters on one line")
     read = _READERS[kind]
     condition = read(item)
     scope = _scope(item, kind)
     agents = _agents(item, kind, scope)
+    at_least = int(item.whole("at_least", 1, AGENTS_MAX, 1)) if scope == kinds.GROUP and kind != kinds.ALWAYS else 1
+    if agents and at_least > (most := _members_max(kind, len(agents))):
+        item.problem("at_least", f"must not be more than {most}: for so many it can hold, of {len(agents)} agents")
     return Rule(
         name=name,
         condition=condition,
         scope=scope,
         agents=agents,
-        at_least=int(item.whole("at_least", 1, AGENTS_MAX, 1)) if scope == kinds.GROUP and kind != kinds.ALWAYS else 1,
+        at_least=at_least,
         timing=_timing(item, kind),
         silent=item.flag("silent", False),
     )
+
+
+def _members_max(kind: str, agents: int) -> int:
+    """For how many members a rule of a group can hold: agents, pairs of them, or the group as one."""
+    pairs = agents * (agents - 1) // 2
+    return {kinds.COMBINATION: 1, kinds.PROXIMITY: pairs, kinds.PYTHON: agents + pairs}.get(kind, agents)
 
 
 def _scope(item: Fields, kind: str) -> str:
@@ -137,7 +153,7 @@ def _proximity(item: Fields) -> kinds.Condition:
         stale_seconds=item.number("stale_seconds", 0.001, 3600, kinds.STALE_SECONDS_DEFAULT),
         position=item.text("position", "pose.position"),
     )
-    if found.stop_distance_m < found.start_distance_m:
+    if item.has("stop_distance_m") and found.stop_distance_m < found.start_distance_m:
         item.problem("stop_distance_m", "must not be less than start_distance_m, else every pose would be an edge")
     return found
 
@@ -165,11 +181,17 @@ def _threshold(item: Fields) -> kinds.Condition:
 
 
 def _level(item: Fields, keys: Sequence[tuple[str, str]], least: float, most: float) -> Level:
-    """Keys start_above and stop_below, or start_below and stop_above."""
-    above = item.has(keys[0][0])
+    """Keys start_above and stop_below, or start_below and stop_above; one of the two tells which are meant."""
+    (start, stop), (other, end) = keys
+    if not any(item.has(key) for key in (start, stop, other, end)):
+        for key in (start, stop, other, end):
+            item.anything(key)  # known, when a misspelt one is told
+        item.problem(start, f"is missing; it needs {start} and {stop}, or {other} and {end}")
+        return Level(True, least, least)
+    above = item.has(keys[0][0]) or (item.has(keys[0][1]) and not item.has(keys[1][0]))
     start, stop = keys[0] if above else keys[1]
     level = Level(above, item.number(start, least, most), item.number(stop, least, most))
-    if level.start != level.stop and (level.stop > level.start) == above:
+    if item.has(start) and item.has(stop) and level.start != level.stop and (level.stop > level.start) == above:
         item.problem(stop, f"must not lie beyond {start}, else every message would be an edge")
     return level
 

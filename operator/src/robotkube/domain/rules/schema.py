@@ -73,7 +73,7 @@ _POLYGON: Schema = {"type": "array", "minItems": 1, "items": _RING}
 _BUDGET = number(0.001, 10, "processor time of one evaluation; more suspends the rule", 0.1)
 
 PROPERTIES: Mapping[str, Schema] = {
-    "name": text("name, unique among the rules"),
+    "name": text("name, unique among the rules", maxLength=reading.RULE_NAME_LENGTH_MAX),
     "kind": choice(specifications.KINDS, "what is looked at"),
     "silent": {
         "type": "boolean",
