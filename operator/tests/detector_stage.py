@@ -15,6 +15,7 @@ from robotkube.domain.detector_settings import DetectorSettings, TopicSettings, 
 from robotkube.domain.errors import RefusalError, UnavailableError
 from robotkube.domain.qualities import Broken, Incompatible, Offer, Quality
 from robotkube.domain.reaction_settings import DeliveryReaction
+from robotkube.ports.robots import TopicInput
 from robotkube.services.detector.detector import EventDetector
 from robotkube.services.detector.raising import Raising
 from robotkube.services.detector.recording import RecordingReactions
@@ -65,9 +66,14 @@ class MemoryTopics:
     def follow(self, topics: Sequence[TopicSettings]) -> None:
         self.followed = [topic.pattern.text for topic in topics]
 
-    def subscribe(self, topic: str, settings: TopicSettings, quality: Quality) -> MemoryTopic:
-        self.topics[topic] = MemoryTopic(quality)
-        return self.topics[topic]
+    def subscribe(
+        self, topic: str, settings: TopicSettings, quality: Quality, before: TopicInput | None = None
+    ) -> MemoryTopic:
+        fresh = self.topics[topic] = MemoryTopic(quality)
+        if isinstance(before, MemoryTopic):
+            fresh.waiting, fresh.lost = before.waiting, before.lost
+            before.close()
+        return fresh
 
     def visible(self) -> Mapping[str, Sequence[str]]:
         return self.published

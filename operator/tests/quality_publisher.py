@@ -1,4 +1,4 @@
-"""Publishes one number on a real topic every 50 ms, with any quality of service, until it is ended.
+"""Publishes one number on a real topic every 50 ms (or `period` seconds), with any quality of service, until its end.
 
     quality_publisher.py TOPIC '{"reliability": "reliable", "durability": "transient_local", "deadline": 0.5, ...}'
 
@@ -36,7 +36,7 @@ def main(topic: str, wanted: dict[str, str | float]) -> None:
     while True:
         publisher.publish(Float64(data=number))
         number += 1
-        time.sleep(0.05)
+        time.sleep(float(wanted.get("period", 0.05)))
 
 
 if __name__ == "__main__":

@@ -15,9 +15,10 @@ from robotkube.domain.qualities import Quality
 from robotkube.domain.reaction_settings import MqttReaction
 from robotkube.domain.rules import START
 from robotkube.domain.topics import TopicPattern
+from robotkube.entrypoints.detector_parts import definition
 from robotkube.ports.reactions import Delivery
 from robotkube.ports.robots import ChannelEvents
-from robotkube.services.detector.broker import QUEUE_MAX, Broker, MqttReactions
+from robotkube.services.detector.broker import QUEUE_MAX, TOPICS_MAX, Broker, MqttReactions
 from robotkube.services.reactions.dead import DeadLetterBox
 
 TYPE = "geometry_msgs/msg/PoseStamped"
@@ -110,21 +111,50 @@ def test_what_is_no_frame_or_of_another_type_is_counted(stage: Stage) -> None:
     assert stage.broker.malformed == 3
 
 
-def test_definitions_come_with_the_messages(stage: Stage) -> None:
+def test_each_topic_of_another_type_is_named_once(stage: Stage, caplog: pytest.LogCaptureFixture) -> None:
+    """With both types: nothing else says why such a topic never appears."""
     stage.broker.follow([POSES])
+    for number in range(3):
+        for agent in ("vehicle_00", "vehicle_01"):
+            stage.frame(number, b"a", topic=f"mqtt/vehicles/{agent}/pose", type_name="std_msgs/msg/String")
+    sentence = f"its messages are std_msgs/msg/String, not {TYPE}; change the topic's type"
+    assert caplog.messages == [f"topic mqtt/vehicles/vehicle_0{number}/pose: {sentence}" for number in range(2)]
+
+
+def test_definitions_come_with_the_messages(stage: Stage) -> None:
+    odd = "other_msgs/msg/Odd"
+    stage.broker.follow([TopicSettings(TopicPattern("/vehicles/{agent}/pose"), odd, MQTT)])
     topic = "robotkube/types/" + POSE
     for _ in range(2):
-        stage.broker.received(topic, b"float64 x\n", type_properties("other_msgs/msg/Odd", "", ""))
-    assert stage.learned == ["other_msgs/msg/Odd"]
-    assert stage.broker.definitions == {"other_msgs/msg/Odd": "float64 x\n"}
+        stage.broker.received(topic, b"float64 x\n", type_properties(odd, "", ""))
+    assert stage.learned == [odd]
+    assert stage.broker.definitions == {odd: "float64 x\n"}
     stage.broker.received(topic, b"float64 x\n", b"")
-    assert stage.broker.malformed == 1
+    stage.broker.received(topic, b"#" * 1_000_001, type_properties(odd, "", ""))
+    assert stage.broker.malformed == 2
+
+
+def test_an_agent_defines_no_other_type_than_that_of_its_topic(stage: Stage) -> None:
+    stage.broker.follow([POSES])
+    for name, said in ((POSE, "tf2_msgs/msg/TFMessage"), ("mqtt/vehicles/vehicle_00/other", TYPE)):
+        stage.broker.received("robotkube/types/" + name, b"float64 x\n", type_properties(said, "", ""))
+    assert (stage.learned, stage.broker.definitions, stage.broker.malformed) == ([], {}, 2)
+
+
+def test_an_installed_type_is_not_what_somebody_at_the_broker_says() -> None:
+    odd = "other_msgs/msg/Odd"
+    told = {TYPE: "float64 turned_around\n", odd: "float64 x\n"}
+    assert "\nPose pose\n" in definition(TYPE, told)
+    assert definition(odd, told) == "float64 x\n"
+    with pytest.raises(KeyError, match="Unheard"):
+        definition("other_msgs/msg/Unheard", told)
 
 
 def test_gaps_of_senders_are_told(stage: Stage) -> None:
     stage.broker.follow([POSES])
     gap = Gap(NAME, "mqtt-bridge of vehicle-00", "waited too long", 3, 10, 30)
-    stage.broker.received(POSE, encode_frame(1, 0, [b"a"]), type_properties(TYPE, "") + gaps_property([gap]))
+    for _ in range(2):  # a broker sends again what was on its way when the connection was lost
+        stage.broker.received(POSE, encode_frame(1, 0, [b"a"]), type_properties(TYPE, "") + gaps_property([gap]))
     assert stage.gaps == [gap]
 
 
@@ -134,6 +164,21 @@ def test_a_topic_that_is_not_followed_any_more_is_given_up(stage: Stage) -> None
     stage.frame(0, b"a")
     stage.broker.follow([])
     assert (stage.channel.filters, stage.broker.visible()) == (set(), {})
+
+
+def test_a_topic_that_was_forgotten_is_found_again_by_what_comes(stage: Stage) -> None:
+    """Agents that are gone take no place from others."""
+    stage.broker.follow([POSES])
+    for number in range(TOPICS_MAX + 5):
+        name = f"/vehicles/v{number}/pose"
+        stage.frame(0, b"a", topic=f"mqtt{name}")
+        assert stage.broker.visible() == {name: (TYPE,)}
+        topic = stage.broker.subscribe(name, POSES, Quality())
+        assert topic.drain(5) == [(b"a", 1_000)]
+        topic.close()
+        assert stage.broker.visible() == {}
+    stage.frame(1, b"b")
+    assert stage.broker.subscribe(NAME, POSES, Quality()).drain(5) == [(b"b", 1_000)]
 
 
 def reaction(stage: Stage, box: DeadLetterBox, retry_seconds: float = 10.0) -> MqttReactions:
@@ -189,9 +234,16 @@ def test_what_the_broker_does_not_take_is_a_dead_letter(stage: Stage) -> None:
     assert reasons[-1] == "the detector ended"
 
 
+def test_the_log_says_once_why_there_is_no_connection(stage: Stage, caplog: pytest.LogCaptureFixture) -> None:
+    for said in ("not connected", "Not authorized", "Not authorized", None, "does not answer"):
+        stage.channel.complaint = said
+        stage.broker.turn()
+    assert [record.getMessage() for record in caplog.records] == ["broker: Not authorized", "broker: does not answer"]
+
+
 def test_a_refused_subscription_is_named(stage: Stage) -> None:
     stage.connect()
     stage.broker.refused("robotkube/types/mqtt/x", "not authorised")
     assert stage.broker.unreachable == ""
     stage.broker.refused("mqtt/x", "not authorised")
-    assert "look at the broker's ACL" in stage.broker.unreachable
+    assert stage.broker.unreachable == "mqtt/x: not authorised"

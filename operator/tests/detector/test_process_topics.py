@@ -78,7 +78,11 @@ def test_quality_of_service_is_that_of_whoever_publishes(start: Start, tmp_path:
     shown = detector.topic("/open")
     assert (shown["problem"], shown["buffer"]["cleared"]) == ("", 0)
     assert shown["buffer"]["messages"] >= held
-    assert shown["incompatible"]["count"] == 1
+    assert shown["incompatible"] == {"count": 1, "policy": "reliability"}, "that of the subscription before"
+    until(lambda: detector.topic("/open")["received"] > shown["received"] + 40)
+    shown = detector.topic("/open")
+    assert shown["lost"] == 0, "each publisher numbers its own messages"
+    assert shown["buffer"]["disordered"] == 0, "two subscriptions side by side change no order"
 
     weak = start(str(QUALITY_PUBLISHER), "/strict", "{}")
     until(lambda: detector.topic("/strict")["problem"].startswith("/publisher_"))
@@ -97,6 +101,8 @@ def test_quality_of_service_is_that_of_whoever_publishes(start: Start, tmp_path:
     told = [json.loads(line)["event"] for line in log.splitlines() if line.startswith("{")]
     assert any(event.startswith("topic /strict: ") and event.endswith(sentence) for event in told)
     assert any("the middleware has refused publishers because of durability" in event for event in told)
+    refused = "topic /open: the middleware has refused publishers because of reliability (1 so far): asked reliable, "
+    assert any(event.startswith(refused) for event in told), "what was asked for when it refused"
     assert any(event.startswith("topic /strict: every publisher fits") for event in told)
 
 
@@ -192,6 +198,15 @@ def test_a_bag_fills_the_buffers_before_anything_has_come(start: Start, tmp_path
     assert (filled["bag"], filled["messages"]) == (str(tmp_path / "bag"), 400)
 
 
+def test_a_bag_that_is_not_there_is_named_with_its_key(start: Start, tmp_path: Path, unused_port: int) -> None:
+    (tmp_path / "config.yaml").write_text(write_mapping({**QUIET, "buffer": {"bag": str(tmp_path / "none")}}))
+    paths = {"ROBOTKUBE_CONFIG": str(tmp_path / "config.yaml"), "ROBOTKUBE_HEALTH_PORT": str(unused_port)}
+    process = start(*COMMAND, **paths)
+    _, log = process.communicate(timeout=20)
+    assert process.returncode == 2
+    assert f"{tmp_path}/config.yaml: buffer.bag: {tmp_path}/none: is not there; name a" in log
+
+
 def bag_topic(name: str, type_name: str) -> BagTopic:
     return BagTopic(name, type_name, "reliable", "volatile", 10)
 
@@ -208,6 +223,11 @@ def own_addresses() -> list[str]:
 
 def test_commands_from_elsewhere_are_refused(start: Start, tmp_path: Path, unused_port: int) -> None:
     detector = Detector(start, tmp_path, unused_port, {**QUIET, "state": "inactive"})
+    for nonsense in (b"[" * 7000, b"null", b'{"state": "activ"}'):
+        connection = http.client.HTTPConnection("127.0.0.1", unused_port, timeout=5)
+        connection.request("POST", "/state", nonsense)
+        assert connection.getresponse().status == 400
+        connection.close()
     for address in own_addresses():
         connection = http.client.HTTPConnection(address, unused_port, timeout=5, source_address=(address, 0))
         connection.request("POST", "/state", b'{"state": "active"}')

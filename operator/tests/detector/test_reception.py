@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from detector_stage import MS, NOW, DetectorStage, MemoryTasks, pose
+from detector_stage import MS, NOW, SECOND, DetectorStage, MemoryTasks, pose
 from proximity import SETTINGS
 from rule_stage import NUMBER
 from waiting import until
@@ -180,7 +180,7 @@ def test_a_changed_topic_keeps_its_buffer_within_the_new_bounds(stage: DetectorS
     stage.apply({**PLAIN, "topics": [topic, wide]})
     assert stage.live.topics[TOPIC] is not first
     stage.live.topics[TOPIC].waiting.append((pose(stage.now + 2 * MS, 0), stage.now))
-    stage.live.topics[TOPIC].lost = 1
+    stage.live.topics[TOPIC].lost += 1
     stage.detector.turn()
     assert first.closed
     assert stage.detector.pool.snapshot()[TOPIC]["messages"] == 23
@@ -265,6 +265,24 @@ def test_silent_agents_are_stale_and_then_forgotten(stage: DetectorStage) -> Non
     stage.pass_seconds(4)
     assert set(stage.status.document()["topics"]) == {TOPIC, "/vehicles/vehicle_01/pose"}, "who is expected stays"
     assert "/vehicles/vehicle_07/pose" in stage.detector.input_document()["topics"], "counters only grow"
+
+
+def test_a_latched_topic_goes_with_the_last_of_its_agent(stage: DetectorStage) -> None:
+    """It speaks once: its silence says nothing, and recordings of an agent that is there need it."""
+    poses = {**PLAIN["topics"][0], "expire_seconds": 5}
+    numbers = {"name": "/vehicles/{agent}/static", "type": NUMBER, "durability": "transient_local", "expire_seconds": 5}
+    stage.apply({**PLAIN, "topics": [poses, numbers]})
+    static = "/vehicles/vehicle_07/static"
+    stage.live.published = {"/vehicles/vehicle_07/pose": [POSE_TYPE], static: [NUMBER]}
+    stage.pass_seconds(1.1)
+    stage.say(static, 7.0)
+    stage.live.published = {}
+    for _ in range(4):
+        stage.pass_seconds(4)
+        stage.send("vehicle-07", 0)
+    assert len(stage.detector.pool.buffers[static]) == 1
+    stage.pass_seconds(6)
+    assert set(stage.status.document()["topics"]) == {TOPIC, "/vehicles/vehicle_01/pose"}
 
 
 # quality of service ---------------------------------------------------------------------------------------------------
@@ -414,3 +432,52 @@ def test_a_weak_publisher_is_subscribed_to_anew_unless_the_settings_insist(stage
     assert shown["offered"] == [{"node": "/player", "quality": "best_effort, volatile"}]
     assert shown["problem"] == "/player does not fit: reliability: asked reliable, offered best_effort"
     assert 'robotkube_detector_mismatched_topics{topic="/vehicles/{agent}/pose"} 1' in stage.status.metrics()
+
+
+# buffers that a bag fills ---------------------------------------------------------------------------------------------
+
+FOUND = "/vehicles/vehicle_07/pose"
+
+
+def bag(*seconds: int, topic: str = FOUND, type_name: str = POSE_TYPE) -> list[tuple[str, str, int, bytes]]:
+    moments = [NOW + second * SECOND for second in seconds]
+    return [(topic, type_name, moment, pose(moment, 1.0)) for moment in moments]
+
+
+def test_a_bag_fills_buffers_of_topics_that_only_a_pattern_names(stage: DetectorStage) -> None:
+    """They are subscribed to as if they had been found, and forgotten when nobody ever sends there."""
+    topics = [{**PLAIN["topics"][0], "stale_seconds": 1, "expire_seconds": 5}]
+    stage.apply({**PLAIN, "topics": topics})
+    assert stage.detector.fill(bag(-3, -2, -1, -1)) == 3, "one of them twice"
+    assert stage.detector.fill(bag(-1, topic="/other") + bag(-1, type_name=NUMBER)) == 0
+    stage.pass_seconds(1.1)
+    stage.send("vehicle-07", 2.0)
+    assert len(stage.detector.pool.buffers[FOUND]) == 4
+    stage.pass_seconds(6)
+    assert FOUND not in stage.detector.pool.buffers
+
+
+def test_a_bag_fills_the_buffers_of_a_detector_that_rests(stage: DetectorStage) -> None:
+    stage.apply({**PLAIN, "state": "inactive"})
+    assert stage.detector.fill(bag(-2, -1) + bag(-2, -1, topic=TOPIC)) == 4
+    assert stage.live.topics == {}, "it is subscribed to nothing"
+    stage.detector.change_state("active")
+    stage.detector.turn()
+    assert {FOUND, TOPIC} <= set(stage.live.topics)
+    assert [len(stage.detector.pool.buffers[name]) for name in (FOUND, TOPIC)] == [2, 2]
+
+
+def test_who_has_gone_while_the_detector_rested_is_forgotten(stage: DetectorStage) -> None:
+    topics = [{**PLAIN["topics"][0], "stale_seconds": 1, "expire_seconds": 5}]
+    stage.apply({**PLAIN, "topics": topics})
+    stage.live.published = {FOUND: [POSE_TYPE]}
+    stage.pass_seconds(1.1)
+    stage.send("vehicle-07", 0)
+    stage.detector.change_state("inactive")
+    stage.live.published = {}
+    stage.pass_seconds(60)
+    stage.detector.change_state("active")
+    stage.pass_seconds(1.1)
+    assert len(stage.detector.pool.buffers[FOUND]) == 1, "it may only have been silent"
+    stage.pass_seconds(6)
+    assert FOUND not in stage.detector.pool.buffers

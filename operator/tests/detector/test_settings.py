@@ -74,6 +74,11 @@ def test_a_good_document_is_read() -> None:
         (["topics", 0, "depth"], True, "topics[0].depth: must be a whole number"),
         (["topics", 0, "source"], "dds", "topics[0].source: must be one of ros, mqtt"),
         (["topics", 0, "deadline_seconds"], 0, "topics[0].deadline_seconds: must be a number from 0.001"),
+        (
+            ["topics", 0, "type"],
+            "std_msgs/Float64",
+            "topics[0].type: 'std_msgs/Float64' is not written like geometry_msgs/msg/",
+        ),
         (["topics", 0, "expire_seconds"], 2, "topics[0].expire_seconds: must not be less than stale_seconds"),
         (["topics", 0, "buffer", "jump"], "back", "topics[0].buffer.jump: must be one of restart, keep"),
         (["buffer"], {"bytes": 5}, "buffer.bytes: must be a whole number from 1000000"),
@@ -95,6 +100,12 @@ def test_a_good_document_is_read() -> None:
         (["reactions", 1, "topics", 0, "before_seconds"], 11, "has before_seconds 11, its buffer 10 s; make buffer"),
         (["reactions", 2, "url"], "ftp://x/", "reactions[2].url: must be an address such as https://"),
         (["reactions", 2, "url"], "http://me:secret@x/", "reactions[2].url: must be an address"),
+        (["reactions", 2, "url"], "http://x:65536/", "reactions[2].url: must have a port from 1 to 65535, not 65536"),
+        (["reactions", 2, "url"], "http://a..b/", "reactions[2].url: a..b is no host"),
+        (["reactions", 2, "url"], f"http://{'a' * 64}.org/", "is no host: a name of labels of at most 63 letters"),
+        (["reactions", 2, "url"], "http://[:::]/", "reactions[2].url: [:::] is no host"),
+        (["reactions", 2, "url"], "http://10.0.0.256/", "reactions[2].url: 10.0.0.256 is no host"),
+        (["rules", 0, "silent"], True, "reactions[0].rule: near is silent and raises no events; take silent away"),
         (["reactions", 2, "secret"], "not a key", "reactions[2].secret: must be the name of a key"),
         (["reactions", 3, "topic"], "a/+/b", "reactions[3].topic: must be the full name of an MQTT topic"),
         (["reactions", 4, "plugin"], "shout", "reactions[4].plugin: no installed package offers the reaction shout"),
@@ -123,6 +134,38 @@ def test_all_mistakes_are_named_at_once() -> None:
     with pytest.raises(DocumentError) as caught:
         read_detector_settings({"name": "", "topics": [{"name": 1}], "extra": 0}, "config.yaml")
     assert len(caught.value.problems) >= 4
+
+
+@pytest.mark.parametrize("url", ["http://[::1]:8080/x", "http://10.0.0.255", "https://a-b.svc.cluster.local.:65535/"])
+def test_addresses_of_all_sorts_are_taken(url: str) -> None:
+    good: Any = document()
+    good["reactions"][2]["url"] = url
+    read_detector_settings(good, "config.yaml", Knowledge(reactions=["whisper"]))
+
+
+def test_a_number_that_json_has_not_is_named_with_the_rest() -> None:
+    bad: Any = document()
+    bad["rules"][0]["start_distance_m"] = float("nan")
+    bad["reactions"][0]["parameters"] = {"x": float("inf")}
+    bad["extra"] = 1
+    with pytest.raises(DocumentError) as caught:
+        read_detector_settings(bad, "config.yaml", Knowledge(reactions=["whisper"]))
+    keys = [problem.partition(": ")[0] for problem in caught.value.problems]
+    assert keys == ["rules[0].start_distance_m", "extra", "reactions[0].parameters.x"]
+
+
+def test_what_does_not_fit_together_is_named_with_the_rest_and_nothing_twice() -> None:
+    bad: Any = document()
+    bad["rules"][0]["kind"] = "nearness"
+    bad["rules"].append({"name": "both", "kind": "combination", "all": ["near", "nobody"], "agents": ["a", "b"]})
+    bad["reactions"][2]["rule"] = "far"
+    bad["topics"].append({"name": "pose", "type": "std_msgs/msg/String"})
+    with pytest.raises(DocumentError) as caught:
+        read_detector_settings(bad, "config.yaml", Knowledge(reactions=["whisper"]))
+    keys = [problem.partition(": ")[0] for problem in caught.value.problems]
+    last = f"rules[{len(bad['rules']) - 1}]"
+    assert keys == [f"topics[{len(bad['topics']) - 1}].name", "rules[0].kind", f"{last}.all", "reactions[2].rule"]
+    assert "there is no rule nobody" in str(caught.value)
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,7 @@ from collections.abc import Callable, Mapping
 from importlib.machinery import ModuleSpec
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from robotkube.domain.errors import InputError, RobotKubeError, UnavailableError
 
@@ -235,6 +235,14 @@ def _duration(found: Any) -> int | None:
     return nanoseconds if 0 < nanoseconds < ENDLESS_NS else None
 
 
+class Sent(NamedTuple):
+    """When a message was sent, ns since 1970, and its number in its publisher's sequence; None when the middleware does
+    not number them. Every subscription is told the same of a message."""
+
+    time: int
+    number: int | None
+
+
 class RosSubscription:
     """Receives serialised messages of one topic."""
 
@@ -264,6 +272,15 @@ class RosSubscription:
             data, said = message
             taken.append((data, said["received_timestamp"]))
         return taken, None if said is None else said["publication_sequence_number"]
+
+    def take_sent(self, messages_max: int = 1000) -> list[tuple[bytes, int, Sent]]:
+        """As `take_timed`, each with what tells it from every other message of the topic."""
+        taken: list[tuple[bytes, int, Sent]] = []
+        while len(taken) < messages_max and (message := self._take(self._kind, True)) is not None:
+            data, said = message
+            sent = Sent(said["source_timestamp"], said["publication_sequence_number"])
+            taken.append((data, said["received_timestamp"], sent))
+        return taken
 
     @property
     def matched(self) -> int:

@@ -7,7 +7,7 @@ docs/reference/event-detector.md has every key.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -37,7 +37,9 @@ from robotkube.domain.reaction_settings import (
     read_reaction,
 )
 from robotkube.domain.rules import RULES_MAX, Always, Rule, read_rules
-from robotkube.domain.topics import TopicPattern
+from robotkube.domain.rules.asking import Check
+from robotkube.domain.texts import json_problems
+from robotkube.domain.topics import UNREADABLE, TopicPattern
 
 if TYPE_CHECKING:
     from robotkube.domain.layouts import Layouts
@@ -60,6 +62,7 @@ STATES = (ACTIVE, BUFFERING, INACTIVE)
 TIME_JUMP = "time-jump"
 """The rule that nobody writes: its events are the jumps of a topic's time, and end at once."""
 
+_TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Za-z][A-Za-z0-9]*")
 _TASK = re.compile(r"[a-z0-9]([-a-z0-9]*[a-z0-9])?/[a-z0-9]([-.a-z0-9]*[a-z0-9])?")
 
 
@@ -164,13 +167,14 @@ class Knowledge:
     layouts: Layouts | None = None
     rules: Collection[str] | None = None
     reactions: Collection[str] | None = None
-    check: Callable[[Sequence[str]], Sequence[str]] | None = field(default=None, compare=False)
+    check: Check | None = field(default=None, compare=False)
 
 
 def read_detector_settings(
     document: Mapping[str, Any], where: str, knowledge: Knowledge | None = None
 ) -> DetectorSettings:
-    """Read the document; DocumentError names `where` and all problems. Unknown keys are problems."""
+    """Read the document; DocumentError names `where` and all problems. Unknown keys are problems, and numbers that JSON
+    has not, wherever they stand."""
     known = knowledge or Knowledge()
     problems: list[str] = []
     root = Fields(document, "", problems)
@@ -193,8 +197,9 @@ def read_detector_settings(
         root.problem("task", f"{settings.task!r} must be <namespace>/<name>")
     memory.done()
     root.done()
-    if not problems:
-        problems += _cross_problems(settings, known)
+    problems += _cross_problems(settings, known, _unread(rules, settings.rules))
+    told = {problem.partition(": ")[0] for problem in problems}
+    problems += [one for one in json_problems(document, "") if one.partition(": ")[0] not in told]
     if problems:
         raise DocumentError(where, problems)
     return settings
@@ -220,6 +225,8 @@ def _topic(item: Fields) -> TopicSettings:
         duplicates=bounds.choice("duplicates", (DUPLICATES_DROP, DUPLICATES_KEEP), DUPLICATES_DROP),
         jump=bounds.choice("jump", (JUMP_RESTART, JUMP_KEEP), JUMP_RESTART),
     )
+    if settings.type and not _TYPE.fullmatch(settings.type):
+        item.problem("type", f"{settings.type!r} is not written like geometry_msgs/msg/PoseStamped")
     if settings.expire_seconds < settings.stale_seconds:
         item.problem("expire_seconds", "must not be less than stale_seconds")
     bounds.done()
@@ -239,18 +246,32 @@ def _nanoseconds(seconds: float | None) -> int | None:
     return None if seconds is None else int(seconds * 1e9)
 
 
-def _cross_problems(settings: DetectorSettings, known: Knowledge) -> list[str]:
-    problems = _repeated("topics", [topic.pattern.text for topic in settings.topics])
+def _unread(items: Sequence[Fields], rules: Sequence[Rule]) -> Collection[str]:
+    """The names of rules that are there, but could not be read."""
+    return {str(item.anything("name")) for item in items} - {rule.name for rule in rules}
+
+
+def _cross_problems(settings: DetectorSettings, known: Knowledge, unread: Collection[str]) -> list[str]:
+    """What does not fit together; about what could not be read at all nothing is said twice."""
+    topics = [topic.pattern.text for topic in settings.topics]
+    problems = _repeated("topics", [text for text in topics if text != UNREADABLE])
     if any(rule.name == TIME_JUMP for rule in settings.rules):
         problems.append(f"rules: the name {TIME_JUMP} is taken by the jumps of topics' time; give the rule another one")
     names = [*sorted(rule.name for rule in settings.rules if not rule.silent), TIME_JUMP]
+    silent = [rule.name for rule in settings.rules if rule.silent]
     buffers = {topic.pattern.text: topic.buffer_seconds for topic in settings.topics}
     for index, reaction in enumerate(settings.reactions):
-        found = reaction_problems(reaction, names, buffers, known.reactions)
+        if reaction.rule in silent:
+            problems.append(
+                f"reactions[{index}].rule: {reaction.rule} is silent and raises no events; take silent away"
+            )
+            continue
+        named = [*names, reaction.rule] if reaction.rule in unread or not reaction.rule else names
+        found = reaction_problems(reaction, named, buffers, known.reactions)
         problems += [f"reactions[{index}].{text}" for text in found]
     problems += _repeated("reactions: the operator reaction of rule", [one.rule for one in settings.operators])
     return problems + _repeated("reactions: the recording", [one.recording for one in settings.recordings])
 
 
 def _repeated(key: str, names: Sequence[str]) -> list[str]:
-    return [f"{key}: {name} stands twice; keep one" for name in sorted({n for n in names if names.count(n) > 1})]
+    return [f"{key}: {name} stands twice; keep one" for name in sorted({n for n in names if n and names.count(n) > 1})]

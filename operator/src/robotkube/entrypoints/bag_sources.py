@@ -13,6 +13,7 @@ from robotkube.adapters.segments_mcap import definition
 from robotkube.domain.bags import restamped
 from robotkube.domain.errors import InputError
 from robotkube.domain.layouts import Layouts
+from robotkube.domain.message_definitions import Definitions, read_definitions
 from robotkube.domain.messages import STAMPED_TYPES
 
 BAGS_MAX = 1000
@@ -31,6 +32,7 @@ class Bags:
             self.close()
             raise
         self.types = _types(self._bags, complain)
+        _compare_definitions(self._bags, complain)
         self._definitions: dict[str, str] = {}
         for bag in reversed(self._bags):
             self._definitions |= bag.definitions
@@ -73,6 +75,20 @@ def _types(bags: Sequence[OpenBag], complain: Callable[[str], None]) -> Mapping[
             if known != topic.type:
                 complain(f"{bag.path}: {topic.name} is {topic.type}, but {known} in another bag; they are mixed up")
     return types
+
+
+def _compare_definitions(bags: Sequence[OpenBag], complain: Callable[[str], None]) -> None:
+    """The first bag's definition of a type counts for all: say where another one has other fields."""
+    known: dict[str, tuple[Path, Definitions]] = {}
+    for bag in bags:
+        for name in sorted({topic.type for topic in bag.topics} & set(bag.definitions)):
+            try:
+                fields = read_definitions(name, bag.definitions[name])
+            except ValueError:
+                continue  # told where it is read
+            first, expected = known.setdefault(name, (bag.path, fields))
+            if fields != expected:
+                complain(f"{bag.path}: {name} has other fields than in {first}, and is read as there; test it alone")
 
 
 def _moment(message: tuple[str, int, bytes]) -> int:

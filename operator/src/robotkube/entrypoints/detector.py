@@ -33,6 +33,7 @@ from robotkube.domain.texts import read_mapping
 from robotkube.entrypoints import detector_parts as parts
 from robotkube.entrypoints.following import follow_settings, ownership_of
 from robotkube.entrypoints.processes import PodSettings, Process, read_text, run
+from robotkube.entrypoints.ros_topics import RosTopics
 from robotkube.services.detector.detector import EventDetector
 from robotkube.services.detector.raising import Raising
 from robotkube.services.detector.recording import RecordingReactions
@@ -46,7 +47,7 @@ if TYPE_CHECKING:
     from robotkube.services.reactions.dead import DeadLetterBox
     from robotkube.services.reactions.keeping import DeliveryJournal
 
-BUSY_SECONDS, IDLE_SECONDS = 0.0125, 0.02
+BUSY_SECONDS, IDLE_SECONDS = 0.015, 0.02
 """From one look at the subscriptions to the next, while messages come and when none has come for IDLE_AFTER_SECONDS."""
 IDLE_AFTER_SECONDS = 1.0
 LAST_DRAIN_SECONDS_MAX = 0.5
@@ -90,7 +91,7 @@ class Room:
         self._process, self._pod = process, pod
         self._ownership = ownership_of(pod)
         self._node = RosNode("event_detector")
-        self._ros = parts.RosTopics(self._node)
+        self._ros = RosTopics(self._node)
         self._broker: Broker | None = None
         self._journal: DeliveryJournal | None = None
         self._name = pod.config_map or ""
@@ -115,7 +116,7 @@ class Room:
             self._spans,
         )
         recordings = RecordingReactions(
-            lambda plan, buffers: parts.make_recordings(plan, buffers, self._pod, self._ownership)
+            lambda plan, buffers: parts.make_recordings(plan, buffers, self._pod, self._ownership, self._carried)
         )
         return EventDetector(
             self._source,
@@ -129,7 +130,7 @@ class Room:
 
     def read(self, text: str, where: str) -> DetectorSettings:
         """Settings from a text; DocumentError with all problems."""
-        document = read_mapping(text, where)
+        document = read_mapping(text, where, values=False)
         return read_detector_settings(document, where, parts.knowledge(document, self.layouts, self._expressions))
 
     def begin(self, settings: DetectorSettings) -> None:
@@ -137,7 +138,12 @@ class Room:
         self._name = settings.name
         self.detector.apply(settings)
         if settings.bag:
-            filled = self.detector.fill(parts.read_bag(Path(settings.bag), self._complain))
+            try:
+                filled = self.detector.fill(
+                    parts.read_bag(Path(settings.bag), self._complain, self.detector.topics.asked)
+                )
+            except InputError as error:
+                raise InputError(f"{self._pod.config_file}: buffer.bag: {error}") from error
             self._process.log("filled", bag=settings.bag, messages=filled)
 
     def _complain(self, sentence: str) -> None:
@@ -278,17 +284,18 @@ class Room:
         """POST /state with `{"state": "active"}`."""
         try:
             state = json.loads(sent)["state"]
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, RecursionError):
             state = None
         if state not in STATES:
             return 400, json.dumps({"error": f'send {{"state": ...}} with one of {", ".join(STATES)}'})
         self._commands.append((state, time.time_ns()))
         return 202, json.dumps({"state": state})
 
+    def _carried(self, type_name: str) -> str:
+        return "" if self._broker is None else self._broker.definitions.get(type_name, "")
+
     def _definition(self, type_name: str) -> str:
-        if self._broker is not None and type_name in self._broker.definitions:
-            return self._broker.definitions[type_name]
-        return parts.installed_definition(type_name)
+        return parts.definition(type_name, {} if self._broker is None else self._broker.definitions)
 
     def _kept(self) -> Mapping[str, Any]:
         return MEMORY_ONLY if self._journal is None else self._journal.document()

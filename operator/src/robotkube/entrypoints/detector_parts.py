@@ -9,11 +9,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robotkube.adapters.ros_rclpy import MessageTypeError, RosNode, RosSubscription
 from robotkube.domain.demands import renewal
-from robotkube.domain.detector_settings import DetectorSettings, Knowledge, TopicSettings
-from robotkube.domain.errors import DocumentError, InputError, RefusalError
-from robotkube.domain.qualities import Broken, Incompatible, Offer, Quality
+from robotkube.domain.detector_settings import DetectorSettings, Knowledge
+from robotkube.domain.errors import InputError, RefusalError
 from robotkube.domain.reaction_settings import DeliveryReaction, MqttReaction, PythonReaction, WebhookReaction
 from robotkube.domain.recording_plans import RecordingPlan
 from robotkube.entrypoints.processes import PodSettings, read_secret
@@ -25,6 +23,7 @@ if TYPE_CHECKING:
     from robotkube.domain.audits import Gap
     from robotkube.domain.buffers import RingBuffer
     from robotkube.domain.layouts import Layouts
+    from robotkube.domain.rules.asking import Check, Checked
     from robotkube.ports.reactions import Reaction, Sender, Spans
     from robotkube.ports.recordings import Claim, RecordingStore
     from robotkube.services.detector.broker import Broker
@@ -38,85 +37,6 @@ TASKS = ("robotkube.io", "v1alpha1", "taskdescriptions")
 SESSION_SECONDS = 60
 JOURNAL_VARIABLE = "ROBOTKUBE_REACTIONS"
 SPANS_VARIABLE = "OTEL_EXPORTER_OTLP_TRACES_ENDPOINT"
-
-
-class RosTopics:
-    """The ROS graph (port LiveTopics)."""
-
-    def __init__(self, node: RosNode) -> None:
-        self._node = node
-
-    def follow(self, topics: Sequence[TopicSettings]) -> None:
-        """The graph is there anyway."""
-
-    def subscribe(self, topic: str, settings: TopicSettings, quality: Quality) -> RosInput:
-        """Subscribe; DocumentError names the topic and what ROS has against it."""
-        try:
-            subscription = self._node.subscribe(
-                topic,
-                settings.type,
-                quality.reliability,
-                quality.durability,
-                settings.depth,
-                quality.deadline_ns,
-                quality.liveliness,
-                quality.lease_ns,
-            )
-        except MessageTypeError as error:
-            fix = "install it, or take the topic from the broker (source: mqtt), which carries the definition"
-            raise DocumentError(f"topic {topic}", [f"{error}; {fix}"]) from error
-        except InputError as error:
-            raise DocumentError(f"topic {topic}", [str(error)]) from error
-        return RosInput(subscription)
-
-    def visible(self) -> Mapping[str, Sequence[str]]:
-        """Topic -> types."""
-        return self._node.topics()
-
-    def offers(self, topic: str) -> Sequence[Offer]:
-        """Its publishers."""
-        return self._node.offers(topic)
-
-
-class RosInput:
-    """A subscription (port TopicInput). What the middleware pushed out is seen by the numbers of a single publisher."""
-
-    def __init__(self, subscription: RosSubscription) -> None:
-        self._subscription = subscription
-        self._last = self._before = -1
-        self.lost = 0
-
-    @property
-    def matched(self) -> int:
-        """Publishers that are connected now."""
-        count = self._subscription.matched
-        if count != 1:
-            self._last = -1
-        return count
-
-    @property
-    def incompatible(self) -> Incompatible:
-        """What the middleware said of publishers that it did not connect."""
-        return Incompatible(*self._subscription.incompatible)
-
-    @property
-    def broken(self) -> Broken:
-        """What the middleware said of publishers' promises."""
-        return Broken(self._subscription.missed_deadlines, self._subscription.lost_liveliness)
-
-    def drain(self, messages_max: int) -> Sequence[tuple[bytes, int]]:
-        """What waits, with the time at which the middleware received it."""
-        messages, number = self._subscription.take_timed(messages_max)
-        if number is not None:
-            missing = number - self._last - len(messages)
-            if missing > 0 and self._last >= 0:
-                self.lost += missing
-            self._last = number
-        return messages
-
-    def close(self) -> None:
-        """Unsubscribe."""
-        self._subscription.close()
 
 
 class ApiTasks:
@@ -224,9 +144,13 @@ def _sender(settings: WebhookReaction | PythonReaction, pod: PodSettings) -> Sen
 
 
 def make_recordings(
-    plan: RecordingPlan, buffers: Mapping[str, RingBuffer], pod: PodSettings, ownership: Ownership
+    plan: RecordingPlan,
+    buffers: Mapping[str, RingBuffer],
+    pod: PodSettings,
+    ownership: Ownership,
+    carried: Callable[[str], str],
 ) -> Recordings:
-    """The started recording reaction."""
+    """The started recording reaction. `carried`: the definition of a type that the broker has brought, else empty."""
     from robotkube.services.recording.places import RecorderPlace
     from robotkube.services.recording.recordings import Recordings
 
@@ -241,7 +165,7 @@ def make_recordings(
         monotonic=time.monotonic,
         ownership=ownership,
     )
-    recordings = Recordings(plan, place, buffers)
+    recordings = Recordings(plan, place, buffers, carried=carried)
     recordings.start()
     return recordings
 
@@ -317,24 +241,35 @@ def installed_definition(type_name: str) -> str:
     return found
 
 
-def read_bag(path: Path, complain: Callable[[str], None]) -> Iterator[tuple[str, str, int, bytes]]:
-    """Topic, type, time in ns and bytes of a bag's messages."""
+def definition(type_name: str, told: Mapping[str, str]) -> str:
+    """The definition of a type: what is installed counts before what somebody at the broker `told`; KeyError when
+    nobody knows it."""
+    try:
+        return installed_definition(type_name)
+    except KeyError:
+        return told[type_name]
+
+
+def read_bag(
+    path: Path, complain: Callable[[str], None], wanted: Callable[[str, str], bool]
+) -> Iterator[tuple[str, str, int, bytes]]:
+    """Topic, type, time in ns and bytes of a bag's messages; `wanted`: whether a topic of that type is read at all."""
     from robotkube.adapters.bags import open_bag
 
     with open_bag(path, complain) as bag:
         types = {topic.name: topic.type for topic in bag.topics}
-        for topic, moment, data in bag.messages():
+        for topic, moment, data in bag.messages({name for name, kind in types.items() if wanted(name, kind)}):
             yield topic, types[topic], moment, data
 
 
 class KnownExpressions:
     """What is wrong with expressions; asked only about those that are new, since the answer takes a second."""
 
-    def __init__(self, check: Callable[[Sequence[str]], Sequence[str]]) -> None:
+    def __init__(self, check: Check) -> None:
         self._check = check
-        self._known: dict[str, str] = {}
+        self._known: dict[Checked, str] = {}
 
-    def __call__(self, texts: Sequence[str]) -> Sequence[str]:
+    def __call__(self, texts: Sequence[Checked]) -> Sequence[str]:
         """One text each, empty when it is well."""
         known = {text: self._known[text] for text in texts if text in self._known}
         new = [text for text in dict.fromkeys(texts) if text not in known]
@@ -342,16 +277,14 @@ class KnownExpressions:
         return [self._known[text] for text in texts]
 
 
-def check_expressions(texts: Sequence[str]) -> Sequence[str]:
+def check_expressions(texts: Sequence[Checked]) -> Sequence[str]:
     """What is wrong with each of these expressions, by a process of its own."""
     from robotkube.entrypoints import rule_host
 
     return rule_host.check_expressions(texts)
 
 
-def knowledge(
-    document: Mapping[str, Any], layouts: Layouts, check: Callable[[Sequence[str]], Sequence[str]] = check_expressions
-) -> Knowledge:
+def knowledge(document: Mapping[str, Any], layouts: Layouts, check: Check = check_expressions) -> Knowledge:
     """What a document is compared with; only what it needs is imported."""
     kinds = {
         item.get("kind")

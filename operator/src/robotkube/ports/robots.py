@@ -50,8 +50,13 @@ class LiveTopics(Protocol):
         """Take note of all topics that may be asked for."""
         ...
 
-    def subscribe(self, topic: str, settings: TopicSettings, quality: Quality) -> TopicInput:
-        """Subscribe; DocumentError when there is no such message type."""
+    def subscribe(
+        self, topic: str, settings: TopicSettings, quality: Quality, before: TopicInput | None = None
+    ) -> TopicInput:
+        """Subscribe; DocumentError when there is no such message type.
+
+        In the place of `before`, another subscription of the topic: no message is missed in between, and what both get
+        comes once. `before` belongs to the new one from now on, which closes it and counts on from its `lost`."""
         ...
 
     def visible(self) -> Mapping[str, Sequence[str]]:

@@ -31,12 +31,11 @@ from robotkube.services.reactions.dead import DeadLetterBox
 from robotkube.services.reactions.keeping import OPEN_SECONDS_MAX, Kept
 
 if TYPE_CHECKING:
-    from robotkube.ports.robots import ChannelEvents, FrameChannel
+    from robotkube.ports.robots import ChannelEvents, FrameChannel, TopicInput
 
 QUEUE_MAX = 256
 TOPICS_MAX = 1000
 DEFINITION_BYTES_MAX = 1_000_000
-DEFINITIONS_MAX = 500
 END_SECONDS_STEP = 0.01
 ENDED = "the detector ended"
 
@@ -46,27 +45,30 @@ log = logging.getLogger(__name__)
 
 
 class MqttInput:
-    """One topic by MQTT (port TopicInput): what came and is not drained yet, at most `depth` messages."""
+    """One topic by MQTT (port TopicInput): what came and is not drained yet, at most `depth` messages. `closed` is told
+    when nobody wants it any more."""
 
-    def __init__(self, type_name: str, depth: int) -> None:
-        self.type, self.depth = type_name, depth
+    def __init__(self, type_name: str, depth: int, closed: Callable[[MqttInput], None]) -> None:
+        self.type, self.depth, self._closed = type_name, depth, closed
         self._waiting: deque[tuple[bytes, int]] = deque()
         self._seen = SeenFrames()
         self.lost = 0
         self.matched = 0
         self.incompatible, self.broken = Incompatible(), Broken()
 
-    def take(self, payload: bytes, type_name: str, received: int) -> None:
-        """A frame came. InputError when it is none, or of another type."""
+    def take(self, payload: bytes, type_name: str, received: int) -> bool:
+        """A frame came: whether for the first time. InputError when it is none, or of another type."""
         if type_name and type_name != self.type:
             raise InputError(f"its messages are {type_name}, not {self.type}; change the topic's type")
         frame = decode_frame(payload)
         self.matched = 1
-        if self._seen.fresh(frame.session, frame.sequence):
-            self._waiting.extend((message, received) for message in frame.messages)
-            while len(self._waiting) > self.depth:
-                self._waiting.popleft()
-                self.lost += 1
+        if not self._seen.fresh(frame.session, frame.sequence):
+            return False
+        self._waiting.extend((message, received) for message in frame.messages)
+        while len(self._waiting) > self.depth:
+            self._waiting.popleft()
+            self.lost += 1
+        return True
 
     def drain(self, messages_max: int) -> Sequence[tuple[bytes, int]]:
         """See the port."""
@@ -76,6 +78,7 @@ class MqttInput:
     def close(self) -> None:
         """See the port; the broker is told when the settings change."""
         self._waiting.clear()
+        self._closed(self)
 
 
 @dataclass
@@ -116,7 +119,9 @@ class Broker:
         self.definitions: dict[str, str] = {}
         self.refusals: dict[str, str] = {}
         self.malformed = 0
+        self._complained: set[str] = set()
         self._channel = make(self)
+        self._told = self._channel.complaint
 
     @property
     def unreachable(self) -> str:
@@ -135,11 +140,13 @@ class Broker:
         self._channel.subscribe([one for one in self._filters if one not in before])
         self._channel.unsubscribe([one for one in before if one not in self._filters])
 
-    def subscribe(self, topic: str, settings: TopicSettings, quality: Quality) -> MqttInput:
-        """See the port: what came before is there."""
+    def subscribe(
+        self, topic: str, settings: TopicSettings, quality: Quality, before: TopicInput | None = None
+    ) -> MqttInput:
+        """See the port: what came before is there, and there is one for each topic."""
         found = self._inputs.get(topic)
         if found is None or found.type != settings.type:
-            found = self._inputs[topic] = MqttInput(settings.type, settings.depth)
+            found = self._inputs[topic] = self._make_input(settings)
         found.depth = settings.depth
         return found
 
@@ -172,6 +179,7 @@ class Broker:
         """Read and write what is there."""
         now = self._monotonic()
         self._channel.turn(now)
+        self._tell_complaint()
         for sender in self._senders:
             sender.hand_over(now)
         while self._waiting and now - self._waiting[0].begun > self._waiting[0].sender.retry_seconds:
@@ -184,6 +192,13 @@ class Broker:
                 break
             self._sent[token] = self._waiting.popleft()
         self._channel.flush()
+
+    def _tell_complaint(self) -> None:
+        """Why there is no connection stands in the log, once for each reason."""
+        complaint = self._channel.complaint
+        if complaint is not None and complaint != self._told:
+            log.warning("broker: %s", complaint)
+        self._told = complaint
 
     def close(self, seconds: float, pause: Callable[[float], None]) -> bool:
         """Deliver what waits within `seconds`, then part; True when nothing is left."""
@@ -216,7 +231,8 @@ class Broker:
 
     def disconnected(self) -> None:
         """See the port: what was not acknowledged is sent again, in its order."""
-        log.warning("broker: %s", self._channel.complaint)
+        self._told = self._channel.complaint
+        log.warning("broker: %s", self._told)
         for one in self._sent.values():
             one.sender.retries += 1
         self._waiting.extendleft(reversed(self._sent.values()))
@@ -230,12 +246,12 @@ class Broker:
     def rejected(self, token: int, reason: str) -> None:
         """See the port."""
         if (one := self._sent.pop(token, None)) is not None:
-            one.sender.give_up(one.delivery, f"{one.topic}: {reason}; look at the broker's ACL for this agent")
+            one.sender.give_up(one.delivery, f"{one.topic}: {reason}")
 
     def refused(self, topic: str, reason: str) -> None:
         """See the port; that a broker keeps types to itself costs only what is not installed."""
         if not topic.startswith(TYPES_PREFIX):
-            self.refusals[topic] = f"{topic}: {reason}; look at the broker's ACL for this agent"
+            self.refusals[topic] = f"{topic}: {reason}"
         log.warning("broker: %s: %s", topic, reason)
 
     def received(self, topic: str, payload: bytes, properties: bytes) -> None:
@@ -246,20 +262,27 @@ class Broker:
             user = read_properties(properties).user
             said = user.get(TYPE, "")
             if topic.startswith(TYPES_PREFIX):
-                self._learn(said, payload)
+                self._learn(topic.removeprefix(types_topic(MQTT_PREFIX)), said, payload)
             elif (found := self._input(topic.removeprefix(MQTT_PREFIX))) is not None:
-                found.take(payload, said, self._clock_ns())
-                for gap in read_gaps(user[GAPS]) if GAPS in user else ():
-                    self._lacking(gap)
+                gaps = read_gaps(user[GAPS]) if GAPS in user else ()
+                if found.take(payload, said, self._clock_ns()):
+                    for gap in gaps:
+                        self._lacking(gap)
         except InputError as error:
             self.malformed += 1
-            if self.malformed == 1:
+            if topic not in self._complained and len(self._complained) < TOPICS_MAX:
+                self._complained.add(topic)
                 log.warning("topic %s: %s", topic, error)
 
-    def _learn(self, type_name: str, payload: bytes) -> None:
-        full = len(self.definitions) >= DEFINITIONS_MAX and type_name not in self.definitions
-        if not type_name or len(payload) > DEFINITION_BYTES_MAX or full:
-            raise InputError("no definition of a type: property `type` and at most 1 MB of text are needed")
+    def _learn(self, name: str, type_name: str, payload: bytes) -> None:
+        """An agent says what the messages of its topic are; it cannot speak for other types."""
+        settings = self._settings_of(name)
+        if settings is None or type_name != settings.type or len(payload) > DEFINITION_BYTES_MAX:
+            wanted = "a topic that is followed" if settings is None else settings.type
+            raise InputError(
+                f"{len(payload)} bytes for type {type_name!r} are no definition of {wanted}; "
+                f"at most {DEFINITION_BYTES_MAX} bytes of text and the property `type` are needed"
+            )
         text = payload.decode(errors="replace")
         if self.definitions.get(type_name) != text:
             self.definitions[type_name] = text
@@ -270,8 +293,15 @@ class Broker:
         if found is None and len(self._inputs) < TOPICS_MAX:
             settings = self._settings_of(name)
             if settings is not None:
-                found = self._inputs[name] = MqttInput(settings.type, settings.depth)
+                found = self._inputs[name] = self._make_input(settings)
         return found
+
+    def _make_input(self, settings: TopicSettings) -> MqttInput:
+        return MqttInput(settings.type, settings.depth, self._forget)
+
+    def _forget(self, closed: MqttInput) -> None:
+        """It is found again by what comes next."""
+        self._inputs = {name: one for name, one in self._inputs.items() if one is not closed}
 
     def _settings_of(self, name: str) -> TopicSettings | None:
         return next((one for one in self._followed if one.pattern.agent(name) is not None), None)

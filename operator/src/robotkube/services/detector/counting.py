@@ -10,15 +10,15 @@ AGE_MS_MAX = 1000
 
 
 class InputCounter:
-    """Messages per second of reception, and how old they were."""
+    """Messages per second of reception, and how old they were; `pattern` is the settings' name of the topic."""
 
     __slots__ = (
         "_ages", "_second", "_seconds", "incompatible", "lost", "lost_liveliness", "malformed", "missed_deadlines",
-        "newest", "received", "type",
+        "newest", "pattern", "received", "type",
     )  # fmt: skip
 
-    def __init__(self, type_name: str) -> None:
-        self.type, self.received, self.malformed, self.newest = type_name, 0, 0, 0
+    def __init__(self, type_name: str, pattern: str) -> None:
+        self.type, self.pattern, self.received, self.malformed, self.newest = type_name, pattern, 0, 0, 0
         self.lost = self.incompatible = self.missed_deadlines = self.lost_liveliness = 0
         self._seconds: deque[list[int]] = deque(maxlen=SECONDS_KEPT)
         self._second: list[int] = [0, 0]

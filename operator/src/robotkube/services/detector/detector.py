@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from robotkube.domain.bridging import GAPS_TOPIC
 from robotkube.domain.bridging_properties import read_gap_text
-from robotkube.domain.buffers import DUPLICATE, JUMPED, BufferPool, Sample
+from robotkube.domain.buffers import DUPLICATE, JUMPED, KEPT, BufferPool, Sample
 from robotkube.domain.detector_settings import ACTIVE, INACTIVE, PROCESS_BYTES_DEFAULT, TIME_JUMP, DetectorSettings
 from robotkube.domain.errors import InputError
 from robotkube.domain.layouts import Layouts
@@ -24,7 +24,7 @@ from robotkube.domain.messages import string_text
 from robotkube.domain.rules import START, STOP, Edge, Message, Question, Rule, RuleEngine, event_identity
 from robotkube.services.detector.recording import RecordingReactions
 from robotkube.services.detector.topic import Topic
-from robotkube.services.detector.topics import DISCOVERY_SECONDS, Topics
+from robotkube.services.detector.topics import DISCOVERY_SECONDS, Place, Topics
 
 if TYPE_CHECKING:
     from robotkube.ports.robots import LiveTopics, TopicInput
@@ -131,15 +131,17 @@ class EventDetector:
         self._connect(self.topics.topics.values())
 
     def fill(self, messages: Iterable[tuple[str, str, int, bytes]]) -> int:
-        """Fill the buffers: (topic, type, time of reception in ns, message); returns how many were taken in."""
+        """Fill the buffers: (topic, type, time of reception in ns, message); returns how many were taken in. Also those
+        of topics that a pattern would find, and while the detector rests."""
         filled = 0
+        places: dict[tuple[str, str], Place | None] = {}
         for name, type_name, received, data in messages:
-            topic = self.topics.topics.get(name)
-            if topic is not None and topic.settings.type == type_name:
-                stamp = self._stamp_of(topic, data, received)
-                if stamp is not None:
-                    topic.buffer.insert(Sample(stamp, received, data))
-                    filled += 1
+            if (name, type_name) not in places:
+                places[name, type_name] = self.topics.place(name, type_name)
+            place = places[name, type_name]
+            stamp = None if place is None else self._stamp_of(place, data, received)
+            if place is not None and stamp is not None:
+                filled += place.buffer.insert(Sample(stamp, received, data)) in (KEPT, JUMPED)
         return filled
 
     def turn(self) -> int:
@@ -156,8 +158,6 @@ class EventDetector:
         # each step for all topics before the next one: its code stays in the processor's caches
         arrived = [(topic, topic.input.drain(DRAIN_MESSAGES_MAX)) for topic in self.topics.topics.values()]
         for topic, messages in arrived:
-            if topic.leaving:
-                messages = [*topic.left(DRAIN_MESSAGES_MAX), *messages]
             if messages:
                 total += len(messages)
                 self._take(topic, messages, batch if evaluating and topic.evaluated else None)
@@ -210,11 +210,12 @@ class EventDetector:
                 batch.append(_new(Message, (name, type_name, stamp, received, data)))
         topic.counter.lost = topic.counted_before[0] + topic.input.lost
 
-    def _stamp_of(self, topic: Topic, data: bytes, received: int) -> int | None:
+    @staticmethod
+    def _stamp_of(place: Place, data: bytes, received: int) -> int | None:
         try:
-            return received if topic.stamp is None else topic.stamp(data) or received
+            return received if place.stamp is None else place.stamp(data) or received
         except ValueError:
-            topic.counter.malformed += 1
+            place.counter.malformed += 1
             return None
 
     def _jumped(self, topic: Topic, sample: Sample) -> None:

@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 
 PROBLEMS_MAX = 50
 PREFIX = "robotkube_detector_"
+TOPIC_GAUGES = (
+    "subscriptions", "matched_sources", "stale_topics", "mismatched_topics", "buffer_messages", "buffer_bytes",
+)  # fmt: skip
 
 METRICS: Mapping[str, tuple[str, str, str]] = {
     "info": ("gauge", "state", "1 for the state that the detector is in."),
@@ -145,31 +148,20 @@ class Status:
             yield from ((f"reaction_{key}_total", reaction, counts[key]) for key in ("delivered", "retries", "dead"))
 
     def _topics(self) -> dict[str, dict[str, int]]:
-        """Topic pattern -> sums over its topics."""
-        sums: dict[str, dict[str, int]] = {}
-        for one in self.detector.topics.document().values():
-            buffer = one["buffer"]
-            values = {
-                "subscriptions": 1,
-                "matched_sources": one["matched"],
-                "stale_topics": int(one["stale"]),
-                "mismatched_topics": int(bool(one["problem"])),
-                "incompatible_total": one["incompatible"]["count"],
-                "missed_deadlines_total": one["missed_deadlines"],
-                "lost_liveliness_total": one["lost_liveliness"],
-                "received_total": one["received"],
-                "malformed_total": one["malformed"],
-                "lost_total": one["lost"],
-                "buffer_messages": buffer["messages"],
-                "buffer_bytes": buffer["bytes"],
-                "late_total": buffer["late"],
-                "duplicates_total": buffer["duplicates"],
-                "jumps_total": buffer["jumps"],
-                "evicted_total": sum(buffer[key] for key in buffer if key.startswith("evicted_")),
-            }
-            known = sums.setdefault(one["pattern"], dict.fromkeys(values, 0))
-            for key, value in values.items():
-                known[key] += value
+        """Topic pattern -> what is there now, and what has been counted since the start."""
+        topics = self.detector.topics
+        sums = {
+            pattern: dict.fromkeys(TOPIC_GAUGES, 0) | {f"{name}_total": value for name, value in counted.items()}
+            for pattern, counted in topics.totals.read().items()
+        }
+        for one in topics.document().values():
+            values = (1, one["matched"], int(one["stale"]), int(bool(one["problem"])))
+            for key, value in zip(TOPIC_GAUGES, values, strict=False) if one["pattern"] in sums else ():
+                sums[one["pattern"]][key] += value
+        for pattern, buffer in topics.held():
+            if pattern in sums:
+                sums[pattern]["buffer_messages"] += len(buffer)
+                sums[pattern]["buffer_bytes"] += buffer.bytes
         return sums
 
     def _recordings(self) -> Iterator[str]:

@@ -30,8 +30,7 @@ class _Counted(NamedTuple):
 
 @dataclass
 class Topic:
-    """A subscription with everything its messages go to. `problem`: which publishers do not fit, and why; `leaving`:
-    subscriptions that another one has taken the place of, and what they still hold."""
+    """A subscription with everything its messages go to. `problem`: which publishers do not fit, and why."""
 
     name: str
     agent: str
@@ -47,37 +46,27 @@ class Topic:
     matched: int = 0
     incompatible: Incompatible = field(default_factory=Incompatible)
     evaluated: bool = False
-    leaving: list[TopicInput] = field(default_factory=list)
     counted_before: _Counted = field(default_factory=_Counted)
     recordings: list[Recordings] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self._go_on_counting()
 
+    @property
+    def heard(self) -> int:
+        """When something came last, or the subscription was made; ns."""
+        return max(self.counter.newest, self.since)
+
     def take_over(self, fresh: TopicInput, quality: Quality) -> None:
-        """Go on with another subscription; what the one before holds is drained first."""
+        """Go on with another subscription, which has taken the place of this one."""
         self.count()
-        if fresh is not self.input:
-            self.leaving.append(self.input)
         self.input, self.quality = fresh, quality
         self._go_on_counting()
 
-    def left(self, messages_max: int) -> list[tuple[bytes, int]]:
-        """What the subscriptions before this one still held; they are closed."""
-        leaving, self.leaving = self.leaving, []
-        found: list[tuple[bytes, int]] = []
-        for one in leaving:
-            said = one.lost
-            while part := one.drain(messages_max):
-                found += part
-            one.close()
-            before = self.counted_before
-            self.counted_before = before._replace(lost=before.lost + one.lost - said)
-        return found
-
     def count(self) -> None:
         """Note what the subscription says of itself; counters only grow."""
-        self.matched, self.incompatible = self.input.matched, self.input.incompatible
+        self.matched, refused = self.input.matched, self.input.incompatible
+        self.incompatible = refused if refused.publishers else self.incompatible
         before, said = self.counted_before, self._said()
         self.counter.lost = before.lost + said.lost
         self.counter.incompatible = before.incompatible + said.incompatible
@@ -87,8 +76,7 @@ class Topic:
     def close(self) -> None:
         """Unsubscribe."""
         self.count()
-        for one in (*self.leaving, self.input):
-            one.close()
+        self.input.close()
 
     def _go_on_counting(self) -> None:
         before, said = self.counter, self._said()
@@ -114,10 +102,10 @@ def problem_of(topic: Topic, quality: Quality) -> str:
     return "; ".join(text for text in found if text)
 
 
-def how_fresh(topic: Topic, now: int) -> str:
-    """By when something came last, or the subscription was made."""
+def how_fresh(topic: Topic, heard: int, now: int) -> str:
+    """By when something was heard last (ns), within the topic's bounds."""
     bounds = FreshnessBounds(topic.settings.stale_seconds, topic.settings.expire_seconds)
-    return freshness({topic.name: max(topic.counter.newest, topic.since)}, now, bounds)[topic.name]
+    return freshness({topic.name: heard}, now, bounds)[topic.name]
 
 
 def topic_document(topic: Topic, now: int) -> dict[str, Any]:
@@ -135,7 +123,7 @@ def topic_document(topic: Topic, now: int) -> dict[str, Any]:
         "incompatible": {"count": counter.incompatible, "policy": topic.incompatible.policy},
         "missed_deadlines": counter.missed_deadlines,
         "lost_liveliness": counter.lost_liveliness,
-        "stale": not topic.settings.latched and how_fresh(topic, now) != FRESH,
+        "stale": not topic.settings.latched and how_fresh(topic, topic.heard, now) != FRESH,
         "received": counter.received,
         "malformed": counter.malformed,
         "lost": counter.lost,

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from robotkube.domain.bridging import GAPS_DEPTH, GAPS_TOPIC, GAPS_TYPE
 from robotkube.domain.buffers import BufferPool, RingBuffer
@@ -21,6 +22,7 @@ from robotkube.domain.rules import Proximity
 from robotkube.domain.topics import TopicPattern
 from robotkube.services.detector.counting import InputCounter
 from robotkube.services.detector.topic import Stamp, Topic, how_fresh, of_type, problem_of, topic_document
+from robotkube.services.detector.totals import Totals
 
 if TYPE_CHECKING:
     from robotkube.ports.robots import LiveTopics, TopicInput
@@ -31,6 +33,14 @@ INSPECTED_MAX = 50
 """So many topics' publishers are looked at in one go; the others the next time."""
 
 log = logging.getLogger(__name__)
+
+
+class Place(NamedTuple):
+    """Where a topic's messages go that do not come by its subscription."""
+
+    buffer: RingBuffer
+    counter: InputCounter
+    stamp: Stamp | None
 
 
 class Topics:
@@ -46,6 +56,7 @@ class Topics:
         self._settings = DetectorSettings("", ())
         self._inspected = 0
         self._buffered: dict[str, TopicSettings] = {}
+        self.totals = Totals(self._parts)
 
     def counters(self) -> Mapping[str, InputCounter]:
         """Topic -> its counter, also of topics that are not subscribed to any more."""
@@ -55,13 +66,15 @@ class Topics:
         """Take new settings. A topic whose name and type stay keeps its buffer, within other bounds; its subscription
         is made anew only when another one is asked for. What is not asked for any more is given up."""
         self._settings = settings
+        self.totals.adapt(topic.pattern.text for topic in settings.topics)
         self.problems.clear()
         for name, before in list(self._buffered.items()):
-            chosen, topic = self._chosen(name, before), self.topics.get(name)
+            chosen, topic = self._chosen(name, before.type, before), self.topics.get(name)
             if chosen is None:
                 self._forget(name)
             elif chosen != before:
                 self._buffer(name, chosen)
+                self._counter(name, chosen)
                 if topic is not None:
                     self._change(topic, chosen)
 
@@ -81,8 +94,23 @@ class Topics:
         """Subscribe to the topics that are known before anybody publishes them; those that are new."""
         return self._subscribe(self._expected())
 
+    def asked(self, name: str, type_name: str) -> bool:
+        """Whether the settings ask for a topic of this name and type."""
+        return self._chosen(name, type_name) is not None
+
+    def place(self, name: str, type_name: str) -> Place | None:
+        """Where messages of that topic go that a bag holds; None when the settings ask for no such topic.
+
+        What has a buffer is subscribed to with the next discovery, and forgotten when it stays silent."""
+        settings = self._buffered.get(name) or self._chosen(name, type_name)
+        if settings is None or settings.type != type_name:
+            return None
+        if name not in self._buffered and len(self._buffered) >= SUBSCRIPTIONS_MAX:
+            return None
+        return Place(self._buffer(name, settings), self._counter(name, settings), self._stamp(type_name))
+
     def discover(self) -> list[Topic]:
-        """Subscribe to topics that fit a pattern and have appeared; those that are new."""
+        """Subscribe to topics that fit a pattern and have appeared, or have a buffer; those that are new."""
         return self._subscribe(self._found())
 
     def open_gaps(self) -> TopicInput:
@@ -103,11 +131,16 @@ class Topics:
         return [topic for name in chosen if self._look_at(topic := self.topics[name])]
 
     def expire(self) -> list[Topic]:
-        """Forget what a pattern found and what has been silent for too long."""
+        """Forget what a pattern found and what has been silent for too long; a latched topic, which speaks once, when
+        all of its agent's have been."""
         now = self._clock_ns()
         expected = {name for name, _ in self._expected()}
-        silent = [topic for topic in self.topics.values() if topic.name not in expected]
-        gone = [topic for topic in silent if how_fresh(topic, now) == EXPIRED]
+        heard: dict[str, int] = {}
+        for topic in self.topics.values():
+            heard[topic.agent] = max(heard.get(topic.agent, 0), topic.heard)
+        found = [topic for topic in self.topics.values() if topic.name not in expected]
+        last = {topic.name: heard[topic.agent] if topic.settings.latched else topic.heard for topic in found}
+        gone = [topic for topic in found if how_fresh(topic, last[topic.name], now) == EXPIRED]
         for topic in gone:
             log.info("topic %s: silent for %.0f s; forgotten", topic.name, topic.settings.expire_seconds)
             self._forget(topic.name)
@@ -117,17 +150,30 @@ class Topics:
         topic = self.topics.pop(name, None)
         if topic is not None:
             topic.close()
-        self.pool.remove(name)
-        self._buffered.pop(name, None)
+        self._remove_buffer(name)
 
-    def _chosen(self, name: str, before: TopicSettings) -> TopicSettings | None:
-        """What the settings say now of a topic that is buffered already; the name itself goes before a pattern."""
+    def _remove_buffer(self, name: str) -> None:
+        def remove() -> None:
+            del self._buffered[name]
+            self.pool.remove(name)
+
+        if name in self._buffered:
+            self.totals.forget(self._buffered[name].pattern.text, self.pool.buffers[name], remove)
+
+    def _chosen(self, name: str, type_name: str, before: TopicSettings | None = None) -> TopicSettings | None:
+        """What the settings say now of a topic; the name itself goes before a pattern, and what they said `before`
+        goes before everything."""
         fitting = [
-            one for one in self._settings.topics if one.type == before.type and one.pattern.agent(name) is not None
+            one for one in self._settings.topics if one.type == type_name and one.pattern.agent(name) is not None
         ]
         if before in fitting:
             return before
-        return min(fitting, key=lambda one: (one.pattern.general, one.pattern != before.pattern), default=None)
+        pattern = before and before.pattern
+        return min(fitting, key=lambda one: (one.pattern.general, one.pattern != pattern), default=None)
+
+    def _fitting(self, name: str, type_name: str) -> list[TopicSettings]:
+        """The settings that ask for such a topic."""
+        return [one for one in self._settings.topics if one.type == type_name and one.pattern.agent(name) is not None]
 
     def _change(self, topic: Topic, settings: TopicSettings) -> None:
         before, topic.settings = topic.settings, settings
@@ -140,8 +186,8 @@ class Topics:
             self._subscribe_anew(topic, matched(settings.asked, of_type(topic, source.offers(topic.name))))
 
     def _subscribe_anew(self, topic: Topic, quality: Quality) -> None:
-        """The new subscription is there before the old one goes."""
-        fresh = self._source(topic.settings.source).subscribe(topic.name, topic.settings, quality)
+        source = self._source(topic.settings.source)
+        fresh = source.subscribe(topic.name, topic.settings, quality, topic.input)
         topic.take_over(fresh, quality)
         topic.offers, topic.problem = (), ""
         log.info("topic %s: subscribed anew as %s", topic.name, quality.text())
@@ -157,6 +203,7 @@ class Topics:
                 yield from ((settings.pattern.topic(agent), settings) for agent in rule.agents)
 
     def _found(self) -> Iterator[tuple[str, TopicSettings]]:
+        yield from list(self._buffered.items())
         general = [settings for settings in self._settings.topics if settings.pattern.general]
         seen = {name: self._source(name).visible() for name in {settings.source for settings in general}}
         for settings in general:
@@ -186,7 +233,7 @@ class Topics:
             return None
         self.problems.pop(name, None)
         buffer = self._buffer(name, settings)
-        counter = self._counter(name, settings.type)
+        counter = self._counter(name, settings)
         agent = settings.pattern.agent(name) or self._settings.agent
         stamp = self._stamp(settings.type)
         return Topic(name, agent, settings, subscription, counter, buffer, quality, stamp, self._clock_ns())
@@ -195,17 +242,33 @@ class Topics:
         """The topic's buffer, within the bounds of these settings; a new one when its messages are of another type."""
         before = self._buffered.get(name)
         if before is not None and before.type != settings.type:
-            self.pool.remove(name)
+            self._remove_buffer(name)
         self._buffered[name] = settings
         give = self.pool.rebound if name in self.pool.buffers else self.pool.make
         return give(name, settings.bounds, settings.latched, settings.duplicates, settings.jump)
 
-    def _counter(self, name: str, type_name: str) -> InputCounter:
+    def _counter(self, name: str, settings: TopicSettings) -> InputCounter:
         """The topic's counter goes on when the topic comes back; of those that are gone the oldest is forgotten."""
-        if len(self._counters) >= COUNTERS_MAX:
-            gone = next((known for known in self._counters if known not in self.topics), None)
-            self._counters.pop(gone or "", None)
-        return self._counters.setdefault(name, InputCounter(type_name))
+        pattern = settings.pattern.text
+        if name not in self._counters and len(self._counters) >= COUNTERS_MAX:
+            gone = next((known for known in self._counters if known not in self.topics), "")
+            if gone:
+                counter = self._counters[gone]
+                self.totals.forget(counter.pattern, counter, partial(self._counters.pop, gone))
+        counter = self._counters.setdefault(name, InputCounter(settings.type, pattern))
+        counter.type, counter.pattern = settings.type, pattern
+        return counter
+
+    def _parts(self) -> Iterator[tuple[str, InputCounter | RingBuffer]]:
+        yield from ((counter.pattern, counter) for counter in list(self._counters.values()))
+        yield from self.held()
+
+    def held(self) -> Iterator[tuple[str, RingBuffer]]:
+        """Pattern and buffer of every topic that has one, also while the detector rests; any thread."""
+        for name, settings in list(self._buffered.items()):
+            buffer = self.pool.buffers.get(name)
+            if buffer is not None:
+                yield settings.pattern.text, buffer
 
     def _stamp(self, type_name: str) -> Stamp | None:
         """How to read a message's stamp; None when the type has none, or nobody knows (yet)."""
@@ -233,6 +296,7 @@ class Topics:
         topic.count()
         offers = tuple(self._source(topic.settings.source).offers(topic.name))
         topic.offers = offers
+        self._report_refusals(topic, refused)
         fitting = of_type(topic, offers)
         quality = matched(topic.settings.asked, fitting)
         relieved = len(problem_of(topic, quality)) < len(problem_of(topic, topic.quality))
@@ -241,18 +305,22 @@ class Topics:
         if renewed:
             self._subscribe_anew(topic, quality)
             topic.offers = offers
-        self._report(topic, refused)
+        self._report(topic)
         return renewed
 
     @staticmethod
-    def _report(topic: Topic, refused: int) -> None:
-        """Say what does not fit, by comparison and by the middleware's own count, and when it does again."""
+    def _report(topic: Topic) -> None:
+        """Say what does not fit, and when it does again."""
         problem = problem_of(topic, topic.quality)
         if problem and problem != topic.problem:
             log.warning("topic %s: %s", topic.name, problem)
         elif topic.problem and not problem:
             log.info("topic %s: every publisher fits: asked %s", topic.name, topic.quality.text())
         topic.problem = problem
+
+    @staticmethod
+    def _report_refusals(topic: Topic, refused: int) -> None:
+        """Say what the middleware has refused on its own account, before something else is asked for."""
         if topic.counter.incompatible > refused:
             text = "topic %s: the middleware has refused publishers because of %s (%d so far): asked %s, offered %s"
             offered = "; ".join(dict.fromkeys(offer.quality.text() for offer in topic.offers)) or "not known any more"

@@ -1,0 +1,42 @@
+"""Receives numbers on a real topic while its subscription is made anew again and again; writes them in their order.
+
+    renewing_receiver.py TOPIC FILE
+
+The first subscription asks for nothing that was said before, all others do.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import sys
+import time
+from pathlib import Path
+
+from robotkube.adapters.ros_rclpy import RosNode
+from robotkube.domain.detector_settings import TopicSettings
+from robotkube.domain.qualities import TRANSIENT_LOCAL, Quality
+from robotkube.domain.topics import TopicPattern
+from robotkube.entrypoints.ros_topics import RosTopics
+
+RENEWALS, MESSAGES_BETWEEN = 8, 100
+SECONDS_MAX = 25.0
+
+
+def main(name: str, file: Path) -> None:
+    topics, settings = RosTopics(RosNode("receiver")), TopicSettings(TopicPattern(name), "std_msgs/msg/Float64")
+    subscription = topics.subscribe(name, settings, Quality())
+    found, renewals, end = list[float](), 0, time.monotonic() + SECONDS_MAX
+    while renewals <= RENEWALS and time.monotonic() < end:
+        time.sleep(0.015)
+        found += [struct.unpack_from("<d", data, 4)[0] for data, _ in subscription.drain(1000)]
+        if len(found) >= (renewals + 1) * MESSAGES_BETWEEN:
+            renewals += 1
+            subscription = topics.subscribe(name, settings, Quality(durability=TRANSIENT_LOCAL), subscription)
+    file.write_text(json.dumps(found))
+    os._exit(0 if renewals > RENEWALS else 1)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], Path(sys.argv[2]))
