@@ -165,6 +165,13 @@ def test_a_receiver_that_is_away_is_named_until_it_is_there(make: Callable[..., 
     until(lambda: "does not answer" in deliveries.unreachable)
 
 
+def test_a_name_that_can_be_no_hosts_is_a_receiver_that_is_away(make: Callable[..., Deliveries]) -> None:
+    deliveries = make(WebhookSender("http://a..b/", None, 1.0), 0.1)
+    until(lambda: "does not answer" in deliveries.unreachable)
+    deliveries.react(delivery())
+    until(lambda: deliveries.counts()["dead"] == 1)
+
+
 def test_a_detector_is_ready_while_its_receiver_is_there(
     make: Callable[..., Deliveries], monkeypatch: pytest.MonkeyPatch
 ) -> None:

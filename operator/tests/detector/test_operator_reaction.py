@@ -10,6 +10,7 @@ from detector_stage import DetectorStage, MemoryTasks
 from waiting import until
 
 from robotkube.domain.demands import time_text
+from robotkube.services.reactions import operator as module
 
 TOPIC = "/vehicles/vehicle_00/uncertainty"
 DOCUMENT: dict[str, Any] = {
@@ -159,6 +160,46 @@ def test_leases_are_renewed_every_third_of_their_time(stage: Stage) -> None:
     until(lambda: len(stage.tasks.renewals) == 2)
     assert stage.tasks.renewals == [(name, stage.now)] * 2
     assert time_text(stage.now).startswith("2026-11-21T08:33:20")
+
+
+def test_a_withdrawal_that_was_given_up_is_made_when_the_api_server_is_back(stage: Stage) -> None:
+    stage.apply(DOCUMENT)
+    stage.send(0.3)
+    assert stage.done() == ["start"]
+    stage.tasks.away = 10**6
+    stage.send(0.01)
+    stage.detector.turn()
+    [operator] = stage.operators
+    until(lambda: operator.counts()["retries"] > 0)
+    stage.seconds += 4000.0
+    until(lambda: operator.counts()["dead"] == 1)
+    assert stage.tasks.objects
+    assert stage.tasks.renewals == [], "nobody asks for it any more"
+    stage.tasks.away = 0
+    stage.seconds += 11.0
+    until(lambda: not stage.tasks.objects)
+    assert stage.tasks.renewals == []
+
+
+def test_withdrawals_for_which_there_was_no_room_are_made_later(
+    make_stage: Callable[[MemoryTasks], Stage], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "QUEUE_MAX", 1)
+    stage = make_stage(MemoryTasks())
+    stage.apply(DOCUMENT)
+    stage.send(0.3)
+    assert stage.done() == ["start"]
+    [operator] = stage.operators
+    stage.tasks.away = 10**6
+    for number, value in enumerate((0.01, 0.3, 0.01, 0.3, 0.01)):
+        stage.now += 1_000_000_000
+        stage.send(value)
+        stage.detector.turn()
+        if not number:
+            until(lambda: operator.counts()["retries"] > 0)  # the first stop is being tried: one start has room
+    assert operator.counts()["dead"] == 3
+    stage.tasks.away = 0
+    until(lambda: stage.tasks.creations == 2 and not stage.tasks.objects)
 
 
 def test_a_task_that_somebody_deleted_is_renewed_no_more(stage: Stage) -> None:

@@ -37,7 +37,7 @@ class WebhookSender:
         port = self._parts.port or (443 if self._parts.scheme == "https" else 80)
         try:
             socket.create_connection((self._parts.hostname, port), self._timeout_seconds).close()
-        except OSError as error:
+        except (OSError, ValueError) as error:  # a name that cannot be one is a ValueError
             raise UnavailableError(f"{self._where} does not answer: {error}") from error
 
     def send(self, delivery: Delivery) -> None:
@@ -49,7 +49,7 @@ class WebhookSender:
                 connection.request("POST", path, delivery.body, headers)
                 answer = connection.getresponse()
                 status, text = answer.status, answer.read(ANSWER_BYTES_MAX)
-        except (OSError, http.client.HTTPException) as error:
+        except (OSError, ValueError, http.client.HTTPException) as error:
             raise UnavailableError(f"{self._where} does not answer: {error or type(error).__name__}") from error
         if 200 <= status < 300:
             return

@@ -6,6 +6,7 @@ Named tuples, since dataclasses cost a millisecond each at every start.
 from __future__ import annotations
 
 import hashlib
+import ipaddress
 import json
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -13,7 +14,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from robotkube.domain.fields import Fields
-from robotkube.domain.topics import TopicPattern
+from robotkube.domain.topics import UNREADABLE, TopicPattern
 
 OPERATOR, RECORDING, WEBHOOK, MQTT, PYTHON = "operator", "recording", "webhook", "mqtt", "python"
 KINDS = (OPERATOR, RECORDING, WEBHOOK, MQTT, PYTHON)
@@ -26,7 +27,11 @@ WINDOW_SECONDS_MAX = 600.0
 TIMEOUT_SECONDS_DEFAULT, TIMEOUT_SECONDS_MIN, TIMEOUT_SECONDS_MAX = 5.0, 0.1, 60.0
 RETRY_SECONDS_DEFAULT, RETRY_SECONDS_MAX = 600.0, 86_400.0
 MQTT_TOPIC = re.compile(r"[^\s+#$/][^\s+#]{0,254}")
-URL = re.compile(r"https?://(?P<host>[A-Za-z0-9][-.A-Za-z0-9]*|\[[0-9a-fA-F:]+\])(:[1-9][0-9]{0,4})?(/[!-~]*)?")
+URL = re.compile(
+    r"https?://(?P<host>[A-Za-z0-9][-.A-Za-z0-9]*|\[[0-9a-fA-F:]+\])(:(?P<port>[1-9][0-9]{0,4}))?(/[!-~]*)?"
+)
+LABEL = re.compile(r"[A-Za-z0-9]([-A-Za-z0-9]{0,61}[A-Za-z0-9])?")
+PORT_MAX, HOST_LETTERS_MAX = 65_535, 253
 SECRET_KEY = re.compile(r"[A-Za-z0-9][-._A-Za-z0-9]{0,99}")
 
 
@@ -152,6 +157,8 @@ def reaction_problems(
     if not isinstance(reaction, RecordingReaction):
         return
     for topic in reaction.topics:
+        if UNREADABLE in (topic.pattern.text, *buffers):
+            continue  # told already, and what it was meant to be nobody knows
         seconds = buffers.get(topic.pattern.text)
         if seconds is None:
             yield f"topics: {topic.pattern.text} is not listed under topics; add it there"
@@ -193,11 +200,33 @@ def _recording_topic(item: Fields) -> RecordingTopic:
 
 def _webhook(item: Fields, rule: str) -> Reaction:
     url, secret = item.text("url"), item.text("secret", "")
-    if url and not URL.fullmatch(url):
-        item.problem("url", "must be an address such as https://host:port/path, without an account in it")
+    if problem := _address_problem(url):
+        item.problem("url", problem)
     if secret and not SECRET_KEY.fullmatch(secret):
         item.problem("secret", "must be the name of a key in the mounted Secret webhooks, never the secret itself")
     return WebhookReaction(rule, url, secret, _timeout(item), _retry(item))
+
+
+def _address_problem(url: str) -> str:
+    """What is wrong with an address, empty when nothing is; no text, which was told already, is well."""
+    found = URL.fullmatch(url)
+    if not found:
+        return "must be an address such as https://host:port/path, without an account in it" if url else ""
+    if found["port"] and int(found["port"]) > PORT_MAX:
+        return f"must have a port from 1 to {PORT_MAX}, not {found['port']}"
+    if not _is_host(found["host"]):
+        return f"{found['host']} is no host: a name of labels of at most 63 letters with dots between, or an IP address"
+    return ""
+
+
+def _is_host(text: str) -> bool:
+    name = text.removesuffix(".")
+    if not text.startswith("[") and not name.replace(".", "").isdigit():
+        return len(name) <= HOST_LETTERS_MAX and all(LABEL.fullmatch(label) for label in name.split("."))
+    try:
+        return bool(ipaddress.ip_address(text.strip("[]")))
+    except ValueError:
+        return False
 
 
 def _mqtt(item: Fields, rule: str) -> Reaction:

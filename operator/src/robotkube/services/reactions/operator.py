@@ -3,8 +3,9 @@
 One thread works through a bounded queue. At first it lists the detector's own tasks: their events are taken over
 (`adopted`), so that a detector that was restarted withdraws what its predecessor asked for. An event that was raised
 anew before that list was had (the API server was away) goes on with the task that is there for its rule and agents. A
-task of another chain, which another task launched this detector for, is withdrawn. The leases of its tasks are renewed
-by the same thread every third of their time, also while a call is tried again.
+task of another chain, which another task launched this detector for, is withdrawn. A withdrawal that was given up (the
+API server was away for too long, too much waited) is owed: its lease is not renewed, and it is tried again. The leases
+of its tasks are renewed by the same thread every third of their time, also while a call is tried again.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from robotkube.services.reactions.dead import DeadLetterBox
 if TYPE_CHECKING:
     from robotkube.ports.robots import OwnTasks
 
-QUEUE_MAX = 256
+QUEUE_MAX, OWED_MAX = 256, 1000
 RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX = 0.2, 5.0
 TRY_SECONDS_MAX = 3600.0
 WAIT_SECONDS, DRAIN_SECONDS = 0.5, 0.02
@@ -93,6 +94,7 @@ class OperatorReactions:
         self._stopping = threading.Event()
         self._names: dict[str, str] = {}
         self._withdrawn: set[str] = set()
+        self._owed: dict[str, Edge] = {}
         self._leases: dict[str, _Lease] = {}
         self._adopted_parent = parent
         self.adopted: list[Edge] | None = None
@@ -125,6 +127,7 @@ class OperatorReactions:
             self._orders.put_nowait(_Order(record, reaction, reason, self.parent))
         except queue.Full:
             self._give_up(record, f"{QUEUE_MAX} reactions wait for the API server; this one was dropped")
+            self._owe(record.edge)
 
     def _run(self) -> None:
         self._adopt()
@@ -136,6 +139,7 @@ class OperatorReactions:
             self._busy = 0
             self._renew_leases()
             self._look_again()
+            self._withdraw_owed()
 
     def _look_again(self) -> None:
         """An API server that nothing has been asked of for a while may be gone, or back."""
@@ -147,6 +151,23 @@ class OperatorReactions:
             self._heard(error)
         else:
             self._heard(None)
+
+    def _withdraw_owed(self) -> None:
+        """What was given up, once everything else is done, so that no start of such an event comes after it."""
+        for identity, edge in list(self._owed.items()):
+            if not self.reachable or self._orders.qsize() or self._stopping.is_set():
+                return
+            name = self._names.get(identity) or task_name(edge)
+            try:
+                if name not in [other for key, other in self._names.items() if key != identity]:
+                    self._withdraw_task(edge, name)
+                self._heard(None)
+            except RobotKubeError as error:
+                self._heard(error)
+                if isinstance(error, UnavailableError):
+                    continue
+                log.error("task %s/%s: cannot be withdrawn: %s", self._namespace, name, error)
+            del self._owed[identity]
 
     def _heard(self, error: RobotKubeError | None) -> None:
         """Note what a call has said of the API server: one that refuses is there."""
@@ -197,8 +218,9 @@ class OperatorReactions:
     def _renew_leases(self) -> None:
         """Renew what is due; a task that somebody deleted is left alone."""
         now = self._monotonic()
+        owed = {self._names.get(identity) for identity in list(self._owed)}
         for name, lease in list(self._leases.items()):
-            if lease.due > now or self._stopping.is_set():
+            if lease.due > now or self._stopping.is_set() or name in owed:
                 continue
             try:
                 if not self._tasks.renew(name, self._clock_ns()):
@@ -224,6 +246,7 @@ class OperatorReactions:
                 record.error = str(error)
                 if self._monotonic() - began > TRY_SECONDS_MAX:
                     self._give_up(record, f"given up after {TRY_SECONDS_MAX:.0f} s: {error}")
+                    self._owe(record.edge)
                     return
                 log.warning("event %s: %s; trying again in %.1f s", record.edge.id, error, pause)
                 self._retries += 1
@@ -233,6 +256,11 @@ class OperatorReactions:
             except RobotKubeError as error:
                 self._give_up(record, str(error))
                 return
+
+    def _owe(self, edge: Edge) -> None:
+        """Remember a withdrawal that was given up: the task would be there, and its lease renewed, for ever."""
+        if edge.edge != START and len(self._owed) < OWED_MAX:
+            self._owed[edge.id] = edge
 
     def _give_up(self, record: EventRecord, reason: str) -> None:
         record.error = reason
