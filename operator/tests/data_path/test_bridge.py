@@ -117,7 +117,20 @@ def test_ready_means_configured_and_connected() -> None:
     world.connect()
     assert world.bridge.complaint is None
     world.channels["telemetry"].events.refused("mqtt/x", "not authorised")
-    assert "look at the broker's ACL" in str(world.bridge.complaint)
+    assert world.bridge.complaint == "mqtt/x: not authorised"
+
+
+def test_the_log_says_once_why_there_is_no_connection() -> None:
+    world = World()
+    world.configure(out=[POSE])
+    channel = world.channels["telemetry"]
+    for said in (channel.complaint, "Not authorized", "Not authorized", None, "does not answer"):
+        channel.complaint = said
+        world.bridge.turn(0.0)
+    assert world.logged("not connected") == [
+        {"channel": "telemetry", "reason": "Not authorized"},
+        {"channel": "telemetry", "reason": "does not answer"},
+    ]
 
 
 def test_retained_frames_are_sent_again_to_a_broker_that_forgot_them() -> None:

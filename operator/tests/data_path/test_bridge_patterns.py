@@ -6,6 +6,7 @@ import pytest
 from bridge_world import EVERYBODY, POSE, TRACE, World
 
 from robotkube.domain import mqtt_client_format as ika
+from robotkube.domain.bridging import TOPICS_MAX
 from robotkube.domain.frames import decode_frame, encode_frame
 from robotkube.domain.interface_checks import Endpoint
 from robotkube.domain.mqtt_properties import read_properties
@@ -57,6 +58,28 @@ def test_topics_of_others_are_found_at_the_broker() -> None:
     world.configure()
     assert telemetry.unsubscribed == ["mqtt/vehicles/+/pose"]
     assert [e.topic for e in world.network.made if e.closed] == [OTHER]
+
+
+def test_what_cannot_be_opened_is_bounded_and_forgotten_with_its_settings() -> None:
+    world = World()
+    world.configure(into=[{**EVERYBODY, "type": "nowhere/msg/Odd"}])
+    world.connect()
+    receive, frames = world.channels["telemetry"].events.received, iter(range(10_000))
+
+    def come(agent: str) -> None:
+        receive(f"mqtt/vehicles/{agent}/pose", encode_frame(1, next(frames), [b"pose"]), b"")
+
+    for number in range(2 * TOPICS_MAX):
+        come(f"agent_{number}")
+    come("a" * 64)
+    complaint = str(world.bridge.complaint)
+    assert complaint.count("is not carried") == TOPICS_MAX
+    assert "a" * 64 not in complaint
+    world.configure()
+    assert world.bridge.complaint is None
+    world.configure(into=[EVERYBODY])
+    come("agent_0")
+    assert world.network.endpoint("/vehicles/agent_0/pose").published == [b"pose"]
 
 
 def test_what_comes_in_does_not_go_out_and_what_goes_out_does_not_come_in() -> None:
@@ -196,3 +219,30 @@ def test_mqtt_client_with_another_type_is_refused_in_words() -> None:
     world.channels["telemetry"].events.received("mqtt_client/ros_msg_type/mqtt" + POSE["name"], kind, b"")
     assert "its type is std_msgs/msg/String, that of the topic geometry_msgs" in str(world.logged("frame refused"))
     assert len(world.channels["telemetry"].subscribed) == 1
+
+
+def test_messages_of_mqtt_client_are_never_published_as_another_type() -> None:
+    """Neither what a session older than the process brings before its type, nor what follows a change of the type."""
+    world = World()
+    world.configure(into=[IKA])
+    world.connect()
+    telemetry, name = world.channels["telemetry"], "mqtt" + POSE["name"]
+
+    def announce(type_name: str) -> None:
+        kind = ika.encode_type(ika.RosMessageType(type_name, True))
+        telemetry.events.received("mqtt_client/ros_msg_type/" + name, kind, b"")
+
+    stamped = ika.encode_message(MESSAGE, 5)
+    telemetry.events.received(name, stamped, b"")
+    announce(POSE["type"])
+    for _ in range(2):
+        announce(POSE["type"])
+        telemetry.events.received(name, stamped, b"")
+    announce("std_msgs/msg/String")
+    assert telemetry.unsubscribed == [name]
+    telemetry.events.received(name, stamped, b"")
+    announce(POSE["type"])
+    telemetry.events.received(name, stamped, b"")
+    assert world.network.endpoint(POSE["name"]).published == [MESSAGE] * 3
+    assert telemetry.subscribed.count(name) == 2
+    assert 'refused_frames_total{channel="telemetry"} 3' in world.bridge.metrics()

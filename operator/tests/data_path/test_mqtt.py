@@ -150,6 +150,45 @@ def test_wrong_accounts_and_foreign_topics_are_refused_in_words(broker: pods.Bro
     cloud.send(b"x")
     turn_until(lambda: cloud.events.refusals, cloud)
     assert "the broker refuses a frame (reason 0x87" in cloud.events.refusals[0]
+    assert "look at the broker's ACL for this agent" in cloud.events.refusals[0]
+
+
+@pytest.mark.parametrize(
+    ("setting", "size", "retained", "words"),
+    [
+        ("max_packet_size 2000", 2000, False, "at most 2000 are taken; see the broker's max_packet_size"),
+        ("retain_available false", 10, True, "the broker retains no messages; let it"),
+        ("message_size_limit 2000", 2001, False, "(reason 0x95 of MQTT 5); look at the broker's limits and log"),
+    ],
+)
+def test_what_a_broker_does_not_take_costs_no_connection(
+    tmp_path: Path, setting: str, size: int, retained: bool, words: str
+) -> None:
+    broker = pods.Broker(tmp_path, {"vehicle-00": pods.vehicle_rules("vehicle-00")})
+    settings = tmp_path / "mosquitto.conf"
+    kept = [line for line in settings.read_text().splitlines() if line.split()[:1] != setting.split()[:1]]
+    settings.write_text("\n".join([*kept, setting, ""]))
+    broker.start()
+    try:
+        peer = connected(Peer(broker, "vehicle-00"))
+        peer.send(bytes(size), retained)
+        good = peer.send(b"good")
+        turn_until(lambda: good in peer.events.acknowledgements and peer.events.refusals, peer)
+    finally:
+        broker.stop()
+    assert words in peer.events.refusals[0]
+    assert peer.events.losses == 0
+
+
+def test_a_broker_that_says_good_bye_is_quoted() -> None:
+    said: list[str] = []
+    client = mqtt_paho._Client("x", lambda *_: None, lambda *_: None)
+    client.on_disconnect = lambda client, userdata, flags, reason, properties: said.append(str(reason))
+    for packet in (b"\xe0\x01\x95", b"\xe0\x02\x8b\0", b"\xe0\0"):
+        client._buffer += packet
+        client._handle_buffer()
+        client._buffer.clear()
+    assert said == ["Packet too large", "Server shutting down", "Normal disconnection"]
 
 
 def test_an_absent_broker_is_a_complaint() -> None:

@@ -14,6 +14,7 @@ import struct
 import sys
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -53,8 +54,10 @@ RECEIVE_MAXIMUM = 65535  # of a broker that names none (MQTT 5, section 3.2.2.3.
 MERGED_BYTES_MAX = 16 * 1024
 NO_MATCHING_SUBSCRIBERS = 0x10
 FAILURE = 0x80
+NOT_ALLOWED = frozenset([0x80, 0x83, 0x87])  # unspecified, implementation specific, not authorized: what an ACL gives
 QOS = 1
-PUBLISH, PUBLISH_QOS_1, PUBACK = 0x30, 0x32, 0x40
+PUBLISH, PUBLISH_QOS_1, PUBACK, DISCONNECT = 0x30, 0x32, 0x40, 0xE0
+PACKET_HEAD_BYTES_MAX = 14  # of a PUBLISH beside topic, properties and payload
 
 _MID = struct.Struct("!H")
 _ACKNOWLEDGEMENT = struct.Struct("!BBH")
@@ -168,7 +171,8 @@ class _Client(mqtt.Client):
             "have_remaining": 1,
             "remaining_count": [],
             "remaining_mult": 1,
-            "remaining_length": len(packet),
+            # paho reads the reason of a DISCONNECT only if more follows it
+            "remaining_length": max(len(packet), 3) if command == DISCONNECT and packet else len(packet),
             "packet": bytearray(packet),
             "to_process": 0,
             "pos": 0,
@@ -209,6 +213,8 @@ class PahoChannel:
         self._backoff, self._retry_at, self._misc_at, self._now = BACKOFF_SECONDS_MIN, 0.0, 0.0, 0.0
         self._subscribing: dict[int, list[str]] = {}
         self._unacknowledged, self._receive_maximum = 0, RECEIVE_MAXIMUM
+        self._packet_bytes_max, self._retains = PACKET_BYTES_MAX, True
+        self._rejected: deque[tuple[int, str]] = deque()
         self._up = False
         self.complaint: str | None = f"{client_id}: not connected to the broker yet"
 
@@ -228,6 +234,10 @@ class PahoChannel:
         """See the port."""
         if self._client is None or not self._up or self._unacknowledged >= self._receive_maximum:
             return None
+        reason = self._beyond(len(topic.encode()) + len(properties) + len(payload), retained)
+        if reason:  # the broker would end the connection, again and again
+            self._rejected.append((self._client._mid_generate(), reason))
+            return self._rejected[-1][0]
         self._unacknowledged += 1
         return self._client.send_frame(topic, payload, retained, properties)
 
@@ -246,6 +256,8 @@ class PahoChannel:
 
     def flush(self) -> None:
         """See the port."""
+        while self._rejected:
+            self._events.rejected(*self._rejected.popleft())
         if self._client is not None:
             self._client.write_all()
 
@@ -266,6 +278,15 @@ class PahoChannel:
     def wants_write(self) -> bool:
         """Whether packets wait for the socket."""
         return self._client is not None and self._client.want_write()
+
+    def _beyond(self, content_bytes: int, retained: bool) -> str:
+        """What the broker said it does not take of a frame, in words; empty when it takes it."""
+        size, size_max = content_bytes + PACKET_HEAD_BYTES_MAX, self._packet_bytes_max
+        if size > size_max:
+            return f"a packet of {size} bytes, at most {size_max} are taken; see the broker's max_packet_size"
+        if retained and not self._retains:
+            return "the broker retains no messages; let it (mosquitto: retain_available true)"
+        return ""
 
     def _connect(self, now: float) -> None:
         if self._attempt is None:
@@ -305,6 +326,8 @@ class PahoChannel:
         self._subscribing.clear()
         self._unacknowledged = 0
         self._receive_maximum = getattr(properties, "ReceiveMaximum", RECEIVE_MAXIMUM)
+        self._packet_bytes_max = min(getattr(properties, "MaximumPacketSize", PACKET_BYTES_MAX), PACKET_BYTES_MAX)
+        self._retains = bool(getattr(properties, "RetainAvailable", True))
         self._events.connected(bool(flags.session_present))
 
     def _on_disconnect(self, client: Any, userdata: Any, flags: Any, reason: Any, properties: Any) -> None:
@@ -318,18 +341,21 @@ class PahoChannel:
     def _on_acknowledged(self, mid: int, reason: int) -> None:
         self._unacknowledged = max(0, self._unacknowledged - 1)
         if reason >= FAILURE:
-            self._events.rejected(mid, f"the broker refuses a frame (reason {reason:#x} of MQTT 5)")
+            said = f"the broker refuses a frame (reason {reason:#x} of MQTT 5)"
+            self._events.rejected(mid, said + _advice(reason))
         else:
             self._events.acknowledged(mid, reason != NO_MATCHING_SUBSCRIBERS)
 
     def _on_subscribe(self, client: Any, userdata: Any, mid: int, reasons: Any, properties: Any) -> None:
         for topic, reason in zip(self._subscribing.pop(mid, []), reasons, strict=False):
             if reason.value >= FAILURE:
-                self._events.refused(topic, f"the broker refuses the subscription: {reason}")
+                said = f"the broker refuses the subscription: {reason}"
+                self._events.refused(topic, said + _advice(reason.value))
 
     def _lost(self) -> None:
         """After a failed attempt or a lost connection; the next attempt waits for the back-off."""
         was_up, self._up = self._up, False
+        self._rejected.clear()
         self._retry_at = self._now + self._backoff
         self._backoff = min(2 * self._backoff, BACKOFF_SECONDS_MAX)
         if was_up:
@@ -360,6 +386,11 @@ class _Attempt:
             self.client = client
         except (OSError, ValueError, RobotKubeError) as error:
             self.error = f"the broker does not answer: {error or type(error).__name__}"
+
+
+def _advice(reason: int) -> str:
+    """What to look at after a refusal."""
+    return f"; look at the broker's {'ACL for this agent' if reason in NOT_ALLOWED else 'limits and log'}"
 
 
 def _prepare_socket(client: Any, userdata: Any, connection: Any) -> None:

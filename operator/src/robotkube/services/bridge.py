@@ -22,7 +22,9 @@ from robotkube.domain.bridging import (
 )
 from robotkube.domain.bridging_properties import gap_text
 from robotkube.domain.errors import InputError
+from robotkube.domain.frames import MESSAGES_MAX
 from robotkube.domain.messages import string_message
+from robotkube.domain.topics import TopicPattern
 from robotkube.services.bridge_flows import Incoming, Outgoing, Sender
 from robotkube.services.bridge_links import Hold, Link
 from robotkube.services.bridge_metrics import Carried, metric_lines
@@ -34,7 +36,6 @@ if TYPE_CHECKING:  # the ports know every part's domain: 25 ms of a start
     MakeChannel = Callable[[str, str, ChannelEvents], FrameChannel]
 
 NODE_NAME = "mqtt_bridge"
-MESSAGES_PER_TURN_MAX = 20_000
 MATCHED_SECONDS = 2.0
 SEARCH_SECONDS = 1.0
 FORGET_SECONDS = 60.0
@@ -109,7 +110,7 @@ class Bridge:
         """Move everything that waits. `now` in seconds of a clock that never goes back."""
         self._now = now
         for outgoing in self._outgoing.values():
-            messages = outgoing.source.take(MESSAGES_PER_TURN_MAX)
+            messages = outgoing.source.take(MESSAGES_MAX)
             if messages:
                 outgoing.messages += len(messages)
                 link = self._links[outgoing.topic.channel]
@@ -205,7 +206,9 @@ class Bridge:
         agent = general.agent(name)
         if not agent or settings is None or agent == settings.agent:
             return None
-        if name in self._outgoing or name in self._incoming or len(self._incoming) >= TOPICS_MAX:
+        if name in self._outgoing or name in self._incoming or name in self._problems:
+            return None
+        if len(self._incoming) + len(self._problems) >= TOPICS_MAX:
             return None
         self._try(general.named(name), self._advertise)
         incoming = self._incoming.get(name)
@@ -241,7 +244,7 @@ class Bridge:
 
     def _close_outgoing(self, name: str) -> None:
         """Stop sending a topic, or all of a general one."""
-        self._problems.pop(name, None)
+        self._forget_problems(name)
         for one in self._of(name, self._outgoing):
             outgoing = self._outgoing.pop(one)
             self._found.pop(one, None)
@@ -253,13 +256,21 @@ class Bridge:
 
     def _close_incoming(self, name: str) -> None:
         """Do not bring in a topic any more, or all of a general one."""
-        self._problems.pop(name, None)
+        self._forget_problems(name)
         assert self._settings is not None
         for one in self._of(name, self._incoming):
             self._drop_incoming(one)
         for link in self._links.values():
             if name in link.general:
                 link.remove(link.general[name])
+
+    def _forget_problems(self, name: str) -> None:
+        """Those of a topic, or of what was found for a general one."""
+        general, named = TopicPattern(name), self._settings
+        found = [one for one in self._problems if general.agent(one)]
+        kept = {*named.outgoing, *named.incoming} if named else set()
+        for one in [name, *(one for one in found if one not in kept)]:
+            self._problems.pop(one, None)
 
     def _drop_incoming(self, name: str) -> None:
         incoming = self._incoming.pop(name)

@@ -148,10 +148,11 @@ class Incoming:
             self._let_go(clock_ns)
 
     def announce(self, kind: ika.RosMessageType) -> None:
-        """What mqtt_client's messages are; FrameError when they are not of the topic's type."""
-        if kind.name != self.topic.type:
+        """What mqtt_client's messages are from now on; FrameError when they are not of the topic's type."""
+        self.announced = kind.name == self.topic.type
+        if not self.announced:
             raise FrameError(f"its type is {kind.name}, that of the topic {self.topic.type}; make the two the same")
-        self.announced, self.stamped = True, kind.stamped
+        self.stamped = kind.stamped
 
     @property
     def holding(self) -> bool:
@@ -194,6 +195,8 @@ class Incoming:
         return frame.messages
 
     def _plain(self, payload: bytes, properties: bytes, clock_ns: int) -> Sequence[bytes]:
+        if not self.announced:  # of a session that is older than this process, or of another type by now
+            raise FrameError("nobody has said of what type it is, and whether it is stamped")
         message, stamp = ika.decode_message(payload, self.stamped)
         if stamp is not None:
             self.latency_seconds = (clock_ns - stamp) / 1e9

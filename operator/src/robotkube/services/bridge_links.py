@@ -66,6 +66,7 @@ class Link:
         self.refusals: dict[str, str] = {}
         self._log, self._clock, self._opened, self._now = log, clock, opened, 0.0
         self.channel = make(agent, name, self)
+        self._told = self.channel.complaint
 
     def add(self, topic: BridgedTopic, incoming: Incoming | None) -> None:
         """Bring in a topic (with its publisher), or every one that a general topic stands for."""
@@ -129,7 +130,8 @@ class Link:
 
     def disconnected(self) -> None:
         """What was on its way waits again."""
-        self._log("disconnected", channel=self.name, reason=self.channel.complaint)
+        self._told = self.channel.complaint
+        self._log("disconnected", channel=self.name, reason=self._told)
         self.outbox.disconnected(self._now)
 
     def acknowledged(self, token: int, heard: bool) -> None:
@@ -147,7 +149,7 @@ class Link:
             if len(self.refusals) >= REFUSALS_MAX:
                 return
             self._log("refused by the broker", channel=self.name, topic=topic, reason=reason)
-        self.refusals[topic] = f"{topic or self.name}: {reason}; look at the broker's ACL for this agent"
+        self.refusals[topic] = f"{topic or self.name}: {reason}"
 
     def received(self, topic: str, payload: bytes, properties: bytes) -> None:
         """Publish a message's content, unless it was here before."""
@@ -171,6 +173,7 @@ class Link:
         """Read, then hand over as much as the outbox lets go, then write. All events come within a turn."""
         self._now = now
         self.channel.turn(now)
+        self._tell_complaint()
         if self.channel.complaint is None and not self._hold.held:
             self._hand_over(now)
         self.channel.flush()
@@ -183,6 +186,13 @@ class Link:
         self.turn(self._now)
         self.channel.close()
         self._tell(self.outbox.untold)
+
+    def _tell_complaint(self) -> None:
+        """Why there is no connection stands in the log, once for each reason."""
+        complaint = self.channel.complaint
+        if complaint is not None and complaint != self._told:
+            self._log("not connected", channel=self.name, reason=complaint)
+        self._told = complaint
 
     def _hand_over(self, now: float) -> None:
         while (frame := self.outbox.next(now)) is not None:
@@ -217,13 +227,15 @@ class Link:
         return None
 
     def _announce(self, incoming: Incoming, payload: bytes) -> None:
-        """mqtt_client says what its messages are; then they are asked for."""
+        """mqtt_client says what its messages are, before each of them; then they are asked for."""
+        before = incoming.announced
         try:
             if payload:
                 incoming.announce(ika.decode_type(payload))
         except InputError as error:
             self.count_bad(incoming.topic.mqtt, str(error))
-        self._ask()
+        if incoming.announced != before:
+            self._ask()
 
 
 def _filters(topic: BridgedTopic) -> Iterator[str]:
