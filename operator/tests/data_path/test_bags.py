@@ -69,3 +69,8 @@ def test_settings_name_every_problem() -> None:
 def test_the_grid_has_no_drift() -> None:
     stamp = 1_795_250_000_000_000_000 + 59_999 * 10_000_000
     assert header_stamp(bags.restamped(b"\0\1\0\0" + bytes(20), stamp)) == stamp
+
+
+def test_stamps_beyond_a_header_are_refused() -> None:
+    with pytest.raises(InputError, match="times of a bag that is played count from the start of the run"):
+        bags.restamped(b"\0\1\0\0" + bytes(20), 2 * 1_795_250_000_000_000_000)

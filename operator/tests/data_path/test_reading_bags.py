@@ -10,14 +10,17 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import zstandard
 from mcap.writer import CompressionType, IndexType, Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as BagWriter
 from rosbags.typesys import Stores, get_typestore
 
 from robotkube.adapters.bags import open_bag
+from robotkube.adapters.bags.opening import COMPLAINTS_MAX
 from robotkube.domain.errors import InputError
 from robotkube.domain.layouts import Layouts
+from robotkube.entrypoints.detector_parts import read_bag
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 TYPES = {
@@ -178,11 +181,127 @@ def test_what_is_no_bag_is_refused_in_words(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"text.db3: is no sqlite3 file"):
         read(tmp_path / "text.db3")
     (tmp_path / "text.bag").write_text("#ROSBAG V2.0")
-    with pytest.raises(InputError, match="convert it"):
+    with pytest.raises(InputError, match="bag of ROS 1; convert it"):
         read(tmp_path / "text.bag")
+    (tmp_path / "text").write_text("no bag")
+    with pytest.raises(InputError, match="text: is none of mcap, sqlite3; convert it"):
+        read(tmp_path / "text")
+    with pytest.raises(InputError, match=r"cannot be read .*name a folder or file"):
+        read(tmp_path / ("long" * 100))
     (tmp_path / "folder").mkdir()
     with pytest.raises(InputError, match="name a rosbag2 folder"):
         read(tmp_path / "folder")
+
+
+@pytest.mark.parametrize("single", [True, False])
+def test_packed_messages_are_known_without_metadata(single: bool, tmp_path: Path) -> None:
+    write_rosbag(tmp_path / "bag", StoragePlugin.SQLITE3, CompressionMode.MESSAGE)
+    if not single:
+        (tmp_path / "bag" / "metadata.yaml").unlink()
+    found, complaints = read(tmp_path / "bag" / "bag.db3" if single else tmp_path / "bag")
+    assert found == messages()
+    assert len(complaints) == (0 if single else 1)
+
+
+def test_files_are_known_by_what_they_hold(tmp_path: Path) -> None:
+    write_rosbag(tmp_path / "bag", StoragePlugin.SQLITE3, CompressionMode.NONE)
+    write_mcap(tmp_path / "one.mcap")
+    shutil.copy(tmp_path / "bag" / "bag.db3", tmp_path / "bag_0.db3.active")
+    shutil.copy(tmp_path / "one.mcap", tmp_path / "recording")
+    assert read(tmp_path / "bag_0.db3.active") == (messages(), [])
+    assert read(tmp_path / "recording") == (messages(), [])
+
+
+def test_a_detector_reads_only_what_it_asks_for(tmp_path: Path) -> None:
+    write_mcap(tmp_path / "one.mcap")
+    wanted = ("/words", "std_msgs/msg/String")
+    found = list(read_bag(tmp_path / "one.mcap", lambda _: None, lambda name, kind: (name, kind) == wanted))
+    assert found == [(*wanted, moment, data) for name, moment, data in messages() if name == "/words"]
+
+
+@pytest.mark.parametrize("ending", [".zstd", ".zst"])
+def test_packed_files_may_be_of_several_parts(ending: str, tmp_path: Path) -> None:
+    write_mcap(tmp_path / "one.mcap")
+    data, path = (tmp_path / "one.mcap").read_bytes(), tmp_path / f"packed.mcap{ending}"
+    pack = zstandard.ZstdCompressor().compress
+    path.write_bytes(pack(data[:5000]) + pack(data[5000:]))
+    assert read(path) == (messages(), [])
+
+
+def test_a_bag_that_lies_there_packed_and_unpacked_is_read_once(tmp_path: Path) -> None:
+    write_mcap(tmp_path / "one.mcap")
+    (tmp_path / "one.mcap.zstd").write_bytes(zstandard.compress((tmp_path / "one.mcap").read_bytes()))
+    found, complaints = read(tmp_path)
+    assert found == messages()
+    assert complaints[0].endswith("reading one.mcap")
+
+
+def cut_off_packed(folder: Path, share: float) -> Path:
+    path = folder / "one.mcap.zstd"
+    write_mcap(folder / "one.mcap", CompressionType.NONE, messages() * 30)  # several blocks
+    packed = zstandard.compress((folder / "one.mcap").read_bytes())
+    path.write_bytes(packed[: int(len(packed) * share)])
+    return path
+
+
+@pytest.mark.parametrize("share", [0.5, 0.9, 0.9999])
+def test_cut_off_packed_files_are_named_and_read_as_far_as_they_go(share: float, tmp_path: Path) -> None:
+    path = cut_off_packed(tmp_path, share)
+    found, complaints = read(path)
+    assert set(found) <= set(messages())
+    assert len(found) > share * 20 * COUNT
+    assert complaints[0].startswith(f"{path}: is cut off; ")
+    assert all(text.startswith(f"{path}: ") for text in complaints)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.01])
+def test_packed_files_of_which_nothing_is_left_are_named(share: float, tmp_path: Path) -> None:
+    path = cut_off_packed(tmp_path, share)
+    complaints: list[str] = []
+    with pytest.raises(InputError, match=f"^{path}: is no MCAP file"):
+        open_bag(path, complaints.append)
+    assert complaints == [f"{path}: is cut off; 0 bytes could be unpacked; what is before is read"]
+
+
+def test_what_cannot_be_unpacked_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_rosbag(tmp_path / "bag", StoragePlugin.MCAP, CompressionMode.FILE)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "nowhere"))
+    with pytest.raises(InputError, match=r"cannot be unpacked to .*nowhere.*TMPDIR"):
+        read(tmp_path / "bag")
+
+
+def test_an_unknown_compression_of_messages_is_said_once(tmp_path: Path) -> None:
+    write_rosbag(tmp_path / "bag", StoragePlugin.SQLITE3, CompressionMode.MESSAGE)
+    path = tmp_path / "bag" / "metadata.yaml"
+    path.write_text(path.read_text().replace("zstd", "snappy"))
+    found, complaints = read(tmp_path / "bag")
+    assert found == messages()  # which are zstd all the same
+    assert len(complaints) == 1
+    assert "metadata.yaml: compression_format: 'snappy' is not zstd" in complaints[0]
+
+
+def test_not_every_fault_is_told(tmp_path: Path) -> None:
+    write_rosbag(tmp_path / "bag", StoragePlugin.SQLITE3, CompressionMode.MESSAGE)
+    with sqlite3.connect(tmp_path / "bag" / "bag.db3") as database:
+        database.execute("UPDATE messages SET data = X'00010000'")
+    database.close()
+    found, complaints = read(tmp_path / "bag")
+    assert (found, len(complaints)) == ([], COMPLAINTS_MAX + 1)
+    assert complaints[-1].endswith("the others are not told")
+
+
+@pytest.mark.parametrize("refused", ["iterdir", "stat"])
+def test_folders_that_may_not_be_read_are_refused(
+    refused: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_mcap(tmp_path / "one.mcap")
+
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, refused, refuse)
+    with pytest.raises(InputError, match="cannot be read"):
+        read(tmp_path)
 
 
 def corruptions(count: int) -> Iterator[random.Random]:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import math
 import random
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
-from rule_stage import DEFINITIONS, NUMBER, POSE, layouts, number, pose
+from rule_stage import DEFINITIONS, NUMBER, POSE, TEXT, layouts, number, pose
 
 from robotkube.adapters.bag_writing import BagWriter
 from robotkube.domain.bags import BagTopic
@@ -19,6 +19,8 @@ from robotkube.domain.errors import DocumentError
 from robotkube.domain.rule_expectations import Event, Expectations, score
 from robotkube.domain.rules import Edge
 from robotkube.entrypoints import cli
+from robotkube.services import rule_testing
+from robotkube.services.detector.topics import SUBSCRIPTIONS_MAX
 from robotkube.services.rule_testing import PatientWorkers, Replayed, replay, topics_read
 
 SECOND, MS = 1_000_000_000, 1_000_000
@@ -57,14 +59,15 @@ def settings(*rules: dict[str, Any]) -> DetectorSettings:
     return read_detector_settings({"name": "cloud-0/test", "topics": topics, "rules": list(rules)}, "here")
 
 
+def no_workers() -> PatientWorkers:
+    raise AssertionError("no rule here has a process")
+
+
 def play(found: Sequence[Message], turn_ns: int = 10 * MS, rules: Sequence[dict[str, Any]] = ()) -> Replayed:
     chosen = settings(*(rules or (PROXIMITY, THRESHOLD, ABSENCE)))
 
-    def make_workers() -> PatientWorkers:
-        raise AssertionError("no rule here has a process")
-
     wanted = topics_read(chosen, TYPES)
-    return replay(chosen, layouts(), TYPES, [m for m in found if m[0] in wanted], make_workers, turn_ns)
+    return replay(chosen, layouts(), TYPES, [m for m in found if m[0] in wanted], no_workers, turn_ns)
 
 
 def identities(edges: Sequence[Edge]) -> set[tuple[str, str, str, tuple[str, ...], int]]:
@@ -291,6 +294,134 @@ def test_rules_with_processes_of_their_own(bag: Path, tmp_path: Path, capsys: py
     assert code == 0, err
     expected = play(drive(), rules=[THRESHOLD]).edges
     assert [(e["edge"], e["stamp"]) for e in json.loads(out)["events"]] == [(e.edge, e.stamp) for e in expected]
+
+
+def write(folder: Path, found: Sequence[Message], types: Mapping[str, str] = TYPES, **definitions: str) -> Path:
+    topics = [BagTopic(name, kind, "reliable", "volatile", 10) for name, kind in types.items()]
+    with BagWriter(folder, topics, definitions={**DEFINITIONS, **definitions}) as writer:
+        for name, moment, data in found:
+            writer.add(name, moment, data)
+        writer.finish()
+    return folder
+
+
+@pytest.mark.parametrize("recorded", [BEGIN + 365 * 86_400 * SECOND, 1000 * SECOND])
+def test_seconds_count_on_the_clock_of_the_stamps(
+    recorded: int, rules: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A bag recorded from a bag, or in simulated time: its own times are of another clock than the stamps."""
+    folder = write(tmp_path / "again", [(name, moment - BEGIN + recorded, data) for name, moment, data in drive()])
+    events = list(starts(play(drive(), rules=[PROXIMITY])))
+    expected = written(tmp_path / "expected.yaml", {"events": events, "timing_seconds": 0.001})
+    code, out, err = said(capsys, "rule", "test", rules, str(folder), "--expect", expected, "-o", "json")
+    assert code == 0, err
+    document = json.loads(out)
+    assert abs(document["begin"] - BEGIN) < MS
+    assert document["end"] - document["begin"] == 19_950 * MS + 2
+    assert any("the bags' times: another clock" in problem for problem in document["problems"])
+    code, out, _ = said(capsys, "rule", "test", rules, str(folder))
+    assert f"  {events[0]['start']:.3f}  " in out
+
+
+def test_a_start_that_no_stamp_can_say_is_refused(bag: Path, rules: str, capsys: pytest.CaptureFixture[str]) -> None:
+    code, _, err = said(capsys, "rule", "test", rules, str(bag), "--start", str(BEGIN))
+    assert code == 2
+    assert "more than a stamp can say" in err
+
+
+def test_damage_is_said_also_when_nothing_is_left(
+    rules: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = write(tmp_path / "bag", drive()) / "bag.mcap"
+    file.write_bytes(file.read_bytes()[:20])
+    code, _, err = said(capsys, "rule", "test", rules, str(tmp_path / "bag"))
+    assert code == 2
+    assert "its end is missing" in err
+    assert "no topic of the bags fits" in err
+
+
+def test_bags_with_other_fields_of_a_type_are_named(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    types = {"/vehicles/vehicle_07/value": NUMBER}
+    found = [("/vehicles/vehicle_07/value", BEGIN, number(9))]
+    same = write(tmp_path / "same", found, types, **{NUMBER: "# in metres\nfloat64   data  # a number\n"})
+    other = write(tmp_path / "other", found, types, **{NUMBER: "float64 before\nfloat64 data\n"})
+    path = written(tmp_path / "rules.yaml", {"rules": [THRESHOLD]})
+    _, _, err = said(capsys, "rule", "test", path, str(bag), str(same))
+    assert "other fields" not in err
+    _, _, err = said(capsys, "rule", "test", path, str(bag), str(other))
+    assert f"{other}: {NUMBER} has other fields than in {bag}" in err
+
+
+def test_of_several_types_the_one_of_most_topics_is_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    types = {"/a/value": TEXT, "/b/value": NUMBER, "/c/value": NUMBER}
+    folder = write(tmp_path / "bag", [("/b/value", BEGIN, number(9))], types)
+    rule = {**THRESHOLD, "topic": "/{agent}/value"}
+    code, out, err = said(capsys, "rule", "test", written(tmp_path / "r.yaml", {"rules": [rule]}), str(folder))
+    assert (code, out.count(" start ")) == (0, 1)
+    assert f"/{{agent}}/value: read as {NUMBER}; topics of {TEXT} are left out" in err
+
+
+def test_wrong_expectations_are_refused_before_the_bags_are_read(
+    rules: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wrong = written(tmp_path / "wrong.yaml", {"precision": 2})
+    code, _, err = said(capsys, "rule", "test", rules, str(tmp_path / "no-bag"), "--expect", wrong)
+    assert code == 2
+    assert "precision: must be a number from 0 to 1" in err
+
+
+def test_as_many_events_as_may_be_are_expected(
+    bag: Path, rules: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    events = [{"rule": "near", "agents": list(AGENTS[:2]), "start": 100 + k, "stop": 100.5 + k} for k in range(9000)]
+    path = written(tmp_path / "many.yaml", {"events": events, "precision": 0})
+    code, _, err = said(capsys, "rule", "test", rules, str(bag), "--expect", path)
+    assert (code, "recall 0.000 is below 1" in err) == (1, True)
+    (tmp_path / "two.yaml").write_text("events: []\n---\nevents: []\n")
+    code, _, err = said(capsys, "rule", "test", rules, str(bag), "--expect", str(tmp_path / "two.yaml"))
+    assert (code, "must hold exactly one YAML document" in err) == (2, True)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"agents": 5}, {"agents": [1]}, {"causes": [1]}, {"causes": [{"topic": "/a", "stamp": 1}]}, {"detail": 1}],
+)
+def test_what_is_no_result_is_not_explained(
+    change: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    edge = {"id": "ab", "rule": "near", "edge": "start", "stamp": 1, "time": 1}
+    good, wrong = ({"events": [found]} for found in (edge, edge | change))
+    assert said(capsys, "rule", "explain", "ab", "--source", written(tmp_path / "good.json", good))[0] == 0
+    code, _, err = said(capsys, "rule", "explain", "ab", "--source", written(tmp_path / "wrong.json", wrong))
+    assert (code, "events: must be a list of edges" in err) == (2, True)
+
+
+@pytest.mark.parametrize("everything", [True, False])
+def test_topics_that_come_back_after_a_long_pause_are_read_again(
+    everything: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whether all of them pause, or others go on; the detector has forgotten them meanwhile."""
+    monkeypatch.setattr(rule_testing, "TURNS_MAX", 10)
+    pause, name = 700 * SECOND, "/vehicles/vehicle_00/value"
+    moments = [BEGIN, BEGIN + SECOND, *(BEGIN + pause + step * 100 * MS for step in range(20))]
+    found = [(name, moment, number(6 - 3 * (index % 2))) for index, moment in enumerate(moments)]
+    if not everything:
+        found += [("/vehicles/vehicle_01/pose", BEGIN + step * 500 * MS + 7, pose(0, 0, 1)) for step in range(1450)]
+    rules = [THRESHOLD] if everything else [THRESHOLD, PROXIMITY]
+    edges = [edge for edge in play(sorted(found, key=lambda m: m[1]), rules=rules).edges if edge.rule == "high"]
+    assert [edge.stamp for edge in edges if edge.edge == "start"] == moments[0::2]
+
+
+def test_topics_beyond_the_bound_are_named() -> None:
+    types = {f"/vehicles/vehicle_{index}/value": NUMBER for index in range(SUBSCRIPTIONS_MAX + 1)}
+    chosen = settings(THRESHOLD)
+    found = [(name, BEGIN, number(1)) for name in types]
+    result = replay(chosen, layouts(), types, found, no_workers)
+    assert [problem for problem in result.problems if "not read" in problem] == [
+        f"/vehicles/vehicle_{SUBSCRIPTIONS_MAX}/value: not read: {SUBSCRIPTIONS_MAX} topics are"
+    ]
 
 
 def test_a_file_of_rules_must_be_there(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

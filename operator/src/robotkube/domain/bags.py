@@ -17,6 +17,7 @@ from robotkube.domain.errors import DocumentError, InputError
 
 LATE_NS = 1_000_000_000
 NANOSECONDS = 1_000_000_000
+SECONDS_END = 1 << 31
 
 _LITTLE, _BIG = struct.Struct("<iI"), struct.Struct(">iI")
 _HEADER_END = 12
@@ -88,10 +89,16 @@ def read_run(data: Mapping[str, str] | None, where: str) -> Run | None:
 
 
 def restamped(data: bytes, stamp: int) -> bytes:
-    """A serialised message that begins with std_msgs/Header, now with `stamp` (ns). InputError: too short."""
+    """A serialised message that begins with std_msgs/Header, now with `stamp` (ns). InputError: the message is too
+    short, or the stamp is beyond what a header can say."""
     if len(data) < _HEADER_END:
         raise InputError(f"a message of {len(data)} bytes does not begin with std_msgs/Header")
     seconds, nanoseconds = divmod(stamp, NANOSECONDS)
+    if not -SECONDS_END <= seconds < SECONDS_END:
+        raise InputError(
+            f"the start of the run and a time of the bag make {seconds} s since 1970, more than a stamp can say: "
+            "times of a bag that is played count from the start of the run, not from 1970"
+        )
     header = (_LITTLE if data[1] & 1 else _BIG).pack(seconds, nanoseconds)
     return b"".join((data[:4], header, data[_HEADER_END:]))
 

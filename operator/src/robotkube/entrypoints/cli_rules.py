@@ -8,7 +8,8 @@ import json
 import math
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
@@ -20,8 +21,8 @@ from robotkube.domain.detector_settings import DetectorSettings, Knowledge, read
 from robotkube.domain.errors import DocumentError, InputError, RefusalError
 from robotkube.domain.rule_expectations import Score, events, read_expectations, score
 from robotkube.domain.rules import Edge
-from robotkube.domain.rules.documents import edge_document, explained
-from robotkube.domain.texts import read_mapping
+from robotkube.domain.rules.documents import edge_document, explained, is_edge
+from robotkube.domain.texts import read_mapping, read_mappings
 from robotkube.domain.topics import TopicPattern
 from robotkube.entrypoints.bag_sources import Bags
 from robotkube.entrypoints.cli_output import Table, lines
@@ -31,6 +32,7 @@ from robotkube.services.rule_testing import PatientWorkers, Replayed, replay, to
 
 COLUMNS = ("event", "rule", "edge", "agents", "at_seconds", "time", "values")
 RESULT_BYTES_MAX = 256 * 1024 * 1024
+EXPECTATIONS_BYTES_MAX = 4 * 1024 * 1024
 NAME = "rule-test/rules"
 _READ = ("topics", "rules")
 
@@ -64,17 +66,30 @@ def explaining(parser: argparse.ArgumentParser) -> None:
 def test(options: argparse.Namespace) -> Table:
     """Raise the events of rules over bags, and compare them with what was expected."""
     problems: list[str] = []
-    with Bags([Path(bag) for bag in options.bags], problems.append) as bags:
-        settings = read_rules_file(Path(options.rules), bags, options.agent)
-        problems += _absent(settings, bags.types)
+
+    def complain(problem: str) -> None:
+        problems.append(problem)
+        print(f"robotkube: {problem}", file=sys.stderr)
+
+    expected = _expectations(Path(options.expect)) if options.expect else None
+    if expected is not None:
+        read_expectations(expected, options.expect, 0)  # its mistakes are told before the bags are gone through
+    with Bags([Path(bag) for bag in options.bags], complain) as bags:
+        settings = read_rules_file(Path(options.rules), bags, options.agent, complain)
+        for problem in _absent(settings, bags.types):
+            complain(problem)
         began = time.monotonic()
         result = run(settings, bags, options.start)
         took = time.monotonic() - began
-    problems += [*result.problems, *(f"{name}: {n} messages cannot be read" for name, n in result.malformed.items())]
-    for problem in problems:
-        print(f"robotkube: {problem}", file=sys.stderr)
+    for problem in [
+        *result.problems,
+        *(f"{name}: {n} messages cannot be read" for name, n in result.malformed.items()),
+    ]:
+        complain(problem)
     print(_summary(result, took), file=sys.stderr)
-    scored = _scored(options.expect, result) if options.expect else None
+    scored = None
+    if expected is not None:
+        scored = score(events(result.edges), read_expectations(expected, options.expect, result.begin))
     return _table(result, scored, problems)
 
 
@@ -91,14 +106,16 @@ def run(settings: DetectorSettings, bags: Bags, start: int | None = None) -> Rep
     return replay(settings, bags.layouts, bags.types, messages, make_workers)
 
 
-def read_rules_file(path: Path, bags: Bags, agent: str = "") -> DetectorSettings:
+def read_rules_file(
+    path: Path, bags: Bags, agent: str = "", complain: Callable[[str], None] = lambda problem: None
+) -> DetectorSettings:
     """The file's rules for these bags; topics that it does not list are those of the bags. InputError."""
-    document = _document(path)
+    document = read_mapping(_text(path), str(path), values=False)
     inner = document.get("detector", document)
     if not isinstance(inner, Mapping) or "rules" not in inner:
         raise DocumentError(str(path), ["rules: is missing; give a file with a list `rules`"])
     chosen = {key: inner[key] for key in _READ if inner.get(key) is not None}
-    chosen.setdefault("topics", _topics(inner["rules"], bags.types))
+    chosen.setdefault("topics", _topics(inner["rules"], bags.types, complain))
     if not chosen["topics"]:
         chosen["topics"] = [{"name": name, "type": kind} for name, kind in sorted(bags.types.items())[:1]]
     rules = inner["rules"] if isinstance(inner["rules"], list) else []
@@ -137,6 +154,14 @@ def _document(path: Path) -> Mapping[str, Any]:
     return read_mapping(_text(path), str(path))
 
 
+def _expectations(path: Path) -> Mapping[str, Any]:
+    """One mapping, as long as the most events that may be expected."""
+    found = read_mappings(_text(path), str(path), EXPECTATIONS_BYTES_MAX)
+    if len(found) != 1:
+        raise DocumentError(str(path), ["must hold exactly one YAML document, a mapping"])
+    return found[0]
+
+
 def _result(path: Path) -> Mapping[str, Any]:
     try:
         found = json.loads(_text(path))
@@ -154,8 +179,8 @@ def _text(path: Path) -> str:
         raise InputError(f"{path}: cannot be read: {error}") from error
 
 
-def _topics(rules: Any, types: Mapping[str, str]) -> list[dict[str, str]]:
-    """The topics that rules name, with their types in the bags."""
+def _topics(rules: Any, types: Mapping[str, str], complain: Callable[[str], None]) -> list[dict[str, str]]:
+    """The topics that rules name, with their types in the bags; of several types that of most topics."""
     named: dict[str, None] = {}
     for rule in rules if isinstance(rules, list) else []:
         if isinstance(rule, Mapping):
@@ -168,12 +193,16 @@ def _topics(rules: Any, types: Mapping[str, str]) -> list[dict[str, str]]:
             pattern = TopicPattern(text)
         except ValueError:
             continue
-        kinds = sorted({kind for name, kind in types.items() if pattern.agent(name) is not None})
+        counted = Counter(kind for name, kind in sorted(types.items()) if pattern.agent(name) is not None)
+        kinds = [kind for kind, _ in counted.most_common()]
         if not kinds:
             there = ", ".join(sorted(types)[:20]) or "none"
             raise InputError(
                 f"no topic of the bags fits {text}; they have {there}. List it under `topics` if that is meant"
             )
+        if kinds[1:]:
+            others = ", ".join(kinds[1:])
+            complain(f"{text}: read as {kinds[0]}; topics of {others} are left out. List it under `topics` to choose")
         found.append({"name": text, "type": kinds[0]})
     return found
 
@@ -187,25 +216,20 @@ def _absent(settings: DetectorSettings, types: Mapping[str, str]) -> Iterator[st
             yield f"{pattern}: no topic of the bags fits as {wanted}; they have {', '.join(sorted(there)) or 'none'}"
 
 
-def _scored(file: str, result: Replayed) -> Score:
-    document = _document(Path(file))
-    return score(events(result.edges), read_expectations(document, file, result.first))
-
-
 def _table(result: Replayed, scored: Score | None, problems: Sequence[str]) -> Table:
-    rows = [_row(edge, result.first) for edge in result.edges]
+    rows = [_row(edge, result.begin) for edge in result.edges]
     text = "".join(f"{line}\n" for line in lines(Table("events", COLUMNS, rows)))
     document: dict[str, Any] = {
         "events": [edge_document(edge) for edge in result.edges],
-        "begin": result.first,
-        "end": result.last,
+        "begin": result.begin,
+        "end": result.begin + result.last - result.first,
         "messages": result.messages,
         "problems": list(problems),
     }
     refusal = ""
     if scored is not None:
         document["expected"] = {**_plain_score(scored), "passed": not scored.failures}
-        text += _score_text(scored)
+        text += _score_text(scored, result.begin)
         refusal = "; ".join(scored.failures)
     return Table("result", (), [document], single=True, refusal=refusal, text=text)
 
@@ -230,11 +254,14 @@ def _plain_score(scored: Score) -> dict[str, Any]:
     return {name: (str(v) if isinstance(v, float) and not math.isfinite(v) else v) for name, v in found.items()}
 
 
-def _score_text(scored: Score) -> str:
+def _score_text(scored: Score, begin: int) -> str:
     numbers = f"matched {scored.matched}, precision {scored.precision:.3f}, recall {scored.recall:.3f}"
     times = f"timing error {scored.timing_seconds:.3f} s at most, {scored.timing_mean_seconds:.3f} s in the mean"
-    said = [f"missing     {event.rule} {','.join(event.agents)} at {event.start}" for event in scored.missing]
-    said += [f"unexpected  {event.rule} {','.join(event.agents)} at {event.start}" for event in scored.unexpected]
+    said = [
+        f"{word}  {event.rule} {','.join(event.agents)} at {(event.start - begin) / 1e9:.3f}"
+        for word, found in (("missing   ", scored.missing), ("unexpected", scored.unexpected))
+        for event in found
+    ]
     return "".join(f"{line}\n" for line in (f"{numbers}; {times}", *said))
 
 
@@ -248,8 +275,7 @@ def _summary(result: Replayed, took: float) -> str:
 
 def _edges(document: Mapping[str, Any], where: str) -> list[Mapping[str, Any]]:
     found = document.get("events")
-    needed = ("id", "rule", "edge", "stamp", "time")
-    if not isinstance(found, list) or not all(isinstance(e, Mapping) and all(k in e for k in needed) for e in found):
+    if not isinstance(found, list) or not all(is_edge(edge) for edge in found):
         raise DocumentError(
             where, ["events: must be a list of edges, as `rule test --output json` and /events give them"]
         )

@@ -8,6 +8,8 @@ ZSTD, LZ4 = "zstd", "lz4"
 FILE_BYTES_MAX = 64 * 1024**3
 WINDOW_BYTES_MAX = 128 * 1024**2
 _BLOCK = 1024 * 1024
+_PACKED_BLOCK = 8192  # one of these holds at most 256 MB
+_ZSTD_BEGIN = b"\x28\xb5\x2f\xfd"  # no serialised message begins so
 
 
 def unpack(kind: str, data: bytes, size: int) -> bytes:
@@ -39,23 +41,30 @@ def unpack_message(kind: str, data: bytes, size_max: int) -> bytes:
     return found
 
 
+def is_packed(data: bytes) -> bool:
+    """Whether a message was compressed alone."""
+    return data.startswith(_ZSTD_BEGIN)
+
+
 def unpack_file(source: Path, target: Path) -> str:
     """Unpack a file in zstd; what is wrong with it, or `""`. What came before the fault is in `target`. OSError."""
     import zstandard
 
-    unpacker = zstandard.ZstdDecompressor(max_window_size=WINDOW_BYTES_MAX)
-    written = 0
-    with source.open("rb") as file, target.open("wb") as output, unpacker.stream_reader(file) as stream:
-        while True:
-            try:
-                block = stream.read(_BLOCK)
-            except zstandard.ZstdError as error:
-                return f"is damaged behind its byte {written} ({error})"
-            if not block:
-                return "" if written else "is empty or cut off"
-            written += output.write(block)
-            if written > FILE_BYTES_MAX:
-                return f"holds more than {FILE_BYTES_MAX} bytes"
+    made = zstandard.ZstdDecompressor(max_window_size=WINDOW_BYTES_MAX)
+    unpacker, written, whole = made.decompressobj(), 0, False
+    with source.open("rb") as file, target.open("wb") as output:
+        while block := file.read(_PACKED_BLOCK):
+            while block:
+                try:
+                    written += output.write(unpacker.decompress(block))
+                except zstandard.ZstdError as error:
+                    return f"is damaged behind its byte {written} ({error})"
+                if written > FILE_BYTES_MAX:
+                    return f"holds more than {FILE_BYTES_MAX} bytes"
+                whole, block = unpacker.eof, unpacker.unused_data
+                if whole:  # a file may be several parts, one behind the other
+                    unpacker = made.decompressobj()
+    return "" if whole else f"is cut off; {written} bytes could be unpacked"
 
 
 def _zstd(data: bytes, size: int) -> bytes:

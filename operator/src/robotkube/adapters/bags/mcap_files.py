@@ -32,14 +32,14 @@ Found = tuple[int, int, bytes]
 
 
 class McapFile:
-    """InputError at construction: not a file of this kind. `complain` hears of damage."""
+    """InputError at construction: not a file of this kind. `complain` hears of damage, of the file as `named`."""
 
-    def __init__(self, path: Path, complain: Callable[[str], None]) -> None:
-        self._path, self._complain = path, complain
+    def __init__(self, path: Path, complain: Callable[[str], None], named: Path | None = None) -> None:
+        self._path, self._complain = named or path, complain
         try:
             self._file = path.open("rb")
         except OSError as error:
-            raise InputError(f"{path}: cannot be read ({error.strerror}); metadata.yaml names it") from error
+            raise InputError(f"{self._path}: cannot be read ({error.strerror})") from error
         try:
             self._size = os.fstat(self._file.fileno()).st_size
             self._times, self._channels, self._places = array("Q"), array("H"), array("Q")

@@ -11,6 +11,8 @@ from robotkube.domain.bags import BagTopic
 from robotkube.domain.errors import InputError
 
 METADATA = "metadata.yaml"
+UNKNOWN = "unknown"
+COMPRESSIONS = ("", "zstd")
 METADATA_BYTES_MAX = 16 * 1024 * 1024
 QUALITY_BYTES_MAX = 64 * 1024
 FILES_MAX = 10_000
@@ -21,7 +23,7 @@ _DURABILITIES = {"1": "transient_local", "2": "volatile"}
 
 @dataclass(frozen=True)
 class Metadata:
-    """The parts that say how to read the files. `compression`: format of `mode` (file, message or empty)."""
+    """The parts that say how to read the files. `compression`: format of `mode` (file, message, UNKNOWN or empty)."""
 
     storage: str
     files: tuple[Path, ...]
@@ -42,8 +44,12 @@ def read_metadata(folder: Path) -> Metadata:
         raise InputError(f"{path}: is not the metadata of a rosbag2 bag: {error!r}") from error
     if not names or len(names) > FILES_MAX:
         raise InputError(f"{path}: relative_file_paths names {len(names)} files; 1 to {FILES_MAX} are read")
+    if mode == "message" and compression not in COMPRESSIONS:
+        raise InputError(
+            f"{path}: compression_format: {compression[:40]!r} is not zstd; convert it: `ros2 bag convert`"
+        )
     files = tuple(_inside(folder, str(name), path) for name in names)
-    return Metadata(storage, files, "" if mode == "none" else mode, compression)
+    return Metadata(storage, files, mode if mode == "message" else "", compression)
 
 
 def quality(value: Any) -> dict[str, Any]:
@@ -108,5 +114,10 @@ def _inside(folder: Path, name: str, where: Path) -> Path:
 
 
 def data_files(folder: Path, endings: Sequence[str]) -> list[Path]:
-    """Files of a bag whose metadata.yaml is not there, in the order of their names."""
-    return sorted(path for path in folder.iterdir() if path.is_file() and path.name.endswith(tuple(endings)))
+    """Files of a bag whose metadata.yaml is not there, in the order of their names; of one that lies there packed and
+    unpacked, the unpacked one. Nothing when the folder cannot be read."""
+    try:
+        found = sorted(path for path in folder.iterdir() if path.name.endswith(tuple(endings)) and path.is_file())
+    except OSError:
+        return []
+    return [path for path in found if path.with_suffix("") not in found]

@@ -9,18 +9,23 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from robotkube.adapters.bags.compression import unpack_file, unpack_message
+from robotkube.adapters.bags.compression import ZSTD, is_packed, unpack_file, unpack_message
 from robotkube.adapters.bags.mcap_files import McapFile
-from robotkube.adapters.bags.metadata import Metadata, data_files, read_metadata
-from robotkube.adapters.bags.sqlite_files import SqliteFile
+from robotkube.adapters.bags.mcap_records import MAGIC
+from robotkube.adapters.bags.metadata import UNKNOWN, Metadata, data_files, read_metadata
+from robotkube.adapters.bags.sqlite_files import BEGIN, SqliteFile
 from robotkube.domain.bags import BagTopic
 from robotkube.domain.errors import InputError
 
 MCAP, SQLITE = "mcap", "sqlite3"
-PACKED = ".zstd"
+PACKED = (".zstd", ".zst")
+COMPLAINTS_MAX = 100
+"""So many faults of a bag are told."""
 MESSAGE_BYTES_MAX = 256 * 1024 * 1024
 _KINDS = {".mcap": MCAP, ".db3": SQLITE}
-_ENDINGS = (*_KINDS, *(f"{ending}{PACKED}" for ending in _KINDS))
+_ENDINGS = (*_KINDS, *(f"{ending}{packed}" for ending in _KINDS for packed in PACKED))
+_BEGINS = {MAGIC: MCAP, BEGIN: SQLITE}
+_ROS_1 = b"#ROSBAG"
 
 Complain = Callable[[str], None]
 Message = tuple[str, int, bytes]
@@ -67,7 +72,7 @@ class OpenBag:
         What no topic of `wanted` needs is not read where the file has an index."""
         streams = [file.messages(wanted) for file in self._files]
         merged = streams[0] if len(streams) == 1 else heapq.merge(*streams, key=_moment)
-        return self._unpacked(merged) if self._metadata.mode == "message" else merged
+        return merged if self._metadata.mode == "" else self._unpacked(merged)
 
     def close(self) -> None:
         """Give everything back."""
@@ -95,31 +100,34 @@ class OpenBag:
 
     def _open(self, file: Path) -> McapFile | SqliteFile:
         plain = self._plain(file)
-        kind = _KINDS.get(plain.suffix, self._metadata.storage)
+        kind = _KINDS.get(plain.suffix) or _kind(plain, file) or self._metadata.storage
         if kind == MCAP:
-            return McapFile(plain, self._complain)
+            return McapFile(plain, self._complain, file)
         if kind == SQLITE:
-            return SqliteFile(plain, self._complain)
-        raise InputError(f"{file}: storage {kind[:40]!r} is none of {MCAP}, {SQLITE}; convert it: `ros2 bag convert`")
+            return SqliteFile(plain, self._complain, file)
+        storage = f"storage {kind[:40]!r} is" if kind else "is"
+        raise InputError(f"{file}: {storage} none of {MCAP}, {SQLITE}; convert it: `ros2 bag convert`")
 
     def _plain(self, file: Path) -> Path:
-        if file.suffix != PACKED:
+        if file.suffix not in PACKED:
             return file
-        if self._folder is None:
-            self._folder = Path(tempfile.mkdtemp(prefix="robotkube-bag-"))
-        target = self._folder / f"{len(self._files)}-{file.stem}"
         try:
+            if self._folder is None:
+                self._folder = Path(tempfile.mkdtemp(prefix="robotkube-bag-"))
+            target = self._folder / f"{len(self._files)}-{file.stem}"
             problem = unpack_file(file, target)
         except OSError as error:
-            raise InputError(f"{file}: cannot be unpacked to {target.parent}: {error.strerror}") from error
+            place = self._folder or f"{tempfile.gettempdir()} (choose another one by TMPDIR)"
+            raise InputError(f"{file}: cannot be unpacked to {place}: {error.strerror}") from error
         if problem:
             self._complain(f"{file}: {problem}; what is before is read")
         return target
 
     def _unpacked(self, messages: Iterator[Message]) -> Iterator[Message]:
+        everything, kind = self._metadata.mode == "message", self._metadata.compression or ZSTD
         for name, moment, data in messages:
             try:
-                plain = unpack_message(self._metadata.compression, data, MESSAGE_BYTES_MAX)
+                plain = unpack_message(kind, data, MESSAGE_BYTES_MAX) if everything or is_packed(data) else data
             except ValueError as error:
                 self._complain(f"{self.path}: {name} at {moment}: {error}; left out")
                 continue
@@ -132,26 +140,47 @@ def open_bag(path: Path, complain: Complain = refuse) -> OpenBag:
     said: set[str] = set()
 
     def once(problem: str) -> None:
-        if problem not in said:
-            said.add(problem)
-            complain(problem)
+        if problem in said or len(said) > COMPLAINTS_MAX:
+            return
+        said.add(problem)
+        more = len(said) > COMPLAINTS_MAX
+        complain(f"{path}: more than {COMPLAINTS_MAX} faults; the others are not told" if more else problem)
 
     return OpenBag(path, once)
 
 
 def _metadata(path: Path, complain: Complain) -> Metadata:
-    if not path.exists():
-        raise InputError(f"{path}: is not there; name a rosbag2 folder or a file of a bag")
-    if not path.is_dir():
-        return Metadata("", (path,))
+    """What metadata.yaml says; of single files, and folders without it, what they are is found out."""
     try:
+        if not path.exists():
+            raise InputError(f"{path}: is not there; name a rosbag2 folder or a file of a bag")
+        if not path.is_dir():
+            return Metadata("", (path,), UNKNOWN)
         return read_metadata(path)
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be read ({error.strerror}); name a folder or file that you may read"
+        ) from error
     except InputError as error:
         files = data_files(path, _ENDINGS)
         if not files:
             raise
         complain(f"{error}; reading {', '.join(file.name for file in files)}")
-        return Metadata("", tuple(files))
+        return Metadata("", tuple(files), UNKNOWN)
+
+
+def _kind(plain: Path, file: Path) -> str:
+    """What a file is by its first bytes; empty when it is none of these."""
+    try:
+        if not plain.is_file():
+            return ""
+        with plain.open("rb") as opened:
+            begin = opened.read(len(BEGIN))
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read ({error.strerror})") from error
+    if begin.startswith(_ROS_1):
+        raise InputError(f"{file}: is a bag of ROS 1; convert it: `rosbags-convert`")
+    return next((kind for known, kind in _BEGINS.items() if begin.startswith(known)), "")
 
 
 def _moment(message: Message) -> int:

@@ -25,11 +25,11 @@ _FAULTS = (sqlite3.Error, ValueError, OverflowError, MemoryError)  # sqlite's me
 
 
 class SqliteFile:
-    """InputError at construction: not a file of this kind. `complain` hears of damage."""
+    """InputError at construction: not a file of this kind. `complain` hears of damage, of the file as `named`."""
 
-    def __init__(self, path: Path, complain: Callable[[str], None]) -> None:
-        self._path, self._complain = path, complain
-        self._database = self._open()
+    def __init__(self, path: Path, complain: Callable[[str], None], named: Path | None = None) -> None:
+        self._path, self._complain = named or path, complain
+        self._database = self._open(path)
         try:
             self._names: dict[int, str] = {}
             self.topics = self._read_topics()
@@ -56,16 +56,16 @@ class SqliteFile:
                 continue
             yield self._names[row[0]], times[index], row[1]
 
-    def _open(self) -> sqlite3.Connection:
+    def _open(self, path: Path) -> sqlite3.Connection:
         try:
-            with self._path.open("rb") as file:
+            with path.open("rb") as file:
                 if file.read(len(BEGIN)) != BEGIN:
                     raise InputError(f"{self._path}: is no sqlite3 file")
         except OSError as error:
-            raise InputError(f"{self._path}: cannot be read ({error.strerror}); metadata.yaml names it") from error
+            raise InputError(f"{self._path}: cannot be read ({error.strerror})") from error
         problem: Exception | None = None
         for way, lenient in _WAYS:
-            database = sqlite3.connect(f"{self._path.resolve().as_uri()}{way}", uri=True, isolation_level=None)
+            database = sqlite3.connect(f"{path.resolve().as_uri()}{way}", uri=True, isolation_level=None)
             try:
                 database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MESSAGE_BYTES_MAX)
                 if lenient:
