@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from mcap.reader import make_reader
+from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
@@ -20,7 +21,7 @@ from robotkube.domain.topics import TopicPattern
 from robotkube.entrypoints import cli
 from robotkube.entrypoints.bag_sources import Bags
 from robotkube.entrypoints.cli_exporting import MCAP, Wanted, exported
-from robotkube.services.exporting import Selection
+from robotkube.services.exporting import Selection, first_stamp
 from scenarios import definition
 from scenarios.generator import bags
 
@@ -49,6 +50,7 @@ class Memory:
         self.samples = bucket_documents(NAME, received)
         self.clouds = [message for message in messages if message not in small]
         self.away = False
+        self.told: list[dict[str, Any]] = []
 
     def recordings(self) -> Sequence[Mapping[str, Any]]:
         return [self.document]
@@ -66,7 +68,7 @@ class Memory:
         return []
 
     def audits(self, recording: str) -> Sequence[Mapping[str, Any]]:
-        return []
+        return self.told
 
     def read(self, volume: str, place: SegmentPlace, size: int) -> bytes:
         if self.away:
@@ -160,12 +162,54 @@ def test_refusals_leave_nothing_behind(messages: Sequence[Message], tmp_path: Pa
     with pytest.raises(InputError, match="is there already"):
         exported(memory, memory, memory.document, tmp_path / "there", Wanted())
     nothing = Wanted(Selection((TopicPattern("/nothing"),)))
-    with pytest.raises(InputError, match=r"no message is chosen; its topics are /vehicles/\{agent\}"):
+    with pytest.raises(InputError, match=r"there is nothing of /nothing; it holds .* /vehicles/vehicle_00/pose from"):
         exported(memory, memory, memory.document, tmp_path / "out", nothing)
+    later = Wanted(Selection((TopicPattern(POSES),), first=2 * BEGIN))
+    with pytest.raises(InputError, match=rf"no message is chosen by --from and --to; it holds .*pose from {BEGIN}"):
+        exported(memory, memory, memory.document, tmp_path / "out", later)
+    mistyped = Wanted(Selection((TopicPattern(POSES), TopicPattern("/vehicles/{agent}/poses"))))
+    with pytest.raises(InputError, match=r"there is nothing of /vehicles/\{agent\}/poses; it holds"):
+        exported(memory, memory, memory.document, tmp_path / "out", mistyped)
     poses = Wanted(Selection((TopicPattern(POSES),)))
     with pytest.raises(InputError, match="labels need clouds and the poses of at least two"):
         exported(memory, memory, memory.document, tmp_path / "out", poses, Labelling())
     assert [path.name for path in tmp_path.iterdir()] == ["there"]
+
+
+def test_an_export_touches_no_other_folder(messages: Sequence[Message], tmp_path: Path) -> None:
+    memory = Memory(messages)
+    (tmp_path / "out.partial").mkdir()
+    (tmp_path / "out.partial" / "own").write_text("work")
+    exported(memory, memory, memory.document, tmp_path / "out", Wanted())
+    assert (tmp_path / "out.partial" / "own").read_text() == "work"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out", "out.partial"]
+
+
+def test_a_message_that_is_stored_twice_is_exported_once(messages: Sequence[Message], tmp_path: Path) -> None:
+    memory = Memory(messages)
+    memory.samples.append({**memory.samples[0], "samples": [dict(one) for one in memory.samples[0]["samples"]]})
+    for one in memory.samples[-1]["samples"]:
+        one["received"] += 1
+    exported(memory, memory, memory.document, tmp_path / "out", Wanted())
+    assert sorted(read_rosbag(tmp_path / "out")) == sorted((t, stamp + DELAY_NS, data) for t, stamp, data in messages)
+
+
+def test_a_type_that_is_not_installed_is_exported_with_the_definition_that_came_with_it(tmp_path: Path) -> None:
+    memory = Memory([("/vehicles/vehicle_00/pose", BEGIN, b"\0\1\0\0" + bytes(8))])
+    memory.document["topics"] = {POSES: {"type": "own_msgs/msg/Height", "storage": "document"}}
+    memory.document["definitions"] = {"own_msgs/msg/Height": "float64 height\n"}
+    exported(memory, memory, memory.document, tmp_path / "out", Wanted())
+    with AnyReader([tmp_path / "out"]) as reader:
+        ((connection, _, data),) = reader.messages()
+        assert reader.deserialize(data, connection.msgtype).height == 0.0
+
+
+def test_stamps_before_1970_are_counted_and_refused(messages: Sequence[Message], tmp_path: Path) -> None:
+    memory = Memory(messages)
+    memory.samples[0]["samples"][0]["stamp"] = -1
+    table = exported(memory, memory, memory.document, tmp_path / "out", Wanted())
+    assert "1 messages are not in the export; the first: " in table.refusal
+    assert "at -1: a bag has no times before 1970" in table.refusal
 
 
 def given(*words: str) -> argparse.Namespace:
@@ -173,12 +217,9 @@ def given(*words: str) -> argparse.Namespace:
 
 
 def test_times_are_given_in_three_ways() -> None:
-    found = {"started": BEGIN}
-    wanted = Wanted.of(
-        given("--from", "1.5", "--to", str(BEGIN + 7), "--format", "mcap"), {"started": BEGIN - 2 * 10**9}
-    )
+    wanted = Wanted.of(given("--from", "1.5", "--to", str(BEGIN + 7), "--format", "mcap"), BEGIN - 2 * 10**9)
     assert (wanted.selection.first, wanted.selection.last) == (BEGIN - 500_000_000, BEGIN + 7)
-    wanted = Wanted.of(given("--from", "2026-11-21T08:53:20.250Z"), found)
+    wanted = Wanted.of(given("--from", "2026-11-21T08:53:20.250Z"), BEGIN)
     assert wanted.selection.first == 1_795_251_200_250_000_000
     for words, message in (
         (("--from", "soon"), "--from 'soon' must be ns"),
@@ -186,4 +227,18 @@ def test_times_are_given_in_three_ways() -> None:
         (("--topics", "pose"), "pose is not a full ROS topic name"),
     ):
         with pytest.raises(InputError, match=message):
-            Wanted.of(given(*words), found)
+            Wanted.of(given(*words), BEGIN)
+
+
+def test_seconds_count_from_the_first_stamp_also_before_the_event(messages: Sequence[Message]) -> None:
+    """What was taken from the buffer, and bags of another day, have stamps before the recorder's start."""
+    memory = Memory(messages)
+    memory.told = [
+        {"topic": "/vehicles/vehicle_00/pose", "window": [BEGIN - 5, BEGIN + 9]},
+        {"topic": "/vehicles/vehicle_01/pose", "window": [BEGIN - 7, BEGIN + 9]},
+        {"topic": "/vehicles/vehicle_01/lidar_center/pointcloud", "window": None},
+        {"topic": "/vehicles/vehicle_00/lidar_center/transform", "window": [1, 1]},
+    ]
+    assert first_stamp(memory, memory.document) == BEGIN - 7
+    memory.told = []
+    assert first_stamp(memory, memory.document) == BEGIN

@@ -6,13 +6,20 @@ import json
 import struct
 import zlib
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import perception
 import pytest
 
+from robotkube.adapters.bag_writing import BagWriter
+from robotkube.adapters.datasets_kitti import preview
+from robotkube.domain.bags import BagTopic
 from robotkube.domain.errors import InputError
-from robotkube.domain.labels import Labelling
+from robotkube.domain.labels import SIZE_DEFAULT, Label, Labelling
+from robotkube.domain.perception_messages import read_cloud
+from robotkube.domain.pictures import GREEN
 from robotkube.entrypoints.bag_sources import Bags
 from robotkube.entrypoints.cli_exporting import write_dataset
 from robotkube.services.labelling import POSES_DEFAULT, LabellingCounts, label_clouds
@@ -93,6 +100,30 @@ def test_a_dataset_in_kittis_layout(made: Mapping[str, Path], tmp_path: Path) ->
     assert "labels.jsonl" in (folder / "README.md").read_text()
     assert_picture((folder / "preview.png").read_bytes())
     assert any(text.startswith("dataset: ") for text in said)
+
+
+def test_why_no_cloud_can_be_labelled_is_said(made: Mapping[str, Path], tmp_path: Path) -> None:
+    with Bags(list(made.values()), pytest.fail) as found:
+        types = {name: kind for name, kind in found.types.items() if not name.endswith("/transform")}
+        played = list(found.played(set(types), 10**18))
+        clouds = [name for name, kind in types.items() if kind == "sensor_msgs/msg/PointCloud2"]
+    topics = [BagTopic(name, kind, "reliable", "volatile", 10) for name, kind in types.items()]
+    with BagWriter(tmp_path / "bag", topics) as bag:
+        for name, stamp, data in [*played, (clouds[0], 10**18, b"short")]:
+            bag.add(name, stamp, data)
+        bag.finish()
+    said: list[str] = []
+    number = sum(name in clouds for name, *_ in played)
+    with pytest.raises(InputError, match=f"{number} of unknown place, 1 messages unreadable"):
+        write_dataset(tmp_path / "bag", tmp_path / "out", "meeting", Labelling(), POSES_DEFAULT, said.append)
+    assert any("no transform leads from frame 'vehicle_00/lidar_center' to a vehicle's" in text for text in said), said
+
+
+def test_a_vehicle_far_away_leaves_the_preview_to_those_that_are_near() -> None:
+    near = Label("near", (20.0, 0.0, 0.0), 0.0, SIZE_DEFAULT, 20.0, 0.0, 0.0, 0.0, points=9)
+    picture = preview(read_cloud(perception.cloud(stamp=1, points=10)), [near, replace(near, position=(5e4, 0.0, 0.0))])
+    green = [(x, y) for x in range(picture.width) for y in range(picture.height) if picture.colour(x, y) == GREEN]
+    assert len(green) > 20
 
 
 def assert_picture(data: bytes) -> None:

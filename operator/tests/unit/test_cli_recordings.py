@@ -52,6 +52,7 @@ class Memory:
             for stamp in STAMPS[1:]
         ]  # fmt: skip
 
+        self.bucket = ""
         self.files = [
             {"_id": "f", "volume": "cloud-0/recordings", "segment": "one.mcap", "sha256": "whole", "size": 4000}
         ]
@@ -61,10 +62,13 @@ class Memory:
         return [self.document]
 
     def buckets(self, recording: str) -> Iterable[Mapping[str, Any]]:
-        return [{"topic": POSE, "samples": self.samples}]
+        bucket = {"topic": POSE, "samples": self.samples}
+        content = "".join(f"{sample['stamp']}:{sample['sha256']};" for sample in self.samples)
+        name = self.bucket or hashlib.sha256(content.encode()).hexdigest()[:16]
+        return [{"_id": f"{recording}/{POSE}/0/{name}", **bucket}]
 
     def index(self, recording: str) -> Iterable[Mapping[str, Any]]:
-        return self.entries
+        return [{"_id": f"{recording}/{CLOUD}/{one['offset']}", "recording": recording, **one} for one in self.entries]
 
     def segments(self, recording: str) -> Sequence[Mapping[str, Any]]:
         return self.files
@@ -112,6 +116,60 @@ def test_show_has_provenance_and_first_stored() -> None:
 def test_an_unknown_recording_is_refused() -> None:
     with pytest.raises(RefusalError, match="there is no recording other"):
         cli_recordings.shown({"cloud-0": Memory()}, "other")
+
+
+def test_a_name_that_two_agents_have_is_refused_until_one_is_chosen() -> None:
+    changed = Memory()
+    changed.samples[0]["data"] = b"other"
+    readers = {"cloud-0": Memory(), "cloud-1": changed}
+    with pytest.raises(InputError, match=f"{NAME} was recorded by cloud-0, cloud-1, each its own; say by --agent"):
+        cli_recordings.verified(readers, changed, NAME, [], None)
+    assert cli_recordings.verified({"cloud-1": changed}, changed, NAME, [], None).refusal
+
+
+def test_stamps_and_digests_that_were_changed_in_the_database_are_named() -> None:
+    memory = Memory()
+    (before,) = memory.buckets(NAME)
+    memory.bucket = before["_id"].rpartition("/")[2]
+    memory.samples[0] |= {"data": b"forged", "sha256": hashlib.sha256(b"forged").hexdigest()}
+    memory.entries[0]["stamp"] += 1
+    refusal = cli_recordings.verified({"cloud-0": memory}, memory, NAME, [], None).refusal
+    assert (
+        f"2 documents have other stamps or digests than they were stored with; the first: ['{before['_id']}']"
+        in refusal
+    )
+    memory.bucket = ""
+    refusal = cli_recordings.verified({"cloud-0": memory}, memory, NAME, [], None).refusal
+    assert (
+        f"1 documents have other stamps or digests than they were stored with; the first: ['{NAME}/{CLOUD}/200']"
+        in refusal
+    )
+
+
+def test_what_no_audit_tells_of_is_not_proved() -> None:
+    memory = Memory()
+    memory.told = memory.told[:1]
+    refusal = cli_recordings.verified({"cloud-0": memory}, memory, NAME, [], None).refusal
+    assert refusal == f"{NAME}: {CLOUD}: no audit says what was received"
+    memory.samples, memory.entries, memory.files, memory.told = [], [], [], []
+    refusal = cli_recordings.verified({"cloud-0": memory}, memory, NAME, [], None).refusal
+    assert "nothing is stored, and no audit says what was received" in refusal
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"\xff\xfe",
+        b"[1]",
+        b'{"sequence": 1, "stamp": "soon", "sha256": "a"}',
+        b'{"sequence": 1, "stamp": [], "sha256": 1}',
+    ],
+)
+def test_a_damaged_ledger_is_named(ledgers: Path, content: bytes) -> None:
+    file = ledgers / f"{POSE.replace('/', '__')}.jsonl"
+    file.write_bytes(content)
+    with pytest.raises(InputError, match=str(file)):
+        verified(Memory(), ledgers)
 
 
 def test_an_equal_recording_is_complete_within_the_clouds_window(ledgers: Path) -> None:
@@ -192,6 +250,7 @@ def test_without_large_messages_the_window_must_be_said(ledgers: Path) -> None:
     [
         (["--segments", "recordings"], "must be <node>/<claim>=<existing folder>"),
         (["--window", "9:3"], "the first not later"),
+        (["--window", "²:³"], "two stamps in ns"),
     ],
 )
 def test_wrong_arguments_are_named(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:

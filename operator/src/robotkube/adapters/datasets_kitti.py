@@ -14,7 +14,7 @@ from robotkube.domain.perception_messages import Cloud
 from robotkube.domain.pictures import GREEN, GREY, ORANGE, WHITE, Picture
 
 FRAMES_MAX = 1_000_000
-PREVIEW_PIXELS, PREVIEW_MARGIN_M, GRID_M = 800, 10.0, 10
+PREVIEW_PIXELS, PREVIEW_MARGIN_M, PREVIEW_REACH_MAX_M, GRID_M = 800, 10.0, 200.0, 10
 PARTS = ("velodyne", "label_2", "calib")
 
 
@@ -63,8 +63,10 @@ class KittiDataset:
 
 
 def preview(cloud: Cloud, labels: Sequence[Label]) -> Picture:
-    """The cloud from above: x of the sensor up, y to the left; boxes with points green, others orange."""
-    reach = max((abs(p) for label in labels for p in label.position[:2]), default=40.0) + PREVIEW_MARGIN_M
+    """The cloud from above: x of the sensor up, y to the left; boxes with points green, others orange. Boxes beyond
+    PREVIEW_REACH_MAX_M are not in it: nobody saw the others beside them."""
+    farthest = max((abs(p) for label in labels for p in label.position[:2]), default=40.0)
+    reach = min(farthest + PREVIEW_MARGIN_M, PREVIEW_REACH_MAX_M)
     scale, middle = PREVIEW_PIXELS / (2 * reach), PREVIEW_PIXELS / 2
     picture = Picture(PREVIEW_PIXELS, PREVIEW_PIXELS)
     for line in range(-int(reach) // GRID_M * GRID_M, int(reach) + 1, GRID_M):

@@ -67,6 +67,10 @@ class Scene:
     bodies: Mapping[str, str]
     """Frame of the body -> agent."""
 
+    def knows(self, frame: str) -> bool:
+        """Whether transforms lead from this frame to somebody's body."""
+        return self.mounts.up_to(frame, list(self.bodies)) is not None
+
     def labels(self, frame: str, stamp: int, settings: Labelling) -> list[Label] | None:
         """The others around a sensor; None when nobody knows where the sensor was then."""
         found = self.mounts.up_to(frame, list(self.bodies))

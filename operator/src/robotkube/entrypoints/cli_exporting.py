@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import shutil
 import sys
+import tempfile
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -25,7 +25,7 @@ from robotkube.entrypoints import cli_recordings
 from robotkube.entrypoints.cli_output import Table
 from robotkube.entrypoints.cli_volumes import add_argument as add_segments
 from robotkube.ports.recordings import RecordingReader, SegmentReader
-from robotkube.services.exporting import Export, Selection, prepare, write
+from robotkube.services.exporting import STAMP_MAX, STAMP_MIN, Export, Selection, first_stamp, prepare, write
 from robotkube.services.labelling import POSES_DEFAULT, LabellingCounts, label_clouds
 
 MCAP, ROSBAG2 = "mcap", "rosbag2"
@@ -43,7 +43,7 @@ def exporting(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--topics", nargs="+", default=[], metavar="TOPIC", help="only these; {agent} stands for every agent"
     )
-    when = "stamp in ns, seconds from the recording's begin, or a time such as 2026-11-22T10:00:00Z"
+    when = "stamp in ns, seconds from the recording's first stamp, or a time such as 2026-11-22T10:00:00Z"
     parser.add_argument("--from", dest="first", metavar="WHEN", help=f"only from here: {when}")
     parser.add_argument("--to", dest="last", metavar="WHEN", help="only up to here, as --from")
     add_segments(parser)
@@ -73,7 +73,8 @@ def export(options: argparse.Namespace) -> Table:
     _, reader, found = cli_recordings.find(readers, options.recording)
     segments = cli_recordings.segments_of(options)
     settings = labelling_settings(options) if options.labels else None
-    return exported(reader, segments, found, options.folder, Wanted.of(options, found), settings)
+    wanted = Wanted.of(options, first_stamp(reader, found))
+    return exported(reader, segments, found, options.folder, wanted, settings)
 
 
 @dataclass(frozen=True)
@@ -85,16 +86,15 @@ class Wanted:
     poses: str = POSES_DEFAULT
 
     @classmethod
-    def of(cls, options: argparse.Namespace, found: Mapping[str, Any]) -> Wanted:
-        """From the options; InputError names the wrong one."""
+    def of(cls, options: argparse.Namespace, begin: int) -> Wanted:
+        """From the options; `begin`: the recording's first stamp, ns. InputError names the wrong option."""
         try:
             patterns = tuple(TopicPattern(text) for text in options.topics)
             TopicPattern(options.poses)
         except ValueError as error:
             raise InputError(f"--topics, --poses: {error}") from error
-        begin = int(found.get("started") or 0)
-        first = _moment("--from", options.first, begin, 0)
-        last = _moment("--to", options.last, begin, 2**63 - 1)
+        first = _moment("--from", options.first, begin, STAMP_MIN)
+        last = _moment("--to", options.last, begin, STAMP_MAX)
         if last < first:
             raise InputError(f"--to {options.last} is before --from {options.first}")
         return cls(Selection(patterns, first, last), options.format, options.poses)
@@ -126,20 +126,18 @@ def exported(
     """The table of `recording export`: a row per topic. Nothing is left behind when it fails."""
     if folder.exists():
         raise InputError(f"{folder} is there already; give a new folder")
-    partial = folder.with_name(f"{folder.name}.partial")
-    shutil.rmtree(partial, ignore_errors=True)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        with closing(FileShelf(folder.parent)) as shelf:
-            found = prepare(reader, recording, wanted.selection, shelf)
-            counts = _write(found, segments, shelf, partial, str(recording["_id"]), wanted)
-        if labels is not None:
-            write_dataset(partial, partial / DATASET, str(recording["_id"]), labels, wanted.poses, _say)
-        partial.rename(folder)
+        with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as own:
+            partial = Path(own) / folder.name
+            with closing(FileShelf(Path(own))) as shelf:
+                found = prepare(reader, recording, wanted.selection, shelf)
+                counts = _write(found, segments, shelf, partial, recording, wanted)
+            if labels is not None:
+                write_dataset(partial, partial / DATASET, str(recording["_id"]), labels, wanted.poses, _say)
+            partial.rename(folder)
     except OSError as error:
         raise InputError(f"{folder}: cannot be written: {error}") from error
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
     return _table(found, counts)
 
 
@@ -158,21 +156,42 @@ def write_dataset(
 
         for found in label_clouds(opened, Layouts(lookup), settings, counts, poses):
             dataset.add(found.topic, found.cloud, found.labels)
-        numbers = {"clouds": counts.clouds, "boxes": counts.boxes, "clouds of unknown place, left out": counts.nowhere}
+        for problem in [*counts.problems, *map(_unjoined, sorted(counts.frames))]:
+            say(problem)
+        if not counts.clouds:
+            raise InputError(
+                f"no cloud has a label: {counts.nowhere} of unknown place, {counts.unreadable} messages unreadable: "
+                "a cloud has a place between two own poses (see --gap), by transforms from its frame to the vehicle"
+            )
+        numbers = {
+            "clouds": counts.clouds,
+            "boxes": counts.boxes,
+            "clouds of unknown place, left out": counts.nowhere,
+            "unreadable messages, left out": counts.unreadable,
+        }
         dataset.finish(name, settings, numbers)
-    for problem in counts.problems:
-        say(problem)
-    say(f"dataset: {counts.clouds} clouds, {counts.boxes} boxes; {counts.nowhere} clouds of unknown place left out")
+    left_out = f"{counts.nowhere} clouds of unknown place and {counts.unreadable} unreadable messages left out"
+    say(f"dataset: {counts.clouds} clouds, {counts.boxes} boxes; {left_out}")
     return counts
 
 
+def _unjoined(frame: str) -> str:
+    return f"no transform leads from frame {frame!r} to a vehicle's, such as vehicle_00; record its topic, too"
+
+
 def _write(
-    found: Export, segments: SegmentReader, shelf: FileShelf, folder: Path, name: str, wanted: Wanted
+    found: Export,
+    segments: SegmentReader,
+    shelf: FileShelf,
+    folder: Path,
+    recording: Mapping[str, Any],
+    wanted: Wanted,
 ) -> Mapping[str, int]:
-    definitions = {topic.type: _definition(topic.type) for topic in found.topics}
+    carried = recording.get("definitions") or {}
+    definitions = {topic.type: carried.get(topic.type) or _definition(topic.type) for topic in found.topics}
     for missing in sorted(kind for kind, text in definitions.items() if not text):
         _say(f"{missing} is not installed here, so the bag lacks its definition; ros2 reads it, Foxglove does not")
-    with BagWriter(folder, found.topics, f"{name}.mcap", definitions, compressed=True) as writer:
+    with BagWriter(folder, found.topics, f"{recording['_id']}.mcap", definitions, compressed=True) as writer:
         write(found, segments, shelf, writer)
         writer.finish(metadata=wanted.form == ROSBAG2)
         return writer.counts
@@ -214,7 +233,7 @@ def _moment(option: str, text: str | None, begin: int, default: int) -> int:
         moment = None
     if moment is None or moment.tzinfo is None:
         raise InputError(
-            f"{option} {text!r} must be ns, seconds from the begin, or a time such as 2026-11-22T10:00:00Z"
+            f"{option} {text!r} must be ns, seconds from the first stamp, or a time such as 2026-11-22T10:00:00Z"
         )
     return round(moment.astimezone(UTC).timestamp() * 1000) * 1_000_000
 

@@ -125,8 +125,11 @@ def verified(
     names = sorted({*audited, *(name for name in found.get("topics") or {} if AGENT not in name)})
     ledgers = _required_ledgers(folders, names, recording) if folders else {}
     covered = (window or _common(reader, recording, _large(found))) if ledgers else ALWAYS
-    topics = examine(stored_messages(reader, segments, recording), audited, ledgers, covered)
-    files = wrong_segments(reader, segments, recording)
+    changed: list[str] = []
+    stored = stored_messages(reader, segments, recording, changed=changed.append)
+    topics = examine(stored, audited, ledgers, covered)
+    text = f"{len(changed)} documents have other stamps or digests than they were stored with; the first: {changed[:1]}"
+    files = [*([text] if changed else []), *wrong_segments(reader, segments, recording)]
     missing = sorted(set(names) - set(ledgers)) if ledgers else []
     rows = [_examined(topic) for topic in topics]
     return Table("topics", COLUMNS, rows, refusal=_refusal(found, topics, missing, files))
@@ -200,12 +203,20 @@ def _reader(agent: str, values: Mapping[str, str], host: str, port: int) -> Reco
 
 
 def find(readers: Readers, recording: str) -> tuple[str, RecordingReader, Mapping[str, Any]]:
-    """The agent, the database and the document of a recording; RefusalError when there is none."""
-    for agent, reader in readers.items():
-        for found in list_recordings(reader):
-            if found["_id"] == recording:
-                return agent, reader, found
-    raise RefusalError("UnknownRecording", f"there is no recording {recording}; see `robotkube recording list`")
+    """The agent, the database and the document of a recording; RefusalError when there is none, InputError when several
+    agents have one of this name."""
+    named = [
+        (agent, reader, found)
+        for agent, reader in readers.items()
+        for found in list_recordings(reader)
+        if found["_id"] == recording
+    ]
+    if not named:
+        raise RefusalError("UnknownRecording", f"there is no recording {recording}; see `robotkube recording list`")
+    if len(named) > 1:
+        agents = ", ".join(agent for agent, *_ in named)
+        raise InputError(f"{recording} was recorded by {agents}, each its own; say by --agent which one is meant")
+    return named[0]
 
 
 def _row(agent: str, found: Mapping[str, Any]) -> dict[str, Any]:
@@ -250,6 +261,7 @@ def _refusal(
     found: Mapping[str, Any], topics: Sequence[TopicExamination], missing: Sequence[str], files: Sequence[str]
 ) -> str:
     reasons = [] if found.get("ended") else ["has not ended: its recorder is at work, or was killed"]
+    reasons += [] if topics else ["nothing is stored, and no audit says what was received"]
     reasons += [f"{one.topic}: {', '.join(one.problems)}" for one in topics if not one.complete]
     reasons += [f"no ledger was given of: {', '.join(missing)}"] if missing else []
     unread = next((text for one in topics for text in one.unreadable), "")
@@ -277,8 +289,15 @@ def _ledgers(folders: Sequence[Path], topics: Sequence[str]) -> Iterator[tuple[s
         for folder in folders:
             file = folder / _file_name(topic)
             if file.is_file():
-                yield topic, read_ledger(file.read_text().splitlines(), str(file))
+                yield topic, read_ledger(_lines(file), str(file))
                 break
+
+
+def _lines(file: Path) -> list[str]:
+    try:
+        return file.read_text(encoding="utf-8").splitlines()
+    except (OSError, ValueError) as error:
+        raise DocumentError(str(file), [f"is no ledger that can be read: {error}"]) from error
 
 
 def _file_name(topic: str) -> str:
@@ -287,14 +306,14 @@ def _file_name(topic: str) -> str:
 
 def _window(text: str) -> Window:
     first, _, last = text.partition(":")
-    if not (first.isdigit() and last.isdigit() and int(first) <= int(last)):
+    if not (first.isdecimal() and last.isdecimal() and int(first) <= int(last)):
         raise InputError(f"--window {text!r} must be FIRST:LAST, two stamps in ns, the first not later")
     return int(first), int(last)
 
 
 def _address(text: str) -> tuple[str, int]:
     host, _, port = text.rpartition(":")
-    if not host or not port.isdigit():
+    if not host or not port.isdecimal():
         raise InputError(f"--database {text!r} must be HOST:PORT")
     return host, int(port)
 

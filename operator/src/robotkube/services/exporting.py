@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
+from robotkube.domain.audits import Interval
 from robotkube.domain.bags import BagTopic
 from robotkube.domain.errors import InputError, UnavailableError
 from robotkube.domain.recordings import SegmentPlace
@@ -19,6 +20,7 @@ from robotkube.domain.topics import TopicPattern
 from robotkube.ports.recordings import RecordingReader, SegmentReader
 
 MESSAGES_MAX = 20_000_000
+STAMP_MIN, STAMP_MAX = -(2**63), 2**63 - 1
 PROBLEMS_MAX = 100
 DEPTH_DEFAULT, DEPTH_LATCHED = 1000, 1
 
@@ -49,8 +51,8 @@ class Selection:
     whole: what they say holds all the time."""
 
     topics: tuple[TopicPattern, ...] = ()
-    first: int = 0
-    last: int = 2**63 - 1
+    first: int = STAMP_MIN
+    last: int = STAMP_MAX
 
     def has(self, topic: str) -> bool:
         """Whether the topic is chosen."""
@@ -86,20 +88,30 @@ class Export:
             self.problems.append(f"{entry.topic} at {entry.stamp}: {reason}")
 
 
+def first_stamp(reader: RecordingReader, recording: Mapping[str, Any]) -> int:
+    """The recording's begin, ns: the least stamp that its audits know of, without latched topics: they are older."""
+    planned = _Planned(recording.get("topics") or {})
+    windows = [
+        audit["window"]
+        for audit in reader.audits(str(recording["_id"]))
+        if audit.get("window") and planned.windowed(audit["topic"])
+    ]
+    return min((first for first, _ in windows), default=int(recording.get("started") or 0))
+
+
 def prepare(reader: RecordingReader, recording: Mapping[str, Any], selection: Selection, shelf: Shelf) -> Export:
-    """Find the recording's messages; `recording` is its document. InputError when nothing is chosen or too much."""
+    """Find the recording's messages; `recording` is its document. InputError when nothing is chosen, something that is
+    not there, or too much."""
     planned = _Planned(recording.get("topics") or {})
     entries: list[_Entry] = []
     for entry in _entries(reader, str(recording["_id"]), selection, planned, shelf):
         entries.append(entry)
         if len(entries) > MESSAGES_MAX:
             raise InputError(f"more than {MESSAGES_MAX} messages; export a part with --from and --to")
-    if not entries:
-        there = ", ".join(planned.names) or "none"
-        raise InputError(
-            f"{recording['_id']}: no message is chosen; its topics are {there}; see --topics, --from, --to"
-        )
-    entries.sort()
+    planned.require(str(recording["_id"]), selection, bool(entries))
+    entries.sort(reverse=True)
+    once = {(entry.topic, entry.stamp, entry.sha256): entry for entry in entries}  # some may be stored twice
+    entries = list(reversed(once.values()))
     names = sorted({entry.topic for entry in entries})
     return Export([planned.topic(name) for name in names], entries)
 
@@ -107,6 +119,9 @@ def prepare(reader: RecordingReader, recording: Mapping[str, Any], selection: Se
 def write(export: Export, segments: SegmentReader, shelf: Shelf, target: Target) -> None:
     """Write all messages whose bytes are what was recorded; the others are counted in `export`."""
     for entry in export.entries:
+        if not (0 <= entry.stamp <= STAMP_MAX and 0 <= entry.received <= STAMP_MAX):
+            export.leave_out(entry, "a bag has no times before 1970")
+            continue
         try:
             data = _data(entry, segments, shelf)
         except UnavailableError as error:
@@ -128,9 +143,14 @@ class _Planned:
     """The topics of a recording's document, by pattern."""
 
     def __init__(self, documents: Mapping[str, Mapping[str, Any]]) -> None:
-        self.names = sorted(documents)
         self._patterns = [(TopicPattern(text), found) for text, found in documents.items()]
         self._topics: dict[str, BagTopic] = {}
+        self._spans: dict[str, Interval] = {}
+
+    def windowed(self, name: str) -> bool:
+        """Whether it is a topic of the document, and no latched one."""
+        fitting = (found for pattern, found in self._patterns if pattern.agent(name) is not None)
+        return not next(fitting, {"latched": True}).get("latched")
 
     def topic(self, name: str) -> BagTopic:
         """A topic with its type and quality."""
@@ -138,17 +158,31 @@ class _Planned:
             fitting = (found for pattern, found in self._patterns if pattern.agent(name) is not None)
             found = next(fitting, None)
             if found is None:
-                raise InputError(f"the recording holds {name}, which its document does not name; it cannot be exported")
+                raise InputError(
+                    f"the recording holds {name}, which its document does not name; it cannot be exported; "
+                    "choose others with --topics"
+                )
             latched = bool(found.get("latched"))
             durability, depth = ("transient_local", DEPTH_LATCHED) if latched else ("volatile", DEPTH_DEFAULT)
             self._topics[name] = BagTopic(name, str(found["type"]), "reliable", durability, depth)
         return self._topics[name]
 
     def chosen(self, topic: str, stamp: int, selection: Selection) -> bool:
-        """Whether a message belongs to the selection."""
+        """Whether a message belongs to the selection; it is remembered that it is there."""
+        first, last = self._spans.get(topic, (stamp, stamp))
+        self._spans[topic] = min(first, stamp), max(last, stamp)
         if not selection.has(topic):
             return False
         return self.topic(topic).latched or selection.first <= stamp <= selection.last
+
+    def require(self, recording: str, selection: Selection, chosen: bool) -> None:
+        """InputError when the selection asks for topics that are not there, or nothing was `chosen`; with what is."""
+        absent = [one.text for one in selection.topics if all(one.agent(name) is None for name in self._spans)]
+        if chosen and not absent:
+            return
+        there = "; ".join(f"{name} from {first} to {last}" for name, (first, last) in sorted(self._spans.items()))
+        what = f"there is nothing of {', '.join(absent)}" if absent else "no message is chosen by --from and --to"
+        raise InputError(f"{recording}: {what}; it holds (stamps in ns): {there or 'no messages'}")
 
 
 def _entries(

@@ -20,6 +20,7 @@ from robotkube.ports.bags import BagSource
 POSES_DEFAULT = "/vehicles/{agent}/pose"
 POSES_MAX = 10_000_000
 POSE_VALUES = 7
+FRAMES_MAX = 10
 TRANSFORM_TYPES = {"geometry_msgs/msg/TransformStamped": "", "tf2_msgs/msg/TFMessage": "transforms[]."}
 _POSE_PATHS = (("pose", ()), ("pose.pose", ("pose.covariance",)), ("pose.pose", ()))
 """Where a pose may stand, and its covariance."""
@@ -37,13 +38,15 @@ class LabelledCloud:
 
 @dataclass
 class LabellingCounts:
-    """What came of it. `nowhere`: clouds of which nobody knows where their sensor was; they are left out."""
+    """What came of it. `nowhere`: clouds of which nobody knows where their sensor was; they are left out, as are
+    messages that are `unreadable`. `frames`: of the sensors that no transform joins to a vehicle."""
 
     clouds: int = 0
     nowhere: int = 0
     unreadable: int = 0
     boxes: int = 0
     problems: list[str] = field(default_factory=list)
+    frames: set[str] = field(default_factory=set)
 
 
 def label_clouds(
@@ -66,9 +69,12 @@ def label_clouds(
         except ValueError:
             counts.unreadable += 1
             continue
-        labels = scene.labels(cloud.header.frame.lstrip("/"), cloud.header.stamp, settings)
+        frame = cloud.header.frame.lstrip("/")
+        labels = scene.labels(frame, cloud.header.stamp, settings)
         if labels is None:
             counts.nowhere += 1
+            if len(counts.frames) < FRAMES_MAX and not scene.knows(frame):
+                counts.frames.add(frame)
             continue
         found = tuple(replace(label, points=len(points_within(label, cloud))) for label in labels)
         counts.clouds += 1
