@@ -11,9 +11,13 @@ from mcap.reader import make_reader
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
 
+from robotkube.adapters.bag_writing import BagWriter
 from robotkube.adapters.segments_mcap import McapRepair, McapSegmentReader, McapSegments, definition
+from robotkube.domain.bags import BagTopic
 from robotkube.domain.errors import UnavailableError
 from robotkube.domain.recordings import Received, SegmentPlace
+from robotkube.services.recording.repairing import repaired
+from robotkube.testing.recordings import RecordingDatabase
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
 
@@ -172,6 +176,52 @@ def test_a_segment_without_a_whole_message_goes(tmp_path: Path, open_segments: C
     (name,) = McapRepair(tmp_path).left(())
     assert McapRepair(tmp_path).finish(name) is None
     assert not path.exists()
+
+
+def test_a_repair_leaves_what_is_not_its_own(tmp_path: Path, open_segments: Callable[..., McapSegments]) -> None:
+    segments = open_segments()
+    segments.append([(message(1), CLOUD)])
+    segments.close()
+    (segment,) = McapRepair(tmp_path).left(())
+    with BagWriter(
+        tmp_path / "encounter-1", [BagTopic("/a", CLOUD, "reliable", "volatile", 1)], compressed=True
+    ) as bag:
+        bag.add("/a", 1, b"data")
+        bag.finish()
+    bag_file = tmp_path / "encounter-1" / "bag.mcap"
+    assert McapRepair(tmp_path).left(()) == [segment], "an export beside the recordings is none"
+    renamed = bag_file.rename(tmp_path / "encounter-1" / "5-0001.mcap")
+    notes = tmp_path / "encounter-1" / "6-0001.mcap"
+    notes.write_text("somebody's notes")
+    kept = [path.read_bytes() for path in (renamed, notes)]
+    for path in (renamed, notes):
+        with pytest.raises(OSError, match="no message that can be read, but something else"):
+            McapRepair(tmp_path).finish(f"encounter-1/{path.name}")
+    assert [path.read_bytes() for path in (renamed, notes)] == kept
+
+
+def test_a_file_that_cannot_be_opened_does_not_hold_up_the_others(
+    tmp_path: Path, open_segments: Callable[..., McapSegments]
+) -> None:
+    segments = open_segments()
+    place = segments.append([(message(1), CLOUD)])[0]
+    segments.close()
+    (tmp_path / "task-1" / "0-0001.mcap").mkdir()
+    store = RecordingDatabase()
+    for writes in repaired(McapRepair(tmp_path), store, "n/c"):
+        store.write(writes)
+    assert [entry["segment"] for entry in store.index("task-1")] == [place.segment]
+    assert [entry["segment"] for entry in store.segments("task-1")] == [place.segment]
+
+
+def test_finished_segments_do_not_crowd_out_the_others(
+    tmp_path: Path, open_segments: Callable[..., McapSegments], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("robotkube.adapters.segments_mcap.repairing.FILES_MAX", 2)
+    segments = open_segments(bytes_max=1000)
+    names = [segments.append([(message(n), CLOUD)])[0].segment for n in range(4)]
+    segments.close()
+    assert McapRepair(tmp_path).left(names[1:]) == names[:1]
 
 
 def test_a_message_that_no_segment_can_hold_is_named(open_segments: Callable[..., McapSegments]) -> None:

@@ -55,7 +55,8 @@ class Bench:
             C: RingBuffer(BufferBounds(10, 10**6), latched=True),
         }
         place = RecorderPlace("n/c", lambda: self.database, lambda: self.volume, lambda: BEGIN, time.monotonic)
-        self.recordings = Recordings(PLAN, place, self.buffers)
+        self.definitions: dict[str, str] = {}
+        self.recordings = Recordings(PLAN, place, self.buffers, carried=lambda name: self.definitions.get(name, ""))
         self.recordings.start()
         self.tenth = 0
 
@@ -112,6 +113,23 @@ def test_a_recording_has_what_came_before_and_after_its_event(bench: Bench) -> N
     assert {topic: (audit.received, audit.stored, audit.gaps) for topic, audit in audits.items()} == {
         A: (61, 61, ()), B: (41, 41, ()), C: (1, 1, ()),
     }  # fmt: skip
+
+
+def test_definitions_that_came_with_the_messages_are_kept_also_when_they_come_late(bench: Bench) -> None:
+    bench.play(10)
+    bench.recordings.trigger(Event("0123456789ab", bench.now), bench.now)
+    bench.play(5)
+    until(lambda: "encounter-01234567" in bench.database.collections.get("recordings", {}))
+    assert "definitions" not in bench.document("encounter-01234567")
+    bench.definitions = {"p": "float64 height", "other": "float64 width"}
+    bench.recordings.end(Event("0123456789ab", bench.now), bench.now)
+    bench.play(int((LINGER_SECONDS + 2) * 10))
+    until(lambda: bench.ended("encounter-01234567"))
+    assert bench.document("encounter-01234567")["definitions"] == {"p": "float64 height"}
+    bench.recordings.trigger(Event("123456789abc", bench.now), bench.now)
+    bench.play(5)
+    until(lambda: "encounter-12345678" in bench.database.collections["recordings"])
+    assert bench.document("encounter-12345678")["definitions"] == {"p": "float64 height"}
 
 
 def test_events_whose_windows_overlap_share_a_recording_with_both_as_causes(bench: Bench) -> None:

@@ -12,7 +12,7 @@ import bson
 from bson.errors import BSONError
 
 from robotkube.domain.errors import DocumentError
-from robotkube.domain.recordings import Write
+from robotkube.domain.recordings import COLLECTIONS, Write, messages_of
 from robotkube.ports.recordings import Batch
 
 _GIVEN_UP = "-given-up"
@@ -64,10 +64,10 @@ class BsonSpool:
         path = self._folder / batch
         try:
             with path.open("rb") as file:
-                return [Write(**values) for values in bson.decode_file_iter(file)]
+                return [_checked(Write(**values)) for values in bson.decode_file_iter(file)]
         except FileNotFoundError as error:
             raise DocumentError(str(path), ["is gone: another recorder has brought it in"]) from error
-        except (BSONError, TypeError) as error:
+        except (BSONError, TypeError, KeyError, AttributeError) as error:
             raise DocumentError(str(path), [f"is damaged: {error}"]) from error
 
     def give_up(self, batch: str, writes: Sequence[Write]) -> None:
@@ -83,6 +83,18 @@ class BsonSpool:
     def remove(self, batch: str) -> None:
         """Delete the file."""
         (self._folder / batch).unlink(missing_ok=True)
+
+
+def _checked(write: Write) -> Write:
+    """The write, if whoever brings it in can do so; else TypeError, KeyError or AttributeError."""
+    kinds = (write.id, str), (write.document, dict), (write.update, bool), (write.size, int), (write.add, dict)
+    topic, stamps = messages_of(write)
+    whole = write.collection in COLLECTIONS and all(isinstance(value, kind) for value, kind in kinds)
+    if not (whole and isinstance(topic, str) and all(isinstance(stamp, int) for stamp in stamps)):
+        raise TypeError(f"{write.id!r} is no write to {', '.join(COLLECTIONS)}")
+    if stamps and not isinstance(write.document["recording"], str):
+        raise TypeError(f"{write.id!r} names no recording")
+    return write
 
 
 def _record(write: Write) -> dict[str, Any]:

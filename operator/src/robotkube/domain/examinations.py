@@ -57,7 +57,8 @@ class TopicExamination:
             (len(verdict.mismatches) if verdict else 0, "with other bytes than the ledger says"),
             (len(verdict.unknown) if verdict else 0, "that no ledger has"),
         ]
-        return [f"{count} {text}" for count, text in found if count]
+        untold = ["no audit says what was received"] if self.stored and self.audit is None else []
+        return [f"{count} {text}" for count, text in found if count] + untold
 
     @property
     def complete(self) -> bool:

@@ -14,6 +14,7 @@ from typing import Any
 
 DOCUMENT, SEGMENT = "document", "segment"
 RECORDINGS, SAMPLES, INDEX, SEGMENTS, AUDITS = "recordings", "samples", "segments_index", "segments", "audits"
+COLLECTIONS = (RECORDINGS, SAMPLES, INDEX, SEGMENTS, AUDITS)
 SECOND_NS = 1_000_000_000
 DOCUMENT_BYTES_MAX = 128 * 1024
 BUCKET_BYTES_MAX = 512 * 1024
@@ -65,8 +66,8 @@ class FoundMessage:
 @dataclass(frozen=True)
 class Write:
     """One change of the recordings' database: `document` is put at `_id` `id` if nothing is there; with `update` its
-    fields are set in the document that is there, and the values of `add` are added to its lists that lack them. Doing
-    it twice changes nothing."""
+    fields are set in the document that is there (`a.b`: the field b of its field a), and the values of `add` are added
+    to its lists that lack them. Doing it twice changes nothing."""
 
     collection: str
     id: str
@@ -100,7 +101,7 @@ def bucket_documents(recording: str, messages: Sequence[Received]) -> list[dict[
 
 
 def _bucket(recording: str, topic: str, second: int, messages: Sequence[Received]) -> dict[str, Any]:
-    content = hashlib.sha256("".join(f"{m.stamp}:{m.sha256};" for m in messages).encode()).hexdigest()[:16]
+    content = _content((m.stamp, m.sha256) for m in messages)
     samples = [{"stamp": m.stamp, "received": m.received, "sha256": m.sha256, "data": m.data} for m in messages]
     return {
         "_id": f"{recording}/{topic}/{second}/{content}",
@@ -109,6 +110,22 @@ def _bucket(recording: str, topic: str, second: int, messages: Sequence[Received
         "second": second,
         "samples": samples,
     }
+
+
+def _content(samples: Iterable[tuple[int, str]]) -> str:
+    return hashlib.sha256("".join(f"{stamp}:{sha256};" for stamp, sha256 in samples).encode()).hexdigest()[:16]
+
+
+def bucket_is_whole(bucket: Mapping[str, Any]) -> bool:
+    """Whether a bucket has the stamps and digests that its `_id` was made of."""
+    found = _content((sample["stamp"], sample["sha256"]) for sample in bucket["samples"])
+    return bool(bucket["_id"].rpartition("/")[2] == found)
+
+
+def entry_is_whole(entry: Mapping[str, Any]) -> bool:
+    """Whether an index entry has the stamp that its `_id` was made of."""
+    place = f"{entry['recording']}/{entry['topic']}/{entry['stamp']}"
+    return entry["_id"] in (place, f"{place}/{entry['sha256'][:16]}")
 
 
 def index_document(recording: str, message: FoundMessage, volume: str, distinct: bool = False) -> dict[str, Any]:
@@ -131,6 +148,14 @@ def index_document(recording: str, message: FoundMessage, volume: str, distinct:
         "offset": message.place.offset,
         "stored": None,
     }
+
+
+def taken_up(document: Mapping[str, Any]) -> dict[str, Any]:
+    """What a writer sets in the recording's document that an earlier one has made: it is open again, and has the topics
+    of both. ROS names hold no dots."""
+    topics = {f"topics.{name}": topic for name, topic in (document.get("topics") or {}).items()}
+    renewed = {name: document[name] for name in ("causes", "definitions") if name in document}
+    return {"ended": None, **renewed, **topics}
 
 
 def segment_document(recording: str, closed: ClosedSegment, volume: str) -> dict[str, Any]:

@@ -7,12 +7,20 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from robotkube.domain.audits import AuditSum, add_up
 from robotkube.domain.errors import DocumentError, UnavailableError
-from robotkube.domain.recordings import LedgerLine, SegmentPlace, StoredMessage, Verdict, compare
+from robotkube.domain.recordings import (
+    LedgerLine,
+    SegmentPlace,
+    StoredMessage,
+    Verdict,
+    bucket_is_whole,
+    compare,
+    entry_is_whole,
+)
 from robotkube.ports.recordings import RecordingReader, SegmentReader
 
 
@@ -22,16 +30,26 @@ def list_recordings(reader: RecordingReader) -> list[dict[str, Any]]:
 
 
 def stored_messages(
-    reader: RecordingReader, segments: SegmentReader, recording: str, window: tuple[int, int] | None = None
+    reader: RecordingReader,
+    segments: SegmentReader,
+    recording: str,
+    window: tuple[int, int] | None = None,
+    changed: Callable[[str], None] = lambda _: None,
 ) -> Iterator[StoredMessage]:
-    """Every stored message of a recording whose stamp is in `window`, with the hash of the bytes as they are now."""
+    """Every stored message of a recording whose stamp is in `window`, with the hash of the bytes as they are now.
+
+    `changed` gets the `_id` of every document whose stamps or digests are not those that it was stored with."""
     for bucket in reader.buckets(recording):
+        if not bucket_is_whole(bucket):
+            changed(bucket["_id"])
         for sample in bucket["samples"]:
             if _within(sample["stamp"], window):
                 data = bytes(sample["data"])
                 digest = hashlib.sha256(data).hexdigest()
                 yield StoredMessage(bucket["topic"], sample["stamp"], digest, sample["sha256"], len(data))
     for entry in reader.index(recording):
+        if not entry_is_whole(entry):
+            changed(entry["_id"])
         if _within(entry["stamp"], window):
             yield _large(segments, entry)
 
@@ -96,8 +114,8 @@ def read_ledger(lines: Iterable[str], where: str) -> list[LedgerLine]:
                 if values["count"] != len(found):
                     raise DocumentError(where, [f"line {number}: has {len(found)} messages, says {values['count']}"])
                 return found
-            found.append(LedgerLine(values["sequence"], values["stamp"], values["sha256"]))
-        except (ValueError, KeyError, AttributeError) as error:
+            found.append(LedgerLine(int(values["sequence"]), int(values["stamp"]), str(values["sha256"])))
+        except (ValueError, KeyError, AttributeError, TypeError) as error:
             raise DocumentError(where, [f"line {number}: is no ledger line ({error})"]) from error
     raise DocumentError(where, ["has no end line: its player is still running or was killed"])
 

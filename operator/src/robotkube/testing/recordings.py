@@ -70,7 +70,9 @@ class RecordingDatabase:
                 documents.setdefault(write.id, {**write.document, "_id": write.id})
             elif write.id in documents:
                 document = documents[write.id]
-                document.update(write.document)
+                for path, value in write.document.items():
+                    outer, _, inner = path.rpartition(".")
+                    (document.setdefault(outer, {}) if outer else document)[inner] = value
                 for name, value in write.add.items():
                     document[name] = [*document[name], *([] if value in document[name] else [value])]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import hashlib
 import os
+import re
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from io import BufferedRandom, BytesIO
@@ -21,6 +22,8 @@ from robotkube.domain.recordings import ClosedSegment, FoundMessage, SegmentPlac
 FILES_MAX = 10_000
 SMALL_RECORD_BYTES_MAX = 16 * 1024 * 1024
 _READ_BYTES = 1024 * 1024
+_OURS = re.compile(r"\d+-\d{4,}\.mcap")
+"""Names of segments; other MCAP files on the claim, such as exports, are somebody else's."""
 
 
 class McapRepair:
@@ -30,9 +33,10 @@ class McapRepair:
         self._root = root
 
     def left(self, finished: Collection[str]) -> Sequence[str]:
-        """Oldest name first; at most FILES_MAX files are looked at."""
-        files = sorted(str(path.relative_to(self._root)) for path in self._root.glob("*/*.mcap"))[-FILES_MAX:]
-        return [name for name in files if name not in finished and not _busy(self._root / name)]
+        """In the order of the names; at most FILES_MAX files, the others are for the next start."""
+        ours = (path for path in self._root.glob("*/*.mcap") if _OURS.fullmatch(path.name))
+        names = sorted({str(path.relative_to(self._root)) for path in ours} - set(finished))
+        return [name for name in names[:FILES_MAX] if not _busy(self._root / name)]
 
     def found(self, segment: str) -> Sequence[FoundMessage]:
         """The whole messages in the file."""
@@ -47,6 +51,8 @@ class McapRepair:
                 return None
             scan = _scan(segment, file)
             if not scan.found:
+                if scan.strange:
+                    raise OSError("it holds no message that can be read, but something else; look at it, and move it")
                 path.unlink()
                 return None
             return _finish(segment, file, scan)
@@ -73,15 +79,19 @@ def _finish(segment: str, file: BufferedRandom, scan: _Scan) -> ClosedSegment:
 
 
 class _Scan:
-    """Goes through the records of one file. `end`: where the last whole record of the data ends."""
+    """Goes through the records of one file. `end`: where the last whole record of the data ends; `strange`: there comes
+    something that no writer of ours has begun."""
 
     def __init__(self, segment: str, file: BufferedRandom) -> None:
         self._segment, self._file = segment, file
         self.contents, self.found, self.end = Contents(), list[FoundMessage](), 0
+        self.strange = False
 
     def run(self) -> None:
         """Up to the first record that is not whole, not of a writer of ours, or the end of the data."""
-        if self._file.read(len(MAGIC)) != MAGIC:
+        magic = self._file.read(len(MAGIC))
+        if magic != MAGIC:
+            self.strange = not MAGIC.startswith(magic)
             return
         self.end = len(MAGIC)
         size = os.fstat(self._file.fileno()).st_size
@@ -90,7 +100,10 @@ class _Scan:
             if len(prefix) < RECORD.size:
                 return
             opcode, length = RECORD.unpack(prefix)
-            if self.end + RECORD.size + length > size or not self._take(opcode, length):
+            if opcode == Opcode.DATA_END or self.end + RECORD.size + length > size:
+                return
+            if not self._take(opcode, length):
+                self.strange = True
                 return
             self.end += RECORD.size + length
 
@@ -140,8 +153,12 @@ def _ended(file: BufferedRandom) -> bool:
 
 
 def _busy(path: Path) -> bool:
-    with _locked(path) as file:
-        return file is None
+    """Whether somebody writes it; of a file that cannot be opened the repair itself has to say why."""
+    try:
+        with _locked(path) as file:
+            return file is None
+    except OSError:
+        return False
 
 
 @contextmanager

@@ -36,6 +36,7 @@ from robotkube.domain.recordings import (
     Write,
     bucket_documents,
     messages_of,
+    taken_up,
 )
 from robotkube.services.recording.bookkeeping import Arrival, Bookkeeping
 from robotkube.services.recording.counts import RecorderCounts
@@ -488,11 +489,10 @@ class Recorder:
         with self._lock:
             self._begun = True
             document = {"recording": self.recording, **self._document, "started": self.life}
-        begun = {**document, "volumes": [self._place.volume], "ended": None}
-        again = {"ended": None, **{name: document[name] for name in ("causes",) if name in document}}
+        volume = self._place.volume
         self._journal.add([
-            Write(RECORDINGS, self.recording, begun, size=1000),
-            Write(RECORDINGS, self.recording, again, update=True, size=200, add={"volumes": self._place.volume}),
+            Write(RECORDINGS, self.recording, {**document, "volumes": [volume], "ended": None}, size=1000),
+            Write(RECORDINGS, self.recording, taken_up(document), update=True, size=1000, add={"volumes": volume}),
         ])  # fmt: skip
 
 

@@ -7,7 +7,7 @@ causes. What came before an event is taken from the ring buffers; latched topics
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,6 +25,8 @@ from robotkube.services.recording.journal import Journal
 from robotkube.services.recording.places import BOUNDS, RecorderPlace, RecordingBounds
 from robotkube.services.recording.recorder import Recorder
 
+DEFINITIONS_BYTES_MAX = 4 * 1024 * 1024
+"""A recording's document keeps definitions up to here; the database takes 16 MiB of it."""
 LINGER_SECONDS = 2.0
 """How long messages are waited for whose stamps belong to a window that is over."""
 
@@ -45,7 +47,8 @@ class _Open:
 
 class Recordings:
     """All recordings of one plan. `start`, then `offer` every message, `trigger` and `end` with the edges of the rule,
-    `tick` now and then, at last `stop`."""
+    `tick` now and then, at last `stop`. `carried`: the definition of a type that came along with its messages, empty
+    when none did; without it nobody could read them later."""
 
     def __init__(
         self,
@@ -53,8 +56,9 @@ class Recordings:
         place: RecorderPlace,
         buffers: Mapping[str, RingBuffer],
         bounds: RecordingBounds = BOUNDS,
+        carried: Callable[[str], str] = lambda _: "",
     ) -> None:
-        self.plan = plan
+        self.plan, self._carried = plan, carried
         self._place, self._buffers, self._bounds = place, buffers, bounds
         self._journal = Journal(plan.recording, place, bounds)
         self._open: list[_Open] = []
@@ -166,6 +170,7 @@ class Recordings:
         for one in [one for one in self._open if one.until <= now]:
             self._open.remove(one)
             self._ending.append(one.recorder)
+            self._define(one.recorder)
             one.recorder.end()
         for recorder in [recorder for recorder in self._ending if recorder.stopped]:
             self._ending.remove(recorder)
@@ -179,6 +184,7 @@ class Recordings:
         deadline = self._place.monotonic() + seconds
         recorders = self.recorders
         for recorder in recorders:
+            self._define(recorder)
             recorder.end()
         stopped = [recorder.stop(max(0.1, deadline - self._place.monotonic())) for recorder in recorders]
         return self._journal.stop(max(0.1, deadline - self._place.monotonic())) and all(stopped)
@@ -209,7 +215,21 @@ class Recordings:
 
     def _document(self, trace: str, provenance: Mapping[str, Any]) -> dict[str, Any]:
         topics = self.plan.document_topics()
-        return {"rule": self.plan.rule, "trace": trace, "provenance": dict(provenance), "topics": topics}
+        whole = {"rule": self.plan.rule, "trace": trace, "provenance": dict(provenance), "topics": topics}
+        return {**whole, **self._definitions()}
+
+    def _define(self, recorder: Recorder) -> None:
+        """Definitions may have come later than the recording's begin."""
+        if found := self._definitions():
+            recorder.update(found)
+
+    def _definitions(self) -> dict[str, dict[str, str]]:
+        found: dict[str, str] = {}
+        for name in sorted({topic.type for topic in self.plan.topics}):
+            text = self._carried(name)
+            if text and sum(map(len, found.values())) + len(text) <= DEFINITIONS_BYTES_MAX:
+                found[name] = text
+        return {"definitions": found} if found else {}
 
     def _begin(self, one: _Open) -> None:
         self._open.append(one)
