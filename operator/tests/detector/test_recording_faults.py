@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import hashlib
 import random
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import pytest
 
 from robotkube.domain.audits import KILLED, add_up
 from robotkube.domain.examinations import TopicExamination, examine
-from robotkube.domain.recordings import AUDITS, LedgerLine
+from robotkube.domain.recordings import AUDITS, LedgerLine, Write
 from robotkube.services.recording.journal import Journal
 from robotkube.services.recording.places import RecorderPlace, RecordingBounds
 from robotkube.services.recording.recorder import Recorder
@@ -34,11 +34,27 @@ stored without an audit after another one that was killed."""
 SEEDS, SEEDS_THOROUGH = (*range(200), *FOUND), range(200, 3000)
 
 
+class PromptJournal(Journal):
+    """One whose thread is through with everything before whoever adds it can do anything else."""
+
+    turning = False
+
+    def add(self, writes: Iterable[Write], keep: bool = False) -> None:
+        super().add(writes, keep)
+        if not self.turning:
+            self.turning = True
+            self.turn()
+            self.turning = False
+
+
 class History:
     """Processes that record one after another, and the world they do it in."""
 
-    def __init__(self, seed: int, topics: Mapping[str, tuple[str, int, int]] = TOPICS) -> None:
+    def __init__(
+        self, seed: int, topics: Mapping[str, tuple[str, int, int]] = TOPICS, journal: type[Journal] = Journal
+    ) -> None:
         self.random, self.topics = random.Random(seed), topics  # noqa: S311 - not for secrets
+        self.kind_of_journal = journal
         self.database = RecordingDatabase(self.kill_now_and_then)
         self.volume = RecordingVolume(self.kill_now_and_then)
         self.ledgers: dict[str, list[LedgerLine]] = {topic: [] for topic in topics}
@@ -65,7 +81,7 @@ class History:
         """A new process."""
         self.volume.forget_writers()
         place = RecorderPlace(VOLUME, lambda: self.database, self._claim, self.clock_ns, lambda: self.now / 1000)
-        self.journal = Journal(RECORDING, place, BOUNDS)
+        self.journal = self.kind_of_journal(RECORDING, place, BOUNDS)
         document = {"rule": "r", "trace": "", "provenance": {}, "topics": {}}
         self.recorder = Recorder(RECORDING, document, self.journal, place, bounds=BOUNDS)
         self.life = self.recorder.life
@@ -212,6 +228,25 @@ def test_what_is_missing_is_explained_under_many_more_random_faults() -> None:
     for seed in SEEDS_THOROUGH:
         check(seed)
         check(seed, MIXED)
+
+
+def test_the_first_word_of_a_topic_goes_to_the_spool_and_what_follows_waits_in_memory() -> None:
+    history = History(1, journal=PromptJournal)
+    history.journal.turn()
+    history.say("/pose", "document")
+    history.recorder.turn()
+    history.database.away = True
+    for _ in range(3):
+        history.now += 1_000
+        history.say("/pose", "document")
+        history.recorder.turn()
+    assert history.journal.counts.spooled == 0, "the database knows of the topic"
+    waiting = history.journal.waiting
+    assert waiting > 0
+    history.now += 1_000
+    history.say("/cloud", "segment")
+    history.recorder.turn()
+    assert history.journal.counts.spooled > waiting
 
 
 def test_nothing_empty_is_created() -> None:

@@ -123,9 +123,7 @@ class Bookkeeping:
             new = self._audits.keys() - self._told
             changed = new | {name for name, audit in self._audits.items() if due or audit.changed}
         if changed:
-            self._tell(changed)
-        if new:
-            self._journal.keep()
+            self._tell(changed, keep=bool(new))
         return bool(changed)
 
     def close(self) -> None:
@@ -180,7 +178,7 @@ class Bookkeeping:
         if until > since:
             self._of(topic).lack(Gap(topic, RECORDER, KILLED, None, since, until - 1))
 
-    def _tell(self, topics: Iterable[str], closed: bool = False) -> None:
+    def _tell(self, topics: Iterable[str], closed: bool = False, keep: bool = False) -> None:
         now, writes = self._place.clock_ns(), []
         with self._lock:
             for topic in sorted(topics):
@@ -195,7 +193,7 @@ class Bookkeeping:
                 if topic not in self._interrupted:
                     names = self._open_before.pop(topic, ())
                     writes += [Write(AUDITS, name, {"closed": True}, update=True, size=100) for name in names]
-        self._journal.add(writes)
+        self._journal.add(writes, keep)
 
     def _write(self, topic: str, document: dict[str, Any]) -> Write:
         name = f"{self._recording}{topic}/{self.life}"

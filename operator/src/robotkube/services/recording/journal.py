@@ -66,7 +66,8 @@ class Journal:
         self.failed = ""
         self.life = place.clock_ns()
         self._spool: Spool | None = None
-        self._keep, self._away_since = False, float("inf")
+        self._away_since = float("inf")
+        self._kept: Write | None = None
         self._spooled, self._repaired, self._ready, self._make_room = True, False, False, False
         self._waiting: deque[Write] = deque()
         self._waiting_bytes = self._busy = 0
@@ -117,12 +118,14 @@ class Journal:
         if self._listeners.get(listener.recording) is listener:
             del self._listeners[listener.recording]
 
-    def add(self, writes: Iterable[Write]) -> None:
-        """Take writes in; never blocks."""
+    def add(self, writes: Iterable[Write], keep: bool = False) -> None:
+        """Take writes in; never blocks. `keep`: they must be found after a kill, too, so they go to the spool at once
+        when the database is away."""
         with self._lock:
             for write in writes:
                 self._waiting.append(write)
                 self._waiting_bytes += write.size
+                self._kept = write if keep else self._kept
         self._wake.set()
 
     def dropped(self, recording: str) -> int:
@@ -132,10 +135,6 @@ class Journal:
     def audits(self, recording: str) -> list[TopicAudit]:
         """What the journal has given up, by topic."""
         return [audit for (name, _), audit in list(self._audits.items()) if name == recording]
-
-    def keep(self) -> None:
-        """What was added last must be found after a kill, too: it goes to the spool when the database is away."""
-        self._keep = True
 
     def make_room(self) -> None:
         """The disk is full: the oldest file of the spool is to go."""
@@ -239,7 +238,7 @@ class Journal:
             self._problem(f"claim {self._place.volume}: {error}")
         else:
             self._retry_seconds, self._last_problem = RETRY_SECONDS_FIRST, ""
-            self._keep, self._away_since = False, float("inf")
+            self._away_since = float("inf")
 
     def _open_store(self) -> None:
         store = self._place.open_store()
@@ -333,10 +332,15 @@ class Journal:
 
     def _bound_waiting(self) -> None:
         away = self._place.monotonic() - self._away_since
-        if self._waiting_bytes > self._bounds.waiting_bytes or away > SPOOL_SECONDS or (self._keep and away >= 0):
+        if self._waiting_bytes > self._bounds.waiting_bytes or away > SPOOL_SECONDS or (away >= 0 and self._keeps()):
             self._spool_waiting()
         if self._waiting_bytes > 2 * self._bounds.waiting_bytes:
             self._drop_waiting()
+
+    def _keeps(self) -> bool:
+        """Whether writes to be kept still wait."""
+        with self._lock:
+            return any(write is self._kept for write in self._waiting)
 
     def _spool_waiting(self) -> None:
         """Everything that waits becomes one file of the spool; on a full disk the oldest files give way."""
@@ -350,7 +354,7 @@ class Journal:
         except OSError as error:
             self._problem(f"spool on {self._place.volume}: {error}")
             return
-        self._spooled, self._keep, self._away_since = True, False, self._place.monotonic()
+        self._spooled, self._away_since = True, self._place.monotonic()
         self._urgent_told()
         self._doubtful[batch] = len(writes)
         self.counts.spooled += len(writes)
