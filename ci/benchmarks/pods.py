@@ -124,7 +124,10 @@ class Nodes:
         return name
 
     def close(self) -> None:
-        """Take all of it away."""
+        """Take all of it away: what claims these names next finds them free. The links first, because with a namespace
+        they go some time later."""
+        for number in range(len(self._namespaces)):
+            subprocess.run(["ip", "link", "delete", f"{self.prefix}v{number}"], capture_output=True, check=False)
         for name in self._namespaces:
             subprocess.run(["ip", "netns", "delete", name], capture_output=True, check=False)
         for bridge in self._bridges:
