@@ -77,17 +77,18 @@ class McapSegments:
         return places
 
     def settle(self, bytes_max: int) -> None:
-        """Take so many bytes of the file into its digest, as they are on the disk."""
+        """Take so many bytes of the file into its digest, as they are on the disk; nobody here reads them again."""
         file = self._file
         if file is None:
             return
-        end = min(file.size, file.hashed + bytes_max)
+        begin, end = file.hashed, min(file.size, file.hashed + bytes_max)
         while file.hashed < end:
             data = os.pread(file.descriptor, min(HASH_BYTES, end - file.hashed), file.hashed)
             if not data:
                 raise OSError(5, f"{file.name} is shorter than what was written to it")
             file.digest.update(data)
             file.hashed += len(data)
+        os.posix_fadvise(file.descriptor, begin, end - begin, os.POSIX_FADV_DONTNEED)
 
     def close(self) -> None:
         """Finish the current segment: summary, footer, on the disk. Without a segment nothing happens.
