@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from database_server import DatabaseServer
+from ros_domains import domain as ros_domain
 
 from ci.benchmarks import pods
 from robotkube.ports.suites import Account, Object, PodEnd, PodRun
@@ -43,7 +44,7 @@ class LocalRoom:
     seconds_left = 600.0
 
     def __init__(self, folder: Path, server: DatabaseServer | None = None) -> None:
-        self.folder, self.domain_id = folder, 100 + os.getpid() % 100
+        self.folder, self.domain_id = folder, int(ros_domain())
         self.api = ApiServerInMemory()
         self.api.__enter__()
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
