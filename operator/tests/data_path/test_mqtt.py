@@ -16,7 +16,7 @@ from robotkube.adapters import mqtt_paho
 from robotkube.adapters.mqtt_paho import BrokerAccount, PahoChannel
 from robotkube.domain.mqtt_packets import read_number, write_number
 
-WAIT_SECONDS = 10.0
+WAIT_SECONDS = 30.0
 TOPIC = "mqtt/vehicles/vehicle_00/pose"
 
 
