@@ -24,7 +24,7 @@ from robotkube.testing.api_server import ApiServerInMemory
 SOURCE = Path(__file__).resolve().parents[1] / "src"
 CLAIMS = ("/var/lib/robotkube/bags", "/var/lib/robotkube/recordings", "/var/lib/robotkube/scratch")
 DATABASE = "suite"
-STOP_SECONDS_MAX = 5.0
+READY_SECONDS_MAX, STOP_SECONDS_MAX = 60.0, 5.0
 SETTINGS = """
 listener {port} 127.0.0.1
 allow_anonymous false
@@ -113,7 +113,7 @@ class LocalRoom:
         }
 
     def wait_ready(self, kind: str, name: str, seconds: float) -> str:
-        end = time.monotonic() + min(seconds, 20)
+        end = time.monotonic() + min(seconds, READY_SECONDS_MAX)
         while time.monotonic() < end and self.processes[name].poll() is None:
             try:
                 urllib.request.urlopen(f"http://127.0.0.1:{self.ports[name]}/readyz", timeout=1).close()

@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -30,7 +31,7 @@ from robotkube.domain.interfaces import ExpectedTopic
 from robotkube.domain.values_schemas import overlay
 from robotkube.ports.suites import Subject
 from robotkube.services.suite_interface import InterfaceSuite
-from robotkube.services.suite_observing import Bounds
+from robotkube.services.suite_observing import Bounds, InterfaceObserver, World
 
 TOP = LIBRARY.parents[2]
 HEALTH_PORT = '"", 8081'
@@ -214,6 +215,15 @@ def test_a_type_that_is_not_installed_is_said_so(room: LocalRoom, folder: Path) 
     assert "the observer could not look at the chart: exit code 2" in check.found
     assert "message package nowhere_msgs is not installed in this image" in check.found
     assert room.leftovers() == []
+
+
+def test_an_observer_that_shall_end_makes_no_more_messages() -> None:
+    """The first one of a type costs seconds of imports on a busy machine: more than the observer has then."""
+    topic = ExpectedTopic("input", "ros", "in", "/suite/never", "std_msgs/msg/String", "reliable", "volatile")
+    network: Any = SimpleNamespace(advertise=lambda *_: SimpleNamespace(matched=0), endpoints=lambda: ())
+    messages: Any = SimpleNamespace(payload=lambda _: pytest.fail("a message was made"))
+    seen = InterfaceObserver([topic], World(network, messages, time.monotonic, time.sleep, lambda: True), 60.0).run()
+    assert [(answer.input, answer.output) for answer in seen.answers] == [(0, None)]
 
 
 def test_the_observer_ends_on_sigterm_with_what_it_saw(tmp_path: Path) -> None:
