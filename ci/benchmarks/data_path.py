@@ -10,6 +10,7 @@ input. Needs root, ip, nsenter and mosquitto.
 from __future__ import annotations
 
 import argparse
+import http.client
 import json
 import os
 import tempfile
@@ -45,6 +46,7 @@ class Setting:
         rules = {agent: pods.vehicle_rules(agent) for agent in self.agents}
         self.broker = pods.Broker(folder / "broker", {**rules, "cloud-0": pods.CLOUD_RULES})
         self.pods: list[pods.Pod] = []
+        self.players: dict[str, str] = {}  # agent -> address
 
     def close(self) -> None:
         """End everything."""
@@ -80,6 +82,13 @@ class Setting:
     def connected(self, agent: str) -> bool:
         """Whether the agent's bridge has been connected."""
         return '"connected"' in (self.folder / agent / f"{BRIDGE}.log").read_text()
+
+    def heard(self, agent: str) -> bool:
+        """Whether the agent's player has found a subscription for each topic that is bridged: what it publishes before
+        is lost."""
+        lines = _metrics(self.players[agent]).splitlines()
+        none = [f'robotkube_player_matched_subscriptions{{topic="{track.name}"}} 0' for track in self.bridged[agent]]
+        return bool(lines) and not set(none) & set(lines)
 
     def order(self, start: int) -> None:
         """Let all players play from `start` (ns)."""
@@ -148,7 +157,9 @@ class Setting:
         bag = self.folder / "bags" / agent
         self._write_bag(bag, agent)
         settings = {"agent": agent, "bag": str(bag), "ledger": str(self.folder / "ledger" / agent)}
-        self._launch("players", node, agent, "bag-player", "robotkube.entrypoints.player", settings)
+        place = self.nodes.pod(node)
+        self.players[agent] = self.nodes.address(node, place)
+        self._launch("players", node, agent, "bag-player", "robotkube.entrypoints.player", settings, place)
 
     def _write_bag(self, folder: Path, agent: str) -> None:
         bags.write_bag(folder, self.tracks[agent], self.seconds)
@@ -161,6 +172,18 @@ class Setting:
         command = pods.python("ci.benchmarks.receiver", str(self.folder / "received.json"), *options, *topics)
         log = self.folder / "receiver.log"
         self.pods.append(pods.start("detector input", command, {}, log, self.nodes.pod(node)))
+
+
+def _metrics(address: str) -> str:
+    """A pod's metrics; empty when it does not answer."""
+    connection = http.client.HTTPConnection(address, 8081, timeout=5)
+    try:
+        connection.request("GET", "/metrics")
+        return connection.getresponse().read().decode()
+    except (OSError, http.client.HTTPException):
+        return ""
+    finally:
+        connection.close()
 
 
 def _items(tracks: list[bags.Track]) -> list[dict[str, object]]:

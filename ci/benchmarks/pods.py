@@ -7,7 +7,9 @@ the machine itself. Everything made carries the prefix of the instance and is ta
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
+import random
 import shutil
 import signal
 import socket
@@ -24,6 +26,8 @@ STOP_SECONDS_MAX = 5.0
 START_SECONDS_MAX = 10.0
 ROOT = Path(__file__).resolve().parents[2]
 SECOND_BYTES = range(246, 255)  # behind those of the clusters
+PORTS = (12_000, 30_000)  # above the well-known ones, below node ports and the kernel's own choice
+PORT_TRIALS_MAX = 100
 CLOCK_TICKS = os.sysconf("SC_CLK_TCK")
 
 BROKER_SETTINGS = """
@@ -123,6 +127,10 @@ class Nodes:
         _ip("-n", name, "route", "add", "default", "via", self.gateway(node))
         return name
 
+    def address(self, node: int, pod: str) -> str:
+        """The address of a namespace on its node's network."""
+        return f"10.{self.second}.{node}.{10 + int(pod.rpartition('p')[2])}"
+
     def close(self) -> None:
         """Take all of it away: what claims these names next finds them free. The links first, because with a namespace
         they go some time later."""
@@ -180,10 +188,22 @@ def python(module: str, *arguments: str) -> list[str]:
 
 
 def free_port() -> int:
-    """A TCP port that is free now."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+    """A loopback TCP port nobody listens on at this moment.
+
+    Drawn below those that the kernel gives to outgoing connections, so that nothing takes it before its server does,
+    or while its server is away, and at random, so that others beside draw others.
+    """
+    for _ in range(PORT_TRIALS_MAX):
+        port = random.SystemRandom().randrange(*PORTS)
+        with socket.socket() as probe:
+            try:
+                probe.bind(("127.0.0.1", port))
+            except OSError as error:
+                if error.errno != errno.EADDRINUSE:
+                    raise
+                continue
+        return port
+    raise SetUpError(f"no free port among {PORT_TRIALS_MAX} of {PORTS}")
 
 
 @dataclass

@@ -35,6 +35,7 @@ class EventPeer:
     def __init__(self, broker: pods.Broker) -> None:
         account = BrokerAccount("127.0.0.1", broker.port, PEER, pods.password(PEER))
         self.connections, self.heard = 0, list[dict[str, Any]]()
+        self._answers: dict[int, bool] = {}
         self.channel = PahoChannel(lambda: account, f"{PEER}-telemetry", 60, self)
 
     def connected(self, session_kept: bool) -> None:
@@ -43,7 +44,8 @@ class EventPeer:
 
     def disconnected(self) -> None: ...
 
-    def acknowledged(self, token: int, heard: bool) -> None: ...
+    def acknowledged(self, token: int, heard: bool) -> None:
+        self._answers[token] = heard
 
     def rejected(self, token: int, reason: str) -> None:
         pytest.fail(reason)
@@ -58,6 +60,16 @@ class EventPeer:
         """Sends what waits and hears what came."""
         self.channel.turn(time.monotonic())
         self.channel.flush()
+
+    def say(self, topic: str, payload: bytes, properties: bytes) -> None:
+        """Publishes until the broker has somebody for it: who is connected may not have subscribed yet."""
+        heard = False
+        while not heard:
+            self._answers.clear()
+            token = self.channel.publish(topic, payload, False, properties)
+            assert token is not None
+            self.until(lambda token=token: token in self._answers)
+            heard = self._answers[token]
 
     def until(self, condition: Callable[[], object]) -> None:
         """Takes part until the condition holds; fails after `WAIT_SECONDS`."""

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from database_server import DatabaseServer
+from ros_domains import domain as ros_domain
 
 from ci.benchmarks import pods
 from robotkube.ports.suites import Account, Object, PodEnd, PodRun
@@ -23,7 +24,7 @@ from robotkube.testing.api_server import ApiServerInMemory
 SOURCE = Path(__file__).resolve().parents[1] / "src"
 CLAIMS = ("/var/lib/robotkube/bags", "/var/lib/robotkube/recordings", "/var/lib/robotkube/scratch")
 DATABASE = "suite"
-STOP_SECONDS_MAX = 5.0
+READY_SECONDS_MAX, STOP_SECONDS_MAX = 60.0, 5.0
 SETTINGS = """
 listener {port} 127.0.0.1
 allow_anonymous false
@@ -43,7 +44,7 @@ class LocalRoom:
     seconds_left = 600.0
 
     def __init__(self, folder: Path, server: DatabaseServer | None = None) -> None:
-        self.folder, self.domain_id = folder, 100 + os.getpid() % 100
+        self.folder, self.domain_id = folder, int(ros_domain())
         self.api = ApiServerInMemory()
         self.api.__enter__()
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
@@ -112,7 +113,7 @@ class LocalRoom:
         }
 
     def wait_ready(self, kind: str, name: str, seconds: float) -> str:
-        end = time.monotonic() + min(seconds, 20)
+        end = time.monotonic() + min(seconds, READY_SECONDS_MAX)
         while time.monotonic() < end and self.processes[name].poll() is None:
             try:
                 urllib.request.urlopen(f"http://127.0.0.1:{self.ports[name]}/readyz", timeout=1).close()

@@ -61,6 +61,7 @@ class RecordedWay(Setting):
         self.begin()
         until(lambda: all(map(self.connected, (*self.agents, "cloud-0"))), "bridges connected", START_SECONDS_MAX)
         until(lambda: answers(self.recorder_address), "the recorder is ready", START_SECONDS_MAX)
+        until(lambda: all(map(self.heard, self.agents)), "the players are heard", START_SECONDS_MAX)
         start = time.time() + LEAD_SECONDS
         self.order(int(start * SECOND))
         time.sleep(max(0.0, start + killed_after - time.time()))
@@ -69,7 +70,8 @@ class RecordedWay(Setting):
         self.broker.start()
         until(lambda: len(list(self._ended())) == 4, "the bags end", self.seconds + START_SECONDS_MAX)
         until(self._drained, "the last messages are stored", DRAIN_SECONDS_MAX)
-        self.recorder.stop()
+        self.recorder.process.terminate()
+        self.recorder.process.wait(DRAIN_SECONDS_MAX)  # it bounds its end itself
         assert self.recorder.process.returncode == 0, (self.folder / "cloud-0" / "event-detector.log").read_text()
 
     def close(self) -> None:
@@ -145,7 +147,7 @@ class RecordedWay(Setting):
             ],
         }
         place = self.nodes.pod(node)
-        self.recorder_address = f"{self.nodes.gateway(node)[:-2]}.{10 + int(place.rpartition('p')[2])}"
+        self.recorder_address = self.nodes.address(node, place)
         self.recorder = self._launch(
             "recorder", node, "cloud-0", "event-detector", "robotkube.entrypoints.detector", settings, place
         )

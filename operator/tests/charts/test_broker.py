@@ -23,8 +23,8 @@ from robotkube.services.bridge import Bridge
 from robotkube.services.bridge_flows import Sender
 from robotkube.services.ownership import Ownership
 
-START_SECONDS_MAX = 10.0
-ANSWER_SECONDS_MAX = 5.0
+START_SECONDS_MAX = 30.0
+ANSWER_SECONDS_MAX = 30.0
 QUIET_SECONDS = 0.3
 PROFILES = Path(__file__).parent / "profiles"
 PLATFORM = Path(__file__).resolve().parents[3] / "charts" / "robotkube"

@@ -16,6 +16,7 @@ from installed_chart import CHART, Cluster, prepared_cluster
 from kubernetes import client, config
 from programs import free_port, program
 from proximity import SETTINGS as DETECTOR
+from ros_domains import domain as ros_domain
 from waiting import until
 
 from robotkube.domain.texts import write_mapping
@@ -191,7 +192,7 @@ def test_a_detector_tells_of_a_bad_rule_file_by_its_own_account(
         "ROBOTKUBE_CONFIG": str(tmp_path / "config.yaml"),
         "ROBOTKUBE_CONFIGMAP": "cloud-0/event-detector",
         "ROBOTKUBE_HEALTH_PORT": str(port),
-        "ROS_DOMAIN_ID": str(100 + os.getpid() % 100),
+        "ROS_DOMAIN_ID": ros_domain(),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         "PYTHONPATH": os.pathsep.join(sys.path),
     }

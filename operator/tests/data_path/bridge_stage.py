@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import socket
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -65,14 +66,20 @@ class Stage:
             time.sleep(POSE_SECONDS / 2)
 
     def ready(self) -> None:
-        """Returns when both are connected and the vehicle's messages are heard."""
+        """Returns when both are connected and the broker has what the cloud asks for."""
         self.until(lambda: self.vehicle.bridge.complaint is None and self.cloud.bridge.complaint is None)
-        for _ in range(20):
-            self.turn()
-            time.sleep(POSE_SECONDS)
+        self.until(lambda: not any(channel._subscribing for channel in self.cloud.channels.values()))
 
-    def play(self, seconds: float, *topics: tuple[dict[str, str], float]) -> None:
-        """Publish `topics` (with their hertz) in real time; message k has stamp k."""
+    def connection_of(self, side: Side) -> socket.socket:
+        """The connection of a side's telemetry, once the broker has taken it."""
+        channel = side.channels["telemetry"]
+        self.until(lambda: channel.complaint is None)
+        found: socket.socket = channel.socket
+        return found
+
+    def play(self, seconds: float, *topics: tuple[dict[str, str], float], singly: bool = False) -> None:
+        """Publish `topics` (with their hertz) in real time; message k has stamp k. `singly`: a frame for each, also
+        when this machine has come to a halt for a moment."""
         begin = time.monotonic()
         first = {topic["name"]: self.sent.get(topic["name"], 0) for topic, _ in topics}
         while (elapsed := time.monotonic() - begin) < seconds:
@@ -82,6 +89,8 @@ class Stage:
                     number = self.sent.get(name, 0)
                     self.vehicle.endpoint(topic).waiting.append(message(number, number, 200))
                     self.sent[name] = number + 1
+                    if singly:
+                        self.turn()
             self.turn()
             time.sleep(POSE_SECONDS / 2)
 
@@ -95,7 +104,7 @@ class Stage:
 
     def restart_broker(self, away: float, *topics: tuple[dict[str, str], float]) -> None:
         self.broker.stop(signal.SIGKILL)
-        self.play(away, *topics)
+        self.play(away, *topics, singly=True)
         self.broker.start()
 
 

@@ -58,7 +58,7 @@ def test_a_connection_that_breaks_loses_and_doubles_nothing(stage: Stage) -> Non
     stage.ready()
     for side in (stage.vehicle, stage.cloud, stage.vehicle):
         stage.play(0.5, (POSE, 400.0))
-        side.channels["telemetry"].socket.shutdown(socket.SHUT_RDWR)
+        stage.connection_of(side).shutdown(socket.SHUT_RDWR)
     stage.play(2.0, (POSE, 400.0))
     stage.drained(POSE)
     assert stage.received(POSE) == list(range(stage.sent[POSE["name"]]))

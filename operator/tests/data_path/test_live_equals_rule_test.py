@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import json
 import os
-import socket
 import struct
 import subprocess
 import sys
-import time
 import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
@@ -16,6 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from programs import free_port
+from ros_domains import domain as ros_domain
 from waiting import until
 
 from robotkube.adapters.bag_writing import BagWriter
@@ -26,7 +26,7 @@ from robotkube.entrypoints import cli
 POSE = "geometry_msgs/msg/PoseStamped"
 AGENTS = ("vehicle-00", "vehicle-01")
 SECONDS, HERTZ = 8, 20
-LEAD_SECONDS, LIVE_SECONDS_MAX = 6.0, 60.0
+LEAD_SECONDS, LIVE_SECONDS_MAX = 1, 60.0
 SETTINGS = {
     "name": "cloud-0/live",
     "topics": [{"name": "/vehicles/{agent}/pose", "type": POSE}],
@@ -50,9 +50,14 @@ from robotkube.adapters.ros_rclpy import RosNode
 from robotkube.domain.bags import Run
 from robotkube.entrypoints.player import WallClock
 from robotkube.services.player import Player
-folder, start = Path(sys.argv[1]), int(sys.argv[2])
+folder, lead = Path(sys.argv[1]), int(sys.argv[2])
 player = Player(RosNode("player"), open_bag(folder), LedgerFiles(folder / "ledger"), WallClock(),
-                lambda *a, **k: None, lambda: player.counts.runs > 0 and time.time_ns() > start + 9_000_000_000)
+                lambda *a, **k: None, lambda: False)
+while not all(player.matched.values()):
+    time.sleep(0.01)
+start = (int(time.time()) + 1 + lead) * 1_000_000_000
+folder.with_name("start.part").write_text(str(start))
+folder.with_name("start.part").rename(folder.with_name("start"))
 player.order(Run("run", start))
 player.serve()
 """
@@ -66,7 +71,9 @@ def pose(stamp: int, x: float, y: float) -> bytes:
 
 def write(folder: Path) -> None:
     """Two that meet and part on two lanes."""
-    topics = [BagTopic(f"/vehicles/{a.replace('-', '_')}/pose", POSE, "reliable", "volatile", 100) for a in AGENTS]
+    topics = [
+        BagTopic(f"/vehicles/{a.replace('-', '_')}/pose", POSE, "reliable", "volatile", SECONDS * HERTZ) for a in AGENTS
+    ]
     with BagWriter(folder, topics) as writer:
         for step in range(SECONDS * HERTZ):
             offset = step * 1_000_000_000 // HERTZ
@@ -82,7 +89,7 @@ def spawn(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
     def spawn(*words: str, **variables: str) -> subprocess.Popen[bytes]:
         environment = {
             **os.environ,
-            "ROS_DOMAIN_ID": str(100 + (os.getpid() + 37) % 100),
+            "ROS_DOMAIN_ID": ros_domain(),
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
             "ROS_LOG_DIR": str(tmp_path / "ros"),
             "PYTHONPATH": os.pathsep.join(sys.path),
@@ -119,13 +126,12 @@ def test_live_equals_rule_test(
     write(tmp_path / "bag")
     settings = tmp_path / "config.yaml"
     settings.write_text(write_mapping(SETTINGS))
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = int(probe.getsockname()[1])
+    port = free_port()
     spawn("-m", "robotkube.entrypoints.detector", ROBOTKUBE_CONFIG=str(settings), ROBOTKUBE_HEALTH_PORT=str(port))
     until(lambda: "events" in page(port, "/events"), "the detector answers")
-    start = (int(time.time() + LEAD_SECONDS) + 1) * 1_000_000_000
-    spawn("-c", PLAY, str(tmp_path / "bag"), str(start))
+    spawn("-c", PLAY, str(tmp_path / "bag"), str(LEAD_SECONDS))  # begins when the detector listens
+    until((tmp_path / "start").exists, "the player begins")
+    start = int((tmp_path / "start").read_text())
     capsys.readouterr()
     assert cli.main(["rule", "test", str(settings), str(tmp_path / "bag"), "--start", str(start), "-o", "json"]) == 0
     expected = edges(json.loads(capsys.readouterr().out))

@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 from event_peer import EventPeer, broker_for_events
 from programs import free_port
+from ros_domains import domain as ros_domain
 from rule_stage import number
 
 from ci.benchmarks import pods
@@ -47,7 +48,7 @@ def test_a_type_that_is_not_installed_comes_with_its_definition(broker: pods.Bro
     environment = {
         **os.environ,
         "PYTHONPATH": os.pathsep.join(sys.path),
-        "ROS_DOMAIN_ID": str(100 + os.getpid() % 100),
+        "ROS_DOMAIN_ID": ros_domain(),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         "ROBOTKUBE_CONFIG": str(tmp_path / "config.yaml"),
         "ROBOTKUBE_SECRETS": str(broker.secret("cloud-0", "127.0.0.1")),
@@ -58,8 +59,7 @@ def test_a_type_that_is_not_installed_comes_with_its_definition(broker: pods.Bro
     peer, frames = EventPeer(broker), iter(range(1000))
 
     def say(value: float) -> None:
-        frame = encode_frame(1, next(frames), [number(value)])
-        assert peer.channel.publish(TOPIC, frame, False, type_properties(TYPE, "")) is not None
+        peer.say(TOPIC, encode_frame(1, next(frames), [number(value)]), type_properties(TYPE, ""))
 
     def status() -> Any:
         with urllib.request.urlopen(f"http://127.0.0.1:{port}/status", timeout=5) as answer:

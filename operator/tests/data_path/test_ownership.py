@@ -218,8 +218,9 @@ def test_the_watch_reads_again_when_it_is_asked_and_says_when_it_did() -> None:
         until(lambda: (watch.read_at or 0.0) >= before)
         assert watch.complaint is None
     until(lambda: watch.interrupted_at is not None)
-    with ApiServerInMemory(port=port) as server:
-        server.put_config_map("a", "m", {"n": "1"})
+    again = ApiServerInMemory(port=port)
+    again.put_config_map("a", "m", {"n": "1"})  # before it answers: the watch tries again all the time
+    with again as server:
         watch.read_again()
         until(lambda: watch.interrupted_at is None)
         server.put_config_map("a", "m", {"n": "2"})

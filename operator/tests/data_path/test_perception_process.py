@@ -15,6 +15,7 @@ from typing import Any
 
 import perception
 import pytest
+from ros_domains import domain as ros_domain
 from waiting import until
 
 from ci.benchmarks import pods
@@ -47,7 +48,8 @@ DETECTION = {
     "rangeMetres": 60,
     "pointsMin": 4,
 }
-TRACKING = {"objects": "/v/objects", "tracks": "/v/tracks", "motion": "steady", "gateMetres": 4, "gapSeconds": 1}
+# a pause of this machine between two clouds, however long, is no gap that ends a track
+TRACKING = {"objects": "/v/objects", "tracks": "/v/tracks", "motion": "steady", "gateMetres": 4, "gapSeconds": 60}
 
 
 class Stage:
@@ -60,7 +62,7 @@ class Stage:
     def run(self, name: str, *arguments: str, **environment: str) -> subprocess.Popen[bytes]:
         variables = {
             **os.environ,
-            "ROS_DOMAIN_ID": str(100 + os.getpid() % 100),
+            "ROS_DOMAIN_ID": ros_domain(),
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
             "ROS_LOG_DIR": str(self.folder / "ros"),
             "PYTHONPATH": os.pathsep.join(sys.path),
@@ -108,17 +110,16 @@ def test_a_vehicle_in_live_clouds_gets_an_identity(stage: Stage) -> None:
         found = (json.loads(line) for line in stage.lines("sender") if line.startswith("{"))
         return [document for document in found if document["tracks"]]
 
-    until(lambda: len(tracked()) >= 5)
+    until(lambda: len(tracked()) >= 5 and "uncertainty 12" in stage.lines("sender"))
     assert {track["id"] for document in tracked() for track in document["tracks"]} == {1}
     [track] = tracked()[-1]["tracks"]
     assert math.dist((track["x"], track["y"]), perception.seen_at(other)) < 0.5
     assert tracked()[-1]["frame"] == perception.FRAME
-    assert "uncertainty 12" in stage.lines("sender")
     for (process, port), word in zip(services, ("detection", "tracking"), strict=True):
         assert page(port, "/readyz") == page(port, "/livez") == "ok\n"
         assert f"robotkube_{word}_malformed_messages_total 0" in page(port, "/metrics")
         process.send_signal(signal.SIGTERM)
-        assert process.wait(3.0) == 0
+        assert process.wait(30) == 0  # its own bound makes it another number
 
 
 @pytest.mark.parametrize(

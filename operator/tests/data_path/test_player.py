@@ -85,6 +85,7 @@ def test_messages_are_stamped_on_the_grid_and_ledgered(tmp_path: Path) -> None:
     ]
     assert world.ledger("one", "__t")[-1] == {"end": True, "count": 1}
     assert world.player.counts.late == 0
+    assert 'robotkube_player_matched_subscriptions{topic="/p"} 1\n' in world.player.metrics()
 
 
 def test_it_is_silent_without_an_order(tmp_path: Path) -> None:

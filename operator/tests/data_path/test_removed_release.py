@@ -29,7 +29,7 @@ def body(process):
     assert process.stopping.wait(10)
     print("returned", flush=True)
 
-run("worker", body, grace_seconds=1.0)
+run("worker", body, grace_seconds=30.0)
 """
 
 
@@ -76,4 +76,4 @@ def test_it_stays_idle_until_it_is_told_to_end() -> None:
         assert '"event": "ended"' in found.stderr.readline()
         assert found.poll() is None  # else the kubelet would start it again
         found.send_signal(signal.SIGTERM)
-        assert found.wait(10) == 0
+        assert found.wait(30) == 0

@@ -120,8 +120,9 @@ def test_what_waited_over_a_cut_is_sent_by_one_of_both(tmp_path: Path, taken_ove
         for _ in range(TURNS_AFTER):  # the broker takes everything, and nobody has said yet whose release it is
             stage.turn()
         assert stage.receiver.messages == [b"before"]
-        with ApiServerInMemory(port=port) as after:
-            after.put_config_map("a", "bridge", None if taken_over else SETTINGS)
+        after = ApiServerInMemory(port=port)
+        after.put_config_map("a", "bridge", None if taken_over else SETTINGS)  # before it answers: the watch asks it
+        with after:
             stage.watch.read_again()
             if taken_over:
                 stage.until(lambda: stage.ownership.lost)

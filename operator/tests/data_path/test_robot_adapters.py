@@ -175,11 +175,11 @@ PROGRAMS = {
 }
 
 
-def program(name: str) -> subprocess.Popen[str]:
+def program(name: str, grace_seconds: float = WAIT_SECONDS) -> subprocess.Popen[str]:
     text = (
         "from robotkube.entrypoints.processes import run\n"
         "from robotkube.domain.errors import InputError, UnavailableError\n"
-        f"def body(p):\n    {PROGRAMS[name]}\nrun('test', body, 0.5)\n"
+        f"def body(p):\n    {PROGRAMS[name]}\nrun('test', body, {grace_seconds})\n"
     )
     return subprocess.Popen(
         [sys.executable, "-c", text], stderr=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": str(SOURCE)}
@@ -197,9 +197,9 @@ def test_exit_codes_and_last_line(name: str, code: int, words: str) -> None:
     assert words in json.loads(errors.splitlines()[-1])["error"]
 
 
-@pytest.mark.parametrize(("name", "code"), [("ends", 0), ("hangs", 1)])
-def test_sigterm_ends_a_process_in_time(name: str, code: int) -> None:
-    process = program(name)
+@pytest.mark.parametrize(("name", "code", "grace_seconds"), [("ends", 0, WAIT_SECONDS), ("hangs", 1, 0.5)])
+def test_sigterm_ends_a_process_in_time(name: str, code: int, grace_seconds: float) -> None:
+    process = program(name, grace_seconds)
     assert process.stderr is not None
     process.stderr.readline()
     process.send_signal(signal.SIGTERM)

@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 from programs import free_port
+from ros_domains import domain as ros_domain
 from waiting import until
 
 from robotkube.adapters.mongodb_pymongo import Account, PymongoRecordingReader, connect
@@ -27,7 +28,6 @@ from robotkube.services.recordings import first_stamps, read_ledger, stored_mess
 DATABASE, RECORDING = "recordings_cloud_0", "task-1"
 PUBLISHER = Path(__file__).parents[1] / "publisher.py"
 SECONDS_MAX = 30.0
-MS = 1_000_000
 TYPES = {
     "pose": ("geometry_msgs/msg/PoseStamped", "document", "volatile", 1000),
     "cloud": ("sensor_msgs/msg/PointCloud2", "segment", "volatile", 50),
@@ -76,7 +76,7 @@ class Site:
     def start(self, *arguments: str, **environment: str) -> subprocess.Popen[str]:
         variables = {
             **os.environ,
-            "ROS_DOMAIN_ID": str(100 + os.getpid() % 100),
+            "ROS_DOMAIN_ID": ros_domain(),
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
             "ROS_LOG_DIR": str(self.folder / "ros"),
             "PYTHONPATH": os.pathsep.join(sys.path),
@@ -106,6 +106,16 @@ class Site:
 
     def until_stored(self, count: int) -> None:
         until(lambda: self.database["segments_index"].count_documents({}) >= count)
+
+    def until_every_topic_is_stored(self) -> None:
+        """Each has its own moment at which publisher and recorder find each other."""
+        names = [(name, "segments_index" if name.endswith("cloud") else "samples") for name in TOPICS]
+        until(lambda: all(self.database[place].count_documents({"topic": name}) for name, place in names))
+
+    def received_up_to(self) -> int:
+        """The last stamp that the recorder says it has of every stream."""
+        audits = [audit for audit in self.reader.audits(RECORDING) if not audit["topic"].endswith("transform")]
+        return min(int(audit["window"][1]) for audit in audits)
 
     def ledgers(self) -> dict[str, list[LedgerLine]]:
         found = {}
@@ -137,6 +147,7 @@ def site(server: Any, tmp_path: Path) -> Iterator[Site]:
 def test_sigterm_in_mid_write_leaves_a_complete_recording(site: Site) -> None:
     publisher, recorder = site.publish(), site.record()
     site.until_stored(40)
+    site.until_every_topic_is_stored()
     ended_at = time.time_ns()
     recorder.send_signal(signal.SIGTERM)
     assert recorder.wait(SECONDS_MAX) == 0
@@ -144,7 +155,7 @@ def test_sigterm_in_mid_write_leaves_a_complete_recording(site: Site) -> None:
     publisher.wait(SECONDS_MAX)
 
     first = first_stamps(site.reader, RECORDING)
-    window = (max(first.values()), ended_at - 100 * MS)
+    window = (max(first.values()), site.received_up_to())
     ledgers = {name: lines for name, lines in site.ledgers().items() if not name.endswith("transform")}
     verdict = verify(site.reader, site.segments, RECORDING, ledgers, window)
     assert verdict.complete, verdict
@@ -168,9 +179,8 @@ def test_a_killed_recorder_leaves_everything_acknowledged_readable(site: Site) -
     first.kill()
     first.wait(SECONDS_MAX)
     kept = {(m.topic, m.stamp, m.sha256) for m in stored_messages(site.reader, site.segments, RECORDING)}
-    ledgers = {(name, line.stamp, line.sha256) for name in TOPICS for line in partial(site, name)}
     assert len(kept) > 100
-    assert kept <= ledgers, "every stored message is readable and equals what was published"
+    until(lambda: kept <= published(site), "every stored message is readable and equals what was published")
 
     before = site.database["segments_index"].count_documents({})
     second = site.record()
@@ -185,6 +195,11 @@ def test_a_killed_recorder_leaves_everything_acknowledged_readable(site: Site) -
         assert (topic.duplicates, topic.mismatches, topic.unknown, topic.unreadable) == ((), (), (), ())
     assert kept <= {(m.topic, m.stamp, m.sha256) for m in stored_messages(site.reader, site.segments, RECORDING)}
     assert len(list((site.folder / "claim" / RECORDING).iterdir())) == 2
+
+
+def published(site: Site) -> set[tuple[str, int, str]]:
+    """What the publisher has written down by now, after it has published it."""
+    return {(name, line.stamp, line.sha256) for name in TOPICS for line in partial(site, name)}
 
 
 def partial(site: Site, name: str) -> list[LedgerLine]:
@@ -214,7 +229,8 @@ def test_a_topic_that_nobody_can_read_does_not_spoil_the_rest(site: Site) -> Non
     (site.folder / "config.yaml").write_text(write_mapping(changed))
     publisher, port = site.publish(), free_port()
     recorder = site.record(port)
-    site.until_stored(10)
+    site.until_every_topic_is_stored()
+    until(lambda: strange in state(port)[1])
     status, told = state(port)
     assert (status, strange in told, "strange_msgs" in told) == (503, True, True), told
     recorder.send_signal(signal.SIGTERM)
@@ -241,8 +257,7 @@ def test_readiness_names_what_is_missing(site: Site, server: Any) -> None:
     server.kill()
     port = free_port()
     process = site.record(port)
-    until(lambda: state(port)[0] == 503)
-    assert "database or claim has not answered yet: task-1" in state(port)[1]
+    until(lambda: state(port)[0] == 503 and "database or claim has not answered yet: task-1" in state(port)[1])
     server.start()
     until(lambda: state(port)[0] == 200)
     process.send_signal(signal.SIGTERM)

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 from detector_process import SECONDS_MAX, Api
 from proximity import SETTINGS
+from ros_domains import domain as ros_domain
 
 from robotkube.domain.texts import write_mapping
 
@@ -43,7 +44,7 @@ def start(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
     def start(*arguments: str, **environment: str) -> subprocess.Popen[str]:
         variables = {
             **os.environ,
-            "ROS_DOMAIN_ID": str(100 + os.getpid() % 100),
+            "ROS_DOMAIN_ID": ros_domain(),
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
             "ROS_LOG_DIR": str(tmp_path / "ros"),
             "PYTHONPATH": os.pathsep.join(sys.path),

@@ -48,6 +48,7 @@ def test_one_process_at_a_time_and_a_killed_one_frees_the_lock(monkeypatch: pyte
         with pytest.raises(SetUpError, match="starting or stopping a cluster"), one_at_a_time():
             pass
         other.kill()
+        other.wait(30)
     with one_at_a_time():
         pass
 

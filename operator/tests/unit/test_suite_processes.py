@@ -1,7 +1,8 @@
 """Suites in processes of their own: results come back; hanging, crashing and flooding ends the process and no other."""
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 import pytest
@@ -56,6 +57,22 @@ def test_stopping_ends_what_runs(suites: ForkedSuites, tmp_path: Path) -> None:
     suites.stop()
     thread.join(10)
     assert errors == ["the suite's process ended without a result (SIGKILL; SIGKILL is mostly a lack of memory)"]
+
+
+def test_stopping_ends_what_has_just_been_started(
+    suites: ForkedSuites, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    start: Callable[[BaseProcess], None] = suites._context.Process.start
+
+    def start_while_it_is_stopped(process: BaseProcess) -> None:
+        start(process)
+        stopping = threading.Thread(target=suites.stop)
+        stopping.start()
+        stopping.join(0.2)
+
+    monkeypatch.setattr(suites._context.Process, "start", start_while_it_is_stopped)
+    with pytest.raises(RobotKubeError, match=r"ended without a result .SIGKILL"):
+        suites.execute(make_request(seconds=5, command=("hang", str(tmp_path / "processes"))), "")
 
 
 @pytest.mark.parametrize(

@@ -60,10 +60,10 @@ class ForkedSuites:
         ours, theirs = self._context.Pipe(duplex=False)
         process = self._context.Process(target=_body, args=(self._target, payload, room, theirs), daemon=True)
         with ours:
-            process.start()
-            theirs.close()
-            with self._lock:
+            with self._lock:  # who stops meanwhile kills it, too
+                process.start()
                 self._running.add(process)
+            theirs.close()
             try:
                 return _result(process, ours, seconds, allowed_seconds)
             finally:

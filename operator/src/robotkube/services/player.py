@@ -106,9 +106,14 @@ class Player:
     def metrics(self) -> str:
         """Counters in Prometheus' text format."""
         counts = self.counts
+        matched = "".join(
+            f'robotkube_player_matched_subscriptions{{topic="{name}"}} {count}\n'
+            for name, count in self.matched.items()
+        )
         return (
             f"robotkube_player_messages_total {counts.published}\nrobotkube_player_late_messages_total {counts.late}\n"
             f"robotkube_player_skipped_messages_total {counts.skipped}\nrobotkube_player_runs_total {counts.runs}\n"
+            f"{matched}"
         )
 
     def _play(self, run: Run) -> None:

@@ -189,7 +189,9 @@ class InterfaceObserver:
         return sum(n for (medium, name), n in self._heard.items() if medium == topic.medium and topic.matches(name))
 
     def _ask(self, place: int, topic: ExpectedTopic) -> Answer:
-        """Send messages to one input until an output shows something."""
+        """Send messages to one input until an output shows something; none any more when the observer shall end."""
+        if self.world.stopped():
+            return Answer(place, None, 0.0)
         outputs = outputs_of(self.expected, topic)
         self._quiet(outputs)
         before = {output: self._shown(self.expected[output]) for output in outputs}

@@ -486,14 +486,14 @@ class Recorder:
         """Make the recording's document, or take up the one that is there."""
         if self._begun:
             return
-        with self._lock:
+        volume = self._place.volume
+        with self._lock:  # no update may come before the document
             self._begun = True
             document = {"recording": self.recording, **self._document, "started": self.life}
-        volume = self._place.volume
-        self._journal.add([
-            Write(RECORDINGS, self.recording, {**document, "volumes": [volume], "ended": None}, size=1000),
-            Write(RECORDINGS, self.recording, taken_up(document), update=True, size=1000, add={"volumes": volume}),
-        ])  # fmt: skip
+            self._journal.add([
+                Write(RECORDINGS, self.recording, {**document, "volumes": [volume], "ended": None}, size=1000),
+                Write(RECORDINGS, self.recording, taken_up(document), update=True, size=1000, add={"volumes": volume}),
+            ])  # fmt: skip
 
 
 def _digest(data: bytes) -> str:
