@@ -28,6 +28,7 @@ ROOT = Path(__file__).resolve().parents[2]
 SECOND_BYTES = range(246, 255)  # behind those of the clusters
 PORTS = (12_000, 30_000)  # above the well-known ones, below node ports and the kernel's own choice
 PORT_TRIALS_MAX = 100
+_given: set[int] = set()
 CLOCK_TICKS = os.sysconf("SC_CLK_TCK")
 
 BROKER_SETTINGS = """
@@ -191,10 +192,15 @@ def free_port() -> int:
     """A loopback TCP port nobody listens on at this moment.
 
     Drawn below those that the kernel gives to outgoing connections, so that nothing takes it before its server does,
-    or while its server is away, and at random, so that others beside draw others.
+    or while its server is away, and at random, so that others beside draw others. A server may listen much later, and
+    now and then only: no port is given twice, and workers of one test run draw from ports of their own.
     """
+    worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
+    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
     for _ in range(PORT_TRIALS_MAX):
-        port = random.SystemRandom().randrange(*PORTS)
+        port = random.SystemRandom().randrange(PORTS[0] + worker, PORTS[1], workers)
+        if port in _given:
+            continue
         with socket.socket() as probe:
             try:
                 probe.bind(("127.0.0.1", port))
@@ -202,6 +208,7 @@ def free_port() -> int:
                 if error.errno != errno.EADDRINUSE:
                     raise
                 continue
+        _given.add(port)
         return port
     raise SetUpError(f"no free port among {PORT_TRIALS_MAX} of {PORTS}")
 

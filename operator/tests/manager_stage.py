@@ -10,6 +10,7 @@ from typing import Any
 
 import yaml
 from signed_evidence import PLATFORM, POLICY_TEXT, Signing, signing_key, trusting
+from waiting import WAIT_SECONDS_MAX
 
 from robotkube.adapters.schemas_jsonschema import validate
 from robotkube.adapters.templates_jinja2 import Jinja2Templates
@@ -64,6 +65,14 @@ def catalogue_files(signing: Signing) -> dict[str, str]:
         document["status"] = {**status, "policy": signing.policy.digest}
         files |= {str(path.relative_to(REGISTRY)): yaml.safe_dump(document), **schema}
     return {**files, "policies/release.yaml": "assurance: verified\n", "policies/verification.yaml": POLICY_TEXT}
+
+
+class UntilPaused(threading.Event):
+    """Ends the loop that waits for it, which the manager's does after a failed step."""
+
+    def wait(self, timeout: float | None = None) -> bool:
+        self.set()
+        return True
 
 
 class Stage:
@@ -124,10 +133,12 @@ class Stage:
 
     def fail(self) -> None:
         """One turn of the loop in which the world does not answer."""
-        stopping = threading.Event()
-        threading.Timer(0.2, stopping.set).start()
+        stopping = UntilPaused()
+        bound = threading.Timer(WAIT_SECONDS_MAX, stopping.set)
+        bound.start()
         self.manager.wake(TASKS)
         self.manager.run(stopping)
+        bound.cancel()
 
     def settle(self) -> None:
         """Propose, merge, let Argo CD finish, observe."""

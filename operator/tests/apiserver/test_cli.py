@@ -2,13 +2,15 @@
 
 import io
 import json
-import threading
+from collections.abc import Mapping
 from pathlib import Path
+from typing import TextIO
 
 import pytest
 from api_calls import TASKS, Api
 from api_server import ApiServerProcess
 
+from robotkube.entrypoints import cli_watching
 from robotkube.entrypoints.cli import main
 
 
@@ -87,12 +89,19 @@ def test_submitting_by_options_and_waiting(line: Line, api: Api) -> None:
     assert line.run("task", "withdraw", "cloud-0/waits")[0] == 0
 
 
-def test_watching(line: Line, api: Api) -> None:
+def test_watching(line: Line, api: Api, monkeypatch: pytest.MonkeyPatch) -> None:
     api.task("watched")
     condition = {"type": "Accepted", "status": "True", "reason": "Accepted", "message": "yes"}
     conditions = [{**condition, "lastTransitionTime": "2026-11-21T10:00:00Z"}]
     api.merge(f"{TASKS}/watched/status", {"status": {"conditions": conditions}})
-    threading.Timer(1.0, lambda: api.delete(f"{TASKS}/watched")).start()
+    write_change = cli_watching.write_change
+
+    def write_and_withdraw(change: Mapping[str, str], form: str, stream: TextIO) -> None:
+        write_change(change, form, stream)
+        if change["condition"] == "Accepted":
+            api.delete(f"{TASKS}/watched")
+
+    monkeypatch.setattr(cli_watching, "write_change", write_and_withdraw)
     code, out, _ = line.run("task", "watch", "cloud-0/watched", "--seconds", "20", "--output", "json")
     found = [json.loads(text) for text in out.splitlines()]
     assert (code, [row["condition"] for row in found]) == (0, ["Submitted", "Accepted", "Withdrawn"])

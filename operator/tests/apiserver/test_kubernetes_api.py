@@ -58,7 +58,7 @@ def test_tasks_are_seen_and_their_statuses_written_without_waking_again(api: Api
     api.task("one")
     until(lambda: seen.task_names() == ["one"], "task seen")
     assert read_task(seen.world.tasks()[0]).parameters == {"deep": {"x": 1}}
-    assert "tasks" in seen.woken
+    until(lambda: "tasks" in seen.woken, "the task told")
     condition = {"type": "Accepted", "status": "True", "reason": "Accepted", "message": "m"}
     condition["lastTransitionTime"] = "2026-11-21T10:00:00Z"
     status = {"conditions": [condition], "plan": "p1", "releases": ["cloud-0/a"]}
@@ -70,6 +70,7 @@ def test_tasks_are_seen_and_their_statuses_written_without_waking_again(api: Api
     assert seen.woken == []
     api.delete(f"{TASKS}/one")
     until(lambda: seen.task_names() == [], "deletion seen")
+    until(lambda: seen.woken, "the deletion told")
     assert seen.woken == ["tasks"]
     assert not seen.world.patch_status("cloud-0", "one", status)
 
@@ -111,11 +112,13 @@ def test_nodes_of_agents(api: Api, seen: Seen) -> None:
     ready = {"type": "Ready", "status": "True", "lastTransitionTime": "2026-11-21T10:00:00Z"}
     api.merge("/api/v1/nodes/n1/status", {"status": {"conditions": [ready]}})
     until(lambda: seen.world.nodes()[0].ready, "ready")
+    until(lambda: seen.woken.count("nodes") == 2, "its coming and its readiness told")
     seen.woken.clear()
     heartbeat = {**ready, "lastHeartbeatTime": "2026-11-21T10:05:00Z"}
     api.merge("/api/v1/nodes/n1/status", {"status": {"conditions": [heartbeat]}})
     api.merge("/api/v1/nodes/n1", {"spec": {"unschedulable": True}})
     until(lambda: seen.world.nodes()[0].cordoned, "cordoned")
+    until(lambda: seen.woken, "the cordon told")
     assert seen.woken == ["nodes"]
     for name in ("n1", "other"):
         api.delete(f"/api/v1/nodes/{name}")

@@ -49,6 +49,7 @@ def test_a_nodes_hold_is_seen_wakes_the_manager_and_ends(server: ApiServerProces
     with watching(server, woken) as world:
         api.node("v1", "vehicle")
         until(lambda: [node.ready for node in world.nodes()] == [True], "node seen")
+        until(lambda: woken.count("nodes") == 2, "its coming and its readiness told")
         woken.clear()
         hold_and_release(api, world, woken)
         api.delete("/api/v1/nodes/v1")
@@ -66,6 +67,7 @@ def hold_and_release(api: Api, world: KubernetesWorld, woken: list[str]) -> None
     until_time = datetime.fromtimestamp(time.time() + 60, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     say(hold="driving", hold_until=until_time)
     until(lambda: held() is not None, "hold seen")
+    until(lambda: woken, "hold told")
     assert woken == ["nodes"]
     found = held()
     assert found is not None

@@ -200,12 +200,12 @@ class Story:
 
     def clear(self) -> None:
         """Everything the story asked for is withdrawn, and its processes are gone."""
+        before = len(self.plans("meeting"))  # as long as no gate is there
         for name in NAMES:
             with contextlib.suppress(KeyError):
                 self.api.delete(f"{TASKS}/{name}")
         gate = start_gate(self.installation, self.hook, self.folder / "last-gate")
         try:
-            before = len(self.plans("meeting"))
             self.until(lambda: len(self.plans("meeting")) == before + 1, "withdrawn")
         finally:
             gate.stop()

@@ -179,8 +179,8 @@ def test_a_restarted_manager_finds_pull_request_and_commit_again(
     ask(manager.tasks)
     manager.manager.wake(TASKS)
     until(lambda: committed(manager), "committed")
-    status = manager.tasks.objects[KEY].pop("status")
     manager.stop()
+    status = manager.tasks.objects[KEY].pop("status")
     again = start_manager(installation, tmp_path / "again", manager.tasks)
     try:
         until(lambda: committed(again), "committed again")

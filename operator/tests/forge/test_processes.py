@@ -130,7 +130,8 @@ def test_the_gate_process_takes_a_proposal_and_ends_when_asked(
         number = installation.propose(manager, commit, plan)
         until(lambda: bool(installation.pull_request(number)["merged"]), "merged")
         until(lambda: controller.announced(commit), "announced")
-        assert 'robotkube_gate_proposals_total{verdict="accepted"} 1' in httpx.get(f"{url}/metrics").text
+        counted = 'robotkube_gate_proposals_total{verdict="accepted"} 1'
+        until(lambda: counted in httpx.get(f"{url}/metrics").text, "counted, which comes after the announcement")
         process.send_signal(signal.SIGTERM)
         assert process.wait(PROCESS_SECONDS_MAX) == 0
     finally:
@@ -222,11 +223,17 @@ def test_the_gate_process_publishes_what_the_command_submits(
     assert (tmp_path / "kept" / rows[0]["evidence"]).is_file()
     assert submit(installation, tmp_path, name, "--application", name) == 0
     assert f"{name} 0.1.0: published already with this digest" in capsys.readouterr().err
+    published = 'robotkube_gate_publications_total{verdict="published"} 1'
+    until(lambda: published in httpx.get(f"{gate_url}/metrics").text, "counted, which comes after the push to main")
     metrics = httpx.get(f"{gate_url}/metrics").text
-    assert 'robotkube_gate_publications_total{verdict="published"} 1' in metrics
     assert 'robotkube_gate_publications_total{verdict="refused"} 1' in metrics
     assert 'robotkube_gate_suite_runs_total{suite="static"} 2' in metrics
-    found = [line for line in lines((tmp_path / "log").read_text()) if line["event"] == "submission"]
+
+    def submissions() -> list[dict[str, Any]]:
+        return [line for line in lines((tmp_path / "log").read_text()) if line["event"] == "submission"]
+
+    until(lambda: len(submissions()) == 2, "the second submission logged")
+    found = submissions()
     assert [line["verdict"] for line in found] == ["refused", "published"]
     assert f"{name} 0.1.0" in found[1]["subject"]
 

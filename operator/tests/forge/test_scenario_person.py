@@ -23,6 +23,11 @@ def person(installation: Installation, repository: str = REPOSITORY) -> Deployme
     return Deployment(endpoint, "operator-team", installation.passwords["operator-team"], repository)
 
 
+def merged(deployment: Deployment, number: int) -> bool:
+    """Asked again as long as the forge still looks for conflicts."""
+    return deployment.merge(number) == "" or deployment.pull_request(number).merged
+
+
 def test_a_person_s_pull_request_is_merged_as_it_was_proposed(installation: Installation, gate: RunningGate) -> None:
     with person(installation) as deployment:
         before = deployment.fetch()
@@ -32,8 +37,8 @@ def test_a_person_s_pull_request_is_merged_as_it_was_proposed(installation: Inst
         number = deployment.number_of(commit)
         assert number
         assert not deployment.pull_request(number).merged
-        assert deployment.merge(number) == ""
-        until(lambda: deployment.pull_request(number).merged, "pull request merged")
+        until(lambda: merged(deployment, number), "merged")
+        until(lambda: deployment.pull_request(number).merged, "shown as merged")
         assert deployment.fetch() == commit == deployment.pull_request(number).commit
         assert yaml.safe_load(deployment.file(POLICY)) == yaml.safe_load(TEXT)
         newest = deployment.commits()[0]
@@ -68,11 +73,7 @@ def test_a_person_s_pull_request_is_merged_although_main_has_moved(
         theirs = manager.commit(release_files(plan, "meanwhile"), message(plan), [manager.tip()])
         other = installation.propose(manager, theirs, plan)
         until(lambda: deployment.pull_request(other).merged, "the manager's merged")
-
-        def merged() -> bool:
-            return deployment.merge(number) == "" or deployment.pull_request(number).merged
-
-        until(merged, "merged")
+        until(lambda: merged(deployment, number), "merged")
         until(lambda: deployment.pull_request(number).merged, "shown as merged")
         assert deployment.fetch() == deployment.pull_request(number).commit != commit
         newest = deployment.commits()[0]

@@ -337,6 +337,19 @@ def test_a_process_behind_main_is_elected_again_with_a_higher_term(stage: Stage)
     assert last_message(stage).term == stage.leadership.number == 42
 
 
+def test_a_failure_is_over_with_the_next_step_though_a_proposal_waits(stage: Stage) -> None:
+    stage.forge.decide = stage.forge.leave
+    stage.ask()
+    stage.go(2)
+    stage.repository.away = True
+    stage.seconds += LOOK_SECONDS
+    stage.fail()
+    assert stage.manager.reasons_not_ready() == ["the forge does not answer"]
+    stage.repository.away = False
+    stage.go(1)
+    assert stage.manager.reasons_not_ready() == []
+
+
 # -- closing words --
 
 

@@ -233,6 +233,7 @@ class ApplicationManager:
         if is_quiet(self._idle_seconds()):
             self._telling.tell_one()
         self.statistics.step()
+        self._problem = ""
         return self._pause()
 
     def _idle_seconds(self) -> float:
@@ -396,7 +397,6 @@ class ApplicationManager:
         started, begun = self._now_ns(), self._monotonic()
         plan = self._planner.plan(started) if not self._main.tree.problems else self._repairing.plan(started)
         self.statistics.decided(self._monotonic() - begun)
-        self._problem = ""
         if self._took_over(plan, seen or started, started) or plan is None:
             return
         named = self._repairing.named(plan)

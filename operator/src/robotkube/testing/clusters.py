@@ -23,10 +23,10 @@ class MemoryTasks:
     namespaces: frozenset[str] = frozenset()
 
     def tasks(self) -> Sequence[Mapping[str, Any]]:
-        """The objects as they are."""
+        """The objects as they are; others may come and go on another thread meanwhile."""
         return [
             copy.deepcopy(found)
-            for found in self.objects.values()
+            for found in list(self.objects.values())
             if not self.namespaces or found["metadata"]["namespace"] in self.namespaces
         ]
 
