@@ -489,11 +489,11 @@ class Recorder:
         with self._lock:
             self._begun = True
             document = {"recording": self.recording, **self._document, "started": self.life}
-        volume = self._place.volume
-        self._journal.add([
-            Write(RECORDINGS, self.recording, {**document, "volumes": [volume], "ended": None}, size=1000),
-            Write(RECORDINGS, self.recording, taken_up(document), update=True, size=1000, add={"volumes": volume}),
-        ])  # fmt: skip
+            volume = self._place.volume
+            self._journal.add([  # under the lock: what is updated from now on comes after it
+                Write(RECORDINGS, self.recording, {**document, "volumes": [volume], "ended": None}, size=1000),
+                Write(RECORDINGS, self.recording, taken_up(document), update=True, size=1000, add={"volumes": volume}),
+            ])  # fmt: skip
 
 
 def _digest(data: bytes) -> str:
