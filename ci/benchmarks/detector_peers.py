@@ -124,8 +124,8 @@ def activated(process: Process, options: argparse.Namespace) -> Mapping[str, Any
 
     def timed(self: EventDetector) -> int:
         total = turn(self)
-        if total and self.state == ACTIVE and (not found or found[-1][0] != self.state_asked):
-            found.append((self.state_asked, self.state_since, time.time_ns()))
+        if total and self.state == ACTIVE and (not found or found[-1][0] != self.reached.asked):
+            found.append((self.reached.asked, self.reached.since, time.time_ns()))
         return total
 
     EventDetector.turn = timed  # type: ignore[method-assign]

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import socket
 import threading
 import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
@@ -79,8 +82,23 @@ class Handler(BaseHTTPRequestHandler):
         return None
 
 
+def move(folder: Path, metres: float) -> None:
+    """Have the publisher's vehicle-01 stand so far from vehicle-00."""
+    (folder / "new").write_text(str(metres))
+    (folder / "new").replace(folder / "place")
+
+
+@contextmanager
+def kept_port() -> Iterator[int]:
+    """A port that the kernel gives to nobody else meanwhile; whoever is told of it may listen there."""
+    with socket.socket() as holder:
+        holder.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        holder.bind(("127.0.0.1", 0))
+        yield int(holder.getsockname()[1])
+
+
 def read(port: int, path: str, data: bytes | None = None) -> str:
-    with urllib.request.urlopen(f"http://127.0.0.1:{port}{path}", data, timeout=5) as answer:
+    with urllib.request.urlopen(f"http://127.0.0.1:{port}{path}", data, timeout=SECONDS_MAX) as answer:
         return str(answer.read().decode())
 
 

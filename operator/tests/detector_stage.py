@@ -89,12 +89,13 @@ class MemoryTasks:
     def __init__(self) -> None:
         self.objects: dict[str, Mapping[str, Any]] = {}
         self.renewals: list[tuple[str, int]] = []
-        self.away, self.refusing, self.creations = 0, False, 0
+        self.away, self.refusing, self.creations, self.looks = 0, False, 0, 0
         self.answering = threading.Event()
         self.answering.set()
 
     def tasks(self) -> Sequence[Mapping[str, Any]]:
         self._answer()
+        self.looks += 1
         return list(self.objects.values())
 
     def create(self, task: Mapping[str, Any]) -> None:

@@ -3,7 +3,8 @@
     publisher.py FOLDER SECONDS      # writes FOLDER/<topic with / as __>.jsonl, says "publishing" when it begins;
                                      # SIGTERM ends it earlier, with complete ledgers
 
-vehicle-01 swings past vehicle-00 with a period of 6 s: near, far, near.
+vehicle-01 swings past vehicle-00 with a period of 6 s: near, far, near. While there is FOLDER/place, it is so many
+metres away from it as stands there.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ AGENTS = ("vehicle_00", "vehicle_01")
 POSE, CLOUD = "geometry_msgs/msg/PoseStamped", "sensor_msgs/msg/PointCloud2"
 TRANSFORM = "geometry_msgs/msg/TransformStamped"
 CLOUD_POINTS = 5000
+PLACE = "place"
 
 
 def header(stamp: int, frame: bytes) -> bytes:
@@ -48,6 +50,13 @@ def cloud(stamp: int) -> bytes:
     body += bytes(-len(body) % 4) + struct.pack("<III", 1, CLOUD_POINTS, 0)
     body += struct.pack("<BxxxIII", 0, 16, 16 * CLOUD_POINTS, 16 * CLOUD_POINTS)
     return b"\0\1\0\0" + body + os.urandom(16) * CLOUD_POINTS + b"\1"
+
+
+def distance(folder: Path, seconds: float) -> float:
+    try:
+        return float((folder / PLACE).read_text())
+    except FileNotFoundError:
+        return 800.0 * math.sin(2 * math.pi * seconds / 6 + math.pi / 2)
 
 
 class Ledgers:
@@ -92,7 +101,7 @@ def main(folder: Path, seconds: float) -> None:
         stamp = start + step * PERIOD_NS
         time.sleep(max(0.0, (stamp - time.time_ns()) / 1e9))
         for number, (agent, publisher) in enumerate(poses.items()):
-            x = 800.0 * math.sin(2 * math.pi * (stamp - start) / 6e9 + math.pi / 2) if number else 0.0
+            x = distance(folder, (stamp - start) / 1e9) if number else 0.0
             publisher.publish(data := pose(stamp, x))
             ledgers.write(publisher.topic, stamp, data)
             if step % 10 == 0:

@@ -1,4 +1,5 @@
-"""Publishes one number on a real topic every 50 ms (or `period` seconds), with any quality of service, until its end.
+"""Publishes one number on a real topic every 50 ms (or `period` seconds), with any quality of service, until its end or
+the last of `count`, which stays there for those who come later; of so many the second waits for somebody to listen.
 
     quality_publisher.py TOPIC '{"reliability": "reliable", "durability": "transient_local", "deadline": 0.5, ...}'
 
@@ -32,10 +33,13 @@ def main(topic: str, wanted: dict[str, str | float]) -> None:
         profile.liveliness = LivelinessPolicy.MANUAL_BY_TOPIC
         profile.liveliness_lease_duration = Duration(seconds=float(wanted["lease"]))
     publisher = node.create_publisher(Float64, topic, profile)
-    number = -1.0
+    number, count = -1.0, float(wanted.get("count", "inf"))
+    heard = count == float("inf")
     while True:
-        publisher.publish(Float64(data=number))
-        number += 1
+        heard = heard or publisher.get_subscription_count() > 0
+        if number < 0 or (heard and number + 1 < count):
+            publisher.publish(Float64(data=number))
+            number += 1
         time.sleep(float(wanted.get("period", 0.05)))
 
 

@@ -6,7 +6,7 @@ import hashlib
 import os
 import threading
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,18 +18,15 @@ from robotkube.adapters.mongodb_pymongo import Account, PymongoRecordingReader, 
 from robotkube.adapters.segments_mcap import McapSegmentReader
 from robotkube.domain.buffers import Sample
 from robotkube.domain.recording_plans import RecordedTopic, RecordingPlan
-from robotkube.domain.recordings import LedgerLine, Write
+from robotkube.domain.recordings import LedgerLine
 from robotkube.domain.topics import TopicPattern
 from robotkube.entrypoints.claims import VolumeClaim
 from robotkube.ports.recordings import RecordingStore
 from robotkube.services.recording import journal
 from robotkube.services.recording.counts import RecorderCounts
-from robotkube.services.recording.journal import Journal
 from robotkube.services.recording.places import BOUNDS, RecorderPlace, RecordingBounds
-from robotkube.services.recording.recorder import Recorder
 from robotkube.services.recording.recordings import Recordings
 from robotkube.services.recordings import first_stored, list_recordings, stored_messages, verify
-from robotkube.testing.recordings import RecordingDatabase
 
 DATABASE, VOLUME, RECORDING = "recordings_cloud_0", "cloud-0/recordings", "task-1"
 POSE, CLOUD = "geometry_msgs/msg/PoseStamped", "sensor_msgs/msg/PointCloud2"
@@ -194,37 +191,6 @@ def test_a_recorder_that_goes_on_with_other_topics_names_them_beside_the_earlier
         CLOUDS: {"type": CLOUD, "storage": "segment"},
         "/vehicles/{agent}/pose": {"type": POSE, "storage": "document"},
     }
-
-
-class UpdatingJournal(Journal):
-    """Somebody updates the recording's document while it is made."""
-
-    def __init__(self, place: RecorderPlace) -> None:
-        super().__init__("j", place, BOUNDS)
-        self.recorder: Recorder | None = None
-        self.updating: list[threading.Thread] = []
-        self.writes: list[Write] = []
-
-    def add(self, writes: Iterable[Write], keep: bool = False) -> None:
-        if self.recorder is not None and not self.updating:
-            self.updating.append(threading.Thread(target=self.recorder.update, args=({"causes": ["one"]},)))
-            self.updating[0].start()
-            self.updating[0].join(0.2)
-        self.writes += writes
-
-
-def test_what_is_updated_while_the_document_is_made_is_not_lost() -> None:
-    database = RecordingDatabase()
-    place = RecorderPlace(VOLUME, lambda: database, lambda: pytest.fail("unused"), time.time_ns, time.monotonic)
-    journal = UpdatingJournal(place)
-    recorder = journal.recorder = Recorder(RECORDING, {"rule": "r"}, journal, place)
-    recorder.introduce(database)
-    recorder.offer(POSES, POSE, "document", BEGIN, BEGIN, b"data")
-    recorder.turn()
-    journal.updating[0].join()
-    database.write(journal.writes)
-    (document,) = database.recordings()
-    assert document["causes"] == ["one"]
 
 
 def test_different_messages_of_one_stamp_are_both_kept(bench: Bench) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import socket
 import subprocess
 import sys
 import threading
@@ -11,7 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from detector_process import SECONDS_MAX, Api
+from detector_process import SECONDS_MAX, Api, kept_port
 from proximity import SETTINGS
 from ros_domains import domain as ros_domain
 
@@ -31,10 +30,9 @@ def api() -> Iterator[Api]:
 
 
 @pytest.fixture
-def unused_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+def unused_port() -> Iterator[int]:
+    with kept_port() as port:
+        yield port
 
 
 @pytest.fixture

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import hmac
 import json
+import select
 import sys
 import threading
 import time
@@ -14,10 +15,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from detector_process import kept_port
 from detector_stage import DetectorStage, MemoryTasks
 from proximity import SETTINGS
-from waiting import until
+from waiting import WAIT_SECONDS_MAX, until
 
+from robotkube.adapters import traces_otlp
 from robotkube.adapters.reaction_processes import ProcessSender
 from robotkube.adapters.traces_otlp import OtlpSpans
 from robotkube.adapters.webhook_sender import WebhookSender
@@ -107,7 +110,7 @@ class Script:
     def probe(self) -> None: ...
 
     def send(self, delivery: Delivery) -> None:
-        self.going.wait(10)
+        assert self.going.wait(WAIT_SECONDS_MAX)
         self.sent.append(delivery.id)
         if self.outcomes and (error := self.outcomes.pop(0)) is not None:
             raise error
@@ -129,8 +132,7 @@ def test_webhooks_are_signed_and_tried_again(receiver: Receiver, make: Callable[
     receiver.statuses = [503, 429]
     deliveries = make(WebhookSender(receiver.url, lambda: SECRET, 5.0))
     deliveries.react(delivery())
-    until(lambda: deliveries.counts()["delivered"] == 1)
-    assert deliveries.counts() == {"delivered": 1, "retries": 2, "dead": 0, "waiting": 0}
+    until(lambda: deliveries.counts() == {"delivered": 1, "retries": 2, "dead": 0, "waiting": 0})
     assert len(receiver.posted) == 3
     headers, body = receiver.posted[0]
     assert receiver.posted[2] == receiver.posted[0], "a repetition is the same to the letter"
@@ -158,11 +160,9 @@ def test_a_refused_webhook_is_a_dead_letter(
 
 
 def test_a_receiver_that_is_away_is_named_until_it_is_there(make: Callable[..., Deliveries]) -> None:
-    server = Receiver()
-    port = server.server_port
-    server.server_close()
-    deliveries = make(WebhookSender(f"http://127.0.0.1:{port}/", None, 1.0))
-    until(lambda: "does not answer" in deliveries.unreachable)
+    with kept_port() as port:
+        deliveries = make(WebhookSender(f"http://127.0.0.1:{port}/", None, 1.0))
+        until(lambda: "does not answer" in deliveries.unreachable)
 
 
 def test_a_name_that_can_be_no_hosts_is_a_receiver_that_is_away(make: Callable[..., Deliveries]) -> None:
@@ -173,12 +173,11 @@ def test_a_name_that_can_be_no_hosts_is_a_receiver_that_is_away(make: Callable[.
 
 
 def test_a_detector_is_ready_while_its_receiver_is_there(
-    make: Callable[..., Deliveries], monkeypatch: pytest.MonkeyPatch
+    make: Callable[..., Deliveries], unused_port: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Also when there is nothing to say to it: away, back, and the page and the metric with it."""
     monkeypatch.setattr(module, "PROBE_SECONDS", 0.1)
-    server = Receiver()
-    port, stage = server.server_port, DetectorStage(MemoryTasks())
+    server, port, stage = Receiver(unused_port), unused_port, DetectorStage(MemoryTasks())
     hook = {"rule": "near", "kind": "webhook", "url": f"http://127.0.0.1:{port}/"}
     document = {**SETTINGS, "reactions": [hook]}
     [settings] = read_detector_settings(document, "config.yaml").deliveries
@@ -209,14 +208,28 @@ def test_order_is_kept_and_who_waits_too_long_is_given_up(make: Callable[..., De
     assert [letter["reason"] for letter in box.documents()] == ["no", "away"]
 
 
+def test_what_is_counted_as_given_up_is_in_the_box_already() -> None:
+    counted: list[int] = []
+
+    def clock_ns() -> int:
+        counted.append(deliveries.counts()["dead"])
+        return 7
+
+    deliveries = Deliveries("told", Script(InputError("no")), 60.0, DeadLetterBox(clock_ns), time.monotonic)
+    deliveries.start()
+    deliveries.react(delivery())
+    until(lambda: deliveries.counts()["dead"] == 1)
+    deliveries.stop(5.0)
+    assert counted == [0]
+
+
 def test_a_full_queue_and_the_end_lose_nothing_in_silence(make: Callable[..., Deliveries], box: DeadLetterBox) -> None:
     sender = Script(*[UnavailableError("away")] * 1000)
     sender.going.clear()
     deliveries = make(sender)
-    began = time.monotonic()
     for number in range(QUEUE_MAX + 10):
         deliveries.react(delivery(number))
-    assert time.monotonic() - began < 1.0, "who reacts never waits"
+    assert sender.sent == [], "who reacts never waits: the sender has not answered once by then"
     assert deliveries.counts()["dead"] in (9, 10)
     sender.going.set()
     assert not deliveries.stop(0.5)
@@ -236,6 +249,7 @@ def test_what_waits_is_delivered_at_the_end(make: Callable[..., Deliveries]) -> 
 
 REACTION = """
 import os, sys, time
+from pathlib import Path
 from robotkube.adapters.reaction_processes import serve
 
 def load(plugin, settings):
@@ -247,12 +261,41 @@ def load(plugin, settings):
         what = settings["does"][len(lines) - 1]
         if what == "fail": raise OSError("not now")
         if what == "refuse": raise ValueError("never")
-        if what == "sleep": time.sleep(60)
+        if what == "sleep":
+            Path(settings["asleep"]).touch()
+            time.sleep(60)
         if what == "die": os._exit(3)
     return react
 
 serve(load)
 """
+
+
+LOADS_NOTHING = """
+import time
+from robotkube.adapters.reaction_processes import serve
+
+def load(plugin, settings):
+    raise OSError("it is not here")
+
+serve(load)
+time.sleep(60)
+"""
+
+
+class Sleeper(ProcessSender):
+    """Its bound counts from the moment at which the reaction falls asleep: whoever is only slow has time."""
+
+    asleep: Path
+
+    def _answer(self, seconds: float) -> bytes:
+        assert self._process is not None
+        answers = self._process.stdout
+        until(lambda: self.asleep.exists() or select.select([answers], [], [], 0)[0])
+        try:
+            return super()._answer(seconds)
+        finally:
+            self.asleep.unlink(missing_ok=True)
 
 
 def test_an_installed_reaction_fails_hangs_and_dies_alone(
@@ -261,8 +304,10 @@ def test_an_installed_reaction_fails_hangs_and_dies_alone(
     script, told = tmp_path / "host.py", tmp_path / "told"
     script.write_text(REACTION)
     does = ["fail", "sleep", "die", "well", "refuse", "well"]
-    settings = {"file": str(told), "does": does}
-    deliveries = make(ProcessSender("whisper", settings, 0.5, [sys.executable, str(script)]))
+    settings = {"file": str(told), "asleep": str(tmp_path / "asleep"), "does": does}
+    sender = Sleeper("whisper", settings, 0.5, [sys.executable, str(script)])
+    sender.asleep = tmp_path / "asleep"
+    deliveries = make(sender)
     for number in range(3):
         deliveries.react(delivery(number))
     until(lambda: deliveries.counts()["delivered"] == 2)
@@ -272,12 +317,26 @@ def test_an_installed_reaction_fails_hangs_and_dies_alone(
     assert deliveries.stop(5.0)
 
 
+def test_a_process_that_has_not_loaded_its_reaction_is_not_taken_for_one_that_has(tmp_path: Path) -> None:
+    """It takes its time to end."""
+    script = tmp_path / "host.py"
+    script.write_text(LOADS_NOTHING)
+    sender = ProcessSender("whisper", {}, 5.0, [sys.executable, str(script)])
+    for _ in range(2):
+        with pytest.raises(UnavailableError, match="OSError: it is not here"):
+            sender.probe()
+    sender.close()
+
+
 def test_a_reaction_that_nobody_has_installed_is_named(make: Callable[..., Deliveries]) -> None:
     deliveries = make(ProcessSender("whisper", {}, 5.0))
     until(lambda: "no installed package offers the reaction whisper" in deliveries.unreachable)
 
 
-def test_spans_go_to_the_collector(receiver: Receiver) -> None:
+def test_spans_go_to_the_collector(receiver: Receiver, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        traces_otlp, "END_SECONDS_MAX", WAIT_SECONDS_MAX
+    )  # what waits is sent, however slow the machine
     spans = OtlpSpans(receiver.url, "robotkube-event-detector", "cloud-0/d")
     spans.span("2" * 32, "event", 10, 20, {"robotkube.rule": "near"})
     spans.close()

@@ -123,11 +123,13 @@ def test_a_task_whose_rule_is_gone_is_withdrawn(make_stage: Callable[[], Stage],
 
 def test_nothing_is_raised_before_own_tasks_are_known(stage: Stage, tasks: MemoryTasks) -> None:
     tasks.away = 2
+    tasks.answering.clear()
     stage.apply(DOCUMENT, adopting=False)
     stage.send("vehicle-00", 0)
     stage.send("vehicle-01", 100)
     assert stage.events() == []
     assert "API server" in stage.detector.not_ready
+    tasks.answering.set()
     until(lambda: stage.operators[0].adopted is not None)
     stage.send("vehicle-01", 100)
     stage.send("vehicle-00", 0)

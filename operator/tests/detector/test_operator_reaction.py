@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import queue
+import threading
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import pytest
 from detector_stage import DetectorStage, MemoryTasks
-from waiting import until
+from waiting import WAIT_SECONDS_MAX, until
 
 from robotkube.domain.demands import time_text
 from robotkube.services.reactions import operator as module
+from robotkube.services.reactions.operator import OperatorReactions
 
 TOPIC = "/vehicles/vehicle_00/uncertainty"
 DOCUMENT: dict[str, Any] = {
@@ -208,11 +211,56 @@ def test_a_task_that_somebody_deleted_is_renewed_no_more(stage: Stage) -> None:
     assert stage.done() == ["start"]
     stage.tasks.objects.clear()
     for seconds in (11, 22, 33):
-        stage.seconds = float(seconds)
-        until(lambda: stage.tasks.renewals)
+        stage.seconds, looks = float(seconds), stage.tasks.looks
+        until(lambda looks=looks: stage.tasks.looks > looks)
     stage.send(0.01)
     assert stage.done() == ["start", "stop"]
     assert len(stage.tasks.renewals) == 1
+
+
+class Watched(OperatorReactions):
+    """Notes whether the API server was known to be there when the tasks had been taken over."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name == "adopted" and value is not None:
+            self.reached = self.reachable
+        super().__setattr__(name, value)
+
+
+def test_whose_tasks_are_taken_over_has_reached_the_api_server() -> None:
+    operator = Watched("cloud-0/d", "cloud-0", MemoryTasks(), lambda: 0, lambda: 0.0)
+    operator.start()
+    until(lambda: operator.adopted is not None)
+    operator.stop(5.0)
+    assert operator.reached
+
+
+class Held(queue.Queue[Any]):
+    """What is taken from it is held up on its way."""
+
+    taken, going = threading.Event(), threading.Event()
+
+    def get(self, block: bool = True, timeout: float | None = None) -> Any:
+        found = super().get(block, timeout)
+        self.taken.set()
+        assert self.going.wait(WAIT_SECONDS_MAX)
+        return found
+
+
+def test_what_is_just_being_taken_up_is_carried_out_before_the_end(
+    make_stage: Callable[[MemoryTasks], Stage], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("queue.Queue", Held)
+    stage = make_stage(MemoryTasks())
+    stage.apply(DOCUMENT)
+    stage.send(0.3)
+    assert Held.taken.wait(WAIT_SECONDS_MAX)
+    ending = threading.Thread(target=stage.operators[0].stop, args=(5.0,))
+    ending.start()
+    ending.join(0.2)
+    Held.going.set()
+    ending.join(WAIT_SECONDS_MAX)
+    assert stage.edges() == [("start", True)]
 
 
 def test_an_api_server_that_goes_away_in_silence_makes_it_not_ready(make_stage: Callable[[MemoryTasks], Stage]) -> None:

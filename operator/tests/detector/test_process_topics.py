@@ -60,7 +60,8 @@ class Detector:
 def test_quality_of_service_is_that_of_whoever_publishes(start: Start, tmp_path: Path, unused_port: int) -> None:
     """A strong publisher comes after the subscription: what it said before is there, and its promises are asked for. A
     weak one beside it: both are heard, in the same buffer. A topic whose settings insist names whom it cannot hear."""
-    topics = [{"name": "/open", "type": NUMBER}, {"name": "/strict", "type": NUMBER, "durability": "transient_local"}]
+    topics: list[dict[str, Any]] = [{"name": "/open", "type": NUMBER, "buffer": {"seconds": 600}}]
+    topics.append({"name": "/strict", "type": NUMBER, "durability": "transient_local"})
     detector = Detector(start, tmp_path, unused_port, {"name": "cloud-0/d", "topics": topics})
     assert detector.topic("/open")["asked"] == "reliable, volatile"
     strong = {"durability": "transient_local", "deadline": 0.5, "lease": 2}

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import hashlib
 import random
+import threading
 from collections.abc import Iterable, Mapping
 
 import pytest
 
 from robotkube.domain.audits import KILLED, add_up
 from robotkube.domain.examinations import TopicExamination, examine
-from robotkube.domain.recordings import AUDITS, LedgerLine, Write
+from robotkube.domain.recordings import AUDITS, RECORDINGS, LedgerLine, Write
 from robotkube.services.recording.journal import Journal
 from robotkube.services.recording.places import RecorderPlace, RecordingBounds
 from robotkube.services.recording.recorder import Recorder
@@ -45,6 +46,19 @@ class PromptJournal(Journal):
             self.turning = True
             self.turn()
             self.turning = False
+
+
+class InterruptedJournal(Journal):
+    """One to which another thread comes just when a recording's document is on its way."""
+
+    other: threading.Thread
+
+    def add(self, writes: Iterable[Write], keep: bool = False) -> None:
+        writes = list(writes)
+        if any(write.collection == RECORDINGS and not write.update for write in writes):
+            self.other.start()
+            self.other.join(0.2)
+        super().add(writes, keep)
 
 
 class History:
@@ -247,6 +261,18 @@ def test_the_first_word_of_a_topic_goes_to_the_spool_and_what_follows_waits_in_m
     history.say("/cloud", "segment")
     history.recorder.turn()
     assert history.journal.counts.spooled > waiting
+
+
+def test_what_is_updated_while_the_document_is_made_is_not_lost() -> None:
+    history = History(1, journal=InterruptedJournal)
+    other = threading.Thread(target=history.recorder.update, args=({"causes": ["late"]},))
+    history.journal.other = other  # type: ignore[attr-defined]
+    history.journal.turn()
+    history.say("/pose", "document")
+    history.recorder.turn()
+    other.join()
+    history.journal.turn()
+    assert history.database.collections[RECORDINGS][RECORDING]["causes"] == ["late"]
 
 
 def test_nothing_empty_is_created() -> None:

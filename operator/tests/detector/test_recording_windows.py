@@ -17,6 +17,7 @@ from robotkube.domain.audits import add_up, holes
 from robotkube.domain.buffers import BufferBounds, RingBuffer, Sample
 from robotkube.domain.recording_plans import FOREVER, RecordedTopic, RecordingPlan, Windows
 from robotkube.domain.topics import TopicPattern
+from robotkube.services.recording.journal import Journal, Listener
 from robotkube.services.recording.places import RecorderPlace
 from robotkube.services.recording.recordings import LINGER_SECONDS, Recordings
 from robotkube.testing.recordings import RecordingDatabase, RecordingVolume
@@ -153,6 +154,22 @@ def test_events_whose_windows_overlap_share_a_recording_with_both_as_causes(benc
     (cause,) = bench.document("encounter-22222222")["causes"]
     assert (cause["event"], cause["stopped"]) == ("2" * 12, None)
     assert not [gap for audit in bench.database.audits("encounter-00000000") for gap in audit["gaps"]]
+
+
+def test_counts_never_fall_when_a_recording_is_over(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    forget, counted = Journal.forget, list[int]()
+
+    def counting(journal: Journal, listener: Listener) -> None:
+        counted.append(bench.recordings.counts()["offered"])
+        forget(journal, listener)
+
+    monkeypatch.setattr(Journal, "forget", counting)
+    event = Event("0123456789ab", bench.now)
+    bench.recordings.trigger(event, bench.now)
+    bench.play(10)
+    bench.recordings.end(event, bench.now)
+    until(lambda: bench.play(1) or counted)
+    assert counted == [bench.recordings.counts()["offered"]]
 
 
 def test_without_an_event_nothing_is_created(bench: Bench) -> None:

@@ -1,14 +1,20 @@
-"""The metrics that a detector serves."""
+"""What a detector says of itself, to whoever reads beside: metrics, status, log."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+import pytest
 from detector_stage import NOW, DetectorStage, MemoryTasks, pose
 from proximity import SETTINGS
 from rule_stage import NUMBER
 
+from robotkube.domain.detector_settings import TopicSettings
+from robotkube.domain.qualities import Incompatible, Offer, Quality
 from robotkube.services.detector.status import PREFIX
 
 POSE = "geometry_msgs/msg/PoseStamped"
+QUIET = {**SETTINGS, "reactions": []}
 
 
 def test_labels_are_patterns_rules_and_reactions_never_agents() -> None:
@@ -60,3 +66,37 @@ def test_counters_never_fall_when_topics_are_forgotten_or_given_up() -> None:
     stage.apply({**settings, "topics": [{"name": "/vehicles/{agent}/other", "type": NUMBER}], "rules": []})
     assert shown(stage) == {}
     stage.close()
+
+
+def test_a_state_is_named_when_it_is_reached() -> None:
+    """Whoever reads beside sees none without its subscriptions."""
+    stage = DetectorStage(MemoryTasks())
+    stage.apply({**QUIET, "state": "inactive"})
+    follow, named = stage.live.follow, list[str]()
+
+    def following(topics: Sequence[TopicSettings]) -> None:
+        named.append(stage.status.document()["state"])
+        follow(topics)
+
+    stage.live.follow = following  # type: ignore[method-assign]
+    for state in ("buffering", "active", "inactive"):
+        stage.detector.change_state(state)
+        assert stage.status.document()["state"] == state
+    assert named == ["inactive", "buffering", "active"]
+
+
+def test_a_refusal_is_told_also_when_it_comes_just_before_a_new_subscription(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    stage, name = DetectorStage(MemoryTasks()), "/vehicles/vehicle_00/pose"
+    stage.apply(QUIET)
+    first = stage.live.topics[name]
+
+    def offers(topic: str) -> Sequence[Offer]:
+        first.incompatible = Incompatible(1, "reliability")
+        return [Offer("/player", POSE, Quality("best_effort"))] if topic == name else []
+
+    stage.live.offers = offers  # type: ignore[method-assign]
+    stage.pass_seconds(1.1)
+    assert first.closed
+    assert "because of reliability (1 so far): asked reliable, volatile, offered best_effort, volatile" in caplog.text

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import pytest
+from renewing_receiver import COUNT
 from waiting import until
 
 from robotkube.adapters.ros_rclpy import Sent
@@ -126,6 +127,19 @@ def test_what_was_said_before_another_took_its_place_comes_once() -> None:
     assert stage.drain(1, 2, 3, 4, 5, 6, 7) == [1, 2, 3, 4, 7]
 
 
+def test_what_was_said_before_comes_once_also_when_publishers_hear_of_the_new_one_late() -> None:
+    stage = Stage()
+    stage.drain(5, 6)
+    stage.seconds += 1
+    before = stage.renew()
+    before.waiting += [7]
+    assert stage.drain() == [7]
+    stage.seconds += BESIDE_SECONDS + KNOWN_SECONDS + 1
+    assert stage.drain() == []
+    assert before.closed
+    assert stage.drain(4, 5, 6, 7, 8) == [4, 8]
+
+
 def test_one_after_the_other_take_their_places_and_all_are_closed() -> None:
     stage = Stage()
     stage.drain(1)
@@ -141,10 +155,9 @@ def test_a_real_publisher_is_heard_once_and_without_a_gap(
     start: Callable[..., subprocess.Popen[str]], tmp_path: Path
 ) -> None:
     receiver = start(str(TESTS / "renewing_receiver.py"), "/numbers", str(tmp_path / "numbers.json"))
-    start(
-        str(TESTS / "quality_publisher.py"), "/numbers", json.dumps({"durability": "transient_local", "period": 0.002})
-    )
+    wanted = {"durability": "transient_local", "period": 0.002, "count": COUNT}
+    start(str(TESTS / "quality_publisher.py"), "/numbers", json.dumps(wanted))
     until(lambda: receiver.poll() is not None)
     assert receiver.returncode == 0
     found = json.loads((tmp_path / "numbers.json").read_text())
-    assert sorted(found) == list(range(-1, len(found) - 1))
+    assert sorted(found) == list(range(-1, COUNT - 1))

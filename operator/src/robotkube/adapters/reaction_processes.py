@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import entry_points
 from typing import IO, Any
 
-from robotkube.domain.errors import InputError, UnavailableError
+from robotkube.domain.errors import InputError, RobotKubeError, UnavailableError
 from robotkube.domain.reaction_plugins import ENTRY_POINT_GROUP
 from robotkube.ports.reactions import Delivery
 
@@ -46,9 +46,14 @@ class ProcessSender:
     def probe(self) -> None:
         """See the port: it is loaded."""
         if self._process is None or self._process.poll() is not None:
+            self.close()
             self._process = subprocess.Popen(self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
             job = {"plugin": self._plugin, "settings": dict(self._settings)}
-            self._exchange(json.dumps(job).encode(), START_SECONDS_MAX)
+            try:
+                self._exchange(json.dumps(job).encode(), START_SECONDS_MAX)
+            except RobotKubeError:
+                self.close()  # it ends without the reaction, and must not be taken for one that has it meanwhile
+                raise
 
     def send(self, delivery: Delivery) -> None:
         """See the port."""

@@ -125,7 +125,7 @@ class RosInput:
         known.update(sent for *_, sent in own)
         if self._before is not None:
             found.sort(key=_received)
-        if found:
+        if own:
             self._known_until = min(self._known_until, now + KNOWN_SECONDS)
         if now > self._known_until or len(known) > KNOWN_MAX:
             self._known = None

@@ -64,6 +64,8 @@ def _checked(process: BoundedProcess, text: Checked) -> str:
 def main() -> None:
     """Answer until the parent ends."""
     if sys.argv[1:] == ["check"]:
+        import robotkube.adapters.expressions_cel  # noqa: F401 - takes time that is none of the first check's
+
         bounded_process.serve({"problem": _problem}, sys.stdin.buffer, sys.stdout.buffer)
     else:
         serve(_load)

@@ -51,9 +51,10 @@ class _Worker:
     @property
     def state(self) -> str:
         """In one word."""
-        if self.process is None:
+        process = self.process  # other threads look, too
+        if process is None:
             return SUSPENDED
-        return RUNNING if self.process.ready else STARTING
+        return RUNNING if process.ready else STARTING
 
     @property
     def stuck_seconds(self) -> float:
@@ -138,7 +139,7 @@ class RuleWorkers:
                 "waiting": len(worker.waiting),
                 "suspensions": worker.suspensions,
             }
-            for name, worker in self._workers.items()
+            for name, worker in list(self._workers.items())
         }
 
     def stop(self) -> None:
@@ -160,8 +161,9 @@ class RuleWorkers:
             if now >= worker.resume_at:
                 self._begin(worker)
             return
+        failure = worker.process.failure  # before the replies: what it said last comes before its end
         error = self._take_replies(worker, worker.process, now)
-        problem = error or worker.process.failure or self._stuck(worker, worker.process, now)
+        problem = error or failure or self._stuck(worker, worker.process, now)
         if problem:
             self._suspend(worker, problem, now)
         elif worker.failures and worker.process.ready and now - worker.started_at > WELL_SECONDS:

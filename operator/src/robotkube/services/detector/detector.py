@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from robotkube.domain.bridging import GAPS_TOPIC
 from robotkube.domain.bridging_properties import read_gap_text
@@ -42,6 +42,14 @@ _new = tuple.__new__
 """Named tuples without their own constructor, which is a Python function and takes three times as long."""
 
 
+class Reached(NamedTuple):
+    """A state with everything that belongs to it: when it was asked for, and since when it is so, ns since 1970."""
+
+    state: str
+    asked: int
+    since: int
+
+
 class EventDetector:
     """Everything of one detector but its threads and its clock."""
 
@@ -65,7 +73,7 @@ class EventDetector:
         self.started = self.applied = clock_ns()
         self.settings = DetectorSettings("", ())
         self.state = INACTIVE
-        self.state_asked = self.state_since = self.started
+        self.reached = Reached(INACTIVE, self.started, self.started)
         self.engine = RuleEngine((), layouts, "", self._ask)
         self._adopt_until: float | None = None
         self._adopted = True
@@ -261,7 +269,7 @@ class EventDetector:
         return was
 
     def _moved(self, asked: int) -> None:
-        self.state_asked, self.state_since = asked, self._clock_ns()
+        self.reached = Reached(self.state, asked, self._clock_ns())
 
     def _subscribe(self) -> None:
         self.topics.follow(self.state == INACTIVE)

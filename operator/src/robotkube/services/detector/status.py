@@ -83,14 +83,14 @@ class Status:
 
     def document(self) -> dict[str, Any]:
         """`GET /status`."""
-        detector, refusal = self.detector, self.refusal
+        detector, refusal, reached = self.detector, self.refusal, self.detector.reached
         engine, workers = detector.engine, detector.workers
         problems = list(engine.problems.items())[:PROBLEMS_MAX]
         return {
             "name": detector.settings.name,
-            "state": detector.state,
-            "state_asked": detector.state_asked,
-            "state_since": detector.state_since,
+            "state": reached.state,
+            "state_asked": reached.asked,
+            "state_since": reached.since,
             "not_ready": self.not_ready(),
             "started": detector.started,
             "now": self.clock_ns(),
@@ -126,7 +126,7 @@ class Status:
 
     def _values(self) -> Iterator[tuple[str, str, int]]:
         detector = self.detector
-        yield from (("info", state, int(state == detector.state)) for state in STATES)
+        yield from (("info", state, int(state == detector.reached.state)) for state in STATES)
         yield "ready", "", int(not self.not_ready())
         yield "settings_refused", "", int(bool(self.refusal.error))
         yield "events_total", "", detector.raising.raised

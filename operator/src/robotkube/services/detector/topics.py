@@ -17,7 +17,7 @@ from robotkube.domain.errors import DocumentError
 from robotkube.domain.freshness import EXPIRED
 from robotkube.domain.layouts import Layouts
 from robotkube.domain.messages import STAMPED_TYPES, header_stamp
-from robotkube.domain.qualities import TRANSIENT_LOCAL, Quality, matched
+from robotkube.domain.qualities import TRANSIENT_LOCAL, Offer, Quality, matched
 from robotkube.domain.rules import Proximity
 from robotkube.domain.topics import TopicPattern
 from robotkube.services.detector.counting import InputCounter
@@ -185,11 +185,12 @@ class Topics:
             source = self._source(settings.source)
             self._subscribe_anew(topic, matched(settings.asked, of_type(topic, source.offers(topic.name))))
 
-    def _subscribe_anew(self, topic: Topic, quality: Quality) -> None:
-        source = self._source(topic.settings.source)
+    def _subscribe_anew(self, topic: Topic, quality: Quality, offers: tuple[Offer, ...] = ()) -> None:
+        source, refused, asked = self._source(topic.settings.source), topic.counter.incompatible, topic.quality
         fresh = source.subscribe(topic.name, topic.settings, quality, topic.input)
         topic.take_over(fresh, quality)
-        topic.offers, topic.problem = (), ""
+        self._report_refusals(topic, refused, asked)
+        topic.offers, topic.problem = offers, ""
         log.info("topic %s: subscribed anew as %s", topic.name, quality.text())
 
     def _expected(self) -> Iterator[tuple[str, TopicSettings]]:
@@ -296,15 +297,14 @@ class Topics:
         topic.count()
         offers = tuple(self._source(topic.settings.source).offers(topic.name))
         topic.offers = offers
-        self._report_refusals(topic, refused)
+        self._report_refusals(topic, refused, topic.quality)
         fitting = of_type(topic, offers)
         quality = matched(topic.settings.asked, fitting)
         relieved = len(problem_of(topic, quality)) < len(problem_of(topic, topic.quality))
         steady = offers == known or not known
         renewed = bool(fitting) and quality != topic.quality and (relieved or steady)
         if renewed:
-            self._subscribe_anew(topic, quality)
-            topic.offers = offers
+            self._subscribe_anew(topic, quality, offers)
         self._report(topic)
         return renewed
 
@@ -319,13 +319,13 @@ class Topics:
         topic.problem = problem
 
     @staticmethod
-    def _report_refusals(topic: Topic, refused: int) -> None:
-        """Say what the middleware has refused on its own account, before something else is asked for."""
+    def _report_refusals(topic: Topic, refused: int, asked: Quality) -> None:
+        """Say what the middleware has refused on its own account, and what was `asked` for then."""
         if topic.counter.incompatible > refused:
             text = "topic %s: the middleware has refused publishers because of %s (%d so far): asked %s, offered %s"
             offered = "; ".join(dict.fromkeys(offer.quality.text() for offer in topic.offers)) or "not known any more"
             count, policy = topic.counter.incompatible, topic.incompatible.policy
-            log.warning(text, topic.name, policy, count, topic.quality.text(), offered)
+            log.warning(text, topic.name, policy, count, asked.text(), offered)
 
     def document(self) -> dict[str, Any]:
         """Every subscription as JSON values, for `/status`."""

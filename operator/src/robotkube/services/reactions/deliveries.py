@@ -169,6 +169,6 @@ class Deliveries:
             self._give_up(delivery, reason)
 
     def _give_up(self, delivery: Delivery, reason: str) -> None:
-        self._dead += 1
         self._box.add(self.name, delivery.id, reason)
+        self._dead += 1
         self._kept.done(delivery)

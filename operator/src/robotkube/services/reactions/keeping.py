@@ -122,8 +122,9 @@ class DeliveryJournal:
 
     def document(self) -> dict[str, Any]:
         """`kept`: on the disk now; `unkept`: were in memory only, at least for a while; `replayed`: taken over."""
-        kept = len(self._live) - len(self._unwritten)
-        numbers = {"kept": max(0, kept), "unkept": self.unkept, "replayed": self.replayed, "bytes": self._place.size}
+        with self._lock:
+            kept = len(self._live.keys() - self._unwritten.keys() - self._writing.keys())
+        numbers = {"kept": kept, "unkept": self.unkept, "replayed": self.replayed, "bytes": self._place.size}
         return {"problem": self.problem, **numbers}
 
     # the journal's own thread ----------------------------------------------------------------------------------------

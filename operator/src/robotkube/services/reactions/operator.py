@@ -88,7 +88,7 @@ class OperatorReactions:
     ) -> None:
         self._requester, self._namespace, self._tasks, self.parent = requester, namespace, tasks, parent
         self._clock_ns, self._monotonic, self._box = clock_ns, monotonic, box or DeadLetterBox(clock_ns)
-        self._done = self._retries = self._dead = self._busy = 0
+        self._done = self._retries = self._dead = 0
         self._found: dict[tuple[str, tuple[str, ...]], str] = {}
         self._orders: queue.Queue[_Order] = queue.Queue(QUEUE_MAX)
         self._stopping = threading.Event()
@@ -109,14 +109,14 @@ class OperatorReactions:
     def stop(self, seconds: float) -> None:
         """Carry out what waits, then end the thread, within `seconds`; the tasks of events that last stay."""
         end = self._monotonic() + seconds
-        while (self._orders.qsize() or self._busy) and self.reachable and self._monotonic() < end:
+        while self._orders.unfinished_tasks and self.reachable and self._monotonic() < end:
             self._stopping.wait(DRAIN_SECONDS)
         self._stopping.set()
         self._thread.join(max(0.0, end - self._monotonic()))
 
     def counts(self) -> Mapping[str, int]:
         """`delivered`, `retries`, `dead` only grow; `waiting`: edges that are not carried out yet."""
-        waiting = self._orders.qsize() + self._busy
+        waiting = self._orders.unfinished_tasks
         return {"delivered": self._done, "retries": self._retries, "dead": self._dead, "waiting": waiting}
 
     def react(self, record: EventRecord, reaction: OperatorReaction | None, reason: str) -> None:
@@ -134,9 +134,8 @@ class OperatorReactions:
         while not self._stopping.is_set():
             with contextlib.suppress(queue.Empty):
                 order = self._orders.get(timeout=WAIT_SECONDS)
-                self._busy = 1
                 self._carry_out(order)
-            self._busy = 0
+                self._orders.task_done()
             self._renew_leases()
             self._look_again()
             self._withdraw_owed()
@@ -188,8 +187,9 @@ class OperatorReactions:
                 pause = min(pause * 2, RETRY_SECONDS_MAX)
                 continue
             self._adopted_parent = self.parent
-            self.adopted = self._taken_over(found)
+            taken_over = self._taken_over(found)
             self._heard(None)
+            self.adopted = taken_over
             return
 
     def _withdraw(self, name: str) -> None:
@@ -264,8 +264,8 @@ class OperatorReactions:
 
     def _give_up(self, record: EventRecord, reason: str) -> None:
         record.error = reason
-        self._dead += 1
         self._box.add(NAME, delivery_id(record.edge), reason)
+        self._dead += 1
 
     def _attempt(self, order: _Order) -> None:
         record, edge = order.record, order.record.edge

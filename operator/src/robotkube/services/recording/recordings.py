@@ -7,6 +7,7 @@ causes. What came before an event is taken from the ring buffers; latched topics
 from __future__ import annotations
 
 import logging
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -65,6 +66,7 @@ class Recordings:
         self._ending: list[Recorder] = []
         self._planned: dict[str, RecordedTopic | None] = {}
         self._ended: dict[str, int] = {}
+        self._lock = threading.Lock()  # held while a recorder changes its list, so that nobody counts without it
 
     @property
     def ready(self) -> bool:
@@ -89,9 +91,10 @@ class Recordings:
 
     def counts(self) -> dict[str, int]:
         """What happened to messages and writes of all recordings since the start; numbers only grow."""
-        found = dict(self._ended)
-        for recorder in self.recorders:
-            _add(found, recorder)
+        with self._lock:
+            found = dict(self._ended)
+            for recorder in self.recorders:
+                _add(found, recorder)
         journal = self._journal.counts
         found["dropped"] = found.get("dropped", 0) + journal.dropped
         written = {name: getattr(journal, name) for name in ("retries", "spooled", "repaired", "discarded")}
@@ -168,14 +171,16 @@ class Recordings:
     def tick(self, now: int) -> None:
         """Close what is over."""
         for one in [one for one in self._open if one.until <= now]:
-            self._open.remove(one)
-            self._ending.append(one.recorder)
+            with self._lock:
+                self._open.remove(one)
+                self._ending.append(one.recorder)
             self._define(one.recorder)
             one.recorder.end()
         for recorder in [recorder for recorder in self._ending if recorder.stopped]:
-            self._ending.remove(recorder)
             self._journal.forget(recorder)
-            _add(self._ended, recorder)
+            with self._lock:
+                self._ending.remove(recorder)
+                _add(self._ended, recorder)
 
     def stop(self, seconds: float) -> bool:
         """Store what was offered and end all recordings, within `seconds`; True when the database has everything.
