@@ -236,6 +236,22 @@ def test_what_bridges_gave_up_is_told_to_recordings(stage: DetectorStage) -> Non
     assert stage.live.topics["/robotkube/gaps"].closed
 
 
+def test_what_a_subscription_had_no_room_for_is_told_to_recordings(stage: DetectorStage) -> None:
+    topic = {"name": "/vehicles/{agent}/pose", "storage": "document"}
+    reaction = {"rule": "near", "kind": "recording", "recording": "r", "volume": "v", "topics": [topic]}
+    stage.apply({**PLAIN, "reactions": [reaction]})
+    stage.send("vehicle-00", 1.0)
+    before = stage.now - 5 * MS
+    stage.live.topics[TOPIC].lost += 7
+    stage.pass_seconds(0.08)
+    assert stage.recordings[0].gaps == [], "nobody knows yet until when"
+    stage.send("vehicle-00", 1.0)
+    stage.send("vehicle-00", 1.0)
+    gap = Gap(TOPIC, "subscription", "pushed out before it was taken", 7, before + 1, before + 90 * MS - 1)
+    assert stage.recordings[0].gaps == [gap], "once"
+    assert stage.status.document()["topics"][TOPIC]["lost"] == 7
+
+
 def test_a_duplicate_is_neither_recorded_nor_evaluated(stage: DetectorStage) -> None:
     topic = {"name": "/vehicles/{agent}/pose", "storage": "document"}
     reaction = {"rule": "all", "kind": "recording", "recording": "r", "volume": "v", "topics": [topic]}

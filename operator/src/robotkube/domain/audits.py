@@ -19,10 +19,11 @@ REGULAR_SHARE_MIN = 0.9
 REGULAR_TOLERANCE = 0.2
 HOLE_PERIODS = 1.5
 
-QUEUE, VOLUME, SPOOL, MEMORY, RECORDER, SOURCE, BUFFER = (
-    "queue", "volume", "spool", "memory", "recorder", "source", "buffer",
+QUEUE, VOLUME, SPOOL, MEMORY, RECORDER, SOURCE, BUFFER, SUBSCRIPTION = (
+    "queue", "volume", "spool", "memory", "recorder", "source", "buffer", "subscription",
 )  # fmt: skip
 KILLED, MISSING, OVERFLOW, EVICTED = "killed", "missing in what was received", "full", "left the buffer before"
+PUSHED_OUT = "pushed out before it was taken"
 
 Interval = tuple[int, int]
 

@@ -14,6 +14,7 @@ from dataclasses import replace
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from robotkube.domain.audits import PUSHED_OUT, SUBSCRIPTION, Gap
 from robotkube.domain.bridging import GAPS_TOPIC
 from robotkube.domain.bridging_properties import read_gap_text
 from robotkube.domain.buffers import DUPLICATE, JUMPED, KEPT, BufferPool, Sample
@@ -197,6 +198,8 @@ class EventDetector:
     def _take(self, topic: Topic, messages: Sequence[tuple[bytes, int]], batch: list[Message] | None) -> None:
         name, type_name, recordings = topic.name, topic.settings.type, topic.recordings
         count, insert, stamp_of = topic.counter.count, topic.buffer.insert, topic.stamp
+        lost = topic.counted_before[0] + topic.input.lost
+        before = topic.buffer.latest() if lost != topic.counter.lost else None
         for data, received in messages:
             stamp = received
             if stamp_of is not None:
@@ -216,7 +219,18 @@ class EventDetector:
                 self._jumped(topic, sample)
             if batch is not None:
                 batch.append(_new(Message, (name, type_name, stamp, received, data)))
-        topic.counter.lost = topic.counted_before[0] + topic.input.lost
+        if before is not None:
+            self._tell_pushed_out(topic, lost - topic.counter.lost, before)
+        topic.counter.lost = lost
+
+    @staticmethod
+    def _tell_pushed_out(topic: Topic, count: int, before: Sample) -> None:
+        """Recordings note what never came here: between what came before and the last of what came now."""
+        last = topic.buffer.latest()
+        if last is not None and last.stamp - before.stamp > 1:
+            gap = Gap(topic.name, SUBSCRIPTION, PUSHED_OUT, count, before.stamp + 1, last.stamp - 1)
+            for recording in topic.recordings:
+                recording.lack(gap)
 
     @staticmethod
     def _stamp_of(place: Place, data: bytes, received: int) -> int | None:
