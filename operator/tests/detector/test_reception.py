@@ -14,10 +14,7 @@ from rule_stage import NUMBER
 from waiting import until
 
 from robotkube.adapters.rule_processes import ChildProcess
-from robotkube.domain.audits import Gap
-from robotkube.domain.bridging_properties import gap_text
 from robotkube.domain.detector_settings import read_detector_settings
-from robotkube.domain.messages import string_message
 from robotkube.domain.qualities import Asked, Broken, Incompatible, Offer, Quality, matched, mismatch
 from robotkube.services.rule_workers import RuleWorkers
 
@@ -221,35 +218,6 @@ def test_recordings_get_what_is_new_and_hear_of_events(stage: DetectorStage) -> 
     assert [name for name, _ in recordings.offered] == [TOPIC, *["/vehicles/vehicle_01/pose"] * 2]
     assert recordings.triggers == recordings.ends == [stage.events()[0]["id"]]
     assert recordings.buffers[TOPIC] is stage.detector.pool.buffers[TOPIC]
-
-
-def test_what_bridges_gave_up_is_told_to_recordings(stage: DetectorStage) -> None:
-    topic = {"name": "/vehicles/{agent}/pose", "storage": "document"}
-    reaction = {"rule": "near", "kind": "recording", "recording": "r", "volume": "v", "topics": [topic]}
-    stage.apply({**PLAIN, "reactions": [reaction]})
-    gap = Gap(TOPIC, "mqtt-bridge of vehicle-00", "waited too long", 3, 10, 30)
-    text = gap_text(gap).encode()
-    stage.live.topics["/robotkube/gaps"].waiting = [(string_message(text), NOW), (string_message(b"[]"), NOW)]
-    stage.pass_seconds(1.1)
-    assert stage.recordings[0].gaps == [gap]
-    stage.detector.change_state("inactive")
-    assert stage.live.topics["/robotkube/gaps"].closed
-
-
-def test_what_a_subscription_had_no_room_for_is_told_to_recordings(stage: DetectorStage) -> None:
-    topic = {"name": "/vehicles/{agent}/pose", "storage": "document"}
-    reaction = {"rule": "near", "kind": "recording", "recording": "r", "volume": "v", "topics": [topic]}
-    stage.apply({**PLAIN, "reactions": [reaction]})
-    stage.send("vehicle-00", 1.0)
-    before = stage.now - 5 * MS
-    stage.live.topics[TOPIC].lost += 7
-    stage.pass_seconds(0.08)
-    assert stage.recordings[0].gaps == [], "nobody knows yet until when"
-    stage.send("vehicle-00", 1.0)
-    stage.send("vehicle-00", 1.0)
-    gap = Gap(TOPIC, "subscription", "pushed out before it was taken", 7, before + 1, before + 90 * MS - 1)
-    assert stage.recordings[0].gaps == [gap], "once"
-    assert stage.status.document()["topics"][TOPIC]["lost"] == 7
 
 
 def test_a_duplicate_is_neither_recorded_nor_evaluated(stage: DetectorStage) -> None:

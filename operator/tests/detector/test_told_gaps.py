@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
+from detector_stage import MS, NOW, DetectorStage, MemoryTasks
 from hypothesis import given
 from hypothesis import strategies as st
+from proximity import SETTINGS
 from waiting import until
 
 from robotkube.domain.audits import GAPS_MAX, SOURCE, Gap, TopicAudit, add_up
+from robotkube.domain.bridging_properties import gap_text
 from robotkube.domain.buffers import Sample
+from robotkube.domain.messages import string_message
 from robotkube.domain.recording_plans import RecordedTopic, RecordingPlan
 from robotkube.domain.topics import TopicPattern
 from robotkube.services.recording.places import RecorderPlace
@@ -22,6 +27,14 @@ POSE = "/vehicles/vehicle_00/pose"
 PERIOD, NUMBERS = 10_000_000, 200
 BRIDGE = Gap(POSE, "mqtt-bridge of vehicle-00", "too many waited for the broker", 3, 50 * PERIOD, 52 * PERIOD)
 PLAN = RecordingPlan("all", "r", "v", (RecordedTopic(TopicPattern("/vehicles/{agent}/pose"), "p", "document"),))
+PLAIN = {key: value for key, value in SETTINGS.items() if key != "reactions"}
+
+
+@pytest.fixture
+def stage() -> Iterator[DetectorStage]:
+    stage = DetectorStage(MemoryTasks())
+    yield stage
+    stage.close()
 
 
 def written(audit: TopicAudit) -> list[Gap]:
@@ -90,3 +103,32 @@ def test_a_second_writer_is_told_the_same_again(database: RecordingDatabase) -> 
     assert len(database.audits("r")) == 2
     found = add_up(database.audits("r"))[POSE]
     assert (found.gaps, found.unexplained(17)) == ((BRIDGE,), 0)
+
+
+def test_what_bridges_gave_up_is_told_to_recordings(stage: DetectorStage) -> None:
+    topic = {"name": "/vehicles/{agent}/pose", "storage": "document"}
+    reaction = {"rule": "near", "kind": "recording", "recording": "r", "volume": "v", "topics": [topic]}
+    stage.apply({**PLAIN, "reactions": [reaction]})
+    gap = Gap(POSE, "mqtt-bridge of vehicle-00", "waited too long", 3, 10, 30)
+    text = gap_text(gap).encode()
+    stage.live.topics["/robotkube/gaps"].waiting = [(string_message(text), NOW), (string_message(b"[]"), NOW)]
+    stage.pass_seconds(1.1)
+    assert stage.recordings[0].gaps == [gap]
+    stage.detector.change_state("inactive")
+    assert stage.live.topics["/robotkube/gaps"].closed
+
+
+def test_what_a_subscription_had_no_room_for_is_told_to_recordings(stage: DetectorStage) -> None:
+    topic = {"name": "/vehicles/{agent}/pose", "storage": "document"}
+    reaction = {"rule": "near", "kind": "recording", "recording": "r", "volume": "v", "topics": [topic]}
+    stage.apply({**PLAIN, "reactions": [reaction]})
+    stage.send("vehicle-00", 1.0)
+    before = stage.now - 5 * MS
+    stage.live.topics[POSE].lost += 7
+    stage.pass_seconds(0.08)
+    assert stage.recordings[0].gaps == [], "nobody knows yet until when"
+    stage.send("vehicle-00", 1.0)
+    stage.send("vehicle-00", 1.0)
+    gap = Gap(POSE, "subscription", "pushed out before it was taken", 7, before + 1, before + 90 * MS - 1)
+    assert stage.recordings[0].gaps == [gap], "once"
+    assert stage.status.document()["topics"][POSE]["lost"] == 7

@@ -64,7 +64,8 @@ class ProcessSender:
         """End the process."""
         if self._process is not None:
             self._process.kill()
-            self._process.wait(END_SECONDS_MAX)
+            with contextlib.suppress(subprocess.TimeoutExpired):  # the kernel ends it as soon as it can
+                self._process.wait(END_SECONDS_MAX)
             for stream in (self._process.stdin, self._process.stdout):
                 with contextlib.suppress(OSError):
                     stream.close() if stream else None

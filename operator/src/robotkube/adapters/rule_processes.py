@@ -7,6 +7,7 @@ kernel when an evaluation takes more processor time than its budget (SIGPROF), a
 
 from __future__ import annotations
 
+import contextlib
 import json
 import marshal
 import os
@@ -80,7 +81,8 @@ class ChildProcess:
         self._stopped = True
         self._asked.release()
         self._process.kill()
-        self._process.wait(END_SECONDS_MAX)
+        with contextlib.suppress(subprocess.TimeoutExpired):  # the kernel ends it as soon as it can
+            self._process.wait(END_SECONDS_MAX)
 
     def _write(self, job: Mapping[str, Any]) -> None:
         stream = self._process.stdin

@@ -77,14 +77,14 @@ class RuleEngine:
     @property
     def rules(self) -> tuple[Rule, ...]:
         """The rules at work."""
-        return tuple(evaluator.rule for evaluator in self._evaluators.values())
+        return tuple(evaluator.rule for evaluator in list(self._evaluators.values()))
 
     @property
     def active(self) -> tuple[Edge, ...]:
-        """The start edges of the events that last, those of silent rules left out."""
+        """The start edges of the events that last, those of silent rules left out; may be asked by another thread."""
         return tuple(
             edge
-            for evaluator in self._evaluators.values()
+            for evaluator in list(self._evaluators.values())
             if not evaluator.rule.silent
             for edge in evaluator.occurrences.active
         )

@@ -45,8 +45,8 @@ class Occurrences:
 
     @property
     def active(self) -> tuple[Edge, ...]:
-        """The start edges of the events that last."""
-        return tuple(state.active for state in self._states.values() if state.active is not None)
+        """The start edges of the events that last; may be asked by another thread."""
+        return tuple(edge for state in list(self._states.values()) if (edge := state.active) is not None)
 
     @property
     def provisional(self) -> bool:
