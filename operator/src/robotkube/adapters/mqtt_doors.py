@@ -2,12 +2,14 @@
 
 Port DoorChannel. paho's own thread reads and connects again, with a bounded pause; the session stays at the broker
 for SESSION_SECONDS. The broker is asked to have at most UNACKNOWLEDGED_MAX messages under way, and of one that is too
-long for a task only its size is kept. A broker that sends more nevertheless loses the connection at WAITING_MAX
-messages or WAITING_BYTES_MAX: what was not acknowledged comes again with the next one, in its order.
+long for a task only its size is kept. Of a broker that sends more nevertheless, what comes beyond WAITING_MAX messages
+or WAITING_BYTES_MAX is left: when what waits is done with, the connection is broken off, and what was not acknowledged
+comes again with the next one, in its order.
 """
 
 from __future__ import annotations
 
+import contextlib
 import queue
 import socket
 import threading
@@ -40,7 +42,8 @@ class PahoDoor:
     def __init__(self, host: str, port: int, username: str, password: str, client_id: str) -> None:
         self._host, self._port = host, port
         self._waiting: queue.Queue[DoorMessage] = queue.Queue()
-        self._waiting_bytes, self._overrun = 0, False
+        self._waiting_bytes = 0
+        self._overrun = self._breaking_off = False
         self._topics: list[str] = []
         self._lock = threading.Lock()
         self._connection = 0
@@ -74,6 +77,7 @@ class PahoDoor:
         try:
             message = self._waiting.get(block=seconds > 0, timeout=seconds)
         except queue.Empty:
+            self._break_off()
             return None
         with self._lock:
             self._waiting_bytes -= len(message.payload)
@@ -105,8 +109,7 @@ class PahoDoor:
             self._complain(f"the broker refuses the connection: {reason}; look at its account")
             return
         with self._lock:
-            self._connection += 1
-            self._overrun = False
+            self._begin()
         client.subscribe([(topic, QOS) for topic in self._topics])
 
     def _subscribed(self, client: Any, userdata: Any, mid: Any, reasons: Any, properties: Any) -> None:
@@ -119,7 +122,7 @@ class PahoDoor:
 
     def _disconnected(self, client: Any, userdata: Any, flags: Any, reason: Any, properties: Any) -> None:
         with self._lock:
-            self._connection += 1
+            self._begin()
         self._forget()
         self._complain(f"the connection was lost: {reason}")
 
@@ -128,6 +131,11 @@ class PahoDoor:
 
     def _complain(self, text: str) -> None:
         self._complaint = f"task door: {text}"
+
+    def _begin(self) -> None:
+        """What comes from now on is of another connection, or of none."""
+        self._connection += 1
+        self._overrun = self._breaking_off = False
 
     def _forget(self) -> None:
         """What was not acknowledged comes again with the next connection."""
@@ -139,11 +147,19 @@ class PahoDoor:
         payload = bytes(message.payload) if size <= MESSAGE_BYTES_MAX else b""
         with self._lock:
             full = self._waiting.qsize() >= WAITING_MAX or self._waiting_bytes + len(payload) > WAITING_BYTES_MAX
-            first, self._overrun = full and not self._overrun, self._overrun or full
+            self._overrun = self._overrun or full
             if not self._overrun:
                 self._waiting_bytes += len(payload)
                 self._waiting.put(
                     DoorMessage(message.topic, payload, size, (self._connection, message.mid, message.qos))
                 )
-        if first and (connection := client.socket()) is not None:
-            connection.shutdown(socket.SHUT_RDWR)  # paho sees it as lost, and connects again
+
+    def _break_off(self) -> None:
+        """What was left comes again; paho sees the connection as lost, and connects."""
+        with self._lock:
+            due = self._overrun and not self._breaking_off and self._waiting.empty()
+            self._breaking_off = self._breaking_off or due
+        connection: Any = self._client.socket() if due else None
+        if connection is not None:
+            with contextlib.suppress(OSError):  # it is gone already
+                connection.shutdown(socket.SHUT_RDWR)
