@@ -196,13 +196,17 @@ class _Space:
 
     @property
     def first(self) -> int:
-        """The first missing stamp."""
-        return min(self.earlier + self.period, self.later - 1)
+        """From when on one is missing, as early as the distances of a regular topic vary."""
+        return min(self.earlier + self._distance_min, self.later - 1)
 
     @property
     def last(self) -> int:
-        """The last missing stamp."""
-        return max(self.later - self.period, self.first)
+        """Until when one is missing, as late as they vary."""
+        return max(self.later - self._distance_min, self.first)
+
+    @property
+    def _distance_min(self) -> int:
+        return max(1, int(self.period * (1 - REGULAR_TOLERANCE)))
 
 
 def _joined(one: Gap, other: Gap) -> Gap:
@@ -217,7 +221,7 @@ def _spaces_of(stamps: Iterable[int], intervals: Sequence[Interval]) -> Iterable
 
 
 def holes(stamps: Iterable[int]) -> list[tuple[int, int, int]]:
-    """Where stamps of a regular topic are missing: first and last missing stamp, and how many.
+    """Where stamps of a regular topic are missing: between which stamps, and how many.
 
     Regular: nine of ten distances lie within a fifth of the median. Of other topics nobody can say that something is
     missing: they have no holes. An even period gives the exact number.
