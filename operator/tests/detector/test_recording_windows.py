@@ -223,7 +223,7 @@ def test_holes_of_a_regular_topic_are_counted_exactly(missing: set[int], period:
     assert inside == missing
 
 
-@given(st.lists(st.integers(-10**6, 10**6), min_size=200, max_size=200), st.integers(1, 190), st.integers(1, 8))
+@given(st.lists(st.integers(-(10**6), 10**6), min_size=200, max_size=200), st.integers(1, 190), st.integers(1, 8))
 def test_a_hole_covers_what_is_missing_of_uneven_stamps(jitter: list[int], begin: int, count: int) -> None:
     stamps = [number * 10 * 10**6 + moved for number, moved in enumerate(jitter)]
     missing = stamps[begin : begin + count]
