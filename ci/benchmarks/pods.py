@@ -123,7 +123,7 @@ class Nodes:
         _ip("link", "add", link, "type", "veth", "peer", "name", "eth0", "netns", name)
         _ip("link", "set", link, "master", self._bridges[node], "mtu", str(self.mtu), "up")
         _ip("-n", name, "link", "set", "lo", "up")
-        _ip("-n", name, "addr", "add", f"10.{self.second}.{node}.{10 + number}/24", "dev", "eth0")
+        _ip("-n", name, "addr", "add", f"{self.address(node, name)}/24", "dev", "eth0")
         _ip("-n", name, "link", "set", "eth0", "mtu", str(self.mtu), "up")
         _ip("-n", name, "route", "add", "default", "via", self.gateway(node))
         return name

@@ -125,11 +125,15 @@ def test_single_files_in_any_order(
     assert found == [message for message in messages() if message[0] == "/words"]
 
 
+def change_tables(bag: Path, statement: str) -> None:
+    with sqlite3.connect(bag / "bag.db3") as database:
+        database.execute(statement)
+    database.close()
+
+
 def test_unsorted_tables_are_read_in_order(tmp_path: Path) -> None:
     write_rosbag(tmp_path / "bag", StoragePlugin.SQLITE3, CompressionMode.NONE)
-    with sqlite3.connect(tmp_path / "bag" / "bag.db3") as database:
-        database.execute("UPDATE messages SET timestamp = 1000000000 - timestamp")
-    database.close()
+    change_tables(tmp_path / "bag", "UPDATE messages SET timestamp = 1000000000 - timestamp")
     found, complaints = read(tmp_path / "bag")
     assert [m for m, _, _ in found] == [name for name, _, _ in reversed(messages())]
     assert [t for _, t, _ in found] == sorted(t for _, t, _ in found)
@@ -282,9 +286,7 @@ def test_an_unknown_compression_of_messages_is_said_once(tmp_path: Path) -> None
 
 def test_not_every_fault_is_told(tmp_path: Path) -> None:
     write_rosbag(tmp_path / "bag", StoragePlugin.SQLITE3, CompressionMode.MESSAGE)
-    with sqlite3.connect(tmp_path / "bag" / "bag.db3") as database:
-        database.execute("UPDATE messages SET data = X'00010000'")
-    database.close()
+    change_tables(tmp_path / "bag", "UPDATE messages SET data = X'00010000'")
     found, complaints = read(tmp_path / "bag")
     assert (found, len(complaints)) == ([], COMPLAINTS_MAX + 1)
     assert complaints[-1].endswith("the others are not told")

@@ -171,10 +171,6 @@ class Topics:
         pattern = before and before.pattern
         return min(fitting, key=lambda one: (one.pattern.general, one.pattern != pattern), default=None)
 
-    def _fitting(self, name: str, type_name: str) -> list[TopicSettings]:
-        """The settings that ask for such a topic."""
-        return [one for one in self._settings.topics if one.type == type_name and one.pattern.agent(name) is not None]
-
     def _change(self, topic: Topic, settings: TopicSettings) -> None:
         before, topic.settings = topic.settings, settings
         topic.agent = settings.pattern.agent(topic.name) or self._settings.agent
