@@ -164,7 +164,8 @@ def _ip(*arguments: str) -> None:
 def start(
     component: str, command: Sequence[str], environment: Mapping[str, str], log: Path, namespace: str | None = None
 ) -> Pod:
-    """Start a process, in a network namespace if one is named; stderr and stdout go to `log`."""
+    """Start a process in the environment of the ros image, in a network namespace if one is named; stderr and stdout go
+    to `log`."""
     inherited = {key: os.environ[key] for key in ("PATH", "LD_LIBRARY_PATH", "TMPDIR") if key in os.environ}
     entering = ["nsenter", f"--net=/run/netns/{namespace}"] if namespace else []
     full = {
@@ -173,6 +174,7 @@ def start(
         "ROS_LOG_DIR": str(log.parent / "ros"),
         "PYTHONPATH": f"{ROOT / 'operator' / 'src'}:{ROOT}",
         "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+        "GLIBC_TUNABLES": "glibc.malloc.hugetlb=1",
         "OPENBLAS_NUM_THREADS": "1",
         **environment,
     }
@@ -242,7 +244,7 @@ class Broker:
     def start(self) -> None:
         """Returns when it takes connections."""
         command = ["mosquitto", "-c", str(self.folder / "mosquitto.conf")]
-        self.pod = start("broker", command, {}, self.folder / "log")
+        self.pod = start("broker", command, {"GLIBC_TUNABLES": ""}, self.folder / "log")  # an image of its own
         deadline = time.monotonic() + START_SECONDS_MAX
         while time.monotonic() < deadline:
             with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", self.port), 1):

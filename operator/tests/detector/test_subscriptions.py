@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import pytest
+import taking
 from renewing_receiver import COUNT
 from waiting import until
 
@@ -161,3 +162,31 @@ def test_a_real_publisher_is_heard_once_and_without_a_gap(
     assert receiver.returncode == 0
     found = json.loads((tmp_path / "numbers.json").read_text())
     assert sorted(found) == list(range(-1, COUNT - 1))
+
+
+def test_a_subscription_gives_what_waits_in_three_forms(
+    start: Callable[..., subprocess.Popen[str]], tmp_path: Path
+) -> None:
+    process = start(str(TESTS / "taking.py"), "/bytes", str(tmp_path / "found.json"))
+    until(lambda: process.poll() is not None)
+    assert process.returncode == 0
+    found = json.loads((tmp_path / "found.json").read_text())
+    assert found["empty"] == [[], [[], None], []]
+
+    numbers = list(range(taking.COUNT + 1))
+    sizes = [len(taking.message(number, taking.LONG_BYTES * (number == taking.COUNT))) for number in numbers]
+    assert max(map(len, found["take"])) <= 3
+    assert [tuple(one) for several in found["take"] for one in several] == list(zip(numbers, sizes, strict=True))
+
+    assert max(len(several) for several, _ in found["take_timed"]) <= 4
+    assert [number for several, _ in found["take_timed"] for number, _ in several] == numbers
+    for several, last in found["take_timed"]:
+        assert last == (several[-1][0] + 1 if several else None), "a publisher numbers from 1"
+
+    assert [(number, said) for number, _, _, said in found["take_sent"]] == [(one, one + 1) for one in numbers]
+    for _, received, sent, _ in found["take_sent"]:
+        assert found["began"] <= sent <= received <= found["ended"]
+
+    assert found["closed"] == ["the subscription is closed"] * 3
+    first, last = found["memory"]
+    assert last - first < 4 * taking.BURST_BYTES, "a tenth of what went through, and what allocators keep"

@@ -17,6 +17,7 @@ Nobody but the DDS library's own threads works in the background: what is not ta
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import os
 import re
@@ -84,7 +85,7 @@ class RosNode:
 
     def __init__(self, name: str) -> None:
         _use_profile()
-        self._bindings = _bindings()
+        self._bindings, self._native = _bindings(), _native()
         self._context = self._bindings.Context([], self._bindings.RCL_DEFAULT_DOMAIN_ID)
         with self._context:
             self._node = self._bindings.Node(name, "/", self._context, [], False, False)
@@ -111,7 +112,7 @@ class RosNode:
                 events[DEADLINE] = self._event(handle, kinds.RCL_SUBSCRIPTION_REQUESTED_DEADLINE_MISSED)
             if lease_ns is not None:
                 events[LIVELINESS] = self._event(handle, kinds.RCL_SUBSCRIPTION_LIVELINESS_CHANGED)
-        return RosSubscription(topic, handle, kind, events)
+        return RosSubscription(topic, handle, self._native, events)
 
     def advertise(
         self, topic: str, type_name: str, reliability: str = "reliable", durability: str = "volatile", depth: int = 1000
@@ -246,41 +247,27 @@ class Sent(NamedTuple):
 class RosSubscription:
     """Receives serialised messages of one topic."""
 
-    def __init__(self, topic: str, handle: Any, kind: Any, events: Mapping[str, Any]) -> None:
+    def __init__(self, topic: str, handle: Any, native: Any, events: Mapping[str, Any]) -> None:
         self.topic = topic
-        self._handle, self._kind, self._take = handle, kind, handle.take_message
+        self._handle, self._native, self._address = handle, native, int(handle.pointer)
         self._events = {name: event for name, event in events.items() if event is not None}
         self._lost_liveliness = 0
 
     def take(self, messages_max: int = 1000) -> list[bytes]:
         """The messages that wait, in their order, at most `messages_max`; empty when none waits."""
-        taken: list[bytes] = []
-        take, kind = self._take, self._kind
-        with self._handle:
-            while len(taken) < messages_max and (message := take(kind, True)) is not None:
-                taken.append(message[0])
+        taken: list[bytes] = self._native.take(self._address, messages_max)
         return taken
 
     def take_timed(self, messages_max: int = 1000) -> tuple[list[tuple[bytes, int]], int | None]:
         """As `take`, each with the time at which the middleware received it (ns since 1970), and the last one's number
-        in its publisher's sequence; None without a message, or when the middleware does not number them.
-
-        The handle is not held by `with`, which takes as long as half a message: all methods belong to one thread."""
-        taken: list[tuple[bytes, int]] = []
-        take, kind, said = self._take, self._kind, None
-        while len(taken) < messages_max and (message := take(kind, True)) is not None:
-            data, said = message
-            taken.append((data, said["received_timestamp"]))
-        return taken, None if said is None else said["publication_sequence_number"]
+        in its publisher's sequence; None without a message, or when the middleware does not number them."""
+        taken: tuple[list[tuple[bytes, int]], int | None] = self._native.take_timed(self._address, messages_max)
+        return taken
 
     def take_sent(self, messages_max: int = 1000) -> list[tuple[bytes, int, Sent]]:
         """As `take_timed`, each with what tells it from every other message of the topic."""
-        taken: list[tuple[bytes, int, Sent]] = []
-        while len(taken) < messages_max and (message := self._take(self._kind, True)) is not None:
-            data, said = message
-            sent = Sent(said["source_timestamp"], said["publication_sequence_number"])
-            taken.append((data, said["received_timestamp"], sent))
-        return taken
+        taken = self._native.take_sent(self._address, messages_max)
+        return [(data, received, Sent(sent, number)) for data, received, sent, number in taken]
 
     @property
     def matched(self) -> int:
@@ -320,6 +307,7 @@ class RosSubscription:
 
     def close(self) -> None:
         """Stop receiving; what was not taken is gone."""
+        self._address = 0
         for event in self._events.values():
             event.destroy_when_not_in_use()
         self._handle.destroy_when_not_in_use()
@@ -359,6 +347,16 @@ def _bindings() -> Any:
             f"rclpy does not start ({error}); install the packages of operator/requirements/robot.txt"
         ) from error
     return rclpy_implementation
+
+
+def _native() -> Any:
+    """The compiled part: operator/native/robotkube_take.c."""
+    try:
+        return importlib.import_module("robotkube_take")
+    except ImportError as error:
+        raise RobotKubeError(
+            f"robotkube_take does not start ({error}); compile it: operator/native/build PYTHON PREFIX"
+        ) from error
 
 
 def _use_profile() -> None:

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from robotkube.services.reactions.dead import DeadLetterBox
     from robotkube.services.reactions.keeping import DeliveryJournal
 
-BUSY_SECONDS, IDLE_SECONDS = 0.015, 0.02
+BUSY_SECONDS, IDLE_SECONDS = 0.016, 0.02
 """From one look at the subscriptions to the next, while messages come and when none has come for IDLE_AFTER_SECONDS."""
 IDLE_AFTER_SECONDS = 1.0
 LAST_DRAIN_SECONDS_MAX = 0.5

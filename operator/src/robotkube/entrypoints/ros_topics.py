@@ -105,7 +105,9 @@ class RosInput:
             return [(data, received) for data, received, _ in self._drain_known(messages_max, self._known)]
         messages, number = self._subscription.take_timed(messages_max)
         if number is not None:
-            self._count(number, len(messages))
+            if number - self._last != len(messages):
+                self._count(number, len(messages))
+            self._last = number
         return messages
 
     def close(self) -> None:

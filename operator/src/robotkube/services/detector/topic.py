@@ -67,7 +67,7 @@ class Topic:
         """Note what the subscription says of itself; counters only grow."""
         self.matched, refused = self.input.matched, self.input.incompatible
         self.incompatible = refused if refused.publishers else self.incompatible
-        before, said = self.counted_before, self._said()
+        before, said = self.counted_before, self._said(refused)
         self.counter.lost = before.lost + said.lost
         self.counter.incompatible = before.incompatible + said.incompatible
         self.counter.missed_deadlines = before.missed_deadlines + said.missed_deadlines
@@ -79,7 +79,7 @@ class Topic:
         self.input.close()
 
     def _go_on_counting(self) -> None:
-        before, said = self.counter, self._said()
+        before, said = self.counter, self._said(self.input.incompatible)
         self.counted_before = _Counted(
             before.lost - said.lost,
             before.incompatible - said.incompatible,
@@ -87,8 +87,8 @@ class Topic:
             before.lost_liveliness - said.lost_liveliness,
         )
 
-    def _said(self) -> _Counted:
-        return _Counted(self.input.lost, self.input.incompatible.publishers, *self.input.broken)
+    def _said(self, refused: Incompatible) -> _Counted:
+        return _Counted(self.input.lost, refused.publishers, *self.input.broken)
 
 
 def of_type(topic: Topic, offers: Iterable[Offer]) -> list[Offer]:

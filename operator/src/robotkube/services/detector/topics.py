@@ -296,9 +296,9 @@ class Topics:
         self._report_refusals(topic, refused, topic.quality)
         fitting = of_type(topic, offers)
         quality = matched(topic.settings.asked, fitting)
-        relieved = len(problem_of(topic, quality)) < len(problem_of(topic, topic.quality))
-        steady = offers == known or not known
-        renewed = bool(fitting) and quality != topic.quality and (relieved or steady)
+        renewed = bool(fitting) and quality != topic.quality
+        if renewed and known and offers != known:
+            renewed = len(problem_of(topic, quality)) < len(problem_of(topic, topic.quality))
         if renewed:
             self._subscribe_anew(topic, quality, offers)
         self._report(topic)
