@@ -45,7 +45,7 @@ class Stage:
     """One topic, its present subscription and the clock."""
 
     def __init__(self) -> None:
-        self.seconds = 0.0
+        self.seconds, self.now = 0.0, 1 << 62
         self.subscription = Numbered()
         self.topic = self._make(None)
 
@@ -56,7 +56,7 @@ class Stage:
         return before
 
     def _make(self, before: RosInput | None) -> RosInput:
-        return RosInput(cast(Any, self.subscription), lambda: self.seconds, before)
+        return RosInput(cast(Any, self.subscription), lambda: self.seconds, lambda: self.now, before)
 
     def drain(self, *numbers: int) -> list[int]:
         self.subscription.waiting += numbers
@@ -150,6 +150,29 @@ def test_one_after_the_other_take_their_places_and_all_are_closed() -> None:
     assert stage.drain(5, 6) == [2, 3, 4, 5, 6]
     stage.topic.close()
     assert (first.closed, second.closed, stage.subscription.closed) == (True, True, True)
+
+
+def test_what_comes_while_two_are_drained_is_not_ahead_of_what_only_the_other_one_got() -> None:
+    """A publisher that has not heard of the new one yet, and one that only the new one hears."""
+    stage = Stage()
+    stage.drain(70)
+    before = stage.renew()
+    stage.now = 75
+    before.waiting += [74]
+    assert stage.drain(73, 77, 79) == [73, 74], "76 and 78 are on their way to the one before"
+    stage.now = 78
+    before.waiting += [76, 78]
+    assert stage.drain() == [76, 77, 78]
+    stage.now = 79
+    assert stage.drain(80) == [79]
+    third = stage.renew()
+    assert third.waiting == []
+    assert stage.drain(81) == []
+    stage.seconds += BESIDE_SECONDS + 0.1
+    stage.now = 81
+    assert stage.drain(82) == [80, 81], "none is lost with the subscription that it came from"
+    stage.seconds += KNOWN_SECONDS
+    assert stage.drain(83) == [82, 83]
 
 
 def test_a_real_publisher_is_heard_once_and_without_a_gap(

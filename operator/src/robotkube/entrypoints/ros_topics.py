@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from operator import itemgetter
 from typing import TYPE_CHECKING
@@ -53,7 +54,8 @@ class RosTopics:
             raise DocumentError(f"topic {topic}", [f"{error}; {fix}"]) from error
         except InputError as error:
             raise DocumentError(f"topic {topic}", [str(error)]) from error
-        return RosInput(subscription, time.monotonic, before if isinstance(before, RosInput) else None)
+        known = before if isinstance(before, RosInput) else None
+        return RosInput(subscription, time.monotonic, time.time_ns, known)
 
     def visible(self) -> Mapping[str, Sequence[str]]:
         """Topic -> types."""
@@ -72,9 +74,15 @@ class RosInput:
     messages do not say whose they are."""
 
     def __init__(
-        self, subscription: RosSubscription, monotonic: Callable[[], float], before: RosInput | None = None
+        self,
+        subscription: RosSubscription,
+        monotonic: Callable[[], float],
+        clock_ns: Callable[[], int],
+        before: RosInput | None = None,
     ) -> None:
-        self._subscription, self._monotonic, self._before = subscription, monotonic, before
+        self._subscription, self._before = subscription, before
+        self._monotonic, self._clock_ns = monotonic, clock_ns
+        self._waiting: list[tuple[bytes, int, Sent]] = []
         self._last, self._alone = -1, False
         self._beside_until, self._known_until = monotonic() + BESIDE_SECONDS, float("inf")
         known = None if before is None else before._known
@@ -117,21 +125,28 @@ class RosInput:
             self._before.close()
 
     def _drain_known(self, messages_max: int, known: set[Sent]) -> list[tuple[bytes, int, Sent]]:
-        """What waits in the one before, which is never behind, and what only this one got; as it was received."""
-        now = self._monotonic()
-        found = [] if self._before is None else self._drain_before(self._before, messages_max, known, now)
+        """What waits in the one before, which is never behind, and what only this one got; as it was received.
+
+        What comes while the two are drained waits for the next time: the other one may have got something earlier."""
+        now, until = self._monotonic(), self._clock_ns()
+        found, self._waiting = self._waiting, []
+        beside = self._before
+        if beside is not None:
+            found += self._drain_before(beside, messages_max, known, now)
         own = self._subscription.take_sent(messages_max)
         if own and own[-1][2].number is not None:
             self._count(own[-1][2].number, len(own))
         found += [one for one in own if one[2] not in known or one[2].number is None]
         known.update(sent for *_, sent in own)
-        if self._before is not None:
-            found.sort(key=_received)
         if own:
             self._known_until = min(self._known_until, now + KNOWN_SECONDS)
         if now > self._known_until or len(known) > KNOWN_MAX:
             self._known = None
-            self._leave_before()
+            found += self._leave_before()
+        if beside is not None:
+            found.sort(key=_received)
+            ready = bisect_right(found, until, key=_received) if self._known is not None else len(found)
+            found, self._waiting = found[:ready], found[ready:]
         return found
 
     def _drain_before(
@@ -141,14 +156,18 @@ class RosInput:
         found = before._drain_known(messages_max, known)
         self.lost += before.lost - lost
         if now > self._beside_until:
-            self._leave_before()
+            found += self._leave_before()
         return found
 
-    def _leave_before(self) -> None:
-        if self._before is not None:
-            self._before.close()
-            self._before = None
-            self._begin_to_count()
+    def _leave_before(self) -> list[tuple[bytes, int, Sent]]:
+        """Close the one before; what waits in it."""
+        if self._before is None:
+            return []
+        waiting = self._before._waiting
+        self._before.close()
+        self._before = None
+        self._begin_to_count()
+        return waiting
 
     def _begin_to_count(self) -> None:
         """Whose number the last one was is not known."""
