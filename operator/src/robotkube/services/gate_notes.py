@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 
 from robotkube.domain.closing import read_note
 from robotkube.domain.errors import RobotKubeError
@@ -17,6 +17,7 @@ from robotkube.ports.git import Notes
 
 GATHER_SECONDS = 2.0  # comments that come within this time become one push
 LOOK_SECONDS = 600.0  # closed pull requests, in case a delivery of the forge was lost
+RETRY_SECONDS = 30.0  # after a round that failed
 HINTS_MAX = 2000
 
 log = logging.getLogger(__name__)
@@ -44,24 +45,34 @@ class NoteKeeper:
         self._woken.set()
 
     def run(self, stopping: threading.Event) -> None:
-        """Rounds until `stopping` is set; what fails is looked for again later."""
+        """Rounds until `stopping` is set; what fails is tried again after RETRY_SECONDS."""
         looked_at = float("-inf")
         while not stopping.is_set():
             self._woken.clear()
-            look = self._monotonic() - looked_at >= LOOK_SECONDS
+            look, pause = self._monotonic() - looked_at >= LOOK_SECONDS, LOOK_SECONDS
             looked_at = self._monotonic() if look else looked_at
             try:
                 self.round(look)
             except RobotKubeError as error:
                 log.warning("notes not written reason=%s", error)
-                looked_at = float("-inf")
-            self._woken.wait(LOOK_SECONDS)
+                looked_at, pause = float("-inf"), RETRY_SECONDS
+            self._woken.wait(pause)
             stopping.wait(GATHER_SECONDS)
 
     def round(self, look: bool) -> None:
-        """Write the notes that are due: of pull requests with a new comment and, to `look`, of the newest closed."""
+        """Write the notes that are due: of pull requests with a new comment and, to `look`, of the newest closed.
+
+        What the forge or Git refuses is due again."""
         with self._lock:
             numbers, self._hints = list(self._hints), {}
+        try:
+            self._write(numbers, look)
+        except RobotKubeError:
+            with self._lock:
+                self._hints = dict.fromkeys(numbers) | self._hints
+            raise
+
+    def _write(self, numbers: Sequence[int], look: bool) -> None:
         pulls = [self._forge.pull_request(number) for number in numbers]
         pulls += [pull for pull in self._forge.pull_requests("closed") if look] if look else []
         wanted = {pull.head: pull for pull in pulls if pull.merged and pull.author in self._managers}
