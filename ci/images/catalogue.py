@@ -67,7 +67,7 @@ def _program(sources: Sources, name: str) -> Copied:
 def _ros(_: Sources) -> tuple[Copied, ...]:
     return (
         _repository("operator/requirements/robot.txt"),
-        _repository("operator/native/robotkube_take.c"),
+        _repository("operator/native/robotkube_rcl.c"),
         _script("operator/native/build"),
         _script("operator/images/ros/prune"),
         _repository("operator/src/robotkube"),

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 
 from robotkube.domain.errors import InputError
 from robotkube.domain.interface_checks import Endpoint as GraphEndpoint
-from robotkube.ports.robots import ChannelEvents
+from robotkube.domain.messages import Published
+from robotkube.ports.robots import ChannelEvents, Clock, MessageSink
 
 
 @dataclass
@@ -32,9 +33,11 @@ class Endpoint:
 
 
 class Network:
-    """Endpoints by topic; types of package `nowhere` are unknown."""
+    """Endpoints by topic; types of package `nowhere` are unknown. `signals`: how many messages pass before the next
+    signal; `refused` is never taken."""
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Clock | None = None) -> None:
+        self.clock, self.signals, self.refused = clock, list[int](), b""
         self.made: list[Endpoint] = []
         self.others: list[GraphEndpoint] = []
 
@@ -48,6 +51,18 @@ class Network:
         return self.made[-1]
 
     advertise = subscribe
+
+    def publish_due(self, messages: Sequence[tuple[MessageSink, int, bytes]], late_ns: int) -> Published:
+        assert self.clock is not None
+        late, most = 0, self.signals.pop(0) if self.signals else len(messages)
+        for count, (sink, due, data) in enumerate(messages[:most]):
+            while (left := due - self.clock.now()) > 0:
+                self.clock.sleep(left)
+            if data == self.refused:
+                return Published(count, late, "no room")
+            late += left < -late_ns
+            sink.publish(data)
+        return Published(min(most, len(messages)), late)
 
     def endpoint(self, topic: str) -> Endpoint:
         """The open endpoint of a topic."""

@@ -14,7 +14,7 @@ from ci.benchmarks.bags import Track, lidar_tracks, message, pose_track, write_b
 from robotkube.adapters.bags import open_bag
 from robotkube.adapters.ledger_files import LedgerFiles
 from robotkube.domain.bags import BagTopic, Run, restamped
-from robotkube.domain.errors import InputError
+from robotkube.domain.errors import InputError, UnavailableError
 from robotkube.domain.messages import header_stamp
 from robotkube.services.player import Player
 
@@ -55,7 +55,8 @@ class Bag:
 
 class World:
     def __init__(self, folder: Path, now: int, count: int = 500) -> None:
-        self.clock, self.network, self.folder = Clock(now), Network(), folder
+        self.clock, self.folder = Clock(now), folder
+        self.network = Network(self.clock)
         self.ended = False
         self.player = Player(
             self.network, Bag(count), LedgerFiles(folder), self.clock, lambda *a, **k: None, lambda: self.ended
@@ -135,6 +136,39 @@ def test_after_a_restart_it_goes_on_where_its_ledger_ends(tmp_path: Path) -> Non
     assert second.player.counts.skipped == 200 - written
     assert second.network.endpoint("/t").published == [restamped(message(0, 0, 40), START)]
     assert len(second.ledger("one", "__t")) == 2
+
+
+def test_after_a_signal_it_asks_for_the_rest(tmp_path: Path) -> None:
+    world = World(tmp_path, START)
+    world.network.signals = [0, 3, 0, 50]
+    world.player.order(Run("one", START))
+    world.at(START + 9 * 10**9, world.end)
+    world.player.serve()
+    assert [line.get("sequence") for line in world.ledger("one", "__p")[:-1]] == list(range(500))
+    assert [header_stamp(data) for data in world.network.endpoint("/p").published] == [
+        START + k * 10_000_000 for k in range(500)
+    ]
+    assert world.player.counts.published == 501
+
+
+def test_what_is_not_taken_is_not_in_the_ledger(tmp_path: Path) -> None:
+    world = World(tmp_path, START)
+    world.network.refused = restamped(message(207, 0, 76), START + 207 * 10_000_000)
+    world.player.order(Run("one", START))
+    with pytest.raises(UnavailableError, match=r"topic /p: the middleware did not take a message: no room"):
+        world.player.serve()
+    assert [line["sequence"] for line in world.ledger("one", "__p")] == list(range(207))
+    assert len(world.network.endpoint("/p").published) == 207
+
+
+def test_a_run_far_away_is_waited_for_and_may_be_taken_back(tmp_path: Path) -> None:
+    world = World(tmp_path, START - 60 * 10**9)
+    world.player.order(Run("one", START))
+    world.at(START - 20 * 10**9, lambda: world.player.order(None))
+    world.at(START + 10**9, world.end)
+    world.player.serve()
+    assert world.network.endpoint("/p").published == []
+    assert world.clock.time < START + 2 * 10**9
 
 
 def test_a_bag_is_read_with_topics_and_times(tmp_path: Path) -> None:

@@ -22,13 +22,14 @@ import importlib.util
 import os
 import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from importlib.machinery import ModuleSpec
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from robotkube.domain.errors import InputError, RobotKubeError, UnavailableError
+from robotkube.domain.messages import Published
 
 if TYPE_CHECKING:  # only who looks at the graph needs them
     from robotkube.domain.interface_checks import Endpoint
@@ -123,6 +124,12 @@ class RosNode:
         with self._node:
             handle = self._make(lambda: self._bindings.Publisher(self._node, kind, topic, quality), topic)
         return RosPublisher(topic, handle, self._bindings.RCLError)
+
+    def publish_due(self, messages: Sequence[tuple[Any, int, bytes]], late_ns: int) -> Published:
+        """See the port; the publishers are this node's own."""
+        asked = [(publisher.address, due, data) for publisher, due, data in messages]
+        published, late, refusal = self._native.publish_due(asked, late_ns)
+        return Published(published, late, refusal or "")
 
     def topics(self) -> dict[str, list[str]]:
         """Topic -> message types of every topic that somebody publishes or subscribes to now."""
@@ -317,7 +324,7 @@ class RosPublisher:
     """Sends serialised messages on one topic."""
 
     def __init__(self, topic: str, handle: Any, failure: type[Exception]) -> None:
-        self.topic = topic
+        self.topic, self.address = topic, int(handle.pointer)
         self._handle, self._failure = handle, failure
         self._publish = handle.publish_raw
 
@@ -336,6 +343,7 @@ class RosPublisher:
 
     def close(self) -> None:
         """Stop sending; what is not acknowledged yet is gone."""
+        self.address = 0
         self._handle.destroy_when_not_in_use()
 
 
@@ -350,12 +358,12 @@ def _bindings() -> Any:
 
 
 def _native() -> Any:
-    """The compiled part: operator/native/robotkube_take.c."""
+    """The compiled part: operator/native/robotkube_rcl.c."""
     try:
-        return importlib.import_module("robotkube_take")
+        return importlib.import_module("robotkube_rcl")
     except ImportError as error:
         raise RobotKubeError(
-            f"robotkube_take does not start ({error}); compile it: operator/native/build PYTHON PREFIX"
+            f"robotkube_rcl does not start ({error}); compile it: operator/native/build PYTHON PREFIX"
         ) from error
 
 

@@ -7,6 +7,7 @@ bytes. Stamps are integers in ns since 1970, positions metres.
 from __future__ import annotations
 
 import struct
+from typing import NamedTuple
 
 _LITTLE_HEADER, _BIG_HEADER = struct.Struct("<iI"), struct.Struct(">iI")
 _LITTLE_LENGTH, _BIG_LENGTH = struct.Struct("<I"), struct.Struct(">I")
@@ -34,6 +35,15 @@ STAMPED_TYPES = frozenset(
     ]
 )
 """Types whose first field is std_msgs/Header."""
+
+
+class Published(NamedTuple):
+    """What became of messages that were to be published: the first `published` of them were, `late` of these later than
+    allowed. `refusal`: why the middleware did not take the next one; empty when it was not asked."""
+
+    published: int
+    late: int
+    refusal: str = ""
 
 
 def header_stamp(data: bytes) -> int:

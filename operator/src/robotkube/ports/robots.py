@@ -8,6 +8,7 @@ from typing import Any, Protocol
 from robotkube.domain.bags import BagTopic, LedgerState
 from robotkube.domain.detector_settings import TopicSettings
 from robotkube.domain.interface_checks import Endpoint
+from robotkube.domain.messages import Published
 from robotkube.domain.qualities import Broken, Incompatible, Offer, Quality
 
 
@@ -155,6 +156,11 @@ class RobotNetwork(Protocol):
         self, topic: str, type_name: str, reliability: str = "reliable", durability: str = "volatile", depth: int = 1000
     ) -> MessageSink:
         """Begin to offer a topic."""
+        ...
+
+    def publish_due(self, messages: Sequence[tuple[MessageSink, int, bytes]], late_ns: int) -> Published:
+        """Publish each at its time (ns since 1970), at once when that is past, in this order. Blocks until the last
+        one, or until a signal comes: then what is left is to be asked for again."""
         ...
 
     def endpoints(self) -> Sequence[Endpoint]:
