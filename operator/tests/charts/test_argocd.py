@@ -43,6 +43,7 @@ def test_runs_five_workloads_with_our_images_on_the_platform_node(argocd: list[O
         spec = pod(argocd, name)
         assert spec["nodeSelector"]["robotkube.io/role"] == "platform"
         assert spec["tolerations"][0]["effect"] == "NoSchedule"
+        assert spec["dnsConfig"] == {"options": [{"name": "ndots", "value": "2"}]}
         for container in [*spec.get("initContainers", []), *spec["containers"]]:
             assert container["image"].startswith("registry.example/"), name
             assert container["imagePullPolicy"] == "IfNotPresent"
