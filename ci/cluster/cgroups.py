@@ -7,7 +7,7 @@ On version 1 the daemons are put into the hierarchies of processor time only; th
 
 All machines of the cluster share the processors of one. Left to themselves a thread of any daemon weighs as much as all
 pods together, and each kubelet reads the open files of all that stand in the root folder. So everything has a folder
-and a weight here (100 is an ordinary one): what all machines wait for goes first.
+and a weight here (100 is an ordinary one): what is to keep its pace goes first.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ ROOT = Path("/sys/fs/cgroup")
 ACCOUNTING = "cpuacct"
 TIME_V1 = (ACCOUNTING, "cpu")
 SHARES_OF_100 = 1024  # version 1 writes a weight of 100 like that
-TOP_WEIGHT, DAEMONS_WEIGHT = 800, 250
+TOP_WEIGHT, DAEMONS_WEIGHT = 800, 100
 CPUSET_FILES = ("cpuset.cpus", "cpuset.mems")
 REMOVAL_ATTEMPTS = 50
 REMOVAL_PAUSE_SECONDS = 0.1

@@ -5,9 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-# Runs on a machine that it shares with sixteen others: one thread of execution at a time costs less when idle.
-ENVIRONMENT = {"GOMAXPROCS": "2"}
-
 # None of these is used here; each would cost a folder outside of the cluster's, a socket or idle work.
 DISABLED = (
     "io.containerd.image-verifier.v1.bindir",

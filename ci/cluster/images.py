@@ -116,7 +116,7 @@ def _import_into(root: Path, images: Sequence[Image], launcher: Launcher) -> Non
     configuration = state / "containerd.toml"
     configuration.write_text(settings.toml(), encoding="utf-8")
     prefix = ["/usr/bin/unshare", "--mount", "--propagation", "private"]
-    process = launcher.start("import", ["containerd", "--config", str(configuration)], prefix, containerd.ENVIRONMENT)
+    process = launcher.start("import", ["containerd", "--config", str(configuration)], prefix)
     socket = state / "containerd.sock"
     try:
         wait_until(lambda: serving(socket, launcher.binaries), "containerd", START_TIMEOUT_SECONDS, [process])

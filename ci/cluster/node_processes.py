@@ -42,7 +42,10 @@ exec sleep infinity
 # kube-proxy 1.36 now and then panics while it starts (it registers a handler with an informer that runs already), and
 # exits on purpose when its node changes: whoever runs it is to start it again, as a DaemonSet does.
 AGAIN = 'until "$@"; do echo "$1 ended with $?: started again in 1 s" >&2; sleep 1; done'
-HOUSEKEEPING_SECONDS = 300  # each reads the open files of every process of the machine
+HOUSEKEEPING_SECONDS = 300  # each reads the open files of every process of the machine, or all its control groups
+# Seventeen nodes on one machine: a program that runs one thing at a time does not wake a second core to look for work.
+# Measured in the use case, odd and even vehicles: kubelet 11.7 instead of 14.0, containerd 7.9 instead of 8.9 ms/s.
+ALONE = {"GOMAXPROCS": "1"}
 
 
 @dataclass(frozen=True)
@@ -116,9 +119,7 @@ def start_containerd(node: Node, launcher: Launcher, holder: Process, sandbox: s
     )
     configuration.write_text(settings.toml(), encoding="utf-8")
     command = ["containerd", "--config", str(configuration)]
-    return launcher.start(
-        f"{node.name}.containerd", command, inside(holder), containerd.ENVIRONMENT, node.daemon_weight
-    )
+    return launcher.start(f"{node.name}.containerd", command, inside(holder), ALONE, node.daemon_weight)
 
 
 def socket_of(holder: Process) -> Path:
@@ -162,9 +163,10 @@ def start_kubelet(node: Node, launcher: Launcher, holder: Process) -> Process:
         f"--node-labels={labels}",
         f"--root-dir={OWN_PLACES['kubelet']}",
         f"--housekeeping-interval={HOUSEKEEPING_SECONDS}s",
+        f"--global-housekeeping-interval={HOUSEKEEPING_SECONDS}s",
         "--v=1",
     ]
-    return launcher.start(f"{node.name}.kubelet", command, inside(holder), weight=node.daemon_weight)
+    return launcher.start(f"{node.name}.kubelet", command, inside(holder), ALONE, node.daemon_weight)
 
 
 def _kubelet(node: Node, cgroup_root: str) -> dict[str, Any]:
@@ -200,6 +202,7 @@ def _kubelet(node: Node, cgroup_root: str) -> dict[str, Any]:
         "imageGCHighThresholdPercent": 100,
         "evictionHard": {"nodefs.available": "1%"},
         "nodeStatusUpdateFrequency": "30s",
+        "nodeStatusReportFrequency": "5m",  # when nothing changed; its lease says that a node is alive
         "volumeStatsAggPeriod": "10m",
         "shutdownGracePeriod": "0s",
     }
@@ -230,7 +233,7 @@ def start_proxy(node: Node, launcher: Launcher, holder: Process) -> Process:
     configuration.write_text(json.dumps(_proxy(node), indent=1), encoding="utf-8")
     command = ["kube-proxy", f"--config={configuration}"]
     prefix = [*inside(holder), "/bin/sh", "-c", AGAIN, "again"]
-    return launcher.start(f"{node.name}.kube-proxy", command, prefix, weight=node.daemon_weight)
+    return launcher.start(f"{node.name}.kube-proxy", command, prefix, ALONE, node.daemon_weight)
 
 
 def _proxy(node: Node) -> dict[str, Any]:

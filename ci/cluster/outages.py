@@ -10,8 +10,8 @@ import signal
 import time
 from pathlib import Path
 
-from ci.cluster import cgroups, containerd, processes
-from ci.cluster.node_processes import socket_of
+from ci.cluster import cgroups, processes
+from ci.cluster.node_processes import ALONE, socket_of
 from ci.cluster.processes import KILL_TIMEOUT_SECONDS, PAUSE_SECONDS, Launcher, Process
 from ci.cluster.records import ClusterFolders
 from ci.errors import SetUpError
@@ -45,11 +45,11 @@ def start(cluster: str, node: str) -> None:
 def _start(folders: ClusterFolders, node: str, process: Process) -> None:
     launcher = Launcher(folders, _program(process).parent)
     if not process.name.endswith(CONTAINERD):
-        launcher.start(process.name, process.command)
+        launcher.start(process.name, process.command, environment=ALONE)
         return
     socket = socket_of(_recorded(folders, f"{node}.node"))
     socket.unlink(missing_ok=True)  # of the one that was killed
-    again = launcher.start(process.name, process.command, environment=containerd.ENVIRONMENT)
+    again = launcher.start(process.name, process.command, environment=ALONE)
     processes.wait_until(socket.exists, CONTAINERD, SOCKET_SECONDS_MAX, [again])
 
 

@@ -24,9 +24,10 @@ MEMORY_UNITS = {"Ki": 2**10, "Mi": 2**20, "Gi": 2**30}
 MEMORY_MINIMUM_BYTES = 256 * 2**20
 NODE_KEYS = {"name", "count", "role", "agent", "capacity", "capabilities"}
 
-# In the world each of them is a machine of its own. Where all share one, all vehicles wait for these.
-WEIGHTS = {"platform": 250, "cloud": 400}
-WEIGHT = 200
+# In the world each of them is a machine of its own. Where all share one, vehicles go on as they would there, all wait
+# for the cloud, and the platform gets what is left.
+WEIGHTS = {"platform": 100, "cloud": 800}
+WEIGHT = 300
 
 
 @dataclass(frozen=True)
