@@ -105,6 +105,7 @@ def test_the_events_are_those_of_brute_force() -> None:
     assert result.messages == 1200
     assert not result.malformed
     assert not result.problems
+    assert not result.unsaid
 
 
 @pytest.mark.parametrize("turn_ns", [1, MS, 60 * MS, 400 * MS])
@@ -294,6 +295,25 @@ def test_rules_with_processes_of_their_own(bag: Path, tmp_path: Path, capsys: py
     assert code == 0, err
     expected = play(drive(), rules=[THRESHOLD]).edges
     assert [(e["edge"], e["stamp"]) for e in json.loads(out)["events"]] == [(e.edge, e.stamp) for e in expected]
+
+
+def test_a_rule_that_fails_makes_the_command_fail(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its events are missing, which nobody shall take for a drive without events."""
+    cel = {
+        "name": "broken", "kind": "cel", "topic": "/vehicles/{agent}/value", "fields": {"value": "data"},
+        "expression": "100 / int(value - value) > 1",
+    }  # fmt: skip
+    path = written(tmp_path / "cel.yaml", {"rules": [cel, THRESHOLD]})
+    code, out, err = said(capsys, "rule", "test", path, str(bag), "-o", "json")
+    assert code == 1
+    document = json.loads(out)
+    assert any(problem.startswith("rule broken was suspended") for problem in document["problems"]), document[
+        "problems"
+    ]
+    assert "events may be missing" in err
+    assert {edge["rule"] for edge in document["events"]} == {"high"}
 
 
 def write(folder: Path, found: Sequence[Message], types: Mapping[str, str] = TYPES, **definitions: str) -> Path:

@@ -82,6 +82,7 @@ def test(options: argparse.Namespace) -> Table:
         result = run(settings, bags, options.start)
         took = time.monotonic() - began
     for problem in [
+        *result.unsaid,
         *result.problems,
         *(f"{name}: {n} messages cannot be read" for name, n in result.malformed.items()),
     ]:
@@ -226,12 +227,12 @@ def _table(result: Replayed, scored: Score | None, problems: Sequence[str]) -> T
         "messages": result.messages,
         "problems": list(problems),
     }
-    refusal = ""
+    refused = ["events may be missing: not all rules could look at all messages"] if result.unsaid else []
     if scored is not None:
         document["expected"] = {**_plain_score(scored), "passed": not scored.failures}
         text += _score_text(scored, result.begin)
-        refusal = "; ".join(scored.failures)
-    return Table("result", (), [document], single=True, refusal=refusal, text=text)
+        refused += scored.failures
+    return Table("result", (), [document], single=True, refusal="; ".join(refused), text=text)
 
 
 def _row(edge: Edge, begin: int) -> dict[str, Any]:

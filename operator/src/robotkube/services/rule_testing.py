@@ -136,7 +136,8 @@ def _refuse(*_: object) -> NoReturn:
 class Replayed:
     """What the rules said. `first`, `last`: times of the bags in ns, 0 without a message; `begin`: what `first` is on
     the clock of the messages' stamps; `messages` were read of topics that rules look at; `malformed`: topic -> messages
-    that are none of their type; `problems`: what to know about the result."""
+    that are none of their type; `unsaid`: rules that could not look at all messages, and why; `problems`: what else to
+    know about the result."""
 
     edges: list[Edge] = field(default_factory=list)
     messages: int = 0
@@ -144,6 +145,7 @@ class Replayed:
     begin: int = 0
     last: int = 0
     malformed: dict[str, int] = field(default_factory=dict)
+    unsaid: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
 
 
@@ -235,9 +237,9 @@ def replay(
             _turns(detector, source)  # what processes answered to the last messages
         result.edges = sorted(listening.edges, key=lambda edge: edge.stamp)
         result.malformed = {n: c.malformed for n, c in detector.topics.counters().items() if c.malformed}
-        result.problems = list(_problems(detector))
+        result.unsaid = list(_unsaid(detector))
         result.begin = result.first - clock.lag
-        result.problems += clock.problems(result.begin)
+        result.problems = list(clock.problems(result.begin))
         result.problems += [
             f"{name}: not read: {SUBSCRIPTIONS_MAX} topics are" for name in sorted(set(clock.seen) - set(source.inputs))
         ]
@@ -253,7 +255,7 @@ def _turns(detector: EventDetector, source: BagTopics) -> None:
             return
 
 
-def _problems(detector: EventDetector) -> Iterable[str]:
+def _unsaid(detector: EventDetector) -> Iterable[str]:
     for (rule, topic), text in sorted(detector.engine.problems.items()):
         yield f"rule {rule} cannot read {topic}: {text}"
     workers = detector.workers.document() if detector.workers is not None else {}
