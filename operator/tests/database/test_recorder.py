@@ -257,6 +257,21 @@ def test_the_spool_carries_a_recording_over_a_missing_database(bench: Bench, dat
     assert all(entry["stored"] for entry in bench.reader.index(RECORDING))
 
 
+def test_a_file_of_the_spool_that_cannot_be_read_holds_up_nothing(
+    bench: Bench, caplog: pytest.LogCaptureFixture
+) -> None:
+    (bench.root / "spool").mkdir(parents=True)
+    unreadable = bench.root / "spool" / "0.bson"
+    unreadable.symlink_to("/proc/self/mem")  # its first page is never mapped: reading it is an I/O error
+    recorder = bench.recorder()
+    until(lambda: recorder.ready)
+    bench.second(recorder, 0)
+    assert recorder.stop(STOP_SECONDS_MAX)
+    bench.assert_complete(1)
+    assert [path.name for path in (bench.root / "spool").iterdir()] == ["0.bson"]
+    assert "the spooled 0.bson stays where it is" in caplog.text
+
+
 def test_waiting_writes_are_bounded_by_the_spool(bench: Bench) -> None:
     recorder = bench.recorder(bounds=RecordingBounds(waiting_bytes=50_000))
     until(lambda: recorder.ready)

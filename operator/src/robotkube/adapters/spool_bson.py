@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -13,7 +14,7 @@ from bson.errors import BSONError
 
 from robotkube.domain.errors import DocumentError
 from robotkube.domain.recordings import COLLECTIONS, Write, messages_of
-from robotkube.ports.recordings import Batch
+from robotkube.ports.recordings import NO_SPACE, Batch
 
 _GIVEN_UP = "-given-up"
 
@@ -32,7 +33,52 @@ class BsonSpool:
         self._folder.mkdir(parents=True, exist_ok=True)
         self._number += 1
         path = self._folder / f"{self._clock_ns():020d}-{self._number:06d}-{self._owner}.bson"
-        unfinished = path.with_suffix(".part")
+        self._write(path, writes)
+        return path.name
+
+    def batches(self) -> Sequence[Batch]:
+        """The files, oldest first."""
+        found = []
+        for path in sorted(self._folder.glob("*.bson")):
+            with suppress(FileNotFoundError):
+                found.append(Batch(path.name, path.stat().st_size, path.stem.endswith(_GIVEN_UP)))
+        return found
+
+    def read(self, batch: str) -> Sequence[Write]:
+        """The writes of one file; DocumentError when it is damaged or gone, or the only one that cannot be read."""
+        path = self._folder / batch
+        try:
+            with path.open("rb") as file:
+                return [_checked(Write(**values)) for values in bson.decode_file_iter(file)]
+        except FileNotFoundError as error:
+            raise DocumentError(str(path), ["is gone: another recorder has brought it in"]) from error
+        except OSError as error:
+            if error.errno != errno.EIO or not self._serves():
+                raise
+            raise DocumentError(str(path), [f"cannot be read ({error.strerror}), though the volume works"]) from error
+        except (BSONError, TypeError, KeyError, AttributeError) as error:
+            raise DocumentError(str(path), [f"is damaged: {error}"]) from error
+
+    def give_up(self, batch: str, writes: Sequence[Write]) -> None:
+        """Put these in the file's place; on a full disk over its begin, for there is no room for another one."""
+        path = self._folder / batch
+        if not path.exists():
+            return  # another recorder has brought it in
+        try:
+            self._write(path, writes)
+        except OSError as error:
+            if error.errno not in NO_SPACE:
+                raise
+            _overwrite(path, writes)
+        path.rename(path.with_name(f"{path.stem}{_GIVEN_UP}.bson"))
+
+    def remove(self, batch: str) -> None:
+        """Delete the file."""
+        (self._folder / batch).unlink(missing_ok=True)
+
+    def _write(self, path: Path, writes: Sequence[Write]) -> None:
+        """A file that appears, or takes the place of another, when it is whole and on the disk."""
+        unfinished = self._unfinished()
         try:
             with unfinished.open("wb") as file:
                 for write in writes:
@@ -49,40 +95,32 @@ class BsonSpool:
             os.fsync(folder)
         finally:
             os.close(folder)
-        return path.name
 
-    def batches(self) -> Sequence[Batch]:
-        """The files, oldest first."""
-        found = []
-        for path in sorted(self._folder.glob("*.bson")):
-            with suppress(FileNotFoundError):
-                found.append(Batch(path.name, path.stat().st_size, path.stem.endswith(_GIVEN_UP)))
-        return found
-
-    def read(self, batch: str) -> Sequence[Write]:
-        """The writes of one file; DocumentError when it is damaged or gone."""
-        path = self._folder / batch
+    def _serves(self) -> bool:
+        """Whether the volume takes a file, or says that it is full."""
+        probe = self._unfinished()
         try:
-            with path.open("rb") as file:
-                return [_checked(Write(**values)) for values in bson.decode_file_iter(file)]
-        except FileNotFoundError as error:
-            raise DocumentError(str(path), ["is gone: another recorder has brought it in"]) from error
-        except (BSONError, TypeError, KeyError, AttributeError) as error:
-            raise DocumentError(str(path), [f"is damaged: {error}"]) from error
+            with probe.open("wb") as file:
+                file.write(b"?")
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            return error.errno in NO_SPACE
+        finally:
+            with suppress(OSError):
+                probe.unlink(missing_ok=True)
+        return True
 
-    def give_up(self, batch: str, writes: Sequence[Write]) -> None:
-        """Overwrite the file's begin and cut it there: on a full disk there is no room for another one."""
-        path = self._folder / batch
-        with suppress(FileNotFoundError), path.open("r+b") as file:
-            file.write(b"".join(bson.encode(_record(write)) for write in writes))
-            file.truncate()
-            file.flush()
-            os.fsync(file.fileno())
-            path.rename(path.with_name(f"{path.stem}{_GIVEN_UP}.bson"))
+    def _unfinished(self) -> Path:
+        return self._folder / f"{self._clock_ns():020d}-{self._owner}.part"
 
-    def remove(self, batch: str) -> None:
-        """Delete the file."""
-        (self._folder / batch).unlink(missing_ok=True)
+
+def _overwrite(path: Path, writes: Sequence[Write]) -> None:
+    with path.open("r+b") as file:
+        file.write(b"".join(bson.encode(_record(write)) for write in writes))
+        file.truncate()
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def _checked(write: Write) -> Write:

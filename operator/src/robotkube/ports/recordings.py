@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 from robotkube.domain.recordings import ClosedSegment, FoundMessage, Received, SegmentPlace, Write
+
+NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""`errno` of an OSError by which a volume says that it is full."""
 
 
 class RecordingStore(Protocol):
@@ -139,11 +143,12 @@ class Spool(Protocol):
         ...
 
     def read(self, batch: str) -> Sequence[Write]:
-        """The writes of one batch; DocumentError when it is damaged or gone."""
+        """The writes of one batch; DocumentError when it is damaged or gone, or cannot be read while the volume can."""
         ...
 
     def give_up(self, batch: str, writes: Sequence[Write]) -> None:
-        """Make room: these few writes take the place of a batch, in the order too; needs no room of its own."""
+        """Make room: these few writes take the place of a batch, in the order too. On a volume that is full they are
+        written over it, and a kill in mid-write damages it; else it has the ones or the others."""
         ...
 
     def remove(self, batch: str) -> None:

@@ -12,7 +12,6 @@ over, what was not written since then is discarded: the other one records, and t
 from __future__ import annotations
 
 import copy
-import errno
 import logging
 import threading
 from collections import deque
@@ -22,6 +21,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from robotkube.domain.audits import MEMORY, SPOOL, TopicAudit
 from robotkube.domain.errors import DocumentError, InputError, UnavailableError
 from robotkube.domain.recordings import AUDITS, INDEX, Write, messages_of
+from robotkube.ports.recordings import NO_SPACE
 from robotkube.services.recording.counts import JournalCounts
 from robotkube.services.recording.places import ROUND_SECONDS, RecorderPlace, RecordingBounds
 from robotkube.services.recording.repairing import repaired
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX = 0.25, 5.0
 WRITES_AT_ONCE_MAX = 2000
 SPOOL_SECONDS = 5.0
-NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 AUDIT_BYTES = 2000
 REFUSED, DISK_FULL, SPOOL_FULL, NO_SPOOL = (
     "refused by the database", "disk full", "spool full", "neither database nor volume",

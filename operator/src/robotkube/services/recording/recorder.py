@@ -19,7 +19,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robotkube.domain.audits import QUEUE, VOLUME, Gap, Interval
 from robotkube.domain.recording_plans import FOREVER
@@ -38,14 +38,12 @@ from robotkube.domain.recordings import (
     messages_of,
     taken_up,
 )
+from robotkube.ports.recordings import NO_SPACE, RecordingStore, Segments
 from robotkube.services.recording.bookkeeping import Arrival, Bookkeeping
 from robotkube.services.recording.counts import RecorderCounts
-from robotkube.services.recording.journal import NO_SPACE, Journal
+from robotkube.services.recording.journal import Journal
 from robotkube.services.recording.places import BOUNDS, ROUND_SECONDS, RecorderPlace, RecordingBounds
 from robotkube.services.recording.repairing import index_write, segment_begun, segment_ended
-
-if TYPE_CHECKING:
-    from robotkube.ports.recordings import RecordingStore, Segments
 
 BATCH_BYTES, BATCH_BYTES_MAX = 4 * 1024 * 1024, 128 * 1024 * 1024
 SETTLED_BYTES_PER_ROUND = 16 * 1024 * 1024
