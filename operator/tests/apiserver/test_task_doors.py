@@ -22,13 +22,15 @@ from waiting import until
 from ci.benchmarks import pods
 from robotkube.adapters.kubernetes_api import KubernetesWorld, api_client, call
 from robotkube.adapters.kubernetes_tasks import KubernetesTasks
-from robotkube.adapters.mqtt_doors import PahoDoor
+from robotkube.adapters.mqtt_doors import UNACKNOWLEDGED_MAX, PahoDoor
 from robotkube.domain.door_messages import DOOR_REASONS
 from robotkube.services.task_doors import TaskDoor
 
 SPEC = {"application": "recording", "parameters": {"vehicles": ["vehicle-00"]}}
 ANSWER_SECONDS_MAX = 20.0
 RANDOM_MESSAGES, THOROUGH_MESSAGES = 200, 1000
+AHEAD_MAX = 100  # messages that the operator is ahead of the door: the broker keeps 128 MiB, and some have 10 MiB
+MORE_THAN_UNDER_WAY = 2 * UNACKNOWLEDGED_MAX
 
 
 class Operator:
@@ -179,9 +181,10 @@ def test_the_api_servers_refusal_is_answered(api: Api, operator: Operator, door:
 @pytest.mark.parametrize("count", [RANDOM_MESSAGES, pytest.param(THOROUGH_MESSAGES, marks=pytest.mark.thorough)])
 def test_random_messages_become_tasks_or_are_answered(api: Api, operator: Operator, door: Door, count: int) -> None:
     before = resident_bytes()
-    for number in range(count):
-        operator.say(random_message(number))
     outcomes = door.door.statistics.outcomes
+    for number in range(count):
+        until(lambda enough=number - AHEAD_MAX: sum(outcomes.values()) >= enough, "the door", ANSWER_SECONDS_MAX)
+        operator.say(random_message(number))
     until(lambda: sum(outcomes.values()) >= count, "every message handled", ANSWER_SECONDS_MAX + count / 2)
     refused = sum(outcomes[reason] for reason in DOOR_REASONS)
     until(lambda: len([a for a in operator.heard if refusal_of(a)]) == refused, "every refusal told")
@@ -207,6 +210,17 @@ def test_what_was_said_while_the_door_was_closed_is_heard_later(
     assert task(api, "door-later") is None
     again = Door(server, broker)
     assert present(api, "door-later")
+    again.close()
+
+
+def test_what_was_refused_before_the_door_had_subscribed_is_answered(
+    server: ApiServerProcess, broker: pods.Broker, operator: Operator
+) -> None:
+    Door(server, broker).close()
+    for number in range(MORE_THAN_UNDER_WAY):
+        operator.say(f"not JSON {number}".encode())
+    again = Door(server, broker)  # the broker sends what it kept before it answers the subscription
+    until(lambda: len(operator.answers(None)) == MORE_THAN_UNDER_WAY, "every answer", ANSWER_SECONDS_MAX)
     again.close()
 
 

@@ -152,6 +152,7 @@ def test_answers_wait_for_the_broker_and_refused_messages_come_again(house: Hous
     house.say(ASKED)
     house.say(b"no JSON")
     assert [message.payload for message in house.channel.acknowledged] == [json.dumps(ASKED).encode()]
+    assert [message.payload for message in house.channel.left] == [b"no JSON"]
     house.channel.connected = True
     house.turn()
     assert [answer["id"] for _, answer in house.told()] == ["look"]

@@ -92,10 +92,19 @@ class PahoDoor:
             if connection == self._connection and quality:
                 self._client.ack(number, quality)
 
+    def leave(self, message: DoorMessage) -> None:
+        """See the port. What waits behind it is of the connection that ends here, so nothing overtakes it."""
+        with self._lock:
+            current = message.token[0] == self._connection
+            if current:
+                self._begin()
+        if current:
+            self._shut()
+
     @writes("message")
     def publish(self, topic: str, payload: bytes) -> bool:
-        """See the port."""
-        if self._complaint:
+        """See the port. A broker sends what it kept before it answers the subscription: that can be answered, too."""
+        if not self._client.is_connected():
             return False
         return self._client.publish(topic, payload, QOS).rc == mqtt.MQTT_ERR_SUCCESS
 
@@ -159,7 +168,11 @@ class PahoDoor:
         with self._lock:
             due = self._overrun and not self._breaking_off and self._waiting.empty()
             self._breaking_off = self._breaking_off or due
-        connection: Any = self._client.socket() if due else None
+        if due:
+            self._shut()
+
+    def _shut(self) -> None:
+        connection: Any = self._client.socket()
         if connection is not None:
             with contextlib.suppress(OSError):  # it is gone already
                 connection.shutdown(socket.SHUT_RDWR)

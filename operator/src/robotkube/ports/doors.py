@@ -38,6 +38,10 @@ class DoorChannel(Protocol):
         """The message is done with; one of a connection that was lost comes again all the same."""
         ...
 
+    def leave(self, message: DoorMessage) -> None:
+        """The message cannot be done with now: it comes again, and those behind it, on a connection of its own."""
+        ...
+
     def publish(self, topic: str, payload: bytes) -> bool:
         """Hand an answer over (QoS 1); False when there is no connection or too many wait."""
         ...

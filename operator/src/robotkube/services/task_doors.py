@@ -154,9 +154,10 @@ class TaskDoor:
         order = read_message(message.payload, message.size)
         found = order if isinstance(order, Unreadable) else self._persist(operator, order)
         if found is None:
-            return  # not acknowledged: it comes again
+            return  # the process ends: it comes again
         if isinstance(found, Unreadable):
             if not self._channel.publish(status_topic(operator), refusal_answer(found)):
+                self._channel.leave(message)
                 return
             words = found.message[:LOGGED_CHARACTERS_MAX]
             log.warning("order refused operator=%s task=%s cause=%s reason=%s", operator, found.id, found.reason, words)

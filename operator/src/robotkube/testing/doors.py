@@ -16,12 +16,13 @@ from robotkube.testing.clusters import MemoryTasks
 
 @dataclass
 class MemoryDoor:
-    """What operators sent, what was acknowledged, and what was answered."""
+    """What operators sent, what was acknowledged or left to come again, and what was answered."""
 
     connected: bool = True
     topics: list[str] = field(default_factory=list)
     waiting: deque[DoorMessage] = field(default_factory=deque)
     acknowledged: list[DoorMessage] = field(default_factory=list)
+    left: list[DoorMessage] = field(default_factory=list)
     answers: list[tuple[str, dict[str, Any]]] = field(default_factory=list)
 
     @property
@@ -47,6 +48,10 @@ class MemoryDoor:
     def acknowledge(self, message: DoorMessage) -> None:
         """Remembered."""
         self.acknowledged.append(message)
+
+    def leave(self, message: DoorMessage) -> None:
+        """Remembered."""
+        self.left.append(message)
 
     def publish(self, topic: str, payload: bytes) -> bool:
         """Kept, while connected."""
