@@ -93,11 +93,12 @@ class PahoDoor:
                 self._client.ack(number, quality)
 
     def leave(self, message: DoorMessage) -> None:
-        """See the port. What waits behind it is of the connection that ends here, so nothing overtakes it."""
+        """See the port. What waits behind it, or still arrives on the connection that ends here, is left as well."""
         with self._lock:
             current = message.token[0] == self._connection
             if current:
                 self._begin()
+                self._overrun = self._breaking_off = True
         if current:
             self._shut()
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import bson
 from bson.errors import BSONError
@@ -45,7 +45,7 @@ class BsonSpool:
         return found
 
     def read(self, batch: str) -> Sequence[Write]:
-        """The writes of one file; DocumentError when it is damaged or gone, or the only one that cannot be read."""
+        """The writes of one file; DocumentError: it is damaged or gone, or cannot be read while the volume works."""
         path = self._folder / batch
         try:
             with path.open("rb") as file:
@@ -69,7 +69,9 @@ class BsonSpool:
         except OSError as error:
             if error.errno not in NO_SPACE:
                 raise
-            _overwrite(path, writes)
+            records = [bson.encode(_record(write)) for write in writes]
+            with path.open("r+b") as file:
+                _store(file, records)
         path.rename(path.with_name(f"{path.stem}{_GIVEN_UP}.bson"))
 
     def remove(self, batch: str) -> None:
@@ -81,10 +83,7 @@ class BsonSpool:
         unfinished = self._unfinished()
         try:
             with unfinished.open("wb") as file:
-                for write in writes:
-                    file.write(bson.encode(_record(write)))
-                file.flush()
-                os.fsync(file.fileno())
+                _store(file, (bson.encode(_record(write)) for write in writes))
             unfinished.rename(path)
         except OSError:
             with suppress(OSError):
@@ -101,9 +100,7 @@ class BsonSpool:
         probe = self._unfinished()
         try:
             with probe.open("wb") as file:
-                file.write(b"?")
-                file.flush()
-                os.fsync(file.fileno())
+                _store(file, [b"?"])
         except OSError as error:
             return error.errno in NO_SPACE
         finally:
@@ -115,12 +112,12 @@ class BsonSpool:
         return self._folder / f"{self._clock_ns():020d}-{self._owner}.part"
 
 
-def _overwrite(path: Path, writes: Sequence[Write]) -> None:
-    with path.open("r+b") as file:
-        file.write(b"".join(bson.encode(_record(write)) for write in writes))
-        file.truncate()
-        file.flush()
-        os.fsync(file.fileno())
+def _store(file: BinaryIO, parts: Iterable[bytes]) -> None:
+    """These and nothing behind them, on the disk."""
+    file.writelines(parts)
+    file.truncate()
+    file.flush()
+    os.fsync(file.fileno())
 
 
 def _checked(write: Write) -> Write:

@@ -143,7 +143,7 @@ class Spool(Protocol):
         ...
 
     def read(self, batch: str) -> Sequence[Write]:
-        """The writes of one batch; DocumentError when it is damaged or gone, or cannot be read while the volume can."""
+        """The writes of one batch; DocumentError: it is damaged or gone, or cannot be read while the volume works."""
         ...
 
     def give_up(self, batch: str, writes: Sequence[Write]) -> None:
