@@ -1,11 +1,13 @@
 # Every target runs a module of ci/ or scenarios/ in the project's own Python environment (made by ci/python, kept in the cache folder).
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-thorough check bench cluster status down toolchain images lock golden reference
+.PHONY: help demo test test-fast test-thorough check bench cluster status down toolchain images lock golden reference docs
 
 PYTHON := ci/python
 # the name of a folder below scenarios/, and a variant of its scenario.yaml: make demo SCENARIO=three-vehicles VARIANT=small
 SCENARIO ?= pose-point-cloud-db-recording
 VARIANT ?=
+# where a forge shows the files of this repository: make docs SOURCE=https://forge.example.com/robots/robotkube/src/branch/main
+SOURCE ?=
 # extra parameters, for example: make demo SET="vehicles=3 encounters=1"
 SET ?=
 
@@ -13,22 +15,25 @@ help:           ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 demo:           ## a scenario, end to end, on the embedded cluster; the paper's use case if none is named
-	@$(PYTHON) -m ci.demo $(SCENARIO) $(addprefix --variant ,$(VARIANT)) $(addprefix --set ,$(SET))
+	@$(PYTHON) -m scenarios.demo $(SCENARIO) $(addprefix --variant ,$(VARIANT)) $(addprefix --set ,$(SET))
 
-test:           ## checks, unit, chart, forge and cluster tests (one small cluster, shared)
+test-fast:      ## the tests that start no other program: what one runs while writing
+	@$(PYTHON) -m ci.test --fast
+
+test:           ## checks and all tests but the slower proofs (one small cluster, shared)
 	@$(PYTHON) -m ci.test
 
 test-thorough:  ## the slower proofs
 	@$(PYTHON) -m ci.test --thorough
 
-check:          ## layers, style and types
+check:          ## layers, style, types, links between pages
 	@$(PYTHON) -m ci.check
 
 bench:          ## benchmarks: ratios against a baseline in the same run
-	@$(PYTHON) -m ci.benchmarks
+	@$(PYTHON) -m benchmarks
 
 cluster:        ## only the embedded cluster with the platform installed
-	@$(PYTHON) -m ci.demo $(SCENARIO) --until platform $(addprefix --variant ,$(VARIANT)) $(addprefix --set ,$(SET))
+	@$(PYTHON) -m scenarios.demo $(SCENARIO) --until platform $(addprefix --variant ,$(VARIANT)) $(addprefix --set ,$(SET))
 
 status:         ## what runs
 	@$(PYTHON) -m ci.cluster status
@@ -51,3 +56,6 @@ golden:         ## write the charts' golden renderings anew
 reference:      ## write the generated pages of docs/reference anew
 	@$(PYTHON) -m ci.reference
 	@$(PYTHON) -m ci.principles
+
+docs:           ## build the documentation as a site, into build/docs/site
+	@$(PYTHON) -m ci.docs $(addprefix --source ,$(SOURCE))

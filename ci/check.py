@@ -9,13 +9,18 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
+from ci import links, markdown
+
 TOP = Path(__file__).resolve().parent.parent
-CODE = ["operator/src", "operator/tests", "ci", "scenarios"]
-TYPED = ["operator/src/robotkube", "ci", "scenarios"]
+CODE = ["operator/src", "operator/tests", "benchmarks", "ci", "scenarios"]
+TYPED = ["operator/src/robotkube", "benchmarks", "ci", "scenarios"]
 LONGEST_MODULE_LINES = 500
+MODULES_MAX = 15  # of one folder below operator/src
+AS_PUBLISHED = "charts/earlier/"  # charts that stay byte for byte what was published
 
 
 def tool(*command: str, folder: str = ".", seconds: int = 600) -> list[str]:
@@ -31,7 +36,7 @@ def tracked(*patterns: str) -> list[str]:
 
 def repository_rules() -> list[str]:
     """Rules that no tool knows: no absolute paths of one machine, no registry addresses, no module of more than 500
-    lines.
+    lines, no page with lines that do not fit into a window.
     """
     findings = []
     if (TOP / "operator/__init__.py").exists():
@@ -50,7 +55,27 @@ def repository_rules() -> list[str]:
             findings.append(
                 f"{name}: {lines} lines; a module of more than {LONGEST_MODULE_LINES} is more than one idea"
             )
-    return findings
+    return findings + crowded_folders(tracked("operator/src/*.py")) + long_lines()
+
+
+def crowded_folders(names: Iterable[str]) -> list[str]:
+    """Folders with more modules than a newcomer looks through; `__init__.py` does not count."""
+    modules = Counter(name.rpartition("/")[0] for name in names if not name.endswith("/__init__.py"))
+    return [
+        f"{folder}: {count} modules; at most {MODULES_MAX}: give what belongs together a folder of its own"
+        for folder, count in sorted(modules.items())
+        if count > MODULES_MAX
+    ]
+
+
+def long_lines() -> list[str]:
+    """Lines of pages that are longer than a window is wide, but for tables, code and what cannot be broken."""
+    return [
+        f"{name}:{line.number}: {len(line.text)} characters; a line of text has at most {markdown.WIDTH}"
+        for name in tracked("*.md")
+        if not name.startswith(AS_PUBLISHED)
+        for line in markdown.too_long((TOP / name).read_text(encoding="utf-8"))
+    ]
 
 
 CHECKS: dict[str, Callable[[], list[str]]] = {
@@ -59,6 +84,7 @@ CHECKS: dict[str, Callable[[], list[str]]] = {
     "types": lambda: tool("mypy", "--config-file", "operator/pyproject.toml", *TYPED),
     "layers": lambda: tool("lint-imports", "--config", "pyproject.toml", folder="operator"),
     "repository": repository_rules,
+    "links": links.findings,
 }
 
 

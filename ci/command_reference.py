@@ -6,10 +6,11 @@ import argparse
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from robotkube.entrypoints.cli import commands as known_commands
-from robotkube.entrypoints.cli import parser as grammar
-from robotkube.entrypoints.cli_output import FORMATS
-from robotkube.entrypoints.cli_platform import Platform
+from ci import markdown
+from robotkube.cli.main import commands as known_commands
+from robotkube.cli.main import parser as grammar
+from robotkube.cli.output import FORMATS
+from robotkube.cli.platform import Platform
 
 TOP = Path(__file__).resolve().parent.parent
 PAGE = TOP / "docs" / "reference" / "command-line.md"
@@ -23,7 +24,7 @@ def page(text: str) -> str:
     _, end, after = rest.partition(END)
     if not begin or not end:
         raise ValueError(f"{PAGE.name}: needs both marks, {BEGIN} and {END}")
-    return f"{before}{BEGIN}\n\n" + "\n".join(lines()) + f"\n{END}{after}"
+    return markdown.wrapped(f"{before}{BEGIN}\n\n" + "\n".join(lines()) + f"\n{END}{after}")
 
 
 def lines() -> Iterator[str]:

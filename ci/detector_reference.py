@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ci import markdown
 from ci.chart_reference import BEGIN, END
-from robotkube.services.detector.status import METRICS, PREFIX
+from robotkube.robots.detector.loops.status import METRICS, PREFIX
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "reference" / "event-detector.md"
 
@@ -21,4 +22,4 @@ def page(text: str) -> str:
         f"| `{name}` | {kind} | {f'`{label}`' if label else '-'} | {meaning} |"
         for name, (kind, label, meaning) in METRICS.items()
     ]
-    return "\n".join([f"{before}{begin}", *head, *rows, f"{end}{after}"])
+    return markdown.wrapped("\n".join([f"{before}{begin}", *head, *rows, f"{end}{after}"]))

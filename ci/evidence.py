@@ -17,8 +17,8 @@ from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption,
 
 from ci.errors import SetUpError
 from ci.folders import user_cache
-from robotkube.adapters.evidence_dsse import KeyFile
-from robotkube.domain.errors import InputError
+from robotkube.errors import InputError
+from robotkube.registry.evidence.adapters.dsse import KeyFile
 
 OWNER_ONLY = 0o600
 

@@ -1,30 +1,34 @@
 """docs/reference/design-principles.md: the rows of the paper's Table I, the story of each, and what became of it.
 
-Stories are the docstrings of operator/tests/table_one/test_p01.py to test_p10.py; results are those of their last run,
-which leaves them in build/reports/table-one.json.
+Stories are the docstrings of operator/tests/platform/table_one/test_p01.py to test_p10.py. Runs of them leave their
+results in build/reports/table-one.json and change no file of the repository; `make reference` brings them into the
+page, which keeps what it says of a story that has not run since.
 """
 
 from __future__ import annotations
 
 import ast
 import json
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from ci import markdown
 from ci.folders import PROJECT
 
 RESULTS = PROJECT / "build" / "reports" / "table-one.json"
 PAGE = PROJECT / "docs" / "reference" / "design-principles.md"
-TESTS = PROJECT / "operator" / "tests" / "table_one"
+TESTS = PROJECT / "operator" / "tests" / "platform" / "table_one"
 NAMES = tuple(f"p{number:02}" for number in range(1, 11))
 WORDS = {"passed": "holds", "failed": "does not hold", "skipped": "not tried"}
 UNKNOWN = "not tried"
+ROW = re.compile(r"^\| \[(p\d\d)\].*\| ([a-z ]+) \|$", re.MULTILINE)
 HEAD = """# Design principles
 
 The ten rows of the paper's Table I, each with the paper's example told as a story on a real cluster. A story asserts on
 Git and on the cluster (pods, nodes, messages), not on the manager's answers. Written by `make reference` from the tests
-and from the results of their last run on the shared test cluster (`ci/python -m ci.test --only cluster`).
+and from the results of their last run on the shared test cluster (`ci/python -m ci.test --only platform`).
 """
 
 
@@ -67,11 +71,30 @@ def page(principles: Sequence[Principle], results: Mapping[str, str]) -> str:
         f"| [{one.name}](#{one.name}) | {one.principle} | {WORDS.get(results.get(one.name, ''), UNKNOWN)} |"
         for one in principles
     ]
-    return "\n".join([*lines, "", *(line for one in principles for line in _chapter(one))]).rstrip() + "\n"
+    text = "\n".join([*lines, "", *(line for one in principles for line in _chapter(one))]).rstrip() + "\n"
+    return markdown.wrapped(text)
+
+
+def said(text: str) -> dict[str, str]:
+    """Name -> passed or failed, as a page says it."""
+    results = {word: result for result, word in WORDS.items() if word != UNKNOWN}
+    return {name: results[word] for name, word in ROW.findall(text) if word in results}
+
+
+def tried(results: Mapping[str, str]) -> dict[str, str]:
+    """Those of `results` that say something."""
+    return {name: result for name, result in results.items() if WORDS.get(result, UNKNOWN) != UNKNOWN}
+
+
+def news() -> str:
+    """What the last run says otherwise than the page, in words; empty when they agree."""
+    before = said(PAGE.read_text(encoding="utf-8"))
+    changed = {name: result for name, result in tried(read_results()).items() if before.get(name) != result}
+    return ", ".join(f"{name} {WORDS[result]}" for name, result in sorted(changed.items()))
 
 
 def _chapter(one: Principle) -> Iterator[str]:
-    test = f"../../operator/tests/table_one/test_{one.name}.py"
+    test = f"../../operator/tests/platform/table_one/test_{one.name}.py"
     yield from (f"## {one.name}", "", one.principle, "")
     yield from (f"*The paper's example.* {one.example}", "")
     yield from (f"*The story* ([test]({test})). {one.story}", "")
@@ -79,7 +102,8 @@ def _chapter(one: Principle) -> Iterator[str]:
 
 def write() -> Path:
     """Write the page; returns its path."""
-    PAGE.write_text(page(read_principles(), read_results()), encoding="utf-8")
+    results = said(PAGE.read_text(encoding="utf-8")) | tried(read_results())
+    PAGE.write_text(page(read_principles(), results), encoding="utf-8")
     return PAGE
 
 

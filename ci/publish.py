@@ -31,14 +31,15 @@ from ci.cluster.images import Image, lock_file, read_lock
 from ci.errors import InputError, SetUpError
 from ci.folders import PROJECT
 from ci.images import bills
-from robotkube.adapters.oci_registry import Registry
-from robotkube.domain.catalogue import read_application
-from robotkube.domain.charts_packing import CHART_FILE
-from robotkube.domain.errors import RobotKubeError, UnavailableError
-from robotkube.domain.texts import read_mapping
-from robotkube.entrypoints import submission_sources as sources
-from robotkube.entrypoints.cli_registry_submit import ACCOUNT, ForgeAccess, submit_sources
-from robotkube.services.submitting import REFUSED, ChartSource, Outcome, Sources
+from robotkube.cli.registry.submit import ACCOUNT, ForgeAccess, submit_sources
+from robotkube.errors import RobotKubeError, UnavailableError
+from robotkube.foundation.documents.core.yaml_codec import read_mapping
+from robotkube.registry.catalogue.core.catalogue import read_application
+from robotkube.registry.charts.adapters.oci import OciRegistry
+from robotkube.registry.charts.core.packing import CHART_FILE
+from robotkube.registry.publication.adapters import submission_folders as sources
+from robotkube.registry.publication.loops.submitting import REFUSED, SubmissionOutcome
+from robotkube.registry.publication.ports import ChartSource, SubmittedSources
 
 NAMESPACE, SERVICE, PORT = "robotkube", "forge", 3000
 ACCOUNT_SECRET = f"forge-account-{ACCOUNT}"
@@ -58,7 +59,7 @@ class Published:
     """What stands in the forge now: references of `images`, and what became of the submission."""
 
     images: tuple[str, ...]
-    outcome: Outcome
+    outcome: SubmissionOutcome
 
 
 def publish(
@@ -102,7 +103,7 @@ def publish_to(
     try:
         references = {image.name: image.reference for image in images}
         found = read_all(references, kept, extra)
-        with Registry(forge.url, forge.username, forge.password) as registry, ThreadPoolExecutor(LANES) as lanes:
+        with OciRegistry(forge.url, forge.username, forge.password) as registry, ThreadPoolExecutor(LANES) as lanes:
             first, others = _needed_first(images, found)
             for image in first:
                 push_image(registry, image)
@@ -119,7 +120,7 @@ def publish_to(
     return Published(tuple(references.values()), outcome)
 
 
-def read_all(references: Mapping[str, str], kept: Path, extra: Sequence[str] = ()) -> Sources:
+def read_all(references: Mapping[str, str], kept: Path, extra: Sequence[str] = ()) -> SubmittedSources:
     """The charts of BASE, those of `extra` with the versions they replace, the applications that all these can run, and
     the evidence that is kept; InputError names every mistake."""
     newest = dict.fromkeys(sources.all_charts(CHARTS), CHARTS)
@@ -135,8 +136,9 @@ def read_all(references: Mapping[str, str], kept: Path, extra: Sequence[str] = (
         chart = sources.read_chart(name.partition("@")[0], places[name], REGISTRY, references)
         if (chart.packed.name, chart.packed.version) not in charts:
             charts[chart.packed.name, chart.packed.version] = chart
-            replaced = f"{chart.packed.name}@{chart.document['spec'].get('replaces')}"
-            waiting += [replaced] if replaced in places and name not in BASE else []
+            spec = chart.document["spec"]
+            older = [f"{chart.packed.name}@{version}" for version in (spec.get("replaces"), *spec.get("skips", ()))]
+            waiting += [version for version in older if version in places and name not in BASE]
     return _checked([charts[key] for key in sorted(charts)], kept)
 
 
@@ -144,7 +146,7 @@ def _version(charts: Path, name: str) -> str:
     return str(read_mapping((charts / name / CHART_FILE).read_text(encoding="utf-8"), name)["version"])
 
 
-def _checked(charts: Sequence[ChartSource], kept: Path) -> Sources:
+def _checked(charts: Sequence[ChartSource], kept: Path) -> SubmittedSources:
     """The charts with the applications that they can run, after a look at both."""
     names = {chart.packed.name for chart in charts}
     provided = {word for chart in charts for word in chart.document["spec"].get("provides", ())}
@@ -158,16 +160,16 @@ def _checked(charts: Sequence[ChartSource], kept: Path) -> Sources:
     ]
     sources.check_sources(sorted(names), runnable, CHARTS, REGISTRY)
     applications = {f"applications/{name}.yaml": texts[name] for name in runnable}
-    return Sources(tuple(charts), applications, sources.read_kept(kept))
+    return SubmittedSources(tuple(charts), applications, sources.read_kept(kept))
 
 
-def _needed_first(images: Sequence[Image], found: Sources) -> tuple[list[Image], list[Image]]:
+def _needed_first(images: Sequence[Image], found: SubmittedSources) -> tuple[list[Image], list[Image]]:
     """The images that charts run, and all others."""
     needed = {reference for chart in found.charts for reference in chart.images}
     return [i for i in images if i.reference in needed], [i for i in images if i.reference not in needed]
 
 
-def push_image(registry: Registry, image: Image) -> str:
+def push_image(registry: OciRegistry, image: Image) -> str:
     """Push by digest to the repository that the image's reference names, with its bill of materials; the digest must
     come out the same."""
     repository = image.repository.partition("/")[2]

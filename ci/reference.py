@@ -10,8 +10,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ci import chart_reference, command_reference, detector_reference, rule_reference
-from robotkube.adapters.metrics_prometheus import reference
+from ci import architecture, chart_reference, command_reference, detector_reference, markdown, rule_reference
+from robotkube.delivery.manager.adapters.prometheus import reference
 
 TOP = Path(__file__).resolve().parent.parent
 SCHEMAS = TOP / "registry" / "schemas"
@@ -40,12 +40,13 @@ Row = tuple[str, str, str, str]
 
 def page(schemas: Mapping[str, Schema]) -> str:
     """The whole page; `schemas` by file name without suffix."""
-    return "\n".join([HEAD, *(line for name in ORDER for line in _chapter(name, schemas[name]))]).rstrip() + "\n"
+    text = "\n".join([HEAD, *(line for name in ORDER for line in _chapter(name, schemas[name]))]).rstrip() + "\n"
+    return markdown.wrapped(text)
 
 
 def metrics_page() -> str:
     """The page about metrics."""
-    return f"{METRICS_HEAD}{reference()}"
+    return markdown.wrapped(f"{METRICS_HEAD}{reference()}")
 
 
 def read_schemas() -> dict[str, Schema]:
@@ -178,3 +179,4 @@ if __name__ == "__main__":
     print(detector.relative_to(TOP))
     print(rule_reference.PAGE.relative_to(TOP), *(path.relative_to(TOP) for path in chart_reference.write()))
     print(PAGE.relative_to(TOP), METRICS_PAGE.relative_to(TOP), commands.relative_to(TOP))
+    architecture.write()

@@ -1,4 +1,4 @@
-"""docs/reference/rules.md: every key of every kind of rule, from the schema of `robotkube.domain.rules`."""
+"""docs/reference/rules.md: every key of every kind of rule, from the schema of `robotkube.robots.rules.core`."""
 
 from __future__ import annotations
 
@@ -6,13 +6,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from robotkube.domain.rules import checking, evaluating
-from robotkube.domain.rules.conditions import GRACE_NS
-from robotkube.domain.rules.engine import JUMP_COUNT, JUMP_NS
-from robotkube.domain.rules.schema import COMMON, KINDS, PROPERTIES, SCOPED, WATCHING, Kind
-from robotkube.services.rule_workers import QUESTIONS_MAX as WAITING
-from robotkube.services.rule_workers import RETRY_SECONDS_FIRST as FIRST
-from robotkube.services.rule_workers import RETRY_SECONDS_MAX as MOST
+from ci import markdown
+from robotkube.robots.rules.core import evaluators
+from robotkube.robots.rules.core.conditions.levels import GRACE_NS
+from robotkube.robots.rules.core.engine import JUMP_COUNT, JUMP_NS
+from robotkube.robots.rules.core.specification import consistency
+from robotkube.robots.rules.core.specification.json_schema import COMMON, KINDS, PROPERTIES, SCOPED, WATCHING, Kind
+from robotkube.robots.rules.loops.workers import QUESTIONS_MAX as WAITING
+from robotkube.robots.rules.loops.workers import RETRY_SECONDS_FIRST as FIRST
+from robotkube.robots.rules.loops.workers import RETRY_SECONDS_MAX as MOST
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "reference" / "rules.md"
 HEAD = """# Rules
@@ -39,7 +41,7 @@ give the same event, live and from a bag. An edge knows its causes: the messages
   `pair` each two of them, of `group` all of `agents` together one, while it holds for `at_least` of them.
 - **Silence**: an agent that sends nothing for `expire_seconds` has no event any more; the stop edge's stamp is
   the end of that time.
-- **Bounds**: {evaluating.AGENTS_MAX} agents per rule; at most {checking.WORKERS_MAX} rules of kinds cel and python.
+- **Bounds**: {evaluators.AGENTS_MAX} agents per rule; at most {consistency.WORKERS_MAX} rules of kinds cel and python.
   Each of these has a process of its own; {WAITING} messages wait for it, more are dropped and counted. A rule that
   fails, takes longer than its budget or does not answer is suspended, named in `/status`, and tried again after
   {FIRST:g} s, then twice as long each time, at most {MOST:g} s; the others go on.
@@ -48,10 +50,8 @@ give the same event, live and from a bag. An edge knows its causes: the messages
 
 def page() -> str:
     """The whole page."""
-    return (
-        "\n".join([HEAD, TEXT, *_common(), *(line for name in KINDS for line in _kind(name, KINDS[name]))]).rstrip()
-        + "\n"
-    )
+    lines = [HEAD, TEXT, *_common(), *(line for name in KINDS for line in _kind(name, KINDS[name]))]
+    return markdown.wrapped("\n".join(lines).rstrip() + "\n")
 
 
 def _common() -> Iterator[str]:

@@ -52,11 +52,21 @@ def run(options: argparse.Namespace) -> None:
     if options.command == "run-dir":
         print(ClusterFolders(options.name).base)
     elif options.command == "down":
-        Embedded(options.name, Path()).down()
+        down(options.name)
     elif options.command == "status":
         print(Embedded(options.name, Path()).status())
     else:
         up(options)
+
+
+def down(name: str) -> None:
+    """Remove the cluster, and say what that was."""
+    removed = Embedded(name, Path()).down()
+    if not removed:
+        print(f"cluster {name}: nothing to remove")
+        return
+    print("\n".join([f"cluster {name}: removed", *(f"  {line}" for line in removed)]))
+    print(f"  kept: the logs in {ClusterFolders(name).log}")
 
 
 def up(options: argparse.Namespace) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import subprocess
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from ci.cluster import cgroups, network, processes
@@ -12,12 +14,14 @@ from ci.cluster.records import ClusterFolders, Record
 from ci.errors import SetUpError
 
 
-def remove(name: str, keep_logs: bool = True) -> None:
-    """Undo everything a start of this cluster did, in an order in which nothing comes back.
+def remove(name: str, keep_logs: bool = True) -> tuple[str, ...]:
+    """Undo everything a start of this cluster did, in an order in which nothing comes back; what it removed, a line for
+    each kind, none when there was nothing.
 
     Mounts and network namespaces of the nodes end with their last process. Raises SetUpError listing what is left.
     """
     folders, plan = ClusterFolders(name), plan_of(name)
+    removed = tuple(_there(name))
     record = Record.read(folders.record)
     processes.kill_all(name)
     network.remove(plan)
@@ -31,6 +35,38 @@ def remove(name: str, keep_logs: bool = True) -> None:
     if left:
         raise SetUpError(f"cluster {name} could not be removed completely; left are: {'; '.join(left)}")
     _remove_files(folders, keep_logs)
+    return removed
+
+
+def _there(name: str) -> Iterator[str]:
+    """What there is of the cluster, in words for people; files that a removal keeps are not among it."""
+    folders, plan = ClusterFolders(name), plan_of(name)
+    strays = processes.strays(name)
+    yield from _counted("process", "processes", len(strays))
+    yield from _counted("network namespace", "network namespaces", len(_networks(strays)))
+    for kind, names in (("links", network.links(plan)), ("nftables", network.tables(plan))):
+        yield from [f"{kind}: {', '.join(names)}"] if names else []
+    yield from _counted("route", "routes", len(network.routes(plan)))
+    yield from _counted("control group", "control groups", len(cgroups.folders(name)))
+    yield from _counted("mount", "mounts", len(_mounts(folders.base)))
+    made = [folder for folder in Record.read(folders.record).made_folders if Path(folder).exists()]
+    yield from [f"folders: {', '.join(made)}"] if made else []
+    files = sorted(entry.name for entry in folders.base.iterdir()) if folders.base.is_dir() else []
+    gone = [file for file in files if file != folders.log.name]
+    yield from [f"files of {folders.base}: {', '.join(gone)}"] if gone else []
+
+
+def _counted(one: str, many: str, count: int) -> Iterator[str]:
+    yield from [f"{count} {one if count == 1 else many}"] if count else []
+
+
+def _networks(pids: Iterable[int]) -> set[str]:
+    """The network namespaces of these processes that are not this machine's own."""
+    found = set()
+    for pid in pids:
+        with contextlib.suppress(OSError):  # ended meanwhile
+            found.add(str(Path(f"/proc/{pid}/ns/net").readlink()))
+    return found - {str(Path("/proc/self/ns/net").readlink())}
 
 
 def leftovers(name: str) -> tuple[str, ...]:

@@ -60,10 +60,10 @@ class Embedded:
             cleaning.remove(self.name, keep_logs=False)
         self._start(topology, wanted, steps)
 
-    def down(self) -> None:
+    def down(self) -> tuple[str, ...]:
         """See Provider.down."""
         with one_at_a_time():
-            cleaning.remove(self.name)
+            return cleaning.remove(self.name)
 
     def status(self) -> str:
         """See Provider.status."""

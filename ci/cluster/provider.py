@@ -28,8 +28,9 @@ class Provider(Protocol):
     def up(self, topology: Topology, images: Sequence[Image]) -> None:
         """Start the cluster or use the running one if it is healthy and equals; every node is Ready afterwards."""
 
-    def down(self) -> None:
-        """Remove everything; nothing to do is fine; raises SetUpError listing what could not be removed."""
+    def down(self) -> tuple[str, ...]:
+        """Remove everything; what it removed, a line for each kind, none when nothing was there. Raises SetUpError
+        listing what could not be removed."""
 
     def status(self) -> str:
         """A table for people."""

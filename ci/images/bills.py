@@ -28,7 +28,7 @@ from typing import IO, Any, Protocol
 from ci.errors import InputError
 from ci.images.buildah import BuildError
 from ci.images.normalising import EPOCH_TEXT, canonical_json
-from robotkube.domain.suite_images import BILL_TYPE
+from robotkube.registry.suites.core.image_checks import BILL_TYPE
 
 FORMAT = "1"  # part of the file's name: raise it when other bytes are written for the same image
 FILE = f"bill-{FORMAT}.json"

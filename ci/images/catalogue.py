@@ -64,20 +64,29 @@ def _program(sources: Sources, name: str) -> Copied:
     return Copied(sources.toolchain_bin / name, f"bin/{name}", executable=True)
 
 
+def _package() -> tuple[Copied, ...]:
+    """The Python package and what makes its commands."""
+    return (
+        _repository("operator/src/robotkube"),
+        _repository("operator/pyproject.toml"),
+        _script("operator/images/install-commands"),
+    )
+
+
 def _ros(_: Sources) -> tuple[Copied, ...]:
     return (
         _repository("operator/requirements/robot.txt"),
         _repository("operator/native/robotkube_rcl.c"),
         _script("operator/native/build"),
         _script("operator/images/ros/prune"),
-        _repository("operator/src/robotkube"),
+        *_package(),
     )
 
 
 def _platform(_: Sources) -> tuple[Copied, ...]:
     return (
         _repository("operator/requirements/platform.txt"),
-        _repository("operator/src/robotkube"),
+        *_package(),
         _repository("gitops", optional=True),
         _repository("registry/schemas", optional=True),
     )

@@ -1,28 +1,23 @@
-"""For all tests: modules beside this file can be imported by name; each random test has the same 200 examples every
-time, without a time limit of their own; long parameters do not stand in the names of tests."""
+"""For all tests: fixtures that stages share; each random test has the same examples every time, without a time limit
+of their own; tests of the fast tier start no other program; long parameters do not stand in the names of tests."""
 
 import logging
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, settings
 
-sys.path.insert(0, str(Path(__file__).parent))
+pytest.register_assert_rewrite("tests.stages")
+
+# Session fixtures exist once, so plugins hold them and no conftest.py of a folder.
+pytest_plugins = (
+    "tests.stages.examples",
+    "tests.stages.tiers",
+    "tests.stages.kubernetes.fixtures",
+    "tests.stages.forge.fixtures",
+    "tests.stages.recording.fixtures",
+)
 
 NAME_CHARACTERS_MAX = 80
-
-# a limit per example fails on a busy machine
-settings.register_profile(
-    "project",
-    max_examples=200,
-    derandomize=True,
-    database=None,
-    deadline=None,
-    suppress_health_check=[HealthCheck.too_slow],
-)
-settings.load_profile("project")
 
 
 @pytest.fixture(autouse=True)

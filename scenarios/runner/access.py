@@ -53,6 +53,11 @@ class Access:
         found = self._call(self.core.read_namespaced_secret, f"secret {namespace}/{name}", name, namespace)
         return {key: base64.b64decode(value).decode() for key, value in (found.data or {}).items()}
 
+    def configmap(self, namespace: str, name: str) -> dict[str, str]:
+        """A ConfigMap's values."""
+        found = self._call(self.core.read_namespaced_config_map, f"configmap {namespace}/{name}", name, namespace)
+        return dict(found.data or {})
+
     def endpoint(self, name: str, namespace: str = PLATFORM) -> Endpoint:
         """ClusterIP and first port of a Service."""
         found = self._call(self.core.read_namespaced_service, f"service {namespace}/{name}", name, namespace)

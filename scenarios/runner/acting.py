@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from robotkube.domain.demands import time_text
+from robotkube.foundation.documents.core.times import time_text
 from scenarios.runner.access import Access
 from scenarios.runner.inputs import Plan, StepDone
 from scenarios.runner.waiting import wait_for
@@ -172,7 +172,7 @@ def merge_plans(earlier: Sequence[Plan], later: Sequence[Plan]) -> tuple[Plan, .
     for plan in later:
         before = known.get(plan.plan)
         known[plan.plan] = _filled(plan, before) if before else plan
-    return tuple(sorted(known.values(), key=lambda plan: plan.started))
+    return tuple(sorted(known.values(), key=lambda plan: plan.started or 0))  # without times: from before the manager
 
 
 def _filled(plan: Plan, before: Plan) -> Plan:

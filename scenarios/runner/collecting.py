@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from robotkube.adapters.mongodb_pymongo import Account, connect
-from robotkube.domain.errors import RobotKubeError
-from robotkube.domain.recordings import INDEX, RECORDINGS, SAMPLES
+from robotkube.foundation.database.adapters.connection import DatabaseLogin, connect
+from robotkube.robots.recording.core.documents import INDEX, RECORDINGS, SAMPLES
 from scenarios.definition import Scenario, cloud_topic, pose_topic, transform_topic
 from scenarios.runner import storage
 from scenarios.runner.access import Access
@@ -21,6 +21,43 @@ DETECTOR = "event-detector"
 MANAGER_PORT = 8080
 DATABASE_SECONDS_MAX = 60.0
 RECORDINGS_CLAIM = "recordings"
+
+
+class Collecting:
+    """Reads one source after the other and goes on when one cannot be read: `warnings` say what, `missing` names the
+    fields of RunInputs that are not whole, so that no expectation takes them for empty."""
+
+    def __init__(self, warn: Callable[[str], None]) -> None:
+        self._warn = warn
+        self.missing: set[str] = set()
+
+    def read(self, what: str, source: Callable[[], Any], otherwise: Any, *fields: str) -> Any:
+        """What `source` gives; whatever it raises is a warning, and `otherwise` is taken for these fields."""
+        try:
+            return source()
+        except Exception as error:  # of any library: a report that is lost cannot be collected again
+            self._lost(what, error, fields)
+            return otherwise
+
+    def read_each(self, what: str, items: Iterable[Any], form: Callable[[Any], Any], *fields: str) -> tuple[Any, ...]:
+        """Those of `items` that can be read; the others are warnings."""
+        found = []
+        for item in items:
+            try:
+                found.append(form(item))
+            except (KeyError, TypeError, ValueError, AttributeError) as error:
+                self._lost(f"{what} {_name(item)}", error, fields)
+        return tuple(found)
+
+    def _lost(self, what: str, error: Exception, fields: tuple[str, ...]) -> None:
+        self.missing.update(fields)
+        self._warn(f"{what}: {type(error).__name__}: {error}")
+
+
+def _name(item: object) -> str:
+    """How a document is named that cannot be read: by its name if it has one, else by its beginning."""
+    found = item if isinstance(item, Mapping) else {}
+    return str(found.get("plan") or found.get("id") or repr(item))[:80]
 
 
 def detector_pod(access: Access, scenario: Scenario) -> str:
@@ -47,47 +84,47 @@ def input_counters(access: Access, scenario: Scenario) -> InputCounters:
     )
 
 
-def edges(access: Access, scenario: Scenario) -> tuple[Edge, ...]:
+def edges(access: Access, scenario: Scenario, reading: Collecting) -> tuple[Edge, ...]:
     """The edges that the event detector remembers."""
     document = access.pod_json(scenario.story.recording_agent, detector_pod(access, scenario), "events")
-    return tuple(read_edge(values) for values in document["events"])
+    return reading.read_each("event", document["events"], read_edge, "edges")
 
 
-def plans(access: Access) -> tuple[Plan, ...]:
+def plans(access: Access, reading: Collecting) -> tuple[Plan, ...]:
     """The plans that the manager remembers."""
     document = access.service_json("manager", "plans", MANAGER_PORT)
-    return tuple(read_plan(values) for values in document["plans"])
+    return reading.read_each("plan", document["plans"], read_plan, "plans")
 
 
 def read_edge(values: Mapping[str, Any]) -> Edge:
-    """An edge from its JSON form."""
+    """An edge from its JSON form; KeyError, TypeError or ValueError when it has another one."""
     return Edge(
         id=values["id"],
         rule=values["rule"],
         edge=values["edge"],
         agents=tuple(values["agents"]),
-        time=values["time"],
-        stamp=values["stamp"],
+        time=_moment(values, "time"),
+        stamp=_moment(values, "stamp"),
         distance_m=values.get("distance_m"),
         trace=values["trace"],
         task=values.get("task"),
-        done=values.get("done"),
+        done=_moment_or_none(values, "done"),
         error=values.get("error"),
     )
 
 
 def read_plan(values: Mapping[str, Any]) -> Plan:
-    """A plan from its JSON form."""
+    """A plan from its JSON form; KeyError, TypeError or ValueError when it has another one."""
     return Plan(
         plan=values["plan"],
         subject=values["subject"],
         cause=values["cause"],
         tasks=tuple(values["tasks"]),
         events=tuple(values["events"]),
-        started=values["started"],
-        proposed=values.get("proposed"),
-        merged=values.get("merged"),
-        observed=values.get("observed"),
+        started=_moment_or_none(values, "started"),
+        proposed=_moment_or_none(values, "proposed"),
+        merged=_moment_or_none(values, "merged"),
+        observed=_moment_or_none(values, "observed"),
         pull_request=values.get("pull_request"),
         commit=values.get("commit"),
         changed=tuple(values["changed"]),
@@ -95,6 +132,16 @@ def read_plan(values: Mapping[str, Any]) -> Plan:
         removed=tuple(values["removed"]),
         error=values.get("error"),
     )
+
+
+def _moment_or_none(values: Mapping[str, Any], key: str) -> int | None:
+    return None if values.get(key) is None else _moment(values, key)
+
+
+def _moment(values: Mapping[str, Any], key: str) -> int:
+    if type(values[key]) is not int:
+        raise ValueError(f"{key} is {values[key]!r:.40}, and must be ns since 1970")
+    return int(values[key])
 
 
 def _count(values: Mapping[str, Any]) -> TopicCount:
@@ -122,18 +169,21 @@ def ledger_ended(file: Path) -> bool:
 
 
 def ledgers(
-    scenario: Scenario, claims: Mapping[str, Path], run: str, warn: Callable[[str], None]
+    scenario: Scenario, claims: Mapping[str, Path], run: str, reading: Collecting
 ) -> dict[str, tuple[LedgerLine, ...]]:
     """The ledgers of the lidar vehicles; one that is missing or has no true end is left out and named."""
     found = {}
     for agent in scenario.lidar_vehicles:
         for topic in (pose_topic(agent), cloud_topic(agent), transform_topic(agent)):
             file = ledger_file(claims[agent], run, topic)
-            try:
-                found[topic] = storage.ledger(json.loads(line) for line in file.read_text().splitlines())
-            except (OSError, ValueError, KeyError) as error:
-                warn(f"ledger of {topic}: {error}")
+            lines = reading.read(f"ledger of {topic}", partial(_ledger, file), None, "ledgers")
+            if lines is not None:
+                found[topic] = lines
     return found
+
+
+def _ledger(file: Path) -> tuple[LedgerLine, ...]:
+    return storage.ledger(json.loads(line) for line in file.read_text().splitlines())
 
 
 def stored(
@@ -142,7 +192,7 @@ def stored(
     """Recordings of the given events, and all their messages, read back from database and segments."""
     namespace = scenario.story.recording_agent
     secret, address = access.secret(namespace, "database-account"), access.endpoint("database")
-    account = Account(
+    account = DatabaseLogin(
         address.host,
         address.port,
         secret["database"],
@@ -184,12 +234,3 @@ def _folder(volumes: Volumes, agent: str | None, claim: str) -> Path | None:
         return volumes.volume_path(agent, claim) if agent else None
     except SetUpError:
         return None
-
-
-def attempt(what: str, read: Callable[[], Any], otherwise: Any, warn: Callable[[str], None]) -> Any:
-    """What `read` gives; on failure a warning and `otherwise`, so that the report shows what is known."""
-    try:
-        return read()
-    except (RunError, RobotKubeError, KeyError, TypeError, ValueError) as error:
-        warn(f"{what}: {type(error).__name__}: {error}")
-        return otherwise

@@ -149,7 +149,7 @@ def _next(start: Edge, later: Sequence[Edge], ended: int) -> int:
 
 def _encounter(scenario: Scenario, inputs: RunInputs, start: Edge, stop: Edge | None, end: int) -> Encounter:
     mine = [plan for plan in inputs.plans if start.id in plan.events or (start.task and start.task in plan.tasks)]
-    mine.sort(key=lambda plan: (plan.merged is None, plan.started))  # one that was turned down is proposed again
+    mine.sort(key=lambda plan: (plan.merged is None, plan.started or 0))  # one that was turned down is proposed again
     plan = next((plan for plan in mine if plan.cause == "task"), None)
     withdrawal = next((one for one in mine if one is not plan and (one.cause == "withdrawal" or one.removed)), None)
     names = {recording.name for recording in inputs.recordings if recording.event == start.id}

@@ -1,24 +1,30 @@
-"""Whether every release that ran had evidence: its annotation names a verification summary that the catalogue holds,
-and that summary is about exactly the digest that ran."""
+"""Whether every release that ran had evidence: its annotation names a verification summary that the catalogue holds, a
+trusted key has signed that summary, and it is about exactly the digest that ran."""
 
 from __future__ import annotations
 
-import base64
-import binascii
-import hashlib
-import json
-from collections.abc import Iterable, Mapping, Sequence
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
+from pathlib import Path
+from typing import Any
 
+from robotkube.errors import InputError
+from robotkube.foundation.documents.core.digests import sha256
+from robotkube.registry.evidence.adapters.dsse import TrustedKeys
+from robotkube.registry.evidence.core.statements import PASSED, SUMMARY_PREDICATE, VerifiedStatement
 from scenarios.runner.inputs import ReleasedChart, RunInputs
 
 SUMMARY = "summary.json"
+Verify = Callable[[bytes], VerifiedStatement]
+"""The statement in an envelope; InputError says why it is not believed."""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A chart as it ran, the evidence that its releases named, and whether the catalogue has it for this digest."""
+    """A chart as it ran, the evidence that its releases named, and whether the catalogue has it, signed and
+    for this digest."""
 
     chart: str
     version: str
@@ -50,22 +56,52 @@ def complete(inputs: RunInputs) -> bool | None:
     return all(entry.found for entry in found) if found else None
 
 
-def summaries(files: Mapping[str, bytes]) -> dict[str, str]:
-    """Digest of each summary's envelope -> digest of the chart it is about; what cannot be read is about nothing."""
-    return {
-        f"sha256:{hashlib.sha256(data).hexdigest()}": _subject(data)
-        for path, data in files.items()
-        if path.rpartition("/")[2] == SUMMARY
-    }
+def trusted_keys(texts: Mapping[str, str]) -> TrustedKeys:
+    """The public keys whose signatures count (file name -> PEM); InputError when one of them is none, or there is
+    none."""
+    with tempfile.TemporaryDirectory(prefix="trusted-keys-") as folder:
+        for name, text in texts.items():
+            (Path(folder) / Path(name).name).write_text(text, encoding="utf-8")
+        keys = TrustedKeys(Path(folder))
+        if not keys.trusted():
+            raise InputError("there is no public key, so nothing can be believed")
+    return keys
 
 
-def _subject(envelope: bytes) -> str:
-    try:
-        statement = json.loads(base64.b64decode(json.loads(envelope)["payload"], validate=True))
-        [subject] = statement["subject"]
-        return f"sha256:{subject['digest']['sha256']}"
-    except (ValueError, TypeError, KeyError, RecursionError, binascii.Error):
-        return ""
+def summaries(files: Mapping[str, bytes], verify: Verify) -> dict[str, str]:
+    """Digest of each summary's envelope -> digest of the chart that it verifiably says has passed; of an envelope that
+    is not believed, empty."""
+    found = {}
+    for envelope in _envelopes(files):
+        try:
+            found[sha256(envelope)] = _passed(verify(envelope).statement)
+        except InputError:
+            found[sha256(envelope)] = ""
+    return found
+
+
+def doubts(files: Mapping[str, bytes], verify: Verify, released: Iterable[ReleasedChart]) -> Iterator[str]:
+    """Why summaries that releases named are not believed, a sentence each."""
+    named = {one.evidence for one in released}
+    for envelope in _envelopes(files):
+        try:
+            if sha256(envelope) in named:
+                _passed(verify(envelope).statement)
+        except InputError as error:
+            yield f"evidence {sha256(envelope)}: {error}"
+
+
+def _envelopes(files: Mapping[str, bytes]) -> Iterator[bytes]:
+    yield from (data for path, data in sorted(files.items()) if path.rpartition("/")[2] == SUMMARY)
+
+
+def _passed(statement: Mapping[str, Any]) -> str:
+    """Digest of the chart that a verified statement says has passed; InputError when it says something else."""
+    if statement["predicateType"] != SUMMARY_PREDICATE or statement["predicate"]["verificationResult"] != PASSED:
+        raise InputError("it does not say that a chart has passed its verification")
+    if len(statement["subject"]) != 1:
+        raise InputError("it must be about exactly one chart")
+    return f"sha256:{statement['subject'][0]['digest'].get('sha256', '')}"
 
 
 def released(documents: Iterable[tuple[str, object]]) -> tuple[ReleasedChart, ...]:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 NANOSECONDS = 1_000_000_000
+STORY = "story"
 
 
 @dataclass(frozen=True)
@@ -66,14 +67,14 @@ class Edge:
 
 @dataclass(frozen=True)
 class Plan:
-    """A plan as the manager tells it."""
+    """A plan as the manager tells it. One that a manager found on main when it began has no times."""
 
     plan: str
     subject: str
     cause: str
     tasks: tuple[str, ...]
     events: tuple[str, ...]
-    started: int
+    started: int | None
     proposed: int | None
     merged: int | None
     observed: int | None
@@ -223,8 +224,9 @@ class MainState:
 @dataclass(frozen=True)
 class RunInputs:
     """Everything the report is computed from. `releases_*` map a release to a digest of its specification; `summaries`
-    maps the digest of each verification summary in the catalogue to the digest of the chart that it is about;
-    `history` has main's commits of the run, the one before it first."""
+    maps the digest of each verification summary in the catalogue to the digest of the chart that it is about, empty
+    when it is not believed; `history` has main's commits of the run, the one before it first; `missing` names the
+    fields here that could not be read, or not whole, and STORY when the run broke off."""
 
     run: str
     provider: str
@@ -251,3 +253,4 @@ class RunInputs:
     steps: tuple[StepDone, ...] = ()
     tasks: tuple[TaskLife, ...] = ()
     history: tuple[MainState, ...] = ()
+    missing: frozenset[str] = frozenset()

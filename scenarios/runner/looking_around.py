@@ -17,7 +17,7 @@ WEB_PAGES = (
 )
 
 
-ROBOTKUBE = "ci/python -m robotkube.entrypoints.cli"
+ROBOTKUBE = "ci/python -m robotkube.cli"
 
 
 def kubectl_folder() -> Path | None:

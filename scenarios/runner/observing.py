@@ -14,7 +14,7 @@ from kubernetes import watch
 from paho.mqtt import client as mqtt
 from paho.mqtt.enums import CallbackAPIVersion
 
-from robotkube.domain.frames import FrameError, decode_frame
+from robotkube.robots.mqtt.core.batches import BatchError, decode_frame
 from scenarios.runner.access import Access
 from scenarios.runner.inputs import BrokerLog, BrokerMessages, BrokerResult, Pod
 from scenarios.runner.waiting import RunError
@@ -97,7 +97,7 @@ def frame_texts(payload: bytes) -> list[str]:
     """The texts in a frame of std_msgs/String (CDR, little endian); what is none is left out."""
     try:
         return [text_of(message) for message in decode_frame(payload).messages]
-    except (FrameError, struct.error, UnicodeDecodeError):
+    except (BatchError, struct.error, UnicodeDecodeError):
         return []
 
 

@@ -63,7 +63,7 @@ class Readiness:
         return () if wanted in found else (f"release {detector} has another rule than the scenario's",)
 
     def _plans(self) -> Sequence[str]:
-        plans = collecting.plans(self._access)
+        plans = collecting.plans(self._access, collecting.Collecting(lambda _: None))
         return [f"plan {plan.plan} is not observed" for plan in plans if plan.observed is None and plan.error is None]
 
     def _pods(self) -> Sequence[str]:

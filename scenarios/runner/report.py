@@ -138,9 +138,8 @@ def _warnings(inputs: RunInputs) -> list[str]:
     warnings += [
         f"event {edge.id}: {edge.error}" for edge in inputs.edges if edge.error and edge.time >= inputs.started
     ]
-    warnings += [
-        f"plan {plan.plan}: {plan.error}" for plan in inputs.plans if plan.error and plan.started >= inputs.started
-    ]
+    told = [plan for plan in inputs.plans if plan.started is None or plan.started >= inputs.started]
+    warnings += [f"plan {plan.plan}: {plan.error}" for plan in told if plan.error]
     return warnings
 
 

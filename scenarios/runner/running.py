@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,11 +17,21 @@ from scenarios import definition
 from scenarios.definition import Scenario, cloud_topic, pose_topic
 from scenarios.generator import bags, checking, routes
 from scenarios.runner import asking, collecting, evidence, looking_around, policy, report, timeline
-from scenarios.runner.access import Access
+from scenarios.runner.access import PLATFORM, Access
 from scenarios.runner.acting import Actor, merge_plans
 from scenarios.runner.cpu import CpuSampler
 from scenarios.runner.deployment import CATALOGUE, Deployment, specification_digests
-from scenarios.runner.inputs import NANOSECONDS, InputCounters, Plan, RunInputs
+from scenarios.runner.inputs import (
+    NANOSECONDS,
+    STORY,
+    Edge,
+    InputCounters,
+    Plan,
+    Recording,
+    ReleasedChart,
+    RunInputs,
+    Stored,
+)
 from scenarios.runner.observing import BrokerObserver, PodWatch
 from scenarios.runner.page import page, value
 from scenarios.runner.placing import Volumes, place_bags
@@ -31,7 +41,7 @@ from scenarios.runner.waiting import RunError, wait_for
 
 PROVIDER = "embedded"
 REPORTS = PROJECT / "build" / "reports"
-EVIDENCE_FOLDER = "evidence"
+EVIDENCE_FOLDER, EVIDENCE_KEYS = "evidence", "evidence-keys"
 START_DELAY_SECONDS = 3
 READY_SECONDS_MAX = 600.0
 REST_CORES_MAX, REST_SECONDS_MAX = 1.0, 60.0
@@ -64,6 +74,7 @@ class Run:
     input_before: InputCounters | None = None
     plans_before: tuple[Plan, ...] = ()
     started: int = 0
+    broke_off: bool = False
     warnings: list[str] = field(default_factory=list)
 
     @property
@@ -73,7 +84,8 @@ class Run:
 
     def keep_plans(self) -> None:
         """Notes the plans that the manager remembers: one that is killed forgets them."""
-        self.plans_before = merge_plans(self.plans_before, collecting.plans(self.access))
+        reading = collecting.Collecting(self.warn)
+        self.plans_before = merge_plans(self.plans_before, collecting.plans(self.access, reading))
 
     def warn(self, text: str) -> None:
         """Notes something for the report and says it."""
@@ -180,14 +192,21 @@ def execute(going: Run, made: Mapping[str, Path]) -> report.Report:
         play(going)
         going.actor.perform(going.scenario.steps)
         wait_for_end(going)
-    except (RunError, SetUpError) as error:
+    except Exception as error:
         if not going.started:
             going.observer.stop()
             going.pods.stop()
             going.tasks.stop()
             raise
-        going.warn(str(error))
+        _note(going, error)
     return report.report(going.scenario, collect(going))
+
+
+def _note(going: Run, error: Exception) -> None:
+    """What was waited for in vain is judged by the expectations; anything else has broken the story off."""
+    awaited = isinstance(error, RunError | SetUpError)
+    going.broke_off = not awaited
+    going.warn(str(error) if awaited else f"the run broke off: {type(error).__name__}: {error}")
 
 
 def prepare(going: Run, made: Mapping[str, Path]) -> None:
@@ -300,66 +319,100 @@ def _left(going: Run) -> list[str]:
         and pod.deleted is None
         and not any(pod.namespace == namespace and pod.name.startswith(f"{name}-") for namespace, name in owners)
     ]
-    plans = collecting.plans(going.access)
+    plans = collecting.plans(going.access, collecting.Collecting(lambda _: None))
     return pods + [f"plan {plan.plan}" for plan in plans if plan.observed is None and plan.error is None]
 
 
 def collect(going: Run) -> RunInputs:
     """Everything the report is computed from; what cannot be read is a warning and fails its expectations."""
     ended, scenario, access = time.time_ns(), going.scenario, going.access
-
-    def read(what: str, source: Callable[[], Any], otherwise: Any) -> Any:
-        return collecting.attempt(what, source, otherwise, going.warn)
-
-    records = scenario.records
-    input_after = records and read("event detector's input", lambda: collecting.input_counters(access, scenario), None)
-    broker = going.observer.stop()
-    cpu = going.sampler.stop(going.pods.labels)
-    going.pods.stop()
-    going.tasks.stop()
-    edges = read("event detector's events", lambda: collecting.edges(access, scenario), ()) if records else ()
-    events = [edge.id for edge in edges if edge.time >= going.started]
-    recordings, found = (), ()
-    if records:
-        stored = collecting.stored
-        recordings, found = read("recordings", lambda: stored(access, scenario, going.volumes, events), ((), ()))
-    read("deployment repository", going.deployment.fetch, "")
+    reading = collecting.Collecting(going.warn)
+    read, records = reading.read, scenario.records
+    input_after = (
+        read("event detector's input", lambda: collecting.input_counters(access, scenario), None, "input_after")
+        if records
+        else None
+    )
+    broker = read("observer of the broker", going.observer.stop, None, "broker")
+    cpu = read("CPU time", lambda: going.sampler.stop(going.pods.labels), {}, "cpu_core_seconds")
+    read("watch of the pods", going.pods.stop, None, "pods")
+    read("watch of the tasks", going.tasks.stop, None, "tasks")
+    edges = _edges(going, reading) if records else ()
+    recordings, found = _stored(going, reading, edges) if records else ((), ())
+    read("deployment repository", going.deployment.fetch, "", "commits", "releases_after", "released", "history")
+    released = read("releases of the run", lambda: evidence.released(_releases_of_the_run(going)), (), "released")
     return RunInputs(
         run=going.name,
         provider=PROVIDER,
         started=going.started,
         ended=ended,
-        ledgers=collecting.ledgers(scenario, going.claims, going.name, going.warn) if scenario.players else {},
+        ledgers=collecting.ledgers(scenario, going.claims, going.name, reading) if scenario.players else {},
         stored=found,
         recordings=recordings,
         edges=edges,
-        plans=merge_plans(going.plans_before, read("manager's plans", lambda: collecting.plans(access), ())),
-        pull_requests=read("pull requests", going.deployment.pull_requests, ()),
-        commits=read("commits", going.deployment.commits, ()),
+        plans=_plans(going, reading),
+        pull_requests=read("pull requests", going.deployment.pull_requests, (), "pull_requests"),
+        commits=read("commits", going.deployment.commits, (), "commits"),
         input_before=going.input_before,
-        input_after=input_after or None,
+        input_after=input_after,
         broker=broker,
-        pods=going.pods.pods(),
+        pods=read("pods", going.pods.pods, (), "pods"),
         releases_before=going.releases_before,
-        releases_after=read("releases", lambda: specification_digests(going.deployment.releases()), {}),
-        released=read("releases of the run", lambda: evidence.released(_releases_of_the_run(going)), ()),
-        summaries=read("evidence in the catalogue", lambda: _summaries(going), {}),
+        releases_after=read(
+            "releases", lambda: specification_digests(going.deployment.releases()), {}, "releases_after"
+        ),
+        released=released,
+        summaries=read("evidence in the catalogue", lambda: _summaries(going, released), {}, "summaries"),
         cpu_core_seconds=cpu,
         set_up_seconds=going.set_up_seconds,
-        warnings=tuple(going.warnings),
         steps=tuple(going.actor.done),
-        tasks=going.tasks.lives(),
-        history=read("main's history", lambda: going.deployment.history(going.main_before), ()),
+        tasks=read("tasks", going.tasks.lives, (), "tasks"),
+        history=read("main's history", lambda: going.deployment.history(going.main_before), (), "history"),
+        warnings=tuple(going.warnings),
+        missing=frozenset(reading.missing | ({STORY} if going.broke_off else set())),
     )
+
+
+def _edges(going: Run, reading: collecting.Collecting) -> tuple[Edge, ...]:
+    def source() -> tuple[Edge, ...]:
+        return collecting.edges(going.access, going.scenario, reading)
+
+    found: tuple[Edge, ...] = reading.read("event detector's events", source, (), "edges")
+    return found
+
+
+def _plans(going: Run, reading: collecting.Collecting) -> tuple[Plan, ...]:
+    later = reading.read("manager's plans", lambda: collecting.plans(going.access, reading), (), "plans")
+    return merge_plans(going.plans_before, later)
+
+
+def _stored(
+    going: Run, reading: collecting.Collecting, edges: Sequence[Edge]
+) -> tuple[tuple[Recording, ...], tuple[Stored, ...]]:
+    events = [edge.id for edge in edges if edge.time >= going.started]
+
+    def source() -> tuple[tuple[Recording, ...], tuple[Stored, ...]]:
+        return collecting.stored(going.access, going.scenario, going.volumes, events)
+
+    nothing: tuple[tuple[Recording, ...], tuple[Stored, ...]] = ((), ())
+    found: tuple[tuple[Recording, ...], tuple[Stored, ...]] = reading.read(
+        "recordings", source, nothing, "recordings", "stored"
+    )
+    return found
 
 
 def _releases_of_the_run(going: Run) -> Iterator[tuple[str, Any]]:
     return going.deployment.releases_since(going.main_before)
 
 
-def _summaries(going: Run) -> dict[str, str]:
+def _summaries(going: Run, released: Sequence[ReleasedChart]) -> dict[str, str]:
+    """What the catalogue's evidence says of charts, verified with the keys that gate and manager trust."""
+    keys = evidence.trusted_keys(going.access.configmap(PLATFORM, EVIDENCE_KEYS))
     going.catalogue.fetch()
-    return evidence.summaries(going.catalogue.files(EVIDENCE_FOLDER))
+    files = going.catalogue.files(EVIDENCE_FOLDER)
+    for doubt in evidence.doubts(files, keys.verify, released):
+        going.warn(doubt)
+    return evidence.summaries(files, keys.verify)
 
 
 def show(going: Run, done: report.Report, reports: Path) -> None:

@@ -6,6 +6,7 @@
 {{- $agents := $scope.agents | default (list "*") }}
 {{- $filled := dict "agents" $agents "namespaces" ($scope.namespaces | default $agents) "applications" ($scope.applications | default (list "*")) }}
 {{- $manager := dict "name" .name "scope" $filled "operators" (.operators | default list) "replicas" (.replicas | default 1 | int) }}
+{{- $manager = merge $manager (pick . "nodeSelector" "tolerations" "affinity" "podAnnotations" "podLabels" "extraEnv" "priorityClassName") }}
 {{- $_ := set $manager "nodeLostSeconds" (.nodeLostSeconds | default 40 | int) }}
 {{- $_ := set $manager "resources" (.resources | default (dict "requests" (dict "cpu" "50m" "memory" "96Mi") "limits" (dict "memory" "256Mi"))) }}
 {{- $found = append $found $manager }}
@@ -58,7 +59,8 @@
 {{- regexReplaceAll "(?m)^- author: manager\n  paths: .*$" (.Files.Get "files/deployment/policies/merge.yaml") (join "\n" $lines) }}
 {{- end }}
 
-{{- /* What is wrong with `managers`, one line each; agents and namespaces belong to exactly one. */ -}}
+{{- /* What is wrong with each of `managers` by itself, one line each. Whether they fit together is said by the managers and the gate
+       when they start (robotkube.domain.scopes). */ -}}
 {{- define "robotkube.managerRefusals" -}}
 {{- $taken := list "administrator" "argocd" "bootstrap" "broker" "database" "default" "forge" "gate" "observer" "operator-team" "publisher" "suite-runner" "teardown" }}
 {{- $declared := list }}{{ range .Values.agents }}{{ $declared = append $declared .name }}{{ end }}
@@ -98,58 +100,6 @@
 {{- range $name := $manager.scope.namespaces }}
 {{- if has $name (list $.Release.Namespace $.Values.argocd.namespace) }}
 {{ printf "%s: scope.namespaces names %q, which belongs to the platform: no task can stand there. Take it out." $at $name }}
-{{- end }}
-{{- end }}
-{{- range $name := $declared }}
-{{- $agent := or (has "*" $manager.scope.agents) (has $name $manager.scope.agents) }}
-{{- $namespace := or (has "*" $manager.scope.namespaces) (has $name $manager.scope.namespaces) }}
-{{- if and $agent (not $namespace) }}
-{{ printf "%s: agent %q is in scope.agents, but its namespace is not in scope.namespaces: operators launched there would have another manager. Name it in both." $at $name }}
-{{- else if and $namespace (not $agent) }}
-{{ printf "%s: namespace %q is in scope.namespaces, but its agent is not in scope.agents: operators launched there would have another manager. Name it in both." $at $name }}
-{{- end }}
-{{- end }}
-{{- range $j, $other := $managers }}
-{{- if gt $j $i }}
-{{- range $key := list "agents" "namespaces" }}
-{{- $mine := index $manager.scope $key }}{{ $theirs := index $other.scope $key }}
-{{- $both := list }}
-{{- range $mine }}{{ if or (has . $theirs) (has "*" $theirs) (eq . "*") }}{{ $both = append $both . }}{{ end }}{{ end }}
-{{- if $both }}
-{{ printf "managers[%d] %q: scope.%s overlaps with that of %q (%s): a release would have two authors, a bridge two publishers. Name each in one manager only." $j $other.name $key $manager.name (join ", " $both) }}
-{{- end }}
-{{- end }}
-{{- end }}
-{{- end }}
-{{- include "robotkube.operatorRefusals" (dict "manager" $manager "at" $at) }}
-{{- end }}
-{{- range $name := $declared }}
-{{- $found := false }}
-{{- range $managers }}{{ if or (has "*" .scope.agents) (has $name .scope.agents) }}{{ $found = true }}{{ end }}{{ end }}
-{{- if and $managers (not $found) }}
-{{ printf "agents: %q is in no manager's scope, so nothing would ever run on it. Add it to scope.agents and scope.namespaces of one of managers." $name }}
-{{- end }}
-{{- end }}
-{{- end }}
-
-{{- /* Arguments: {manager, at}. */ -}}
-{{- define "robotkube.operatorRefusals" -}}
-{{- $seen := list }}
-{{- range $operator := .manager.operators }}
-{{- $at := printf "%s: operators %q" $.at $operator.namespace }}
-{{- if has $operator.namespace $seen }}
-{{ printf "%s: declared twice. Remove one." $at }}
-{{- end }}
-{{- $seen = append $seen $operator.namespace }}
-{{- if not (or (has "*" $.manager.scope.namespaces) (has $operator.namespace $.manager.scope.namespaces)) }}
-{{ printf "%s: not in this manager's scope.namespaces. Declare the operator at the manager that answers it, or add the namespace." $at }}
-{{- end }}
-{{- range $key := list "agents" "applications" }}
-{{- $whole := index $.manager.scope $key }}
-{{- range $name := index $operator $key | default list }}
-{{- if not (or (has "*" $whole) (has $name $whole)) }}
-{{ printf "%s: %s names %q, more than the manager's scope.%s. An operator may never do more than its manager: take it out." $at $key $name $key }}
-{{- end }}
 {{- end }}
 {{- end }}
 {{- end }}

@@ -1,15 +1,42 @@
-{{- /* Labels of every object. Argument: {root, component}. */ -}}
+{{- /* Labels of every object. Arguments: {root, component} and, where objects of a component have names of their own, name. */ -}}
 {{- define "robotkube.labels" -}}
-{{ include "robotkube.selector" . }}
-app.kubernetes.io/part-of: robotkube
-app.kubernetes.io/managed-by: {{ .root.Release.Service }}
+{{ include "robotkube.sharedLabels" . }}
 app.kubernetes.io/version: {{ .root.Chart.AppVersion | quote }}
 helm.sh/chart: {{ .root.Chart.Name }}-{{ .root.Chart.Version }}
+{{- with .root.Values.commonLabels }}
+{{ toYaml . }}
+{{- end }}
 {{- end }}
 
+{{- /* Labels of a component's pods. Their version is that of the image, and the chart's is missing: a pod starts anew when another
+       program shall run in it, not with every version of the chart. Arguments: as above, {image} and {values}, the component's own. */ -}}
+{{- define "robotkube.podLabels" -}}
+{{ include "robotkube.sharedLabels" . }}
+app.kubernetes.io/version: {{ include "robotkube.imageVersion" .image | quote }}
+{{- with merge (dict) (.values.podLabels | default dict) (.root.Values.commonLabels | default dict) }}
+{{ toYaml . }}
+{{- end }}
+{{- end }}
+
+{{- /* What labels of objects and of pods have in common. */ -}}
+{{- define "robotkube.sharedLabels" -}}
+{{ include "robotkube.selector" . }}
+app.kubernetes.io/component: {{ .component }}
+app.kubernetes.io/part-of: robotkube
+app.kubernetes.io/managed-by: {{ .root.Release.Service }}
+{{- end }}
+
+{{- /* Part of `spec.selector`, which never changes: an upgrade would fail on it. */ -}}
 {{- define "robotkube.selector" -}}
-app.kubernetes.io/name: {{ .component }}
+app.kubernetes.io/name: {{ .name | default .component }}
 app.kubernetes.io/instance: {{ .root.Release.Name }}
+{{- end }}
+
+{{- /* The tag of an image, else the first 12 digits of its digest, as a label. Argument: the reference. */ -}}
+{{- define "robotkube.imageVersion" -}}
+{{- $tag := regexReplaceAll "@.*$" . "" | regexFind ":[^:/]+$" | trimPrefix ":" -}}
+{{- $digest := regexFind "@[a-z0-9]+:[0-9a-f]{1,12}" . | splitList ":" | last -}}
+{{- $tag | default $digest | default "latest" | trunc 63 | trimAll "._-" -}}
 {{- end }}
 
 {{- /* Full name of a Service: one DNS question, no search list. Argument: {root, name} and, optional, namespace. */ -}}

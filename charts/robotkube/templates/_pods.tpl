@@ -1,4 +1,5 @@
-{{- /* What every pod of the platform has: Pod Security restricted, and its place. Argument: root. */ -}}
+{{- /* What every pod of the platform has: Pod Security restricted, and its place: the component's own, else the platform's.
+       Arguments: {root, values}, these the component's. */ -}}
 {{- define "robotkube.pod" -}}
 enableServiceLinks: false
 securityContext:
@@ -8,11 +9,37 @@ securityContext:
   fsGroup: 10001
   fsGroupChangePolicy: OnRootMismatch
   seccompProfile: {type: RuntimeDefault}
-{{- with .Values.platform.nodeSelector }}
-nodeSelector: {{- toYaml . | nindent 2 }}
+{{- range $key := list "nodeSelector" "tolerations" }}
+{{- with get $.values $key | default (get $.root.Values.platform $key) }}
+{{ $key }}: {{- toYaml . | nindent 2 }}
 {{- end }}
-{{- with .Values.platform.tolerations }}
-tolerations: {{- toYaml . | nindent 2 }}
+{{- end }}
+{{- with .values.affinity }}
+affinity: {{- toYaml . | nindent 2 }}
+{{- end }}
+{{- with .values.priorityClassName }}
+priorityClassName: {{ . }}
+{{- end }}
+{{- with .root.Values.imagePullSecrets }}
+imagePullSecrets: {{- toYaml . | nindent 2 }}
+{{- end }}
+{{- end }}
+
+{{- /* Labels and annotations that people set and that belong to the chart, one line each. */ -}}
+{{- define "robotkube.podRefusals" -}}
+{{- $given := dict "commonLabels" (.Values.commonLabels | default dict) }}
+{{- $components := dict }}
+{{- range $i, $manager := .Values.managers }}{{ $_ := set $components (printf "managers[%d]" $i) $manager }}{{ end }}
+{{- range $name := list "gate" "suites" "broker" "database" "forge" "bootstrap" "teardown" }}{{ $_ := set $components $name (index $.Values $name) }}{{ end }}
+{{- range $name, $values := $components }}
+{{- range $key := list "podLabels" "podAnnotations" }}{{ $_ := set $given (printf "%s.%s" $name $key) (get $values $key | default dict) }}{{ end }}
+{{- end }}
+{{- range $place, $values := $given }}
+{{- range $key, $_ := $values }}
+{{- if regexMatch "^(app\\.kubernetes\\.io|helm\\.sh|robotkube\\.io)/" $key }}
+{{ printf "%s: %s is set by the chart itself. Use a key of your own, such as example.com/team." $place $key }}
+{{- end }}
+{{- end }}
 {{- end }}
 {{- end }}
 

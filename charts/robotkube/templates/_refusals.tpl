@@ -41,6 +41,9 @@
 {{- range $line := splitList "\n" (include "robotkube.managerRefusals" .) }}
 {{- if trim $line }}{{ $problems = append $problems (trim $line) }}{{ end }}
 {{- end }}
+{{- range $line := splitList "\n" (include "robotkube.podRefusals" .) }}
+{{- if trim $line }}{{ $problems = append $problems (trim $line) }}{{ end }}
+{{- end }}
 {{- if not .Values.images.platform }}
 {{- $problems = append $problems "images.platform is empty. Give the reference of the platform image, such as registry.example/robotkube/platform@sha256:..." }}
 {{- end }}

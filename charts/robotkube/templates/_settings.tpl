@@ -36,6 +36,10 @@ broker:
   credentials: /var/run/secrets/robotkube/broker
 scope: {{ toJson $manager.scope }}
 operators: {{ toJson $manager.operators }}
+managers:
+{{- range fromYamlArray (include "robotkube.managers" .) }}
+- {name: {{ .name }}, scope: {{ toJson .scope }}}
+{{- end }}
 node_lost_seconds: {{ $manager.nodeLostSeconds }}
 {{- with .Values.traces.endpoint }}
 traces: {endpoint: {{ . }}}

@@ -13,16 +13,17 @@ from typing import Any
 
 import pytest
 import yaml
-from programs import program
 
 from ci import toolchain
 from gitops.argocd.render import render
+from tests.stages.paths import REPOSITORY
+from tests.stages.programs import program
 
-REPOSITORY = Path(__file__).resolve().parents[3]
 CHARTS = REPOSITORY / "charts"
 PROFILES = Path(__file__).parent / "profiles"
 HELM_SECONDS_MAX = 60
 PLATFORM = CHARTS / "robotkube"
+ARCHIVED = ("charts", "gitops", "registry/policies")  # the platform chart links to the latter two
 APP_CHARTS = ("mqtt-bridge", "event-detector", "bag-player", "object-detection", "object-tracking")
 
 LOADER = yaml.CSafeLoader  # Argo CD's manifests are 34 000 lines: 0.6 s in C, 9 s in Python
@@ -112,6 +113,19 @@ class Helm:
 @pytest.fixture(scope="session")
 def helm(tmp_path_factory: pytest.TempPathFactory) -> Helm:
     return Helm(program("helm"), tmp_path_factory.mktemp("helm"))
+
+
+@pytest.fixture(scope="session")
+def charts_before(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The charts of the commit before this one. Where there is no history to look at, those that are here: then only
+    the record of the first installation (golden/selectors.json) says what an upgrade may not change."""
+    if not (REPOSITORY / ".git").exists():
+        return CHARTS
+    folder = tmp_path_factory.mktemp("before")
+    archive = ["git", "archive", "HEAD~1", *ARCHIVED]
+    bundle = subprocess.run(archive, cwd=REPOSITORY, capture_output=True, check=True, timeout=60).stdout
+    subprocess.run(["tar", "--extract", "--directory", folder], input=bundle, check=True, timeout=60)
+    return folder / "charts"
 
 
 @pytest.fixture(scope="session")

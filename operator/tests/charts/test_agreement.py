@@ -11,19 +11,25 @@ import httpx
 import pytest
 import yaml
 
-from robotkube.adapters.chart_folders import pack
-from robotkube.domain.bags import read_player_settings
-from robotkube.domain.bridging import read_bridge_settings
-from robotkube.domain.catalogue import read_assurance
-from robotkube.domain.detector_settings import read_detector_settings
-from robotkube.domain.errors import InputError
-from robotkube.domain.initial import InitialPolicy, read_initial_policy
-from robotkube.domain.perception_settings import read_detection_settings, read_track_settings
-from robotkube.domain.verification import read_verification_policy
-from robotkube.entrypoints import bootstrap, gate, manager, suite_runner, teardown
-from robotkube.entrypoints.settings import read_settings
+from robotkube.delivery.deployment.core.policies.initial import InitialPolicy, read_initial_policy
+from robotkube.delivery.gate import __main__ as gate
+from robotkube.delivery.manager import __main__ as manager
+from robotkube.errors import InputError
+from robotkube.foundation.runtime.settings_file import read_settings
+from robotkube.registry.catalogue.core.catalogue import read_assurance
+from robotkube.registry.charts.adapters.chart_folders import pack
+from robotkube.registry.evidence.core.verification_policy import read_verification_policy
+from robotkube.registry.suites import __main__ as suite_runner
+from robotkube.robots.bags.core.playback import read_player_settings
+from robotkube.robots.bridge.core.settings import read_bridge_settings
+from robotkube.robots.detector.core.settings import read_detector_settings
+from robotkube.robots.perception.core.settings import read_detection_settings, read_track_settings
+from robotkube.setup import bootstrap, teardown
+from tests.stages.paths import CHARTS
+from tests.stages.settings_mounted import mounted, write
 
-CHARTS = Path(__file__).resolve().parents[3] / "charts"
+pytestmark = pytest.mark.toolchain
+
 PROFILES = Path(__file__).parent / "profiles"
 PROCESSES: dict[str, Any] = {
     "bootstrap": bootstrap,
@@ -32,8 +38,6 @@ PROCESSES: dict[str, Any] = {
     "suite-runner": suite_runner,
     "teardown": teardown,
 }
-KEY_BODY = "MC4CAQAwBQYDK2VwBCIEIAABAgMEBQYHCAkKCwwNDg8QERITFBUWFxgZGhscHR4f"
-KEY = f"-----BEGIN PRIVATE KEY-----\n{KEY_BODY}\n-----END PRIVATE KEY-----\n"
 APPS: dict[str, Callable[[Mapping[str, Any], str], Any]] = {
     "bag-player": read_player_settings,
     "event-detector": read_detector_settings,
@@ -41,34 +45,6 @@ APPS: dict[str, Callable[[Mapping[str, Any], str], Any]] = {
     "object-detection": read_detection_settings,
     "object-tracking": read_track_settings,
 }
-
-
-def mounted(rendered: Any, process: str, folder: Path) -> Path:
-    """The process's volumes as files below `folder`; the path of its settings, which name them there."""
-    workload = "Job" if process in {"bootstrap", "teardown"} else "Deployment"
-    for volume in dict(rendered.pods)[f"{workload}/{process}"]["volumes"]:
-        for source in volume.get("projected", {}).get("sources", []):
-            name = source["secret"]["name"]
-            data = {"key.pem": KEY} if name == "kept-gate-key" else rendered.one("Secret", name)["stringData"]
-            for item in source["secret"]["items"]:
-                write(folder / "secrets" / item["path"], data[item["key"]])
-        if volume["name"] == "keys":
-            for name, data in rendered.one("ConfigMap", "evidence-keys")["data"].items():
-                write(folder / "keys" / name, data)
-        if volume["name"] == "seed":
-            data = rendered.one("ConfigMap", volume["configMap"]["name"])["data"]
-            for item in volume["configMap"]["items"]:
-                write(folder / "seed" / item["path"], data[item["key"]])
-    text = rendered.one("ConfigMap", process)["data"]["config.yaml"]
-    text = text.replace("/var/run/secrets/robotkube", str(folder / "secrets"))
-    text = text.replace("/etc/robotkube/keys", str(folder / "keys"))
-    return write(folder / "config.yaml", text.replace("/etc/robotkube/seed", str(folder / "seed")))
-
-
-def write(path: Path, text: str) -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text, encoding="utf-8")
-    return path
 
 
 @pytest.mark.parametrize("profile", ["official", "embedded"])
@@ -137,6 +113,21 @@ def test_helm_renders_a_packed_chart_as_the_folder(
     assert helm.template(archive, helm.values(profile), release=chart).objects == apps[chart].objects
 
 
+@pytest.mark.parametrize("chart", ["event-detector", "mqtt-bridge", "object-detection", "object-tracking"])
+def test_an_earlier_version_is_packed_with_the_library_it_was_published_with(
+    helm: Any, chart: str, tmp_path: Path
+) -> None:
+    own = PROFILES / "earlier" / f"{chart}.yaml"
+    profile = yaml.safe_load((own if own.exists() else PROFILES / f"{chart}.yaml").read_text())
+    image = profile.pop("image")["reference"]
+    archive = tmp_path / f"{chart}.tgz"
+    archive.write_bytes(pack(CHARTS / "earlier" / chart, {"ros": image}).archive)
+    values = {**profile, "image": {"reference": image}}
+    folder = helm.template(CHARTS / "earlier" / chart, helm.values(values), release=chart)
+    assert helm.template(archive, helm.values(profile), release=chart).objects == folder.objects
+    assert "app.kubernetes.io/version" not in folder.one("Deployment", chart)["metadata"]["labels"]
+
+
 @pytest.mark.parametrize("chart", ["event-detector", "mqtt-bridge"])
 def test_values_and_settings_of_the_earlier_version_are_still_read(
     helm: Any, apps: Mapping[str, Any], chart: str, tmp_path: Path
@@ -154,7 +145,7 @@ def test_values_and_settings_of_the_earlier_version_are_still_read(
         newer = replace(newer, publish_gaps=False)
     assert older == newer
     packed = [pack(CHARTS / folder / chart, {"ros": "x@sha256:" + "5" * 64}) for folder in ("apps", "earlier")]
-    assert [one.version for one in packed] == ["0.2.0", "0.1.0"]
+    assert [one.version for one in packed] == ["0.2.1", "0.1.1"]
 
 
 @pytest.mark.parametrize("chart", ["object-detection", "object-tracking"])
@@ -166,5 +157,5 @@ def test_two_versions_of_a_chart_differ_in_what_they_run(helm: Any, apps: Mappin
     )
     assert newer != older
     packed = [pack(CHARTS / folder / chart, {"ros": "x@sha256:" + "5" * 64}) for folder in ("apps", "earlier")]
-    assert [one.version for one in packed] == ["0.2.0", "0.1.0"]
+    assert [one.version for one in packed] == ["0.2.1", "0.1.1"]
     assert len({one.digest for one in packed}) == 2

@@ -9,6 +9,8 @@ import yaml
 
 from gitops.argocd.render import render
 
+pytestmark = pytest.mark.toolchain
+
 Object = dict[str, Any]
 
 IMAGES = {"argocd": "registry.example/argocd@sha256:1", "redis": "registry.example/redis@sha256:2", "ros": "unused"}

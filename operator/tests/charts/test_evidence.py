@@ -11,11 +11,14 @@ import yaml
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 from cryptography.x509 import load_pem_x509_certificate
-from signed_evidence import Signing, artefact
 
-from robotkube.adapters.evidence_dsse import KeyFile, TrustedKeys
+from robotkube.registry.evidence.adapters.dsse import KeyFile, TrustedKeys
+from tests.stages.paths import CHARTS
+from tests.stages.registry.signed_evidence import Signing, artefact
 
-PLATFORM = Path(__file__).resolve().parents[3] / "charts" / "robotkube"
+pytestmark = pytest.mark.toolchain
+
+PLATFORM = CHARTS / "robotkube"
 PROFILE = Path(__file__).parent / "profiles" / "official.yaml"
 ROOMS = ("robotkube-suite-0", "robotkube-suite-1")
 GATE_KEYS = {"official": "gate-key", "embedded": "kept-gate-key"}

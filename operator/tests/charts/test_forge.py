@@ -12,9 +12,11 @@ from typing import Any
 
 import httpx
 import pytest
-from programs import free_port
 
 from ci import toolchain
+from tests.stages.programs import free_port
+
+pytestmark = pytest.mark.toolchain
 
 PREPARE_SECONDS_MAX = 60
 START_SECONDS_MAX = 30.0

@@ -12,7 +12,10 @@ from typing import Any
 
 import pytest
 import yaml
-from installed_chart import CHART, Cluster, prepared_cluster
+
+from tests.stages.kubernetes.installed_chart import CHART, Cluster, prepared_cluster
+
+pytestmark = pytest.mark.toolchain
 
 LOADER = yaml.CSafeLoader
 KEPT = [
@@ -44,10 +47,31 @@ def values(helm: Any) -> Path:
 
 
 @pytest.fixture(scope="module")
-def installed(cluster: Cluster, values: Path) -> Cluster:
-    """The platform, installed without its Jobs: nothing here runs pods."""
-    cluster.helm("install", "robotkube", str(CHART), "-f", str(values), "--no-hooks")
+def older(cluster: Cluster, values: Path, charts_before: Path) -> dict[str, Any]:
+    """The platform of the commit before, installed without its Jobs: nothing here runs pods. What must not change."""
+    cluster.helm("install", "robotkube", str(charts_before / "robotkube"), "-f", str(values), "--no-hooks")
+    return selectors(cluster)
+
+
+@pytest.fixture(scope="module")
+def installed(cluster: Cluster, values: Path, older: dict[str, Any]) -> Cluster:
+    """That platform, upgraded to the present chart."""
+    cluster.helm("upgrade", "robotkube", str(CHART), "-f", str(values), "--no-hooks")
     return cluster
+
+
+def selectors(cluster: Cluster) -> dict[str, Any]:
+    """UID and selector of every workload, by kind and name: what was made anew has another UID."""
+    found = json.loads(cluster.kubectl("get", "deployments,statefulsets", "-o", "json"))["items"]
+    return {
+        f"{one['kind']}/{one['metadata']['name']}": (one["metadata"]["uid"], one["spec"]["selector"]) for one in found
+    }
+
+
+def test_an_upgrade_from_the_commit_before_makes_no_workload_anew(installed: Cluster, older: dict[str, Any]) -> None:
+    assert len(older) >= 6
+    now = selectors(installed)
+    assert {name: now.get(name) for name in older} == older
 
 
 def task(**spec: Any) -> str:

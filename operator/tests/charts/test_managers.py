@@ -10,9 +10,16 @@ from typing import Any
 import pytest
 import yaml
 
-from robotkube.domain.merging import AUTOMATIC, read_merge_policy
+from robotkube.delivery.deployment.core.policies.merge import AUTOMATIC, read_merge_policy
+from robotkube.delivery.gate import __main__ as gate
+from robotkube.delivery.manager import __main__ as manager
+from robotkube.errors import DocumentError
+from robotkube.foundation.runtime.settings_file import read_settings
+from tests.stages.paths import CHARTS
+from tests.stages.settings_mounted import mounted
 
-CHARTS = Path(__file__).resolve().parents[3] / "charts"
+pytestmark = pytest.mark.toolchain
+
 PROFILES = Path(__file__).parent / "profiles"
 PLATFORM = CHARTS / "robotkube"
 KINDS = {"Deployment", "Service", "ServiceAccount", "ConfigMap", "ClusterRole", "ClusterRoleBinding", "Lease"}
@@ -134,36 +141,9 @@ def test_namespaces_are_those_of_the_agents_when_left_out(helm: Any) -> None:
 
 REFUSALS: dict[str, tuple[list[dict[str, Any]], str]] = {
     "nobody": ([], "managers is empty: nobody would answer tasks. Leave the key out for one manager of everything"),
-    "scopes that overlap": (
-        [NORTH, {"name": "south", "scope": {"agents": ["vehicle-00", "vehicle-01", "cloud-0"]}}],
-        'managers[1] "south": scope.agents overlaps with that of "north" (vehicle-00): a release would have two',
-    ),
-    "everything twice": (
-        [{"name": "a"}, {"name": "b"}],
-        'managers[1] "b": scope.namespaces overlaps with that of "a" (*)',
-    ),
-    "namespaces that overlap": (
-        [
-            {**NORTH, "scope": {**VEHICLE, "namespaces": ["vehicle-00", "people"]}},
-            {**SOUTH, "scope": {**CLOUD, "namespaces": ["vehicle-01", "cloud-0", "people"]}},
-        ],
-        'scope.namespaces overlaps with that of "north" (people)',
-    ),
-    "an agent that nobody has": (
-        [NORTH, {"name": "south", "scope": {"agents": ["cloud-0"]}}],
-        'agents: "vehicle-01" is in no manager\'s scope, so nothing would ever run on it. Add it to scope.agents',
-    ),
     "an agent that is not declared": (
         [{"name": "a", "scope": {"agents": ["vehicle-00", "vehicle-01", "cloud-0", "vehicle-77"]}}],
         'scope.agents names "vehicle-77", which is none of agents. Declare it there',
-    ),
-    "an agent without its namespace": (
-        [{"name": "a", "scope": {"agents": ["*"], "namespaces": ["cloud-0", "vehicle-00"]}}],
-        'agent "vehicle-01" is in scope.agents, but its namespace is not in scope.namespaces',
-    ),
-    "a namespace without its agent": (
-        [NORTH, {**SOUTH, "scope": {**CLOUD, "namespaces": ["*"]}}],
-        'namespace "vehicle-00" is in scope.namespaces, but its agent is not in scope.agents',
     ),
     "a namespace of the platform": (
         [NORTH, {**SOUTH, "scope": {**CLOUD, "namespaces": ["vehicle-01", "cloud-0", "robotkube"]}}],
@@ -174,18 +154,6 @@ REFUSALS: dict[str, tuple[list[dict[str, Any]], str]] = {
     "the name of an agent": ([{"name": "cloud-0"}], 'managers[0] "cloud-0": an agent has this name'),
     "a name that is no label": ([{"name": "North"}], "Use at most 30 lower case letters, digits and hyphens"),
     "one name twice": ([NORTH, {**SOUTH, "name": "north"}], 'managers[1] "north": declared twice.'),
-    "an operator of somebody else": (
-        [NORTH, {**SOUTH, "operators": [{"namespace": "vehicle-00"}]}],
-        'managers[1] "south": operators "vehicle-00": not in this manager\'s scope.namespaces.',
-    ),
-    "an operator with more than its manager": (
-        [{**NORTH, "operators": [{"namespace": "vehicle-00", "agents": ["cloud-0"]}]}, SOUTH],
-        'operators "vehicle-00": agents names "cloud-0", more than the manager\'s scope.agents.',
-    ),
-    "an operator twice": (
-        [{**NORTH, "operators": [{"namespace": "vehicle-00"}, {"namespace": "vehicle-00"}]}, SOUTH],
-        'operators "vehicle-00": declared twice. Remove one.',
-    ),
 }
 
 
@@ -195,6 +163,88 @@ def test_the_chart_refuses_managers_with_the_way_out(helm: Any, case: str) -> No
     said = helm.refusal(PLATFORM, PROFILES / "official.yaml", managers=managers)
     assert "in the values, nothing was changed:" in said
     assert message in said
+
+
+APART: dict[str, tuple[list[dict[str, Any]], str]] = {
+    "scopes that overlap": (
+        [NORTH, {"name": "south", "scope": {"agents": ["vehicle-00", "vehicle-01", "cloud-0"]}}],
+        "managers 'north' and 'south' both have vehicle-00 in scope.agents: a release would have two authors",
+    ),
+    "everything twice": ([{"name": "a"}, {"name": "b"}], "managers 'a' and 'b' both have * in scope.namespaces"),
+    "everything, and a part of it": (
+        [{"name": "a"}, {"name": "b", "scope": VEHICLE}],
+        "managers 'a' and 'b' both have vehicle-00 in scope.agents",
+    ),
+    "namespaces that overlap": (
+        [
+            {**NORTH, "scope": {**VEHICLE, "namespaces": ["vehicle-00", "people"]}},
+            {**SOUTH, "scope": {**CLOUD, "namespaces": ["vehicle-01", "cloud-0", "people"]}},
+        ],
+        "managers 'north' and 'south' both have people in scope.namespaces",
+    ),
+    "an agent that nobody has": (
+        [NORTH, {"name": "south", "scope": {"agents": ["cloud-0"]}}],
+        "agent 'vehicle-01' is in no manager's scope, so nothing would ever run on it; add it to scope.agents",
+    ),
+    "an agent without its namespace": (
+        [{"name": "north", "scope": {"agents": ["*"], "namespaces": ["cloud-0", "vehicle-00"]}}],
+        "'vehicle-01' is in scope.agents, but not in scope.namespaces: operators launched there",
+    ),
+    "a namespace without its agent": (
+        [{**NORTH, "scope": {**VEHICLE, "namespaces": ["*"]}}],
+        "'cloud-0' is in scope.namespaces, but not in scope.agents: operators launched there",
+    ),
+    "an operator of somebody else": (
+        [{**NORTH, "operators": [{"namespace": "vehicle-01"}]}, SOUTH],
+        "operator 'vehicle-01' is not in scope.namespaces: declare it at the manager that answers it",
+    ),
+    "an operator with more than its manager": (
+        [{**NORTH, "operators": [{"namespace": "vehicle-00", "agents": ["cloud-0"]}]}, SOUTH],
+        "operator 'vehicle-00' has cloud-0 in agents, more than its manager's scope.agents",
+    ),
+    "an operator with everything": (
+        [{**NORTH, "operators": [{"namespace": "vehicle-00", "agents": ["*"]}]}, SOUTH],
+        "operator 'vehicle-00' has * in agents, more than its manager's scope.agents",
+    ),
+    "an operator twice": (
+        [{**NORTH, "operators": [{"namespace": "vehicle-00"}, {"namespace": "vehicle-00"}]}, SOUTH],
+        "operators[1]: operator 'vehicle-00' is declared twice; remove one",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", APART)
+def test_what_the_chart_lets_through_the_first_manager_refuses(helm: Any, case: str, tmp_path: Path) -> None:
+    managers, message = APART[case]
+    rendered = helm.template(PLATFORM, PROFILES / "official.yaml", managers=managers)
+    with pytest.raises(DocumentError) as refused:
+        read_settings(mounted(rendered, managers[0]["name"], tmp_path), manager.read_configuration)
+    assert message in str(refused.value)
+
+
+@pytest.mark.parametrize("name", ["north", "south"])
+def test_managers_that_overlap_all_refuse_to_start(helm: Any, name: str, tmp_path: Path) -> None:
+    managers, message = APART["scopes that overlap"]
+    rendered = helm.template(PLATFORM, PROFILES / "official.yaml", managers=managers)
+    with pytest.raises(DocumentError, match=message):
+        read_settings(mounted(rendered, name, tmp_path), manager.read_configuration)
+
+
+@pytest.mark.parametrize("case", ["scopes that overlap", "everything twice", "everything, and a part of it"])
+def test_the_gate_refuses_two_authors_for_an_agent(helm: Any, case: str, tmp_path: Path) -> None:
+    rendered = helm.template(PLATFORM, PROFILES / "official.yaml", managers=APART[case][0])
+    with pytest.raises(DocumentError) as refused:
+        read_settings(mounted(rendered, "gate", tmp_path), gate.read_configuration)
+    one, other = (found["name"] for found in APART[case][0])
+    assert f"forge.proposers: managers {one!r} and {other!r} both have " in str(refused.value)
+    assert "name each in one manager only (charts/robotkube, values managers)" in str(refused.value)
+
+
+def test_managers_apart_start_and_so_does_the_gate(two: Any, tmp_path: Path) -> None:
+    for name in ("manager", "manager-north"):
+        found = read_settings(mounted(two, name, tmp_path / name), manager.read_configuration)
+        assert found.manager.operators.manager.is_narrow
+    assert len(read_settings(mounted(two, "gate", tmp_path / "gate"), gate.read_configuration).gate.proposers) == 2
 
 
 def test_the_earlier_value_is_refused_with_the_way_over(helm: Any) -> None:

@@ -10,13 +10,16 @@ from typing import Any
 import pytest
 import yaml
 
+from tests.stages.paths import CHARTS
+
+pytestmark = pytest.mark.toolchain
+
 Object = dict[str, Any]
 
 APP_CHARTS = ("mqtt-bridge", "event-detector", "bag-player", "object-detection", "object-tracking")
 PROFILES = ("official", "embedded")
 # Cores requested by everything that runs all the time, Argo CD included: two cores carry the fleet, too.
 PLATFORM_CPU_MAX = 1.2
-CHARTS = Path(__file__).resolve().parents[3] / "charts"
 PLATFORM = CHARTS / "robotkube"
 PROFILE = Path(__file__).parent / "profiles" / "official.yaml"
 WRITE_VERBS = {"create", "update", "patch", "delete", "deletecollection", "*", "bind", "escalate", "impersonate"}

@@ -11,17 +11,20 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from detector_process import COMMAND, is_up, read
-from installed_chart import CHART, Cluster, prepared_cluster
 from kubernetes import client, config
-from programs import free_port, program
-from proximity import SETTINGS as DETECTOR
-from ros_domains import domain as ros_domain
-from waiting import until
 
-from robotkube.domain.texts import write_mapping
+from robotkube.foundation.documents.core.yaml_codec import write_mapping
+from tests.stages.detector.process import COMMAND, is_up, read
+from tests.stages.detector.proximity_settings import SETTINGS as DETECTOR
+from tests.stages.kubernetes.installed_chart import CHART, Cluster, prepared_cluster
+from tests.stages.programs import free_port, program
+from tests.stages.ros.ros_domains import domain as ros_domain
+from tests.stages.waiting import until
 
-pytestmark = pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning")  # a server of its own
+pytestmark = [  # a server of its own
+    pytest.mark.toolchain,
+    pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning"),
+]
 PROFILES = Path(__file__).parent / "profiles"
 Rights = dict[str, str]
 

@@ -10,22 +10,24 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import wrong_interfaces
-from charts_under_test import subject_of
-from wrong_charts import MISTAKES, wrong_chart
 
-from robotkube.adapters.schemas_jsonschema import violations
-from robotkube.adapters.templates_jinja2 import Jinja2Templates
-from robotkube.domain.evidence import Check
-from robotkube.entrypoints import cli
-from robotkube.ports.suites import Subject
-from robotkube.services.suite_static import StaticSuite
+from robotkube.cli import main as cli
+from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
+from robotkube.foundation.documents.adapters.json_schema import violations
+from robotkube.registry.evidence.core.statements import Check
+from robotkube.registry.suites.loops.static import StaticSuite
+from robotkube.registry.suites.ports.suites import Subject
+from tests.stages.paths import REPOSITORY
+from tests.stages.registry import wrong_interfaces
+from tests.stages.registry.charts_under_test import subject_of
+from tests.stages.registry.wrong_charts import MISTAKES, wrong_chart
 
-REPOSITORY = Path(__file__).resolve().parents[3]
+pytestmark = pytest.mark.toolchain
+
 PACKAGED = [
-    ("apps", "bag-player", "0.1.0"),
-    *(("apps", name, "0.2.0") for name in ("mqtt-bridge", "event-detector", "object-detection", "object-tracking")),
-    *(("earlier", name, "0.1.0") for name in ("mqtt-bridge", "event-detector", "object-detection", "object-tracking")),
+    ("apps", "bag-player", "0.1.1"),
+    *(("apps", name, "0.2.1") for name in ("mqtt-bridge", "event-detector", "object-detection", "object-tracking")),
+    *(("earlier", name, "0.1.1") for name in ("mqtt-bridge", "event-detector", "object-detection", "object-tracking")),
 ]
 STATIC = [name for name, mistake in MISTAKES.items() if mistake.suite == "static"]
 OTHERS = [name for name, mistake in MISTAKES.items() if mistake.suite != "static"]

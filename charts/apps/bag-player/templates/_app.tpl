@@ -1,6 +1,6 @@
 {{- define "bag-player.app" -}}
 image: ros
-command: [python3, -m, robotkube.entrypoints.player]
+command: [robotkube-player]
 serviceAccount: bag-player
 claims: [{name: bags, claim: {{ .Values.bags.claim | quote }}, path: /var/lib/robotkube/bags}]
 config:

@@ -1,6 +1,6 @@
 {{- define "event-detector.app" -}}
 image: ros
-command: [python3, -m, robotkube.entrypoints.detector]
+command: [robotkube-event-detector]
 serviceAccount: event-detector
 broker: {{ (.Values.broker).existingSecret | default "" | quote }}
 database: {{ (.Values.database).existingSecret | default "" | quote }}

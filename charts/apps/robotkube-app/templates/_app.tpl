@@ -38,13 +38,35 @@ name: {{ .Release.Name | quote }}
 labels: {{- include "robotkube-app.labels" . | nindent 2 }}
 {{- end }}
 
+{{- /* Labels of every object. */ -}}
 {{- define "robotkube-app.labels" -}}
-{{ include "robotkube-app.selector" . }}
-app.kubernetes.io/part-of: robotkube
-app.kubernetes.io/managed-by: {{ .Release.Service }}
-robotkube.io/agent: {{ .Values.placement.agent | quote }}
+{{ include "robotkube-app.sharedLabels" . }}
+app.kubernetes.io/version: {{ .Chart.AppVersion | default .Chart.Version | quote }}
 {{- end }}
 
+{{- /* Labels of the pod. Their version is that of the image: a pod starts anew when another program shall run in it, not with every
+       version of the chart. Argument: that of the Deployment. */ -}}
+{{- define "robotkube-app.podLabels" -}}
+{{ include "robotkube-app.sharedLabels" .root }}
+app.kubernetes.io/version: {{ include "robotkube-app.image" . | include "robotkube-app.imageVersion" | quote }}
+{{- end }}
+
+{{- define "robotkube-app.sharedLabels" -}}
+{{ include "robotkube-app.selector" . }}
+app.kubernetes.io/component: application-service
+app.kubernetes.io/part-of: robotkube
+app.kubernetes.io/managed-by: {{ .Release.Service }}
+robotkube.io/agent: {{ .Values.placement.agent | required (printf "\n\n%s: no agent. Give placement.agent.\n" .Chart.Name) | quote }}
+{{- end }}
+
+{{- /* The tag of an image, else the first 12 digits of its digest, as a label. Argument: the reference. */ -}}
+{{- define "robotkube-app.imageVersion" -}}
+{{- $tag := regexReplaceAll "@.*$" . "" | regexFind ":[^:/]+$" | trimPrefix ":" -}}
+{{- $digest := regexFind "@[a-z0-9]+:[0-9a-f]{1,12}" . | splitList ":" | last -}}
+{{- $tag | default $digest | default "latest" | trunc 63 | trimAll "._-" -}}
+{{- end }}
+
+{{- /* Part of `spec.selector`, which never changes: an upgrade would fail on it. */ -}}
 {{- define "robotkube-app.selector" -}}
 app.kubernetes.io/name: {{ .Chart.Name }}
 app.kubernetes.io/instance: {{ .Release.Name | quote }}
@@ -72,7 +94,7 @@ spec:
     matchLabels: {{- include "robotkube-app.selector" .root | nindent 6 }}
   template:
     metadata:
-      labels: {{- include "robotkube-app.labels" .root | nindent 8 }}
+      labels: {{- include "robotkube-app.podLabels" . | nindent 8 }}
       {{- with .files }}
       annotations: {robotkube.io/files: {{ toJson . | sha256sum | trunc 16 | quote }}}
       {{- end }}

@@ -1,6 +1,6 @@
 {{- define "event-detector.app" -}}
 image: ros
-command: [python3, -m, robotkube.entrypoints.detector]
+command: [robotkube-event-detector]
 serviceAccount: event-detector
 database: {{ .Values.database.existingSecret | quote }}
 {{- with .Values.recordings.claim }}

@@ -1,6 +1,6 @@
 {{- define "mqtt-bridge.app" -}}
 image: ros
-command: [python3, -m, robotkube.entrypoints.bridge]
+command: [robotkube-bridge]
 serviceAccount: mqtt-bridge
 broker: {{ .Values.broker.existingSecret }}
 config:

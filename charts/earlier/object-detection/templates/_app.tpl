@@ -1,6 +1,6 @@
 {{- define "object-detection.app" -}}
 image: ros
-command: [python3, -m, robotkube.entrypoints.object_detection]
+command: [robotkube-object-detection]
 config:
   cloud: {{ .Values.detection.cloud }}
   objects: {{ .Values.detection.objects }}

@@ -1,6 +1,6 @@
 {{- define "object-tracking.app" -}}
 image: ros
-command: [python3, -m, robotkube.entrypoints.object_tracking]
+command: [robotkube-object-tracking]
 config:
   objects: {{ .Values.tracking.objects }}
   tracks: {{ .Values.tracking.tracks }}

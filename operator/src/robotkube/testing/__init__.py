@@ -1,0 +1,1 @@
+"""Stand-ins in memory for tests and benchmarks."""

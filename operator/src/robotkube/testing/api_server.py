@@ -1,4 +1,4 @@
-"""A small API server in memory, spoken to over real HTTP: ConfigMaps and custom resources, with list and watch.
+"""A small API server in memory, served over real HTTP: ConfigMaps and custom resources, with list and watch.
 
 Objects have resourceVersions and merge patches; there are no accounts and no schemas.
 
@@ -27,7 +27,7 @@ _PATH = re.compile(r"(/api/v1|/apis/[^/]+/[^/]+)/namespaces/([^/]+)/([a-z]+)(?:/
 
 
 class ApiServerInMemory:
-    """Serves from `start` to `close`, or within a with block."""
+    """An API server that serves within a with block."""
 
     def __init__(self, address: str = "127.0.0.1", port: int = 0) -> None:
         self._lock = threading.Condition()
@@ -54,12 +54,12 @@ class ApiServerInMemory:
         self._server.server_close()
 
     def note_connection(self, connection: socket.socket, is_open: bool) -> None:
-        """Connections are ended with the server."""
+        """Note a connection, which is ended with the server."""
         (self._connections.add if is_open else self._connections.discard)(connection)
 
     @property
     def url(self) -> str:
-        """Its address."""
+        """The server's address."""
         host, port = self._server.server_address[:2]
         return f"http://{host!s}:{port}"
 
@@ -112,10 +112,10 @@ class ApiServerInMemory:
         deadline = time.monotonic() + seconds
         with self._lock:
             while not self._closed:
-                found = [e for e in self._events if e[0] > after and e[1] == folder]
-                found = [e for e in found if name in (None, e[3]["metadata"]["name"])]
-                if found:
-                    return found[-1][0], [{"type": kind, "object": body} for _, _, kind, body in found]
+                events = [e for e in self._events if e[0] > after and e[1] == folder]
+                events = [e for e in events if name in (None, e[3]["metadata"]["name"])]
+                if events:
+                    return events[-1][0], [{"type": kind, "object": body} for _, _, kind, body in events]
                 if not self._lock.wait(max(0.0, deadline - time.monotonic())):
                     break
             return after, []
@@ -159,8 +159,8 @@ def _handler(server: ApiServerInMemory) -> type[BaseHTTPRequestHandler]:
             folder, name, query = self._address()
             selected = query.get("fieldSelector", [""])[0].removeprefix("metadata.name=") or None
             if name:
-                found = server.get(folder, name)
-                self._answer(200, found) if found else self._missing(name)
+                body = server.get(folder, name)
+                self._answer(200, body) if body else self._missing(name)
             elif "watch" in query:
                 self._watch(folder, selected, query)
             else:
@@ -177,7 +177,8 @@ def _handler(server: ApiServerInMemory) -> type[BaseHTTPRequestHandler]:
 
         def do_PATCH(self) -> None:
             folder, name, _ = self._address()
-            old, patch = server.get(folder, name), self._body()
+            old = server.get(folder, name)
+            patch = self._body()
             self._answer(200, server.put(folder, name, merged(old, patch))) if old else self._missing(name)
 
         def do_DELETE(self) -> None:

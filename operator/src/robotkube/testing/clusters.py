@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from robotkube.domain.observation import ApplicationState, PodState
-from robotkube.domain.placement import NodeState
-from robotkube.domain.releases import Release, application_name
+from robotkube.delivery.deployment.core.releases import Release, application_name
+from robotkube.delivery.manager.core.observation import ApplicationState, PodState
+from robotkube.delivery.manager.core.placement.placement import NodeState
 
 
 @dataclass
@@ -25,50 +25,50 @@ class MemoryTasks:
     def tasks(self) -> Sequence[Mapping[str, Any]]:
         """The objects as they are; others may come and go on another thread meanwhile."""
         return [
-            copy.deepcopy(found)
-            for found in list(self.objects.values())
-            if not self.namespaces or found["metadata"]["namespace"] in self.namespaces
+            copy.deepcopy(task)
+            for task in list(self.objects.values())
+            if not self.namespaces or task["metadata"]["namespace"] in self.namespaces
         ]
 
     def patch_status(self, namespace: str, name: str, status: Mapping[str, Any]) -> bool:
         """Merge into the status, as a merge patch does; False when the task is gone."""
-        found = self.objects.get(f"{namespace}/{name}")
-        if found is None:
+        task = self.objects.get(f"{namespace}/{name}")
+        if task is None:
             return False
         self.patches += 1
-        merged = {**found.get("status", {}), **copy.deepcopy(dict(status))}
-        found["status"] = {key: value for key, value in merged.items() if value is not None}
+        merged = {**task.get("status", {}), **copy.deepcopy(dict(status))}
+        task["status"] = {key: value for key, value in merged.items() if value is not None}
         return True
 
     def withdraw(self, namespace: str, name: str) -> bool:
-        """Gone at once."""
+        """Delete a task at once; False when there is none."""
         return self.objects.pop(f"{namespace}/{name}", None) is not None
 
     def tell(self, task: Mapping[str, Any], reason: str, text: str) -> None:
         """Remember task, reason and text, once."""
-        said = (f"{task['metadata']['namespace']}/{task['metadata']['name']}", reason, text)
-        if said not in self.told:
-            self.told.append(said)
+        report = (f"{task['metadata']['namespace']}/{task['metadata']['name']}", reason, text)
+        if report not in self.told:
+            self.told.append(report)
 
     def create(self, namespace: str, name: str, spec: Mapping[str, Any], created: str = "2026-11-21T10:00:00Z") -> None:
-        """A new task."""
+        """Create a task."""
         self.created += 1
         metadata = {"namespace": namespace, "name": name, "generation": 1, "creationTimestamp": created}
         metadata |= {"uid": f"uid-{self.created}", "annotations": {}}
         self.objects[f"{namespace}/{name}"] = {"metadata": metadata, "spec": copy.deepcopy(dict(spec))}
 
     def change(self, key: str, **spec: Any) -> None:
-        """Other values in the spec: a new generation."""
-        found = self.objects[key]
-        found["spec"] = {**found["spec"], **copy.deepcopy(spec)}
-        found["metadata"]["generation"] += 1
+        """Change values of the spec, which makes a new generation."""
+        task = self.objects[key]
+        task["spec"] = {**task["spec"], **copy.deepcopy(spec)}
+        task["metadata"]["generation"] += 1
 
     def annotate(self, key: str, name: str, text: str) -> None:
         """Set an annotation, which is no new generation."""
         self.objects[key]["metadata"]["annotations"][name] = text
 
     def delete(self, key: str) -> None:
-        """The task is gone."""
+        """Delete a task."""
         del self.objects[key]
 
     def condition(self, key: str, kind: str) -> tuple[str, str]:
@@ -94,7 +94,7 @@ class MemoryCluster:
             self.reports.append((node, reason, text))
 
     def nodes(self) -> Sequence[NodeState]:
-        """Nodes of agents."""
+        """The nodes of agents."""
         return list(self.machines)
 
     def applications(self) -> Mapping[str, ApplicationState]:
@@ -106,7 +106,7 @@ class MemoryCluster:
         return self.running.get(release, [])
 
     def show(self, release: Release) -> None:
-        """Argo CD has done everything for a release."""
+        """Show a release as Argo CD does when it has done everything for it."""
         name = application_name(release.namespace, release.name)
         source = {"digest": release.digest, "plan": release.plan}
         self.states[name] = ApplicationState(
@@ -115,7 +115,7 @@ class MemoryCluster:
         self.running[release.key] = [PodState(release.namespace, f"{release.name}-0", release.key)]
 
     def settle(self, releases: Mapping[str, Release]) -> None:
-        """Argo CD has brought everything to `releases` (by path)."""
+        """Show exactly these `releases` (by path), as Argo CD does when it has done everything."""
         wanted = {application_name(r.namespace, r.name): r for r in releases.values()}
         keys = {release.key for release in wanted.values()}
         self.states = {name: state for name, state in self.states.items() if name in wanted}
@@ -124,23 +124,23 @@ class MemoryCluster:
             self.show(release)
 
     def worsen(self, name: str, health: str) -> None:
-        """An Application loses its health."""
+        """Set the health that an Application has lost."""
         self.states[name] = replace(self.states[name], health=health)
 
 
 @dataclass
 class MemoryArgoCD:
-    """Counts what it was asked."""
+    """An Argo CD that notes the calls it gets."""
 
     hooks: list[tuple[str, str]] = field(default_factory=list)
     refreshes: list[str] = field(default_factory=list)
 
     def hook(self, before: str, after: str) -> bool:
-        """Heard."""
+        """Note a push hook."""
         self.hooks.append((before, after))
         return True
 
     def refresh(self, application: str) -> bool:
-        """Heard."""
+        """Note a refresh."""
         self.refreshes.append(application)
         return True

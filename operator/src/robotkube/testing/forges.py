@@ -7,10 +7,10 @@ import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from robotkube.domain.errors import InputError, UnavailableError
-from robotkube.domain.merging import Review
-from robotkube.ports.forges import Comment, PullRequest
-from robotkube.ports.git import Commit
+from robotkube.errors import InputError, UnavailableError
+from robotkube.foundation.forge.core.reviews import Review
+from robotkube.foundation.forge.ports.pull_requests import Comment, PullRequest
+from robotkube.foundation.forge.ports.repositories import Commit
 
 
 @dataclass
@@ -31,7 +31,7 @@ class MemoryRepository:
         return self.tip
 
     def moved_to(self, commit: str) -> None:
-        """Memory need not be told; only what is here and on main may be told."""
+        """Check that main is at this commit; memory needs no notice of it."""
         assert commit == self.tip, f"main is at {self.tip!r}, not at {commit}"
 
     def files(self, commit: str, folders: Sequence[str]) -> Mapping[str, str]:
@@ -39,7 +39,7 @@ class MemoryRepository:
         return {p: t for p, t in self.trees[commit].items() if any(p.startswith(f"{folder}/") for folder in folders)}
 
     def irregular(self, commit: str, folders: Sequence[str]) -> Sequence[str]:
-        """Memory holds texts only."""
+        """No files: memory holds texts only."""
         return ()
 
     def headers(self, since: str, commits_max: int) -> Iterator[tuple[str, str]]:
@@ -54,35 +54,35 @@ class MemoryRepository:
 
     def contains(self, commit: str) -> bool:
         """Whether a commit is on main."""
-        return any(found.id == commit for found in self.log(None, len(self.commits)))
+        return any(known.id == commit for known in self.log(None, len(self.commits)))
 
     def log(self, since: str | None, commits_max: int) -> Sequence[Commit]:
         """Main's newest commits, oldest first."""
-        found: list[Commit] = []
+        commits: list[Commit] = []
         at = self.tip
-        while at and at != since and len(found) < commits_max:
-            found.append(self.commits[at])
+        while at and at != since and len(commits) < commits_max:
+            commits.append(self.commits[at])
             at = self.commits[at].parents[0] if self.commits[at].parents else ""
-        return found[::-1]
+        return commits[::-1]
 
     def touching(self, since: str | None, commits_max: int, path: str, words: Sequence[str]) -> Sequence[Commit]:
         """Main's newest commits that change the path or hold a word."""
-        found = self.log(since, commits_max)
-        return [c for c in found if path in c.changes or any(word in c.message for word in words)]
+        commits = self.log(since, commits_max)
+        return [c for c in commits if path in c.changes or any(word in c.message for word in words)]
 
     def commit(self, parent: str, changes: Mapping[str, str | None], message: str, merged: str = "") -> str:
-        """A commit that is not on main; `merged` is its second parent."""
+        """Make a commit that is not on main; `merged` is its second parent."""
         if parent and parent not in self.commits:
             raise InputError(f"commit {parent!r} is not here")
         tree = {p: t for p, t in {**self.trees.get(parent, {}), **changes}.items() if t is not None}
         identifier = hashlib.sha1(repr((parent, merged, sorted(tree.items()), message)).encode()).hexdigest()  # noqa: S324
-        parents = tuple(one for one in (parent, merged) if one)
+        parents = tuple(identity for identity in (parent, merged) if identity)
         self.commits[identifier] = Commit(identifier, parents, message, "manager", dict(changes))
         self.trees[identifier] = tree
         return identifier
 
     def push(self, changes: Mapping[str, str | None], message: str = "by hand") -> str:
-        """A commit straight onto main, as a person's merge makes it."""
+        """Make a commit straight onto main, as a person's merge does."""
         self.tip = self.commit(self.tip, changes, message)
         return self.tip
 
@@ -105,15 +105,17 @@ class MemoryForge:
         self._comments = 0
 
     def commit(self, parent: str, changes: Mapping[str, str | None], message: str, merged: str = "") -> str:
-        """A commit that is not on main."""
+        """Make a commit that is not on main."""
         return self.repository.commit(parent, changes, message, merged)
 
     def propose(self, commit: str, topic: str, title: str, body: str) -> int | None:
-        """Open a pull request and let the gate look at it."""
+        """Open a pull request and let the gate check it."""
         self.repository._reach()
         number = len(self.pulls) + 1
         pull = PullRequest(number, f"http://forge/pulls/{number}", title, "manager", "open", commit, False, topic=topic)
-        self.pulls[number], self.bodies[number], self.said[number] = pull, body, []
+        self.pulls[number] = pull
+        self.bodies[number] = body
+        self.said[number] = []
         self.repository.heads[number] = commit
         self.decide(pull)
         return number if self.tell_numbers else None
@@ -126,25 +128,25 @@ class MemoryForge:
     def pull_requests(self, state: str = "open", author: str = "") -> Sequence[PullRequest]:
         """Pull requests, newest first."""
         self.repository._reach()
-        found = [p for p in reversed(self.pulls.values()) if state in ("all", p.state) and author in ("", p.author)]
-        return found[:50]
+        pulls = [p for p in reversed(self.pulls.values()) if state in ("all", p.state) and author in ("", p.author)]
+        return pulls[:50]
 
     def comments(self, number: int) -> Sequence[Comment]:
-        """What was said."""
+        """The comments of a pull request."""
         return self.said[number]
 
     def comment(self, number: int, text: str) -> None:
-        """Say something."""
+        """Add a comment."""
         self._comments += 1
         self.said[number].append(Comment("gate", text, self._comments))
 
     def edit_comment(self, identifier: int, text: str) -> None:
-        """Say it otherwise."""
-        for said in self.said.values():
-            said[:] = [replace(one, text=text) if one.id == identifier else one for one in said]
+        """Change a comment's text."""
+        for comments in self.said.values():
+            comments[:] = [replace(c, text=text) if c.id == identifier else c for c in comments]
 
     def reviews(self, number: int) -> Sequence[Review]:
-        """Who approved, and who is against it."""
+        """The reviews of a pull request: who approved, and who is against it."""
         return self.reviewed.get(number, [])
 
     def close(self, number: int) -> None:
@@ -165,4 +167,4 @@ class MemoryForge:
         self.close(pull.number)
 
     def leave(self, pull: PullRequest) -> None:
-        """Decide nothing."""
+        """Leave the pull request as it is: decide nothing."""

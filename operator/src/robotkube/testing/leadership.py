@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 @dataclass
 class MemoryLeadership:
-    """`number` is the term of this process; None while another one leads, at `other` (None: nobody does)."""
+    """An election in memory. `number` is the term of this process; None while another one leads, at `other` (None:
+    nobody does)."""
 
     number: int | None = 1
     other: str | None = "another:8080"
@@ -21,6 +22,6 @@ class MemoryLeadership:
         return self.other if self.number is None else None
 
     def overtake(self, term: int) -> None:
-        """Elected again, when it leads at all."""
+        """Elect this process again, when it leads at all."""
         if self.number is not None:
             self.number = max(self.number, term + 1)

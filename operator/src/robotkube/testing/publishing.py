@@ -1,5 +1,5 @@
-"""What publication needs, in memory: a catalogue repository that publishers propose to, a registry of charts, and a
-suite-runner whose results a test decides. Every one can be told to fail at its next calls."""
+"""What publication needs, in memory: a catalogue repository that publishers propose to, an OCI registry of charts, and
+a suite-runner whose results a test decides. A test can make each of them fail at its next calls."""
 
 from __future__ import annotations
 
@@ -7,14 +7,15 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from robotkube.domain.charts_packing import PackedChart, PulledChart, canonical_json, sha256
-from robotkube.domain.charts_unpacking import unpack_chart
-from robotkube.domain.errors import InputError
-from robotkube.domain.evidence import Check, SuiteResult
-from robotkube.domain.suite_requests import SuiteProgress, SuiteRequest
-from robotkube.ports.forges import PullRequest
-from robotkube.ports.git import Commit
-from robotkube.ports.registries import Attachment
+from robotkube.errors import InputError
+from robotkube.foundation.documents.core.digests import canonical_json, sha256
+from robotkube.foundation.forge.ports.pull_requests import PullRequest
+from robotkube.foundation.forge.ports.repositories import Commit
+from robotkube.registry.charts.core.packing import PackedChart, PulledChart
+from robotkube.registry.charts.core.unpacking import unpack_chart
+from robotkube.registry.charts.ports import Attachment
+from robotkube.registry.evidence.core.statements import Check, SuiteResult
+from robotkube.registry.suites.core.requests import SuiteProgress, SuiteRequest
 from robotkube.testing.forges import MemoryForge, MemoryRepository
 
 PUBLISHER = "publisher"
@@ -30,22 +31,23 @@ class MemoryCatalogue(MemoryRepository):
         self.push(dict(files), "seed")
 
     def proposal(self, number: int) -> Commit:
-        """Head of a pull request."""
+        """The head of a pull request."""
         self.fetch()
         return self.commits[self.heads[number]]
 
     def contains(self, commit: str) -> bool:
         """Whether `commit` is main's tip or an ancestor, by any parent."""
-        found, left = set(), [self.tip]
+        ancestors: set[str] = set()
+        left = [self.tip]
         while left:
             at = left.pop()
-            if at and at not in found:
-                found.add(at)
+            if at and at not in ancestors:
+                ancestors.add(at)
                 left += self.commits[at].parents
-        return commit in found
+        return commit in ancestors
 
     def push_main(self, commit: str) -> bool:
-        """Fast-forward only."""
+        """Move main to a commit, fast-forward only."""
         self._reach()
         self.before_push()
         if self.commits[commit].parents[0] != self.tip:
@@ -63,7 +65,7 @@ class MemoryCatalogueForge(MemoryForge):
         self.decide = self.leave
 
     def propose(self, commit: str, topic: str, title: str, body: str) -> int | None:
-        """An AGit push of the publisher."""
+        """Open a pull request by an AGit push of the publisher."""
         number = super().propose(commit, topic, title, body)
         assert number is not None
         self.pulls[number] = replace(self.pulls[number], author=PUBLISHER)
@@ -71,24 +73,24 @@ class MemoryCatalogueForge(MemoryForge):
         return number
 
     def open(self, commit: str, author: str = PUBLISHER) -> int:
-        """A pull request as an AGit push of `author` opens it."""
+        """Open a pull request by an AGit push of `author`."""
         number = self.propose(commit, f"submit-{len(self.pulls)}", "submission", "")
         assert number is not None
         self.pulls[number] = replace(self.pulls[number], author=author)
         return number
 
     def update(self, number: int, commit: str) -> None:
-        """Another commit for the same pull request."""
+        """Push another commit to the same pull request."""
         self.pulls[number] = replace(self.pulls[number], head=commit)
         self.catalogue.heads[number] = commit
 
     def pull_request(self, number: int) -> PullRequest:
-        """As the forge shows it once it has seen main."""
+        """One pull request, as the forge shows it once it has seen main."""
         self.pull_requests("all")
         return super().pull_request(number)
 
     def pull_requests(self, state: str = "open", author: str = "") -> Sequence[PullRequest]:
-        """As the forge shows them once it has seen main."""
+        """The pull requests, as the forge shows them once it has seen main."""
         for number, pull in self.pulls.items():
             if pull.state == "open" and self.catalogue.contains(pull.head):
                 merged = replace(pull, state="closed", merged=True, merge_commit=self.catalogue.tip)
@@ -106,19 +108,19 @@ class MemoryChartRegistry:
     before: Callable[[str], None] = lambda method: None
 
     def push_chart(self, organisation: str, chart: PackedChart, tag: str = "") -> str:
-        """As a publisher does."""
+        """Push a chart as a publisher does."""
         repository = f"{organisation}/{chart.name}"
         self._tag(repository, tag or chart.tag, chart.digest)
         self.charts.setdefault(repository, {})[chart.digest] = chart
         return chart.digest
 
     def manifest_digest(self, repository: str, reference: str) -> str | None:
-        """By tag or digest."""
+        """The manifest's digest by tag or digest; None when it is not there."""
         digest = self.tags.get(repository, {}).get(reference, reference)
         return digest if digest in self.charts.get(repository, {}) else None
 
     def pull_chart(self, repository: str, digest: str) -> PulledChart:
-        """Unpacked."""
+        """The unpacked chart of a digest."""
         if digest not in self.charts.get(repository, {}):
             raise InputError(f"{repository}: no {digest}")
         chart = self.charts[repository][digest]
@@ -127,24 +129,24 @@ class MemoryChartRegistry:
     def attach(
         self, repository: str, subject: str, artifact_type: str, data: bytes, annotations: Mapping[str, str]
     ) -> str:
-        """Once, whatever it is called with twice."""
+        """Attach an artifact, once for the same arguments; its digest."""
         self.before("attach")
         digest = sha256(canonical_json([subject, artifact_type, sha256(data), dict(annotations)]))
-        found = self.attached.setdefault((repository, subject), [])
-        if all(one.digest != digest for one in found):
-            found.append(Attachment(digest, artifact_type, data, dict(annotations)))
+        attachments = self.attached.setdefault((repository, subject), [])
+        if all(attachment.digest != digest for attachment in attachments):
+            attachments.append(Attachment(digest, artifact_type, data, dict(annotations)))
         return digest
 
     def attachments(self, repository: str, subject: str) -> Sequence[Attachment]:
-        """Oldest first."""
+        """The attachments of a subject, oldest first."""
         return tuple(self.attached.get((repository, subject), ()))
 
     def copy_chart(self, source: str, target: str, digest: str, tag: str, attachments: Collection[str]) -> None:
-        """The chart with the named attachments."""
+        """Copy a chart with the named attachments."""
         self.before("copy_chart")
         self._tag(target, tag, digest)
         self.charts.setdefault(target, {})[digest] = self.charts[source][digest]
-        known = {one.digest: one for one in self.attachments(source, digest)}
+        known = {attachment.digest: attachment for attachment in self.attachments(source, digest)}
         there = self.attached.setdefault((target, digest), [])
         there += [known[name] for name in attachments if known[name] not in there]
 
@@ -157,7 +159,7 @@ class MemoryChartRegistry:
 @dataclass
 class ScriptedRunner:
     """A suite-runner: every suite passes, but for those in `checks` (suite -> checks) and in `progress` (suite -> what
-    is answered until a test takes it out). `requests` holds all that was asked, `runs` the keys that ran."""
+    is answered until a test removes it). `requests` holds all requests, `runs` the keys that ran."""
 
     checks: dict[str, tuple[Check, ...]] = field(default_factory=dict)
     progress: dict[str, SuiteProgress] = field(default_factory=dict)

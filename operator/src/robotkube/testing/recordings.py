@@ -1,7 +1,7 @@
-"""Database and claim of recordings in memory, which can be away, full, or the last thing a process ever called.
+"""Database and volume claim of recordings in memory, which can be away, full, or the last thing a process ever called.
 
-Both outlive the processes that use them: `killer` is asked before each step that leaves something behind, and may raise
-Killed there, as kill -9 does.
+Both outlive the processes that use them: `killer` is called before each step that leaves something behind, and may
+raise Killed there, as kill -9 does.
 """
 
 from __future__ import annotations
@@ -12,30 +12,30 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from dataclasses import dataclass, field
 from typing import Any
 
-from robotkube.domain.errors import DocumentError, UnavailableError
-from robotkube.domain.recordings import (
+from robotkube.errors import DocumentError, UnavailableError
+from robotkube.robots.recording.core.documents import (
     AUDITS,
     INDEX,
     RECORDINGS,
     SAMPLES,
     SEGMENTS,
     ClosedSegment,
-    FoundMessage,
     Received,
+    SegmentMessage,
     SegmentPlace,
     Write,
 )
-from robotkube.ports.recordings import Batch
+from robotkube.robots.recording.ports import Batch
 
 DOCUMENT_BYTES = 100
 
 
 class Killed(BaseException):
-    """The process ended here and now."""
+    """The end of the process, here and now."""
 
 
 def nobody() -> None:
-    """The killer that kills nobody."""
+    """A killer that kills nobody."""
 
 
 @dataclass
@@ -47,7 +47,7 @@ class RecordingDatabase:
     collections: dict[str, dict[str, dict[str, Any]]] = field(default_factory=dict)
 
     def known(self, recording: str) -> Iterator[tuple[str, int, str]]:
-        """As the port says."""
+        """Topic, stamp and SHA-256 of every stored message."""
         for bucket in self.buckets(recording):
             for sample in bucket["samples"]:
                 yield bucket["topic"], sample["stamp"], sample["sha256"]
@@ -58,10 +58,10 @@ class RecordingDatabase:
         """As the port says."""
         self.ping()
         known = self.collections.get(SEGMENTS, {}).values()
-        return {one["segment"] for one in known if one["volume"] == volume and one["sha256"]}
+        return {segment["segment"] for segment in known if segment["volume"] == volume and segment["sha256"]}
 
     def write(self, writes: Sequence[Write]) -> None:
-        """As the port says; the process may be killed between any two."""
+        """Do all writes; the process may be killed between any two."""
         for write in writes:
             self.ping()
             self.killer()
@@ -107,7 +107,8 @@ class RecordingDatabase:
 
     def _of(self, collection: str, recording: str) -> list[Mapping[str, Any]]:
         self.ping()
-        return [one for one in self.collections.get(collection, {}).values() if one["recording"] == recording]
+        documents = self.collections.get(collection, {}).values()
+        return [document for document in documents if document["recording"] == recording]
 
 
 @dataclass
@@ -119,9 +120,9 @@ class _File:
 
 @dataclass
 class RecordingVolume:
-    """A claim: segments, spool, repairs. `away`: every access fails; `bytes_max`: beyond it the disk is full.
+    """A volume claim: segments, spool, repairs. `away`: every access fails; `bytes_max`: beyond it the disk is full.
 
-    `forget_writers` is what the end of a process does to its locks."""
+    `forget_writers` does what the end of a process does to its locks."""
 
     killer: Callable[[], None] = nobody
     away: bool = False
@@ -131,12 +132,12 @@ class RecordingVolume:
     number: int = 0
 
     def forget_writers(self) -> None:
-        """Nobody writes any file any more."""
+        """End all writers: nobody writes any file any more."""
         for file in self.files.values():
             file.writer = None
 
     def require(self, size: int = 0) -> None:
-        """OSError when the volume is away or has no room for so many bytes more."""
+        """Check that the volume is there and so many bytes more fit; else OSError."""
         if self.away:
             raise OSError(errno.EIO, "the volume is away")
         if self._used() + size > self.bytes_max:
@@ -195,11 +196,12 @@ class MemorySegments:
     """One file for all messages of a writer."""
 
     def __init__(self, volume: RecordingVolume, recording: str) -> None:
-        self._volume, self._name = volume, f"{recording}/{volume.name()}.mcap"
+        self._volume = volume
+        self._name = f"{recording}/{volume.name()}.mcap"
         self._closed: list[ClosedSegment] = []
 
     def append(self, messages: Sequence[tuple[Received, str]]) -> Sequence[SegmentPlace]:
-        """As the port says; the process may be killed between any two."""
+        """Append messages; the process may be killed between any two."""
         places: list[SegmentPlace] = []
         for message, _ in messages:
             try:
@@ -216,7 +218,7 @@ class MemorySegments:
         return places
 
     def settle(self, bytes_max: int) -> None:
-        """Nothing is to be done before the end."""
+        """Do nothing: nothing is to be done before the end."""
 
     def close(self) -> None:
         """As the port says."""
@@ -229,8 +231,9 @@ class MemorySegments:
 
     def closed(self) -> Sequence[ClosedSegment]:
         """As the port says."""
-        found, self._closed = self._closed, []
-        return found
+        closed = self._closed
+        self._closed = []
+        return closed
 
 
 @dataclass
@@ -243,11 +246,11 @@ class MemoryRepair:
         """As the port says."""
         return [name for name, file in self.volume.files.items() if file.writer is None and name not in finished]
 
-    def found(self, segment: str) -> Sequence[FoundMessage]:
+    def found(self, segment: str) -> Sequence[SegmentMessage]:
         """As the port says."""
         self.volume.require(-(1 << 60))
         return [
-            FoundMessage(
+            SegmentMessage(
                 message.topic,
                 message.stamp,
                 message.received,

@@ -1,4 +1,4 @@
-"""Rooms and runs in memory: a Room whose course a test decides, a namespace with a simple kubelet, an Executor."""
+"""Test namespaces and suite runs in memory: one whose course a test decides, one with a simple kubelet, an Executor."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from robotkube.domain.charts_packing import sha256
-from robotkube.domain.errors import UnavailableError
-from robotkube.domain.evidence import Artefact, Check, SuiteResult
-from robotkube.domain.suite_requests import SuiteRequest
-from robotkube.domain.verification import SuiteRule
-from robotkube.ports.suites import Account, Object, PodEnd, PodRun, Render, Subject
+from robotkube.errors import UnavailableError
+from robotkube.foundation.documents.core.digests import sha256
+from robotkube.registry.evidence.core.statements import Artefact, Check, SuiteResult
+from robotkube.registry.evidence.core.verification_policy import SuiteRule
+from robotkube.registry.suites.core.requests import SuiteRequest
+from robotkube.registry.suites.ports.suites import Object, PodEnd, PodRun, Render, Subject, SuiteAccount
 
 CHART = "greeter"
 DIGEST = sha256(b"greeter")
@@ -66,13 +66,14 @@ def make_subject(
 def make_request(suite: str = "install", seconds: int = 30, attempt: str = "a1", **rule: Any) -> SuiteRequest:
     """A request for one suite on that chart."""
     artefact = Artefact(CHART, "0.2.0", DIGEST, "linux/amd64")
-    found = SuiteRule(suite, "1", seconds, **rule)
-    return SuiteRequest(artefact, f"staging/{CHART}", sha256(b"policy"), found, ENTRY, attempt=attempt)
+    suite_rule = SuiteRule(suite, "1", seconds, **rule)
+    return SuiteRequest(artefact, f"staging/{CHART}", sha256(b"policy"), suite_rule, ENTRY, attempt=attempt)
 
 
 @dataclass
-class MemoryRoom:
-    """The port Room. `readiness` answers wait_ready in order (then: ready), `runs` run_pod, `ends` delete."""
+class MemoryTestNamespace:
+    """A test namespace in memory whose course a test decides. `readiness` answers wait_ready in order (then: ready),
+    `runs` run_pod, `ends` delete."""
 
     namespace: str = "robotkube-suite-0"
     agent: str = "cloud-0"
@@ -87,18 +88,18 @@ class MemoryRoom:
     on_apply: Callable[[Sequence[Object]], None] | None = None
 
     def provide(self, config_maps: Mapping[str, Mapping[str, str]]) -> None:
-        """Noted."""
+        """Note the ConfigMaps."""
         self.calls += [("provide", name) for name in config_maps]
 
     def apply(self, objects: Sequence[Object]) -> None:
-        """Kept."""
+        """Keep the objects."""
         if self.on_apply:
             self.on_apply(objects)
         self.calls.append(("apply", [item["metadata"]["name"] for item in objects]))
         self.objects |= {(item["kind"], item["metadata"]["name"]): item for item in objects}
 
     def delete(self, objects: Sequence[Object], seconds: float) -> Sequence[PodEnd]:
-        """Removed; the next of `ends`."""
+        """Remove objects; the next of `ends`."""
         self.calls.append(("delete", [item["metadata"]["name"] for item in objects]))
         for item in objects:
             self.objects.pop((item["kind"], item["metadata"]["name"]), None)
@@ -109,12 +110,12 @@ class MemoryRoom:
         return self.readiness.pop(0) if self.readiness else ""
 
     def pods(self) -> Sequence[Object]:
-        """One per Deployment."""
-        found = [item for (kind, _), item in self.objects.items() if kind == "Deployment"]
-        return [{**item["spec"]["template"], "kind": "Pod"} for item in found]
+        """The pods, one per Deployment."""
+        deployments = [item for (kind, _), item in self.objects.items() if kind == "Deployment"]
+        return [{**item["spec"]["template"], "kind": "Pod"} for item in deployments]
 
     def logs(self, pod: str) -> str:
-        """Nothing."""
+        """No logs."""
         return ""
 
     def run_pod(
@@ -131,29 +132,29 @@ class MemoryRoom:
         self.calls.append(("run_pod", {"name": name, "image": image, "command": command, "files": files}))
         return self.runs.pop(0) if self.runs else PodRun("", 0)
 
-    def start_broker(self) -> Account:
-        """Noted."""
+    def start_broker(self) -> SuiteAccount:
+        """Note the call; an account of a broker."""
         self.calls.append(("start_broker", None))
-        return Account("suite", "password", "10.0.0.1", 1883)
+        return SuiteAccount("suite", "password", "10.0.0.1", 1883)
 
-    def start_database(self) -> Account:
-        """Noted."""
+    def start_database(self) -> SuiteAccount:
+        """Note the call; an account of a database."""
         self.calls.append(("start_database", None))
-        return Account("suite", "password", "10.0.0.2", 27017, "recordings_suite")
+        return SuiteAccount("suite", "password", "10.0.0.2", 27017, "recordings_suite")
 
     def broker_log(self) -> str:
-        """Nothing."""
+        """An empty log."""
         return ""
 
     def leftovers(self) -> list[str]:
-        """What a test says, and what was not deleted."""
+        """The leftovers that a test decides, and what was not deleted."""
         return sorted([*self.left, *(f"{kind} {name}" for kind, name in self.objects)])
 
 
 @dataclass
-class MemoryRoomObjects:
-    """The port RoomObjects: applying a Deployment makes a pod. `start(pod)` gives a new pod's status, `finish(pod)`
-    that of a deleted one, or None when it stays; `refuse(object)` may raise."""
+class MemoryNamespaceObjects:
+    """The objects of a test namespace in memory: applying a Deployment makes a pod. `start(pod)` gives a new pod's
+    status, `finish(pod)` that of a deleted one, or None when it stays; `refuse(object)` may raise."""
 
     start: Callable[[Object], Mapping[str, Any]] = lambda pod: RUNNING
     finish: Callable[[Object], Mapping[str, Any] | None] = lambda pod: ENDED
@@ -166,15 +167,15 @@ class MemoryRoomObjects:
     created: list[str] = field(default_factory=list)
 
     def list(self, kind: str) -> tuple[Sequence[Object], str]:
-        """Copies."""
-        return [copy.deepcopy(item) for (found, _), item in sorted(self.objects.items()) if found == kind], "1"
+        """Copies of the objects of a kind, and a resourceVersion."""
+        return [copy.deepcopy(item) for (key, _), item in sorted(self.objects.items()) if key == kind], "1"
 
     def get(self, kind: str, name: str) -> Object | None:
-        """A copy."""
+        """A copy of an object, or None."""
         return copy.deepcopy(self.objects.get((kind, name)))
 
     def create(self, kind: str, body: Object) -> None:
-        """Refused when it is there."""
+        """Create an object; refused when it is there."""
         name = body["metadata"]["name"]
         if (kind, name) in self.objects or (kind == "Secret" and name in self.secrets):
             raise UnavailableError(f"{kind} {name} is there")
@@ -188,9 +189,10 @@ class MemoryRoomObjects:
         self.objects[kind, name] = item
 
     def apply(self, body: Object) -> None:
-        """Made or replaced; a Deployment gets a new pod."""
+        """Make or replace an object; a Deployment gets a new pod."""
         self.refuse(body)
-        kind, name = body["kind"], body["metadata"]["name"]
+        kind = body["kind"]
+        name = body["metadata"]["name"]
         self.objects[kind, name] = copy.deepcopy(dict(body))
         if kind == "Deployment":
             self._roll(body, name)
@@ -205,7 +207,7 @@ class MemoryRoomObjects:
         self.objects["Deployment", name] |= {"status": counts}
 
     def delete(self, kind: str, name: str, grace_seconds: int | None = None) -> None:
-        """Gone, with its pod, unless that stays."""
+        """Delete an object with its pod, unless that stays."""
         if kind == "Secret":
             self.secrets.pop(name, None)
         elif kind == "Pod":
@@ -225,16 +227,17 @@ class MemoryRoomObjects:
             self.pending.append(("DELETED", self.objects.pop(("Pod", name))))
 
     def log(self, pod: str, container: str, bytes_max: int, lines_max: int = 0, previous: bool = False) -> str:
-        """What a test says."""
+        """The log that a test decides."""
         return self.texts.get(pod, "")
 
     def events(self, kind: str, name: str) -> Sequence[Object]:
-        """What a test says."""
+        """The events that a test decides."""
         return self.said
 
     def changes(self, kind: str, version: str, seconds: float) -> Iterator[tuple[str, Object]]:
-        """What happened since the last call."""
-        pending, self.pending = self.pending, []
+        """The watch events since the last call."""
+        pending = self.pending
+        self.pending = []
         yield from pending
 
 
@@ -253,15 +256,15 @@ ENDED: Mapping[str, Any] = {
 
 
 @dataclass
-class MemoryKeeper:
-    """The port RoomKeeper; raises the next of `troubles`."""
+class MemoryNamespaceKeeper:
+    """A test namespace to be emptied, in memory; raises the next of `troubles`."""
 
     name: str = "robotkube-suite-0"
     troubles: list[Exception] = field(default_factory=list)
     emptied: int = 0
 
     def empty(self, seconds: float) -> None:
-        """Counted."""
+        """Count the call."""
         if self.troubles:
             raise self.troubles.pop(0)
         self.emptied += 1
@@ -269,7 +272,7 @@ class MemoryKeeper:
 
 @dataclass
 class MemoryExecutor:
-    """The port Executor: waits for `go`, then gives `result(request)`."""
+    """An executor of suites that waits for `go`, then gives `result(request)`."""
 
     result: Callable[[SuiteRequest], SuiteResult] = lambda request: passed(request)
     go: threading.Event = field(default_factory=threading.Event)
@@ -283,7 +286,7 @@ class MemoryExecutor:
         return self.result(request)
 
     def stop(self) -> None:
-        """Nothing waits any longer."""
+        """End all waiting."""
         self.go.set()
 
 

@@ -1,4 +1,4 @@
-"""A large world that exists nowhere: many chart versions, nodes and standing demands, the same for the same arguments.
+"""A large made-up fleet: many chart versions, nodes and standing demands, the same for the same arguments.
 
 For measurements and for properties of composition. A fifth of the machines are edge machines, a tenth clouds, the rest
 vehicles; half of the applications record the data of two vehicles in a cloud, the others perceive on an edge machine
@@ -13,13 +13,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from robotkube.domain.capacities import Resources
-from robotkube.domain.catalogue import Catalogue, read_catalogue
-from robotkube.domain.composition import Composer, Demand, Validate, World
-from robotkube.domain.loops import Render
-from robotkube.domain.placement import Agent, NodeState, fleet
-from robotkube.domain.releases import Release, Source, Tree, read_release, write_release
-from robotkube.domain.tasks import TaskDescription
+from robotkube.delivery.deployment.core.releases import Release, Source, Tree, read_release, write_release
+from robotkube.delivery.manager.core.composition.composer import Demand, Inputs, Memo, Validate, compose
+from robotkube.delivery.manager.core.placement.capacity import Resources
+from robotkube.delivery.manager.core.placement.placement import Agent, NodeState, fleet
+from robotkube.delivery.tasks.core.task_description import TaskDescription
+from robotkube.foundation.documents.core.patterns import ROS_TOPIC, ROS_TYPE, TRACE, anchored
+from robotkube.foundation.documents.core.value_templates import Render
+from robotkube.registry.catalogue.core.catalogue import Catalogue, read_catalogue
 
 API = "registry.robotkube.io/v1alpha1"
 PLATFORMS = ("linux/amd64", "linux/arm64")
@@ -35,8 +36,8 @@ _TOPIC = {
     "additionalProperties": False,
     "required": ["name", "type"],
     "properties": {
-        "name": {"type": "string", "pattern": "^(/[A-Za-z_][A-Za-z0-9_]*)+$"},
-        "type": {"type": "string", "pattern": "^[a-z][a-z0-9_]*/msg/[A-Za-z][A-Za-z0-9]*$"},
+        "name": {"type": "string", "pattern": anchored(ROS_TOPIC)},
+        "type": {"type": "string", "pattern": anchored(ROS_TYPE)},
         "channel": {"enum": ["telemetry", "bulk"]},
         "reliability": {"enum": ["reliable", "best_effort"]},
         "durability": {"enum": ["volatile", "transient_local"]},
@@ -58,7 +59,7 @@ _SCHEMA = {
             "properties": {
                 "topics": _TOPICS,
                 "peer": {"type": "string"},
-                "trace": {"type": "string", "pattern": "^[0-9a-f]{32}$"},
+                "trace": {"type": "string", "pattern": anchored(TRACE)},
                 "rules": {"type": "array", "items": {"type": "object", "additionalProperties": True}},
             },
         },
@@ -72,12 +73,12 @@ _SCHEMA = {
     },
     "$defs": {"topic": _TOPIC},
 }
-_QUALITY = {"reliability": "reliable", "durability": "volatile", "depth": 10}
+_QOS = {"reliability": "reliable", "durability": "volatile", "depth": 10}
 
 
 @dataclass(frozen=True)
 class Synthetic:
-    """The world; `tasks` are the standing ones by key, `tree` is main, which answers them."""
+    """The made-up fleet; `tasks` are the standing ones by key, `tree` is main, which answers them."""
 
     catalogue: Catalogue
     schemas: Schemas
@@ -90,11 +91,11 @@ class Synthetic:
         """The values schema of a chart version."""
         return self.schemas.get((chart, version))
 
-    def world(self, render: Render, validate: Validate, present: Mapping[str, Release] | None = None) -> World:
-        """As composition looks at it; `present` in place of main's releases."""
+    def inputs(self, render: Render, validate: Validate, present: Mapping[str, Release] | None = None) -> Inputs:
+        """What composition depends on; `present` in place of main's releases."""
         machines = fleet(self.agents, self.nodes)
         releases = self.tree.releases if present is None else present
-        return World(self.catalogue, machines, releases, render, validate, schema=self.schema)
+        return Inputs(self.catalogue, machines, releases, render, validate, schema=self.schema)
 
     def new_task(self, number: int) -> TaskDescription:
         """A task that main does not answer yet; another one for each number."""
@@ -111,16 +112,16 @@ def synthetic(
     standing: int = 200,
     seed: int = 1,
 ) -> Synthetic:
-    """The world of these sizes."""
+    """A made-up fleet of these sizes."""
     chance = random.Random(seed)  # noqa: S311 - the same numbers every time are the point
     catalogue, schemas = _catalogue(charts, versions)
     agents, machines = _machines(nodes, chance)
     vehicles = [agent.name for agent in agents if agent.role == "vehicle"]
     tasks = [_task(number, "standing", vehicles, len(catalogue.applications) - 1) for number in range(standing)]
     empty = Synthetic(catalogue, schemas, agents, machines, {}, Tree({}, {}))
-    desired = Composer().compose(demands(tasks), empty.world(render, validate))
-    releases = [replace(found, plan=PLAN) for found in desired.releases.values()]
-    known = {found.path: read_release(write_release(found), found.path) for found in releases}
+    desired = compose(demands(tasks), empty.inputs(render, validate), Memo())
+    releases = [replace(release, plan=PLAN) for release in desired.releases.values()]
+    known = {release.path: read_release(write_release(release), release.path) for release in releases}
     sources = [Source(r.namespace, r.chart, r.digest, f"{CHARTS_URL}/{r.chart}") for r in releases]
     tree = Tree(known, {source.path: source for source in sources})
     return replace(empty, tasks={task.key: task for task in tasks}, tree=tree)
@@ -132,7 +133,8 @@ def demands(tasks: Sequence[TaskDescription]) -> list[Demand]:
 
 
 def _machines(count: int, chance: random.Random) -> tuple[tuple[Agent, ...], tuple[NodeState, ...]]:
-    agents, nodes = [], []
+    agents: list[Agent] = []
+    nodes: list[NodeState] = []
     for number in range(count):
         role = "cloud" if number % 10 == 0 else "edge" if number % 5 == 1 else "vehicle"
         name = f"{role}-{number:04d}"
@@ -189,19 +191,20 @@ def _bridge() -> str:
 
 
 def _topics(agent: str, names: Sequence[str]) -> list[dict[str, Any]]:
-    return [{"name": f"/vehicles/{agent}/{n}", "type": "sensor_msgs/msg/PointCloud2", **_QUALITY} for n in names]
+    return [{"name": f"/vehicles/{agent}/{n}", "type": "sensor_msgs/msg/PointCloud2", **_QOS} for n in names]
 
 
 def _recording(index: int) -> tuple[str, str]:
-    name, loop = f"recording-{index:02d}", {"vehicle": "{{ parameters.vehicles }}"}
+    name = f"recording-{index:02d}"
+    loop = {"vehicle": "{{ parameters.vehicles }}"}
     topics = _topics("{{ vehicle | ros }}", ["pose", "cloud", "transform"])
-    read = [{**topic, "buffer": {"seconds": 10, "bytes": 1000000}} for topic in topics]
+    buffered = [{**topic, "buffer": {"seconds": 10, "bytes": 1000000}} for topic in topics]
     service = {
         "name": "recorder",
         "release": f"r{index:02d}-{{{{ parameters.vehicles | join('-') }}}}",
         "chart": {"name": f"service-{index:02d}", "version": ">=0.1.0"},
         "placement": {"role": "cloud", "capabilities": ["recording"]},
-        "values": {"detector": {"topics": [{"forEach": loop, "each": read}], "trace": "{{ task.trace }}"}},
+        "values": {"detector": {"topics": [{"forEach": loop, "each": buffered}], "trace": "{{ task.trace }}"}},
     }
     carried = [{**topic, "channel": "telemetry"} for topic in topics]
     ends = {"from": {"agent": "{{ vehicle }}"}, "to": {"service": "recorder"}}
@@ -211,7 +214,8 @@ def _recording(index: int) -> tuple[str, str]:
 
 
 def _perception(index: int, charts: int) -> tuple[str, str]:
-    name, word = f"perception-{index:02d}", f"does/service-{charts - 2 - index:02d}"
+    name = f"perception-{index:02d}"
+    word = f"does/service-{charts - 2 - index:02d}"
     detect = {
         "name": "detection",
         "release": f"d{index:02d}-{{{{ parameters.vehicle }}}}",
@@ -240,7 +244,8 @@ def _perception(index: int, charts: int) -> tuple[str, str]:
 
 def _task(number: int, word: str, vehicles: Sequence[str], applications: int) -> TaskDescription:
     pairs = applications // 2
-    index, recording = (number // 2) % pairs, number % 2 == 0
+    index = (number // 2) % pairs
+    recording = number % 2 == 0
     first, second = vehicles[2 * number % len(vehicles)], vehicles[(2 * number + 1) % len(vehicles)]
     return TaskDescription(
         namespace="cloud-0000",

@@ -10,9 +10,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from robotkube.domain.rules import Cause
-from robotkube.domain.rules.plugins import Arrival, Holding
-from robotkube.domain.windows import Window
+from robotkube.plugins import Arrival, Cause, Holding, Window
 
 FIELDS = ("pose.position.x", "pose.position.y")
 REQUIRED = ("topic", "start_mps", "stop_mps")

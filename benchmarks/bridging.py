@@ -1,0 +1,54 @@
+"""CPU of the bridges for the poses of a few vehicles: ours, which carries what 40 ms brought in one frame, against the
+one of `naive_bridge`. Everything else (players, broker, the cloud's bridge, the receiver) is the same.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from benchmarks import pods
+from benchmarks.data_path import Setting, measure
+from benchmarks.measuring import Figure
+from ci.errors import SetUpError
+
+VEHICLES, SECONDS = 3, 14.0
+OURS = "robotkube.robots.bridge"
+# component -> its name in the table, and what our CPU / the baseline's may be
+COMPONENTS = {"vehicle bridges": ("bridges of the vehicles", 0.6), "broker": ("broker", 0.9)}
+
+
+class NaiveSetting(Setting):
+    """The vehicles run the naive bridge."""
+
+    def _launch(self, component: str, node: int, agent: str, name: str, module: str, *rest: Any) -> pods.Pod:
+        if component == "vehicle bridges":
+            module = "benchmarks.naive_bridge"
+        return super()._launch(component, node, agent, name, module, *rest)
+
+
+def cpu_percent(kind: type[Setting]) -> dict[str, float]:
+    """CPU of each component in % of one core; SetUpError when poses were lost, since then the figures say nothing."""
+    with tempfile.TemporaryDirectory(prefix="bridging-") as name:
+        folder = Path(name)
+        folder.chmod(0o755)
+        setting = kind(folder, VEHICLES, 0, SECONDS)
+        try:
+            with setting.api:
+                found: dict[str, Any] = measure(setting)
+        finally:
+            setting.close()
+    if found["received"] != found["published"]:
+        raise SetUpError(f"{kind.__name__}: {found['published']} were published, {found['received']} arrived")
+    return dict(found["cpu_percent"])
+
+
+def figures() -> list[Figure]:
+    """The vehicles' bridges are what differs; the broker has fewer messages to carry."""
+    naive, ours = cpu_percent(NaiveSetting), cpu_percent(Setting)
+    baseline = "executor, a message each"
+    return [
+        Figure(f"{text}, {VEHICLES} x 100 Hz", "% CPU", ours[component], naive[component], ratio_max, baseline)
+        for component, (text, ratio_max) in COMPONENTS.items()
+    ]

@@ -1,0 +1,175 @@
+"""The event detector: what receiving, detecting, storing, carrying and testing cost, each beside a baseline of the same
+run. To build/bench/event-detector.json; what the keys mean: docs/reference/testing.md.
+
+A goal that is no ratio to a baseline stands as the baseline itself (`the goal`), with a ratio of at most 1.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict
+
+from benchmarks import activating, bridge, detecting, pods, proximity, recording, rule_testing, whole_path
+from benchmarks.detecting import AGENTS, DEMO_RATE
+from benchmarks.measuring import Figure, record
+from ci import preparing
+from ci.errors import SetUpError
+from ci.folders import PROJECT
+
+RECORD = PROJECT / "build" / "bench" / "event-detector.json"
+RECEIVE_US_MAX, SUSTAINED_MIN, LATENCY_P99_MS_MAX, EVENTS = 40.0, 15_000.0, 20.0, 1000
+ACTIVATION_MS_MAX = 100.0
+BRIDGE_MIN, REALTIME_MIN, PATH_RATIO_MAX = 10_000.0, 20.0, 0.6
+ROSBAGS_RATIO_MAX = 2.0  # ours reads whatever rule and any bag, and gives events with their causes
+NAIVE_SECONDS = 20.0
+
+
+def receiving() -> list[Figure]:
+    """Poses into the buffer and through the rule, beside taking them and nothing else, and beside an executor."""
+    found, naive = detecting.receive(), naive_receive()
+    record(
+        RECORD,
+        {
+            "receive_us_per_message": found.us_per_message,
+            "receive_baseline_us_per_message": found.baseline_us_per_message,
+            "receive_executor_us_per_message": naive,
+        },
+    )
+    return [
+        Figure("receive, CPU per pose", "us", found.us_per_message, RECEIVE_US_MAX, 1.0, "the goal"),
+        Figure("receive, CPU per pose", "us", found.us_per_message, naive, 1.0, "SingleThreadedExecutor"),
+    ]
+
+
+def naive_receive() -> float:
+    """CPU per pose of the naive detector at the demo's rate, in us; the start of its process is left out."""
+    with detecting.room() as here:
+        path = here.folder / "config.yaml"
+        path.write_text(json.dumps(detecting.settings(AGENTS)), encoding="utf-8")
+        environment = {"ROBOTKUBE_CONFIG": str(path), "ROBOTKUBE_RESULT": str(here.result_path("naive"))}
+        here.namespaces.append(here.nodes.pod(here.node))
+        command = pods.python("benchmarks.naive_detector")
+        naive = pods.start("naive", command, environment, here.folder / "naive.log", here.namespaces[-1])
+        here.started.append(naive)
+        detecting.play(here, NAIVE_SECONDS, DEMO_RATE)
+        naive.stop()
+        found = here.wait("naive", detecting.END_SECONDS_MAX)
+    return round(1e6 * float(found["cpu_seconds"]) / int(found["messages"]), 2)
+
+
+def noticing() -> list[Figure]:
+    """Messages a second that one core takes without loss, and the time from a message to its event."""
+    throughput, delay = detecting.sustained(), detecting.latency(EVENTS)
+    values = {
+        "sustained_messages_per_second_one_core": throughput.messages_per_second_one_core,
+        "sustained_lost": throughput.lost,
+        "sustained_core_fraction": throughput.core_fraction,
+        "event_latency_p99_ms": delay.p99_ms,
+        "event_latency_p50_ms": delay.p50_ms,
+        "event_latency_n": delay.n,
+    }
+    record(RECORD, values)
+    if throughput.lost:
+        raise SetUpError(f"{throughput.lost} messages were lost at {throughput.messages_per_second_one_core:.0f}/s")
+    needed = 1e6 / throughput.messages_per_second_one_core
+    return [
+        Figure("sustained on one core, time per message", "us", needed, 1e6 / SUSTAINED_MIN, 1.0, "the goal"),
+        Figure(f"message to event, p99 of {delay.n}", "ms", delay.p99_ms, LATENCY_P99_MS_MAX, 1.0, "the goal"),
+    ]
+
+
+def going() -> list[Figure]:
+    """From rest to active, by command and by configuration."""
+    found = activating.activate()
+    values = {
+        "activation_ms": asdict(found.active_ms),
+        "activation_first_message_ms": asdict(found.first_message_ms),
+    }
+    record(RECORD, values)
+    name = f"from rest to active, p99 of {found.active_ms.n}"
+    return [Figure(name, "ms", found.active_ms.p99, ACTIVATION_MS_MAX, 1.0, "the goal")]
+
+
+def nearness() -> list[Figure]:
+    """1,000 agents at 10 Hz."""
+    found = proximity.measure()
+    values = {"proximity_1000_agents_core_fraction": found.core_fraction, "proximity_plain": found.plain_core_fraction}
+    record(RECORD, values)
+    name = f"proximity, {proximity.AGENTS} agents at {proximity.HERTZ} Hz"
+    return [
+        Figure(name, "cores", found.core_fraction, 1.0, 1.0, "the goal"),
+        Figure(name, "cores", found.core_fraction, found.plain_core_fraction, 1.0, "each with all others"),
+    ]
+
+
+def storing() -> list[Figure]:
+    """Ten seconds of two vehicles until everything is acknowledged."""
+    found = recording.store_ten_seconds()
+    values = {
+        "store_ten_seconds_s": round(found.seconds, 3),
+        "store_baseline_s": round(found.baseline_seconds, 3),
+        "store_messages_lost": found.lost,
+    }
+    record(RECORD, values)
+    if found.lost:
+        raise SetUpError(f"{found.lost} messages were offered and are not found")
+    allowed = found.seconds_max / found.baseline_seconds
+    return [Figure("store 10 s", "s", found.seconds, found.baseline_seconds, allowed, "a file, fsync")]
+
+
+def carrying() -> list[Figure]:
+    """Poses through one bridge, each direction alone."""
+    directions = {direction: bridge.carry(direction) for direction in (bridge.OUT, bridge.IN)}
+    worst = min(directions.values(), key=lambda carried: carried.messages_per_second)
+    lost = sum(carried.sent - carried.received for carried in directions.values())
+    values = {
+        "bridge_messages_per_second": worst.messages_per_second,
+        "bridge_core_us_per_message": max(carried.core_us_per_message for carried in directions.values()),
+        "bridge_lost": lost,
+        "bridge": {direction: asdict(carried) for direction, carried in directions.items()},
+    }
+    record(RECORD, values)
+    if lost:
+        raise SetUpError(f"the bridge lost {lost} messages")
+    goal = 1e6 / BRIDGE_MIN
+    return [Figure("bridge, time per message", "us", 1e6 / worst.messages_per_second, goal, 1.0, "the goal")]
+
+
+def trying() -> list[Figure]:
+    """`robotkube rule test` on the paper's bags."""
+    found = rule_testing.rule_test()
+    values = {
+        "rule_test_realtime_factor": round(found.realtime_factor, 1),
+        "rule_test_baseline_realtime_factor": round(found.baseline_realtime_factor, 1),
+    }
+    record(RECORD, values)
+    ours, name = found.seconds / found.realtime_factor, f"rule test, bags of {found.seconds:.0f} s"
+    return [
+        Figure(name, "s", ours, found.seconds / REALTIME_MIN, 1.0, "the goal"),
+        Figure(
+            name, "s", ours, found.seconds / found.baseline_realtime_factor, ROSBAGS_RATIO_MAX, "rosbags and a loop"
+        ),
+    ]
+
+
+def whole() -> list[Figure]:
+    """Bridges, broker and detector per pose."""
+    naive, ours = whole_path.cost(whole_path.NaiveSetting), whole_path.cost(whole_path.WholeSetting)
+    values = {
+        "data_path_us_per_message": ours.us_per_message,
+        "data_path_baseline_us_per_message": naive.us_per_message,
+        "data_path": {"ours": ours.components, "baseline": naive.components},
+    }
+    record(RECORD, values)
+    name = f"data path, CPU per pose, {whole_path.VEHICLES} x {whole_path.HERTZ} Hz"
+    return [Figure(name, "us", ours.us_per_message, naive.us_per_message, PATH_RATIO_MAX, "the naive path")]
+
+
+PARTS: tuple[Callable[[], list[Figure]], ...] = (receiving, noticing, going, nearness, storing, carrying, trying, whole)
+
+
+def figures() -> list[Figure]:
+    """All parts, one after the other."""
+    preparing.for_tests()
+    return [figure for part in PARTS for figure in part()]

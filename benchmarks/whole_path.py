@@ -1,0 +1,62 @@
+"""What the whole way of a pose costs, from the vehicle's ROS to a rule in the cloud: both bridges, the broker and the
+detector, against the way one would write first (facts of `naive_bridge` and `naive_detector`). Players and what counts
+the messages are left out; they are the same on both sides.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from benchmarks import pods
+from benchmarks.data_path import Setting, measure
+from benchmarks.detecting import settings
+from ci.errors import SetUpError
+
+VEHICLES, SECONDS, HERTZ = 3, 14.0, 100
+COUNTED = ("vehicle bridges", "broker", "cloud bridge", "detector")
+NAIVE = {"robotkube.robots.bridge": "benchmarks.naive_bridge"}
+
+
+class WholePath(NamedTuple):
+    """Processor time per pose in us, all components together and each."""
+
+    us_per_message: float
+    components: dict[str, float]
+
+
+class WholeSetting(Setting):
+    """With a detector beside what counts."""
+
+    detector = "robotkube.robots.detector"
+
+    def _receiver(self, node: int) -> None:
+        super()._receiver(node)
+        self._launch("detector", node, "cloud-0", "event-detector", self.detector, settings(len(self.agents)))
+
+
+class NaiveSetting(WholeSetting):
+    """The vehicles, the cloud and the detector as one would write them first."""
+
+    detector = "benchmarks.naive_detector"
+
+    def _launch(self, component: str, node: int, agent: str, name: str, module: str, *rest: Any) -> pods.Pod:
+        return super()._launch(component, node, agent, name, NAIVE.get(module, module), *rest)
+
+
+def cost(kind: type[WholeSetting]) -> WholePath:
+    """Measure one side; SetUpError when poses were lost, since then the figures say nothing."""
+    with tempfile.TemporaryDirectory(prefix="whole-path-") as name:
+        folder = Path(name)
+        folder.chmod(0o755)
+        setting = kind(folder, VEHICLES, 0, SECONDS)
+        try:
+            with setting.api:
+                found: dict[str, Any] = measure(setting)
+        finally:
+            setting.close()
+    if found["received"] != found["published"]:
+        raise SetUpError(f"{kind.__name__}: {found['published']} were published, {found['received']} arrived")
+    each = {one: round(found["cpu_percent"][one] * 1e4 / (VEHICLES * HERTZ), 1) for one in COUNTED}
+    return WholePath(round(sum(each.values()), 1), each)

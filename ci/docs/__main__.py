@@ -1,0 +1,90 @@
+"""Build the site: `ci/python -m ci.docs [--source ADDRESS]`; 0 done, 1 a page is wrong, 3 the machine cannot."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from ci import links
+from ci.docs import loading, pages
+from ci.errors import InputError, SetUpError
+from ci.folders import PROJECT, user_cache
+
+LOCK = PROJECT / "operator" / "requirements" / "docs.txt"
+OUTPUT = PROJECT / "build" / "docs"
+FOLDER = Path(__file__).resolve().parent
+BESIDE_THE_PAGES = {"conf.py": "conf.py", "site.css": "_static/site.css"}
+INSTALL_SECONDS_MAX = 600
+BUILD_SECONDS_MAX = 300
+
+
+def generator() -> Path:
+    """The program that makes sites, in an environment of its own below the cache folder, installed once per lock."""
+    version = f"{sys.version_info.major}.{sys.version_info.minor}"
+    key = hashlib.sha256(LOCK.read_bytes() + version.encode()).hexdigest()[:16]
+    home = user_cache() / "docs" / key
+    if not (home / "complete").exists():
+        print(f"installing the site generator into {home} (once)", file=sys.stderr, flush=True)
+        shutil.rmtree(home, ignore_errors=True)
+        _run(sys.executable, "-m", "venv", str(home), seconds=INSTALL_SECONDS_MAX)
+        pip = [str(home / "bin" / "python"), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+        _run(*pip, "--require-hashes", "--no-deps", "-r", str(LOCK), seconds=INSTALL_SECONDS_MAX)
+        (home / "complete").touch()
+    return home / "bin" / "sphinx-build"
+
+
+def assemble(address: str) -> Path:
+    """Write the pages and the generator's settings into the output folder; returns their folder."""
+    repository = pages.Repository(frozenset(links.files()), address)
+    texts = pages.site(repository, lambda name: (PROJECT / name).read_text(encoding="utf-8"))
+    shutil.rmtree(OUTPUT, ignore_errors=True)
+    folder = OUTPUT / "pages"
+    for name, text in texts.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text, encoding="utf-8")
+    for name, target in BESIDE_THE_PAGES.items():
+        (folder / target).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(FOLDER / name, folder / target)
+    return folder
+
+
+def build(address: str) -> Path:
+    """The folder of the finished site. InputError when a page is wrong or would load something from elsewhere."""
+    command = [str(generator()), "--builder", "html", "--quiet", "--fail-on-warning", "--jobs", "auto"]
+    folders = [str(assemble(address)), str(OUTPUT / "site"), "--doctree-dir", str(OUTPUT / "doctrees")]
+    done = subprocess.run([*command, *folders], capture_output=True, text=True, timeout=BUILD_SECONDS_MAX, check=False)
+    if done.returncode:
+        raise InputError(f"{done.stderr.strip()}\nThe site was not built; an index.md is the README.md of its folder.")
+    found = list(loading.findings(OUTPUT / "site"))
+    if found:
+        raise InputError("\n".join(["the site would load from elsewhere:", *found]))
+    return OUTPUT / "site"
+
+
+def _run(*command: str, seconds: int) -> None:
+    try:
+        subprocess.run(command, check=True, timeout=seconds)
+    except (subprocess.SubprocessError, OSError) as error:
+        raise SetUpError(f"the site generator cannot be installed: {error}; run make docs again") from error
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="ci.docs", description="Build the documentation as a site.")
+    parser.add_argument("--source", default="", help="address below which a forge shows the files of the repository")
+    given = parser.parse_args(arguments)
+    try:
+        site = build(given.source)
+    except SetUpError as error:
+        print(error, file=sys.stderr)
+        return error.exit_code
+    print(site.relative_to(PROJECT))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

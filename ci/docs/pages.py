@@ -1,0 +1,110 @@
+"""The pages of the site, from those of the repository: same folders, so links between pages nearly stay as they are.
+
+A README is the index of its folder. A link to what is no page (a chart's values, a test) becomes a link to the forge
+when its address is given, else the name of the file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from posixpath import basename, dirname
+
+from ci import markdown
+from ci.links import ELSEWHERE, resolved
+
+Read = Callable[[str], str]
+
+LEFT_OUT = ("operator/src/",)
+"""Pages that are no documentation: files for others to start from."""
+
+TOP = "README.md"
+SECTIONS = {
+    "Tutorials": ("docs/tutorials/use-case.md", "docs/tutorials/"),
+    "How-to": ("docs/how-to/",),
+    "Explanation": ("docs/explanation/architecture.md", "docs/explanation/"),
+    "Reference": ("docs/reference/",),
+    "Decisions": ("docs/decisions/README.md", "docs/decisions/"),
+    "Charts": ("charts/robotkube/", "charts/apps/", "charts/"),
+    "Project": ("CHANGELOG.md", "UPGRADING.md", "CONTRIBUTING.md", "SECURITY.md", ""),
+}
+"""Titles of the contents, and the beginnings of paths below them, in order; a page stands where it fits first."""
+
+CONTENTS = """
+```{{toctree}}
+:hidden:
+:caption: {title}
+
+{entries}
+```
+"""
+
+
+@dataclass(frozen=True)
+class Repository:
+    """Its files by path, and the address below which a forge shows them; empty when there is none."""
+
+    files: frozenset[str]
+    address: str = ""
+
+    def pages(self) -> list[str]:
+        return sorted(name for name in self.files if name.endswith(".md") and not name.startswith(LEFT_OUT))
+
+
+def site(repository: Repository, read: Read) -> dict[str, str]:
+    """Path in the site -> text of every page; the first page also has the contents."""
+    pages = repository.pages()
+    texts = {place(name): linked(name, read(name), frozenset(pages), repository.address) for name in pages}
+    for title, names in contents(pages).items():
+        texts[place(TOP)] += CONTENTS.format(title=title, entries="\n".join(map(_entry, names)))
+    return texts
+
+
+def place(name: str) -> str:
+    """Where a page of the repository stands in the site, and what a link to it has to name."""
+    folder, _, file = name.rpartition("/")
+    return f"{folder}/index.md".lstrip("/") if file == TOP else name
+
+
+def linked(page: str, text: str, pages: frozenset[str], address: str = "") -> str:
+    """The text of a page with links that lead somewhere in the site."""
+    parts, end = [], 0
+    for link in markdown.links(text):
+        new = _link(page, link, pages, address)
+        if new and text[link.start] == "[" and link.start >= end:
+            parts += [text[end : link.start], new]
+            end = link.end
+    return "".join([*parts, text[end:]])
+
+
+def _link(page: str, link: markdown.Link, pages: frozenset[str], address: str) -> str:
+    """What stands for a link; empty when it stays."""
+    file, hash_sign, anchor = link.target.partition("#")
+    if not file or ELSEWHERE.match(link.target):
+        return ""
+    path, _ = resolved(page, link.target)
+    if path in pages:
+        return f"[{link.label}]({place(file)}{hash_sign}{anchor})"
+    if f"{path}/{TOP}".removeprefix("./") in pages:
+        return f"[{link.label}]({file.rstrip('/')}/{place(TOP)})"
+    if address:
+        return f"[{link.label}]({address.rstrip('/')}/{path})"
+    return f"`{path}`" if link.label.strip("`") == path else f"{link.label} (`{path}`)"
+
+
+def contents(pages: Iterable[str]) -> dict[str, list[str]]:
+    """Title of a section -> its pages; every page but the first stands in one."""
+    left = [name for name in sorted(pages) if name != TOP]
+    found: dict[str, list[str]] = {}
+    for title, beginnings in SECTIONS.items():
+        names = [name for beginning in beginnings for name in left if name.startswith(beginning)]
+        found[title] = list(dict.fromkeys(names))
+        left = [name for name in left if name not in found[title]]
+    return {title: names for title, names in found.items() if names}
+
+
+def _entry(name: str) -> str:
+    """A page by its own title; a folder's README outside of docs/ by the folder, since many have the same title."""
+    document = "/" + place(name).removesuffix(".md")
+    named = basename(name) == TOP and not name.startswith("docs/")
+    return f"{dirname(name)} <{document}>" if named else document

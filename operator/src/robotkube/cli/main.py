@@ -1,0 +1,164 @@
+"""The command `robotkube <noun> <verb>`: what runs, what was asked for, what was planned and recorded.
+
+stdout is data (`--output table|yaml|json`), stderr is talk. Ends with 0 done, 1 refused, 2 wrong usage, 3 something is
+unreachable (API server, manager, forge, database). Access: a kubeconfig (`--kubeconfig`, KUBECONFIG); forge and manager
+are reached through the API server.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from robotkube.cli.output import FORMATS, Table, write
+from robotkube.cli.platform import Platform
+from robotkube.errors import InputError, RefusalError, RobotKubeError, UnavailableError
+
+EXIT_DONE = 0
+EXIT_REFUSED = 1
+EXIT_USAGE = 2
+EXIT_UNREACHABLE = 3
+
+
+@dataclass(frozen=True)
+class Command:
+    """One verb of a noun; without a verb the noun is the command."""
+
+    noun: str
+    verb: str
+    summary: str
+    run: Callable[[argparse.Namespace], Table | None]
+    arguments: Callable[[argparse.ArgumentParser], None] = lambda parser: None
+
+
+def commands() -> Sequence[Command]:
+    """Every command; other modules of the command line add theirs here."""
+    from robotkube.cli import plans, traces
+    from robotkube.cli import rules as cli_rules
+    from robotkube.cli.recordings import commands as cli_recordings
+    from robotkube.cli.recordings import export
+    from robotkube.cli.registry import commands as cli_registry
+    from robotkube.cli.registry import new
+    from robotkube.cli.registry import submit as cli_registry_submit
+    from robotkube.cli.tasks import explain, listing, watch
+    from robotkube.cli.tasks import submit as cli_submit
+
+    return [
+        Command(
+            "task",
+            "submit",
+            "ask for an application, or change what was asked",
+            cli_submit.submit_task,
+            cli_submit.submitting,
+        ),
+        Command("task", "list", "tasks of all agents", listing.list_tasks, listing.listing),
+        Command("task", "show", "everything about one task", listing.show_task, listing.naming),
+        Command(
+            "task",
+            "explain",
+            "a decision in words, also about a task that is not submitted",
+            explain.explain_task,
+            explain.explaining,
+        ),
+        Command("task", "watch", "conditions of tasks as they change", watch.watch_tasks, watch.watching),
+        Command("task", "withdraw", "delete a task: its demand ends", listing.withdraw_task, listing.withdrawing),
+        Command("release", "list", "releases, the demands on them, and what the cluster shows", plans.list_releases),
+        Command("trace", "", "from an event to the pods and recordings it led to", traces.trace, traces.tracing),
+        Command("plan", "list", "plans of the manager with their times", plans.list_plans),
+        Command("recording", "list", "what was recorded", cli_recordings.list_all, cli_recordings.listing),
+        Command("recording", "show", "everything about one recording", cli_recordings.show, cli_recordings.naming),
+        Command(
+            "recording",
+            "verify",
+            "prove checksums and gaps of a recording, and compare it with ledgers",
+            cli_recordings.verify_one,
+            cli_recordings.verifying,
+        ),
+        Command(
+            "recording",
+            "export",
+            "a recording as a bag, and as a labelled dataset",
+            export.export,
+            export.exporting,
+        ),
+        Command("rule", "test", "the events that rules raise over bags", cli_rules.test, cli_rules.testing),
+        Command(
+            "rule",
+            "explain",
+            "the messages and values that an event came from",
+            cli_rules.explain,
+            cli_rules.explaining,
+        ),
+        Command("registry", "search", "applications and charts", cli_registry.search_entries, cli_registry.searching),
+        Command("registry", "show", "everything about one entry", cli_registry.show_entry, cli_registry.naming),
+        Command("registry", "graph", "versions and their upgrades", cli_registry.show_graph, cli_registry.drawing),
+        Command(
+            "registry",
+            "validate",
+            "every mistake in the catalogue's sources",
+            cli_registry.validate_registry,
+            cli_registry.validating,
+        ),
+        Command(
+            "registry",
+            "new",
+            "start an application: a chart and its entries",
+            new.new,
+            new.naming,
+        ),
+        Command(
+            "registry",
+            "submit",
+            "have charts and applications verified and published",
+            cli_registry_submit.submit,
+            cli_registry_submit.submitting,
+        ),
+    ]
+
+
+def parser(commands: Sequence[Command]) -> argparse.ArgumentParser:
+    """The command line's grammar."""
+    root = argparse.ArgumentParser(prog="robotkube", description="Look into and steer a RobotKube platform.")
+    nouns = root.add_subparsers(dest="noun", required=True, metavar="<noun>")
+    parsers: dict[str, argparse._SubParsersAction[argparse.ArgumentParser]] = {}
+    for command in commands:
+        if not command.verb:
+            verb = nouns.add_parser(command.noun, help=command.summary, description=command.summary)
+        else:
+            if command.noun not in parsers:
+                noun = nouns.add_parser(
+                    command.noun, help=", ".join(c.verb for c in commands if c.noun == command.noun)
+                )
+                parsers[command.noun] = noun.add_subparsers(dest="verb", required=True, metavar="<verb>")
+            verb = parsers[command.noun].add_parser(command.verb, help=command.summary, description=command.summary)
+        Platform.add_arguments(verb)
+        verb.add_argument("-o", "--output", choices=FORMATS, default="table", help="form of the data on stdout")
+        command.arguments(verb)
+        verb.set_defaults(command=command)
+    return root
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command, and return the exit code."""
+    options = parser(commands()).parse_args(arguments)
+    try:
+        table = options.command.run(options)
+    except RobotKubeError as error:
+        print(f"robotkube: {error}", file=sys.stderr)
+        return exit_code(error)
+    except KeyboardInterrupt:
+        return EXIT_REFUSED
+    if table is not None:
+        write(table, options.output, sys.stdout)
+        if table.refusal:
+            print(f"robotkube: {table.refusal}", file=sys.stderr)
+            return EXIT_REFUSED
+    return EXIT_DONE
+
+
+def exit_code(error: RobotKubeError) -> int:
+    """The exit code of an error."""
+    codes = ((RefusalError, EXIT_REFUSED), (UnavailableError, EXIT_UNREACHABLE), (InputError, EXIT_USAGE))
+    return next((code for kind, code in codes if isinstance(error, kind)), EXIT_REFUSED)

@@ -1,0 +1,59 @@
+"""The output of a command: a table for people, or YAML or JSON for programs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TextIO
+
+from robotkube.foundation.documents.core.yaml_codec import write_mapping
+
+FORMATS = ("table", "yaml", "json")
+CELL_CHARACTERS_MAX = 80
+
+
+@dataclass(frozen=True)
+class Table:
+    """The data of a command: `columns` of every row for people; `rows` whole, for programs. With `single` the one row
+    is the document.
+
+    `text` is what people get in place of the table. `refusal`: why the command ends as refused although it has data to
+    show; empty when it does not.
+    """
+
+    name: str
+    columns: Sequence[str]
+    rows: Sequence[Mapping[str, Any]]
+    single: bool = False
+    refusal: str = ""
+    text: str = ""
+
+
+def write(table: Table, form: str, stream: TextIO) -> None:
+    """Write the table to `stream` in one of FORMATS."""
+    document = dict(table.rows[0]) if table.single else {table.name: [dict(row) for row in table.rows]}
+    if form == "json":
+        stream.write(json.dumps(document, indent=2, sort_keys=True) + "\n")
+    elif form == "table" and table.text:
+        stream.write(table.text)
+    elif form == "yaml" or table.single:
+        stream.write(write_mapping(document))
+    else:
+        stream.writelines(f"{line}\n" for line in lines(table))
+
+
+def lines(table: Table) -> list[str]:
+    """The lines of a table: aligned columns under a heading."""
+    cells = [[name.upper().replace("_", " ") for name in table.columns]]
+    cells += [[_cell(row.get(name)) for name in table.columns] for row in table.rows]
+    widths = [max(len(row[i]) for row in cells) for i in range(len(table.columns))]
+    return ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip() for row in cells]
+
+
+def _cell(value: Any) -> str:
+    if value is None or value == "" or value == []:
+        return "-"
+    text = ",".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
+    text = " ".join(text.split())
+    return text if len(text) <= CELL_CHARACTERS_MAX else f"{text[: CELL_CHARACTERS_MAX - 1]}…"

@@ -1,0 +1,176 @@
+"""Access of the command line to a platform: the API server, and by its service proxy the manager's pages."""
+
+from __future__ import annotations
+
+import argparse
+import base64
+import contextlib
+import functools
+import json
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from robotkube.delivery.tasks.adapters.kubernetes_tasks import KubernetesTasks
+from robotkube.delivery.tasks.core.task_description import GROUP, PLURAL, VERSION
+from robotkube.errors import InputError, RefusalError, UnavailableError
+from robotkube.foundation.documents.core.yaml_codec import read_mapping
+from robotkube.foundation.kubernetes.adapters import client
+
+OBJECTS_MAX = 5000
+FORGE = "forge"
+IMAGES = "platform-images"
+IMAGES_KEY = "images.yaml"
+DATABASE_ACCOUNT = "database-account"
+AGENT_LABEL = "robotkube.io/agent"
+DETECTOR_SELECTOR = "app.kubernetes.io/name=event-detector"
+
+
+class Platform:
+    """One platform, named by the options of the command line."""
+
+    def __init__(self, options: argparse.Namespace) -> None:
+        self._api = client.api_client(options.kubeconfig, options.context)
+        self._namespace = options.platform_namespace
+        self._argocd = options.argocd_namespace
+        self._manager = options.manager
+
+    @staticmethod
+    def add_arguments(parser: argparse.ArgumentParser) -> None:
+        """Add the options of every command."""
+        parser.add_argument("--kubeconfig", help="file with access to the cluster (default: KUBECONFIG)")
+        parser.add_argument("--context", help="context of the kubeconfig")
+        parser.add_argument("--platform-namespace", default="robotkube", help="where the platform is installed")
+        parser.add_argument("--argocd-namespace", default="argocd", help="where Argo CD is installed")
+        parser.add_argument("--manager", default="manager", help="which manager, where there are several")
+
+    def tasks(self, namespace: str = "") -> Sequence[Mapping[str, Any]]:
+        """The TaskDescriptions of one or all namespaces."""
+        scope = f"/namespaces/{namespace}" if namespace else ""
+        return self._items(f"/apis/{GROUP}/{VERSION}{scope}/{PLURAL}")
+
+    def task(self, key: str) -> Mapping[str, Any]:
+        """One task by `<namespace>/<name>`; RefusalError when there is none."""
+        return self._one("GET", key)
+
+    def task_writer(self, dry_run: bool = False) -> KubernetesTasks:
+        """A writer of tasks; with `dry_run` the API server only checks each write."""
+        call = functools.partial(client.call, self._api)
+        return KubernetesTasks(call, dry_run)
+
+    def watch_tasks(self, changed: Callable[[str, Any, Any], None], namespace: str = "") -> client.ResourceWatch:
+        """A watch on the tasks of one or all namespaces: `changed` gets key, object before and now (None: not
+        there)."""
+        scope = f"/namespaces/{namespace}" if namespace else ""
+        return client.ResourceWatch(self._api, f"/apis/{GROUP}/{VERSION}{scope}/{PLURAL}", "", dict, changed)
+
+    def pods(self) -> Sequence[Mapping[str, Any]]:
+        """The pods of agents' releases."""
+        return self._items("/api/v1/pods", [("labelSelector", AGENT_LABEL)])
+
+    def volumes(self) -> Sequence[Mapping[str, Any]]:
+        """The cluster's PersistentVolumes."""
+        return self._items("/api/v1/persistentvolumes")
+
+    def detector_events(self) -> Mapping[str, Mapping[str, Any]]:
+        """The pages `/events` of the event detectors that answer, by `<namespace>/<pod>`."""
+        pages: dict[str, Mapping[str, Any]] = {}
+        for pod in self._items("/api/v1/pods", [("labelSelector", DETECTOR_SELECTOR)]):
+            namespace = pod["metadata"]["namespace"]
+            name = pod["metadata"]["name"]
+            with contextlib.suppress(KeyError, RefusalError, UnavailableError):
+                page = f"/api/v1/namespaces/{namespace}/pods/{name}:8081/proxy/events"
+                pages[f"{namespace}/{name}"] = self._read("GET", page)
+        return pages
+
+    def withdraw(self, key: str, dry_run: bool) -> None:
+        """Delete a task."""
+        self._one("DELETE", key, [("dryRun", "All")] if dry_run else [])
+
+    def applications(self) -> Sequence[Mapping[str, Any]]:
+        """The Argo CD Applications."""
+        return self._items(f"/apis/argoproj.io/v1alpha1/namespaces/{self._argocd}/applications")
+
+    def page(self, path: str) -> Mapping[str, Any]:
+        """A JSON page of the manager."""
+        return self._of_manager("GET", path)
+
+    def explain(self, question: Mapping[str, Any]) -> Mapping[str, Any]:
+        """The manager's explanation of what would become of a task."""
+        return self._of_manager("POST", "/explain", question)
+
+    def _of_manager(self, method: str, path: str, body: Any = None) -> Mapping[str, Any]:
+        where = f"/api/v1/namespaces/{self._namespace}/services/{self._manager}:8080/proxy{path}"
+        try:
+            return self._read(method, where, body=body)
+        except KeyError as error:
+            missing = f"no Service {self._manager} in namespace {self._namespace}; see --platform-namespace"
+            raise InputError(f"{missing} and --manager") from error
+
+    def database_accounts(self, agent: str = "") -> Mapping[str, Mapping[str, str]]:
+        """The values of the Secrets `database-account`, by agent that records; InputError when there is none."""
+        query = [("fieldSelector", f"metadata.name={DATABASE_ACCOUNT}"), ("labelSelector", AGENT_LABEL)]
+        accounts = {item["metadata"]["namespace"]: _texts(item) for item in self._items("/api/v1/secrets", query)}
+        if agent:
+            accounts = {name: values for name, values in accounts.items() if name == agent}
+        if not accounts:
+            raise InputError(f"no Secret {DATABASE_ACCOUNT} of {agent or 'any agent'}; does it have `records: true`?")
+        return accounts
+
+    def address(self, service: str) -> tuple[str, int]:
+        """The ClusterIP and the first port of one of the platform's Services."""
+        try:
+            spec = self._read("GET", f"/api/v1/namespaces/{self._namespace}/services/{service}")["spec"]
+        except KeyError as error:
+            raise InputError(
+                f"no Service {service} in namespace {self._namespace}; see --platform-namespace"
+            ) from error
+        return str(spec["clusterIP"]), int(spec["ports"][0]["port"])
+
+    def forge_account(self, account: str) -> tuple[str, str, str]:
+        """The URL of the platform's forge at its Service's address, with username and password of one of its
+        accounts."""
+        host, port = self.address(FORGE)
+        try:
+            secret = self._read("GET", f"/api/v1/namespaces/{self._namespace}/secrets/forge-account-{account}")
+        except KeyError as error:
+            raise InputError(
+                f"no Secret forge-account-{account} in namespace {self._namespace}; for a forge outside the cluster "
+                "give --forge-url and --password-file"
+            ) from error
+        values = _texts(secret)
+        return f"http://{host}:{port}", values["username"], values["password"]
+
+    def images(self) -> Mapping[str, str]:
+        """The references by digest of the platform's images, by name."""
+        where = f"/api/v1/namespaces/{self._namespace}/configmaps/{IMAGES}"
+        try:
+            data = self._read("GET", where).get("data") or {}
+        except KeyError:
+            return {}
+        return read_mapping(data.get(IMAGES_KEY, "{}"), f"configmap {self._namespace}/{IMAGES}")
+
+    def _one(self, method: str, key: str, query: Sequence[tuple[str, str]] = ()) -> Mapping[str, Any]:
+        namespace, separator, name = key.partition("/")
+        if not separator or not namespace or not name or "/" in name:
+            raise InputError(f"task {key!r} must be <namespace>/<name>, as `robotkube task list` prints it")
+        try:
+            return self._read(method, f"/apis/{GROUP}/{VERSION}/namespaces/{namespace}/{PLURAL}/{name}", query)
+        except KeyError as error:
+            raise RefusalError("UnknownTask", f"there is no task {key}") from error
+
+    def _items(self, path: str, query: Sequence[tuple[str, str]] = ()) -> Sequence[Mapping[str, Any]]:
+        try:
+            items: Sequence[Mapping[str, Any]] = self._read("GET", path, [("limit", str(OBJECTS_MAX)), *query])["items"]
+        except KeyError as error:
+            raise InputError(f"the cluster has no {path}; is the platform installed?") from error
+        return items
+
+    def _read(
+        self, method: str, path: str, query: Sequence[tuple[str, str]] = (), body: Any = None
+    ) -> Mapping[str, Any]:
+        answer: Mapping[str, Any] = json.loads(client.call(self._api, method, path, query, body).data)
+        return answer
+
+
+def _texts(secret: Mapping[str, Any]) -> Mapping[str, str]:
+    return {key: base64.b64decode(value).decode() for key, value in (secret.get("data") or {}).items()}

@@ -1,0 +1,327 @@
+"""The commands `robotkube recording list|show|verify`: recordings, and whether they are what their sources published.
+
+For administrators of the cluster: the accounts come from the Secrets `database-account` of the agents that record, and
+the database is reached at the address of its Service, or where `--database` says.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from robotkube.cli.output import Table
+from robotkube.cli.platform import Platform
+from robotkube.cli.recordings.volumes import add_argument as add_segments
+from robotkube.cli.recordings.volumes import folders_here, volume_place
+from robotkube.errors import DocumentError, InputError, RefusalError, UnavailableError
+from robotkube.foundation.database.adapters.connection import DatabaseLogin, connect
+from robotkube.robots.recording.adapters.mongodb import PymongoRecordingReader
+from robotkube.robots.recording.adapters.segments import McapSegmentReader
+from robotkube.robots.recording.core.documents import SEGMENT, LedgerLine
+from robotkube.robots.recording.core.verification import TopicExamination, examine
+from robotkube.robots.recording.loops.reading import (
+    audits,
+    first_stored,
+    list_recordings,
+    read_ledger,
+    stored_messages,
+    wrong_segments,
+)
+from robotkube.robots.recording.ports import RecordingReader, SegmentReader
+from robotkube.robots.ros.core.topic_patterns import AGENT
+
+Readers = Mapping[str, RecordingReader]
+Window = tuple[int, int]
+ALWAYS: Window = (0, 2**63 - 1)
+COLUMNS = (
+    "topic", "received", "stored", "missing", "gap_count", "published", "lost", "unexplained", "duplicates",
+    "mismatches", "unknown", "unreadable", "complete",
+)  # fmt: skip
+
+
+def listing(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of every command about recordings."""
+    parser.add_argument("--agent", default="", help="only what this agent recorded (default: all that record)")
+    parser.add_argument("--database", metavar="HOST:PORT", help="where the database answers (default: its Service)")
+
+
+def naming(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of commands about one recording."""
+    listing(parser)
+    parser.add_argument("recording", help="its name, as `robotkube recording list` prints it")
+
+
+def verifying(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `recording verify`."""
+    naming(parser)
+    parser.add_argument(
+        "--ledgers",
+        action="append",
+        default=[],
+        metavar="FOLDER",
+        help="compare with a player's ledgers of one run, too; once per player",
+    )
+    add_segments(parser)
+    parser.add_argument(
+        "--window",
+        metavar="FIRST:LAST",
+        help="stamps to compare, ns, both included (default: while all its large topics were stored)",
+    )
+
+
+def list_all(options: argparse.Namespace) -> Table:
+    """List all recordings, oldest first."""
+    return listed(readers_of(options))
+
+
+def show(options: argparse.Namespace) -> Table:
+    """Show everything about one recording."""
+    return shown(readers_of(options), options.recording)
+
+
+def verify_one(options: argparse.Namespace) -> Table:
+    """Verify that one recording is what was received, and what ledgers say; refused unless it is complete."""
+    window = _window(options.window) if options.window else None
+    segments = segments_of(options)
+    folders = [Path(folder) for folder in options.ledgers]
+    return verified(readers_of(options), segments, options.recording, folders, window)
+
+
+def listed(readers: Readers) -> Table:
+    """The table of `recording list`."""
+    rows = [_row(agent, document) for agent, reader in readers.items() for document in list_recordings(reader)]
+    columns = ("recording", "agent", "started", "seconds", "state", "documents", "segments", "dropped", "volumes")
+    return Table("recordings", columns, sorted(rows, key=lambda row: str(row["started"])))
+
+
+def shown(readers: Readers, recording: str) -> Table:
+    """The document of `recording show`."""
+    agent, reader, document = find(readers, recording)
+    first = {topic: _time(stored) for topic, stored in first_stored(reader, recording).items()}
+    row = _row(agent, document)
+    kept = {key: document.get(key) for key in ("topics", "provenance", "counts", "causes")}
+    whole = {**row, **kept, "first_stored": first, "audits": _sums(reader, recording)}
+    return Table("recording", (), [{**whole, "files": [dict(file) for file in reader.segments(recording)]}], True)
+
+
+def _sums(reader: RecordingReader, recording: str) -> dict[str, Any]:
+    """The sums of the audits, by topic."""
+    names = ("received", "early", "duplicates", "stored", "dropped", "open")
+    return {
+        topic: {**{name: getattr(audit, name) for name in names}, "gaps": [gap.document() for gap in audit.gaps]}
+        for topic, audit in sorted(audits(reader, recording).items())
+    }
+
+
+def verified(
+    readers: Readers, segments: SegmentReader, recording: str, folders: Sequence[Path], window: Window | None
+) -> Table:
+    """The table of `recording verify`: a row per topic. `folders` hold `<topic with / as __>.jsonl`."""
+    _, reader, document = find(readers, recording)
+    audited = audits(reader, recording)
+    names = sorted({*audited, *(name for name in document.get("topics") or {} if AGENT not in name)})
+    ledgers = _required_ledgers(folders, names, recording) if folders else {}
+    covered = (window or _common(reader, recording, _large(document))) if ledgers else ALWAYS
+    changed: list[str] = []
+    stored = stored_messages(reader, segments, recording, changed=changed.append)
+    topics = examine(stored, audited, ledgers, covered)
+    text = f"{len(changed)} documents have other stamps or digests than they were stored with; the first: {changed[:1]}"
+    files = [*([text] if changed else []), *wrong_segments(reader, segments, recording)]
+    missing = sorted(set(names) - set(ledgers)) if ledgers else []
+    rows = [_examined(topic) for topic in topics]
+    return Table("topics", COLUMNS, rows, refusal=_refusal(document, topics, missing, files))
+
+
+def _large(document: Mapping[str, Any]) -> list[str]:
+    return [name for name, topic in (document.get("topics") or {}).items() if topic["storage"] == SEGMENT]
+
+
+def _required_ledgers(folders: Sequence[Path], topics: Sequence[str], recording: str) -> dict[str, list[LedgerLine]]:
+    ledgers = dict(_ledgers(folders, topics))
+    if not ledgers:
+        raise InputError(
+            f"{', '.join(map(str, folders))}: no ledger of a topic of {recording}; --ledgers names the folder of "
+            f"one run, with files as {_file_name(min(topics, default='/topic'))}"
+        )
+    return ledgers
+
+
+@dataclass(frozen=True)
+class _Explained:
+    """A reader whose first error says what to do when the database is out of reach from here."""
+
+    reader: PymongoRecordingReader
+    address: str
+
+    def recordings(self) -> Sequence[Mapping[str, Any]]:
+        try:
+            return self.reader.recordings()
+        except UnavailableError as error:
+            raise UnavailableError(
+                f"{error}; is {self.address} in reach from here? Else run `kubectl -n robotkube port-forward "
+                "service/database 27017` and add --database 127.0.0.1:27017"
+            ) from error
+
+    def buckets(self, recording: str) -> Iterator[Mapping[str, Any]]:
+        yield from self.reader.buckets(recording)
+
+    def index(self, recording: str) -> Iterator[Mapping[str, Any]]:
+        yield from self.reader.index(recording)
+
+    def segments(self, recording: str) -> Sequence[Mapping[str, Any]]:
+        return self.reader.segments(recording)
+
+    def audits(self, recording: str) -> Sequence[Mapping[str, Any]]:
+        return self.reader.audits(recording)
+
+
+def readers_of(options: argparse.Namespace) -> Readers:
+    """The databases by agent that records, as the options of the command say."""
+    platform = Platform(options)
+    accounts = platform.database_accounts(options.agent)
+    host, port = _address(options.database) if options.database else platform.address("database")
+    return {agent: _reader(agent, values, host, port) for agent, values in sorted(accounts.items())}
+
+
+def segments_of(options: argparse.Namespace) -> SegmentReader:
+    """The segments within reach, as the options of the command say."""
+    named = dict(volume_place(text) for text in options.segments)
+    return McapSegmentReader({**folders_here(Platform(options).volumes()), **named})
+
+
+def _reader(agent: str, values: Mapping[str, str], host: str, port: int) -> RecordingReader:
+    try:
+        account = DatabaseLogin(
+            host, port, values["database"], values["username"], values["password"], values["authenticationDatabase"]
+        )
+    except KeyError as error:
+        raise DocumentError(f"secret {agent}/database-account", [f"has no key {error}"]) from error
+    return _Explained(PymongoRecordingReader(connect(account)), f"{host}:{port}")
+
+
+def find(readers: Readers, recording: str) -> tuple[str, RecordingReader, Mapping[str, Any]]:
+    """The agent, the database and the document of a recording; RefusalError when there is none, InputError when several
+    agents have one of this name."""
+    named = [
+        (agent, reader, document)
+        for agent, reader in readers.items()
+        for document in list_recordings(reader)
+        if document["_id"] == recording
+    ]
+    if not named:
+        raise RefusalError("UnknownRecording", f"there is no recording {recording}; see `robotkube recording list`")
+    if len(named) > 1:
+        agents = ", ".join(agent for agent, *_ in named)
+        raise InputError(f"{recording} was recorded by {agents}, each its own; say by --agent which one is meant")
+    return named[0]
+
+
+def _row(agent: str, document: Mapping[str, Any]) -> dict[str, Any]:
+    started = document.get("started")
+    ended = document.get("ended")
+    counts = document.get("counts") or {}
+    return {
+        "recording": document["_id"],
+        "agent": agent,
+        "task": (document.get("provenance") or {}).get("task"),
+        "started": _time(started),
+        "ended": _time(ended),
+        "seconds": round((ended - started) / 1e9, 1) if started and ended else None,
+        "state": "ended" if ended else "open",
+        **{name: counts.get(name) for name in ("documents", "segments", "dropped")},
+        "volumes": list(document.get("volumes") or []),
+    }
+
+
+def _examined(topic: TopicExamination) -> dict[str, Any]:
+    audit = topic.audit
+    verdict = topic.verdict
+    gaps = sorted(audit.gaps, key=lambda gap: (gap.first, gap.last)) if audit else []
+    return {
+        "topic": topic.topic,
+        "received": audit.received if audit else None,
+        "early": audit.early if audit else None,
+        "repeated": audit.duplicates if audit else None,
+        "stored": topic.stored,
+        "missing": topic.missing if audit else None,
+        "published": verdict.published if verdict else None,
+        "lost": len(verdict.lost) if verdict else None,
+        "unknown": len(verdict.unknown) if verdict else None,
+        "unexplained": topic.unexplained,
+        "duplicates": topic.duplicates,
+        "mismatches": len(set(topic.mismatches) | set(verdict.mismatches if verdict else ())),
+        "unreadable": len(topic.unreadable),
+        "gaps": [gap.document() for gap in gaps],
+        "gap_count": len(gaps),
+        "complete": str(topic.complete).lower(),
+    }
+
+
+def _refusal(
+    document: Mapping[str, Any], topics: Sequence[TopicExamination], missing: Sequence[str], files: Sequence[str]
+) -> str:
+    reasons = [] if document.get("ended") else ["has not ended: its recorder is at work, or was killed"]
+    reasons += [] if topics else ["nothing is stored, and no audit says what was received"]
+    reasons += [f"{topic.topic}: {', '.join(topic.problems)}" for topic in topics if not topic.complete]
+    reasons += [f"no ledger was given of: {', '.join(missing)}"] if missing else []
+    unread = next((text for topic in topics for text in topic.unreadable), "")
+    reasons += [f"first that cannot be read: {unread} (--segments <node>/<claim>=<folder>)"] if unread else []
+    reasons += files
+    return f"{document['_id']}: {'; '.join(reasons)}" if reasons else ""
+
+
+def _common(reader: RecordingReader, recording: str, topics: Sequence[str]) -> Window:
+    """The window from the latest first to the earliest last stamp of the large topics."""
+    first: dict[str, int] = {}
+    last: dict[str, int] = {}
+    for entry in reader.index(recording):
+        topic = entry["topic"]
+        stamp = entry["stamp"]
+        first[topic] = min(first.get(topic, stamp), stamp)
+        last[topic] = max(last.get(topic, stamp), stamp)
+    if not topics or set(topics) - set(first):
+        absent = ", ".join(sorted(set(topics) - set(first))) or "any topic with large messages"
+        raise InputError(f"{recording} holds nothing of {absent}, so what to compare must be said: --window FIRST:LAST")
+    return max(first.values()), min(last.values())
+
+
+def _ledgers(folders: Sequence[Path], topics: Sequence[str]) -> Iterator[tuple[str, list[LedgerLine]]]:
+    for topic in topics:
+        for folder in folders:
+            file = folder / _file_name(topic)
+            if file.is_file():
+                yield topic, read_ledger(_lines(file), str(file))
+                break
+
+
+def _lines(file: Path) -> list[str]:
+    try:
+        return file.read_text(encoding="utf-8").splitlines()
+    except (OSError, ValueError) as error:
+        raise DocumentError(str(file), [f"is no ledger that can be read: {error}"]) from error
+
+
+def _file_name(topic: str) -> str:
+    return f"{topic.replace('/', '__')}.jsonl"
+
+
+def _window(text: str) -> Window:
+    first, _, last = text.partition(":")
+    if not (first.isdecimal() and last.isdecimal() and int(first) <= int(last)):
+        raise InputError(f"--window {text!r} must be FIRST:LAST, two stamps in ns, the first not later")
+    return int(first), int(last)
+
+
+def _address(text: str) -> tuple[str, int]:
+    host, _, port = text.rpartition(":")
+    if not host or not port.isdecimal():
+        raise InputError(f"--database {text!r} must be HOST:PORT")
+    return host, int(port)
+
+
+def _time(ns: int | None) -> str | None:
+    return None if ns is None else datetime.fromtimestamp(ns // 10**9, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")

@@ -1,0 +1,129 @@
+"""The commands `robotkube registry search|show|graph|validate`: entries of the catalogue, and faults of its sources.
+
+Entries come from a folder of sources (`--registry`, by default `registry` when it is there) or from the platform.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from robotkube.cli.output import Table
+from robotkube.cli.platform import Platform
+from robotkube.registry.catalogue.adapters.source_folders import read_sources
+from robotkube.registry.catalogue.core.catalogue import read_catalogue
+from robotkube.registry.catalogue.core.chart_versions import CHANNELS, STATES
+from robotkube.registry.catalogue.core.entry_documents import SOURCE, entry_documents
+from robotkube.registry.catalogue.core.search import Criteria, Entry, dot, find, read_guarantee, search, upgrade_rows
+from robotkube.registry.catalogue.core.validation import validate_sources
+from robotkube.registry.publication.adapters.submission_folders import validation_tools
+
+REGISTRY = Path("registry")
+CHARTS = Path("charts/apps")
+PROBLEMS_SAID_MAX = 10
+COLUMNS = ("kind", "name", "version", "channel", "state", "provides", "claimed", "description")
+
+
+def looking(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments that say where the entries come from."""
+    places = parser.add_mutually_exclusive_group()
+    places.add_argument("--registry", type=Path, metavar="FOLDER", help="sources (default: registry, when it is there)")
+    places.add_argument("--platform", action="store_true", help="the catalogue that the platform's manager reads")
+
+
+def searching(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `search`: all that are given must hold."""
+    looking(parser)
+    parser.add_argument("text", nargs="?", default="", metavar="TEXT", help="part of a name or description")
+    parser.add_argument("--provides", default="", metavar="CAPABILITY", help="such as recording or recording/pose")
+    parser.add_argument(
+        "--needs", default="", metavar="WORD", help="a chart, capability, bridge, medium or type of topic"
+    )
+    parser.add_argument("--guarantee", default="", metavar="GUARANTEE", help="such as stop-time or 'stop-time<=3s'")
+    parser.add_argument("--channel", default="", choices=CHANNELS)
+    parser.add_argument("--state", default="", choices=(*STATES, SOURCE))
+
+
+def naming(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `show`."""
+    looking(parser)
+    parser.add_argument("name", metavar="NAME[@VERSION]", help="an application or a chart")
+
+
+def drawing(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `graph`."""
+    looking(parser)
+    parser.add_argument("charts", nargs="*", metavar="CHART", help="only these charts")
+    parser.add_argument("--dot", action="store_true", help="as a graph for Graphviz instead of a table")
+
+
+def validating(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `validate`."""
+    parser.add_argument("--registry", type=Path, default=REGISTRY, metavar="FOLDER", help="sources (default: registry)")
+    parser.add_argument(
+        "--charts", type=Path, default=None, help="folder of the charts (default: charts/apps beside it)"
+    )
+
+
+def search_entries(options: argparse.Namespace) -> Table:
+    """List the entries that meet all criteria."""
+    guarantee = read_guarantee(options.guarantee) if options.guarantee else ""
+    criteria = Criteria(options.text, options.provides, options.needs, guarantee, options.channel, options.state)
+    entries = search(_entries(options), criteria)
+    return Table("entries", COLUMNS, [{**entry, "claimed": _declared(entry)} for entry in entries])
+
+
+def _declared(entry: Entry) -> list[str]:
+    """The declared guarantees in short; the table's heading says what they are worth."""
+    bounds = {"atMost": "<=", "atLeast": ">="}
+    return [
+        f"{g['name']}{bounds[bound]}{g[bound]:g}{g['unit']}"
+        for g in entry.get("guarantees", ())
+        for bound in bounds
+        if bound in g
+    ]
+
+
+def show_entry(options: argparse.Namespace) -> Table:
+    """Show one entry whole; both, when an application and a chart have the name."""
+    entries = find(_entries(options), options.name)
+    return Table("entries", COLUMNS, entries, single=len(entries) == 1)
+
+
+def show_graph(options: argparse.Namespace) -> Table:
+    """List the versions of charts and the upgrades between them."""
+    rows = [row for row in upgrade_rows(_entries(options)) if not options.charts or row["chart"] in options.charts]
+    columns = ("chart", "version", "channel", "state", "replaces", "skips", "upgrades_to")
+    return Table("versions", columns, rows, text=dot(rows) if options.dot else "")
+
+
+def _entries(options: argparse.Namespace) -> Sequence[Entry]:
+    folder = options.registry or (REGISTRY if REGISTRY.is_dir() and not options.platform else None)
+    if folder is None:
+        entries: Sequence[Entry] = Platform(options).page("/catalogue")["entries"]
+        return entries
+    sources = read_sources(folder)
+    catalogue = read_catalogue(sources.files, published=False)
+    problems = [*map(str, sources.findings), *(f"{folder}/{problem}" for problem in catalogue.problems)]
+    for problem in problems[:PROBLEMS_SAID_MAX]:
+        print(f"robotkube: left out: {problem}", file=sys.stderr)
+    return entry_documents(catalogue)
+
+
+def validate_registry(options: argparse.Namespace) -> Table:
+    """List every mistake in the sources; refused when there is one."""
+    charts = options.charts or options.registry.parent / CHARTS
+    sources = read_sources(options.registry, charts)
+    findings = validate_sources(sources, validation_tools())
+    rows = [{"file": finding.file, "key": finding.key, "problem": finding.text} for finding in findings]
+    files = len(sources.files)
+    mistakes = "mistake" if len(findings) == 1 else "mistakes"
+    print(
+        f"robotkube: {files} files, {len(sources.folders)} charts beside them, {len(findings)} {mistakes}",
+        file=sys.stderr,
+    )
+    refusal = f"{options.registry}: {len(findings)} {mistakes}" if findings else ""
+    text = "".join(f"{finding}\n" for finding in findings) or "no mistakes\n"
+    return Table("mistakes", ("file", "key", "problem"), rows, refusal=refusal, text=text)

@@ -1,0 +1,1 @@
+"""What runs: from a task to a commit on main, and what becomes of it."""

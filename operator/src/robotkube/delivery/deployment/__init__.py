@@ -1,0 +1,1 @@
+"""The deployment repository: files of releases, commit messages, policies, history of main."""

@@ -1,0 +1,1 @@
+"""The gate: it checks what is proposed and alone moves main."""

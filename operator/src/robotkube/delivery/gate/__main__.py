@@ -1,0 +1,309 @@
+"""`python3 -m robotkube.delivery.gate`: the gate of the deployment repository, and publication to the catalogue.
+
+Settings: docs/reference/settings.md. Ends with 0 on SIGTERM, 2 when the settings are wrong. The clones stand below
+ROBOTKUBE_WORK (default /tmp/gate); they can be lost at any time.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from robotkube.delivery.gate.core.proposal_checks import Proposer
+from robotkube.delivery.gate.loops.gate import Gate, gate_metrics
+from robotkube.delivery.gate.loops.plan_notes import NoteWriter
+from robotkube.delivery.gate.loops.rules import GateSettings
+from robotkube.delivery.manager.core.placement.scopes import DeclaredManager, Scope, overlaps
+from robotkube.errors import DocumentError, UnavailableError
+from robotkube.foundation.documents.core.patterns import CHARTS_URL, HTTP_URL, REPOSITORY, WORD
+from robotkube.foundation.documents.core.reader import Reader
+from robotkube.foundation.forge.adapters.git import GitNotes
+from robotkube.foundation.forge.adapters.push_hooks import PushRelay, SignedPushHook
+from robotkube.foundation.forge.connect import ForgeAddress, read_address
+from robotkube.foundation.forge.core.commit_objects import read_objects
+from robotkube.foundation.runtime import settings_file as files
+from robotkube.foundation.runtime.adapters.prometheus_series import MetricsPage
+from robotkube.foundation.runtime.adapters.webhook_server import Post, Signed, WebhookDelivery, WebServer
+from robotkube.foundation.runtime.process import Process, run
+from robotkube.registry.catalogue.adapters.bounded_validation import BoundedSchemas
+from robotkube.registry.catalogue.loops.verified_catalogue import AssuredCatalogue
+from robotkube.registry.charts.adapters.oci import OciRegistry
+from robotkube.registry.evidence.adapters.dsse import KeyFile, TrustedKeys
+from robotkube.registry.publication.loops.publication import PublicationLoop, publication_metrics
+from robotkube.registry.publication.loops.submission_reader import PublicationSettings
+from robotkube.registry.publication.loops.verification import ChartVerification, VerifyingSettings
+from robotkube.registry.suites.adapters.runner_client import SuiteRunnerClient
+from robotkube.registry.suites.core.requests import SuiteProgress, SuiteRequest
+from robotkube.registry.suites.ports.suites import SuiteRunner
+
+GRACE_SECONDS = 5.0
+STOP_LOOK_SECONDS = 0.2
+OBJECTS_PATH = "/objects"
+
+
+@dataclass(frozen=True)
+class GateConfiguration:
+    """Everything the process needs, secrets included: `webhook_secret` is the forge's, `proposer_secrets` are what it
+    shares with each account. `suites_url` is empty when there is no suite-runner."""
+
+    listen: files.Listen
+    log_level: str
+    forge: ForgeAddress
+    account: files.Credentials
+    branch: str
+    hook_url: str
+    hook_secret: str
+    webhook_secret: str
+    proposer_secrets: Mapping[str, str]
+    key: Path
+    keys: Path
+    verifier: str
+    suites_url: str
+    suites_token: str
+    gate: GateSettings
+    publication: PublicationSettings
+
+
+def read_configuration(reader: Reader, document: Mapping[str, Any]) -> GateConfiguration:
+    """The settings document of the gate."""
+    keys = ["listen", "log_level", "forge", "registry", "local_builds", "evidence", "hook", "webhook"]
+    root = reader.mapping(document, "", keys, ["suites"])
+    forge_keys = ["url", "credentials", "deployment", "catalogue", "branch", "proposers", "publishers"]
+    forge = reader.mapping(root.get("forge") or {}, "forge", forge_keys, ["kind", "api"])
+    registry = reader.mapping(root.get("registry") or {}, "registry", ["charts", "staging"])
+    evidence = reader.mapping(root.get("evidence") or {}, "evidence", ["key", "keys", "verifier"])
+    hook = reader.mapping(root.get("hook") or {}, "hook", ["url", "secret"])
+    webhook = reader.mapping(root.get("webhook") or {}, "webhook", ["secret"])
+    account = files.credentials(reader, forge.get("credentials"), "forge.credentials")
+    charts_url = reader.word(registry.get("charts"), "registry.charts", CHARTS_URL)
+    catalogue = reader.word(forge.get("catalogue"), "forge.catalogue", REPOSITORY)
+    suites_url, suites_token = _suites(reader, root.get("suites"))
+    webhook_secret = files.secret(reader, webhook.get("secret"), "webhook.secret")
+    proposers = _proposers(reader, forge.get("proposers"), webhook_secret)
+    return GateConfiguration(
+        listen=files.listen(reader, root.get("listen")),
+        log_level=files.log_level(reader, root.get("log_level")),
+        forge=read_address(reader, forge),
+        account=account,
+        branch=reader.word(forge.get("branch"), "forge.branch", WORD),
+        hook_url=reader.word(hook.get("url"), "hook.url", HTTP_URL),
+        hook_secret=files.secret(reader, hook.get("secret"), "hook.secret"),
+        webhook_secret=webhook_secret,
+        proposer_secrets={proposer.account: secret for proposer, secret in proposers},
+        key=Path(reader.word(evidence.get("key"), "evidence.key", files.PATH)),
+        keys=Path(reader.word(evidence.get("keys"), "evidence.keys", files.PATH)),
+        verifier=reader.word(evidence.get("verifier"), "evidence.verifier", WORD),
+        suites_url=suites_url,
+        suites_token=suites_token,
+        gate=GateSettings(
+            account=account.username,
+            deployment=reader.word(forge.get("deployment"), "forge.deployment", REPOSITORY),
+            catalogue=catalogue,
+            proposers=tuple(proposer for proposer, _ in proposers),
+            charts_url=charts_url,
+        ),
+        publication=PublicationSettings(
+            catalogue=catalogue,
+            publishers=tuple(_words(reader, forge.get("publishers"), "forge.publishers")),
+            account=account.username,
+            staging=_organisation(reader.word(registry.get("staging"), "registry.staging", CHARTS_URL)),
+            verified=_organisation(charts_url),
+            charts_url=charts_url,
+            local_builds=_yes_or_no(reader, root.get("local_builds"), "local_builds"),
+        ),
+    )
+
+
+def _suites(reader: Reader, value: Any) -> tuple[str, str]:
+    """Address and token of the suite-runner; both empty when there is none."""
+    if value is None:
+        return "", ""
+    suites = reader.mapping(value, "suites", ["url", "token"])
+    url = reader.word(suites.get("url"), "suites.url", HTTP_URL)
+    return url, files.secret(reader, suites.get("token"), "suites.token")
+
+
+def _proposers(reader: Reader, value: Any, forge_secret: str) -> list[tuple[Proposer, str]]:
+    """Each with its secret, which is nobody else's: who has it speaks in its name. No namespace has two of them."""
+    found: list[tuple[Proposer, str]] = []
+    for index, item in enumerate(reader.sequence(value, "forge.proposers")):
+        path = f"forge.proposers[{index}]"
+        proposer = reader.mapping(item, path, ["account", "namespaces", "secret"], ["webhook"])
+        account = reader.word(proposer.get("account"), f"{path}.account", WORD)
+        namespaces = frozenset(_words(reader, proposer.get("namespaces"), f"{path}.namespaces"))
+        webhook = reader.word(proposer.get("webhook"), f"{path}.webhook", HTTP_URL, default="")
+        secret = files.secret(reader, proposer.get("secret"), f"{path}.secret")
+        if secret and secret in (forge_secret, *(known for _, known in found)):
+            problem = "the forge (webhook.secret) or another proposer has the same one; give each a secret of its own"
+            reader.problems.append(f"{path}.secret: {problem}")
+        found.append((Proposer(account, namespaces, webhook), secret))
+    scopes = [Scope(frozenset(), proposer.namespaces, frozenset()) for proposer, _ in found]
+    managers = [DeclaredManager(proposer.account, scope) for (proposer, _), scope in zip(found, scopes, strict=True)]
+    reader.problems += [f"forge.proposers: {problem}" for problem in overlaps(managers)]
+    return found
+
+
+def _words(reader: Reader, value: Any, path: str) -> list[str]:
+    items = enumerate(reader.sequence(value, path))
+    return [reader.word(item, f"{path}[{index}]", WORD) for index, item in items]
+
+
+def _organisation(url: str) -> str:
+    return url.rpartition("/")[2]
+
+
+def _yes_or_no(reader: Reader, value: Any, path: str) -> bool:
+    if not isinstance(value, bool):
+        reader.problems.append(f"{path}: must be true or false")
+    return value is True
+
+
+class _NoRunner:
+    """Where suites are switched off nothing new can be verified."""
+
+    def run(self, request: SuiteRequest) -> SuiteProgress:
+        """Says so."""
+        raise UnavailableError("this installation has no suite-runner (charts/robotkube, values suites.enabled)")
+
+
+def build_gate(found: GateConfiguration, work: Path, schemas: BoundedSchemas) -> Gate:
+    """The gate of the deployment repository on its adapters; nothing is asked of the world yet."""
+    forge, url, account = found.forge, found.forge.url, found.account
+    work.mkdir(parents=True, exist_ok=True)
+    catalogue = forge.clone(found.gate.catalogue, account, work / "catalogue", found.branch)
+    secrets = found.proposer_secrets
+    return Gate(
+        forge.pull_requests(found.gate.deployment, account, found.branch),
+        forge.clone(found.gate.deployment, account, work / "deployment", found.branch),
+        AssuredCatalogue(catalogue, TrustedKeys(found.keys)),
+        SignedPushHook(
+            found.hook_url, found.hook_secret.encode(), f"{url}/{found.gate.deployment}", branch=found.branch
+        ),
+        found.gate,
+        schemas.validate,
+        time.monotonic,
+        [
+            PushRelay(proposer.webhook, secrets[proposer.account].encode(), found.gate.deployment, branch=found.branch)
+            for proposer in found.gate.proposers
+            if proposer.webhook
+        ],
+    )
+
+
+def build_publication(found: GateConfiguration, work: Path, gate: Gate, schemas: BoundedSchemas) -> PublicationLoop:
+    """Publication on adapters of its own, since it runs on a thread of its own; the gate hears of what is new."""
+    url, account, branch = found.forge.url, found.account, found.branch
+    settings, folder = found.publication, work / "publication"
+    work.mkdir(parents=True, exist_ok=True)
+    clone = found.forge.clone(settings.catalogue, account, folder, branch)
+    forge = found.forge.pull_requests(settings.catalogue, account, branch)
+    signer, registry = KeyFile(found.key), OciRegistry(url, account.username, account.password, lock=threading.Lock())
+    runner: SuiteRunner = SuiteRunnerClient(found.suites_url, found.suites_token) if found.suites_url else _NoRunner()
+    names = VerifyingSettings(
+        settings.staging, settings.verified, settings.charts_url, f"{url}/{settings.catalogue}", found.verifier
+    )
+    return PublicationLoop(
+        forge,
+        clone,
+        found.forge.writer(forge, folder, account, account.username, time.time, branch),
+        registry,
+        ChartVerification(registry, signer, TrustedKeys(found.keys), runner, names, time.monotonic, _now),
+        signer,
+        settings,
+        schemas.tools(),
+        time.monotonic,
+        lambda: gate.wake("push", {"repository": {"full_name": settings.catalogue}}),
+    )
+
+
+def build_notes(found: GateConfiguration, work: Path) -> NoteWriter:
+    """What copies managers' closing words to Git's notes, on adapters of its own as well."""
+    repository, account = found.gate.deployment, found.account
+    notes = GitNotes(found.forge.url, repository, account.username, account.password, work / "notes")
+    forge = found.forge.pull_requests(repository, account, found.branch)
+    return NoteWriter(forge, notes, found.gate.accounts, time.monotonic)
+
+
+def objects_posts(gate: Gate, repository: str, secrets: Mapping[str, str]) -> dict[str, Signed]:
+    """POST /objects/<account>, for each account that has a secret."""
+    return {
+        f"{OBJECTS_PATH}/{account}": Signed(secret.encode(), _take_objects(gate, repository, account))
+        for account, secret in secrets.items()
+    }
+
+
+def _take_objects(gate: Gate, repository: str, account: str) -> Post:
+    """200, or 400 with what is wrong."""
+
+    def post(body: bytes) -> tuple[int, Mapping[str, Any]]:
+        try:
+            gate.hand(account, read_objects(body, repository))
+        except DocumentError as error:
+            return 400, {"problems": error.problems}
+        return 200, {}
+
+    return post
+
+
+def _now() -> str:
+    return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
+    """Serve webhooks, health and metrics; run both loops on threads until the process shall end."""
+    found = files.read_settings(files.settings_path(environment), read_configuration)
+    files.send_logs(process, found.log_level)
+    work = Path(environment.get("ROBOTKUBE_WORK", "/tmp/gate"))  # noqa: S108 - the pod's own volume
+    deployment_schemas, catalogue_schemas = BoundedSchemas(), BoundedSchemas()  # neither loop waits for the other
+    gate = build_gate(found, work, deployment_schemas)
+    publication = build_publication(found, work, gate, catalogue_schemas)
+
+    notes = build_notes(found, work)
+
+    def wake(delivery: WebhookDelivery) -> None:
+        gate.wake(delivery.event, delivery.payload)
+        number = (delivery.payload.get("issue") or {}).get("number")
+        if delivery.repository == found.gate.deployment and isinstance(number, int):
+            notes.commented(number)
+        publication.wake(delivery.event, delivery.payload)
+
+    server = WebServer(
+        found.listen.address,
+        found.listen.port,
+        lambda: [*gate.reasons_not_ready(), *publication.reasons_not_ready()],
+        MetricsPage(lambda: gate_metrics(gate.statistics), lambda: publication_metrics(publication.statistics)).text,
+        found.webhook_secret.encode(),
+        wake,
+        signed=objects_posts(gate, found.gate.deployment, found.proposer_secrets),
+    )
+    server.start()
+    process.log("started", port=server.port, proposers=len(found.gate.proposers))
+    stopping = threading.Event()
+    loops = [threading.Thread(target=loop.run, args=(stopping,), daemon=True) for loop in (gate, publication, notes)]
+    for thread in loops:
+        thread.start()
+    while all(thread.is_alive() for thread in loops) and not process.stopping.wait(STOP_LOOK_SECONDS):
+        pass
+    gate.stop(stopping)
+    publication.stop(stopping)
+    notes.stop(stopping)
+    for thread in loops:
+        thread.join(GRACE_SECONDS)
+    server.stop()
+    deployment_schemas.close()
+    catalogue_schemas.close()
+
+
+def main() -> None:
+    """Run until SIGTERM or the end of the work; exit codes as in `foundation.runtime.process`."""
+    run("gate", body, grace_seconds=GRACE_SECONDS)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,406 @@
+"""The gate of the deployment repository: it checks pull requests, merges exactly the checked commit, notifies Argo CD.
+
+Level-triggered: a round reads the open pull requests and main's tip, decides and acts; a webhook only brings the next
+round forward, and names the pull request to decide first. So lost webhooks, restarts and half-finished rounds are
+repaired by the next round. A pull request whose commit is in main already is left to the forge, which marks it merged
+by itself. Nobody's word about a commit counts (statuses, labels): what is judged is read from Git, by whom it was
+proposed from the forge. A manager may send its commit's objects, which saves fetching them: only a merge is decided on
+those, and only the forge makes it one, by accepting the push onto main's tip.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from robotkube.delivery.deployment.core.policies.merge import APPROVAL, AUTOMATIC, Way, is_approved
+from robotkube.delivery.gate.core import verdict_comments
+from robotkube.delivery.gate.core.proposal_checks import ProposalVerdict, ProposedCommit
+from robotkube.delivery.gate.loops.pending_objects import PendingObjects
+from robotkube.delivery.gate.loops.rules import GateRules, GateSettings
+from robotkube.errors import DocumentError, InputError, RobotKubeError
+from robotkube.foundation.forge.core.commit_objects import CommitObjects
+from robotkube.foundation.forge.core.polling import LOOK_SECONDS, look_is_due
+from robotkube.foundation.forge.ports.pull_requests import Forge, PullRequest, PushHook
+from robotkube.foundation.forge.ports.repositories import Commit, MainBranch
+from robotkube.foundation.runtime.ports import Series, by_one
+from robotkube.registry.catalogue.loops.verified_catalogue import AssuredCatalogue
+from robotkube.registry.charts.core.values_schemas import Validate
+
+POLL_SECONDS = 2.0  # open pull requests, when no webhook came for so long
+SILENT_SECONDS_MAX = 30.0  # not ready when the forge was not seen for longer
+HINTS_MAX = 100
+VERDICTS = ("accepted", "refused", "stale", "checked", "failed")
+HOOKS = ("taken", "lost")
+SOURCES = ("handed", "fetched")
+WAKING_ACTIONS = frozenset({"opened", "reopened", "synchronized", "synchronize"})  # the last is GitHub's
+REVIEWED = "reviewed"
+
+log = logging.getLogger(__name__)
+
+
+@dataclass
+class GateStatistics:
+    """The gate's counters since its start; `decision_seconds` is the sum over all decided proposals, from the moment
+    the round turned to it until main moved or the refusal stood."""
+
+    verdicts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(VERDICTS, 0))
+    hooks: dict[str, int] = field(default_factory=lambda: dict.fromkeys(HOOKS, 0))
+    sources: dict[str, int] = field(default_factory=lambda: dict.fromkeys(SOURCES, 0))
+    decision_seconds: float = 0.0
+    rounds: int = 0
+
+
+@dataclass(frozen=True)
+class _Case:
+    """One pull request under decision."""
+
+    pull: PullRequest
+    commit: Commit
+    proposal: ProposedCommit
+    verdict: ProposalVerdict
+    way: Way
+    approved: bool
+    source: str
+    check_seconds: float
+
+    @property
+    def mergeable(self) -> bool:
+        return self.verdict.accepted and (self.way == AUTOMATIC or self.approved)
+
+
+class Gate:
+    """The gate of one deployment repository; `run` on one thread, `wake` from any.
+
+    `monotonic` is a clock in seconds that never goes back; `managers` are notified of every commit that was merged
+    here, sooner than by the forge.
+    """
+
+    def __init__(
+        self,
+        forge: Forge,
+        main: MainBranch,
+        catalogue: AssuredCatalogue,
+        push_hook: PushHook,
+        settings: GateSettings,
+        validate: Validate,
+        monotonic: Callable[[], float],
+        managers: Sequence[PushHook] = (),
+    ) -> None:
+        self._forge = forge
+        self._main = main
+        self._push_hook = push_hook
+        self._managers = tuple(managers)
+        self._settings = settings
+        self._monotonic = monotonic
+        self._rules = GateRules(settings, main, catalogue, validate)
+        self.statistics = GateStatistics()
+        self._announced = ""
+        self._handed = PendingObjects()
+        self._settled: dict[int, str] = {}
+        self._waiting: set[int] = set()
+        self._first_lines: dict[int, set[str]] = {}
+        self._hints: dict[int, PullRequest] = {}
+        self._lock = threading.Lock()
+        self._woken = threading.Event()
+        self._look_due = True
+        self._catalogue_moved = False
+        self._seen_at = monotonic() - SILENT_SECONDS_MAX - 1
+
+    # -- waking ---------------------------------------------------------------------------------------------------
+
+    def wake(self, event: str, payload: Mapping[str, Any]) -> None:
+        """Receive a signed delivery of the forge: it decides what the next round reads, and that it comes now."""
+        repository = (payload.get("repository") or {}).get("full_name")
+        action = payload.get("action") if event.startswith("pull_request") else ""
+        moved_main = event == "push" and payload.get("after") not in (self._main.tip, self._announced)
+        if repository == self._settings.catalogue:
+            self._catalogue_moved = True
+        if repository == self._settings.catalogue or moved_main or action == REVIEWED:
+            self._look_due = True
+            self._woken.set()
+        elif action in WAKING_ACTIONS and repository == self._settings.deployment:
+            self._hint(payload.get("pull_request") or {})
+            self._woken.set()
+
+    def hand(self, account: str, handed: CommitObjects) -> None:
+        """Keep the objects of a commit that `account` may propose, from that proposer; they decide nothing."""
+        self._handed.keep(account, handed)
+
+    def _hint(self, pull_request: Mapping[str, Any]) -> None:
+        """Remember what was proposed: the round need not ask the forge for all that is open first."""
+        author = (pull_request.get("user") or {}).get("login")
+        head = (pull_request.get("head") or {}).get("sha")
+        if not (isinstance(pull_request.get("number"), int) and isinstance(author, str) and isinstance(head, str)):
+            return
+        with self._lock:
+            if len(self._hints) < HINTS_MAX:
+                self._hints[pull_request["number"]] = PullRequest(
+                    pull_request["number"], "", "", author, "open", head, False
+                )
+
+    def _take_hints(self) -> list[PullRequest]:
+        with self._lock:
+            hints, self._hints = self._hints, {}
+        return [pull for _, pull in sorted(hints.items())]
+
+    def stop(self, stopping: threading.Event) -> None:
+        """End `run` after the round that is under way."""
+        stopping.set()
+        self._woken.set()
+
+    def reasons_not_ready(self) -> list[str]:
+        """Reasons why the gate is not ready; none while the forge answers."""
+        silent = self._monotonic() - self._seen_at
+        return [f"the forge was not seen for {silent:.0f} s"] if silent > SILENT_SECONDS_MAX else []
+
+    def run(self, stopping: threading.Event) -> None:
+        """Run rounds until `stopping` is set; an error of forge or Git is logged, and the next round tries again."""
+        resynced_at = self._monotonic() - LOOK_SECONDS
+        listed_at = resynced_at
+        answered_at = resynced_at
+        while not stopping.is_set():
+            self._woken.clear()
+            try:
+                if self.answer_hints():
+                    # deliveries arrive; asking for a list would only delay the next one
+                    listed_at = self._monotonic()
+                    answered_at = listed_at
+                now = self._monotonic()
+                resync = self._look_due or look_is_due(now - resynced_at, now - answered_at)
+                if resync or now - listed_at >= POLL_SECONDS:
+                    listed_at = now
+                    if resync:  # a push that is notified in this very moment is not for a round that only lists
+                        self._look_due = False
+                        resynced_at = now
+                    self.round(resync)
+            except RobotKubeError as error:
+                log.error("round failed reason=%s", error)
+            self._woken.wait(POLL_SECONDS)
+
+    # -- one round ------------------------------------------------------------------------------------------------
+
+    def answer_hints(self) -> int:
+        """Decide the pull requests that webhooks named, by the catalogue as it was then, and return their number; what
+        fails is still open in the next round."""
+        hints = self._take_hints()
+        if hints and self._catalogue_moved:
+            self._refresh()
+        for pull in hints:
+            if self._settled.get(pull.number) != pull.head:
+                self._try_to_decide(pull)
+        return len(hints)
+
+    def round(self, look_at_main: bool = True) -> None:
+        """Decide all open pull requests, oldest first, and announce main when it moved; `look_at_main` fetches it."""
+        self.statistics.rounds += 1
+        pulls = self._forge.pull_requests("open")
+        self._seen_at = self._monotonic()
+        self._forget_all_but({pull.number for pull in pulls})
+        if look_at_main:
+            self._main.fetch()
+        if look_at_main or self._catalogue_moved:
+            self._refresh()
+        for pull in sorted(pulls, key=lambda pull: pull.number):
+            waits = pull.number in self._waiting
+            if self._settled.get(pull.number) != pull.head or (waits and look_at_main):
+                self._try_to_decide(pull)
+        if self._main.tip != self._announced:
+            self._announce(self._announced, self._main.tip)
+
+    def _refresh(self) -> None:
+        """Read the catalogue; nothing is decided by an old one that is known to have moved."""
+        self._catalogue_moved = False  # before it is read: a push that is notified meanwhile is read for itself
+        try:
+            self._rules.refresh()
+        except RobotKubeError:
+            self._catalogue_moved = True
+            raise
+
+    def _forget_all_but(self, numbers: set[int]) -> None:
+        self._waiting &= numbers
+        for known in (self._settled, self._first_lines):
+            for number in known.keys() - numbers:
+                del known[number]
+
+    def _try_to_decide(self, pull: PullRequest) -> None:
+        try:
+            self._decide(pull)
+        except RobotKubeError as error:
+            self.statistics.verdicts["failed"] += 1
+            log.error("proposal failed number=%d reason=%s", pull.number, error)
+
+    def _decide(self, pull: PullRequest) -> None:
+        started = self._monotonic()
+        try:
+            case = self._handed_case(pull) or self._fetched_case(pull)
+        except DocumentError as error:
+            self._unreadable(pull, str(error))
+            return
+        if case is None:
+            return
+        commit = case.commit
+        judged = self._monotonic()
+        before = self._main.tip
+        merged = case.mergeable and self._main.push_main(commit.id)
+        verdict = case.verdict
+        if case.mergeable and not merged:
+            self._main.fetch()
+            verdict = ProposalVerdict(stale=True)
+        if not merged:
+            self._answer(case, verdict)
+        decided = self._monotonic()
+        news = merged or self._settled.get(pull.number) != commit.id
+        self._settled[pull.number] = commit.id
+        if merged:
+            for manager in self._managers:
+                manager.hook(before, commit.id)
+            self._announce(before, commit.id)
+        if news:
+            self._record(case, verdict, merged, (started, judged, decided, self._monotonic()))
+
+    def _unreadable(self, pull: PullRequest, problem: str) -> None:
+        """Refuse a pull request that cannot even be read."""
+        self.statistics.verdicts["refused"] += 1
+        log.error("proposal unreadable number=%d problem=%r", pull.number, problem)
+        self._say(pull.number, verdict_comments.refusal_text(pull.head, [problem]))
+        if self._settings.proposer(pull.author) is not None:
+            self._forge.close(pull.number)
+        self._settled[pull.number] = pull.head
+
+    def _handed_case(self, pull: PullRequest) -> _Case | None:
+        """A manager's proposal as the objects that the same manager sent have it; None unless it may be merged. All
+        else is judged on what the forge has: here main's tip may be an old one, and a refusal is not proved by any
+        push."""
+        handed = self._handed.take(pull.author, pull.head)
+        if handed is None or self._settings.proposer(pull.author) is None:
+            return None
+        try:
+            commit = self._main.take(handed)
+            case = self._case(pull, commit, "handed") if commit is not None else None
+        except InputError:
+            return None
+        return case if case is not None and case.mergeable else None
+
+    def _fetched_case(self, pull: PullRequest) -> _Case | None:
+        """The head of a pull request as the forge has it; None when it is in main already."""
+        commit = self._main.proposal(pull.number)
+        if self._main.contains(commit.id):
+            self._settled[pull.number] = commit.id
+            return None
+        return self._case(pull, commit, "fetched")
+
+    def _case(self, pull: PullRequest, commit: Commit, source: str) -> _Case:
+        """Everything that decides about a pull request, read from Git, the catalogue and main; a refusal only after the
+        catalogue was read again, since its webhook may have been lost."""
+        began = self._monotonic()
+        plans = self._settings.proposer(pull.author) is not None
+        commit = commit if plans else self._main.brought(commit.id)
+        proposal = self._rules.proposal(commit)
+        verdict = self._rules.judge(pull.author, proposal)
+        if verdict.problems and self._rules.refresh():
+            verdict = self._rules.judge(pull.author, proposal)
+        way = AUTOMATIC if verdict.repair else self._rules.merge_policy().way(pull.author, proposal.paths)
+        asks = way == APPROVAL and not (plans and not verdict.accepted)
+        approved = asks and is_approved(
+            self._forge.reviews(pull.number), commit.id, pull.author, self._settings.accounts
+        )
+        return _Case(pull, commit, proposal, verdict, way, approved, source, self._monotonic() - began)
+
+    # -- reporting ------------------------------------------------------------------------------------------------
+
+    def _answer(self, case: _Case, verdict: ProposalVerdict) -> None:
+        """Comment why a pull request was not merged. A manager's is closed with that, unless it waits for people; a
+        person's stays open."""
+        number = case.pull.number
+        commit = case.commit
+        self._waiting.discard(number)
+        if self._settings.proposer(case.pull.author) is None:
+            self._say(number, verdict_comments.checked_text(commit.id, case.verdict, case.way))
+            if case.approved:
+                self._say(number, verdict_comments.held_text(commit.id, verdict))
+            if case.way == APPROVAL:
+                self._waiting.add(number)
+        elif verdict.accepted:
+            self._say(number, verdict_comments.waiting_text(commit.id, case.way))
+            self._waiting.add(number)
+        else:
+            parent = commit.parents[0] if commit.parents else ""
+            stale = verdict_comments.stale_text(parent, self._main.tip)
+            self._say(number, stale if verdict.stale else verdict_comments.refusal_text(commit.id, verdict.problems))
+            self._forge.close(number)
+
+    def _say(self, number: int, text: str) -> None:
+        """Comment on a pull request, once per first line, also across restarts."""
+        first = text.partition("\n")[0]
+        if number not in self._first_lines:
+            own = [c.text for c in self._forge.comments(number) if c.author == self._settings.account]
+            self._first_lines[number] = {comment.partition("\n")[0] for comment in own}
+        if first not in self._first_lines[number]:
+            self._forge.comment(number, text)
+            self._first_lines[number].add(first)
+
+    def _announce(self, before: str, after: str) -> None:
+        """Notify Argo CD that main moved; what it did not receive is sent again in the next round."""
+        if self._push_hook.hook(before or after, after):
+            self._announced = after
+            self.statistics.hooks["taken"] += 1
+            log.info("announced before=%s after=%s", before[:12], after[:12])
+        else:
+            self.statistics.hooks["lost"] += 1
+
+    def _record(self, case: _Case, verdict: ProposalVerdict, merged: bool, at: tuple[float, ...]) -> None:
+        started, judged, decided, announced = at
+        plans = self._settings.proposer(case.pull.author) is not None
+        refusal = "stale" if verdict.stale else "refused" if verdict.problems else "checked"
+        name = "accepted" if merged else refusal if plans else "checked"
+        self.statistics.verdicts[name] += 1
+        self.statistics.sources[case.source] += 1
+        self.statistics.decision_seconds += decided - started
+        log.info(
+            "proposal number=%d author=%s commit=%s verdict=%s way=%s problems=%d source=%s "
+            "fetch_ms=%.0f check_ms=%.1f decide_ms=%.0f hook_ms=%.0f subject=%r",
+            *(case.pull.number, case.pull.author, case.commit.id[:12], name, case.way, len(verdict.problems)),
+            *(case.source, 1000 * (judged - started - case.check_seconds), 1000 * case.check_seconds),
+            1000 * (decided - judged),
+            1000 * (announced - decided),
+            case.commit.message.partition("\n")[0],
+        )
+
+
+def gate_metrics(statistics: GateStatistics) -> Sequence[Series]:
+    """The statistics as metrics."""
+    prefix = "robotkube_gate_"
+    return (
+        Series(
+            f"{prefix}proposals_total",
+            "counter",
+            "Decided heads of pull requests by verdict.",
+            by_one(statistics.verdicts),
+            ("verdict",),
+        ),
+        Series(
+            f"{prefix}proposals_read_total",
+            "counter",
+            "Decided heads by where their objects came from.",
+            by_one(statistics.sources),
+            ("source",),
+        ),
+        Series(
+            f"{prefix}hooks_total",
+            "counter",
+            "Announcements of merged commits to Argo CD.",
+            by_one(statistics.hooks),
+            ("result",),
+        ),
+        Series(
+            f"{prefix}decision_seconds_total",
+            "counter",
+            "Time from looking at proposals to decisions.",
+            {(): statistics.decision_seconds},
+        ),
+        Series(f"{prefix}rounds_total", "counter", "Looks at the open proposals.", {(): statistics.rounds}),
+    )

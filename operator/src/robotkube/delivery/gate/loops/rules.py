@@ -1,0 +1,135 @@
+"""The gate's rules: its own settings, the catalogue assessed with its own keys, and policies read from main.
+
+Nothing here comes from the branch that is judged.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+from robotkube.delivery.deployment.core.policies.merge import PATH as MERGE_PATH
+from robotkube.delivery.deployment.core.policies.merge import MergePolicy, read_merge_policy
+from robotkube.delivery.deployment.core.releases import Tree, read_tree
+from robotkube.delivery.deployment.core.repairs import repair
+from robotkube.delivery.deployment.loops.main_history import Terms, older_files, release_files
+from robotkube.delivery.gate.core import proposal_checks
+from robotkube.delivery.gate.core.release_checks import Rules
+from robotkube.errors import DocumentError
+from robotkube.foundation.forge.ports.repositories import Commit, MainBranch
+from robotkube.registry.catalogue.loops.verified_catalogue import AssuredCatalogue
+from robotkube.registry.charts.core.values_schemas import Validate
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class GateSettings:
+    """The gate's settings. `account`: its own; `deployment`, `catalogue`: `<organisation>/<name>` of the repositories;
+    `proposers`: who may propose releases, and where; `charts_url`: oci://host/organisation."""
+
+    account: str
+    deployment: str
+    catalogue: str
+    proposers: tuple[proposal_checks.Proposer, ...]
+    charts_url: str
+
+    def proposer(self, account: str) -> proposal_checks.Proposer | None:
+        """The proposer with that account; None when there is none."""
+        return next((proposer for proposer in self.proposers if proposer.account == account), None)
+
+    @property
+    def accounts(self) -> Sequence[str]:
+        """Names of the proposers."""
+        return [proposer.account for proposer in self.proposers]
+
+
+@dataclass(frozen=True)
+class _Main:
+    """releases/ and sources/ at one tip, as text and read, and what would bring them back (see repairs.repair)."""
+
+    tip: str
+    files: Mapping[str, str]
+    tree: Tree
+    repair: Mapping[str, str | None]
+
+
+class GateRules:
+    """The rules for each account, while main stands where `main` has it."""
+
+    def __init__(
+        self, settings: GateSettings, main: MainBranch, catalogue: AssuredCatalogue, validate: Validate
+    ) -> None:
+        self._settings = settings
+        self._main = main
+        self._catalogue = catalogue
+        self._validate = validate
+        self._terms = Terms(main, settings.accounts)
+        self._main_now = _Main("", {}, Tree({}, {}), {})
+
+    def refresh(self) -> bool:
+        """Read the catalogue and the keys again; return whether anything changed."""
+        before = self._catalogue.catalogue
+        self._catalogue.read()
+        return self._catalogue.catalogue is not before
+
+    def _rules(self, account: str, namespaces: frozenset[str], others: frozenset[str]) -> Rules:
+        if not self._catalogue.tip:
+            self._catalogue.read()
+        return Rules(
+            account=account,
+            namespaces=namespaces,
+            charts_url=self._settings.charts_url,
+            catalogue=self._catalogue.catalogue,
+            schema=self._catalogue.schema,
+            validate=self._validate,
+            others=others,
+            last_term=self._terms.last(account, self._main.tip),
+            repair=self._known().repair,
+        )
+
+    def _known(self) -> _Main:
+        """Main's files as they are, read once per tip; its history is read only when something is broken."""
+        if self._main_now.tip != self._main.tip:
+            files = release_files(self._main, self._main.tip)
+            tree = read_tree(files)
+            changes = repair(files, older_files(self._main)) if tree.problems else {}
+            self._main_now = _Main(self._main.tip, files, tree, changes)
+        return self._main_now
+
+    def proposal(self, commit: Commit) -> proposal_checks.ProposedCommit:
+        """The proposed commit, with main's files before and after it."""
+        main = self._known()
+        after = proposal_checks.folders_of(proposal_checks.apply_changes(main.files, commit.changes))
+        return proposal_checks.ProposedCommit(
+            commit.parents, commit.message, commit.changes, commit.irregular, main.tree, read_tree(after)
+        )
+
+    def judge(self, account: str, proposal: proposal_checks.ProposedCommit) -> proposal_checks.ProposalVerdict:
+        """The verdict of the rules for `account` about a proposal."""
+        everywhere = {name for proposer in self._settings.proposers for name in proposer.namespaces}
+        proposer = self._settings.proposer(account)
+        if proposer is None:
+            rules = self._rules(account, frozenset(everywhere), frozenset())
+            return proposal_checks.judge_person(proposal, self._main.tip, rules)
+        rules = self._rules(account, proposer.namespaces, frozenset(everywhere) - proposer.namespaces)
+        return proposal_checks.judge(proposal, self._main.tip, rules)
+
+    def merge_policy(self) -> MergePolicy:
+        """The merge policy on main; nothing merges by itself while it is missing or cannot be read."""
+        text = self._main.files(self._main.tip, (MERGE_PATH.split("/", 1)[0],)).get(MERGE_PATH)
+        if text is None:
+            log.error("merge policy missing commit=%s path=%s", self._main.tip[:12], MERGE_PATH)
+            return MergePolicy({}, ())
+        try:
+            return _read_policy(text)
+        except DocumentError as error:
+            log.error("merge policy unusable commit=%s problem=%r", self._main.tip[:12], str(error))
+            return MergePolicy({}, ())
+
+
+@lru_cache(16)
+def _read_policy(text: str) -> MergePolicy:
+    return read_merge_policy(text)

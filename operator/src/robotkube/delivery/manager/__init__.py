@@ -1,0 +1,1 @@
+"""The application manager: what tasks ask for becomes releases, by pull request."""

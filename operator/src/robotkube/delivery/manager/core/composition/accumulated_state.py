@@ -1,0 +1,123 @@
+"""Accumulated state of one composition: what the demands that are met so far ask for, together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+from robotkube.delivery.deployment.core.releases import Cause, Release
+from robotkube.delivery.manager.core.composition.assignments import Assignments
+from robotkube.delivery.manager.core.composition.expansion import Expansion
+from robotkube.delivery.manager.core.composition.index import Index
+from robotkube.delivery.manager.core.composition.inputs import Demand, Met, Refused
+from robotkube.delivery.manager.core.composition.topic_unions import End, MergedTopics
+from robotkube.delivery.manager.core.placement.capacity import read_resources
+from robotkube.delivery.tasks.core.task_description import INSUFFICIENT_RESOURCES, RELEASE_IN_USE
+from robotkube.errors import RefusalError
+
+Merge = Callable[[Release, Release, Sequence[str]], Release | None]
+"""As release_merge.merged_release."""
+
+
+@dataclass(frozen=True, eq=False)
+class Contribution:
+    """What a demand that is met adds: its expansion; `shares` names the earlier equal demand whose expansion it is."""
+
+    demand: Demand
+    expansion: Expansion
+    shares: str = ""
+
+    @cached_property
+    def cause(self) -> Cause | None:
+        """The task's cause under the application that answers it; None for the initial configuration."""
+        if self.demand.task is None or not self.shares:
+            return self.expansion.cause
+        return replace(self.demand.task.cause, application=self.expansion.application)
+
+    @property
+    def choices(self) -> tuple[str, ...]:
+        """Every choice in words."""
+        return (f"shares the releases of {self.shares}",) if self.shares else self.expansion.choices
+
+
+class AccumulatedState:
+    """All demands so far: `outcomes` by demand key, `first` of equal demands by their shared key, `releases` and whose
+    `contributions` they are by release key, `topics` and whose they are (`bridged`) by bridge.
+
+    A copy is cheap: values are never changed in place."""
+
+    def __init__(self, assignments: Assignments) -> None:
+        self.assignments = assignments
+        self.outcomes: dict[str, Contribution | Refused] = {}
+        self.first: dict[str, Contribution] = {}
+        self.releases: dict[str, Release] = {}
+        self.contributions: dict[str, tuple[Contribution, ...]] = {}
+        self.topics = MergedTopics()
+        self.bridged: dict[End, tuple[Contribution, ...]] = {}
+
+    def copy(self) -> AccumulatedState:
+        """A state that can grow without changing this one."""
+        copied = AccumulatedState(self.assignments.copy())
+        copied.outcomes, copied.first = dict(self.outcomes), dict(self.first)
+        copied.releases, copied.contributions = dict(self.releases), dict(self.contributions)
+        copied.topics, copied.bridged = self.topics.copy(), dict(self.bridged)
+        return copied
+
+    def add(self, contribution: Contribution, index: Index, merge: Merge) -> None:
+        """Add a contribution, or raise RefusalError and leave everything but the assignments as it was."""
+        expansion = contribution.expansion
+        releases = {key: self._merged(key, one, expansion, merge) for key, one in expansion.releases.items()}
+        if not contribution.shares:
+            self._reserve_bridges(expansion, index)
+        self.topics.merge(expansion.topics)
+        self.releases.update(releases)
+        for key in releases:
+            self.contributions[key] = (*self.contributions.get(key, ()), contribution)
+        for end in expansion.topics.ends:
+            self.bridged[end] = (*self.bridged.get(end, ()), contribution)
+        self.first.setdefault(contribution.demand.shared_key, contribution)
+
+    def _merged(self, key: str, release: Release, expansion: Expansion, merge: Merge) -> Release:
+        """The release for all demands so far: the same for all, or merged where the application allows it."""
+        present = self.releases.get(key)
+        if present is None or present is release or present == release:
+            return release if present is None else present
+        merged = merge(present, release, expansion.merged_lists[key])
+        if merged is None:
+            names = ", ".join(one.demand.key for one in self.contributions[key])
+            raise RefusalError(RELEASE_IN_USE, f"release {key} is made by {names} with other content")
+        return merged
+
+    def _reserve_bridges(self, expansion: Expansion, index: Index) -> None:
+        """Assign the bridges that nobody asked for yet; those that run already keep their place though it is full."""
+        occupancy = self.assignments.occupancy
+        for end in expansion.topics.ends:
+            if end in self.bridged:
+                continue
+            kind, place = end
+            chart = index.bridge(kind)[1][0]
+            need, capacity = read_resources(chart.resources), index.fleet.capacities.get(place)
+            if capacity and not occupancy.fits(place, capacity, need) and not index.runs(place, chart.chart):
+                shortage, agent = occupancy.shortage(place, capacity, need), index.fleet.at[place]
+                text = f"{agent} has no room for its bridge ({shortage}); withdraw something that runs there"
+                raise RefusalError(INSUFFICIENT_RESOURCES, text)
+            occupancy.take(place, need, releases=0)
+
+
+def release_keys(expansion: Expansion, bridges: Mapping[End, str]) -> set[str]:
+    """The keys of everything that an expansion uses; `bridges` are the keys of bridges."""
+    return {*expansion.releases, *(bridges[end] for end in expansion.topics.ends)}
+
+
+def met(contribution: Contribution, bridges: Mapping[End, str]) -> Met:
+    """How a contribution's demand is met."""
+    expansion = contribution.expansion
+    return Met(tuple(sorted(release_keys(expansion, bridges))), contribution.choices, expansion.application)
+
+
+def caused(release: Release, contributions: Sequence[Contribution], present: Release | None) -> Release:
+    """The release with the causes of all who contribute to it; as main has it (`present`), its plan included, when
+    nothing else differs."""
+    written = replace(release, causes=tuple(sorted({one.cause for one in contributions if one.cause})))
+    return present if present is not None and present.same_but_plan(written) else written

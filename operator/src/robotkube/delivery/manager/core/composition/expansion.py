@@ -1,0 +1,237 @@
+"""Expansion of one demand: the releases on agents, and the topics of bridges, that it asks for.
+
+Templates may use where earlier services were placed, so choosing versions, placing and rendering go service by service.
+An expansion stays good as long as its lookups and pins have the same answers and every group is placed where it was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from robotkube.delivery.deployment.core.releases import Cause, Release, application_name
+from robotkube.delivery.manager.core.composition.assignments import Assignments
+from robotkube.delivery.manager.core.composition.co_location import Instance, groups, instances
+from robotkube.delivery.manager.core.composition.index import Index, Lookup
+from robotkube.delivery.manager.core.composition.inputs import Demand
+from robotkube.delivery.manager.core.composition.selection import Chosen
+from robotkube.delivery.manager.core.composition.topic_unions import IN, OUT, MergedTopics
+from robotkube.delivery.manager.core.placement.capacity import read_resources
+from robotkube.delivery.manager.core.placement.placement import Agent, Group, Placement, PlacementRequest, group
+from robotkube.errors import RefusalError
+from robotkube.foundation.documents.core.patterns import NAME
+from robotkube.foundation.documents.core.value_templates import fill, loop
+from robotkube.registry.catalogue.core.applications import TOPIC_KEYS, Link
+from robotkube.registry.catalogue.core.catalogue import Pin
+from robotkube.registry.catalogue.core.chart_versions import ChartVersion
+
+
+@dataclass(frozen=True)
+class PlacedGroup:
+    """A group that was placed: its releases' names, and where it went."""
+
+    group: Group
+    names: tuple[Any, ...]
+    placement: Placement
+
+
+@dataclass
+class Expansion:
+    """What a demand asks for. `merged_lists` are, by release key, the values paths whose lists are merged when another
+    demand makes the same release; `lookups`, `kept` and `pins` are what it depends on beside catalogue and placements:
+    answers of the fleet, where its releases (by name) ran already, and the versions that releases (by key) keep."""
+
+    demand: Demand
+    application: str
+    cause: Cause | None
+    releases: dict[str, Release] = field(default_factory=dict)
+    merged_lists: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    topics: MergedTopics = field(default_factory=MergedTopics)
+    groups: list[PlacedGroup] = field(default_factory=list)
+    words: list[tuple[str, ...] | int] = field(default_factory=list)
+    lookups: list[tuple[Lookup, Any]] = field(default_factory=list)
+    kept: list[tuple[Any, frozenset[str]]] = field(default_factory=list)
+    pins: list[tuple[str, Pin | None]] = field(default_factory=list)
+    choices: tuple[str, ...] = ()
+
+    def placed(self, placements: Iterable[Placement]) -> Expansion:
+        """The same with other reasons for the same places."""
+        placed = [replace(one, placement=now) for one, now in zip(self.groups, placements, strict=True)]
+        return replace(self, groups=placed, choices=choices_of(self.words, placed))
+
+
+def choices_of(words: Sequence[tuple[str, ...] | int], placed: Sequence[PlacedGroup]) -> tuple[str, ...]:
+    """Every choice in words: texts as they are, and the reasons of the group with that number."""
+    parts = [(placed[word].placement.reasons if isinstance(word, int) else word) for word in words]
+    return tuple(text for part in parts for text in part)
+
+
+def expand(demand: Demand, index: Index, assignments: Assignments) -> Expansion:
+    """Everything that the demand asks for, its groups assigned; RefusalError or DocumentError when it cannot be met."""
+    return _Expander(demand, index, assignments).expanded()
+
+
+class _Expander:
+    """Expands one demand."""
+
+    def __init__(self, demand: Demand, index: Index, assignments: Assignments) -> None:
+        self._demand, self._index, self._assignments = demand, index, assignments
+        self._render = index.render
+        self._placements: dict[str, str] = {}
+
+    def expanded(self) -> Expansion:
+        """As `expand` says it."""
+        demand, index = self._demand, self._index
+        kept = index.kept_application(demand) if demand.provides else ""
+        choice = index.selector.application(demand, kept)
+        cause = replace(demand.task.cause, application=choice.application.name) if demand.task else None
+        self._expansion = Expansion(demand, choice.application.name, cause, words=[choice.reasons])
+        names = _names(demand, choice.parameters, self._placements)
+        placed = self._add_services(choice.application, names)
+        for link in choice.application.links:
+            if link.kind != "ros":
+                index.bridge(link.kind)
+                for scope in loop(link.for_each, names, self._render):
+                    self._add_link(link, scope, placed)
+        self._expansion.choices = choices_of(self._expansion.words, self._expansion.groups)
+        return self._expansion
+
+    def _add_services(self, application: Any, names: Mapping[str, Any]) -> dict[str, list[Agent]]:
+        """Place every service and make its releases; the agents on which each of them was placed."""
+        every = instances(application, names, self._render)
+        together = groups(every, application.links)
+        group_of: dict[int, int] = {}
+        charts: dict[int, Chosen] = {}
+        placed: dict[str, list[Agent]] = {}
+        for number, instance in enumerate(every):
+            if number not in group_of:
+                members = together[number]
+                group_of.update(dict.fromkeys(members, len(self._expansion.groups)))
+                charts.update(zip(members, self._place([every[member] for member in members]), strict=True))
+            agent = self._expansion.groups[group_of[number]].placement.agent
+            self._add_service(instance, agent, charts[number], group_of[number])
+            placed.setdefault(instance.service.name, []).append(agent)
+        return placed
+
+    def _place(self, members: Sequence[Instance]) -> list[Chosen]:
+        """Place a group, and write it down; the charts of its members."""
+        names = [self._render(member.service.release, member.scope) for member in members]
+        charts, requests = [], []
+        for member, name in zip(members, names, strict=True):
+            chosen, request = self._request(member, name)
+            charts.append(chosen)
+            requests.append(request)
+        asked = group(requests, self._index.fleet, self._demand.narrowing)
+        placement = self._assignments.assign(self._demand, asked, names, self._index)
+        for member in members:
+            self._placements.setdefault(member.service.name, placement.agent.name)
+        self._expansion.groups.append(PlacedGroup(asked, tuple(names), placement))
+        return charts
+
+    def _request(self, instance: Instance, name: Any) -> tuple[Chosen, PlacementRequest]:
+        service = instance.service
+        kept = self._index.kept(self._demand, name)
+        agent = self._render(service.placement.agent, instance.scope) if service.placement.agent else None
+        if agent is not None:
+            self._lookup(("agent", agent))
+        places = [agent] if isinstance(agent, str) else sorted(kept)
+        keys = [f"{at.namespace}/{name}" for at in map(self._index.fleet.at.get, places) if at]
+        pins = [(key, self._index.pins.get(key)) for key in keys]
+        self._expansion.kept.append((name, kept))
+        self._expansion.pins += pins
+        pinned = next((pin for _, pin in pins if pin), None)
+        role = "" if self._demand.roles else service.placement.role
+        platforms = self._lookup(("platforms", agent if isinstance(agent, str) else "", role))
+        chosen = self._index.selector.chart(service.chart, self._demand.requirements, platforms, pinned)
+        chart = chosen[0]
+        apart = f"{self._expansion.application}/{service.name}" if service.placement.spread else ""
+        need = read_resources(chart.resources)
+        return chosen, PlacementRequest(
+            service.name, service.placement, agent, kept, need, chart.platforms, apart, bool(service.unite)
+        )
+
+    def _lookup(self, lookup: Lookup) -> Any:
+        answer = self._index.lookup(lookup)
+        self._expansion.lookups.append((lookup, answer))
+        return answer
+
+    def _add_service(self, instance: Instance, agent: Agent, chosen: Chosen, group_number: int) -> None:
+        service, scope = instance.service, instance.scope
+        self._placements[service.name] = agent.name
+        name = self._render(service.release, scope)
+        expansion, chart = self._expansion, chosen[0]
+        movable = not expansion.groups[group_number].group.wanted.named
+        its_chart = {"name": chart.chart, "version": chart.version, "digest": chart.digest}
+        values = fill(service.values, {**scope, "chart": its_chart}, self._render)
+        release = make_release(agent, name, chart, values, self._index, movable)
+        key = release.key
+        if key in expansion.releases:
+            raise RefusalError("CompositionFailed", f"two services of {expansion.application} make the release {key}")
+        expansion.releases[key] = release
+        expansion.merged_lists[key] = service.unite
+        expansion.words += [(f"{service.name} -> {key}", *chosen[1]), group_number]
+
+    def _add_link(self, link: Link, scope: Mapping[str, Any], placed: Mapping[str, list[Agent]]) -> None:
+        sources, targets = self._ends(link.source, scope, placed), self._ends(link.target, scope, placed)
+        rendered = [self._render(topic, scope) for topic in link.topics]
+        topics = [{key: topic[key] for key in TOPIC_KEYS} for topic in rendered]
+        for source in sources:
+            for target in targets:
+                if source == target:
+                    continue  # both ends on one node: ROS itself carries the topic
+                for topic in topics:
+                    if source:
+                        self._expansion.topics.add(link.kind, source.place, OUT, topic)
+                    if target:
+                        self._expansion.topics.add(link.kind, target.place, IN, topic)
+
+    def _ends(
+        self, end: Mapping[str, str], scope: Mapping[str, Any], placed: Mapping[str, list[Agent]]
+    ) -> Sequence[Agent | None]:
+        """An agent by name; every agent of a role that has a node; the agents a service was placed on; None for the
+        medium itself, where somebody else than an agent takes or gives the topics."""
+        if "medium" in end:
+            return [None]
+        if "service" in end:
+            return placed.get(end["service"], [])
+        if "role" in end:
+            agents: Sequence[Agent] = self._lookup(("role", self._render(end["role"], scope)))
+            return agents
+        return [self._lookup(("agent", self._render(end["agent"], scope)))]
+
+
+def _names(demand: Demand, parameters: Mapping[str, Any], placements: dict[str, str]) -> dict[str, Any]:
+    """The names that templates may use; `placement` grows while services are placed."""
+    names: dict[str, Any] = {"parameters": parameters, "placement": placements}
+    if demand.agent:
+        names["agent"] = demand.agent
+    if demand.task:
+        task = demand.task
+        names["task"] = {
+            "name": task.name,
+            "namespace": task.namespace,
+            "event": task.event,
+            "rule": task.rule,
+            "trace": task.trace,
+            "time": task.event_details.get("time", ""),
+            "requester": task.requester,
+        }
+    return names
+
+
+def make_release(
+    agent: Agent, name: Any, chart: ChartVersion, values: Mapping[str, Any], index: Index, movable: bool = False
+) -> Release:
+    """A release without causes; RefusalError(CompositionFailed) or DocumentError when name or values cannot stand.
+    `movable`: another agent could take it over."""
+    if not isinstance(name, str) or not NAME.fullmatch(name):
+        raise RefusalError("CompositionFailed", f"release name {name!r} must match {NAME.pattern}")
+    application_name(agent.namespace, name)
+    placement: dict[str, Any] = {"agent": agent.name}
+    placement |= {"node": agent.node} if agent.node else {}
+    placement |= {"movable": True} if movable else {}
+    full = {**values, "placement": placement}
+    index.selector.check_values(chart, full, f"{agent.namespace}/{name}")
+    evidence = index.selector.catalogue.evidence_of(chart)
+    return Release(agent.namespace, name, chart.chart, chart.version, chart.digest, full, evidence=evidence)

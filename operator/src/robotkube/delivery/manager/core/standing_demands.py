@@ -1,0 +1,149 @@
+"""The ledger: the tasks that are demands now.
+
+Every TaskDescription is an entry; its demand stands from the object's creation until it is deleted (withdrawn) or its
+lease runs out (expired). A renewal moves the end of the lease, a changed spec is a new generation of the same demand,
+and the same key can stand only once. Releases exist while a demand on them stands: what the ledger leaves out goes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any
+
+from robotkube.delivery.manager.core.composition.inputs import Refused
+from robotkube.delivery.tasks.core.task_description import (
+    INVALID_PARAMETERS,
+    LEASE_EXPIRED,
+    POSTPONED,
+    SETTLED_REASONS,
+    TaskDescription,
+    read_task,
+)
+from robotkube.errors import DocumentError
+from robotkube.foundation.documents.core.times import time_ns
+from robotkube.foundation.kubernetes.core.annotations import RENEWED_ANNOTATION
+from robotkube.foundation.kubernetes.core.objects import is_withdrawn, object_key
+
+
+@dataclass(frozen=True)
+class StandingDemands:
+    """The demands of one moment, by key in order of creation, then of key. `refused` are entries that are no demand:
+    expired, or unreadable. `next_due_ns` is when the next lease runs out (None: none does)."""
+
+    live: Mapping[str, TaskDescription] = field(default_factory=dict)
+    refused: Mapping[str, Refused] = field(default_factory=dict)
+    next_due_ns: int | None = None
+
+
+@dataclass(frozen=True)
+class PastDecision:
+    """The earlier decisions about a task's present generation, from its status: since when it waits in the queue (ns
+    since 1970), how a conflict was settled, and whether it was offloaded."""
+
+    waiting_since_ns: int | None = None
+    settled: Refused | None = None
+    offloaded: bool = False
+
+
+_Read = tuple[Mapping[str, Any], Any, Any, TaskDescription | Refused]
+"""A document, its metadata and spec, and what they say."""
+
+
+class TaskReader:
+    """A reader of tasks that keeps what it read until the document changes. Metadata and spec are values: what was
+    given once stays as it is, and a task that changed comes with others."""
+
+    def __init__(self) -> None:
+        self._read: dict[str, _Read] = {}
+
+    def read(self, documents: Iterable[Mapping[str, Any]]) -> dict[str, TaskDescription | Refused]:
+        """Every task that is not being deleted, by key; Refused for one that cannot be read. The newest of several
+        documents with one key counts."""
+        entries: dict[str, _Read] = {}
+        for document in documents:
+            if is_withdrawn(document):
+                continue
+            key = object_key(document)
+            metadata = document.get("metadata")
+            spec = document.get("spec")
+            known = self._read.get(key)
+            same = known is not None and known[1] is metadata and known[2] is spec
+            if known is not None and (same or _equal(_inputs(known[1], known[2]), _inputs(metadata, spec))):
+                entries[key] = document, metadata, spec, known[3]
+            else:
+                entries[key] = document, metadata, spec, _task(document)
+        self._read = entries
+        return {key: entry[3] for key, entry in entries.items()}
+
+    def document(self, key: str) -> Mapping[str, Any]:
+        """The document that a task was last read from; KeyError when it was not there."""
+        return self._read[key][0]
+
+
+def _inputs(metadata: Mapping[str, Any] | None, spec: Any) -> Any:
+    """The parts of a document that `read_task` reads."""
+    names = ("uid", "creationTimestamp", "generation", "annotations")
+    return [(metadata or {}).get(name) for name in names], spec
+
+
+def _equal(first: Any, second: Any) -> bool:
+    try:
+        return bool(first == second)
+    except RecursionError:  # nested so deeply that it is refused anyway
+        return False
+
+
+def _task(document: Mapping[str, Any]) -> TaskDescription | Refused:
+    try:
+        return read_task(document)
+    except DocumentError as error:
+        return Refused(INVALID_PARAMETERS, str(error))
+
+
+def standing(tasks: Mapping[str, TaskDescription | Refused], now_ns: int) -> StandingDemands:
+    """The demands among the tasks that stand at `now_ns` (ns since 1970)."""
+    readable = sorted((t for t in tasks.values() if isinstance(t, TaskDescription)), key=lambda t: (t.created, t.key))
+    refused = {key: task for key, task in tasks.items() if isinstance(task, Refused)}
+    live: dict[str, TaskDescription] = {}
+    due: list[int] = []
+    for task in readable:
+        end = task.expires_ns
+        if end is not None and end <= now_ns:
+            refused[task.key] = Refused(LEASE_EXPIRED, _expired(task, end))
+            continue
+        live[task.key] = task
+        due += [end] if end is not None else []
+    return StandingDemands(live, refused, min(due, default=None))
+
+
+def _expired(task: TaskDescription, end: int) -> str:
+    return (
+        f"the lease of {task.lease_seconds} s ran out at {moment(end)}; "
+        f"set the annotation {RENEWED_ANNOTATION} to the present time to ask again"
+    )
+
+
+def moment(time_ns_: int) -> str:
+    """The RFC 3339 text in UTC, whole seconds, of ns since 1970."""
+    return datetime.fromtimestamp(time_ns_ // 1_000_000_000, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+def remembered(document: Mapping[str, Any]) -> PastDecision:
+    """The earlier decisions in the status of a task; none when the status is about an older generation."""
+    status = document.get("status") or {}
+    if status.get("observedGeneration") != document.get("metadata", {}).get("generation", 1):
+        return PastDecision()
+    accepted: Mapping[str, Any] = next((c for c in status.get("conditions", []) if c.get("type") == "Accepted"), {})
+    reason, message = accepted.get("reason"), str(accepted.get("message", ""))
+    settled = Refused(reason, message) if reason in SETTLED_REASONS and accepted.get("status") == "False" else None
+    since = (status.get("queue") or {}).get("since") if reason == POSTPONED else None
+    return PastDecision(_nanoseconds(since), settled, bool(status.get("offloaded")))
+
+
+def _nanoseconds(text: Any) -> int | None:
+    try:
+        return time_ns(text) if isinstance(text, str) else None
+    except (ValueError, OverflowError):
+        return None

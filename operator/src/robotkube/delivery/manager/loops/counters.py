@@ -1,0 +1,51 @@
+"""The manager's counters since its start, passed on to listeners (metrics, traces)."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+from robotkube.delivery.manager.loops.proposals.plan_records import PlanRecord
+from robotkube.delivery.manager.ports.telemetry import PlanFacts, Telemetry
+
+
+@dataclass
+class ManagerStatistics:
+    """The manager's counters. `plans` by outcome (telemetry.OUTCOMES); `term` is 0 while another process leads,
+    `broken_files` are main's."""
+
+    plans: Counter[str] = field(default_factory=Counter)
+    term: int = 0
+    broken_files: int = 0
+    listeners: tuple[Telemetry, ...] = ()
+
+    def plan(self, record: PlanRecord, outcome: str) -> None:
+        """Count a plan that has come one step further."""
+        self.plans[outcome] += 1
+        facts = facts_of(record)
+        for listener in self.listeners:
+            listener.plan(facts, outcome)
+
+    def step(self, failed: bool = False) -> None:
+        """Pass on that a step has ended."""
+        for listener in self.listeners:
+            listener.step(failed)
+
+    def decided(self, seconds: float) -> None:
+        """Pass on that a decision was made."""
+        for listener in self.listeners:
+            listener.decided(seconds)
+
+
+def facts_of(record: PlanRecord) -> PlanFacts:
+    """The record as listeners get it: what no event asked for stands in a trace of the plan's own."""
+    return PlanFacts(
+        id=record.id,
+        kind=record.cause,
+        commit=record.commit,
+        pull_request=record.pull_request,
+        tasks=record.tasks,
+        traces=record.traces or (record.id,),
+        times=dict(record.times),
+        error=record.error or "",
+    )

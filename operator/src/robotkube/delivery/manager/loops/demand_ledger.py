@@ -1,0 +1,125 @@
+"""The manager's ledger: the demands that stand now, and what was decided about each of them before.
+
+Earlier decisions are kept for one generation of one object; after a restart they are found in the tasks' statuses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import Any
+
+from robotkube.delivery.deployment.core.releases import Cause
+from robotkube.delivery.manager.core.composition.inputs import Met, Refused
+from robotkube.delivery.manager.core.conflicts import DemandOutcome, History, Postponed, Resolution
+from robotkube.delivery.manager.core.standing_demands import (
+    PastDecision,
+    StandingDemands,
+    TaskReader,
+    moment,
+    remembered,
+    standing,
+)
+from robotkube.delivery.tasks.core.task_description import SETTLED_REASONS, SUPERSEDED, TaskDescription
+
+_Stamp = tuple[str, int]
+
+USUAL = PastDecision()
+
+
+class DemandLedger:
+    """The ledger of demands and their outcomes, by task; nothing outlives its task."""
+
+    def __init__(self) -> None:
+        self._reader = TaskReader()
+        self._known: dict[str, tuple[_Stamp, PastDecision]] = {}
+        self._outcomes: dict[str, DemandOutcome] = {}
+        self._causes: Collection[Cause] = ()
+        self._answered: frozenset[str] = frozenset()
+        self._asked: frozenset[tuple[str, str]] = frozenset()
+        self.standing = StandingDemands()
+
+    def look(self, documents: Sequence[Mapping[str, Any]], now_ns: int) -> StandingDemands:
+        """Read the tasks, and return the demands that stand at `now_ns`."""
+        self.standing = standing(self._reader.read(documents), now_ns)
+        known: dict[str, tuple[_Stamp, PastDecision]] = {}
+        for key, task in self.standing.live.items():
+            stamp = (task.identity, task.generation)
+            memory = self._known.get(key)
+            if memory is not None and memory[0] == stamp:
+                known[key] = memory
+            else:
+                known[key] = stamp, remembered(self._reader.document(key))
+                self._outcomes.pop(key, None)
+        self._known = known
+        self._outcomes = {key: outcome for key, outcome in self._outcomes.items() if key in known}
+        return self.standing
+
+    def foresee(self, document: Mapping[str, Any], now_ns: int) -> TaskDescription | Refused:
+        """The demand that a document would make at `now_ns`, which is its creation unless it states another."""
+        metadata = {"creationTimestamp": moment(now_ns), "generation": 1, **document.get("metadata", {})}
+        entries = TaskReader().read([{**document, "metadata": metadata}])
+        demands = standing(entries, now_ns)
+        for key in entries:
+            return demands.live.get(key) or demands.refused[key]
+        return Refused(SUPERSEDED, "it is being deleted")
+
+    def history(self, causes: Collection[Cause]) -> History:
+        """Earlier decisions about the demands that stand; `causes` are those of main's releases."""
+        decided = [(key, memory) for key, (_, memory) in self._known.items() if memory is not USUAL]
+        answered, parameters = self._asked_for(causes)
+        return History(
+            {key: m.waiting_since_ns for key, m in decided if m.waiting_since_ns is not None},
+            {key: m.settled for key, m in decided if m.settled is not None},
+            frozenset(key for key, memory in decided if memory.offloaded),
+            answered,
+            frozenset(
+                key for key, task in self.standing.live.items() if (key, task.cause.parameters) not in parameters
+            ),
+        )
+
+    def _asked_for(self, causes: Collection[Cause]) -> tuple[frozenset[str], frozenset[tuple[str, str]]]:
+        """The tasks of the causes, and what each asked with; computed once for the same object."""
+        if self._causes is not causes:
+            self._causes = causes
+            self._answered = frozenset(cause.task for cause in causes)
+            self._asked = frozenset((cause.task, cause.parameters) for cause in causes)
+        return self._answered, self._asked
+
+    def keep(self, resolution: Resolution) -> None:
+        """Remember what was decided just now."""
+        for key, outcome in resolution.outcomes.items():
+            known = self._known.get(key)
+            if known is not None:
+                memory = _memory(outcome, key in resolution.offloaded)
+                if known[1] is not memory:
+                    self._known[key] = known[0], memory
+                self._outcomes[key] = outcome
+
+    @property
+    def offloaded(self) -> frozenset[str]:
+        """Demands that run elsewhere than their applications say."""
+        return frozenset(key for key, (_, memory) in self._known.items() if memory.offloaded)
+
+    @property
+    def outcomes(self) -> Mapping[str, DemandOutcome]:
+        """The last outcome of every demand that stands and was decided, and the refusals of tasks that are none."""
+        return {**self._outcomes, **self.standing.refused}
+
+    def split(self, tasks: Iterable[TaskDescription]) -> tuple[list[TaskDescription], list[TaskDescription]]:
+        """The tasks that are new to the ledger or met, and those that were refused or postponed and may be decided
+        again. Settled ones are in neither."""
+        fresh: list[TaskDescription] = []
+        again: list[TaskDescription] = []
+        for task in tasks:
+            if self._known[task.key][1].settled is None:
+                known = isinstance(self._outcomes.get(task.key, Met((), ())), Met)
+                (fresh if known else again).append(task)
+        return fresh, again
+
+
+def _memory(outcome: DemandOutcome, offloaded: bool) -> PastDecision:
+    if isinstance(outcome, Postponed):
+        return PastDecision(waiting_since_ns=outcome.since_ns)
+    if isinstance(outcome, Refused) and outcome.reason in SETTLED_REASONS:
+        return PastDecision(settled=outcome)
+    return PastDecision(offloaded=True) if offloaded else USUAL

@@ -1,0 +1,92 @@
+"""Explanations of what would become of a task: POST /explain of the manager (docs/reference/contracts.md).
+
+The question is `{"task": "<namespace>/<name>"}` for a task that is there, or a TaskDescription with its namespace for
+one that is not submitted yet. Nothing is changed by it. One question at a time, so that asking cannot hold planning up.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from robotkube.delivery.manager.core.composition.inputs import Met
+from robotkube.delivery.manager.core.conflicts import Postponed
+from robotkube.delivery.manager.core.explanations import Explanation
+from robotkube.delivery.tasks.ports.store import TaskStore
+from robotkube.errors import RobotKubeError
+from robotkube.foundation.documents.core.yaml_codec import json_problems
+from robotkube.foundation.kubernetes.core.objects import object_key
+
+QUESTION_BYTES_MAX = 256 * 1024
+BUSY_SECONDS_MAX = 5.0
+
+ExplanationResponse = tuple[int, Mapping[str, Any]]
+"""HTTP status and document."""
+
+
+class Explainer:
+    """The handler that answers questions by `what_if`, about tasks of `store` or new ones."""
+
+    def __init__(self, what_if: Callable[[Mapping[str, Any]], Explanation], store: TaskStore) -> None:
+        self._what_if = what_if
+        self._store = store
+        self._free = threading.Semaphore(1)
+
+    def __call__(self, body: bytes) -> ExplanationResponse:
+        """The answer to the question in `body`: 200 with the explanation, or a `message` with 400 (not a
+        question), 404 (no such task), 413, 429 (another question is being answered) or 503 (not able to say)."""
+        if len(body) > QUESTION_BYTES_MAX:
+            return 413, {"message": f"{len(body)} bytes; a task has at most {QUESTION_BYTES_MAX}"}
+        try:
+            question = json.loads(body)
+        except (ValueError, RecursionError) as error:
+            return 400, {"message": f"no JSON: {str(error)[:200]}"}
+        return self._answer(question)
+
+    def _answer(self, question: Any) -> ExplanationResponse:
+        problems = json_problems(question, "") if isinstance(question, dict) else ["must be a JSON object"]
+        if problems:
+            return 400, {"message": "; ".join(problems)[:2000]}
+        key = question.get("task")
+        document = question if key is None else self._find(key)
+        if document is None:
+            return 404, {"message": f"there is no task {key!r:.400}"}
+        if not _is_named(document):
+            return 400, {"message": "metadata: needs name and namespace, both text"}
+        if not self._free.acquire(timeout=BUSY_SECONDS_MAX):
+            return 429, {"message": "other questions are being answered; ask again"}
+        try:
+            return 200, explanation_document(self._what_if(document))
+        except RobotKubeError as error:
+            return 503, {"message": str(error)}
+        finally:
+            self._free.release()
+
+    def _find(self, key: Any) -> Mapping[str, Any] | None:
+        return next((task for task in self._store.tasks() if object_key(task) == key), None)
+
+
+def _is_named(document: Mapping[str, Any]) -> bool:
+    metadata = document.get("metadata")
+    return isinstance(metadata, Mapping) and all(isinstance(metadata.get(key), str) for key in ("name", "namespace"))
+
+
+def explanation_document(explanation: Explanation) -> dict[str, Any]:
+    """The document of an explanation: the outcome, its reason and message, what its changes would wait for, every
+    choice in words, and the files that change."""
+    outcome = explanation.outcome
+    if isinstance(outcome, Met):
+        answer = {"outcome": "Accepted", "reason": "Accepted", "message": "", "releases": list(outcome.releases)}
+    else:
+        word = "Postponed" if isinstance(outcome, Postponed) else "Refused"
+        answer = {"outcome": word, "reason": outcome.reason, "message": outcome.message, "releases": []}
+    changes = [{"path": c.path, "before": c.before, "after": c.after} for c in explanation.changes]
+    return {
+        "task": explanation.key,
+        **answer,
+        "waits": explanation.waits,
+        "lines": list(explanation.lines),
+        "changes": changes,
+    }

@@ -1,0 +1,252 @@
+"""The course of updates: what they did to main, and the health of their releases in the cluster.
+
+Nothing stands only here: a new process reads the same from main's history and from the cluster.
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
+
+from robotkube.delivery.deployment.core.commit_messages import REVERT, UPDATE
+from robotkube.delivery.deployment.core.policies.updates import PATH, UpdatePolicy, read_update_policy
+from robotkube.delivery.deployment.core.releases import RELEASES, Release, application_name, read_release
+from robotkube.delivery.manager.core.composition.composer import Composition
+from robotkube.delivery.manager.core.observation import ApplicationState, judge_present
+from robotkube.delivery.manager.core.placement.placement import Fleet
+from robotkube.delivery.manager.core.plans import Change
+from robotkube.delivery.manager.core.updates import (
+    DEGRADED,
+    HEALTHY,
+    PROGRESSING,
+    ClusterHealth,
+    Move,
+    Pin,
+    ReleaseHealth,
+    Targets,
+    UpdateMemory,
+    Updates,
+    decide,
+    moved,
+    plan_ns,
+)
+from robotkube.delivery.manager.ports.cluster import Cluster
+from robotkube.errors import DocumentError
+from robotkube.foundation.documents.core.patterns import COMMIT, PLAN
+from robotkube.foundation.forge.ports.repositories import Commit, DeploymentRepository
+from robotkube.registry.catalogue.core.catalogue import Catalogue
+from robotkube.registry.catalogue.loops.verified_catalogue import AssuredCatalogue
+
+COMMITS_MAX = 10_000
+WORDS = (f"RobotKube-Cause: {UPDATE}\n", f"RobotKube-Cause: {REVERT}\n")
+PLAN_TRAILER = re.compile(rf"^RobotKube-Plan: ({PLAN.pattern})$", re.MULTILINE)
+REVERTS_TRAILER = re.compile(rf"^RobotKube-Reverts: ({COMMIT.pattern})$", re.MULTILINE)
+PASSED_MAX = 5
+NO_POLICY = UpdatePolicy()
+UNREADABLE = f"{PATH} cannot be read; nothing is updated"
+
+_Inputs = tuple[Mapping[str, Release], Targets, UpdatePolicy, UpdateMemory, frozenset[str]]
+"""The inputs of `decide`, apart from time and cluster."""
+
+log = logging.getLogger(__name__)
+
+
+class UpdateHistory:
+    """The history of updates, reverts and changes of their policy among main's newest COMMITS_MAX commits."""
+
+    def __init__(self, repository: DeploymentRepository) -> None:
+        self._repository = repository
+        self._tip = ""
+        self._memory = UpdateMemory()
+
+    def read(self, tip: str) -> UpdateMemory:
+        """The memory at main's tip, which was fetched."""
+        if tip != self._tip:
+            for commit in self._repository.touching(self._tip or None, COMMITS_MAX, PATH, WORDS):
+                self._memory = self._after(commit)
+            self._tip = tip
+        return self._memory
+
+    def _after(self, commit: Commit) -> UpdateMemory:
+        memory = self._memory.policy_changed() if PATH in commit.changes else self._memory
+        changed = _releases(commit.changes)
+        subject = commit.message.partition("\n")[0]
+        undone = self._undone(memory, commit)
+        if undone:
+            for chart in undone:
+                keys = [release.key for release in changed if release.chart == chart]
+                memory = memory.reverted(chart, keys, f"{subject} ({commit.id[:12]}); change {PATH} to try it again")
+        elif WORDS[0] in commit.message:
+            before = self._before(commit, changed)
+            for target in {(release.chart, release.version, release.digest) for release in changed}:
+                moved = [r for r in changed if (r.chart, r.version, r.digest) == target and r.key in before]
+                pins = {r.key: before[r.key] for r in moved if before[r.key][0] == r.chart}
+                memory = memory.updated(target[0], target[1:], pins, (commit.id, commit_ns(commit.message)))
+        return memory
+
+    @staticmethod
+    def _undone(memory: UpdateMemory, commit: Commit) -> list[str]:
+        """The charts whose last update the commit reverts; a revert of people's edits reverts none."""
+        named = set(REVERTS_TRAILER.findall(commit.message))
+        return [chart for chart, run in memory.runs.items() if named & set(run.commits)]
+
+    def _before(self, commit: Commit, changed: Sequence[Release]) -> Mapping[str, tuple[str, str]]:
+        """The chart and the version that the changed releases had in the commit's parent."""
+        if not commit.parents:
+            return {}
+        folders = sorted({f"{RELEASES}/{release.namespace}" for release in changed})
+        releases = _releases(self._repository.files(commit.parents[0], folders))
+        return {release.key: (release.chart, release.version) for release in releases}
+
+
+class PolicyReader:
+    """A reader of policies/updates.yaml of main; the last good one stays while a newer one is broken."""
+
+    def __init__(self, repository: DeploymentRepository) -> None:
+        self._repository = repository
+        self._tip = ""
+        self._policy: UpdatePolicy | None = None
+
+    def read(self, tip: str) -> UpdatePolicy | None:
+        """The policy at main's tip, which was fetched; None while there never was a good one."""
+        if tip != self._tip:
+            text = self._repository.files(tip, (PATH.partition("/")[0],)).get(PATH, "{}\n")
+            try:
+                self._policy = read_update_policy(text)
+            except DocumentError as error:
+                log.error("policy not accepted commit=%s problem=%r", tip[:12], str(error))
+            self._tip = tip
+        return self._policy
+
+
+class UpdatePlanner:
+    """The planner of updates: the versions that the releases keep, and the one update or revert that may be made."""
+
+    def __init__(self, repository: DeploymentRepository, cluster: Cluster) -> None:
+        self._history = UpdateHistory(repository)
+        self._policy = PolicyReader(repository)
+        self._cluster = cluster
+        self._unfit: tuple[str, frozenset[str]] = ("", frozenset())
+        self._logged: frozenset[str] = frozenset()
+        self._targets = Targets(Catalogue())
+        self._passed = 0
+        self._steady: tuple[_Inputs, Updates] | None = None
+        self.updates = Updates()
+
+    def look(
+        self,
+        present: Mapping[str, Release],
+        tip: str,
+        catalogue: AssuredCatalogue,
+        machines: Fleet,
+        held: Collection[str],
+        now_ns: int,
+    ) -> Updates:
+        """Decide about main's releases (`present`, by path) at its `tip`; its words are logged when they are new.
+        Agents that hold changes (`held`) count like those that are offline."""
+        tips = f"{tip} {catalogue.tip}"
+        self._unfit = self._unfit if self._unfit[0] == tips else (tips, frozenset())
+        policy = self._policy.read(tip)
+        memory = self._history.read(tip)
+        if self._targets.catalogue is not catalogue.catalogue:
+            self._targets = Targets(catalogue.catalogue)
+
+        def sight() -> ClusterHealth:
+            return sight_of(present, self._cluster.applications(), machines, held)
+
+        inputs = present, self._targets, policy or NO_POLICY, memory, self._unfit[1]
+        updates = self._decided(inputs, sight, now_ns)
+        self.updates = updates if policy else replace(updates, move=None, words=(UNREADABLE,))
+        for text in sorted(frozenset(self.updates.words) - self._logged):
+            log.info("update text=%r", text)
+        self._logged = frozenset(self.updates.words)
+        return self.updates
+
+    def _decided(self, inputs: _Inputs, sight: Callable[[], ClusterHealth], now_ns: int) -> Updates:
+        """The decision of `decide`. When nothing is under way (then it does not call `sight`), neither time nor cluster
+        count: the decision is the same for the same objects."""
+        if self._steady and all(before is now for before, now in zip(self._steady[0], inputs, strict=True)):
+            return self._steady[1]
+        observed: list[ClusterHealth] = []
+
+        def observe() -> ClusterHealth:
+            observed.append(sight())
+            return observed[0]
+
+        present, targets, policy, memory, unfit = inputs
+        updates = decide(present, targets, policy, memory, observe, now_ns, unfit)
+        self._steady = None if observed else (inputs, updates)
+        return updates
+
+    def step(
+        self,
+        steady: Composition,
+        present: Mapping[str, Release],
+        others_wait: bool,
+        compose: Callable[[Mapping[str, Pin]], Composition],
+    ) -> tuple[Move, tuple[Change, ...]] | None:
+        """The move that was decided and its changes, tried by composing with its pins. None when there is none, when it
+        does not fit (which is logged, and not tried again before main or catalogue change), and while changes that
+        tasks ask for wait: these come before an update, though not more than PASSED_MAX times; a revert waits for
+        nothing."""
+        move = self.updates.move
+        if move is None:
+            return None
+        if others_wait and move.cause == UPDATE and self._passed < PASSED_MAX:
+            self._passed += 1
+            return None
+        self._passed = 0
+        changes, problem = moved(move, compose(move.pins), steady, present)
+        if not changes:
+            log.warning("update not made text=%r", problem)
+            self._unfit = (self._unfit[0], self._unfit[1] | frozenset(move.keys))
+            return None
+        return move, changes
+
+
+def _releases(files: Mapping[str, str | None]) -> list[Release]:
+    """The releases in readable release files."""
+    releases = []
+    for path, text in files.items():
+        if text is not None and path.startswith(f"{RELEASES}/") and path.endswith(".yaml"):
+            try:
+                releases.append(read_release(text, path))
+            except DocumentError as error:
+                log.warning("release of an update not read path=%s reason=%s", path, error)
+    return releases
+
+
+def commit_ns(message: str) -> int:
+    """The time at which the plan of a commit was made, by its id (ns since 1970); 0 when the message names none."""
+    match = PLAN_TRAILER.search(message)
+    return plan_ns(match[1]) if match else 0
+
+
+def sight_of(
+    present: Mapping[str, Release],
+    applications: Mapping[str, ApplicationState],
+    fleet: Fleet,
+    held: Collection[str] = (),
+) -> ClusterHealth:
+    """The health of main's releases, and the agents' namespaces that can be reached and are not `held`."""
+    health = {}
+    for release in present.values():
+        application = applications.get(application_name(release.namespace, release.name))
+        health[release.key] = _health(application, release)
+    online = {}
+    for name, agent in fleet.agents.items():
+        ready = [node.ready_since or 0 for node in fleet.nodes.get(name, ()) if node.ready]
+        if ready and name not in held:
+            online[agent.namespace] = min(ready)
+    return ClusterHealth(health, online)
+
+
+def _health(application: ApplicationState | None, release: Release) -> ReleaseHealth:
+    verdict = judge_present(application, release.plan)
+    if application is None or not verdict.synced:
+        return ReleaseHealth(PROGRESSING)
+    if verdict.done:
+        return ReleaseHealth(HEALTHY, application.health_since)
+    return ReleaseHealth(DEGRADED if application.health == "Degraded" else PROGRESSING, application.health_since)

@@ -1,0 +1,29 @@
+"""The cluster as the manager reads it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Protocol
+
+from robotkube.delivery.manager.core.observation import ApplicationState, PodState
+from robotkube.delivery.manager.core.placement.placement import NodeState
+
+
+class Cluster(Protocol):
+    """The cluster as the manager sees it; values are snapshots kept up to date by watches."""
+
+    def nodes(self) -> Sequence[NodeState]:
+        """Nodes of agents."""
+        ...
+
+    def applications(self) -> Mapping[str, ApplicationState]:
+        """Argo CD Applications by name."""
+        ...
+
+    def pods(self, release: str) -> Sequence[PodState]:
+        """Pods of a release, named `<namespace>/<release>` (label app.kubernetes.io/instance)."""
+        ...
+
+    def tell_node(self, node: str, reason: str, text: str) -> None:
+        """Put a warning beside a Node (a Kubernetes Event in the platform's namespace); the same text once."""
+        ...

@@ -1,0 +1,62 @@
+"""The manager's MQTT door: its settings, and its adapters."""
+
+from __future__ import annotations
+
+import functools
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from kubernetes.client import ApiClient
+
+from robotkube.delivery.tasks.adapters.kubernetes_tasks import KubernetesTasks
+from robotkube.delivery.tasks.adapters.paho_gateway import PahoGateway
+from robotkube.delivery.tasks.loops.device_holds import DeviceHolds
+from robotkube.delivery.tasks.loops.mqtt_gateway import MqttTaskGateway
+from robotkube.delivery.tasks.ports.store import TaskStore
+from robotkube.foundation.documents.core.patterns import WORD
+from robotkube.foundation.documents.core.reader import Reader
+from robotkube.foundation.kubernetes.adapters.client import call
+from robotkube.foundation.kubernetes.ports import Leadership
+from robotkube.foundation.runtime import settings_file as files
+
+STOP_SECONDS_MAX = 2.0
+
+
+@dataclass(frozen=True)
+class BrokerSettings:
+    """Where the broker is, and the manager's account there."""
+
+    host: str
+    port: int
+    account: files.Credentials
+
+
+def read_broker(reader: Reader, value: Any) -> BrokerSettings | None:
+    """The optional key `broker`; without it there is no MQTT door."""
+    if value is None:
+        return None
+    found = reader.mapping(value, "broker", ["host", "port", "credentials"])
+    port = found.get("port")
+    if not isinstance(port, int) or isinstance(port, bool) or not 1 <= port <= files.PORT_MAX:
+        reader.problems.append(f"broker.port: must be a whole number from 1 to {files.PORT_MAX}")
+        port = 0
+    account = files.credentials(reader, found.get("credentials"), "broker.credentials")
+    return BrokerSettings(reader.word(found.get("host"), "broker.host", WORD), port, account)
+
+
+def task_door(
+    settings: BrokerSettings,
+    operators: Mapping[str, str],
+    api: ApiClient,
+    store: TaskStore,
+    leadership: Leadership,
+    holds: DeviceHolds,
+) -> MqttTaskGateway:
+    """The door for `operators` (name -> namespace of its tasks), not open yet."""
+    account = settings.account
+    session = f"{account.username}-task-door"
+    channel = PahoGateway(settings.host, settings.port, account.username, account.password, session)
+    writer = KubernetesTasks(functools.partial(call, api))
+    return MqttTaskGateway(operators, channel, store, writer, leadership, time.time_ns, time.monotonic, holds.receive)

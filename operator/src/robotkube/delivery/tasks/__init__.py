@@ -1,0 +1,1 @@
+"""Tasks: TaskDescriptions, and the MQTT gateway through which operators ask."""

@@ -1,0 +1,187 @@
+"""The task gateway's session at the broker (MQTT 5): messages are acknowledged only when the gateway says so.
+
+Port GatewayChannel. paho's own thread reads and connects again, with a bounded pause; the session stays at the broker
+for SESSION_SECONDS. The broker is asked to have at most UNACKNOWLEDGED_MAX messages under way, and of one that is too
+long for a task only its size is kept. Of a broker that sends more nevertheless, what comes beyond WAITING_MAX messages
+or WAITING_BYTES_MAX is left: when what waits is done with, the connection is broken off, and what was not acknowledged
+comes again with the next one, in its order.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import socket
+import threading
+from collections.abc import Sequence
+from typing import Any
+
+import paho.mqtt.client as mqtt
+from paho.mqtt.enums import CallbackAPIVersion
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
+
+from robotkube.delivery.tasks.core.mqtt_messages import MESSAGE_BYTES_MAX
+from robotkube.delivery.tasks.ports.mqtt_gateway import GatewayMessage
+from robotkube.writes import writes
+
+SESSION_SECONDS = 24 * 3600
+KEEPALIVE_SECONDS = 15
+CONNECT_SECONDS_MAX = 5.0
+PAUSE_SECONDS_MIN, PAUSE_SECONDS_MAX = 1, 10
+UNACKNOWLEDGED_MAX = 16
+WAITING_MAX = 1000
+WAITING_BYTES_MAX = 32 * 1024 * 1024
+ANSWERS_QUEUED_MAX = 1000
+QOS = 1
+FAILURE = 0x80
+
+
+class PahoGateway:
+    """The port GatewayChannel: the session `client_id` of an account."""
+
+    def __init__(self, host: str, port: int, username: str, password: str, client_id: str) -> None:
+        self._host = host
+        self._port = port
+        self._waiting: queue.Queue[GatewayMessage] = queue.Queue()
+        self._waiting_bytes = 0
+        self._overrun = self._breaking_off = False
+        self._topics: list[str] = []
+        self._lock = threading.Lock()
+        self._connection = 0
+        self._complaint = f"{client_id}: not connected to the broker yet"
+        client = mqtt.Client(CallbackAPIVersion.VERSION2, client_id, protocol=mqtt.MQTTv5, manual_ack=True)
+        client.username_pw_set(username, password)
+        client.connect_timeout = CONNECT_SECONDS_MAX
+        client.reconnect_delay_set(PAUSE_SECONDS_MIN, PAUSE_SECONDS_MAX)
+        client.max_queued_messages_set(ANSWERS_QUEUED_MAX)
+        client.on_connect = self._connected
+        client.on_disconnect = self._disconnected
+        client.on_connect_fail = self._failed
+        client.on_subscribe = self._subscribed
+        client.on_message = self._received
+        self._client = client
+
+    @property
+    def complaint(self) -> str:
+        """Why there is no session, as the port says."""
+        return self._complaint
+
+    def start(self, topics: Sequence[str]) -> None:
+        """Connect and subscribe, as the port says."""
+        self._topics = list(topics)
+        properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
+        properties.SessionExpiryInterval = SESSION_SECONDS
+        properties.ReceiveMaximum = UNACKNOWLEDGED_MAX
+        self._client.connect_async(self._host, self._port, KEEPALIVE_SECONDS, clean_start=False, properties=properties)
+        self._client.loop_start()
+
+    def take(self, seconds: float) -> GatewayMessage | None:
+        """Receive the next message, as the port says."""
+        try:
+            message = self._waiting.get(block=seconds > 0, timeout=seconds)
+        except queue.Empty:
+            self._break_off()
+            return None
+        with self._lock:
+            self._waiting_bytes -= len(message.payload)
+            stale = message.token[0] != self._connection  # it comes again, behind those before it
+        return None if stale else message
+
+    @writes("message")
+    def acknowledge(self, message: GatewayMessage) -> None:
+        """Acknowledge a message, as the port says. Packet numbers are those of one connection: an older one's mean
+        nothing to the next."""
+        connection, number, qos = message.token
+        with self._lock:
+            if connection == self._connection and qos:
+                self._client.ack(number, qos)
+
+    def leave(self, message: GatewayMessage) -> None:
+        """Leave a message to a later connection, as the port says, and with it what waits behind it or still arrives on
+        the connection that ends here."""
+        with self._lock:
+            current = message.token[0] == self._connection
+            if current:
+                self._begin()
+                self._overrun = self._breaking_off = True
+        if current:
+            self._shut()
+
+    @writes("message")
+    def publish(self, topic: str, payload: bytes) -> bool:
+        """Send an answer, as the port says. A broker sends what it kept before it answers the subscription: that can be
+        answered, too."""
+        if not self._client.is_connected():
+            return False
+        return self._client.publish(topic, payload, QOS).rc == mqtt.MQTT_ERR_SUCCESS
+
+    def close(self) -> None:
+        """End the connection, as the port says."""
+        self._client.disconnect()
+        self._client.loop_stop()
+
+    def _connected(self, client: Any, userdata: Any, flags: Any, reason: Any, properties: Any) -> None:
+        if reason.is_failure:
+            self._complain(f"the broker refuses the connection: {reason}; look at its account")
+            return
+        with self._lock:
+            self._begin()
+        client.subscribe([(topic, QOS) for topic in self._topics])
+
+    def _subscribed(self, client: Any, userdata: Any, mid: Any, reasons: Any, properties: Any) -> None:
+        pairs = zip(self._topics, reasons, strict=False)
+        refused = [topic for topic, reason in pairs if reason.value >= FAILURE]
+        if refused:
+            self._complain(f"the broker refuses {', '.join(refused)}; look at its ACL")
+        else:
+            self._complaint = ""
+
+    def _disconnected(self, client: Any, userdata: Any, flags: Any, reason: Any, properties: Any) -> None:
+        with self._lock:
+            self._begin()
+        self._forget()
+        self._complain(f"the connection was lost: {reason}")
+
+    def _failed(self, client: Any, userdata: Any) -> None:
+        self._complain(f"the broker {self._host}:{self._port} does not answer")
+
+    def _complain(self, text: str) -> None:
+        self._complaint = f"task gateway: {text}"
+
+    def _begin(self) -> None:
+        """Count a new connection: what comes from now on belongs to it, or to none."""
+        self._connection += 1
+        self._overrun = self._breaking_off = False
+
+    def _forget(self) -> None:
+        """Drop what waits: what was not acknowledged comes again with the next connection."""
+        while not self._waiting.empty():
+            self.take(0.0)
+
+    def _received(self, client: Any, userdata: Any, message: Any) -> None:
+        size = len(message.payload)
+        payload = bytes(message.payload) if size <= MESSAGE_BYTES_MAX else b""
+        with self._lock:
+            full = self._waiting.qsize() >= WAITING_MAX or self._waiting_bytes + len(payload) > WAITING_BYTES_MAX
+            self._overrun = self._overrun or full
+            if not self._overrun:
+                self._waiting_bytes += len(payload)
+                self._waiting.put(
+                    GatewayMessage(message.topic, payload, size, (self._connection, message.mid, message.qos))
+                )
+
+    def _break_off(self) -> None:
+        """End a connection of which messages were left, when nothing else waits: paho connects again, and they come
+        again."""
+        with self._lock:
+            due = self._overrun and not self._breaking_off and self._waiting.empty()
+            self._breaking_off = self._breaking_off or due
+        if due:
+            self._shut()
+
+    def _shut(self) -> None:
+        connection: Any = self._client.socket()
+        if connection is not None:
+            with contextlib.suppress(OSError):  # it is gone already
+                connection.shutdown(socket.SHUT_RDWR)

@@ -1,0 +1,201 @@
+"""What operators say through the MQTT door, and what it answers: pure reading and writing of JSON.
+
+    robotkube/tasks/<operator>         {"metadata": {"name": <id>}, "spec": {...}}     ask, or change what was asked
+                                       {"withdraw": <id>}                              the demand ends
+                                       {"renew": <id>}                                 the lease begins anew
+    robotkube/task_status/<operator>   {"id", "conditions": [...], "plan", ...}        what became of it
+
+An answer to what never became a custom resource has one condition, Accepted=False, with one of DOOR_REASONS.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from robotkube.delivery.tasks.core.task_description import GROUP, VERSION
+from robotkube.errors import DocumentError
+from robotkube.foundation.documents.core.patterns import SUBDOMAIN
+from robotkube.foundation.documents.core.reader import Reader
+from robotkube.foundation.documents.core.yaml_codec import json_problems
+
+TASKS_TOPIC, STATUS_TOPIC = "robotkube/tasks/", "robotkube/task_status/"
+MESSAGE_BYTES_MAX = 256 * 1024
+TEXT_CHARACTERS_MAX = 2000
+NOT_READABLE, TOO_LARGE, NOT_ACCEPTED, UNKNOWN_TASK = "NotReadable", "TooLarge", "NotAccepted", "UnknownTask"
+NOT_REACHED = "NotReached"
+DOOR_REASONS = (NOT_READABLE, TOO_LARGE, NOT_ACCEPTED, UNKNOWN_TASK, NOT_REACHED)
+DOOR_LABEL, DOOR = f"{GROUP}/door", "mqtt"
+LEASE_ANNOTATION = f"{GROUP}/lease-renewed"
+RULE = "asked"  # the rule of a demand that names no event
+
+_ANSWERED = ("observedGeneration", "conditions", "plan", "pullRequest", "commit", "releases")
+
+
+@dataclass(frozen=True)
+class TaskRequest:
+    """A task as an operator writes it: `spec` as it came, without `requester`."""
+
+    id: str
+    spec: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class TaskWithdrawal:
+    """The demand of a task ends."""
+
+    id: str
+
+
+@dataclass(frozen=True)
+class LeaseRenewal:
+    """The lease of a task begins anew."""
+
+    id: str
+
+
+@dataclass(frozen=True)
+class RejectedMessage:
+    """What cannot become a custom resource: a reason of DOOR_REASONS and what to change; `id` where it can be told."""
+
+    reason: str
+    message: str
+    id: str = field(default="")
+
+
+def operator_of(topic: str) -> str:
+    """The operator whose topic this is; empty when it is another topic."""
+    return topic.removeprefix(TASKS_TOPIC) if topic.startswith(TASKS_TOPIC) else ""
+
+
+def read_message(payload: bytes, size: int) -> TaskRequest | TaskWithdrawal | LeaseRenewal | RejectedMessage:
+    """The order in a message of `size` bytes; `payload` may be cut off where that is more than MESSAGE_BYTES_MAX."""
+    if size > MESSAGE_BYTES_MAX:
+        return RejectedMessage(
+            TOO_LARGE, f"{size} bytes; a task has at most {MESSAGE_BYTES_MAX}: put large data elsewhere"
+        )
+    try:
+        document = json.loads(payload.decode(), object_pairs_hook=_pairs, parse_constant=_no_number)
+    except (ValueError, RecursionError) as error:
+        return RejectedMessage(NOT_READABLE, f"no JSON in UTF-8: {_bounded(str(error))}; send one JSON object")
+    if not isinstance(document, dict):
+        return RejectedMessage(
+            NOT_READABLE, f"JSON, but {type(document).__name__} and no object; send {{metadata, spec}}"
+        )
+    try:
+        return _order(document)
+    except DocumentError as error:
+        return RejectedMessage(NOT_READABLE, _bounded("; ".join(error.problems)), _id_of(document))
+
+
+def _pairs(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) != len(pairs):
+        raise ValueError("a key stands twice in one object")
+    return found
+
+
+def _no_number(text: str) -> float:
+    return math.nan if text == "NaN" else math.inf  # json_problems names the key
+
+
+def _order(document: Mapping[str, Any]) -> TaskRequest | TaskWithdrawal | LeaseRenewal:
+    reader = Reader("message")
+    reader.problems += json_problems(document, "")[:20]
+    reader.finish()
+    for word, kind in (("withdraw", TaskWithdrawal), ("renew", LeaseRenewal)):
+        if word in document:
+            reader.mapping(document, "", [word])
+            name = reader.word(document[word], word, SUBDOMAIN)
+            reader.finish()
+            return kind(name)
+    return _ask(reader, document)
+
+
+def _ask(reader: Reader, document: Mapping[str, Any]) -> TaskRequest:
+    found = reader.mapping(document, "", ["metadata", "spec"], ["apiVersion", "kind"])
+    reader.equal(found.get("apiVersion"), "apiVersion", f"{GROUP}/{VERSION}")
+    reader.equal(found.get("kind"), "kind", "TaskDescription")
+    metadata = reader.mapping(found.get("metadata", {}), "metadata", ["name"])
+    name = reader.text(metadata.get("name"), "metadata.name", SUBDOMAIN)
+    spec = found.get("spec", {})
+    if not isinstance(spec, Mapping):
+        reader.problems.append("spec: must be an object")
+        spec = {}
+    if "chain" in spec:
+        reader.problems.append("spec.chain: is set by the platform; remove it")
+    reader.finish()
+    return TaskRequest(name, {key: value for key, value in spec.items() if key != "requester"})
+
+
+def _id_of(document: Mapping[str, Any]) -> str:
+    """The id that a refused document means, when it is a name at all."""
+    metadata = document.get("metadata")
+    named = metadata.get("name") if isinstance(metadata, Mapping) else None
+    found = named or document.get("withdraw") or document.get("renew")
+    return found if isinstance(found, str) and SUBDOMAIN.fullmatch(found) else ""
+
+
+def task_document(operator: str, namespace: str, ask: TaskRequest, now: str) -> dict[str, Any]:
+    """The custom resource of a demand: asked for by the operator, in its namespace. A demand that names no event gets
+    one, made from its own name."""
+    spec = {**ask.spec, "requester": operator}
+    spec.setdefault("event", own_event(namespace, ask.id, now))
+    return {
+        "apiVersion": f"{GROUP}/{VERSION}",
+        "kind": "TaskDescription",
+        "metadata": {"namespace": namespace, "name": ask.id, "labels": {DOOR_LABEL: DOOR}},
+        "spec": spec,
+    }
+
+
+def changed_spec(present: Mapping[str, Any], operator: str, ask: TaskRequest, now: str) -> dict[str, Any]:
+    """The spec that an existing task shall have now: what was asked, with the event it has where none is named."""
+    spec = {**ask.spec, "requester": operator}
+    found = present.get("spec", {})
+    if "event" not in spec:
+        spec["event"] = found.get("event") or own_event(str(present["metadata"]["namespace"]), ask.id, now)
+    if "chain" in found:
+        spec["chain"] = found["chain"]
+    return spec
+
+
+def own_event(namespace: str, name: str, now: str) -> dict[str, Any]:
+    """The event of a demand that names none; `now` is the time of its asking."""
+    trace = hashlib.sha256(f"{namespace}/{name}\0{now}".encode()).hexdigest()[:32]
+    return {"rule": RULE, "id": name, "time": now, "trace": trace}
+
+
+def status_topic(operator: str) -> str:
+    """Where an operator hears what became of its tasks."""
+    return STATUS_TOPIC + operator
+
+
+def status_answer(task: Mapping[str, Any]) -> bytes:
+    """What became of a task, in the words of its status."""
+    status = task.get("status", {})
+    found = {key: status[key] for key in _ANSWERED if key in status}
+    return _json({"id": task["metadata"]["name"], "conditions": [], **found})
+
+
+def gone_answer(name: str) -> bytes:
+    """The task is no longer there: nothing is demanded by it."""
+    return _json({"id": name, "conditions": [], "withdrawn": True})
+
+
+def refusal_answer(refused: RejectedMessage) -> bytes:
+    """Why a message did not become a task."""
+    condition = {"type": "Accepted", "status": "False", "reason": refused.reason, "message": refused.message}
+    return _json({"id": refused.id or None, "conditions": [condition]})
+
+
+def _json(document: Mapping[str, Any]) -> bytes:
+    return json.dumps(document, sort_keys=True, ensure_ascii=False).encode(errors="replace")
+
+
+def _bounded(text: str) -> str:
+    return text if len(text) <= TEXT_CHARACTERS_MAX else f"{text[: TEXT_CHARACTERS_MAX - 1]}…"

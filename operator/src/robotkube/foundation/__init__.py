@@ -1,0 +1,1 @@
+"""What all others stand on: documents, processes, Kubernetes, database and forge."""

@@ -1,0 +1,1 @@
+"""The database: a connection, and accounts with their roles."""

@@ -1,0 +1,73 @@
+"""Accounts of the database (MongoDB or FerretDB), made by its administrator."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pymongo import MongoClient
+from pymongo.errors import ConnectionFailure, OperationFailure, PyMongoError
+
+from robotkube.errors import InputError, UnavailableError
+
+TIMEOUT_MILLISECONDS = 5_000
+AUTHENTICATION_FAILED = 18
+
+
+class MongoAccounts:
+    """The port DatabaseAdministration; the administrator's account is kept in database `admin`."""
+
+    def __init__(self, host: str, port: int, username: str, password: str) -> None:
+        self._where = f"database {host}:{port}"
+        self._address = (host, port)
+        self._administrator = self._connect("admin", username, password)
+
+    def _connect(self, database: str, username: str, password: str) -> MongoClient[dict[str, Any]]:
+        host, port = self._address
+        return MongoClient(
+            host, port, username=username, password=password, authSource=database,
+            serverSelectionTimeoutMS=TIMEOUT_MILLISECONDS, connectTimeoutMS=TIMEOUT_MILLISECONDS,
+            socketTimeoutMS=TIMEOUT_MILLISECONDS, retryWrites=False, directConnection=True,
+        )  # fmt: skip
+
+    def disconnect(self) -> None:
+        """Give the connections back."""
+        self._administrator.close()
+
+    def answers(self) -> bool:
+        """False once it serves and accepts the administrator's password; UnavailableError before."""
+        try:
+            self._administrator["admin"].command("usersInfo", 1)
+        except PyMongoError as error:
+            raise UnavailableError(f"{self._where}: {error}") from error
+        return False
+
+    def make_account(self, database: str, username: str, password: str) -> bool:
+        """An account of `database` with readWrite on it and nothing else; set when something differs."""
+        roles = [{"role": "readWrite", "db": database}]
+        account: dict[str, Any] = {"pwd": password, "roles": roles}
+        try:
+            users = self._administrator[database].command("usersInfo", {"user": username, "db": database})["users"]
+            if not users:
+                self._administrator[database].command("createUser", username, **account)
+                return True
+            if users[0].get("roles") == roles and self._knows(database, username, password):
+                return False
+            self._administrator[database].command("updateUser", username, **account)
+        except ConnectionFailure as error:
+            raise UnavailableError(f"{self._where}: account {username}: {error}") from error
+        except PyMongoError as error:
+            raise InputError(f"{self._where}: account {username} of {database}: {error}") from error
+        return True
+
+    def _knows(self, database: str, username: str, password: str) -> bool:
+        client = self._connect(database, username, password)
+        try:
+            client[database].command("ping")
+            client[database].list_collection_names()
+        except OperationFailure as error:
+            if error.code == AUTHENTICATION_FAILED:
+                return False
+            raise
+        finally:
+            client.close()
+        return True

@@ -1,0 +1,97 @@
+"""A connection to the database by pymongo: account, options, and its errors as ours."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from bson.codec_options import CodecOptions, TypeDecoder, TypeRegistry
+from bson.errors import BSONError
+from bson.int64 import Int64
+from pymongo import MongoClient
+from pymongo.database import Database
+from pymongo.errors import DocumentTooLarge, PyMongoError
+
+from robotkube.errors import DocumentError, UnavailableError
+
+ANSWER_SECONDS_MAX = 5.0
+_ACCOUNT_KEYS = ("username", "password", "host", "port", "database", "authenticationDatabase")
+
+
+@dataclass(frozen=True)
+class DatabaseLogin:
+    """Where the database is and with which account. `authentication_database`: where the account is known."""
+
+    host: str
+    port: int
+    database: str
+    username: str
+    password: str
+    authentication_database: str
+
+
+def read_account(folder: Path) -> DatabaseLogin:
+    """Read the mounted Secret `database-account`; DocumentError names the missing or wrong file."""
+    values = {}
+    problems = []
+    for key in _ACCOUNT_KEYS:
+        try:
+            values[key] = (folder / key).read_text().strip()
+        except OSError as error:
+            problems.append(f"{key}: {error.strerror}; is the Secret mounted there?")
+    if not problems and not values["port"].isdigit():
+        problems.append("port: must be a number")
+    if problems:
+        raise DocumentError(str(folder), problems)
+    return DatabaseLogin(
+        host=values["host"],
+        port=int(values["port"]),
+        database=values["database"],
+        username=values["username"],
+        password=values["password"],
+        authentication_database=values["authenticationDatabase"],
+    )
+
+
+class _PlainInteger(TypeDecoder):
+    """Long integers come as int: the library's own kind is one that others, such as YAML, do not write."""
+
+    bson_type = Int64
+
+    def transform_bson(self, value: Any) -> int:
+        """See TypeDecoder."""
+        return int(value)
+
+
+@contextmanager
+def translated(doing: str) -> Iterator[None]:
+    try:
+        yield
+    except (DocumentTooLarge, BSONError) as error:
+        raise DocumentError(f"database, {doing}", [str(error)[:500]]) from error
+    except PyMongoError as error:
+        text = " ".join(str(error).partition(", Topology Description")[0].split())
+        raise UnavailableError(f"database, {doing}: {text[:500]}") from error
+
+
+def connect(account: DatabaseLogin, answer_seconds_max: float = ANSWER_SECONDS_MAX) -> Database[dict[str, Any]]:
+    """The account's database; nothing is sent yet."""
+    client: MongoClient[dict[str, Any]] = MongoClient(
+        account.host,
+        account.port,
+        username=account.username,
+        password=account.password,
+        authSource=account.authentication_database,
+        appname="robotkube",
+        serverSelectionTimeoutMS=int(answer_seconds_max * 1000),
+        connectTimeoutMS=int(answer_seconds_max * 1000),
+        socketTimeoutMS=int(answer_seconds_max * 1000),
+        maxPoolSize=2,
+        retryWrites=False,  # every write may be done twice anyway
+        journal=True,  # acknowledged means on the disk
+    )
+    options: CodecOptions[dict[str, Any]] = CodecOptions(type_registry=TypeRegistry([_PlainInteger()]))
+    return client.get_database(account.database, codec_options=options)

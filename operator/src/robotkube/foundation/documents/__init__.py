@@ -1,0 +1,1 @@
+"""Documents as people and programs write them: strict reading, YAML and JSON, patterns, schemas, templates."""

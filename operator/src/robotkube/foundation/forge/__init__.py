@@ -1,0 +1,1 @@
+"""Git and the hosts of repositories: clones, commits proposed by pull request, reviews, push hooks."""

@@ -1,0 +1,7 @@
+"""Git by libgit2: bare clones of the forge's repositories, commits made in them and proposed, and notes."""
+
+from robotkube.foundation.forge.adapters.git.clones import GitClone
+from robotkube.foundation.forge.adapters.git.notes import GitNotes
+from robotkube.foundation.forge.adapters.git.proposals import ProposalWriter
+
+__all__ = ["GitClone", "GitNotes", "ProposalWriter"]

@@ -1,0 +1,65 @@
+"""The parts that clones, proposals and notes share: a bare clone on disk, its connection to the forge, commits by
+id."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pygit2
+
+from robotkube.errors import InputError
+
+TIMEOUT_MILLISECONDS = 10_000
+SAID_CHARACTERS_MAX = 16_384
+EMAIL_DOMAIN = "robotkube.invalid"
+
+pygit2.settings.server_connect_timeout = TIMEOUT_MILLISECONDS
+pygit2.settings.server_timeout = TIMEOUT_MILLISECONDS
+
+
+class GitConnection(pygit2.RemoteCallbacks):
+    """One connection of an account (name and password). The password is given once: libgit2 would ask for ever. The
+    server's other output is in `said`; `refusal` is its reason against a pushed reference, empty when it accepted
+    that."""
+
+    def __init__(self, account: tuple[str, str]) -> None:
+        super().__init__()
+        self._account = account
+        self._asked = 0
+        self.said = self.refusal = ""
+
+    def credentials(self, url: str, username_from_url: str | None, allowed_types: Any) -> Any:
+        """Name and password; PermissionError when the forge asks again."""
+        self._asked += 1
+        if self._asked > 2:
+            raise PermissionError(f"the forge refused the password of account {self._account[0]}")
+        return pygit2.UserPass(*self._account)
+
+    def sideband_progress(self, string: str) -> None:
+        """Keep the newest SAID_CHARACTERS_MAX of the server's output."""
+        self.said = (self.said + string)[-SAID_CHARACTERS_MAX:]
+
+    def push_update_reference(self, refname: str, message: str | None) -> None:
+        """Keep why a reference was refused."""
+        self.refusal = message or self.refusal
+
+
+def open_clone(folder: Path, url: str, repository: str) -> pygit2.Repository:
+    """The bare clone in `folder`, made when it is not there, of `<organisation>/<name>` at the forge."""
+    clone = pygit2.init_repository(str(folder), bare=True)
+    if "origin" not in list(clone.remotes.names()):
+        clone.remotes.create("origin", f"{url}/{repository}.git")
+    clone.remotes.set_url("origin", f"{url}/{repository}.git")
+    return clone
+
+
+def look_up(repository: pygit2.Repository, commit: str, where: str) -> pygit2.Commit:
+    """The commit with that id; InputError, which names `where`, when it is not in the clone or no commit."""
+    try:
+        git_object = repository[commit]
+    except (KeyError, ValueError) as error:
+        raise InputError(f"{where}: commit {commit!r} is not here; fetch first") from error
+    if not isinstance(git_object, pygit2.Commit):
+        raise InputError(f"{where}: {commit!r} is not a commit")
+    return git_object

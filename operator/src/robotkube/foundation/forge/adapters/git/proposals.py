@@ -1,0 +1,134 @@
+"""The manager's own commits: made in memory on a fetched commit, proposed as pull requests by one AGit push.
+
+`git push origin <commit>:refs/for/main -o topic=... -o title=... -o description=...` opens the pull request;
+the account needs read access to the repository only. Works on the bare clone that a GitClone keeps up to date.
+"""
+
+from __future__ import annotations
+
+import base64
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pygit2
+from pygit2.enums import FileMode
+
+from robotkube.errors import RefusalError, UnavailableError
+from robotkube.foundation.forge.adapters.git.commit_objects import new_objects
+from robotkube.foundation.forge.adapters.git.connection import EMAIL_DOMAIN, GitConnection, look_up
+from robotkube.foundation.forge.core.commit_objects import CommitObjects
+from robotkube.writes import writes
+
+DESCRIPTION_BYTES_MAX = 48 * 1024  # the forge takes 64 KiB per push option; base64 makes a third more
+BRANCHES = "robotkube"
+PROPOSAL_REFERENCE = "refs/proposals-of-mine/current"
+
+_NUMBER = re.compile(r"/pulls/(\d+)\b")
+
+
+class ProposalWriter:
+    """The port Proposals on the bare clone in `folder`. `author` is the name in the commits; `clock` gives seconds.
+
+    `open_pull_request(branch, title, body)` is for forges without AGit: the commit goes to `robotkube/<topic>` and that
+    opens its pull request; such an account must be allowed to push branches. `hand` gets the commit objects of a
+    proposal before it is pushed; it returns at once, and what becomes of that changes nothing here."""
+
+    def __init__(
+        self,
+        folder: Path,
+        username: str,
+        password: str,
+        author: str,
+        clock: Callable[[], float],
+        branch: str = "main",
+        open_pull_request: Callable[[str, str, str], int] | None = None,
+        hand: Callable[[CommitObjects], None] | None = None,
+    ) -> None:
+        self._repository = pygit2.Repository(str(folder))
+        self._account = (username, password)
+        self._author = author
+        self._clock = clock
+        self._branch = branch
+        self._open = open_pull_request
+        self._hand = hand
+
+    def commit(self, parent: str, changes: Mapping[str, str | None], message: str, merged: str = "") -> str:
+        """Make a commit on `parent` and return its id; nothing outside the object store changes. `merged`: a second
+        parent, which gives nothing but its place in history."""
+        base = self._lookup(parent)
+        tree = self._edited(base.tree, _nested(changes))
+        signature = pygit2.Signature(self._author, f"{self._author}@{EMAIL_DOMAIN}", int(self._clock()), 0)
+        if tree is None:
+            tree = self._repository.TreeBuilder().write()
+        parents = [base.id, *([self._lookup(merged).id] if merged else [])]
+        return str(self._repository.create_commit(None, signature, signature, message, tree, parents))
+
+    def _edited(self, tree: pygit2.Tree | None, changes: Mapping[str, Any]) -> pygit2.Oid | None:
+        """`tree` with the nested changes applied; None when nothing is left of it."""
+        builder = self._repository.TreeBuilder(tree) if tree is not None else self._repository.TreeBuilder()
+        for name, change in changes.items():
+            present = tree[name] if tree is not None and name in tree else None
+            if isinstance(change, Mapping):
+                folder = self._edited(present if isinstance(present, pygit2.Tree) else None, change)
+                self._put(builder, name, folder, FileMode.TREE)
+            else:
+                blob = None if change is None else self._repository.create_blob(change.encode())
+                self._put(builder, name, blob, FileMode.BLOB)
+        return builder.write() if len(builder) else None
+
+    @staticmethod
+    def _put(builder: Any, name: str, content: pygit2.Oid | None, mode: FileMode) -> None:
+        if content is not None:
+            builder.insert(name, content, mode)
+        elif builder.get(name) is not None:
+            builder.remove(name)
+
+    @writes("git")
+    def propose(self, commit: str, topic: str, title: str, body: str) -> int | None:
+        """Push `commit` for review; the pull request's number when the forge names it.
+
+        UnavailableError when the forge does not answer; RefusalError when it refuses the push."""
+        git_commit = self._lookup(commit)
+        self._repository.references.create(PROPOSAL_REFERENCE, git_commit.id, force=True)
+        if self._hand is not None and (brought := new_objects(self._repository, git_commit)) is not None:
+            self._hand(brought)
+        text = body.encode()[:DESCRIPTION_BYTES_MAX].decode(errors="ignore")
+        if self._open is None:
+            options = [
+                f"topic={topic}",
+                f"title={title}",
+                "description={base64}" + base64.b64encode(text.encode()).decode(),
+            ]
+            numbers = _NUMBER.findall(self._push(topic, f"refs/for/{self._branch}", options))
+            return int(numbers[-1]) if numbers else None
+        self._push(topic, f"refs/heads/{BRANCHES}/{topic}", [], force=True)
+        return self._open(f"{BRANCHES}/{topic}", title, text)
+
+    def _push(self, topic: str, target: str, options: list[str], force: bool = False) -> str:
+        """Push the commit; the forge's output about it. `force`: a branch of one's own may be pushed again."""
+        connection = GitConnection(self._account)
+        specification = f"{'+' if force else ''}{PROPOSAL_REFERENCE}:{target}"
+        try:
+            self._repository.remotes["origin"].push([specification], callbacks=connection, push_options=options or None)
+        except (pygit2.GitError, PermissionError, OSError) as error:
+            raise UnavailableError(f"proposal {topic}: push: {error}") from error
+        if connection.refusal:
+            raise RefusalError("ProposalRefused", f"the forge refused proposal {topic}: {connection.refusal}")
+        return connection.said
+
+    def _lookup(self, commit: str) -> pygit2.Commit:
+        return look_up(self._repository, commit, "proposals")
+
+
+def _nested(changes: Mapping[str, str | None]) -> dict[str, Any]:
+    """`{a/b/c: text}` as `{a: {b: {c: text}}}`."""
+    root: dict[str, Any] = {}
+    for path, text in changes.items():
+        *folders, name = path.split("/")
+        place = root
+        for folder in folders:
+            place = place.setdefault(folder, {})
+        place[name] = text
+    return root

@@ -1,0 +1,207 @@
+"""The Kubernetes API by its Python client: requests with our errors, and watches that last."""
+
+from __future__ import annotations
+
+import json
+import logging
+import random
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+import urllib3
+from kubernetes import client, config
+from kubernetes.watch.watch import iter_resp_lines
+
+from robotkube.backoffs import Random, backoff
+from robotkube.errors import InputError, UnavailableError
+from robotkube.foundation.documents.core.json_codec import read_json
+from robotkube.foundation.kubernetes.core.objects import object_key
+
+log = logging.getLogger(__name__)
+
+REQUEST_SECONDS_MAX = 10.0
+WATCH_SECONDS = 240
+SILENCE_SECONDS_MAX = WATCH_SECONDS + 20
+BACKOFF_SECONDS_MIN, BACKOFF_SECONDS_MAX = 0.25, 10.0
+PAGE_OBJECTS = 500
+PAGES_MAX = 200
+CONFLICT = 409
+Object = Mapping[str, Any]
+
+
+def api_client(kubeconfig: str | None = None, context: str | None = None, in_cluster: bool = False) -> client.ApiClient:
+    """A client of the API server: the pod's own account, or a kubeconfig (default: KUBECONFIG or ~/.kube/config)."""
+    configuration = client.Configuration()
+    try:
+        if in_cluster:
+            config.load_incluster_config(client_configuration=configuration)
+        else:
+            config.load_kube_config(config_file=kubeconfig, context=context, client_configuration=configuration)
+    except config.ConfigException as error:
+        raise InputError(f"no access to a cluster: {error}; name a kubeconfig by --kubeconfig or KUBECONFIG") from error
+    configuration.retries = False
+    return client.ApiClient(configuration)
+
+
+def call(
+    api: client.ApiClient,
+    method: str,
+    path: str,
+    query: Sequence[tuple[str, str]] = (),
+    body: Object | None = None,
+    content_type: str = "application/json",
+    seconds: float = REQUEST_SECONDS_MAX,
+) -> Any:
+    """The open answer of one request. UnavailableError when nobody answers or the fault passes, InputError when it is
+    refused, KeyError when there is no such object."""
+    headers = {"Accept": "application/json", "Content-Type": content_type}
+    try:
+        return api.call_api(
+            path,
+            method,
+            query_params=list(query),
+            header_params=headers,
+            body=body,
+            auth_settings=["BearerToken"],
+            _preload_content=False,
+            _request_timeout=(REQUEST_SECONDS_MAX, seconds),
+        )
+    except client.ApiException as error:
+        raise _translated(error, f"{method} {path}") from error
+    except (urllib3.exceptions.HTTPError, OSError) as error:
+        raise UnavailableError(f"API server: {method} {path}: {error}") from error
+
+
+def send(api: client.ApiClient, method: str, path: str, body: Object, content_type: str = "application/json") -> None:
+    """A request whose answer says nothing more. It is read to its end, which keeps the connection for the next one: a
+    new one would cost more than the request."""
+    call(api, method, path, body=body, content_type=content_type).read()
+
+
+def _translated(error: client.ApiException, what: str) -> Exception:
+    if error.status == 404:
+        return KeyError(what)
+    text = f"API server: {what}: {error.status} {_message(error)}"
+    passing = error.status in (0, 409, 410, 429) or error.status >= 500
+    return UnavailableError(text) if passing else InputError(text)
+
+
+def _message(error: client.ApiException) -> str:
+    try:
+        return str(json.loads(error.body)["message"])
+    except (ValueError, KeyError, TypeError):
+        return str(error.reason)
+
+
+class ResourceWatch:
+    """All objects of one kind, reduced by `reduce`, by `<namespace>/<name>`.
+
+    `changed` is called with key, value before and value now (None: not there) from the watch's thread, only when the
+    reduced value differs.
+    """
+
+    def __init__(
+        self,
+        api: client.ApiClient,
+        path: str,
+        selector: str,
+        reduce: Callable[[Object], Any],
+        changed: Callable[[str, Any, Any], None],
+        jitter: Random = random.random,
+    ) -> None:
+        self._api, self._path, self._selector, self._jitter = api, path, selector, jitter
+        self._reduce, self._changed = reduce, changed
+        self._values: dict[str, Any] = {}
+        self._lock = threading.Lock()
+        self._stopping = threading.Event()
+        self.synced = threading.Event()
+        self.complaint = f"{path} was not listed yet"
+
+    def values(self) -> dict[str, Any]:
+        """A snapshot."""
+        with self._lock:
+            return dict(self._values)
+
+    def start(self) -> None:
+        """Begin on a thread of its own."""
+        threading.Thread(target=self._run, name=f"watch {self._path}", daemon=True).start()
+
+    def stop(self) -> None:
+        """End within the silence of a watch; the thread does not hold the process."""
+        self._stopping.set()
+
+    def _run(self) -> None:
+        failures, version = 0, ""
+        while not self._stopping.is_set():
+            try:
+                version = self._follow(version or self._list())
+                self.complaint, failures = "", 0
+            except (UnavailableError, InputError, KeyError, ValueError) as error:
+                self.complaint = f"{self._path}: {error}"
+                log.warning("watch interrupted path=%s reason=%s", self._path, error)
+                version = ""
+                self._stopping.wait(backoff(failures, BACKOFF_SECONDS_MIN, BACKOFF_SECONDS_MAX, self._jitter))
+                failures += 1
+
+    def _list(self) -> str:
+        """Replace all values; the position from which changes follow."""
+        found: dict[str, Any] = {}
+        query, version = [("limit", str(PAGE_OBJECTS)), ("labelSelector", self._selector)], ""
+        token = ""
+        for _ in range(PAGES_MAX):
+            answer = read_json(call(self._api, "GET", self._path, [*query, ("continue", token)]).data)
+            found |= {object_key(item): self._reduce(item) for item in answer.get("items", [])}
+            version, token = answer["metadata"]["resourceVersion"], answer["metadata"].get("continue", "")
+            if not token:
+                break
+        else:
+            raise InputError(f"more than {PAGES_MAX * PAGE_OBJECTS} objects; remove old ones")
+        before = self.values()
+        for key in sorted({*before, *found}):
+            self._set(key, found.get(key))
+        self.complaint = ""
+        self.synced.set()
+        return str(version)
+
+    def _follow(self, version: str) -> str:
+        """Changes until the server ends the watch; the position reached."""
+        query = [
+            ("watch", "true"),
+            ("allowWatchBookmarks", "true"),
+            ("resourceVersion", version),
+            ("timeoutSeconds", str(WATCH_SECONDS)),
+            ("labelSelector", self._selector),
+        ]
+        answer = call(self._api, "GET", self._path, query, seconds=SILENCE_SECONDS_MAX)
+        try:
+            for event in self._events(answer):
+                item = event["object"]
+                if event["type"] == "ERROR":
+                    raise UnavailableError(f"watch refused: {item.get('message', item)}")
+                version = str(item["metadata"]["resourceVersion"])
+                if event["type"] != "BOOKMARK":
+                    self._set(object_key(item), None if event["type"] == "DELETED" else self._reduce(item))
+        finally:
+            answer.close()
+            answer.release_conn()
+        return version
+
+    def _events(self, answer: Any) -> Iterator[dict[str, Any]]:
+        try:
+            for line in iter_resp_lines(answer):
+                if self._stopping.is_set():
+                    return
+                yield read_json(line)
+        except (urllib3.exceptions.HTTPError, OSError) as error:
+            raise UnavailableError(f"watch ended: {error}") from error
+
+    def _set(self, key: str, value: Any) -> None:
+        with self._lock:
+            before = self._values.get(key)
+            if value is None:
+                self._values.pop(key, None)
+            else:
+                self._values[key] = value
+        if before != value:
+            self._changed(key, before, value)

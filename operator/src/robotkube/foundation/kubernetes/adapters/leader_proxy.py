@@ -1,0 +1,53 @@
+"""A proxy from a process that waits to the one that leads: it forwards requests over HTTP and returns the answer.
+
+A Service reaches any of a manager's processes; only the one that leads knows the plans and can say what would become of
+a task. A request that was forwarded once is not forwarded again.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+
+import httpx
+
+from robotkube.foundation.kubernetes.ports import Leadership
+
+ANSWER_SECONDS_MAX = 20.0
+HANDED_ON = "x-robotkube-handed-on"
+KEPT = ("content-type", "x-gitea-", "x-github-", "x-gitlab-", "x-hub-")  # the headers that name and sign a delivery
+TEXT = "text/plain; charset=utf-8"
+
+log = logging.getLogger(__name__)
+
+
+class LeaderRequests:
+    """Answers requests through the leader; a call is safe from any thread."""
+
+    def __init__(self, leadership: Leadership, seconds_max: float = ANSWER_SECONDS_MAX) -> None:
+        self._leadership = leadership
+        limits = httpx.Limits(max_keepalive_connections=0)  # the next leader is another process
+        self._client = httpx.Client(timeout=seconds_max, limits=limits, trust_env=False)
+
+    def __call__(self, method: str, path: str, headers: Mapping[str, str], body: bytes) -> tuple[int, str, str] | None:
+        """Status, text and content type of the leader's answer (`headers` with lower-case names); 503 when nobody is
+        known to lead or the leader does not answer; None when this process leads."""
+        if self._leadership.term() is not None:
+            return None
+        address = self._leadership.leader()
+        if address is None or HANDED_ON in headers:
+            return 503, "no process of this manager leads at this moment; ask again\n", TEXT
+        kept = {name: value for name, value in headers.items() if name.startswith(KEPT)}
+        try:
+            answer = self._client.request(
+                method, f"http://{address}{path}", content=body, headers={**kept, HANDED_ON: "1"}
+            )
+        except httpx.HTTPError as error:
+            reason = f"the process that leads does not answer at {address}: {error or type(error).__name__}"
+            log.warning("request not forwarded path=%s reason=%s", path, reason)
+            return 503, f"{reason}\n", TEXT
+        return answer.status_code, answer.text, answer.headers.get("content-type", TEXT)
+
+    def close(self) -> None:
+        """Give connections back."""
+        self._client.close()

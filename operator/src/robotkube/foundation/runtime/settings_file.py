@@ -1,0 +1,147 @@
+"""Reading settings files of the platform's processes (docs/reference/settings.md), and sending their logs as lines.
+
+Every problem of a file is named at once, with its key; secrets are files, read once at the start.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from robotkube.errors import DocumentError, InputError
+from robotkube.foundation.documents.core.patterns import WORD
+from robotkube.foundation.documents.core.reader import Reader
+from robotkube.foundation.documents.core.yaml_codec import read_mapping
+from robotkube.foundation.runtime.process import Process, read_secret, read_text
+
+LOG_LEVELS = ("debug", "info", "warning", "error")
+PATH = re.compile(r"/[^\0]*")
+PORT_MAX = 65535
+
+_FIELD = re.compile(r" ([a-z_]+)=('(?:[^'\\]|\\.)*'|\"(?:[^\"\\]|\\.)*\"|\S+)")
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Credentials:
+    """An account: the two files of a credentials folder."""
+
+    username: str
+    password: str
+
+
+@dataclass(frozen=True)
+class Listen:
+    """Address and port at which a process serves HTTP."""
+
+    address: str
+    port: int
+
+
+def settings_path(environment: Mapping[str, str] = os.environ) -> Path:
+    """Path of the settings file."""
+    return Path(environment.get("ROBOTKUBE_CONFIG", "/etc/robotkube/config.yaml"))
+
+
+def read_settings(path: Path, read: Callable[[Reader, Mapping[str, Any]], T]) -> T:
+    """The settings in the file at `path`, as `read` makes them; DocumentError names the file and every problem."""
+    reader = Reader(str(path))
+    document = read_mapping(read_text(path, "settings"), str(path))
+    try:
+        settings = read(reader, document)
+    except (InputError, TypeError, ValueError, AttributeError, KeyError) as error:
+        if not reader.problems:
+            raise
+        raise DocumentError(str(path), reader.problems) from error
+    reader.finish()
+    return settings
+
+
+def credentials(reader: Reader, value: Any, path: str) -> Credentials:
+    """Account in the folder that `value` names."""
+    folder = reader.word(value, path, PATH)
+    return Credentials(_secret(reader, folder, "username", path), _secret(reader, folder, "password", path))
+
+
+def secret(reader: Reader, value: Any, path: str) -> str:
+    """Content of the secret file that `value` names."""
+    place = Path(reader.word(value, path, PATH))
+    return _secret(reader, str(place.parent), place.name, path)
+
+
+def _secret(reader: Reader, folder: str, name: str, path: str) -> str:
+    if not folder or not name:
+        return ""
+    try:
+        text = read_secret(Path(folder), name)
+    except InputError as error:
+        reader.problems.append(f"{path}: {error}")
+        return ""
+    if not text:
+        reader.problems.append(f"{path}: {folder}/{name} is empty; put the secret into it")
+    return text
+
+
+def listen(reader: Reader, value: Any, path: str = "listen") -> Listen:
+    """Address and port."""
+    settings = reader.mapping(value or {}, path, ["address", "port"])
+    port = settings.get("port")
+    if not isinstance(port, int) or isinstance(port, bool) or not 0 <= port <= PORT_MAX:
+        reader.problems.append(f"{path}.port: must be a whole number from 0 to {PORT_MAX}")
+        port = 0
+    return Listen(reader.word(settings.get("address"), f"{path}.address", WORD), port)
+
+
+def log_level(reader: Reader, value: Any, path: str = "log_level") -> str:
+    """One of LOG_LEVELS."""
+    if value not in LOG_LEVELS:
+        reader.problems.append(f"{path}: must be one of {', '.join(LOG_LEVELS)}")
+        return "info"
+    return str(value)
+
+
+def agent_namespaces(reader: Reader, value: Any, path: str = "agents") -> frozenset[str]:
+    """Namespaces of the declared agents."""
+    namespaces = set()
+    for index, item in enumerate(reader.sequence(value, path)):
+        agent = reader.mapping(item, f"{path}[{index}]", ["name", "role", "namespace", "records"])
+        namespaces.add(reader.word(agent.get("namespace"), f"{path}[{index}].namespace", WORD))
+    return frozenset(namespaces - {""})
+
+
+class _ProcessLogHandler(logging.Handler):
+    """Log handler that writes records of loops and adapters as lines of the process: `event key=value ...` becomes
+    fields."""
+
+    def __init__(self, process: Process) -> None:
+        super().__init__()
+        self._process = process
+
+    def emit(self, record: logging.LogRecord) -> None:
+        event, fields = split_message(record.getMessage())
+        if record.exc_info and record.exc_info[1]:
+            fields["error"] = f"{record.exc_info[0].__name__ if record.exc_info[0] else ''}: {record.exc_info[1]}"
+        fields.pop("event", None)
+        self._process.log(event, **{**fields, "level": record.levelname.lower()})
+
+
+def split_message(message: str) -> tuple[str, dict[str, str]]:
+    """`event key=value key='quoted value'` as event and fields; a last field `reason=` has the rest of the line."""
+    message, separator, reason = message.partition(" reason=")
+    fields = {key: value.strip("'\"") for key, value in _FIELD.findall(message)}
+    if separator:
+        fields["reason"] = reason
+    return _FIELD.sub("", message), fields
+
+
+def send_logs(process: Process, level: str) -> None:
+    """Let loops and adapters log through `process` from now on; libraries only from warnings on."""
+    root = logging.getLogger()
+    root.handlers[:] = [_ProcessLogHandler(process)]
+    root.setLevel(logging.WARNING)
+    logging.getLogger("robotkube").setLevel(level.upper())

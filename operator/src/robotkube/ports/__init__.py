@@ -1,1 +1,0 @@
-"""The ports: what services need of the world; adapters and `testing` implement them. One module per part."""

@@ -1,0 +1,1 @@
+"""The catalogue: applications and chart versions, validation, search, the graph of upgrades."""

@@ -1,0 +1,104 @@
+"""Problems of a chart version's entry, alone and against the chart next to the registry: images, interfaces, values."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from typing import Any
+
+from robotkube.errors import DocumentError
+from robotkube.registry.catalogue.core.chart_versions import ChartVersion
+from robotkube.registry.catalogue.core.expected_topics import declaration_checks, expected_topics
+from robotkube.registry.catalogue.core.sources import CatalogueSources, ChartFolder, SourceProblem, Tools
+from robotkube.registry.catalogue.core.template_validation import (
+    AGENT,
+    Problem,
+    rendered,
+    texts,
+    unknown_references,
+    value_problems,
+)
+from robotkube.registry.charts.core.values_schemas import overlay
+
+_SET_NAMES = {"agent": None, "start_ns": None}
+_SET_SAMPLE = {"agent": AGENT, "start_ns": 1_793_268_000_000_000_000}
+_INTERFACE_TEMPLATES = ("topic", "type", "qos", "encoding")
+
+
+def chart_problems(version: ChartVersion, folder: ChartFolder | None, tools: Tools) -> Iterator[Problem]:
+    """What is wrong with one version; `folder` is its chart, None when there is none of this version."""
+    yield from _interface_names(version, tools)
+    filled, problems = _filled_sets(version, tools)
+    yield from problems
+    if folder is None:
+        return
+    yield from _images(version, folder)
+    for index, values in filled.items():
+        yield from value_problems(folder, values, f"spec.suites.sets[{index}].values", tools)
+    if not problems:
+        yield from _topics(version, folder, filled, tools)
+
+
+def _interface_names(version: ChartVersion, tools: Tools) -> Iterator[Problem]:
+    for index, interface in enumerate(version.interfaces):
+        path = f"spec.interfaces[{index}]"
+        variables = frozenset(interface.get("forEach") or ())
+        parts = {key: interface[key] for key in _INTERFACE_TEMPLATES if key in interface}
+        templates = [*texts(interface.get("forEach"), f"{path}.forEach", frozenset()), *texts(parts, path, variables)]
+        for where, text, known in templates:
+            yield from unknown_references(where, text, {"values": None}, known, tools)
+
+
+def _filled_sets(version: ChartVersion, tools: Tools) -> tuple[dict[int, Mapping[str, Any]], list[Problem]]:
+    """The values of every test set that could be rendered, and what could not."""
+    filled: dict[int, Mapping[str, Any]] = {}
+    problems: list[Problem] = []
+    for index, item in enumerate(version.suites.get("sets", ())):
+        path = f"spec.suites.sets[{index}]"
+        unknown = [
+            problem
+            for where, text, variables in texts(item, path, frozenset())
+            for problem in unknown_references(where, text, _SET_NAMES, variables, tools)
+        ]
+        values, more = rendered(item, path, _SET_SAMPLE, tools)
+        problems += unknown or more
+        if not unknown and not more:
+            filled[index] = values["values"]
+    return filled, problems
+
+
+def _topics(
+    version: ChartVersion, folder: ChartFolder, filled: Mapping[int, Mapping[str, Any]], tools: Tools
+) -> Iterator[Problem]:
+    """Problems for which the interface suite would refuse before it installs anything."""
+    expected = {}
+    for index, values in filled.items():
+        try:
+            expected[str(index)] = expected_topics(version.interfaces, overlay(folder.values, values), tools.render)
+        except DocumentError as error:
+            yield "spec.interfaces", f"with the values of spec.suites.sets[{index}]: {error}; correct one of them"
+    if filled and len(expected) == len(filled):
+        for check in declaration_checks(version.interfaces, expected):
+            if not check.passed:
+                yield "spec.interfaces", f"{check.name}: {check.found}; {check.fix}"
+
+
+def _images(version: ChartVersion, folder: ChartFolder) -> Iterator[Problem]:
+    if folder.images is not None and set(folder.images) != set(version.images):
+        has = ", ".join(sorted(folder.images)) or "none"
+        text = f"{', '.join(version.images) or 'none'} here, {has} in the annotation robotkube.io/images"
+        yield "spec.images", f"{text} of {folder.path}/Chart.yaml; name the same images in both"
+
+
+def folder_findings(
+    sources: CatalogueSources, charts: Mapping[str, Sequence[ChartVersion]], broken: AbstractSet[str]
+) -> Iterator[SourceProblem]:
+    """Charts next to the registry whose version has no entry."""
+    for folder in sources.folders.values():
+        if folder.name not in broken and not any(v.version == folder.version for v in charts.get(folder.name, ())):
+            entry = f"{sources.root}/charts/{folder.name}/{folder.version}.yaml"
+            has = ", ".join(v.version for v in charts.get(folder.name, ())) or "none"
+            text = f"{folder.version} has no entry in the catalogue (entries: {has})"
+            yield SourceProblem(
+                f"{folder.path}/Chart.yaml", "version", f"{text}; write {entry}, or correct the version"
+            )

@@ -1,0 +1,153 @@
+"""Versions of charts: as their sources describe them, and with the status that the gate writes when it publishes
+them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+from robotkube.foundation.documents.core.entry_reader import EntryReader, read_one_of, read_words
+from robotkube.foundation.documents.core.patterns import (
+    CAPABILITY,
+    DIGEST,
+    FILES_KEPT_MAX,
+    IMAGE_BY_DIGEST,
+    NAME,
+    VERSION,
+)
+from robotkube.foundation.documents.core.reader import Reader
+from robotkube.registry.catalogue.core.entries import read_description, read_head
+from robotkube.registry.catalogue.core.guarantees import Guarantee, read_guarantees
+from robotkube.registry.catalogue.core.interface_declarations import read_interfaces, read_suites
+from robotkube.registry.charts.core.packing import published_digest
+from robotkube.registry.charts.core.references import ChartReference
+
+STATES = ("staged", "verified", "withdrawn")
+CHANNELS = ("stable", "candidate")
+PLATFORMS = ("linux/amd64", "linux/arm64")
+NO_EVIDENCE = "its evidence was not assessed"
+
+_QUANTITY = {
+    "cpu": re.compile(r"[0-9]{1,6}(\.[0-9]{1,3})?|[0-9]{1,9}m", re.ASCII),
+    "memory": re.compile(r"[0-9]{1,9}(Ki|Mi|Gi)", re.ASCII),
+}
+_OPTIONAL = ("provides", "replaces", "skips", "resources", "guarantees", "interfaces", "suites")
+
+
+@dataclass(frozen=True)
+class ChartVersion:
+    """One version of a chart.
+
+    `state` and `digest` (OCI manifest digest) are empty in a source; `images` are names, `image_references` what the
+    published status pins. `evidence` is the digest of the summary's envelope and `policy` that of its policy, as the
+    status says it; `assured` only when that evidence was checked, else `doubt` says what is missing.
+    `interfaces` and `suites` are as written: templates over the chart's values. `entry` is the digest of everything
+    that a published entry says (`packing.published_digest`).
+    """
+
+    chart: str
+    version: str
+    state: str
+    digest: str
+    description: str = ""
+    channel: str = "stable"
+    platforms: tuple[str, ...] = ()
+    images: tuple[str, ...] = ()
+    provides: tuple[str, ...] = ()
+    replaces: str = ""
+    skips: tuple[str, ...] = ()
+    resources: Mapping[str, str] = field(default_factory=dict)
+    guarantees: tuple[Guarantee, ...] = ()
+    interfaces: tuple[Mapping[str, Any], ...] = ()
+    suites: Mapping[str, Any] = field(default_factory=dict)
+    image_references: tuple[str, ...] = ()
+    evidence: str = ""
+    policy: str = ""
+    entry: str = ""
+    assured: bool = False
+    doubt: str = NO_EVIDENCE
+
+    @property
+    def reference(self) -> ChartReference:
+        """As trailers name it."""
+        return ChartReference(self.chart, self.version, self.digest)
+
+
+@lru_cache(FILES_KEPT_MAX)
+def read_chart_version(text: str, path: str, published: bool = True) -> ChartVersion:
+    """The chart version in `text`; its path says chart and version. DocumentError names every problem.
+
+    `published`: it comes from the catalogue repository and must have a status; a source must not have one."""
+    reader = EntryReader(path)
+    document, chart = read_head(reader, text, "ChartVersion", ["status"])
+    spec = reader.mapping(
+        document.get("spec") or {}, "spec", ["version", "description", "channel", "platforms", "images"], _OPTIONAL
+    )
+    version = reader.word(spec.get("version"), "spec.version", VERSION)
+    reader.equal(path, "path", f"charts/{chart}/{version}.yaml")
+    attributes = {**_spec(reader, spec), **_status(reader, document, published)}
+    _suite_images(reader, attributes["images"], attributes["suites"])
+    reader.finish()
+    entry = published_digest(spec, attributes["image_references"]) if published else ""
+    return ChartVersion(chart, version, entry=entry, **attributes)
+
+
+def _spec(reader: Reader, spec: Mapping[str, Any]) -> dict[str, Any]:
+    version = spec.get("version")
+    attributes = {
+        "description": read_description(reader, spec.get("description"), "spec.description"),
+        "channel": read_one_of(reader, spec.get("channel"), "spec.channel", CHANNELS),
+        "platforms": tuple(
+            read_one_of(reader, word, f"spec.platforms[{index}]", PLATFORMS)
+            for index, word in enumerate(reader.sequence(spec.get("platforms"), "spec.platforms"))
+        ),
+        "images": read_words(reader, spec.get("images"), "spec.images", NAME),
+        "provides": read_words(reader, spec.get("provides"), "spec.provides", CAPABILITY),
+        "replaces": reader.word(spec.get("replaces"), "spec.replaces", VERSION, default=""),
+        "skips": read_words(reader, spec.get("skips"), "spec.skips", VERSION),
+        "resources": _resources(reader, spec.get("resources")),
+        "guarantees": read_guarantees(reader, spec.get("guarantees"), "spec.guarantees"),
+        "interfaces": read_interfaces(reader, spec.get("interfaces"), "spec.interfaces"),
+        "suites": read_suites(reader, spec.get("suites"), "spec.suites"),
+    }
+    if "platforms" in spec and not attributes["platforms"]:
+        reader.problems.append("spec.platforms: must name at least one platform")
+    if version and version == attributes["replaces"]:
+        reader.problems.append(f"spec.replaces: {version} is this version itself; name the one before it")
+    return attributes
+
+
+def _resources(reader: Reader, value: Any) -> Mapping[str, str]:
+    if value is None:
+        return {}
+    resources = reader.mapping(value, "spec.resources", list(_QUANTITY))
+    return {key: reader.word(resources.get(key), f"spec.resources.{key}", _QUANTITY[key]) for key in _QUANTITY}
+
+
+def _suite_images(reader: Reader, images: tuple[str, ...], suites: Mapping[str, Any]) -> None:
+    sets = suites.get("sets")
+    for index, item in enumerate(sets if isinstance(sets, list) else []):
+        prepare = item.get("prepare") if isinstance(item, Mapping) else None
+        image = prepare.get("image") if isinstance(prepare, Mapping) else None
+        if isinstance(image, str) and image not in images:
+            reader.problems.append(f"spec.suites.sets[{index}].prepare.image: {image!r} is not among spec.images")
+
+
+def _status(reader: Reader, document: Mapping[str, Any], published: bool) -> dict[str, Any]:
+    if not published:
+        if "status" in document:
+            reader.problems.append("status: is written by the gate when it publishes; remove it from the source")
+        return {"state": "", "digest": ""}
+    status = reader.mapping(
+        document.get("status") or {}, "status", ["state", "digest"], ["images", "evidence", "policy"]
+    )
+    return {
+        "state": read_one_of(reader, status.get("state"), "status.state", STATES),
+        "digest": reader.text(status.get("digest"), "status.digest", DIGEST),
+        "image_references": read_words(reader, status.get("images"), "status.images", IMAGE_BY_DIGEST),
+        "evidence": reader.word(status.get("evidence"), "status.evidence", DIGEST, default=""),
+        "policy": reader.word(status.get("policy"), "status.policy", DIGEST, default=""),
+    }

@@ -1,0 +1,1 @@
+"""Charts: packing, OCI registry, rendering by helm, schemas of values."""

@@ -1,0 +1,157 @@
+"""The calls of the distribution specification: manifests and blobs, bounded, with basic authentication.
+
+Tags are never replaced: registries like Gitea delete the manifest a tag pointed to when another is written to it, and
+releases that pin its digest would not find it again.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import httpx
+
+from robotkube.errors import InputError, UnavailableError
+from robotkube.foundation.documents.core.digests import sha256
+from robotkube.registry.charts.core.packing import MANIFEST_TYPE
+from robotkube.registry.charts.core.referrers import INDEX_TYPE
+
+TIMEOUT = httpx.Timeout(30.0, write=120.0, read=120.0)
+MANIFEST_BYTES_MAX = 4 << 20
+TEXT_CHARACTERS_MAX = 300  # of a registry's answer in a message
+READING = {"Accept": f"{MANIFEST_TYPE}, {INDEX_TYPE}", "Accept-Encoding": "identity"}
+
+
+class RegistryConnection:
+    """One registry; `url` is `http(s)://host:port`. Several threads may use it."""
+
+    def __init__(self, url: str, user: str, password: str) -> None:
+        auth = httpx.BasicAuth(user, password) if user else None
+        self.url = url.rstrip("/")
+        self._user = user
+        self._client = httpx.Client(base_url=f"{self.url}/v2/", auth=auth, timeout=TIMEOUT, trust_env=False)
+        self._held: dict[str, str] = {}  # blob digest -> a repository of this registry that has it
+
+    def disconnect(self) -> None:
+        """Close the connections."""
+        self._client.close()
+
+    def manifest(self, repository: str, reference: str, bytes_max: int = MANIFEST_BYTES_MAX) -> bytes | None:
+        """The manifest that a tag or digest names; None if there is none. InputError when it is not the bytes that a
+        digest names, or more than `bytes_max`."""
+        data = self._fetch(f"{repository}/manifests/{reference}", f"manifest {repository}:{reference}", bytes_max)
+        if data is not None and reference.startswith("sha256:") and sha256(data) != reference:
+            raise InputError(f"registry {self.url}: {repository}@{reference} is {sha256(data)}; it cannot be trusted")
+        return data
+
+    def blob(self, repository: str, digest: str, bytes_max: int) -> bytes:
+        """The bytes of a blob. InputError when there is none, other bytes, or more than `bytes_max`."""
+        data = self._fetch(f"{repository}/blobs/{digest}", f"blob {digest} of {repository}", bytes_max)
+        if data is None:
+            raise InputError(f"registry {self.url}: {repository} has no blob {digest}; push it again")
+        if sha256(data) != digest:
+            raise InputError(f"registry {self.url}: blob {digest} of {repository} has other bytes than it should")
+        return data
+
+    def tags(self, repository: str) -> tuple[str, ...]:
+        """The tags of a repository, sorted; empty if there is no such repository."""
+        answer = self._call("GET", f"{repository}/tags/list")
+        if answer.status_code == httpx.codes.NOT_FOUND:
+            return ()
+        listing = self._expect(answer, f"tags of {repository}", httpx.codes.OK).json()
+        return tuple(sorted(listing.get("tags") or ()))
+
+    def refuse_replacing(self, repository: str, tag: str, digest: str) -> bool:
+        """Whether `tag` is there already, with `digest`; InputError when it is there with another one."""
+        present = self.manifest(repository, tag)
+        if present is not None and sha256(present) != digest:
+            raise InputError(
+                f"{self.url}/{repository}:{tag} is {sha256(present)}, what would be pushed is {digest}; "
+                "a version is never replaced: raise `version` in Chart.yaml (or choose another tag)"
+            )
+        return present is not None
+
+    def put_manifest(self, repository: str, reference: str, manifest: bytes) -> None:
+        """Write a manifest or index under a tag or its digest."""
+        kind = json.loads(manifest).get("mediaType", MANIFEST_TYPE)
+        path = f"{repository}/manifests/{reference}"
+        answer = self._call("PUT", path, content=manifest, headers={"Content-Type": kind})
+        self._expect(answer, f"manifest {repository}:{reference}", httpx.codes.CREATED)
+
+    def put_blob(self, repository: str, digest: str, content: bytes | Iterator[bytes], size: int) -> None:
+        """Write a blob unless the registry has it, here or in a repository it can be mounted from."""
+        location = self._begin(repository, digest)
+        if location:
+            self._finish(repository, location, digest, content, size)
+
+    def copy_blob(self, source: str, target: str, digest: str, size: int) -> None:
+        """Bring a blob of `source` to `target`: mounted when the registry can, else through here."""
+        self._held.setdefault(digest, source)
+        location = self._begin(target, digest)
+        if location:
+            self._finish(target, location, digest, self.blob(source, digest, size), size)
+
+    def _fetch(self, path: str, what: str, bytes_max: int) -> bytes | None:
+        """The body of at most `bytes_max` bytes; None when there is nothing."""
+        try:
+            with self._client.stream("GET", path, headers=READING, follow_redirects=True) as answer:
+                if answer.status_code == httpx.codes.NOT_FOUND:
+                    return None
+                if answer.status_code != httpx.codes.OK:
+                    answer.read()
+                    self._expect(answer, what, httpx.codes.OK)
+                return self._bounded(answer, what, bytes_max)
+        except httpx.HTTPError as error:
+            raise self._unavailable("GET", path, error) from error
+
+    def _bounded(self, answer: httpx.Response, what: str, bytes_max: int) -> bytes:
+        data = bytearray()
+        for chunk in answer.iter_raw():
+            data += chunk
+            if len(data) > bytes_max:
+                raise InputError(f"registry {self.url}: {what} is longer than {bytes_max} bytes; it is not taken")
+        return bytes(data)
+
+    def _begin(self, repository: str, digest: str) -> str | None:
+        """Where to send a blob; None when that is not needed."""
+        if self._call("HEAD", f"{repository}/blobs/{digest}").status_code == httpx.codes.OK:
+            self._held.setdefault(digest, repository)
+            return None
+        source = self._held.get(digest)
+        question = {"mount": digest, "from": source} if source else {}
+        answer = self._call("POST", f"{repository}/blobs/uploads/", params=question)
+        if answer.status_code == httpx.codes.CREATED:
+            return None
+        self._expect(answer, f"upload to {repository}", httpx.codes.ACCEPTED)
+        return answer.headers["Location"]
+
+    def _finish(self, repository: str, location: str, digest: str, content: bytes | Iterator[bytes], size: int) -> None:
+        headers = {"Content-Type": "application/octet-stream", "Content-Length": str(size)}
+        target = httpx.URL(f"{self.url}/v2/").join(location).copy_merge_params({"digest": digest})
+        answer = self._call("PUT", str(target), content=content, headers=headers)
+        self._expect(answer, f"blob {digest} of {repository}", httpx.codes.CREATED)
+        self._held[digest] = repository
+
+    def _call(self, method: str, path: str, **more: Any) -> httpx.Response:
+        try:
+            return self._client.request(method, path, **more)
+        except httpx.HTTPError as error:
+            raise self._unavailable(method, path, error) from error
+
+    def _unavailable(self, method: str, path: str, error: httpx.HTTPError) -> UnavailableError:
+        reason = error or type(error).__name__
+        return UnavailableError(f"registry {self.url}: {method} {path.partition('?')[0]}: {reason}")
+
+    def _expect(self, answer: httpx.Response, what: str, code: int) -> httpx.Response:
+        if answer.status_code == code:
+            return answer
+        text = answer.text[:TEXT_CHARACTERS_MAX].strip()
+        if answer.status_code in (httpx.codes.UNAUTHORIZED, httpx.codes.FORBIDDEN):
+            raise InputError(
+                f"registry {self.url}: {what}: "
+                f"account {self._user or '(none)'} may not do this: {text}; check account and team"
+            )
+        if answer.status_code >= httpx.codes.INTERNAL_SERVER_ERROR:
+            raise UnavailableError(f"registry {self.url}: {what}: {answer.status_code} {text}")
+        raise InputError(f"registry {self.url}: {what}: answered {answer.status_code}, expected {int(code)}: {text}")

@@ -1,0 +1,71 @@
+"""The OCI registry as gate and suites use it: charts by digest, and what is attached to them."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from robotkube.registry.charts.core.packing import PulledChart
+
+
+@dataclass(frozen=True)
+class Attachment:
+    """Something attached to a manifest: `digest` is that of the artefact's own manifest, `data` its one layer."""
+
+    digest: str
+    artifact_type: str
+    data: bytes
+    annotations: Mapping[str, str]
+
+
+class ChartRegistry(Protocol):
+    """One registry. `repository` is `<organisation>/<chart>`, digests are `sha256:<hex>`.
+
+    UnavailableError: the registry does not answer; a caller may try again. InputError: what was asked for is not there,
+    is not what its digest says, is beyond a bound, or the account may not do this.
+    """
+
+    def manifest_digest(self, repository: str, reference: str) -> str | None:
+        """The digest of the manifest that a tag or digest names; None if there is none."""
+        ...
+
+    def pull_chart(self, repository: str, digest: str) -> PulledChart:
+        """The chart of that digest, unpacked in memory within fixed bounds."""
+        ...
+
+    def attach(
+        self, repository: str, subject: str, artifact_type: str, data: bytes, annotations: Mapping[str, str]
+    ) -> str:
+        """Attach `data` to the manifest `subject`; the digest of the artefact. The same again changes nothing.
+
+        The list of attachments is changed under the lock the registry was made with: two at once keep both."""
+        ...
+
+    def attachments(self, repository: str, subject: str) -> Sequence[Attachment]:
+        """Everything attached to `subject`, in the order of attaching; empty when there is nothing."""
+        ...
+
+    def copy_chart(self, source: str, target: str, digest: str, tag: str, attachments: Collection[str]) -> None:
+        """Copy the chart `digest` from repository `source` to `target` under `tag`, with the named attachments (digests
+        of artefacts that are attached at `source`) and no others; the chart's tag is written last.
+
+        The same again changes nothing. InputError when `tag` is there with another digest (a tag is never overwritten)
+        or when a named attachment is not attached."""
+        ...
+
+
+class ImageRegistry(Protocol):
+    """Container images as the images suite reads them; errors as those of ChartRegistry."""
+
+    def manifest(self, repository: str, digest: str) -> bytes:
+        """The image manifest or index of that digest."""
+        ...
+
+    def blob(self, repository: str, digest: str, bytes_max: int) -> bytes:
+        """A blob of at most `bytes_max` bytes."""
+        ...
+
+    def attachments(self, repository: str, subject: str) -> Sequence[Attachment]:
+        """Everything attached to the manifest `subject`; empty when there is nothing."""
+        ...

@@ -1,0 +1,1 @@
+"""Evidence: signed statements about a chart, and the policy that they meet."""

@@ -1,0 +1,1 @@
+"""Publication: a submission is checked, tried, signed and merged into the catalogue."""

@@ -1,0 +1,173 @@
+"""A submission as it stands against main's tip: its commit checked, its charts pulled and compared with their entries,
+results that still count collected."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from robotkube.errors import DocumentError, InputError
+from robotkube.foundation.documents.core.yaml_codec import read_mapping
+from robotkube.foundation.forge.ports.repositories import Commit, MainBranch
+from robotkube.registry.catalogue.core.sources import Tools
+from robotkube.registry.charts.core.packing import PulledChart
+from robotkube.registry.charts.core.referrers import fallback_tag
+from robotkube.registry.charts.ports import ChartRegistry
+from robotkube.registry.evidence.core.statements import Artefact
+from robotkube.registry.evidence.core.verification_policy import PATH as POLICY_PATH
+from robotkube.registry.evidence.core.verification_policy import VerificationPolicy, read_verification_policy
+from robotkube.registry.publication.core.submissions import (
+    READ_FOLDERS,
+    Proposed,
+    Submission,
+    SubmittedChart,
+    artefact_problems,
+    read_submission,
+    schema_text,
+)
+from robotkube.registry.publication.loops.verification import ChartInProgress, ChartVerification
+from robotkube.registry.suites.core.requests import Replaced
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class PublicationSettings:
+    """Settings of the publication. `catalogue`: `<organisation>/<name>`; `publishers`: accounts whose submissions are
+    taken; `account`: the gate's own; `staging`, `verified`: organisations of the registry; `charts_url`: of the latter,
+    oci://host/organisation; `local_builds`: a version may be published again with another digest."""
+
+    catalogue: str
+    publishers: tuple[str, ...]
+    account: str
+    staging: str
+    verified: str
+    charts_url: str
+    local_builds: bool = False
+
+
+@dataclass
+class SubmissionInProgress:
+    """A submission at one head, as it stood against main's tip `tip`."""
+
+    number: int
+    commit: Commit
+    started: float
+    tip: str = ""
+    submission: Submission = field(default_factory=Submission)
+    policy: VerificationPolicy | None = None
+    charts: list[ChartInProgress] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+    waiting_for: str = ""
+
+
+class SubmissionReader:
+    """Reads and checks submissions; `tools` are what validation needs."""
+
+    def __init__(
+        self,
+        main: MainBranch,
+        registry: ChartRegistry,
+        verifying: ChartVerification,
+        settings: PublicationSettings,
+        tools: Tools,
+    ) -> None:
+        self._main = main
+        self._registry = registry
+        self._verifying = verifying
+        self._settings = settings
+        self._tools = tools
+
+    def look(self, underway: SubmissionInProgress) -> None:
+        """Check the commit against main's tip; results that still count are kept."""
+        tip = self._main.tip
+        commit = underway.commit
+        files = self._main.files(tip, READ_FOLDERS)
+        on_main = len(commit.parents) == 1 and self._main.contains(commit.parents[0])
+        base = self._main.files(commit.parents[0], READ_FOLDERS) if on_main else {}
+        proposed = Proposed(commit.parents, commit.changes, commit.irregular, on_main, base, files)
+        submission = self._read(proposed)
+        policy = self._read_policy(files)
+        before = {chart.chart.path: chart for chart in underway.charts if chart.policy == policy}
+        charts: list[ChartInProgress] = []
+        problems = list(submission.problems)
+        for chart in submission.charts if policy and not problems else ():
+            known = before.get(chart.path)
+            begun, wrong = (known, []) if known else self._begin(chart, policy, underway.commit.id, submission, files)
+            problems += wrong
+            charts += [begun] if begun else []
+        underway.submission = submission
+        underway.policy = policy
+        underway.charts = charts
+        underway.problems = problems
+        underway.tip = tip
+
+    def _read(self, proposed: Proposed) -> Submission:
+        try:
+            return read_submission(proposed, self._settings.local_builds, self._tools)
+        except InputError as error:  # a schema or template that cannot even be tried
+            return Submission(problems=(f"a schema of the catalogue with this submission: {error}",))
+
+    def _read_policy(self, files: Mapping[str, str]) -> VerificationPolicy | None:
+        try:
+            return read_verification_policy(files.get(POLICY_PATH, ""), POLICY_PATH)
+        except DocumentError as error:
+            log.error("verification policy unusable reason=%s", error)
+            return None
+
+    def _begin(
+        self,
+        chart: SubmittedChart,
+        policy: VerificationPolicy | None,
+        attempt: str,
+        submission: Submission,
+        files: Mapping[str, str],
+    ) -> tuple[ChartInProgress | None, list[str]]:
+        assert policy is not None
+        pulled, problems = self._pull(chart)
+        if pulled is None or problems:
+            return None, problems
+        underway = ChartInProgress(chart, schema_text(pulled.files), policy, attempt, self._replaced(chart, files))
+        folder = chart.artefact.folder
+        carried = [text.encode() for path, text in submission.evidence.items() if path.startswith(f"{folder}/")]
+        self._verifying.begin(underway, carried)
+        return underway, []
+
+    def lost(self, underway: SubmissionInProgress) -> list[str]:
+        """Problems of charts that were deleted or broken in staging since the submission was checked."""
+        return [problem for chart in underway.charts for problem in self._staging_problems(chart.chart)]
+
+    def _staging_problems(self, chart: SubmittedChart) -> list[str]:
+        repository = f"{self._settings.staging}/{chart.chart}"
+        if self._registry.manifest_digest(repository, chart.digest) is None:
+            fix = "push it (`robotkube registry submit` does)"
+            return [f"{chart.path}: {repository} has no digest {chart.digest}; {fix}, and write no tag twice"]
+        try:  # the publisher writes there too: what is attached may be anything
+            self._registry.attachments(repository, chart.digest)
+        except InputError as error:
+            fix = f"delete the tag {fallback_tag(chart.digest)} of {repository}"
+            return [f"{chart.path}: what is attached to it in {repository} cannot be read: {error}; {fix}"]
+        return []
+
+    def _pull(self, chart: SubmittedChart) -> tuple[PulledChart | None, list[str]]:
+        problems = self._staging_problems(chart)
+        if problems:
+            return None, problems
+        repository = f"{self._settings.staging}/{chart.chart}"
+        try:
+            pulled = self._registry.pull_chart(repository, chart.digest)
+        except InputError as error:
+            return None, [f"{chart.path}: {chart.digest} is not a chart that can be read: {error}"]
+        return pulled, artefact_problems(chart, pulled)
+
+    def _replaced(self, chart: SubmittedChart, files: Mapping[str, str]) -> Replaced | None:
+        """The first published version of those that this one replaces or skips."""
+        for version in (chart.spec.get("replaces"), *chart.spec.get("skips", ())):
+            path = f"charts/{chart.chart}/{version}.yaml"
+            document = read_mapping(files[path], path) if path in files else {}
+            status = document.get("status") or {}
+            if status.get("state") == "verified":
+                artefact = Artefact(chart.chart, str(version), str(status.get("digest")), chart.artefact.platform)
+                return Replaced(artefact, f"{self._settings.verified}/{chart.chart}", document)
+        return None

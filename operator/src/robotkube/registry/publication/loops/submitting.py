@@ -1,0 +1,226 @@
+"""Submitting charts and applications: push to `staging`, propose to the catalogue, wait for the gate's decision.
+
+Everything is content-addressed: what the catalogue has already is not submitted again, and the same submission made
+twice is one pull request.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol, TypeVar
+
+from robotkube.errors import InputError, UnavailableError
+from robotkube.foundation.documents.core.digests import canonical_json, sha256
+from robotkube.foundation.forge.ports.pull_requests import Forge, PullRequest
+from robotkube.foundation.forge.ports.repositories import Proposals, RepositoryFiles
+from robotkube.registry.charts.core.packing import PackedChart, build_tag
+from robotkube.registry.evidence.core.statements import FOLDER as EVIDENCE
+from robotkube.registry.publication.core.report import MARKER, readable_text
+from robotkube.registry.publication.core.submissions import (
+    READ_FOLDERS,
+    TOPIC,
+    SubmittedChart,
+    is_published,
+)
+from robotkube.registry.publication.ports import ChartSource, SubmittedSources
+
+STAGING = "staging"
+PUBLISHED, UNCHANGED, REFUSED, PLANNED = "published", "unchanged", "refused", "planned"
+LOOK_SECONDS = 0.5  # at the pull request
+AWAY_SECONDS_MAX = 60.0  # the forge may be silent this long
+TOPIC_DIGITS = 16
+
+T = TypeVar("T")
+
+
+class ChartPushing(Protocol):
+    """The part of a registry that a publisher uses."""
+
+    def push_chart(self, organisation: str, chart: PackedChart, tag: str = "") -> str:
+        """Push to `<organisation>/<chart name>`; the same again changes nothing."""
+        ...
+
+
+@dataclass(frozen=True)
+class SubmissionOutcome:
+    """How it went. `verdict` is published, unchanged, refused or planned (nothing was written); `text` the gate's
+    report for a terminal; `evidence` path in the catalogue -> text of all these charts' evidence."""
+
+    verdict: str
+    charts: tuple[SubmittedChart, ...] = ()
+    applications: tuple[str, ...] = ()
+    unchanged: tuple[str, ...] = ()
+    text: str = ""
+    number: int = 0
+    url: str = ""
+    evidence: Mapping[str, str] = field(default_factory=dict)
+
+
+class Submitting:
+    """One publisher at one forge. `account` is the publisher's; `monotonic` and `sleep` are in seconds; `say` gets
+    progress, a line at a time."""
+
+    def __init__(
+        self,
+        catalogue: RepositoryFiles,
+        proposals: Proposals,
+        forge: Forge,
+        registry: ChartPushing,
+        account: str,
+        monotonic: Callable[[], float],
+        sleep: Callable[[float], None],
+        say: Callable[[str], None] = lambda line: None,
+    ) -> None:
+        self._catalogue = catalogue
+        self._proposals = proposals
+        self._forge = forge
+        self._registry = registry
+        self._account = account
+        self._monotonic = monotonic
+        self._sleep = sleep
+        self._say = say
+
+    def submit(
+        self, sources: SubmittedSources, wait_seconds: float, dry_run: bool = False, again: bool = False
+    ) -> SubmissionOutcome:
+        """Submit what the catalogue has not, or everything `again`, and wait for the gate's verdict.
+
+        UnavailableError when the forge is away, or nothing was decided within `wait_seconds`: the submission stands,
+        the same call waits for it again."""
+        tip = self._patiently(self._catalogue.fetch)
+        main = self._catalogue.files(tip, READ_FOLDERS)
+        unchanged = [c for c in sources.charts if not again and is_published(c.submitted, main)]
+        new = [chart for chart in sources.charts if chart not in unchanged]
+        applications = {path: text for path, text in sources.applications.items() if main.get(path) != text}
+        about = SubmissionOutcome(
+            PLANNED,
+            tuple(chart.submitted for chart in new),
+            tuple(sorted(applications)),
+            tuple(chart.submitted.name for chart in unchanged),
+        )
+        for name in about.unchanged:
+            self._say(f"{name}: published already with this digest")
+        changes = _changes(new, applications, sources.kept)
+        staged = [chart.submitted.path for chart in new if main.get(chart.submitted.path) == chart.entry]
+        if staged:
+            raise InputError(
+                f"{', '.join(staged)}: main has this as staged already, by somebody's hand, so it cannot be proposed; "
+                "take it out of the catalogue, then submit again"
+            )
+        if dry_run or not changes:
+            verdict = PLANNED if changes else UNCHANGED
+            return _told(about, verdict, evidence=self._evidence(tip, sources))
+        for chart in new:
+            self._push(chart)
+        pull = self._open(tip, changes, about)
+        return self._follow(pull, about, sources, self._monotonic() + wait_seconds)
+
+    def _push(self, chart: ChartSource) -> None:
+        packed = chart.packed
+        tag = build_tag(packed.version, packed.digest)
+        self._patiently(lambda: self._registry.push_chart(STAGING, packed, tag))
+        self._say(f"{packed.name} {packed.version}: pushed to {STAGING} as {packed.digest}")
+
+    def _open(self, tip: str, changes: Mapping[str, str], about: SubmissionOutcome) -> PullRequest:
+        """The pull request of exactly these changes: the open one, or a new one."""
+        identifier = sha256(canonical_json(dict(changes))).removeprefix("sha256:")[:TOPIC_DIGITS]
+        topic = TOPIC + identifier
+        title = f"submit: {_names(about)} ({identifier})"  # forges do not show the topic of an open pull request
+        pull = self._find(title)
+        if pull is None:
+            commit = self._proposals.commit(tip, changes, f"{title}\n")
+            number = self._proposals.propose(commit, topic, title, "The gate answers below.\n")
+            pull = self._patiently(lambda: self._forge.pull_request(number)) if number else self._find(title)
+        if pull is None:
+            raise UnavailableError(f"the forge took submission {topic}, but shows no pull request for it; try again")
+        self._say(f"pull request {pull.url}")
+        return pull
+
+    def _find(self, title: str) -> PullRequest | None:
+        pulls = self._patiently(lambda: self._forge.pull_requests("open", self._account))
+        return next((pull for pull in pulls if pull.title == title and pull.author == self._account), None)
+
+    def _follow(
+        self, opened: PullRequest, about: SubmissionOutcome, sources: SubmittedSources, end: float
+    ) -> SubmissionOutcome:
+        printed: set[str] = set()
+        while True:
+            pull = self._patiently(lambda: self._forge.pull_request(opened.number))
+            text = self._report(opened.number)
+            self._progress(text, printed)
+            if pull.merged or pull.state == "closed":
+                break
+            if self._monotonic() >= end:
+                raise UnavailableError(
+                    f"{pull.url}: not decided within the given time; the gate goes on, the same command follows it"
+                )
+            self._sleep(LOOK_SECONDS)
+        verdict = PUBLISHED if pull.merged or self._is_on_main(sources) else REFUSED
+        evidence = self._evidence(self._patiently(self._catalogue.fetch), sources) if verdict == PUBLISHED else {}
+        text = readable_text(text) if text else "the pull request was closed without a report of the gate\n"
+        return _told(about, verdict, text=text, number=pull.number, url=pull.url, evidence=evidence)
+
+    def _progress(self, text: str, printed: set[str]) -> None:
+        """Report each headline and each chart's suite once per state."""
+        chart = ""
+        for line in readable_text(text).splitlines():
+            if line.startswith("### "):
+                chart = f"{line.strip('# ')}: "
+            shown = line.startswith(("## ", "| ")) and not line.startswith(("| suite", "| ---"))
+            news = (chart if line.startswith("| ") else "") + line.strip("#| ").replace(" | ", "  ")
+            if shown and news not in printed:
+                printed.add(news)
+                self._say(news)
+
+    def _report(self, number: int) -> str:
+        comments = self._patiently(lambda: self._forge.comments(number))
+        return next(
+            (
+                comment.text
+                for comment in comments
+                if comment.text.startswith(MARKER) and comment.author != self._account
+            ),
+            "",
+        )
+
+    def _is_on_main(self, sources: SubmittedSources) -> bool:
+        main = self._catalogue.files(self._patiently(self._catalogue.fetch), READ_FOLDERS)
+        charts = all(is_published(chart.submitted, main) for chart in sources.charts)
+        return charts and all(main.get(path) == text for path, text in sources.applications.items())
+
+    def _evidence(self, tip: str, sources: SubmittedSources) -> dict[str, str]:
+        folders = tuple(f"{chart.submitted.artefact.folder}/" for chart in sources.charts)
+        files = self._catalogue.files(tip, (EVIDENCE,)) if folders else {}
+        return {path: text for path, text in files.items() if path.startswith(folders)}
+
+    def _patiently(self, call: Callable[[], T]) -> T:
+        """The call's answer; a forge that does not answer is asked again within AWAY_SECONDS_MAX."""
+        end = self._monotonic() + AWAY_SECONDS_MAX
+        while True:
+            try:
+                return call()
+            except UnavailableError:
+                if self._monotonic() >= end:
+                    raise
+                self._sleep(LOOK_SECONDS)
+
+
+def _told(about: SubmissionOutcome, verdict: str, **more: Any) -> SubmissionOutcome:
+    return SubmissionOutcome(**{**vars(about), "verdict": verdict, **more})
+
+
+def _names(about: SubmissionOutcome) -> str:
+    names = [chart.name for chart in about.charts]
+    names += [f"application {path.removesuffix('.yaml').rpartition('/')[2]}" for path in about.applications]
+    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
+
+
+def _changes(new: Sequence[ChartSource], applications: Mapping[str, str], kept: Mapping[str, str]) -> dict[str, str]:
+    """Path -> text of the submission."""
+    folders = tuple(f"{chart.submitted.artefact.folder}/" for chart in new)
+    changes = {f"charts/{chart.packed.name}/{chart.packed.version}.yaml": chart.entry for chart in new}
+    if len(changes) != len(new):
+        raise InputError("the same chart version was given twice; name each chart once")
+    evidence = {path: text for path, text in kept.items() if folders and path.startswith(folders)}
+    return {**changes, **applications, **evidence}

@@ -1,0 +1,73 @@
+"""`python3 -m robotkube.registry.suites`: runs suites for the gate, in the rooms of the pool.
+
+Settings: docs/reference/settings.md; the program helm is /usr/local/bin/helm (another one: ROBOTKUBE_HELM). Ends with 0
+on SIGTERM, 2 when the settings are wrong. Nothing is kept on disk: what ran is asked for again by the gate.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+
+from robotkube.foundation.runtime import settings_file as files
+from robotkube.foundation.runtime.adapters.prometheus_series import MetricsPage
+from robotkube.foundation.runtime.adapters.webhook_server import WebServer
+from robotkube.foundation.runtime.process import Process, run
+from robotkube.registry.evidence.core.verification_policy import SuiteRule
+from robotkube.registry.suites import run_process
+from robotkube.registry.suites.adapters.forked_runs import ForkedSuites
+from robotkube.registry.suites.adapters.runner_server import RunsEndpoint
+from robotkube.registry.suites.loops.images import ImagesSuite
+from robotkube.registry.suites.loops.namespace_cleanup import ClusterNamespaceCleaner
+from robotkube.registry.suites.loops.queue import SuiteQueue
+from robotkube.registry.suites.loops.static import StaticSuite
+from robotkube.registry.suites.settings import RunnerConfiguration, read_configuration
+
+GRACE_SECONDS = 6.0
+STOP_LOOK_SECONDS = 0.2
+ROOMLESS = frozenset(suite.name for suite in (StaticSuite, ImagesSuite) if not suite.needs_room)
+
+
+def needs_room(rule: SuiteRule) -> bool:
+    """Whether a rule's suite runs something on the cluster."""
+    return bool(rule.image) or rule.name not in ROOMLESS
+
+
+def build_queue(found: RunnerConfiguration, environment: Mapping[str, str] = os.environ) -> SuiteQueue:
+    """The queue on its adapters; nothing is asked of the world yet."""
+    executor = ForkedSuites(run_process.run_request, preload=[run_process.__name__])
+    keepers = [
+        ClusterNamespaceCleaner(run_process.room_objects(room.namespace, environment), room) for room in found.rooms
+    ]
+    return SuiteQueue(executor, keepers, needs_room)
+
+
+def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
+    """Serve the protocol, health and metrics until the process shall end."""
+    found = files.read_settings(files.settings_path(environment), read_configuration)
+    files.send_logs(process, found.log_level)
+    queue = build_queue(found, environment)
+    endpoint = RunsEndpoint(found.token, queue.put)
+    server = WebServer(
+        found.listen.address,
+        found.listen.port,
+        queue.reasons_not_ready,
+        MetricsPage(queue.metrics).text,
+        put=endpoint.put,
+    )
+    queue.start()
+    server.start()
+    process.log("started", port=server.port, rooms=len(found.rooms))
+    while not process.stopping.wait(STOP_LOOK_SECONDS):
+        pass
+    server.stop()
+    queue.stop()
+
+
+def main() -> None:
+    """Run until SIGTERM or the end of the work; exit codes as in `foundation.runtime.process`."""
+    run("suite-runner", body, grace_seconds=GRACE_SECONDS)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,100 @@
+"""Diagnostics of pods and Deployments: states, warnings and last log lines, as sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+EVENTS_MAX = 5
+LOG_LINES_MAX = 12
+LINE_CHARACTERS_MAX = 300
+KILLED = 137  # 128 + SIGKILL
+
+Object = Mapping[str, Any]
+
+
+def deployment_ready(item: Object) -> bool:
+    """Whether the newest pods, and only they, are there and available."""
+    status = item.get("status") or {}
+    wanted = (item.get("spec") or {}).get("replicas", 1)
+    current = status.get("observedGeneration", 0) >= item["metadata"].get("generation", 0)
+    counts = [status.get(key) or 0 for key in ("replicas", "updatedReplicas", "availableReplicas")]
+    return bool(current and all(count == wanted for count in counts))
+
+
+def pod_ready(item: Object) -> bool:
+    """Whether the pod's condition Ready is true."""
+    conditions = (item.get("status") or {}).get("conditions") or ()
+    return any(condition.get("type") == "Ready" and condition.get("status") == "True" for condition in conditions)
+
+
+def pod_ended(item: Object) -> bool:
+    """Whether all containers have ended for good."""
+    return (item.get("status") or {}).get("phase") in ("Succeeded", "Failed")
+
+
+def container_statuses(item: Object) -> list[Object]:
+    """Statuses of all containers, those that prepare the pod first."""
+    status = item.get("status") or {}
+    return [*(status.get("initContainerStatuses") or ()), *(status.get("containerStatuses") or ())]
+
+
+def exit_codes(item: Object) -> dict[str, int | None]:
+    """Container -> exit code; None when it was not seen to end."""
+    codes: dict[str, int | None] = {}
+    for status in (item.get("status") or {}).get("containerStatuses") or ():
+        ended = (status.get("state") or {}).get("terminated")
+        codes[str(status.get("name"))] = ended.get("exitCode") if ended else None
+    return codes
+
+
+def describe_deployment(item: Object | None, name: str) -> list[str]:
+    """The failures in a Deployment's conditions, as lines."""
+    if item is None:
+        return [f"Deployment {name} is not there"]
+    lines = []
+    for condition in (item.get("status") or {}).get("conditions") or ():
+        if condition.get("type") == "ReplicaFailure" and condition.get("status") == "True":
+            lines.append(f"Deployment {name}: {condition.get('reason')}: {_short(condition.get('message'))}")
+    return lines
+
+
+def describe_pod(item: Object, events: Sequence[Object] = (), log: str = "") -> list[str]:
+    """A pod's states, its last warnings and the last lines of its log."""
+    name = item["metadata"]["name"]
+    lines = [f"pod {name}: {text}" for text in _states(item)] or [f"pod {name}: {_phase(item)}"]
+    warnings = [event for event in events if event.get("type") == "Warning"]
+    lines += [f"event {event.get('reason')}: {_short(event.get('message'))}" for event in warnings[-EVENTS_MAX:]]
+    tail = [line for line in log.splitlines() if line.strip()][-LOG_LINES_MAX:]
+    if tail:
+        lines += ["last lines of its log:", *(f"  {_short(line)}" for line in tail)]
+    return lines
+
+
+def _phase(item: Object) -> str:
+    status = item.get("status") or {}
+    conditions = [condition for condition in status.get("conditions") or () if condition.get("status") == "False"]
+    messages = "; ".join(_short(condition["message"]) for condition in conditions if condition.get("message"))
+    return f"{status.get('phase', 'unknown')}{', ' + messages if messages else ''}"
+
+
+def _states(item: Object) -> Iterator[str]:
+    for status in container_statuses(item):
+        name = status.get("name")
+        state = status.get("state") or {}
+        restarts = status.get("restartCount", 0)
+        if waiting := state.get("waiting"):
+            yield f"container {name} waits: {waiting.get('reason')}: {_short(waiting.get('message'))}"
+        elif ended := state.get("terminated"):
+            yield f"container {name} ended with {ended.get('exitCode')} ({ended.get('reason')})"
+        elif not status.get("ready"):
+            yield f"container {name} runs but is not ready: its readiness or startup probe does not succeed"
+        last = (status.get("lastState") or {}).get("terminated")
+        if restarts and last:
+            times = f"{restarts} time{'s' if restarts > 1 else ''}"
+            yield f"container {name} was restarted {times}; it ended with {last.get('exitCode')} ({last.get('reason')})"
+
+
+def _short(text: Any) -> str:
+    line = " ".join(str(text or "").split())
+    return line if len(line) <= LINE_CHARACTERS_MAX else line[: LINE_CHARACTERS_MAX - 4] + " ..."

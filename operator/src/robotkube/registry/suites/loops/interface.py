@@ -1,0 +1,179 @@
+"""The interface suite: a chart opens exactly what its entry declares, with every set of test values.
+
+Per set it installs the chart in the test namespace, runs a second pod on the same node that observes it
+(`interface_observer`), and compares the observation with what the entry's interfaces give for these values.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from robotkube.errors import DocumentError, InputError
+from robotkube.foundation.documents.core.value_templates import Render
+from robotkube.foundation.documents.core.yaml_codec import read_mapping
+from robotkube.registry.catalogue.core.expected_topics import (
+    DATABASE,
+    IN,
+    MQTT,
+    ExpectedTopic,
+    declaration_checks,
+    expected_topics,
+)
+from robotkube.registry.charts.core.values_schemas import overlay
+from robotkube.registry.evidence.core.statements import Check
+from robotkube.registry.suites.core.interface_observations import (
+    Observation,
+    bounded,
+    compare,
+    read_observation,
+    with_broker_log,
+)
+from robotkube.registry.suites.core.requests import TestSet
+from robotkube.registry.suites.core.test_objects import BROKER_SECRET, DATABASE_SECRET
+from robotkube.registry.suites.loops.installation import filled_sets, install, named_secrets
+from robotkube.registry.suites.loops.interface_observer import ObserverTimeouts
+from robotkube.registry.suites.ports.suites import Subject, SuiteAccount, SuiteNamespace
+
+OBSERVER = ("robotkube-suite-observer",)
+CONFIG = "config.json"
+POD_SECONDS = 30.0
+LOOK_SECONDS_MIN = 15.0
+REMOVE_SECONDS_MAX = 60.0
+LEAD_NS = 5_000_000_000
+WORDS_MAX = 1_500
+
+
+@dataclass(frozen=True)
+class InterfaceSuite:
+    """The port Suite for the suite `interface`. `observer` is the reference of the image with rclpy, `token` gives a
+    word that nobody can guess: under it the observer is known, and a chart cannot pass its own topics off as the
+    observer's."""
+
+    observer: str
+    render: Render
+    now_ns: Callable[[], int]
+    token: Callable[[], str]
+    bounds: ObserverTimeouts = field(default_factory=ObserverTimeouts)
+    name: str = "interface"
+    version: str = "1"
+    needs_room: bool = True
+
+    def run(self, subject: Subject, room: SuiteNamespace | None) -> Sequence[Check]:
+        """Every check of every set; those of the entry alone when the entry cannot be right."""
+        assert room is not None, "the interface suite needs a test namespace"
+        interfaces = (subject.entry.get("spec") or {}).get("interfaces") or []
+        try:
+            sets = filled_sets(subject.entry, room.agent, self.now_ns() + LEAD_NS, self.render)
+            defaults = read_mapping(subject.files.get("values.yaml", b"").decode() or "{}", "values.yaml")
+            expected = {
+                test_set.name: expected_topics(interfaces, overlay(defaults, test_set.values), self.render)
+                for test_set in sets
+            }
+        except InputError as error:
+            return [_entry_check(error)]
+        checks = declaration_checks(interfaces, expected)
+        if any(not check.passed for check in checks):
+            return checks
+        for number, test_set in enumerate(sets):
+            checks += self._set_checks(subject, room, test_set, expected[test_set.name], first=number == 0)
+        return bounded(checks)
+
+    def _set_checks(
+        self, subject: Subject, room: SuiteNamespace, values: TestSet, expected: Sequence[ExpectedTopic], first: bool
+    ) -> list[Check]:
+        name = f"set {values.name}: runs"
+        try:
+            observation = self._observe(subject, room, values, expected, first)
+        except InputError as error:
+            return [Check(name, False, str(error)[:WORDS_MAX], "mend the chart or the set's values")]
+        return [Check(name, True), *compare(values.name, expected, observation)]
+
+    def _observe(
+        self, subject: Subject, room: SuiteNamespace, values: TestSet, expected: Sequence[ExpectedTopic], first: bool
+    ) -> Observation:
+        """Install the set, observe it, and delete it again; InputError when the chart does not run or cannot be
+        observed."""
+        objects = subject.render(values.values, subject.artefact.chart)
+        needed = {topic.medium for topic in expected} | named_secrets(objects)
+        broker = bool(needed & {MQTT, BROKER_SECRET})
+        if broker:
+            room.start_broker()
+        database = room.start_database() if needed & {DATABASE, DATABASE_SECRET} else None
+        look = _Observation(self, room, broker, database)
+        if database is not None and not first:
+            look.clear()
+        said_before = len(room.broker_log())
+        try:
+            installation = install(subject, room, values)
+            if not installation.ready:
+                raise InputError(installation.found)
+            return look.look(expected, said_before)
+        finally:
+            room.delete(objects, REMOVE_SECONDS_MAX)
+
+
+@dataclass(frozen=True)
+class _Observation:
+    """The observer pod of one set."""
+
+    suite: InterfaceSuite
+    room: SuiteNamespace
+    broker: bool
+    database: SuiteAccount | None
+
+    def clear(self) -> None:
+        """Delete what the set before wrote to the database."""
+        self._observe((), clear=True, token=self.suite.token())
+
+    def look(self, expected: Sequence[ExpectedTopic], said_before: int) -> Observation:
+        """What the chart opens and does; InputError when the observer failed."""
+        token = self.suite.token()
+        observation = self._observe(expected, clear=False, token=token)
+        return with_broker_log(observation, self.room.broker_log()[said_before:], f"suite-{token}")
+
+    def _observe(self, expected: Sequence[ExpectedTopic], clear: bool, token: str) -> Observation:
+        wanted = self.suite.bounds.whole(sum(topic.direction == IN for topic in expected))
+        seconds = max(LOOK_SECONDS_MIN, min(wanted, self.room.seconds_left / 2 - POD_SECONDS))
+        config = {
+            "topics": [asdict(topic) for topic in expected],
+            "node": f"suite_{token}",
+            "client": f"suite-{token}",
+            "broker": self.broker,
+            "database": _database(self.database),
+            "clear": clear,
+            "seconds_max": seconds,
+            "bounds": asdict(self.suite.bounds),
+        }
+        files = {CONFIG: json.dumps(config).encode()}
+        run = self.room.run_pod(
+            "observer", self.suite.observer, OBSERVER, files, seconds + POD_SECONDS, accounts=self.broker
+        )
+        if not run.succeeded:
+            description = f"exit code {run.exit_code}; {run.found}\n{run.log[-WORDS_MAX // 2 :]}"
+            raise InputError(f"the observer could not look at the chart: {description}")
+        return _read(run.log)
+
+
+def _read(log: str) -> Observation:
+    for line in reversed(log.splitlines()):
+        if line.startswith('{"observation":'):
+            try:
+                return read_observation(json.loads(line)["observation"], "observation")
+            except (ValueError, TypeError) as error:
+                raise InputError(f"the observer's last line is cut off: {error}; use fewer topics") from error
+    raise InputError(f"the observer said nothing of what it saw: {log[-WORDS_MAX // 2 :]}")
+
+
+def _database(account: SuiteAccount | None) -> Mapping[str, Any] | None:
+    if account is None:
+        return None
+    return {**asdict(account), "authentication_database": account.database}
+
+
+def _entry_check(error: InputError) -> Check:
+    problems = error.problems if isinstance(error, DocumentError) else (str(error),)
+    fix = "mend spec.interfaces or the values of spec.suites.sets in the chart's entry"
+    return Check("the entry gives topics for its test values", False, "; ".join(problems)[:WORDS_MAX], fix)

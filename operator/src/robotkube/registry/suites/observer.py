@@ -1,0 +1,120 @@
+"""Process of the interface suite's second pod: `python3 -m robotkube.registry.suites.observer`.
+
+Reads /suite/config.json (variable ROBOTKUBE_SUITE_CONFIG: another file), observes the ROS network of ROS_DOMAIN_ID, the
+broker of the mounted Secret when `broker` is true, and the database of `database`. Its last line on stdout is
+`{"observation": {...}}` (core/interface_observations.py). With `clear` it only empties the database.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from robotkube.errors import InputError
+from robotkube.foundation.database.adapters.connection import DatabaseLogin, connect
+from robotkube.foundation.runtime.process import PodSettings, Process, read_secret, read_text, run
+from robotkube.registry.catalogue.core.expected_topics import MQTT, TEXT, ExpectedTopic
+from robotkube.registry.suites.adapters.broker_observer import PahoObserver
+from robotkube.registry.suites.adapters.database_observer import PymongoCollections
+from robotkube.registry.suites.core.interface_observations import Observation
+from robotkube.registry.suites.loops.interface_observer import InterfaceObserver, ObserverPorts, ObserverTimeouts
+from robotkube.robots.bags.core.playback import restamped
+from robotkube.robots.mqtt.core.batches import encode_frame
+from robotkube.robots.ros.adapters.message_classes import default_message, misfit
+from robotkube.robots.ros.adapters.rclpy_node import RosNode
+from robotkube.robots.ros.core.common_messages import STAMPED_TYPES
+
+GRACE_SECONDS = 2.0
+CONFIG_FILE = "/suite/config.json"
+CONFIG_VARIABLE = "ROBOTKUBE_SUITE_CONFIG"
+TEXT_PAYLOAD = b"{}"
+
+
+class DefaultMessages:
+    """Default messages of the installed types, stamped with the present time where a type has a header."""
+
+    def __init__(self) -> None:
+        self._session = int.from_bytes(os.urandom(8), "little")
+        self._sequence = 0
+
+    def payload(self, topic: ExpectedTopic) -> bytes:
+        """See the port."""
+        if topic.medium == MQTT and topic.encoding == TEXT:
+            return TEXT_PAYLOAD
+        data = default_message(topic.type) if topic.type else b"\0\1\0\0"
+        if topic.type in STAMPED_TYPES:
+            data = restamped(data, time.time_ns())
+        if topic.medium != MQTT:
+            return data
+        self._sequence += 1
+        return encode_frame(self._session, self._sequence - 1, [data])
+
+    def misfit(self, type_name: str, data: bytes) -> str:
+        """See the port."""
+        return misfit(type_name, data)
+
+
+def body(process: Process) -> None:
+    """Observe, and print the observation."""
+    path = Path(os.environ.get(CONFIG_VARIABLE, CONFIG_FILE))
+    config = read_config(read_text(path, "the observer's settings"), str(path))
+    database = PymongoCollections(connect(DatabaseLogin(**config["database"]))) if config["database"] else None
+    if config["clear"]:
+        if database is not None:
+            database.clear()
+        write(Observation())
+        return
+    world = ObserverPorts(
+        network=RosNode(config["node"]),
+        messages=DefaultMessages(),
+        monotonic=time.monotonic,
+        sleep=time.sleep,
+        stopped=process.stopping.is_set,
+        broker=broker(config["client"]) if config["broker"] else None,
+        database=database,
+    )
+    expected = [ExpectedTopic(**topic) for topic in config["topics"]]
+    bounds = ObserverTimeouts(**config["bounds"])
+    process.log("looking", topics=len(expected), broker=config["broker"], database=database is not None)
+    write(InterfaceObserver(expected, world, float(config["seconds_max"]), bounds).run())
+
+
+def read_config(text: str, where: str) -> Mapping[str, Any]:
+    """The settings as `loops/interface.py` writes them; InputError when they are not."""
+    try:
+        config = json.loads(text)
+        for key in ("topics", "node", "client", "broker", "database", "clear", "seconds_max", "bounds"):
+            config[key]
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{where}: is no configuration of an observer: {error!r}") from error
+    return dict(config)
+
+
+def broker(client_id: str) -> PahoObserver:
+    """Connected to the broker of the mounted Secret."""
+    folder = PodSettings.from_environment().broker_folder
+    host, port, username, password = (read_secret(folder, key) for key in ("host", "port", "username", "password"))
+    return PahoObserver(host, int(port), username, password, client_id)
+
+
+def write(observation: Observation) -> None:
+    """One line on stdout."""
+    document = asdict(observation)
+    del document["subscriptions"]  # the broker's log has those
+    sys.stdout.write(json.dumps({"observation": document}) + "\n")
+    sys.stdout.flush()
+
+
+def main() -> None:
+    """Run until SIGTERM or the end of the work; exit codes as in `foundation.runtime.process`."""
+    run("suite-observer", body, GRACE_SECONDS)
+
+
+if __name__ == "__main__":
+    main()

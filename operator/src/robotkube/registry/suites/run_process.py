@@ -1,0 +1,128 @@
+"""What one suite's process does: read request and settings, fetch the chart, run the suite, give the result."""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+import random
+import secrets
+import tempfile
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from robotkube.backoffs import backoff
+from robotkube.errors import InputError, UnavailableError
+from robotkube.foundation.database.adapters.accounts import MongoAccounts
+from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
+from robotkube.foundation.documents.adapters.json_schema import violations
+from robotkube.foundation.documents.core.digests import canonical_json
+from robotkube.foundation.kubernetes.adapters.client import api_client, call
+from robotkube.foundation.runtime import settings_file as files
+from robotkube.foundation.runtime.process import Process
+from robotkube.registry.charts.adapters.helm import HelmProgram
+from robotkube.registry.charts.adapters.oci import OciRegistry
+from robotkube.registry.evidence.core.statements import SuiteResult
+from robotkube.registry.evidence.core.verification_policy import SuiteRule
+from robotkube.registry.suites.adapters.namespace_objects import KubernetesNamespaceObjects
+from robotkube.registry.suites.core.requests import SuiteProgress, SuiteRequest, progress_document, read_request
+from robotkube.registry.suites.loops.custom import CustomSuite
+from robotkube.registry.suites.loops.images import ImagesSuite
+from robotkube.registry.suites.loops.install import InstallSuite
+from robotkube.registry.suites.loops.interface import InterfaceSuite
+from robotkube.registry.suites.loops.run import NO_ROOM, read_subject, run_suite, unfinished
+from robotkube.registry.suites.loops.static import StaticSuite
+from robotkube.registry.suites.loops.test_namespace import ClusterTestNamespace
+from robotkube.registry.suites.ports.suites import Subject, Suite, SuiteAccount
+from robotkube.registry.suites.settings import RunnerConfiguration, read_configuration
+
+HELM = "/usr/local/bin/helm"
+ACCOUNT_SECONDS_MAX = 60.0
+ACCOUNT_PAUSE_SECONDS_FIRST, ACCOUNT_PAUSE_SECONDS_MAX = 0.5, 1.0
+
+
+def run_request(payload: bytes, room: str) -> bytes:
+    """A request as JSON and the room's namespace (empty: none) -> the finished progress as JSON."""
+    found = files.read_settings(files.settings_path(), read_configuration)
+    files.send_logs(Process("suite", 0.0), found.log_level)
+    result = run(found, read_request(json.loads(payload)), room)
+    return canonical_json(progress_document(SuiteProgress("finished", result)))
+
+
+def run(found: RunnerConfiguration, request: SuiteRequest, room_name: str) -> SuiteResult:
+    """The result of the request's suite."""
+    account = found.account
+    with (
+        OciRegistry(found.forge_url, account.username, account.password) as registry,
+        tempfile.TemporaryDirectory(prefix="suite-") as work,
+    ):
+        suite = find_suite(found, request.rule, registry)
+        if suite is None:
+            words = f"there is no suite {request.rule.name}; one of your own needs `image` in the verification policy"
+            return unfinished(request.rule, words, 0.0)
+        room = _room(found, room_name, request.rule.seconds) if room_name else None
+        program = HelmProgram(os.environ.get("ROBOTKUBE_HELM", HELM), Path(work))
+        namespace = room_name or NO_ROOM
+
+        def subject() -> Subject:
+            _check_repositories(found, request)
+            return read_subject(request, registry, program, namespace)
+
+        return run_suite(request.rule, suite, subject, room, time.monotonic)
+
+
+def find_suite(found: RunnerConfiguration, rule: SuiteRule, registry: OciRegistry) -> Suite | None:
+    """The suite that a rule names; None when there is none."""
+    render = Jinja2Templates().render
+    if rule.image:
+        return CustomSuite(rule, render, time.time_ns)
+    host = urlsplit(found.images_registry).netloc
+    known: tuple[Suite, ...] = (
+        StaticSuite(violations, render),
+        ImagesSuite(registry, host, render),
+        InterfaceSuite(found.observer_image, render, time.time_ns, functools.partial(secrets.token_hex, 8)),
+        InstallSuite(render, time.time_ns),
+    )
+    return next((suite for suite in known if suite.name == rule.name), None)
+
+
+def _check_repositories(found: RunnerConfiguration, request: SuiteRequest) -> None:
+    named = {"repository": (request.repository, found.staging)}
+    if request.replaced:
+        named["replaced.repository"] = (request.replaced.repository, found.verified)
+    for key, (repository, charts) in named.items():
+        organisation = urlsplit(charts).path.strip("/")
+        if repository.rpartition("/")[0] != organisation:
+            raise InputError(f"{key}: {repository!r} must be in {organisation}")
+
+
+def _room(found: RunnerConfiguration, name: str, seconds: float) -> ClusterTestNamespace:
+    settings = next(room for room in found.rooms if room.namespace == name)
+    return ClusterTestNamespace(room_objects(name), settings, seconds, make_account)
+
+
+def room_objects(namespace: str, environment: Mapping[str, str] = os.environ) -> KubernetesNamespaceObjects:
+    """A room's objects, with the pod's own account, or with KUBECONFIG where that is set."""
+    api = api_client(environment.get("KUBECONFIG"), in_cluster="KUBECONFIG" not in environment)
+    return KubernetesNamespaceObjects(functools.partial(call, api), namespace)
+
+
+def make_account(administrator: SuiteAccount, account: SuiteAccount) -> None:
+    """An account in a database that was just started; UnavailableError when it does not answer in time."""
+    accounts = MongoAccounts(administrator.host, administrator.port, administrator.username, administrator.password)
+    deadline, attempts = time.monotonic() + ACCOUNT_SECONDS_MAX, 0
+    try:
+        while True:
+            try:
+                accounts.make_account(account.database, account.username, account.password)
+                return
+            except UnavailableError:
+                if time.monotonic() >= deadline:
+                    raise
+                bounds = ACCOUNT_PAUSE_SECONDS_FIRST, ACCOUNT_PAUSE_SECONDS_MAX
+                time.sleep(backoff(attempts, *bounds, random.random))
+                attempts += 1
+    finally:
+        accounts.disconnect()

@@ -1,0 +1,147 @@
+"""A bag played on a shared clock: the grid of stamps and the ledger that proves what was published.
+
+A bag's times are offsets from the start of the run in ns. A message is published at `start + offset` and carries
+exactly that stamp, so the stamp identifies it everywhere. The ledger of a topic has one JSON line per message.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from robotkube.errors import DocumentError, InputError
+from robotkube.foundation.documents.core.patterns import NAME, PLAYER_RUN
+from robotkube.foundation.documents.core.reader import Reader
+
+LATE_NS = 1_000_000_000
+NANOSECONDS = 1_000_000_000
+SECONDS_END = 1 << 31
+
+_LITTLE, _BIG = struct.Struct("<iI"), struct.Struct(">iI")
+_HEADER_END = 12
+_PATH = re.compile(r"/.+")
+_START = re.compile(r"[0-9]{1,19}")
+_END_LINE = re.compile(r'\{"end": true, "count": ([0-9]+)\}')
+_LINE = re.compile(r'\{"sequence": ([0-9]+), "stamp": ([0-9]+), "sha256": "([0-9a-f]{64})"\}')
+
+
+@dataclass(frozen=True)
+class BagTopic:
+    """A topic as the bag declares it."""
+
+    name: str
+    type: str
+    reliability: str
+    durability: str
+    depth: int
+
+    @property
+    def latched(self) -> bool:
+        """Whether its last message waits for late subscribers."""
+        return self.durability == "transient_local"
+
+
+@dataclass(frozen=True)
+class PlayerSettings:
+    """`config.yaml` of a player; both are folders."""
+
+    agent: str
+    bag: str
+    ledger: str
+
+
+@dataclass(frozen=True)
+class PlaybackRun:
+    """A run that ConfigMap `simulation` orders: play from `start` (ns since 1970), under the name `id`."""
+
+    id: str
+    start: int
+
+
+def read_player_settings(document: Mapping[str, Any], where: str) -> PlayerSettings:
+    """The settings; DocumentError names `where` and every problem."""
+    reader = Reader(where)
+    values = reader.mapping(document, "", ["agent", "bag", "ledger"])
+    settings = PlayerSettings(
+        agent=reader.text(values.get("agent"), "agent", NAME),
+        bag=reader.text(values.get("bag"), "bag", _PATH),
+        ledger=reader.text(values.get("ledger"), "ledger", _PATH),
+    )
+    reader.finish()
+    return settings
+
+
+def read_run(data: Mapping[str, str] | None, where: str) -> PlaybackRun | None:
+    """The ordered run; None without ConfigMap or without key `run`. DocumentError names key and fix."""
+    if not data or "run" not in data:
+        return None
+    run = data["run"]
+    start = data.get("start", "")
+    problems = [] if PLAYER_RUN.fullmatch(run) else [f"run: {run!r} must match {PLAYER_RUN.pattern}"]
+    if not _START.fullmatch(start):
+        problems.append(f"start: {start!r} must be a time in ns since 1970, as digits")
+    if problems:
+        raise DocumentError(where, problems)
+    return PlaybackRun(run, int(start))
+
+
+def restamped(data: bytes, stamp: int) -> bytes:
+    """A serialised message that begins with std_msgs/Header, now with `stamp` (ns). InputError: the message is too
+    short, or the stamp is beyond what a header can say."""
+    if len(data) < _HEADER_END:
+        raise InputError(f"a message of {len(data)} bytes does not begin with std_msgs/Header")
+    seconds, nanoseconds = divmod(stamp, NANOSECONDS)
+    if not -SECONDS_END <= seconds < SECONDS_END:
+        raise InputError(
+            f"the start of the run and a time of the bag make {seconds} s since 1970, more than a stamp can say: "
+            "times of a bag that is played count from the start of the run, not from 1970"
+        )
+    header = (_LITTLE if data[1] & 1 else _BIG).pack(seconds, nanoseconds)
+    return b"".join((data[:4], header, data[_HEADER_END:]))
+
+
+def ledger_name(topic: str) -> str:
+    """File name of a topic's ledger: every / becomes __, also the first."""
+    return f"{topic.replace('/', '__')}.jsonl"
+
+
+def ledger_line(sequence: int, stamp: int, sha256: str) -> str:
+    """One message's line."""
+    return f'{{"sequence": {sequence}, "stamp": {stamp}, "sha256": "{sha256}"}}\n'
+
+
+def ledger_end(count: int) -> str:
+    """The last line of a ledger whose topic was played to its end."""
+    return f'{{"end": true, "count": {count}}}\n'
+
+
+@dataclass(frozen=True)
+class LedgerState:
+    """The state of a ledger that is already there: messages published, the first sequence number after them, whether it
+    is finished, and how many of its bytes are whole lines (a torn last line is cut off)."""
+
+    lines: int = 0
+    next: int = 0
+    ended: bool = False
+    whole_bytes: int = 0
+
+
+def read_ledger(data: bytes) -> LedgerState:
+    """State of a ledger; lines after a torn or foreign one do not count."""
+    lines = following = place = 0
+    for raw in data.splitlines(keepends=True):
+        line = raw.decode("ascii", errors="replace")
+        if not line.endswith("\n"):
+            break
+        if _END_LINE.fullmatch(line.rstrip("\n")):
+            return LedgerState(lines, following, True, place + len(raw))
+        match = _LINE.fullmatch(line.rstrip("\n"))
+        if match is None:
+            break
+        lines += 1
+        following = int(match[1]) + 1
+        place += len(raw)
+    return LedgerState(lines, following, False, place)

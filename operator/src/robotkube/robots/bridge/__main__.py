@@ -1,0 +1,173 @@
+"""Process of a bridge: `python3 -m robotkube.robots.bridge` (variables: docs/reference/robot-processes.md)."""
+
+from __future__ import annotations
+
+import gc
+import os
+import sys
+import time
+from collections import deque
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from robotkube.errors import DocumentError, InputError
+from robotkube.foundation.documents.core.yaml_codec import read_mapping
+from robotkube.foundation.runtime.adapters.health_server import HealthServer
+from robotkube.foundation.runtime.config_watch import follow_settings, ownership_of
+from robotkube.foundation.runtime.loops.fencing import Fencing
+from robotkube.foundation.runtime.process import PodSettings, Process, read_secret, read_text, run
+from robotkube.robots.bridge.core.settings import BULK, check_agent, read_bridge_settings
+from robotkube.robots.bridge.loops.bridge import NODE_NAME, Bridge
+from robotkube.robots.bridge.loops.flows import SendingSession
+from robotkube.robots.mqtt.adapters.paho_channel import BrokerAccount, PahoChannel, wait
+from robotkube.robots.ros.adapters.rclpy_node import RosNode
+
+if TYPE_CHECKING:
+    from robotkube.robots.mqtt.ports import ChannelEvents
+
+GRACE_SECONDS = 2.0
+PERIOD_SECONDS = 0.04
+SESSION_SECONDS = {"telemetry": 60, BULK: 5}
+KEY = "config.yaml"
+
+
+def body(process: Process) -> None:
+    """Wire the adapters to the service and turn it until the process shall end."""
+    pod = PodSettings.from_environment()
+    period = period_seconds(os.environ)
+    session = int.from_bytes(os.urandom(8), "little")
+    trace = os.urandom(16).hex()
+    channels: dict[str, PahoChannel] = {}
+
+    def channel(agent: str, name: str, events: ChannelEvents) -> PahoChannel:
+        client = "-".join([agent, *([pod.placed_node] if pod.placed_node else []), name])
+        channels[name] = PahoChannel(lambda: account(pod), client, SESSION_SECONDS[name], events)
+        return channels[name]
+
+    sender = SendingSession(session, time.time_ns, definition_of, trace)
+    ownership = ownership_of(pod)
+    bridge = Bridge(RosNode(NODE_NAME), channel, sender, process.log, ownership)
+    follower = SettingsWatch(bridge, process, ownership)
+    HealthServer(ready=lambda: follower.complaint, metrics=follower.metrics, port=pod.health_port).start()
+    follower.apply(read_text(pod.config_file, "the bridge's settings"), str(pod.config_file))
+    if pod.config_map is not None:
+        follower.follow(pod.config_map)
+    gc.freeze()
+    loop(process, bridge, follower, channels, period)
+    bridge.close()
+
+
+def loop(
+    process: Process, bridge: Bridge, follower: SettingsWatch, channels: Mapping[str, PahoChannel], period: float
+) -> None:
+    """Turn the bridge every `period` seconds, and a connection with large batches whenever it can go on."""
+    due = time.monotonic()
+    while not process.stopping.is_set():
+        follower.apply_news()
+        bridge.turn(time.monotonic())
+        due = max(due + period, time.monotonic())
+        while (left := due - time.monotonic()) > 0:
+            active = [channels[name] for name in bridge.channels]
+            prompt = [channels[BULK]] if BULK in bridge.channels else []
+            writing = [channel for channel in active if channel.wants_write]
+            if not prompt and not writing:
+                time.sleep(left)
+            elif wait(writing, prompt, left):
+                for name in bridge.channels:
+                    bridge.turn_channel(name, time.monotonic())
+
+
+class SettingsWatch:
+    """Applies settings to the bridge: the mounted file at the beginning, then every change of the ConfigMap. Refused
+    ones leave the old settings active; `complaint` and a metric say so."""
+
+    def __init__(self, bridge: Bridge, process: Process, ownership: Fencing) -> None:
+        self._bridge = bridge
+        self._process = process
+        self._ownership = ownership
+        self._news: deque[tuple[str, str]] = deque(maxlen=1)
+        self._refused: str | None = None
+        self._applied = ""
+
+    @property
+    def complaint(self) -> str | None:
+        """The reason why the bridge is not ready, or None. Refused settings are none while it carries older ones."""
+        if self._bridge.settings is None and self._refused is not None:
+            return self._refused
+        return self._bridge.complaint
+
+    def metrics(self) -> str:
+        """The bridge's metrics and the state of its settings."""
+        refused = f"robotkube_settings_refused {int(self._refused is not None)}\n"
+        return f"{self._bridge.metrics()}{refused}{self._ownership.metrics()}"
+
+    def follow(self, config_map: str) -> None:
+        """Watch the ConfigMap from now on."""
+        where = f"ConfigMap {config_map}, key {KEY}"
+
+        def changed(data: Mapping[str, str]) -> None:
+            if KEY in data:
+                self._news.append((data[KEY], where))
+
+        follow_settings(self._process, config_map, self._ownership, changed)
+
+    def apply_news(self) -> None:
+        """Apply what the watch brought, then let the bridge send if it may; called by the loop's thread."""
+        held = not self._ownership.sure  # read first: what made it sure is among the news by then
+        while self._news:
+            self.apply(*self._news.popleft())
+        self._bridge.hold(held)
+
+    def apply(self, text: str, where: str) -> None:
+        """Apply settings, or keep the old ones and say why."""
+        if text == self._applied:
+            return
+        try:
+            settings = read_bridge_settings(read_mapping(text, where), where)
+            check_agent(self._bridge.settings, settings, where)
+        except DocumentError as error:
+            self._refused = str(error)
+            self._process.log("settings refused", error=str(error), kept=self._bridge.settings is not None)
+            return
+        self._refused = None
+        self._applied = text
+        if settings != self._bridge.settings:
+            self._bridge.configure(settings)
+
+
+def definition_of(type_name: str) -> str:
+    """The definition of a type of this image with all it uses, or nothing."""
+    from robotkube.robots.ros.adapters.installed_definitions import definition  # only who publishes types needs it
+
+    return definition(type_name, Path(sys.prefix) / "share")
+
+
+def account(pod: PodSettings) -> BrokerAccount:
+    """The broker's account from the mounted Secret; InputError names the key."""
+    folder = pod.broker_folder
+    port = read_secret(folder, "port")
+    if not port.isdecimal():
+        raise InputError(f"{folder / 'port'}: {port!r} is no port number")
+    return BrokerAccount(
+        read_secret(folder, "host"), int(port), read_secret(folder, "username"), read_secret(folder, "password")
+    )
+
+
+def period_seconds(environment: Mapping[str, str]) -> float:
+    """ROBOTKUBE_PERIOD_MS, or the default; InputError when it is no number from 1 to 1000."""
+    text = environment.get("ROBOTKUBE_PERIOD_MS")
+    if text is None:
+        return PERIOD_SECONDS
+    if not text.isdecimal() or not 1 <= int(text) <= 1000:
+        raise InputError(f"ROBOTKUBE_PERIOD_MS is {text!r}; give whole milliseconds from 1 to 1000")
+    return int(text) / 1000
+
+
+def main() -> None:
+    """Run until SIGTERM or the end of the work; exit codes as in `foundation.runtime.process`."""
+    run("mqtt-bridge", body, GRACE_SECONDS)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""The event detector: live topics, buffers, rules, reactions, in one process."""

@@ -1,0 +1,266 @@
+"""Replay of bags through rules: the detector itself, fed from bags instead of the network and driven by their clock.
+
+It runs EventDetector as in a vehicle, with the same buffers, stamps and rules; only the source of the messages, the
+clock and the receiver of the events are different. It waits for rules in processes of their own.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, NoReturn
+
+from robotkube.errors import InputError
+from robotkube.robots.detector.core.settings import ACTIVE, DetectorSettings, TopicSettings
+from robotkube.robots.detector.loops.detector import EventDetector
+from robotkube.robots.detector.loops.dispatching import Dispatcher
+from robotkube.robots.detector.loops.recording import RecordingReactions
+from robotkube.robots.detector.loops.subscription import TopicSubscription
+from robotkube.robots.detector.loops.subscriptions import SUBSCRIPTIONS_MAX
+from robotkube.robots.ros.core.cdr_readers.readers import Layouts
+from robotkube.robots.ros.core.qos import IncompatiblePublishers, PublisherOffer, QosProfile, QosViolations
+from robotkube.robots.rules.core import AnsweredQuestion, Edge
+from robotkube.robots.rules.loops.workers import RuleWorkers
+
+if TYPE_CHECKING:
+    from robotkube.robots.detector.ports import TopicInput
+
+CLOCKS_APART_NS = 60_000_000_000
+"""The distance from the bags' times beyond which stamps are of another clock: simulated time, or a bag of a bag."""
+CLOCK_MESSAGES = 20
+"""The messages of each topic that are compared for that."""
+TURN_NS = 10_000_000
+"""The span of messages that are given at once, as they come from a network."""
+PAUSE_NS = 2_000_000_000
+PAUSE_TURNS_NS = (1_200_000_000, 150_000_000)
+"""After a pause of the first, the detector discovers topics at the second before the next message, as it would live:
+expired topics are forgotten, and found again, before it comes."""
+EDGES_MAX = 1_000_000
+TURNS_MAX = 100_000
+
+BagMessages = Iterable[tuple[str, int, bytes]]
+
+
+@dataclass
+class BagInput:
+    """A subscription to a topic of bags (port TopicInput)."""
+
+    waiting: deque[tuple[bytes, int]] = field(default_factory=deque)
+    lost: int = 0
+    closed: bool = False
+    matched: int = 1
+    incompatible: IncompatiblePublishers = field(default_factory=IncompatiblePublishers)
+    broken: QosViolations = field(default_factory=QosViolations)
+
+    def drain(self, messages_max: int) -> Sequence[tuple[bytes, int]]:
+        """See the port."""
+        if len(self.waiting) <= messages_max:
+            messages = list(self.waiting)
+            self.waiting.clear()
+            return messages
+        return [self.waiting.popleft() for _ in range(messages_max)]
+
+    def close(self) -> None:
+        """See the port. Messages that wait are kept until the topic is found again."""
+        self.closed = True
+
+
+class BagTopics:
+    """Topics of bags as inputs of a detector (port LiveTopics). `types`: topic -> its type."""
+
+    def __init__(self, types: Mapping[str, str]) -> None:
+        self._types = types
+        self.inputs: dict[str, BagInput] = {}
+
+    def follow(self, topics: Sequence[TopicSettings]) -> None:
+        """See the port."""
+
+    def subscribe(
+        self, topic: str, settings: TopicSettings, quality: QosProfile, before: TopicInput | None = None
+    ) -> BagInput:
+        """See the port."""
+        topic_input = self.inputs.setdefault(topic, BagInput())
+        topic_input.closed = False
+        return topic_input
+
+    def visible(self) -> Mapping[str, Sequence[str]]:
+        """See the port."""
+        return {name: (type_name,) for name, type_name in self._types.items()}
+
+    def offers(self, topic: str) -> Sequence[PublisherOffer]:
+        """See the port."""
+        return ()
+
+    @property
+    def waiting(self) -> bool:
+        """True when subscriptions have messages that were not drained."""
+        return any(topic_input.waiting and not topic_input.closed for topic_input in self.inputs.values())
+
+
+class PatientWorkers(RuleWorkers):
+    """Processes of rules that wait for every answer, since a replay is faster than they are."""
+
+    _settling = False
+
+    def collect(self) -> list[AnsweredQuestion]:
+        """The verdicts on all questions so far."""
+        if self._settling:
+            return super().collect()
+        self._settling = True
+        try:
+            return self.settle()
+        finally:
+            self._settling = False
+
+
+class _EdgeCollector(Dispatcher):
+    """A dispatcher that collects the edges and has no reactions."""
+
+    def __init__(self, clock_ns: Callable[[], int]) -> None:
+        super().__init__(_refuse, _refuse, clock_ns)
+        self.edges: list[Edge] = []
+
+    def react(self, edge: Edge) -> None:
+        """Collect an edge; InputError beyond EDGES_MAX."""
+        if len(self.edges) >= EDGES_MAX:
+            raise InputError(f"the rules raise more than {EDGES_MAX} edges; give them cooldown_seconds or hysteresis")
+        self.edges.append(edge)
+
+
+def _refuse(*_: object) -> NoReturn:
+    raise AssertionError("a replay has no reactions")
+
+
+@dataclass
+class ReplayResult:
+    """The result of a replay. `first`, `last`: times of the bags in ns, 0 without a message; `begin`: `first` on the
+    clock of the messages' stamps; `messages`: number of messages of topics that rules read; `malformed`: topic ->
+    messages that are none of their type; `unsaid`: rules that could not read all messages, and why; `problems`: other
+    remarks on the result."""
+
+    edges: list[Edge] = field(default_factory=list)
+    messages: int = 0
+    first: int = 0
+    begin: int = 0
+    last: int = 0
+    malformed: dict[str, int] = field(default_factory=dict)
+    unsaid: list[str] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+
+
+def topics_read(settings: DetectorSettings, types: Mapping[str, str]) -> Collection[str]:
+    """The topics of the bags that rules read."""
+    patterns = {pattern for rule in settings.rules for pattern in rule.topics}
+    by_pattern = {topic.pattern: topic.type for topic in settings.topics}
+    return {
+        name
+        for name, type_name in types.items()
+        if any(pattern.agent(name) is not None and by_pattern.get(pattern) == type_name for pattern in patterns)
+    }
+
+
+@dataclass
+class _Clock:
+    """The lag of the messages' stamps behind the bags' times; `seen`: topic -> messages compared."""
+
+    seen: dict[str, int] = field(default_factory=dict)
+    _least: int | None = None
+
+    def observe(self, topic: TopicSubscription | None, name: str, data: bytes, moment: int) -> None:
+        """Compare one of a topic's first messages with its time in the bag."""
+        self.seen[name] = self.seen.get(name, 0) + 1
+        try:
+            stamp = topic.stamp(data) if topic is not None and topic.stamp is not None else 0
+        except ValueError:
+            return
+        if stamp and (self._least is None or abs(moment - stamp) < abs(self._least)):
+            self._least = moment - stamp
+
+    @property
+    def lag(self) -> int:
+        """The lag in ns; 0 when it is the same clock."""
+        return self._least if self._least is not None and abs(self._least) > CLOCKS_APART_NS else 0
+
+    def problems(self, begin: int) -> Iterable[str]:
+        """The remark on another clock, if there is one."""
+        if self.lag:
+            way = "behind" if self.lag > 0 else "ahead of"
+            yield (
+                f"the messages' stamps are {abs(self.lag) / 1e9:.0f} s {way} the bags' times: another clock; "
+                f"seconds are counted from the stamp {begin}, which the first message has by it"
+            )
+
+
+def replay(
+    settings: DetectorSettings,
+    layouts: Layouts,
+    types: Mapping[str, str],
+    messages: BagMessages,
+    make_workers: Callable[[], RuleWorkers],
+    turn_ns: int = TURN_NS,
+) -> ReplayResult:
+    """Play `messages` (topic, time, bytes; times ascending) through a detector with these settings, as fast as it goes.
+
+    `types`: topic -> type of what is in the bags. InputError when there are more than EDGES_MAX edges."""
+    result = ReplayResult()
+    clock = _Clock()
+    now = begin = 0
+
+    def clock_ns() -> int:
+        return now
+
+    source = BagTopics(types)
+    listening = _EdgeCollector(clock_ns)
+    detector = EventDetector(
+        lambda _: source, layouts, listening, RecordingReactions(_refuse), make_workers, clock_ns, lambda: now / 1e9
+    )
+    try:
+        for name, moment, data in messages:
+            if not result.messages:
+                result.first = now = begin = moment
+                detector.apply(replace(settings, reactions=(), task="", bag="", state=ACTIVE))
+                detector.turn()  # subscribes to what patterns find
+            elif moment > begin + turn_ns:
+                _turns(detector, source)
+                for before in PAUSE_TURNS_NS if moment - now > PAUSE_NS else ():
+                    now = moment - before
+                    detector.turn()
+                begin = moment
+            result.messages += 1
+            now = result.last = max(now, moment)
+            topic_input = source.inputs.get(name)
+            if topic_input is not None:
+                topic_input.waiting.append((data, moment))
+            if clock.seen.get(name, 0) < CLOCK_MESSAGES:
+                clock.observe(detector.topics.topics.get(name), name, data, moment)
+        if result.messages:
+            _turns(detector, source)
+            _turns(detector, source)  # what processes answered to the last messages
+        result.edges = sorted(listening.edges, key=lambda edge: edge.stamp)
+        result.malformed = {n: c.malformed for n, c in detector.topics.counters().items() if c.malformed}
+        result.unsaid = list(_incomplete_rules(detector))
+        result.begin = result.first - clock.lag
+        result.problems = list(clock.problems(result.begin))
+        result.problems += [
+            f"{name}: not read: {SUBSCRIPTIONS_MAX} topics are" for name in sorted(set(clock.seen) - set(source.inputs))
+        ]
+    finally:
+        detector.stop()
+    return result
+
+
+def _turns(detector: EventDetector, source: BagTopics) -> None:
+    for _ in range(TURNS_MAX):
+        detector.turn()
+        if not source.waiting:
+            return
+
+
+def _incomplete_rules(detector: EventDetector) -> Iterable[str]:
+    for (rule, topic), text in sorted(detector.engine.problems.items()):
+        yield f"rule {rule} cannot read {topic}: {text}"
+    workers = detector.workers.document() if detector.workers is not None else {}
+    for rule, state in workers.items():
+        if state["problem"] or state["dropped"]:
+            yield f"rule {rule} was suspended, {state['dropped']} messages were not evaluated: {state['problem']}"

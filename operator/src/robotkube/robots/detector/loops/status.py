@@ -1,0 +1,181 @@
+"""The status of a detector: `/status` as JSON, `/metrics` in Prometheus' text form. Any thread may read it.
+
+Labels take values of closed lists: topic patterns, rules and reactions of the settings, never agents or events.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from robotkube.robots.detector.core.settings import STATES
+from robotkube.robots.reactions.loops.delivery_journal import MEMORY_ONLY
+
+if TYPE_CHECKING:
+    from robotkube.robots.detector.loops.detector import EventDetector
+
+PROBLEMS_MAX = 50
+PREFIX = "robotkube_detector_"
+TOPIC_GAUGES = (
+    "subscriptions", "matched_sources", "stale_topics", "mismatched_topics", "buffer_messages", "buffer_bytes",
+)  # fmt: skip
+
+METRICS: Mapping[str, tuple[str, str, str]] = {
+    "info": ("gauge", "state", "1 for the state that the detector is in."),
+    "ready": ("gauge", "", "1 while it is ready."),
+    "settings_refused": ("gauge", "", "1 while the newest settings are refused and older ones are at work."),
+    "subscriptions": ("gauge", "topic", "Topics that are subscribed to, by pattern."),
+    "matched_sources": ("gauge", "topic", "Publishers that are connected."),
+    "stale_topics": ("gauge", "topic", "Topics that have been silent for longer than stale_seconds."),
+    "mismatched_topics": ("gauge", "topic", "Topics with a publisher whose type or quality of service does not fit."),
+    "incompatible_total": ("counter", "topic", "Publishers that the middleware refused because of their quality."),
+    "missed_deadlines_total": ("counter", "topic", "Deadlines asked for that passed without a message."),
+    "lost_liveliness_total": ("counter", "topic", "Publishers that gave no sign of life for as long as their lease."),
+    "received_total": ("counter", "topic", "Messages taken."),
+    "malformed_total": ("counter", "topic", "Messages whose stamp could not be read."),
+    "lost_total": ("counter", "topic", "Messages that were pushed out before they were taken."),
+    "buffer_messages": ("gauge", "topic", "Messages in the ring buffers."),
+    "buffer_bytes": ("gauge", "topic", "Bytes in the ring buffers."),
+    "late_total": ("counter", "topic", "Messages older than the window, or wrongly newer."),
+    "duplicates_total": ("counter", "topic", "Messages that were there already."),
+    "jumps_total": ("counter", "topic", "Jumps of a topic's time."),
+    "evicted_total": ("counter", "topic", "Messages that left a buffer because of a bound."),
+    "events_total": ("counter", "", "Edges that were raised."),
+    "active_events": ("gauge", "rule", "Events that last."),
+    "unreadable_total": ("counter", "", "Messages whose fields a rule could not read."),
+    "late_for_rules_total": ("counter", "", "Messages older than the last one that was evaluated."),
+    "rule_suspended": ("gauge", "rule", "1 while a rule of kind cel or python is suspended."),
+    "rule_dropped_total": ("counter", "rule", "Messages that a rule of kind cel or python was not evaluated for."),
+    "reaction_delivered_total": ("counter", "reaction", "Edges that were delivered."),
+    "reaction_retries_total": ("counter", "reaction", "Attempts that were repeated."),
+    "reaction_dead_total": ("counter", "reaction", "Edges that were given up."),
+    "reaction_waiting": ("gauge", "reaction", "Edges on their way."),
+    "reaction_journal_entries": ("gauge", "", "Edges on their way that a restart would find on the disk."),
+    "reaction_journal_unkept_total": ("counter", "", "Edges that were in memory only, since the disk refused."),
+}
+"""Name without prefix -> kind, label, meaning."""
+
+
+@dataclass
+class SettingsRefusal:
+    """The last refusal of settings: `error` is empty while the newest ones are at work."""
+
+    error: str = ""
+    time: int = 0
+    count: int = 0
+
+
+@dataclass
+class DetectorStatus:
+    """The pages of one detector. `unreachable`: the reason why it waits for something else, such as the broker. `kept`:
+    the state of the reactions' journal."""
+
+    detector: EventDetector
+    clock_ns: Callable[[], int]
+    refusal: SettingsRefusal = field(default_factory=SettingsRefusal)
+    unreachable: Callable[[], str] = str
+    kept: Callable[[], Mapping[str, Any]] = lambda: MEMORY_ONLY
+
+    def not_ready(self) -> str:
+        """The reason why it is not ready, in words; empty when it is."""
+        return self.detector.not_ready or self.unreachable()
+
+    def document(self) -> dict[str, Any]:
+        """The document of `GET /status`."""
+        detector = self.detector
+        refusal = self.refusal
+        reached = self.detector.reached
+        engine = detector.engine
+        workers = detector.workers
+        problems = list(engine.problems.items())[:PROBLEMS_MAX]
+        return {
+            "name": detector.settings.name,
+            "state": reached.state,
+            "state_asked": reached.asked,
+            "state_since": reached.since,
+            "not_ready": self.not_ready(),
+            "started": detector.started,
+            "now": self.clock_ns(),
+            "settings": {"applied": detector.applied, "refused": refusal.error, "refusals": refusal.count},
+            "buffer": {"bytes": detector.pool.bytes, "bytes_max": detector.settings.buffer_bytes},
+            "topics": detector.topics.document(),
+            "topic_problems": dict(detector.topics.problems),
+            "rules": {
+                "names": [rule.name for rule in engine.rules],
+                "active": [{"id": e.id, "rule": e.rule, "agents": list(e.agents)} for e in engine.active],
+                "problems": [{"rule": r, "topic": t, "problem": text} for (r, t), text in problems],
+                "workers": {} if workers is None else workers.document(),
+            },
+            "reactions": detector.raising.document(),
+            "reactions_journal": dict(self.kept()),
+            "dead_letters": detector.raising.box.documents(),
+            "recordings": {
+                recordings.plan.recording: recordings.counts() for recordings in detector.recordings.at_work
+            },
+        }
+
+    def metrics(self) -> str:
+        """The text of `GET /metrics`."""
+        series_by_name: dict[str, list[str]] = {name: [] for name in METRICS}
+        for name, label, value in self._values():
+            key = METRICS[name][1]
+            labels = f'{{{key}="{_escaped(label)}"}}' if key else ""
+            series_by_name[name].append(f"{PREFIX}{name}{labels} {value}")
+        lines: list[str] = []
+        for name, series in series_by_name.items():
+            if series:
+                kind, _, text = METRICS[name]
+                lines += [f"# HELP {PREFIX}{name} {text}", f"# TYPE {PREFIX}{name} {kind}", *series]
+        return "\n".join([*lines, *self._recordings()]) + "\n"
+
+    def _values(self) -> Iterator[tuple[str, str, int]]:
+        detector = self.detector
+        yield from (("info", state, int(state == detector.reached.state)) for state in STATES)
+        yield "ready", "", int(not self.not_ready())
+        yield "settings_refused", "", int(bool(self.refusal.error))
+        yield "events_total", "", detector.raising.raised
+        yield "unreadable_total", "", sum(detector.engine.counts.malformed.copy().values())
+        yield "late_for_rules_total", "", detector.engine.counts.late
+        for pattern, sums in self._topics().items():
+            yield from ((name, pattern, value) for name, value in sums.items())
+        active = [edge.rule for edge in detector.engine.active]
+        yield from (("active_events", rule.name, active.count(rule.name)) for rule in detector.engine.rules)
+        workers = {} if detector.workers is None else detector.workers.document()
+        for rule, worker in workers.items():
+            yield "rule_suspended", rule, int(worker["state"] == "suspended")
+            yield "rule_dropped_total", rule, worker["dropped"]
+        kept = self.kept()
+        yield "reaction_journal_entries", "", kept["kept"]
+        yield "reaction_journal_unkept_total", "", kept["unkept"]
+        for reaction, counts in detector.raising.document().items():
+            yield "reaction_waiting", reaction, counts["waiting"]
+            yield from ((f"reaction_{key}_total", reaction, counts[key]) for key in ("delivered", "retries", "dead"))
+
+    def _topics(self) -> dict[str, dict[str, int]]:
+        """Topic pattern -> gauges of its topics now, and counters since the start."""
+        topics = self.detector.topics
+        sums = {
+            pattern: dict.fromkeys(TOPIC_GAUGES, 0) | {f"{name}_total": value for name, value in counted.items()}
+            for pattern, counted in topics.totals.read().items()
+        }
+        for topic in topics.document().values():
+            values = (1, topic["matched"], int(topic["stale"]), int(bool(topic["problem"])))
+            for key, value in zip(TOPIC_GAUGES, values, strict=False) if topic["pattern"] in sums else ():
+                sums[topic["pattern"]][key] += value
+        for pattern, buffer in topics.held():
+            if pattern in sums:
+                sums[pattern]["buffer_messages"] += len(buffer)
+                sums[pattern]["buffer_bytes"] += buffer.bytes
+        return sums
+
+    def _recordings(self) -> Iterator[str]:
+        for recordings in self.detector.recordings.at_work:
+            label = f'recording="{_escaped(recordings.plan.recording)}"'
+            yield f"robotkube_recorder_waiting_writes{{{label}}} {recordings.waiting}"
+            for key, value in recordings.counts().items():
+                yield f"robotkube_recorder_{key}_total{{{label}}} {value}"
+
+
+def _escaped(text: str) -> str:
+    return text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", " ")

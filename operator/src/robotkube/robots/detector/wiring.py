@@ -1,0 +1,308 @@
+"""The wiring of a detector's process: adapters behind the ports of its loops, imported when they are needed."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from robotkube.errors import InputError, RefusalError
+from robotkube.foundation.runtime.loops.fencing import Fencing
+from robotkube.foundation.runtime.process import PodSettings, read_secret
+from robotkube.robots.detector.core.settings import DetectorSettings, SettingsContext
+from robotkube.robots.reactions.core.settings import DeliveryReaction, MqttReaction, PythonReaction, WebhookReaction
+from robotkube.robots.reactions.core.task_requests import renewal
+from robotkube.robots.reactions.loops.operator import OperatorReactions
+from robotkube.robots.recording.core.plans import RecordingPlan
+
+if TYPE_CHECKING:
+    from robotkube.foundation.kubernetes.adapters.http_client import ApiServer
+    from robotkube.robots.detector.loops.broker import Broker
+    from robotkube.robots.reactions.loops.dead_letters import DeadLetterBox
+    from robotkube.robots.reactions.loops.delivery_journal import DeliveryJournal
+    from robotkube.robots.reactions.ports.deliveries import DeliverySender, RunningReaction, Spans
+    from robotkube.robots.recording.loops.recordings import Recordings
+    from robotkube.robots.recording.ports import MountedVolumeClaim, RecordingStore
+    from robotkube.robots.ros.core.cdr_readers.readers import Layouts
+    from robotkube.robots.ros.core.gaps import Gap
+    from robotkube.robots.ros.core.ring_buffers import RingBuffer
+    from robotkube.robots.rules.core.specification.expressions import Check, Checked
+    from robotkube.robots.rules.loops.workers import RuleWorkers
+
+RECORDINGS_FOLDER = "/var/lib/robotkube/recordings"
+TASKS = ("robotkube.io", "v1alpha1", "taskdescriptions")
+SESSION_SECONDS = 60
+JOURNAL_VARIABLE = "ROBOTKUBE_REACTIONS"
+SPANS_VARIABLE = "OTEL_EXPORTER_OTLP_TRACES_ENDPOINT"
+
+
+class ApiTasks:
+    """The TaskDescriptions of one namespace over the API server (port OwnTasks). Nothing is written while the process
+    is not sure that its release is still its own: UnavailableError."""
+
+    def __init__(self, api: ApiServer, namespace: str, ownership: Fencing) -> None:
+        self._api = api
+        self._namespace = namespace
+        self._ownership = ownership
+
+    def tasks(self) -> Sequence[Mapping[str, Any]]:
+        """See the port."""
+        task_list = self._api.get(self._path()) or {}
+        return list(task_list.get("items", []))
+
+    def create(self, task: Mapping[str, Any]) -> None:
+        """Create the object; RefusalError carries the server's words."""
+        self._ownership.check()
+        try:
+            self._api.create(self._path(), task)
+        except InputError as error:
+            raise RefusalError("Refused", str(error)) from error
+
+    def renew(self, name: str, now: int) -> bool:
+        """Renew the lease by a patch of the annotation."""
+        self._ownership.check()
+        try:
+            return self._api.patch(self._path(name), renewal(now))
+        except InputError as error:
+            raise RefusalError("Refused", str(error)) from error
+
+    def delete(self, name: str) -> None:
+        """Delete the object."""
+        self._ownership.check()
+        try:
+            self._api.delete(self._path(name))
+        except InputError as error:
+            raise RefusalError("Refused", str(error)) from error
+
+    def _path(self, name: str = "") -> str:
+        from robotkube.foundation.kubernetes.adapters.http_client import custom_path
+
+        group, version, plural = TASKS
+        return custom_path(group, version, self._namespace, plural, name)
+
+
+def make_operator(
+    settings: DetectorSettings, pod: PodSettings, ownership: Fencing, box: DeadLetterBox
+) -> OperatorReactions:
+    """Start the operator reaction, whose tasks are in the namespace of the pod's ConfigMap."""
+    from robotkube.foundation.kubernetes.adapters.http_client import ApiServer, split_name
+
+    namespace, _ = split_name(pod.config_map or settings.name)
+    tasks = ApiTasks(ApiServer.from_environment(os.environ), namespace, ownership)
+    reactions = OperatorReactions(settings.name, namespace, tasks, time.time_ns, time.monotonic, settings.task, box)
+    reactions.start()
+    return reactions
+
+
+def make_journal(folder: str, name: str, box: DeadLetterBox) -> DeliveryJournal:
+    """Start the journal of a detector's deliveries; `name` is the detector's."""
+    from robotkube.robots.reactions.adapters.delivery_files import DeliveryFile
+    from robotkube.robots.reactions.loops.delivery_journal import DeliveryJournal
+
+    place = DeliveryFile(Path(folder) / name.replace("/", "_"))
+    journal = DeliveryJournal(place, box, time.time_ns, time.monotonic)
+    journal.start()
+    return journal
+
+
+def make_reaction(
+    settings: DeliveryReaction,
+    pod: PodSettings,
+    ownership: Fencing,
+    box: DeadLetterBox,
+    broker: Callable[[], Broker],
+    journal: DeliveryJournal | None,
+) -> RunningReaction:
+    """Start a reaction that delivers edges."""
+    from robotkube.robots.reactions.loops.delivery_journal import ReactionJournal
+
+    kept = ReactionJournal(journal, settings.key, settings.name)
+    if isinstance(settings, MqttReaction):
+        from robotkube.robots.detector.loops.broker import MqttReactions
+
+        return MqttReactions(settings, broker(), box, time.monotonic, kept)
+    from robotkube.robots.reactions.loops.deliveries import Deliveries
+    from robotkube.robots.reactions.loops.fenced_sender import FencedSender
+
+    sender = FencedSender(_sender(settings, pod), ownership)
+    deliveries = Deliveries(settings.name, sender, settings.retry_seconds, box, time.monotonic, kept)
+    deliveries.start()
+    return deliveries
+
+
+def _sender(settings: WebhookReaction | PythonReaction, pod: PodSettings) -> DeliverySender:
+    if isinstance(settings, PythonReaction):
+        from robotkube.robots.reactions.adapters.child_processes import ProcessSender
+
+        return ProcessSender(settings.plugin, settings.settings, settings.timeout_seconds)
+    from robotkube.robots.reactions.adapters.webhook_sender import WebhookSender
+
+    folder = pod.broker_folder.parent / "webhooks"
+    key = settings.secret
+    secret = (lambda: read_secret(folder, key).encode()) if key else None
+    return WebhookSender(settings.url, secret, settings.timeout_seconds)
+
+
+def make_recordings(
+    plan: RecordingPlan,
+    buffers: Mapping[str, RingBuffer],
+    pod: PodSettings,
+    ownership: Fencing,
+    carried: Callable[[str], str],
+) -> Recordings:
+    """Start the recordings of a recording reaction. `carried`: the definition of a type that the broker has carried,
+    else empty."""
+    from robotkube.robots.recording.loops.destinations import RecorderPlace
+    from robotkube.robots.recording.loops.recordings import Recordings
+
+    if not pod.node:
+        raise InputError("NODE_NAME is not set; a recording's index names the node: set it from spec.nodeName")
+    root = Path(os.environ.get("ROBOTKUBE_RECORDINGS", RECORDINGS_FOLDER))
+    place = RecorderPlace(
+        volume=f"{pod.node}/{plan.volume}",
+        open_store=lambda: _open_store(pod),
+        open_claim=lambda: _open_claim(root, plan.recording),
+        clock_ns=time.time_ns,
+        monotonic=time.monotonic,
+        ownership=ownership,
+    )
+    recordings = Recordings(plan, place, buffers, carried=carried)
+    recordings.start()
+    return recordings
+
+
+def _open_store(pod: PodSettings) -> RecordingStore:
+    from robotkube.foundation.database.adapters.connection import connect, read_account
+    from robotkube.robots.recording.adapters.mongodb import PymongoRecordingStore
+
+    return PymongoRecordingStore(connect(read_account(pod.database_folder)))
+
+
+def _open_claim(root: Path, owner: str) -> MountedVolumeClaim:
+    from robotkube.robots.recording.adapters.volume_claim import MountedVolumeClaim
+
+    return MountedVolumeClaim(root, owner, time.time_ns)
+
+
+def make_broker(
+    pod: PodSettings,
+    name: str,
+    ownership: Fencing,
+    learned: Callable[[str], None],
+    lacking: Callable[[Gap], None],
+) -> Broker:
+    """The detector's connection to the broker. Its client id is the name of its release, which no bridge has, and of
+    the Node that the release names."""
+    from robotkube.robots.detector.loops.broker import Broker
+    from robotkube.robots.mqtt.adapters.paho_channel import BrokerAccount, PahoChannel
+
+    def account() -> BrokerAccount:
+        folder = pod.broker_folder
+        port = read_secret(folder, "port")
+        if not port.isdecimal():
+            raise InputError(f"{folder / 'port'}: {port!r} is no port number")
+        words = [read_secret(folder, key) for key in ("host", "username", "password")]
+        return BrokerAccount(words[0], int(port), words[1], words[2])
+
+    client = "-".join([name.replace("/", "-"), *([pod.placed_node] if pod.placed_node else [])])
+    return Broker(
+        lambda events: PahoChannel(account, client, SESSION_SECONDS, events),
+        time.time_ns,
+        time.monotonic,
+        learned,
+        lacking,
+        ownership,
+    )
+
+
+def make_workers(settings: Callable[[], DetectorSettings], lookup: Callable[[str], str]) -> RuleWorkers:
+    """The processes of rules of kinds cel and python, which start when rules need them."""
+    from robotkube.robots.rules.host import start_rule
+    from robotkube.robots.rules.loops.workers import RuleWorkers
+
+    return RuleWorkers(lambda rule: start_rule(rule, settings().types, lookup), time.monotonic)
+
+
+def make_spans(environment: Mapping[str, str], name: str) -> Spans | None:
+    """The sender of spans; None when the environment names no collector."""
+    endpoint = environment.get(SPANS_VARIABLE)
+    if not endpoint:
+        return None
+    from robotkube.robots.detector.adapters.otlp_spans import OtlpSpans
+
+    return OtlpSpans(endpoint, "robotkube-event-detector", name)
+
+
+def installed_definition(type_name: str) -> str:
+    """The definition of an installed type with all it uses; KeyError when it is not installed."""
+    from robotkube.robots.ros.adapters.installed_definitions import definition
+
+    text = definition(type_name, Path(sys.prefix) / "share")
+    if not text:
+        raise KeyError(type_name)
+    return text
+
+
+def definition(type_name: str, carried: Mapping[str, str]) -> str:
+    """The definition of a type: an installed one counts before one that the broker has `carried`; KeyError when it is
+    unknown."""
+    try:
+        return installed_definition(type_name)
+    except KeyError:
+        return carried[type_name]
+
+
+def read_bag(
+    path: Path, complain: Callable[[str], None], wanted: Callable[[str, str], bool]
+) -> Iterator[tuple[str, str, int, bytes]]:
+    """The topic, type, time in ns and bytes of a bag's messages; `wanted`: true for topics and types to be read."""
+    from robotkube.robots.bags.adapters.reading import open_bag
+
+    with open_bag(path, complain) as bag:
+        types = {topic.name: topic.type for topic in bag.topics}
+        for topic, moment, data in bag.messages({name for name, kind in types.items() if wanted(name, kind)}):
+            yield topic, types[topic], moment, data
+
+
+class CachedExpressionCheck:
+    """A check of expressions that remembers results, since a check takes a second."""
+
+    def __init__(self, check: Check) -> None:
+        self._check = check
+        self._known: dict[Checked, str] = {}
+
+    def __call__(self, texts: Sequence[Checked]) -> Sequence[str]:
+        """The problem of each expression, empty when there is none."""
+        known = {text: self._known[text] for text in texts if text in self._known}
+        new = [text for text in dict.fromkeys(texts) if text not in known]
+        self._known = {**known, **(dict(zip(new, self._check(new), strict=True)) if new else {})}
+        return [self._known[text] for text in texts]
+
+
+def check_expressions(texts: Sequence[Checked]) -> Sequence[str]:
+    """The problem of each of these expressions, empty when there is none; by a process of its own."""
+    from robotkube.robots.rules import host
+
+    return host.check_expressions(texts)
+
+
+def knowledge(document: Mapping[str, Any], layouts: Layouts, check: Check = check_expressions) -> SettingsContext:
+    """The facts that a document is checked against; only what it needs is imported."""
+    kinds = {
+        item.get("kind")
+        for key in ("rules", "reactions")
+        if isinstance(items := document.get(key), list)
+        for item in items
+        if isinstance(item, Mapping) and isinstance(item.get("kind"), str)
+    }
+    rules = reactions = None
+    if "python" in kinds:
+        from robotkube.robots.reactions.adapters.child_processes import installed_reactions
+        from robotkube.robots.rules.adapters.child_processes import installed_rules
+
+        rules = installed_rules()
+        reactions = installed_reactions()
+    return SettingsContext(layouts, rules, reactions, check if "cel" in kinds else None)

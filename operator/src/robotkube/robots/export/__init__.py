@@ -1,0 +1,1 @@
+"""Recordings as bags and data sets, with labels."""

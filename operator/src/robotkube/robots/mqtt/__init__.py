@@ -1,0 +1,1 @@
+"""MQTT 5: a connection to the broker, packets, properties, batches of messages."""

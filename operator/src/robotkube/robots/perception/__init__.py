@@ -1,0 +1,1 @@
+"""Perception services: detection of objects in point clouds, tracking."""

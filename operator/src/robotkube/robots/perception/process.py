@@ -1,0 +1,91 @@
+"""The process around object-detection and object-tracking: settings that are watched, health, the end on SIGTERM.
+
+Both work off their input every PERIOD_SECONDS, without an executor. Variables: docs/reference/robot-processes.md.
+"""
+
+from __future__ import annotations
+
+import gc
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol, TypeVar
+
+from robotkube.errors import DocumentError
+from robotkube.foundation.documents.core.yaml_codec import read_mapping
+from robotkube.foundation.runtime.adapters.health_server import HealthServer
+from robotkube.foundation.runtime.config_watch import follow_settings, ownership_of
+from robotkube.foundation.runtime.process import PodSettings, Process, read_text
+from robotkube.robots.perception.loops.service import Log, MessageProcessor
+from robotkube.robots.ros.adapters.rclpy_node import RosNode
+
+GRACE_SECONDS = 2.0
+PERIOD_SECONDS = 0.02
+KEY = "config.yaml"
+
+Settings = TypeVar("Settings")
+Given = TypeVar("Given", contravariant=True)
+
+
+class PerceptionService(Protocol[Given]):
+    """A perception service that is given settings."""
+
+    @property
+    def perceiving(self) -> MessageProcessor:
+        """Its topics and counters."""
+        ...
+
+    def configure(self, settings: Given) -> None:
+        """Apply settings."""
+        ...
+
+
+def serve(
+    process: Process,
+    node: str,
+    make: Callable[[RosNode, Log], PerceptionService[Settings]],
+    read: Callable[[Mapping[str, Any], str], Settings],
+) -> None:
+    """Run one service until the process shall end. InputError when its first settings are refused."""
+    pod = PodSettings.from_environment()
+    settings = read(
+        read_mapping(read_text(pod.config_file, "the settings"), str(pod.config_file)), str(pod.config_file)
+    )
+    service = make(RosNode(node), process.log)
+    perceiving = service.perceiving
+    ownership = ownership_of(pod)
+    HealthServer(
+        ready=lambda: perceiving.complaint,
+        metrics=lambda: perceiving.metrics() + ownership.metrics(),
+        port=pod.health_port,
+    ).start()
+    service.configure(settings)
+    news: deque[str] = deque(maxlen=1)
+    if pod.config_map is not None:
+        follow_settings(process, pod.config_map, ownership, lambda data: _note(news, data))
+    process.log("ready", complaint=perceiving.complaint)
+    gc.freeze()
+    while not process.stopping.wait(PERIOD_SECONDS):
+        sure = ownership.sure  # read first: what made it sure is among the news by then
+        if news:
+            _apply(process, service, read, news.popleft())
+        if sure:
+            perceiving.turn()
+    perceiving.close()
+
+
+def _apply(
+    process: Process,
+    service: PerceptionService[Settings],
+    read: Callable[[Mapping[str, Any], str], Settings],
+    text: str,
+) -> None:
+    """Apply changed settings; refused ones are reported and the present ones stay."""
+    try:
+        service.configure(read(read_mapping(text, KEY), KEY))
+    except DocumentError as error:
+        process.log("settings refused", error=str(error))
+
+
+def _note(news: deque[str], data: Mapping[str, str]) -> None:
+    if KEY in data:
+        news.append(data[KEY])

@@ -1,0 +1,8 @@
+"""Reactions of a detector to events: tasks, and notifications.
+
+operator           a TaskDescription while an event lasts
+deliveries         signed webhooks, installed reactions: a queue, a thread, retries
+fenced_sender      a sender that is silent while its release may be another's
+delivery_journal   deliveries that wait, on the disk
+dead_letters       deliveries that were given up
+"""

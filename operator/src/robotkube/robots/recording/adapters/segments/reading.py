@@ -1,0 +1,54 @@
+"""Reading single messages and whole files back from the mounted claims of several volumes."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path
+
+from robotkube.errors import UnavailableError
+from robotkube.robots.recording.adapters.segments.records import MESSAGE, MESSAGE_OPCODE, RECORD
+from robotkube.robots.recording.core.documents import SegmentPlace
+
+
+class McapSegmentReader:
+    """Reads single messages from several mounted volume claims. `roots`: volume `<node>/<volume claim>` -> folder."""
+
+    def __init__(self, roots: Mapping[str, Path]) -> None:
+        self._roots = dict(roots)
+
+    def read(self, volume: str, place: SegmentPlace, size: int) -> bytes:
+        """The message's bytes, straight from its record; UnavailableError says which volume, file or record fails."""
+        where = f"{volume}: {place.segment} at {place.offset}"
+        path = self._path(volume, place.segment, where)
+        try:
+            with path.open("rb") as file:
+                file.seek(place.offset)
+                record = file.read(RECORD.size + MESSAGE.size + size)
+        except OSError as error:
+            raise UnavailableError(f"{where}: {error.strerror}") from error
+        if len(record) < RECORD.size + MESSAGE.size + size:
+            raise UnavailableError(f"{where}: the file ends within the message")
+        opcode, length = RECORD.unpack_from(record)
+        if opcode != MESSAGE_OPCODE or length != MESSAGE.size + size:
+            raise UnavailableError(f"{where}: there is no message of {size} bytes")
+        return record[RECORD.size + MESSAGE.size :]
+
+    def digest(self, volume: str, segment: str) -> tuple[str, int]:
+        """SHA-256 and size of the whole file; UnavailableError as `read`."""
+        where = f"{volume}: {segment}"
+        try:
+            with self._path(volume, segment, where).open("rb") as file:
+                return hashlib.file_digest(file, "sha256").hexdigest(), file.tell()
+        except OSError as error:
+            raise UnavailableError(f"{where}: {error.strerror}") from error
+
+    def _path(self, volume: str, segment: str, where: str) -> Path:
+        root = self._roots.get(volume)
+        if root is None:
+            node, _, claim = volume.partition("/")
+            raise UnavailableError(f"{where}: claim {claim} of node {node} is not within reach")
+        path = (root / segment).resolve()
+        if not path.is_relative_to(root.resolve()):
+            raise UnavailableError(f"{where}: leads out of the volume")
+        return path

@@ -1,0 +1,33 @@
+"""A mounted volume claim as recordings use it: segments, their repair, and the spool."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+from robotkube.robots.recording.adapters.bson_spool import BsonSpool
+from robotkube.robots.recording.adapters.segments import McapRepair, McapSegments
+
+
+class MountedVolumeClaim:
+    """A volume claim mounted at `root`; PermissionError when nobody may write there. `owner` names spool files."""
+
+    def __init__(self, root: Path, owner: str, clock_ns: Callable[[], int]) -> None:
+        if not os.access(root, os.W_OK):
+            raise PermissionError(f"{root} is no folder that can be written; is the claim mounted there?")
+        self._root = root
+        self._owner = owner
+        self._clock_ns = clock_ns
+
+    def segments(self, recording: str) -> McapSegments:
+        """A new writer for a recording."""
+        return McapSegments(self._root, recording, self._clock_ns)
+
+    def spool(self) -> BsonSpool:
+        """The spool on the volume."""
+        return BsonSpool(self._root, self._owner, self._clock_ns)
+
+    def repairs(self) -> McapRepair:
+        """The repair of files whose writers are gone."""
+        return McapRepair(self._root)

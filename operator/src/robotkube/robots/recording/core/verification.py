@@ -1,0 +1,104 @@
+"""The verification of a recording: it holds what its audits say, and what its sources' ledgers say, if any. Pure.
+
+Three witnesses are compared: the stored bytes with the digests written beside them, the number of stored messages with
+the audits, and the stored stamps with the ledgers. A message that is missing is explained when a gap of its topic
+covers its stamp.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from robotkube.robots.recording.core.audits import AuditSum
+from robotkube.robots.recording.core.documents import LedgerLine, StoredMessage, TopicComparison, compare_topic
+
+Window = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class TopicExamination:
+    """The examination of one topic. `audit` is None when nobody kept one, `verdict` when there is no ledger; `stored`
+    counts different messages, `duplicates` further copies; `mismatches` are stamps whose bytes are not those that were
+    stored."""
+
+    topic: str
+    stored: int
+    duplicates: int
+    mismatches: tuple[int, ...]
+    unreadable: tuple[str, ...]
+    audit: AuditSum | None = None
+    verdict: TopicComparison | None = None
+
+    @property
+    def unexplained(self) -> int:
+        """Messages that are missing although no gap says so: by the audit's numbers, or by the ledger's stamps."""
+        gaps = self.audit.gaps if self.audit else ()
+        lost = self.verdict.lost if self.verdict else ()
+        by_ledger = sum(not any(gap.covers(line.stamp) for gap in gaps) for line in lost)
+        return max(by_ledger, self.audit.unexplained(self.stored) if self.audit else 0)
+
+    @property
+    def missing(self) -> int:
+        """Messages that the gaps say are not there: dropped on the way or here, or missing in what was received."""
+        return sum(gap.count or 0 for gap in self.audit.gaps) if self.audit else 0
+
+    @property
+    def problems(self) -> list[str]:
+        """The problems in words; empty when there are none."""
+        gaps = self.audit.gaps if self.audit else ()
+        verdict = self.verdict
+        counts = [
+            (len(self.mismatches), "with other bytes than were stored"),
+            (self.duplicates, "stored twice"),
+            (len(self.unreadable), "unreadable"),
+            (len(gaps), "gaps"),
+            (self.unexplained, "missing without explanation"),
+            (len(verdict.lost) if verdict else 0, "of the ledger not stored"),
+            (len(verdict.mismatches) if verdict else 0, "with other bytes than the ledger says"),
+            (len(verdict.unknown) if verdict else 0, "that no ledger has"),
+        ]
+        unaudited = ["no audit says what was received"] if self.stored and self.audit is None else []
+        return [f"{count} {text}" for count, text in counts if count] + unaudited
+
+    @property
+    def complete(self) -> bool:
+        """Whether everything that was there to record is stored as it was."""
+        return not self.problems
+
+
+def examine(
+    stored: Iterable[StoredMessage],
+    audits: Mapping[str, AuditSum],
+    ledgers: Mapping[str, Sequence[LedgerLine]],
+    window: Window,
+) -> list[TopicExamination]:
+    """Examine every topic that is stored, audited or in a ledger. Ledgers are compared within `window`, both ends
+    included."""
+    by_topic: dict[str, list[StoredMessage]] = {topic: [] for topic in (*audits, *ledgers)}
+    for message in stored:
+        by_topic.setdefault(message.topic, []).append(message)
+    return [
+        _examine(topic, messages, audits.get(topic), ledgers.get(topic), window)
+        for topic, messages in sorted(by_topic.items())
+    ]
+
+
+def _examine(
+    topic: str,
+    messages: Sequence[StoredMessage],
+    audit: AuditSum | None,
+    ledger: Sequence[LedgerLine] | None,
+    window: Window,
+) -> TopicExamination:
+    copies = Counter((message.stamp, message.claimed) for message in messages)
+    return TopicExamination(
+        topic=topic,
+        stored=len(copies),
+        duplicates=len(messages) - len(copies),
+        mismatches=tuple(m.stamp for m in messages if not m.problem and m.sha256 != m.claimed),
+        unreadable=tuple(m.problem for m in messages if m.problem),
+        audit=audit,
+        verdict=None if ledger is None else compare_topic(topic, ledger, messages, window),
+    )

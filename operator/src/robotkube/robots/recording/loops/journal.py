@@ -1,0 +1,462 @@
+"""The writes of all recordings of a reaction, on their way to the database, in order.
+
+While the database is away they wait in memory; every SPOOL_SECONDS, or beyond a bound, they go to the spool on the
+claim. When it is back the spool is brought in first, oldest file first. A full disk, a full spool or a volume that
+refuses costs the oldest messages, which an audit of the journal's own names; documents that carry no message (audits,
+ends) are never dropped.
+
+While it is not sure that the release is still its own, the database counts as away. When somebody else has taken it
+over, what was not written since then is discarded: the other one records, and tells.
+"""
+
+from __future__ import annotations
+
+import copy
+import logging
+import random
+import threading
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Protocol
+
+from robotkube.backoffs import Random, backoff
+from robotkube.errors import DocumentError, InputError, UnavailableError
+from robotkube.robots.recording.core.audits import MEMORY, SPOOL, TopicAudit
+from robotkube.robots.recording.core.documents import AUDITS, INDEX, Write, messages_of
+from robotkube.robots.recording.loops.counters import JournalCounts
+from robotkube.robots.recording.loops.destinations import ROUND_SECONDS, RecorderPlace, RecordingBounds
+from robotkube.robots.recording.loops.recovery import repaired
+from robotkube.robots.recording.ports import NO_SPACE
+
+if TYPE_CHECKING:
+    from robotkube.robots.recording.ports import MountedVolumeClaim, RecordingStore, Spool
+
+RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX = 0.25, 5.0
+WRITES_AT_ONCE_MAX = 2000
+SPOOL_SECONDS = 5.0
+AUDIT_BYTES = 2000
+REFUSED, DISK_FULL, SPOOL_FULL, NO_SPOOL = (
+    "refused by the database", "disk full", "spool full", "neither database nor volume",
+)  # fmt: skip
+
+log = logging.getLogger(__name__)
+
+
+class Listener(Protocol):
+    """A recording whose writes go through the journal. Its methods are called by the journal's thread."""
+
+    recording: str
+
+    def introduce(self, store: RecordingStore) -> None:
+        """Read what the database has of the recording, before anything new of it is written."""
+        ...
+
+    def acknowledged(self, write: Write, now: int) -> None:
+        """The database has these new messages since `now`, ns."""
+        ...
+
+
+class Journal:
+    """`start`, any number of `add` from any thread, `stop`; then it is used up."""
+
+    def __init__(
+        self, name: str, place: RecorderPlace, bounds: RecordingBounds, jitter: Random = random.random
+    ) -> None:
+        self._name, self._place, self._bounds, self._jitter = name, place, bounds, jitter
+        self.counts = JournalCounts()
+        self.store: RecordingStore | None = None
+        self.claim: MountedVolumeClaim | None = None
+        self.failed = ""
+        self.life = place.clock_ns()
+        self._spool: Spool | None = None
+        self._away_since = float("inf")
+        self._kept: Write | None = None
+        self._spooled, self._repaired, self._ready, self._make_room = True, False, False, False
+        self._waiting: deque[Write] = deque()
+        self._waiting_bytes = self._busy = 0
+        self._lock = threading.Lock()
+        self._wake, self._settled = threading.Event(), threading.Event()
+        self._deadline: float | None = None
+        self._failures, self._retry_at = 0, float("-inf")
+        self._last_problem = ""
+        self._audits: dict[tuple[str, str], TopicAudit] = {}
+        self._urgent: dict[tuple[str, str], TopicAudit] = {}
+        self._told = 0
+        self._doubtful: dict[str, int] = {}  # what was spooled since the release was known to be our own, and its size
+        self._listeners: dict[str, Listener] = {}
+        self._newcomers: deque[Listener] = deque()
+        self._thread = threading.Thread(target=self._run, name=f"journal-{name}", daemon=True)
+
+    @property
+    def ready(self) -> bool:
+        """Whether claim and database have answered, and what an earlier process left is brought in."""
+        return self._ready
+
+    @property
+    def waiting(self) -> int:
+        """Writes that the database has not acknowledged and the spool has not taken."""
+        return len(self._waiting)
+
+    @property
+    def complete(self) -> bool:
+        """Whether the database has everything that was added."""
+        return not (self._waiting or self._spooled or self.counts.discarded or self.failed)
+
+    @property
+    def _unwritten(self) -> bool:
+        return bool(self._waiting or (self._spooled and self.counts.spooled))
+
+    def start(self) -> None:
+        """Begin; connecting goes on beside."""
+        self._thread.start()
+
+    def listen(self, listener: Listener) -> None:
+        """Introduce a recording to the database, and tell it what is acknowledged."""
+        self._listeners[listener.recording] = listener
+        self._newcomers.append(listener)
+        self._wake.set()
+
+    def forget(self, listener: Listener) -> None:
+        """The recording needs to know nothing any more."""
+        if self._listeners.get(listener.recording) is listener:
+            del self._listeners[listener.recording]
+
+    def add(self, writes: Iterable[Write], keep: bool = False) -> None:
+        """Take writes in; never blocks. `keep`: they must be found after a kill, too, so they go to the spool at once
+        when the database is away."""
+        with self._lock:
+            for write in writes:
+                self._waiting.append(write)
+                self._waiting_bytes += write.size
+                self._kept = write if keep else self._kept
+        self._wake.set()
+
+    def dropped(self, recording: str) -> int:
+        """Messages of the recording that the journal has given up."""
+        return sum(audit.dropped for (name, _), audit in list(self._audits.items()) if name == recording)
+
+    def audits(self, recording: str) -> list[TopicAudit]:
+        """What the journal has given up, by topic."""
+        return [audit for (name, _), audit in list(self._audits.items()) if name == recording]
+
+    def make_room(self) -> None:
+        """The disk is full: the oldest file of the spool is to go."""
+        self._make_room = True
+        self._wake.set()
+
+    def stop(self, seconds: float) -> bool:
+        """Write what waits, within `seconds`; True when the database has everything. The rest goes to the spool."""
+        self._deadline = self._place.monotonic() + seconds
+        self._wake.set()
+        self._thread.join(seconds + 1.0)
+        if self._thread.is_alive():
+            log.error("recording %s: writing did not end within %.1f s", self._name, seconds)
+        return not self._thread.is_alive() and self.complete
+
+    # the journal's own thread ----------------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        try:
+            while self._deadline is None:
+                self.turn()
+                self._wake.wait(ROUND_SECONDS)
+                self._wake.clear()
+            self.finish(self._deadline)
+        except Exception as error:  # an error of ours: the process must not go on as if it recorded
+            self.failed = f"recording {self._name}: {type(error).__name__}: {error}"
+            log.exception("%s", self.failed)
+        finally:
+            if self.store is not None:
+                self.store.close()
+
+    def finish(self, deadline: float) -> None:
+        """Write what waits until `deadline`, and spool the rest."""
+        self.turn()
+        while self._unwritten and not self._place.ownership.lost and self._place.monotonic() < deadline - 1.0:
+            self._retry_at = float("-inf")
+            self.turn()
+            if self._unwritten:
+                self._wake.wait(RETRY_SECONDS_FIRST)
+        if self._place.ownership.lost:
+            self._discard()
+        self._spool_waiting()
+        if self._waiting:
+            log.error("recording %s: %d writes are lost: neither database nor volume", self._name, len(self._waiting))
+
+    def _discard(self) -> None:
+        """Somebody else records meanwhile: what nobody was to be told since then is not told later either."""
+        with self._lock:
+            self.counts.discarded += len(self._waiting)
+            self._waiting.clear()
+            self._waiting_bytes = 0
+        self._urgent.clear()
+        try:
+            while self._doubtful and self._spool is not None:
+                batch, writes = self._doubtful.popitem()
+                self._spool.remove(batch)
+                self.counts.discarded += writes
+        except OSError as error:
+            self._problem(f"spool on {self._place.volume}: {error}")
+        log.warning("recording %s: taken over, %d writes are left out", self._name, self.counts.discarded)
+
+    def turn(self) -> None:
+        """Do what can be done now."""
+        try:
+            if self.claim is None:
+                claim = self._place.open_claim()
+                self._spool, self.claim = claim.spool(), claim
+            if self._make_room:
+                self._make_room = False
+                self._drop_oldest(DISK_FULL)
+        except OSError as error:
+            self._problem(f"claim {self._place.volume}: {error}")
+        if self._place.monotonic() >= self._retry_at:
+            self._try()
+        self._bound_waiting()
+
+    def _try(self) -> None:
+        """Everything that needs the database."""
+        try:
+            if self.store is None:
+                self._open_store()
+            if not self._place.ownership.sure:
+                self._away_since = min(self._away_since, self._place.monotonic())
+                return
+            self._doubtful.clear()
+            if self.store is not None:
+                self._write_urgent(self.store)
+                self._bring_in(self.store)
+                self._introduce(self.store)
+                while self._waiting and self._place.ownership.sure:
+                    self._write_part(self.store)
+                self._ready = self._repaired and not self._newcomers
+        except UnavailableError as error:
+            self.counts.retries += 1
+            pause = backoff(self._failures, RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX, self._jitter)
+            self._failures, self._retry_at = self._failures + 1, self._place.monotonic() + pause
+            self._away_since = min(self._away_since, self._place.monotonic())
+            self._place.ownership.doubt()
+            self._problem(str(error))
+        except OSError as error:
+            self._problem(f"claim {self._place.volume}: {error}")
+        else:
+            self._failures, self._last_problem = 0, ""
+            self._away_since = float("inf")
+
+    def _open_store(self) -> None:
+        store = self._place.open_store()
+        try:
+            store.ping()
+        except UnavailableError:
+            store.close()
+            raise
+        self.store = store
+        log.info("recording %s: database reached", self._name)
+
+    def _bring_in(self, store: RecordingStore) -> None:
+        """What earlier processes left: their spool, then segments that nobody finished."""
+        if self._spool is None or self.claim is None:
+            return
+        if self._spooled:
+            self._drain(store, self._spool)
+        if not self._repaired:
+            for writes in repaired(self.claim.repairs(), store, self._place.volume):
+                self._write(store, writes)
+                self.counts.repaired += sum(write.collection == INDEX for write in writes)
+            self._repaired = True
+
+    def _introduce(self, store: RecordingStore) -> None:
+        if not self._repaired:
+            return
+        while self._newcomers:
+            self._newcomers[0].introduce(store)
+            self._newcomers.popleft()
+
+    def _drain(self, store: RecordingStore, spool: Spool) -> None:
+        for batch in (found.name for found in spool.batches()):
+            try:
+                writes = spool.read(batch)
+            except InputError as error:
+                log.error("recording %s: the spooled %s stays where it is: %s", self._name, batch, error)
+                continue
+            self._write(store, writes)
+            spool.remove(batch)
+            log.info("recording %s: brought in the spooled %s", self._name, batch)
+        self._spooled = False
+
+    def _write_urgent(self, store: RecordingStore) -> None:
+        """What is missing, before what comes after it."""
+        if self._urgent:
+            self._write(store, self._audit_writes(self._urgent, f"{self._told}"))
+            self._urgent_told()
+
+    def _write_part(self, store: RecordingStore) -> None:
+        with self._lock:
+            part = [self._waiting[index] for index in range(min(len(self._waiting), WRITES_AT_ONCE_MAX))]
+        self._write(store, part)
+        with self._lock:
+            for write in part:
+                self._waiting.popleft()
+                self._waiting_bytes -= write.size
+
+    def _write(self, store: RecordingStore, writes: Sequence[Write]) -> None:
+        try:
+            store.write(writes)
+        except DocumentError:
+            self._write_singly(store, writes)
+        else:
+            self._acknowledge(writes)
+
+    def _write_singly(self, store: RecordingStore, writes: Sequence[Write]) -> None:
+        """Somewhere is a document that the database can never take: it is given up, and the others are not."""
+        for write in writes:
+            try:
+                store.write([write])
+            except DocumentError as error:
+                log.error("recording %s: %s %s: %s", self._name, write.collection, write.id, error)
+                self._lose([write], MEMORY, REFUSED, self._urgent)
+            else:
+                self._acknowledge([write])
+
+    def _acknowledge(self, writes: Sequence[Write]) -> None:
+        """Index entries are stored now: say so in the entries, by the next write."""
+        now = self._place.clock_ns()
+        self.counts.acknowledged += len(writes)
+        for write in writes:
+            if not messages_of(write)[1]:
+                continue
+            if write.collection == INDEX:
+                self.add([Write(INDEX, write.id, {"stored": now}, update=True, size=100)])
+            listener = self._listeners.get(write.document["recording"])
+            if listener is not None:
+                listener.acknowledged(write, now)
+
+    # bounds ----------------------------------------------------------------------------------------------------------
+
+    def _bound_waiting(self) -> None:
+        away = self._place.monotonic() - self._away_since
+        if self._waiting_bytes > self._bounds.waiting_bytes or away > SPOOL_SECONDS or (away >= 0 and self._keeps()):
+            self._spool_waiting()
+        if self._waiting_bytes > 2 * self._bounds.waiting_bytes:
+            self._drop_waiting()
+
+    def _keeps(self) -> bool:
+        """Whether writes to be kept still wait."""
+        with self._lock:
+            return any(write is self._kept for write in self._waiting)
+
+    def _spool_waiting(self) -> None:
+        """Everything that waits becomes one file of the spool; on a full disk the oldest files give way."""
+        with self._lock:
+            writes = list(self._waiting)
+        if not writes or self._spool is None:
+            return
+        try:
+            while not (batch := self._put(self._spool, writes)):
+                pass
+        except OSError as error:
+            self._problem(f"spool on {self._place.volume}: {error}")
+            return
+        self._spooled, self._away_since = True, self._place.monotonic()
+        self._urgent_told()
+        self._doubtful[batch] = len(writes)
+        self.counts.spooled += len(writes)
+        log.warning("recording %s: %d writes are in the spool", self._name, len(writes))
+        with self._lock:
+            for write in writes:
+                self._waiting.popleft()
+                self._waiting_bytes -= write.size
+        try:
+            self._bound_spool(self._spool)
+        except OSError as error:
+            self._problem(f"spool on {self._place.volume}: {error}")
+
+    def _put(self, spool: Spool, writes: Sequence[Write]) -> str:
+        """The batch that has them; empty: room was made, to try again. OSError when there is none to make."""
+        try:
+            return spool.put([*self._audit_writes(self._urgent, f"{self._told}"), *writes])
+        except OSError as error:
+            if error.errno in NO_SPACE and self._drop_oldest(DISK_FULL):
+                return ""
+            raise
+
+    def _bound_spool(self, spool: Spool) -> None:
+        size = sum(batch.size for batch in spool.batches())
+        while size > self._bounds.spool_bytes and self._drop_oldest(SPOOL_FULL):
+            size = sum(batch.size for batch in spool.batches())
+
+    def _drop_oldest(self, why: str) -> bool:
+        """Give up the messages of the oldest file of the spool; False when no file has any.
+
+        What is missing is written down in the file's place, so that it is told before what came later."""
+        spool = self._spool
+        name = next((batch.name for batch in spool.batches() if not batch.given_up), "") if spool else ""
+        if not spool or not name:
+            return False
+        try:
+            writes = spool.read(name)
+        except InputError as error:
+            log.error("recording %s: nobody knows what was in the spooled %s: %s", self._name, name, error)
+            writes = ()
+        before, dropped = copy.deepcopy(self._audits), self.counts.dropped
+        lost: dict[tuple[str, str], TopicAudit] = {}
+        self._lose(writes, SPOOL, f"{why}: {name}", lost)
+        audits = self._audit_writes(lost, name)
+        try:
+            spool.give_up(name, [*audits, *(write for write in writes if not messages_of(write)[1])])
+        except OSError:
+            self._audits, self.counts.dropped = before, dropped
+            raise
+        self._doubtful.pop(name, None)
+        log.error("recording %s: gave up the oldest of the spool, %s: %s", self._name, name, why)
+        return True
+
+    def _drop_waiting(self) -> None:
+        """Neither database nor volume: give up the oldest messages, and audits that later ones replace."""
+        with self._lock:
+            latest = {(write.id, write.update): number for number, write in enumerate(self._waiting)}
+            excess = self._waiting_bytes - 2 * self._bounds.waiting_bytes
+            lost, kept = [], []
+            for number, write in enumerate(self._waiting):
+                replaced = write.collection == AUDITS and latest[write.id, write.update] != number
+                if excess > 0 and (replaced or messages_of(write)[1]):
+                    excess -= write.size
+                    lost.append(write)
+                else:
+                    kept.append(write)
+            self._waiting = deque(kept)
+            self._waiting_bytes = sum(write.size for write in kept)
+        self._lose(lost, MEMORY, NO_SPOOL, self._urgent)
+
+    def _lose(self, writes: Sequence[Write], where: str, why: str, audits: dict[tuple[str, str], TopicAudit]) -> None:
+        """Messages that are given up go into `audits` and into the journal's own."""
+        for write in writes:
+            topic, stamps = messages_of(write)
+            if not stamps:
+                continue
+            key = write.document["recording"], topic
+            for known in (audits, self._audits):
+                audit = known.setdefault(key, TopicAudit(topic))
+                for stamp in stamps:
+                    audit.drop(where, why, stamp)
+            self.counts.dropped += len(stamps)
+
+    def _audit_writes(self, audits: Mapping[tuple[str, str], TopicAudit], event: str) -> list[Write]:
+        """Audits of one event, as they are now: they may have been written before, and have grown since."""
+        found = []
+        for (recording, topic), audit in sorted(audits.items()):
+            name = f"{recording}{topic}/{self.life}-{event}"
+            document: dict[str, Any] = {**audit.document(), "closed": True, "written": self._place.clock_ns()}
+            whole = {"recording": recording, "volume": self._place.volume, "life": self.life, **document}
+            found.append(Write(AUDITS, name, whole, size=AUDIT_BYTES))
+            found.append(Write(AUDITS, name, document, update=True, size=AUDIT_BYTES))
+        return found
+
+    def _urgent_told(self) -> None:
+        self._urgent.clear()
+        self._told += 1
+
+    def _problem(self, text: str) -> None:
+        if text != self._last_problem:
+            log.warning("recording %s: %s; trying again", self._name, text)
+        self._last_problem = text

@@ -1,0 +1,136 @@
+"""Reading recordings back: which there are, and whether one agrees with its sources' ledgers.
+
+Everything is computed from the stored bytes: small messages from the buckets, large ones from their segments.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Any
+
+from robotkube.errors import DocumentError, UnavailableError
+from robotkube.robots.recording.core.audits import AuditSum, add_up
+from robotkube.robots.recording.core.documents import (
+    LedgerComparison,
+    LedgerLine,
+    SegmentPlace,
+    StoredMessage,
+    bucket_is_whole,
+    compare,
+    entry_is_whole,
+)
+from robotkube.robots.recording.ports import RecordingReader, SegmentReader
+
+
+def list_recordings(reader: RecordingReader) -> list[dict[str, Any]]:
+    """The recordings, oldest first: id, times, provenance, volumes."""
+    return [dict(document) for document in reader.recordings()]
+
+
+def stored_messages(
+    reader: RecordingReader,
+    segments: SegmentReader,
+    recording: str,
+    window: tuple[int, int] | None = None,
+    changed: Callable[[str], None] = lambda _: None,
+) -> Iterator[StoredMessage]:
+    """Every stored message of a recording whose stamp is in `window`, with the hash of the bytes as they are now.
+
+    `changed` gets the `_id` of every document whose stamps or digests are not those that it was stored with."""
+    for bucket in reader.buckets(recording):
+        if not bucket_is_whole(bucket):
+            changed(bucket["_id"])
+        for sample in bucket["samples"]:
+            if _within(sample["stamp"], window):
+                data = bytes(sample["data"])
+                digest = hashlib.sha256(data).hexdigest()
+                yield StoredMessage(bucket["topic"], sample["stamp"], digest, sample["sha256"], len(data))
+    for entry in reader.index(recording):
+        if not entry_is_whole(entry):
+            changed(entry["_id"])
+        if _within(entry["stamp"], window):
+            yield _large(segments, entry)
+
+
+def first_stored(reader: RecordingReader, recording: str) -> dict[str, int]:
+    """Topic -> when the first of its large messages was stored: segment synchronised and entry acknowledged, ns."""
+    first: dict[str, int] = {}
+    for entry in reader.index(recording):
+        if entry.get("stored") is not None:
+            first[entry["topic"]] = min(first.get(entry["topic"], entry["stored"]), entry["stored"])
+    return first
+
+
+def first_stamps(reader: RecordingReader, recording: str) -> dict[str, int]:
+    """Topic -> the least stamp of its large messages, ns. The later of two begins the window of the pair."""
+    first: dict[str, int] = {}
+    for entry in reader.index(recording):
+        first[entry["topic"]] = min(first.get(entry["topic"], entry["stamp"]), entry["stamp"])
+    return first
+
+
+def verify(
+    reader: RecordingReader,
+    segments: SegmentReader,
+    recording: str,
+    ledgers: Mapping[str, Sequence[LedgerLine]],
+    window: tuple[int, int],
+) -> LedgerComparison:
+    """Compare the recording with the ledgers of its topics, within a window of stamps (ns, both ends included)."""
+    return compare(recording, ledgers, stored_messages(reader, segments, recording, window), window)
+
+
+def audits(reader: RecordingReader, recording: str) -> dict[str, AuditSum]:
+    """Topic -> the sum of what all writers of the recording did with it, by their audits."""
+    return add_up(reader.audits(recording))
+
+
+def wrong_segments(reader: RecordingReader, segments: SegmentReader, recording: str) -> list[str]:
+    """The problems of a recording's files, in words: not finished, not within reach, or changed since they were."""
+    problems = []
+    for entry in reader.segments(recording):
+        if not entry["sha256"]:
+            problems.append(f"{entry['volume']}: {entry['segment']}: is not finished")
+            continue
+        try:
+            digest = segments.digest(entry["volume"], entry["segment"])
+        except UnavailableError as error:
+            problems.append(str(error))
+            continue
+        if digest != (entry["sha256"], entry["size"]):
+            problems.append(f"{entry['volume']}: {entry['segment']}: is not the file that was finished")
+    return problems
+
+
+def read_ledger(lines: Iterable[str], where: str) -> list[LedgerLine]:
+    """The lines of a player's ledger; DocumentError when it is not complete (its last line says how many there are)."""
+    ledger: list[LedgerLine] = []
+    for number, line in enumerate(lines, start=1):
+        try:
+            values = json.loads(line)
+            if values.get("end"):
+                if values["count"] != len(ledger):
+                    raise DocumentError(where, [f"line {number}: has {len(ledger)} messages, says {values['count']}"])
+                return ledger
+            ledger.append(LedgerLine(int(values["sequence"]), int(values["stamp"]), str(values["sha256"])))
+        except (ValueError, KeyError, AttributeError, TypeError) as error:
+            raise DocumentError(where, [f"line {number}: is no ledger line ({error})"]) from error
+    raise DocumentError(where, ["has no end line: its player is still running or was killed"])
+
+
+def _within(stamp: int, window: tuple[int, int] | None) -> bool:
+    return window is None or window[0] <= stamp <= window[1]
+
+
+def _large(segments: SegmentReader, entry: Mapping[str, Any]) -> StoredMessage:
+    size = entry["size"]
+    problem = ""
+    digest = ""
+    try:
+        data = segments.read(entry["volume"], SegmentPlace(entry["segment"], entry["offset"]), size)
+        digest = hashlib.sha256(data).hexdigest()
+    except UnavailableError as error:
+        problem = str(error)
+    return StoredMessage(entry["topic"], entry["stamp"], digest, entry["sha256"], size, problem)

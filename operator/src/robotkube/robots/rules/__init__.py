@@ -1,0 +1,1 @@
+"""Rules: what is an event, when it begins and when it ends."""

@@ -1,0 +1,163 @@
+"""Conditions on the arrival of messages: their rate, and their absence. Time alone may change them."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+from robotkube.robots.rules.core.conditions.levels import GRACE_NS, RuleCondition, Timers, beyond
+from robotkube.robots.rules.core.events import Cause
+from robotkube.robots.rules.core.messages import FALL, KEEP, RISE, Member, MemberChange, MessageValues
+from robotkube.robots.rules.core.specification.specifications import Absence, Rate
+
+COUNTED_MAX = 20_000
+"""The stamps that are kept: more than the bound of any rule needs."""
+
+
+@dataclass
+class _Arrivals:
+    """The stamps of a member's messages within the window, and when the counting began."""
+
+    first: int
+    topic: str
+    stamps: deque[int] = field(default_factory=lambda: deque(maxlen=COUNTED_MAX))
+    last: int = 0
+    received: int = 0
+
+    def moment(self, stamp: int) -> int:
+        """The moment of `stamp` on this machine's clock."""
+        return self.received + stamp - self.last + GRACE_NS
+
+
+class RateCondition(RuleCondition):
+    """The condition on messages in the window (t - window, t] per second, from the first window's end on."""
+
+    def __init__(self, settings: Rate) -> None:
+        super().__init__()
+        self._level = settings.level
+        self._window = settings.window_seconds
+        self._window_ns = int(settings.window_seconds * 1e9)
+        self._arrivals: dict[Member, _Arrivals] = {}
+        self._timers = Timers(self._deadline)
+
+    def observe(self, reading: MessageValues) -> Sequence[MemberChange]:
+        """See the base."""
+        member = (reading.agent,)
+        known = self._arrivals.get(member)
+        if known is None:
+            known = self._arrivals[member] = _Arrivals(reading.stamp, reading.topic)
+        findings = list(self._leaving(member, known, reading.stamp - 1, reading.received))
+        while known.stamps and known.stamps[0] + self._window_ns <= reading.stamp:
+            known.stamps.popleft()  # leaves at the very moment at which this one comes: one change
+        known.stamps.append(reading.stamp)
+        known.last = reading.stamp
+        known.received = reading.received
+        findings += self._judged(member, known, reading.stamp, reading.received)
+        moment = self._deadline(member)
+        if moment is not None:
+            self._timers.watch(member, moment)
+        return findings
+
+    def elapse(self, now: int) -> Sequence[MemberChange]:
+        """See the base."""
+        findings: list[MemberChange] = []
+        for member in list(self._timers.passed(now)):
+            known = self._arrivals[member]
+            findings += self._leaving(member, known, known.last + now - known.received - GRACE_NS, now)
+            moment = self._deadline(member)
+            if moment is not None:
+                self._timers.watch(member, max(moment, now + 1))
+        return findings
+
+    def due(self) -> int | None:
+        """See the base."""
+        return self._timers.due()
+
+    def forget(self, agent: str) -> None:
+        """See the base."""
+        self._arrivals.pop((agent,), None)
+
+    def _leaving(self, member: Member, known: _Arrivals, stamp: int, received: int) -> Iterator[MemberChange]:
+        """The findings while messages leave the window, up to `stamp`."""
+        while known.stamps and known.stamps[0] + self._window_ns <= stamp:
+            moment = known.stamps.popleft() + self._window_ns
+            while known.stamps and known.stamps[0] + self._window_ns == moment:
+                known.stamps.popleft()
+            yield from self._judged(member, known, moment, received)
+
+    def _judged(self, member: Member, known: _Arrivals, stamp: int, received: int) -> Iterator[MemberChange]:
+        rate = len(known.stamps) / self._window
+        verdict = beyond(self._level, rate)
+        if stamp < known.first + self._window_ns or verdict == KEEP or (verdict == RISE) == (member in self.holding):
+            return
+        cause = Cause(known.topic, known.last, {"hz": rate})
+        # marked at once: one message may change it twice
+        self.mark(member, verdict == RISE)
+        yield MemberChange(member, verdict, stamp, received, {"hz": rate}, (cause,))
+
+    def _deadline(self, member: Member) -> int | None:
+        """The moment at which the next message leaves the window, on this machine's clock; None when that changes
+        nothing."""
+        known = self._arrivals.get(member)
+        if known is None or not known.stamps or self._level.above == (member not in self.holding):
+            return None
+        return known.moment(known.stamps[0] + self._window_ns)
+
+
+class AbsenceCondition(RuleCondition):
+    """The condition that no message came for longer than a bound, counted from the last one; for expected agents from
+    the begin."""
+
+    def __init__(self, settings: Absence, expected: Iterable[str] = ()) -> None:
+        super().__init__()
+        self._bound_ns = int(settings.seconds * 1e9)
+        self._topic = settings.topic
+        self._expected = tuple(expected)
+        self._last: dict[Member, tuple[int, int]] = {}
+        self._timers = Timers(self._deadline)
+
+    def begin(self, stamp: int, received: int) -> None:
+        """Wait for the expected agents from now on."""
+        for agent in self._expected:
+            self._wait((agent,), stamp, received)
+
+    def observe(self, reading: MessageValues) -> Sequence[MemberChange]:
+        """See the base."""
+        member = (reading.agent,)
+        findings = []
+        last = self._last.get(member)
+        if last is not None and member not in self.holding and reading.stamp - last[0] > self._bound_ns:
+            findings.append(self._finding(member, RISE, last[0] + self._bound_ns, reading.received))
+        if findings or member in self.holding:
+            findings.append(self._finding(member, FALL, reading.stamp, reading.received))
+        self._wait(member, reading.stamp, reading.received)
+        return findings
+
+    def elapse(self, now: int) -> Sequence[MemberChange]:
+        """See the base."""
+        return [
+            self._finding(member, RISE, self._last[member][0] + self._bound_ns, now)
+            for member in self._timers.passed(now)
+        ]
+
+    def due(self) -> int | None:
+        """See the base."""
+        return self._timers.due()
+
+    def forget(self, agent: str) -> None:
+        """See the base."""
+        self._last.pop((agent,), None)
+
+    def _wait(self, member: Member, stamp: int, received: int) -> None:
+        self._last[member] = stamp, received
+        self._timers.watch(member, received + self._bound_ns + GRACE_NS)
+
+    def _deadline(self, member: Member) -> int | None:
+        last = self._last.get(member)
+        return None if last is None or member in self.holding else last[1] + self._bound_ns + GRACE_NS
+
+    def _finding(self, member: Member, verdict: int, stamp: int, received: int) -> MemberChange:
+        last = self._last.get(member, (stamp, received))[0]
+        cause = Cause(self._topic.topic(member[0]), last, {})
+        return MemberChange(member, verdict, stamp, received, {"silent_seconds": (stamp - last) / 1e9}, (cause,))

@@ -1,0 +1,323 @@
+"""The rules of a detector at work: messages, time and answers in, edges out. No clock, no thread and no library.
+
+The time of the rules is the messages' own stamp, per topic: what is older than the topic's last message is not
+evaluated. When a topic is behind by more than JUMP_NS for JUMP_COUNT messages in a row, its agent's time has begun anew
+(a simulation or a bag started over). This machine's clock says only when to stop waiting for a message.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from operator import itemgetter
+from typing import TYPE_CHECKING, Any
+
+from robotkube.robots.rules.core.conditions.combinations import CombinationCondition
+from robotkube.robots.rules.core.conditions.external import AnsweredQuestion, Ask, RuleQuestion
+from robotkube.robots.rules.core.conditions.levels import earliest
+from robotkube.robots.rules.core.evaluators import Evaluator
+from robotkube.robots.rules.core.events import STOP, Edge
+from robotkube.robots.rules.core.messages import Message, MessageValues
+from robotkube.robots.rules.core.specification.specifications import Combination, Rule, paths
+
+if TYPE_CHECKING:
+    from robotkube.robots.ros.core.cdr_readers.readers import FieldReader, Layouts
+
+JUMP_NS = 10_000_000_000
+JUMP_COUNT = 2
+TOPICS_MAX = 20_000
+PROBLEMS_MAX = 1000
+
+Pick = Callable[[tuple[Any, ...]], tuple[Any, ...]]
+
+_new = tuple.__new__
+
+
+@dataclass(slots=True)
+class _Route:
+    """The evaluators of a topic's messages; without `agent` no rule knows the topic, without evaluators none reads
+    it."""
+
+    agent: str
+    type: str
+    reader: FieldReader | None
+    evaluators: list[tuple[Evaluator, Pick | None]]
+    stamp: int = -(1 << 63)
+    behind: int = 0
+
+
+@dataclass
+class EngineCounts:
+    """Counts of messages that were not evaluated: older than the last one of their topic, or not readable as their
+    type."""
+
+    late: int = 0
+    malformed: dict[str, int] = field(default_factory=dict)
+    jumps: int = 0
+
+
+def _refuse(question: RuleQuestion) -> None:
+    raise ValueError(f"rule {question.rule}: nobody evaluates rules of kinds cel and python here")
+
+
+class RuleEngine:
+    """Evaluates `rules` for the detector of agent `own_agent`, who stands for topics that name no agent.
+
+    `ask` gets the questions of rules that are evaluated elsewhere; it must not block. Their answers go to `answer`.
+    """
+
+    def __init__(self, rules: Sequence[Rule], layouts: Layouts, own_agent: str, ask: Ask = _refuse) -> None:
+        self._layouts = layouts
+        self._agent = own_agent
+        self._ask = ask
+        self._evaluators: dict[str, Evaluator] = {}
+        self._combinations: list[Evaluator] = []
+        self._routes: dict[str, _Route] = {}
+        self._unfollowed: list[tuple[Evaluator, Edge]] = []
+        self._beginning = True
+        self.counts = EngineCounts()
+        self.problems: dict[tuple[str, str], str] = {}
+        self._build(rules)
+
+    @property
+    def rules(self) -> tuple[Rule, ...]:
+        """The rules at work."""
+        return tuple(evaluator.rule for evaluator in list(self._evaluators.values()))
+
+    @property
+    def active(self) -> tuple[Edge, ...]:
+        """The start edges of the events that last, without those of silent rules; any thread may read it."""
+        return tuple(
+            edge
+            for evaluator in list(self._evaluators.values())
+            if not evaluator.rule.silent
+            for edge in evaluator.occurrences.active
+        )
+
+    @property
+    def topics_read(self) -> Mapping[str, tuple[str, ...]]:
+        """Topic pattern -> the fields that rules read there; none where only the messages' coming counts."""
+        fields_by_topic: dict[str, dict[str, None]] = {}
+        for rule in self.rules:
+            for topic in rule.topics:
+                fields_by_topic.setdefault(topic.text, {}).update(dict.fromkeys(paths(rule)))
+        return {topic: tuple(fields) for topic, fields in fields_by_topic.items()}
+
+    def observe(self, message: Message) -> list[Edge]:
+        """The edges that a message causes. A message that cannot be read is counted and changes nothing."""
+        topic, type_name, stamp, received, _ = message
+        route = self._routes.get(topic)
+        if route is None or route.type != type_name:
+            route = self._route(message)
+        begun = self._begin(stamp, received) if self._beginning and route.agent else []
+        if not route.evaluators:
+            return begun
+        if stamp < route.stamp and not self._restarted(route, stamp):
+            self.counts.late += 1
+            return begun
+        route.stamp = stamp
+        route.behind = 0
+        edges = self._evaluated(route, message)
+        return begun + self._propagated(edges) if edges else begun
+
+    def answer(self, verdict: AnsweredQuestion) -> list[Edge]:
+        """The edges that answers from elsewhere cause; those of rules that are gone cause none."""
+        evaluator = self._evaluators.get(verdict.question.rule)
+        return [] if evaluator is None else self._propagated(evaluator.answer(verdict))
+
+    def tick(self, now: int) -> list[Edge]:
+        """The edges that the time alone causes, up to `now` on this machine's clock (ns since 1970)."""
+        edges = self._begin(now, now) if self._beginning else []
+        for evaluator in self._evaluators.values():
+            due = evaluator.due()
+            if due is not None and due <= now:
+                edges += self._propagated(evaluator.elapse(now))
+        return edges
+
+    def due(self) -> int | None:
+        """The next moment at which `tick` may give edges; None without one."""
+        if self._beginning:
+            return 0
+        return earliest([evaluator.due() for evaluator in self._evaluators.values()])
+
+    def adopt(self, edge: Edge) -> bool:
+        """Take over an event that began earlier; False when no rule can have it, or has it already."""
+        evaluator = self._evaluators.get(edge.rule)
+        if evaluator is None or not evaluator.adopt(edge):
+            return False
+        self._queue_active_events(evaluator, self._combinations)
+        return True
+
+    def replace(self, rules: Sequence[Rule], now: int) -> tuple[list[Edge], list[Edge]]:
+        """Replace the rules; returns the start edges of the events that go on, and the stop edges of those that end at
+        `now`. Unchanged rules keep their state, and a changed one takes over the events that it can have."""
+        before = {name: evaluator.occurrences.active for name, evaluator in self._evaluators.items()}
+        silent = {rule.name for rule in self.rules if rule.silent}
+        self._build(rules)
+        kept = set()
+        for name, edges in before.items():
+            evaluator = self._evaluators.get(name)
+            for edge in edges:
+                if evaluator is not None and (edge in evaluator.occurrences.active or self.adopt(edge)):
+                    kept.add(edge.id)
+        known = [edge for name in before if name not in silent for edge in before[name]]
+        gone = [edge for edge in known if edge.id not in kept]
+        ended = [replace(edge, edge=STOP, time=now, stamp=now, distance_m=None) for edge in gone]
+        return [edge for edge in known if edge.id in kept], ended
+
+    # building --------------------------------------------------------------------------------------------------------
+
+    def _build(self, rules: Sequence[Rule]) -> None:
+        by_name = {rule.name: rule for rule in rules}
+        before, self._evaluators = self._evaluators, {}
+        for rule in _parts_first(rules, by_name):
+            known = before.get(rule.name)
+            if known is not None and known.rule == rule and self._same_parts(rule, before):
+                self._evaluators[rule.name] = known
+            else:
+                self._evaluators[rule.name] = Evaluator(rule, by_name, self._agent, self._ask)
+        new = [evaluator for name, evaluator in self._evaluators.items() if before.get(name) is not evaluator]
+        self._combinations = [
+            evaluator
+            for evaluator in self._evaluators.values()
+            if isinstance(evaluator.condition, CombinationCondition)
+        ]
+        self._unfollowed = []
+        for evaluator in self._evaluators.values():
+            self._queue_active_events(evaluator, [other for other in new if other in self._combinations])
+        self._routes.clear()
+        self.problems.clear()
+        self._beginning = True
+
+    def _same_parts(self, rule: Rule, before: Mapping[str, Evaluator]) -> bool:
+        parts = rule.condition.parts if isinstance(rule.condition, Combination) else ()
+        return all(self._evaluators.get(part.rule) is before.get(part.rule) for part in parts)
+
+    def _queue_active_events(self, evaluator: Evaluator, combinations: Iterable[Evaluator]) -> None:
+        """Queue the events that last already for combinations that follow them, until all of them are known."""
+        for other in combinations:
+            if isinstance(other.condition, CombinationCondition) and evaluator.rule.name in other.condition.names:
+                self._unfollowed += [(other, edge) for edge in evaluator.occurrences.active]
+        self._beginning = True
+
+    def _begin(self, stamp: int, received: int) -> list[Edge]:
+        self._beginning = False
+        unfollowed, self._unfollowed = dict.fromkeys(self._unfollowed), []
+        edges: list[Edge] = []
+        for evaluator, edge in unfollowed:
+            edges += evaluator.follow([edge])
+        for evaluator in self._evaluators.values():
+            edges += evaluator.begin(stamp, received)
+        return self._propagated(edges)
+
+    # messages --------------------------------------------------------------------------------------------------------
+
+    def _route(self, message: Message) -> _Route:
+        """The route of a topic's messages: the rules that evaluate them, and the fields that are read for these."""
+        if len(self._routes) >= TOPICS_MAX:
+            self._routes.clear()
+        agent = ""
+        takers = []
+        for evaluator in self._evaluators.values():
+            agents = [pattern.agent(message.topic) for pattern in evaluator.rule.topics]
+            fits = next((named for named in agents if named is not None), None)
+            if fits is None:
+                continue
+            agent = fits or self._agent
+            wanted = not evaluator.rule.agents or agent in evaluator.rule.agents
+            if wanted and self._readable(evaluator.rule, message):
+                takers.append(evaluator)
+        together = tuple(dict.fromkeys(path for evaluator in takers for path in paths(evaluator.rule)))
+        reader = self._layouts.reader(message.type, together) if together else None
+        evaluators = [(evaluator, _pick(together, paths(evaluator.rule))) for evaluator in takers]
+        route = self._routes[message.topic] = _Route(agent, message.type, reader, evaluators)
+        return route
+
+    def _readable(self, rule: Rule, message: Message) -> bool:
+        if not paths(rule):
+            return True
+        try:
+            self._layouts.reader(message.type, paths(rule))
+        except ValueError as error:
+            if len(self.problems) < PROBLEMS_MAX:
+                self.problems[rule.name, message.topic] = str(error)
+            return False
+        return True
+
+    def _restarted(self, route: _Route, stamp: int) -> bool:
+        """True when the topic's time has begun anew."""
+        if stamp >= route.stamp - JUMP_NS:
+            route.behind = 0
+            return False
+        route.behind += 1
+        if route.behind < JUMP_COUNT:
+            return False
+        self.counts.jumps += 1
+        for evaluator, _ in route.evaluators:
+            evaluator.restart(route.agent, stamp)
+        return True
+
+    def _evaluated(self, route: _Route, message: Message) -> list[Edge]:
+        topic, type_name, stamp, received, data = message
+        values: tuple[Any, ...] | None = ()
+        if route.reader is not None:
+            try:
+                values = route.reader(data)
+            except ValueError:
+                values = None
+                self._malformed(topic)
+        edges: list[Edge] = []
+        for evaluator, pick in route.evaluators:
+            if pick is not None and values is None:
+                continue
+            picked = () if pick is None or values is None else pick(values)
+            # a named tuple without its own constructor, which is a Python function and takes three times as long
+            reading = _new(MessageValues, (topic, route.agent, stamp, received, picked, type_name, data))
+            try:
+                evaluator.observe(reading, edges)
+            except ValueError as error:
+                self._malformed(topic)
+                if len(self.problems) < PROBLEMS_MAX:
+                    self.problems[evaluator.rule.name, topic] = str(error)
+        return edges
+
+    def _malformed(self, topic: str) -> None:
+        self.counts.malformed[topic] = self.counts.malformed.get(topic, 0) + 1
+
+    def _propagated(self, edges: list[Edge]) -> list[Edge]:
+        """The edges with those of the combinations that follow them, without those of silent rules."""
+        if not edges:
+            return edges
+        for evaluator in self._combinations:  # parts come before the combinations of them
+            condition = evaluator.condition
+            assert isinstance(condition, CombinationCondition)
+            if followed := [edge for edge in edges if edge.rule in condition.names]:
+                edges += evaluator.follow(followed)
+        return [edge for edge in edges if not self._evaluators[edge.rule].rule.silent]
+
+
+def _pick(together: Sequence[str], wanted: Sequence[str]) -> Pick | None:
+    if not wanted:
+        return None
+    if tuple(wanted) == tuple(together):
+        return tuple
+    if len(wanted) == 1:
+        index = together.index(wanted[0])
+        return lambda values: (values[index],)
+    return itemgetter(*(together.index(path) for path in wanted))
+
+
+def _parts_first(rules: Sequence[Rule], by_name: Mapping[str, Rule]) -> list[Rule]:
+    """The rules in an order in which a combination comes after its parts; `rules` are free of circles."""
+    ordered: dict[str, Rule] = {}
+
+    def add(rule: Rule) -> None:
+        if rule.name in ordered:
+            return  # parts that are shared are gone through once, or twenty layers of them would take for ever
+        for part in rule.condition.parts if isinstance(rule.condition, Combination) else ():
+            add(by_name[part.rule])
+        ordered[rule.name] = rule
+
+    for rule in rules:
+        add(rule)
+    return list(ordered.values())

@@ -1,0 +1,124 @@
+"""Argo CD's own objects in its namespace: accounts, rights, secrets, projects, through the Kubernetes API."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import hashlib
+from collections.abc import Callable, Iterator, Mapping
+from datetime import UTC, datetime
+from typing import Any
+
+import bcrypt
+from kubernetes import client
+from urllib3.exceptions import HTTPError
+
+from robotkube.errors import InputError, UnavailableError
+
+SECRET = "argocd-secret"  # noqa: S105 - the object's name
+SECONDS_MAX = 10
+PROJECT_API = ("argoproj.io", "v1alpha1")
+HOOK_ANNOTATION = "robotkube.io/hook-secret"
+CLOSED: Mapping[str, Any] = {
+    "sourceRepos": [],
+    "destinations": [],
+    "clusterResourceWhitelist": [],
+    "namespaceResourceBlacklist": [{"group": "*", "kind": "*"}],
+}
+_PASSING = frozenset({404, 409, 429})  # Argo CD makes some of these objects itself, moments after it starts
+
+
+def _now() -> datetime:
+    return datetime.now(UTC)
+
+
+class KubernetesArgoCDConfiguration:
+    """The port ArgoCDConfiguration in `namespace`; `now` gives the time (UTC) that goes with a new password."""
+
+    def __init__(self, api: client.ApiClient, namespace: str, now: Callable[[], datetime] | None = None) -> None:
+        self._core = client.CoreV1Api(api)
+        self._apps = client.AppsV1Api(api)
+        self._objects = client.CustomObjectsApi(api)
+        self._namespace = namespace
+        self._now = now or _now
+
+    def answers(self) -> bool:
+        """Check that Argo CD has made its secret's server.secretkey: False, UnavailableError before."""
+        if not self._secret().get("server.secretkey"):
+            raise UnavailableError(f"{self._namespace}/{SECRET}: no server.secretkey yet; argocd-server makes it")
+        return False
+
+    def patch_config_map(self, name: str, data: Mapping[str, str]) -> bool:
+        """Set keys of a ConfigMap."""
+        with self._errors(f"ConfigMap {name}"):
+            config_map = self._core.read_namespaced_config_map(name, self._namespace, _request_timeout=SECONDS_MAX)
+            if all((config_map.data or {}).get(key) == value for key, value in data.items()):
+                return False
+            self._core.patch_namespaced_config_map(
+                name, self._namespace, {"data": dict(data)}, _request_timeout=SECONDS_MAX
+            )
+        return True
+
+    def _secret(self) -> dict[str, str]:
+        with self._errors(f"Secret {SECRET}"):
+            secret = self._core.read_namespaced_secret(SECRET, self._namespace, _request_timeout=SECONDS_MAX)
+        return {key: base64.b64decode(value).decode() for key, value in (secret.data or {}).items()}
+
+    def patch_secret(self, data: Mapping[str, str]) -> bool:
+        """Set keys of argocd-secret."""
+        secret = self._secret()
+        if all(secret.get(key) == value for key, value in data.items()):
+            return False
+        body = {"data": {key: base64.b64encode(value.encode()).decode() for key, value in data.items()}}
+        with self._errors(f"Secret {SECRET}"):
+            self._core.patch_namespaced_secret(SECRET, self._namespace, body, _request_timeout=SECONDS_MAX)
+        return True
+
+    def set_password(self, account: str, password: str) -> bool:
+        """Set a local account's password unless the stored hash fits it."""
+        key = f"accounts.{account}.password"
+        stored = self._secret().get(key, "")
+        with contextlib.suppress(ValueError):  # not a hash
+            if stored and bcrypt.checkpw(password.encode(), stored.encode()):
+                return False
+        hashed = bcrypt.hashpw(password.encode(), bcrypt.gensalt(10)).decode()
+        return self.patch_secret({key: hashed, f"{key}Mtime": self._now().strftime("%Y-%m-%dT%H:%M:%SZ")})
+
+    def close_project(self, name: str) -> bool:
+        """Make an AppProject allow nothing."""
+        place = (*PROJECT_API, self._namespace, "appprojects", name)
+        with self._errors(f"AppProject {name}"):
+            project = self._objects.get_namespaced_custom_object(*place, _request_timeout=SECONDS_MAX)
+            spec = project.get("spec") or {}
+            # Argo CD leaves empty lists out; what else the project allows is taken away by null.
+            body = {key: None for key in spec if key not in CLOSED} | dict(CLOSED)
+            if {key: value for key, value in spec.items() if value} == {k: v for k, v in CLOSED.items() if v}:
+                return False
+            self._objects.patch_namespaced_custom_object(
+                *place, {"spec": body}, _content_type="application/merge-patch+json", _request_timeout=SECONDS_MAX
+            )
+        return True
+
+    def restart_on(self, deployment: str, secret: str) -> bool:
+        """Restart a Deployment when, and only when, `secret` differs from the one it was last restarted for."""
+        fingerprint = hashlib.sha256(secret.encode()).hexdigest()[:16]
+        with self._errors(f"Deployment {deployment}"):
+            present = self._apps.read_namespaced_deployment(deployment, self._namespace, _request_timeout=SECONDS_MAX)
+            if (present.spec.template.metadata.annotations or {}).get(HOOK_ANNOTATION) == fingerprint:
+                return False
+            body = {"spec": {"template": {"metadata": {"annotations": {HOOK_ANNOTATION: fingerprint}}}}}
+            self._apps.patch_namespaced_deployment(deployment, self._namespace, body, _request_timeout=SECONDS_MAX)
+        return True
+
+    @contextlib.contextmanager
+    def _errors(self, what: str) -> Iterator[None]:
+        where = f"Argo CD, {what} in namespace {self._namespace}"
+        try:
+            yield
+        except client.ApiException as error:
+            text = f"{where}: {error.status} {error.reason}"
+            if error.status in _PASSING or error.status >= 500:
+                raise UnavailableError(f"{text}; it must be there: install Argo CD in that namespace first") from error
+            raise InputError(f"{text}; the Role of the bootstrap Job must allow get and patch on it") from error
+        except (HTTPError, OSError) as error:
+            raise UnavailableError(f"{where}: the API server does not answer: {error}") from error

@@ -1,0 +1,260 @@
+"""The process `python3 -m robotkube.setup.bootstrap`: accounts, repositories, Argo CD's wiring, after install
+and upgrade.
+
+Settings: docs/reference/settings.md. Exit code 0 when everything is as it shall be, 2 when settings or answers are
+wrong, 3 when forge, database or Argo CD did not answer within the stated time.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from kubernetes import client
+from kubernetes import config as kubernetes_config
+
+from robotkube.errors import InputError
+from robotkube.foundation.database.adapters.accounts import MongoAccounts
+from robotkube.foundation.documents.core.patterns import HTTP_URL, REPOSITORY, WORD
+from robotkube.foundation.documents.core.reader import Reader
+from robotkube.foundation.runtime import settings_file as files
+from robotkube.foundation.runtime.process import Process, run
+from robotkube.setup.adapters.argocd_configuration import KubernetesArgoCDConfiguration
+from robotkube.setup.adapters.gitea_administration import GiteaAdministration
+from robotkube.setup.loops.bootstrap import (
+    LEVELS,
+    ArgoCDSetup,
+    Bootstrap,
+    DatabaseAccount,
+    ForgeAccount,
+    ForgeSetup,
+    Organisation,
+    Repository,
+    Webhook,
+)
+
+GRACE_SECONDS = 5.0
+WAIT_SECONDS_MAX = 3600
+DATABASE_KINDS = ("mongo", "ferretdb")
+EVENTS = ("push", "pull_request", "pull_request_comment")
+SEED_BYTES_MAX = 1024 * 1024
+SEED_FILES_MAX = 500
+
+
+@dataclass(frozen=True)
+class ForgeConfiguration:
+    """The forge and who administers it."""
+
+    url: str
+    administrator: files.Credentials
+    setup: ForgeSetup
+
+
+@dataclass(frozen=True)
+class DatabaseConfiguration:
+    """The database and who administers it."""
+
+    host: str
+    port: int
+    administrator: files.Credentials
+    accounts: tuple[DatabaseAccount, ...]
+
+
+@dataclass(frozen=True)
+class BootstrapConfiguration:
+    """The settings of the Job; a part that is None belongs to somebody else."""
+
+    log_level: str
+    wait_seconds: int
+    forge: ForgeConfiguration | None
+    database: DatabaseConfiguration | None
+    argocd_namespace: str
+    argocd: ArgoCDSetup
+
+
+def read_configuration(reader: Reader, document: Mapping[str, Any]) -> BootstrapConfiguration:
+    """Read the settings document of the Job."""
+    root = reader.mapping(document, "", ["log_level", "wait_seconds", "argocd"], ["forge", "database"])
+    argocd = reader.mapping(
+        root.get("argocd") or {}, "argocd", ["namespace", "account", "rbac", "hook", "closed_project", "hook_reader"]
+    )
+    return BootstrapConfiguration(
+        log_level=files.log_level(reader, root.get("log_level")),
+        wait_seconds=_whole(reader, root.get("wait_seconds"), "wait_seconds", WAIT_SECONDS_MAX),
+        forge=_forge(reader, root["forge"]) if root.get("forge") else None,
+        database=_database(reader, root["database"]) if root.get("database") else None,
+        argocd_namespace=reader.word(argocd.get("namespace"), "argocd.namespace", WORD),
+        argocd=_argocd(reader, argocd),
+    )
+
+
+def _whole(reader: Reader, value: Any, path: str, largest: int) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or not 0 < value <= largest:
+        reader.problems.append(f"{path}: must be a whole number from 1 to {largest}")
+        return 1
+    return value
+
+
+def _argocd(reader: Reader, argocd: Mapping[str, Any]) -> ArgoCDSetup:
+    account = reader.mapping(argocd.get("account") or {}, "argocd.account", ["name", "credentials"])
+    hook = reader.mapping(argocd.get("hook") or {}, "argocd.hook", ["secret"])
+    return ArgoCDSetup(
+        account=reader.word(account.get("name"), "argocd.account.name", WORD),
+        password=files.credentials(reader, account.get("credentials"), "argocd.account.credentials").password,
+        rbac=reader.prose(argocd.get("rbac"), "argocd.rbac"),
+        hook_secret=files.secret(reader, hook.get("secret"), "argocd.hook.secret"),
+        closed_project=reader.word(argocd.get("closed_project"), "argocd.closed_project", WORD),
+        hook_reader=reader.word(argocd.get("hook_reader"), "argocd.hook_reader", WORD),
+    )
+
+
+def _database(reader: Reader, value: Any) -> DatabaseConfiguration:
+    values = reader.mapping(value, "database", ["kind", "host", "port", "administrator", "accounts"])
+    if values.get("kind") not in DATABASE_KINDS:
+        reader.problems.append(f"database.kind: must be one of {', '.join(DATABASE_KINDS)}")
+    return DatabaseConfiguration(
+        host=reader.word(values.get("host"), "database.host", WORD),
+        port=_whole(reader, values.get("port"), "database.port", files.PORT_MAX),
+        administrator=files.credentials(reader, values.get("administrator"), "database.administrator"),
+        accounts=tuple(_database_account(reader, *item) for item in _items(reader, values, "database", "accounts")),
+    )
+
+
+def _items(reader: Reader, values: Mapping[str, Any], path: str, key: str) -> Iterable[tuple[Any, str]]:
+    for index, item in enumerate(reader.sequence(values.get(key), f"{path}.{key}")):
+        yield item, f"{path}.{key}[{index}]"
+
+
+def _database_account(reader: Reader, value: Any, path: str) -> DatabaseAccount:
+    values = reader.mapping(value, path, ["username", "database", "credentials"])
+    account = files.credentials(reader, values.get("credentials"), f"{path}.credentials")
+    username = reader.word(values.get("username"), f"{path}.username", WORD)
+    if account.username and account.username != username:
+        reader.problems.append(f"{path}.credentials: its username is {account.username!r}, the account is {username!r}")
+    return DatabaseAccount(reader.word(values.get("database"), f"{path}.database", WORD), username, account.password)
+
+
+def _forge(reader: Reader, value: Any) -> ForgeConfiguration:
+    keys = ["url", "administrator", "accounts", "organisations", "repositories", "webhooks"]
+    values = reader.mapping(value, "forge", keys)
+    return ForgeConfiguration(
+        url=reader.word(values.get("url"), "forge.url", HTTP_URL),
+        administrator=files.credentials(reader, values.get("administrator"), "forge.administrator"),
+        setup=ForgeSetup(
+            accounts=tuple(_account(reader, *item) for item in _items(reader, values, "forge", "accounts")),
+            organisations=tuple(_organisation(reader, *i) for i in _items(reader, values, "forge", "organisations")),
+            repositories=tuple(_repository(reader, *i) for i in _items(reader, values, "forge", "repositories")),
+            webhooks=tuple(_webhook(reader, *item) for item in _items(reader, values, "forge", "webhooks")),
+        ),
+    )
+
+
+def _account(reader: Reader, value: Any, path: str) -> ForgeAccount:
+    values = reader.mapping(value, path, ["name", "credentials"])
+    name = reader.word(values.get("name"), f"{path}.name", WORD)
+    return ForgeAccount(name, files.credentials(reader, values.get("credentials"), f"{path}.credentials").password)
+
+
+def _organisation(reader: Reader, value: Any, path: str) -> Organisation:
+    values = reader.mapping(value, path, ["name", "packages"])
+    name = reader.word(values.get("name"), f"{path}.name", WORD)
+    return Organisation(name, _levels(reader, values.get("packages"), f"{path}.packages"))
+
+
+def _levels(reader: Reader, value: Any, path: str) -> Mapping[str, str]:
+    if not isinstance(value, Mapping):
+        reader.problems.append(f"{path}: must be a mapping of accounts to read or write")
+        return {}
+    reader.problems += [f"{path}.{name}: must be read or write" for name, level in value.items() if level not in LEVELS]
+    return value
+
+
+def _repository(reader: Reader, value: Any, path: str) -> Repository:
+    values = reader.mapping(value, path, ["name", "description", "branch", "seed", "access", "main"])
+    return Repository(
+        name=reader.word(values.get("name"), f"{path}.name", REPOSITORY),
+        description=reader.prose(values.get("description"), f"{path}.description"),
+        branch=reader.word(values.get("branch"), f"{path}.branch", WORD),
+        seed=_seed(reader, reader.word(values.get("seed"), f"{path}.seed", files.PATH), f"{path}.seed"),
+        access=_levels(reader, values.get("access"), f"{path}.access"),
+        main=tuple(
+            reader.word(item, f"{path}.main", WORD) for item in reader.sequence(values.get("main"), f"{path}.main")
+        ),
+    )
+
+
+def _seed(reader: Reader, folder: str, path: str) -> Mapping[str, bytes]:
+    """Every file below the folder by its relative path; what a mounted volume keeps for itself (..data) is left out."""
+    root = Path(folder)
+    if not folder or not root.is_dir():
+        reader.problems.append(f"{path}: {folder!r} is not a folder")
+        return {}
+    contents: dict[str, bytes] = {}
+    for file in sorted(root.rglob("*")):
+        relative = file.relative_to(root)
+        if file.is_file() and not any(part.startswith("..") for part in relative.parts):
+            contents[relative.as_posix()] = file.read_bytes()
+    if len(contents) > SEED_FILES_MAX or sum(map(len, contents.values())) > SEED_BYTES_MAX:
+        reader.problems.append(f"{path}: {folder} holds more than {SEED_FILES_MAX} files or {SEED_BYTES_MAX} bytes")
+    return contents
+
+
+def _webhook(reader: Reader, value: Any, path: str) -> Webhook:
+    values = reader.mapping(value, path, ["repository", "url", "events", "secret"])
+    events = tuple(str(event) for event in reader.sequence(values.get("events"), f"{path}.events"))
+    reader.problems += [f"{path}.events: {e!r} must be one of {', '.join(EVENTS)}" for e in events if e not in EVENTS]
+    return Webhook(
+        repository=reader.word(values.get("repository"), f"{path}.repository", REPOSITORY),
+        url=reader.word(values.get("url"), f"{path}.url", HTTP_URL),
+        events=events,
+        secret=files.secret(reader, values.get("secret"), f"{path}.secret"),
+    )
+
+
+def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
+    """Run all parts one after the other, within one bound."""
+    configuration = files.read_settings(files.settings_path(environment), read_configuration)
+    files.send_logs(process, configuration.log_level)
+
+    def sleep(seconds: float) -> None:
+        if process.stopping.wait(seconds):
+            raise InputError("ended by a signal before everything was made; run the Job again")
+
+    bootstrap = Bootstrap(configuration.wait_seconds, time.monotonic, sleep)
+    if configuration.forge:
+        administrator = configuration.forge.administrator
+        forge = GiteaAdministration(configuration.forge.url, administrator.username, administrator.password)
+        bootstrap.forge(configuration.forge.setup, forge)
+    if configuration.database:
+        settings = configuration.database
+        account = settings.administrator
+        database = MongoAccounts(settings.host, settings.port, account.username, account.password)
+        bootstrap.database(settings.accounts, database)
+    argocd = KubernetesArgoCDConfiguration(_api_client(environment), configuration.argocd_namespace)
+    bootstrap.argocd(configuration.argocd, argocd)
+    process.log("everything is made", changed=len(bootstrap.changed))
+
+
+def _api_client(environment: Mapping[str, str]) -> client.ApiClient:
+    """A client with the pod's ServiceAccount; outside a cluster with the file in KUBECONFIG."""
+    try:
+        if environment.get("KUBERNETES_SERVICE_HOST"):
+            kubernetes_config.load_incluster_config()
+        else:
+            kubernetes_config.load_kube_config(environment.get("KUBECONFIG"))
+    except kubernetes_config.ConfigException as error:
+        raise InputError(f"no way to the API server: {error}; give the pod a token, or set KUBECONFIG") from error
+    return client.ApiClient()
+
+
+def main() -> None:
+    """Run until SIGTERM or the end of the work; exit codes as in `foundation.runtime.process`."""
+    run("bootstrap", body, grace_seconds=GRACE_SECONDS)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,99 @@
+"""The ports of bootstrap and teardown to forge, database and Argo CD: every `make_*`, `patch_*`, `set_*` reads first
+and says whether it changed anything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Protocol
+
+
+class ForgeAdministration(Protocol):
+    """The forge as its administrator; UnavailableError when it does not answer, InputError when it refuses."""
+
+    def answers(self) -> bool:
+        """Check that it serves and knows the administrator: False (nothing changes), UnavailableError before."""
+        ...
+
+    def make_account(self, name: str, password: str) -> bool:
+        """Make an account with that password."""
+        ...
+
+    def make_organisation(self, name: str) -> bool:
+        """Make a private organisation."""
+        ...
+
+    def make_repository(self, repository: str, description: str, branch: str) -> bool:
+        """Make a private, empty repository with pull requests and linear history."""
+        ...
+
+    def seed(self, repository: str, branch: str, files: Mapping[str, bytes]) -> bool:
+        """Make the first commit, only when the repository is empty."""
+        ...
+
+    def protect(self, repository: str, branch: str, pushers: Sequence[str]) -> bool:
+        """Protect the branch: only `pushers` push it, nobody by force; nobody makes tags."""
+        ...
+
+    def make_team(
+        self, organisation: str, team: str, units: Mapping[str, str], members: frozenset[str], repository: str
+    ) -> bool:
+        """Make a team with exactly these members and units; for one repository, or for none when it is empty."""
+        ...
+
+    def make_webhook(self, repository: str, url: str, events: Sequence[str], secret: str) -> bool:
+        """Make a webhook with signed deliveries, one per repository and url."""
+        ...
+
+
+class DatabaseAdministration(Protocol):
+    """The database as its administrator."""
+
+    def answers(self) -> bool:
+        """Check that it serves and knows the administrator: False (nothing changes), UnavailableError before."""
+        ...
+
+    def make_account(self, database: str, username: str, password: str) -> bool:
+        """Make an account of `database` with readWrite on it and nothing else."""
+        ...
+
+
+class ArgoCDConfiguration(Protocol):
+    """Argo CD's own objects in its namespace; UnavailableError when they or the API server are not there yet."""
+
+    def answers(self) -> bool:
+        """Check that Argo CD has made its secret's server.secretkey: False (no change), UnavailableError before."""
+        ...
+
+    def patch_config_map(self, name: str, data: Mapping[str, str]) -> bool:
+        """Set keys of a ConfigMap."""
+        ...
+
+    def patch_secret(self, data: Mapping[str, str]) -> bool:
+        """Set keys of argocd-secret."""
+        ...
+
+    def set_password(self, account: str, password: str) -> bool:
+        """Set a local account's password unless the stored hash fits it."""
+        ...
+
+    def close_project(self, name: str) -> bool:
+        """Make an AppProject allow nothing."""
+        ...
+
+    def restart_on(self, deployment: str, secret: str) -> bool:
+        """Restart a Deployment when, and only when, `secret` differs from the one it was last restarted for."""
+        ...
+
+
+class InstalledReleases(Protocol):
+    """The releases that Argo CD installed from the deployment repository; UnavailableError when the API server does not
+    answer."""
+
+    def withdraw(self) -> bool:
+        """Delete the ApplicationSet, and by that its Argo CD Applications; False when there was none."""
+        ...
+
+    def remaining(self) -> Sequence[str]:
+        """Names of the Argo CD Applications that are still there."""
+        ...

@@ -1,0 +1,161 @@
+"""What people set for the pods of a component reaches these pods, and those of no other component."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.stages.paths import CHARTS
+
+Object = dict[str, Any]
+
+pytestmark = pytest.mark.toolchain
+PLATFORM = CHARTS / "robotkube"
+PROFILE = Path(__file__).parent / "profiles" / "official.yaml"
+WORKLOADS = {
+    "managers": "Deployment/manager",
+    "gate": "Deployment/gate",
+    "suites": "Deployment/suite-runner",
+    "broker": "Deployment/broker",
+    "database": "StatefulSet/database",
+    "forge": "StatefulSet/forge",
+    "bootstrap": "Job/bootstrap",
+    "teardown": "Job/teardown",
+}
+TOLERATION = {"key": "dedicated", "operator": "Equal", "value": "platform", "effect": "NoSchedule"}
+RULE = {"matchExpressions": [{"key": "disk", "operator": "In", "values": ["fast"]}]}
+AFFINITY = {"nodeAffinity": {"requiredDuringSchedulingIgnoredDuringExecution": {"nodeSelectorTerms": [RULE]}}}
+FIELD = {"name": "NODE", "valueFrom": {"fieldRef": {"fieldPath": "spec.nodeName"}}}
+GIVEN: dict[str, Any] = {
+    "nodeSelector": {"disk": "fast"},
+    "tolerations": [TOLERATION],
+    "affinity": AFFINITY,
+    "podAnnotations": {"example.com/scrape": "true"},
+    "podLabels": {"team": "fleet"},
+    "extraEnv": [{"name": "HTTP_PROXY", "value": "http://exit.example:3128"}, FIELD],
+    "priorityClassName": "platform-critical",
+}
+EVERYWHERE: dict[str, Any] = {"imagePullSecrets": [{"name": "registry"}], "commonLabels": {"cost-centre": "42"}}
+
+
+def values_of(component: str, values: Object) -> Object:
+    """The values file that sets these of a component."""
+    return {"managers": [{"name": "manager", **values}]} if component == "managers" else {component: values}
+
+
+def seen(rendered: Any, key: str) -> dict[str, Any]:
+    """What every workload's pod has where a value leads to."""
+    workloads = rendered.of_kind("Deployment", "StatefulSet", "Job")
+    return {f"{one['kind']}/{one['metadata']['name']}": part(one["spec"]["template"], key) for one in workloads}
+
+
+def part(template: Object, key: str) -> Any:
+    """The part of a pod template where a value leads to."""
+    metadata, pod = template["metadata"], template["spec"]
+    places = {"podAnnotations": metadata.get("annotations", {}), "podLabels": metadata["labels"]}
+    places |= {"commonLabels": metadata["labels"], "extraEnv": pod["containers"][0].get("env", [])}
+    return places[key] if key in places else pod.get(key)
+
+
+def holds(found: Any, given: Any) -> bool:
+    """Whether all that was given is in what was found, beside what the chart sets itself."""
+    if isinstance(given, dict):
+        return isinstance(found, dict) and all(found.get(key) == value for key, value in given.items())
+    return all(item in (found or []) for item in given) if isinstance(given, list) else bool(found == given)
+
+
+@pytest.fixture(scope="module")
+def shaped(helm: Any) -> Callable[[str], Any]:
+    """The chart with everything set for one component, rendered once."""
+    return functools.cache(lambda component: helm.template(PLATFORM, PROFILE, **values_of(component, GIVEN)))
+
+
+@pytest.mark.parametrize("key", GIVEN)
+@pytest.mark.parametrize("component", WORKLOADS)
+def test_what_is_set_for_a_component_reaches_its_pods_alone(
+    shaped: Callable[[str], Any], component: str, key: str
+) -> None:
+    found = seen(shaped(component), key)
+    assert set(found) == set(WORKLOADS.values())
+    assert {name for name, value in found.items() if holds(value, GIVEN[key])} == {WORKLOADS[component]}
+
+
+@pytest.mark.parametrize("key", EVERYWHERE)
+def test_what_is_set_for_the_chart_reaches_every_pod(helm: Any, key: str) -> None:
+    found = seen(helm.template(PLATFORM, PROFILE, **{key: EVERYWHERE[key]}), key)
+    assert {name for name, value in found.items() if holds(value, EVERYWHERE[key])} == set(WORKLOADS.values())
+
+
+def test_common_labels_are_on_every_object_and_in_no_selector(helm: Any) -> None:
+    rendered = helm.template(PLATFORM, PROFILE, commonLabels={"team": "all"}, gate={"podLabels": {"team": "gate"}})
+    assert {one["metadata"]["labels"]["team"] for one in rendered.objects} == {"all"}
+    assert seen(rendered, "podLabels")["Deployment/gate"]["team"] == "gate", "the component's own go before"
+    selectors = [one["spec"]["selector"] for one in rendered.of_kind("Deployment", "StatefulSet", "Service")]
+    assert not [selector for selector in selectors if "team" in str(selector)]
+
+
+@pytest.mark.parametrize("key", ["nodeSelector", "tolerations"])
+def test_a_component_without_a_place_of_its_own_has_the_platforms(helm: Any, key: str) -> None:
+    whole: Any = {"nodeSelector": {"role": "platform"}, "tolerations": [{"operator": "Exists"}]}
+    found = seen(helm.template(PLATFORM, PROFILE, platform=whole, gate={key: GIVEN[key]}), key)
+    assert found.pop("Deployment/gate") == GIVEN[key]
+    assert all(value == whole[key] for value in found.values())
+
+
+def test_what_is_set_to_nothing_changes_nothing(helm: Any) -> None:
+    empty = {key: type(value)() for key, value in GIVEN.items()}
+    values = {key: type(value)() for key, value in EVERYWHERE.items()}
+    for component in WORKLOADS:
+        values |= values_of(component, empty)
+    assert without_keys(helm.template(PLATFORM, PROFILE, **values)) == without_keys(helm.template(PLATFORM, PROFILE))
+
+
+def without_keys(rendered: Any) -> list[Object]:
+    """All objects but the gate's key, which is made anew each time, and the pods that carry its hash."""
+    made_anew = {"gate-key", "evidence-keys"}
+    kept = [one for one in rendered.objects if one["metadata"]["name"] not in made_anew]
+    for one in kept:
+        metadata = one.get("spec", {}).get("template", {}).get("metadata", {})
+        metadata.get("annotations", {}).pop("robotkube.io/keys", None)
+    return kept
+
+
+@pytest.mark.parametrize("component", WORKLOADS)
+def test_unknown_keys_of_pods_are_refused(helm: Any, component: str) -> None:
+    said = helm.refusal(PLATFORM, PROFILE, **values_of(component, {"podLabel": {"team": "fleet"}}))
+    assert "additional properties 'podLabel' not allowed" in said
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"commonLabels": {"helm.sh/chart": "x"}}, "commonLabels: helm.sh/chart is set by the chart itself."),
+        ({"gate": {"podLabels": {"app.kubernetes.io/name": "x"}}}, "gate.podLabels: app.kubernetes.io/name is set"),
+        ({"forge": {"podAnnotations": {"robotkube.io/keys": "x"}}}, "forge.podAnnotations: robotkube.io/keys is set"),
+        (values_of("managers", {"podLabels": {"robotkube.io/agent": "x"}}), "managers[0].podLabels: robotkube.io/"),
+    ],
+)
+def test_labels_and_annotations_of_the_chart_are_its_own(helm: Any, values: Object, said: str) -> None:
+    found = helm.refusal(PLATFORM, PROFILE, **values)
+    assert said in found
+    assert "Use a key of your own, such as example.com/team." in found
+
+
+@pytest.mark.parametrize(
+    ("values", "at"),
+    [
+        ({"commonLabels": {"team": "a b"}}, "at '/commonLabels/team': 'a b' does not match"),
+        ({"imagePullSecrets": ["registry"]}, "at '/imagePullSecrets/0'"),
+        ({"forge": {"extraEnv": {"A": "b"}}}, "at '/forge/extraEnv'"),
+        ({"forge": {"extraEnv": [{"value": "b"}]}}, "at '/forge/extraEnv/0': missing property 'name'"),
+        ({"broker": {"affinity": {"zone": {}}}}, "at '/broker/affinity': additional properties 'zone' not allowed"),
+        ({"broker": {"priorityClassName": "High"}}, "at '/broker/priorityClassName': 'High' does not match"),
+        ({"broker": {"tolerations": [{"key": "a", "effect": "Never"}]}}, "at '/broker/tolerations/0/effect'"),
+    ],
+)
+def test_the_schema_refuses_what_is_no_such_value(helm: Any, values: Object, at: str) -> None:
+    assert at in helm.refusal(PLATFORM, PROFILE, **values)

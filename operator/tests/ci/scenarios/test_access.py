@@ -1,0 +1,80 @@
+"""The scenario's runner against a real API server: the tasks of every story are taken, watched, and withdrawn."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from kubernetes import client
+
+from scenarios import definition
+from scenarios.runner import acting
+from scenarios.runner.access import PLATFORM, Access
+from scenarios.runner.tasks import TaskWatch
+from scenarios.runner.waiting import RunError
+from tests.stages.kubernetes.api_calls import Api
+from tests.stages.kubernetes.api_server import ApiServerProcess
+from tests.stages.waiting import until
+
+pytestmark = pytest.mark.toolchain
+
+SCENARIOS = Path(definition.__file__).parent
+SUBMITTED = [
+    step.given
+    for file in sorted(SCENARIOS.glob("*/scenario.yaml"))
+    for step in definition.load(file.parent).steps
+    if step.action == "submit"
+]
+
+
+@pytest.fixture
+def access(api_server: ApiServerProcess, api: Api) -> Iterator[Access]:
+    found = Access(api_server.kubeconfig)
+    for namespace in {given["namespace"] for given in SUBMITTED} | {PLATFORM}:
+        with contextlib.suppress(client.ApiException):  # it is there already
+            found.core.create_namespace({"metadata": {"name": namespace}})
+    yield found
+    for task in found.tasks():
+        found.delete_task(task["metadata"]["namespace"], task["metadata"]["name"])
+    found.disconnect()
+
+
+def test_tasks_of_all_stories_are_taken_watched_and_withdrawn(access: Access) -> None:
+    watch = TaskWatch(access, lambda _: None)
+    watch.start()
+    try:
+        assert len(SUBMITTED) >= 6
+        for given in SUBMITTED:
+            access.create_task(acting.task(given))
+        keys = {f"{given['namespace']}/{given['name']}" for given in SUBMITTED}
+        until(lambda: {life.key for life in watch.lives()} >= keys, "all tasks are seen")
+        found = access.task(SUBMITTED[0]["namespace"], SUBMITTED[0]["name"])
+        assert found["spec"]["application"] == SUBMITTED[0]["application"]
+        for key in keys:
+            access.delete_task(*key.split("/", 1))
+            access.delete_task(*key.split("/", 1))
+        until(lambda: all(life.deleted for life in watch.lives() if life.key in keys), "all tasks are gone")
+    finally:
+        watch.stop()
+
+
+def test_what_the_api_server_refuses_is_said(access: Access) -> None:
+    wrong = {"namespace": "cloud-0", "name": "wrong", "application": "x", "provides": "perception/detection"}
+    with pytest.raises(RunError, match="task cloud-0/wrong: 422"):
+        access.create_task(acting.task(wrong))
+
+
+def test_nodes_are_cordoned_and_parts_of_the_platform_killed(access: Access) -> None:
+    access.core.create_node({"metadata": {"name": "edge-9"}})
+    access.set_schedulable("edge-9", False)
+    assert access.core.read_node("edge-9").spec.unschedulable is True
+    access.set_schedulable("edge-9", True)
+    assert not access.core.read_node("edge-9").spec.unschedulable
+    pod = {"metadata": {"name": "manager-x", "labels": {"app.kubernetes.io/name": "manager"}}}
+    access.core.create_namespaced_pod(PLATFORM, pod | {"spec": {"containers": [{"name": "m", "image": "m"}]}})
+    access.kill("gate")
+    assert [one.metadata.name for one in access.pods(PLATFORM)] == ["manager-x"]
+    access.kill("manager")
+    assert list(access.pods(PLATFORM)) == []

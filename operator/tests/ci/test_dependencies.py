@@ -1,0 +1,137 @@
+"""What is imported is declared: by every process in the extra of operator/pyproject.toml that its image is built from,
+by everything else in any of them. A package that comes only because another one asks for it may go with that other one.
+"""
+
+import ast
+import re
+import sys
+import tomllib
+from collections.abc import Iterator, Mapping
+from functools import cache
+from importlib.metadata import packages_distributions
+from pathlib import Path
+
+import pytest
+
+TOP = Path(__file__).resolve().parents[3]
+SOURCES = TOP / "operator" / "src"
+PLATFORM = (
+    "robotkube.setup.bootstrap",
+    "robotkube.delivery.gate.__main__",
+    "robotkube.delivery.manager.__main__",
+    "robotkube.registry.charts.adapters.helm_sandbox",
+    "robotkube.registry.catalogue.adapters.bounded_validation",
+    "robotkube.registry.suites.__main__",
+    "robotkube.setup.teardown",
+)
+ROBOT = (
+    "robotkube.robots.bridge.__main__",
+    "robotkube.robots.detector.__main__",
+    "robotkube.robots.perception.object_detection",
+    "robotkube.robots.perception.object_tracking",
+    "robotkube.robots.bags.__main__",
+    "robotkube.robots.reactions.host",
+    "robotkube.robots.rules.host",
+    "robotkube.robots.bags.sample_bag",
+    "robotkube.registry.suites.observer",
+)
+COMMAND_LINE = ("robotkube.cli.__main__",)
+
+
+def imported(source: str) -> Iterator[str]:
+    """Every module that a text of Python imports, anywhere in it; of `from a import b` both `a` and `a.b`."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            yield node.module
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def module_name(path: Path) -> str:
+    parts = path.relative_to(SOURCES).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+@cache
+def modules() -> Mapping[str, frozenset[str]]:
+    """Every module of the package and what it imports."""
+    return {module_name(path): frozenset(imported(path.read_text())) for path in SOURCES.rglob("*.py")}
+
+
+def reachable(start: str) -> frozenset[str]:
+    """What running module `start` can import, its own packages' __init__ included."""
+    seen: set[str] = set()
+    waiting = {start}
+    while waiting:
+        module = waiting.pop()
+        seen.add(module)
+        parents = {module.rsplit(".", count)[0] for count in range(1, module.count(".") + 1)}
+        waiting |= {name for name in modules()[module] | parents if name in modules()} - seen
+    return frozenset(name for module in seen for name in modules()[module])
+
+
+def distribution(requirement: str) -> str:
+    return re.split(r"[\[<>=!~; ]", requirement)[0].lower().replace("_", "-")
+
+
+def declared(*extras: str) -> frozenset[str]:
+    project = tomllib.loads((TOP / "operator" / "pyproject.toml").read_text())["project"]
+    lists = [project["dependencies"], *(project["optional-dependencies"][extra] for extra in extras)]
+    return frozenset(distribution(one) for requirements in lists for one in requirements)
+
+
+def every_extra() -> frozenset[str]:
+    project = tomllib.loads((TOP / "operator" / "pyproject.toml").read_text())["project"]
+    return declared(*project["optional-dependencies"])
+
+
+def undeclared(names: frozenset[str], known: frozenset[str], own: frozenset[str]) -> dict[str, list[str]]:
+    """Package that is imported and comes from elsewhere -> the distributions of which none is in `known`."""
+    homes = packages_distributions()
+    tops = {name.partition(".")[0] for name in names} - set(sys.stdlib_module_names) - own
+    sources = {
+        top: [distribution(one) for one in homes.get(top, [])] + [f"ros-jazzy-{top.replace('_', '-')}"] for top in tops
+    }
+    return {top: found for top, found in sorted(sources.items()) if not known.intersection(found)}
+
+
+def own_packages() -> frozenset[str]:
+    """What is imported by name and is part of the repository: its packages."""
+    return frozenset(["robotkube", "benchmarks", "ci", "scenarios", "gitops", "tests"])
+
+
+@pytest.mark.parametrize("process", PLATFORM)
+def test_what_a_process_of_the_platform_imports_is_declared_for_the_platform(process: str) -> None:
+    assert undeclared(reachable(process), declared("platform"), frozenset(["robotkube"])) == {}
+
+
+@pytest.mark.parametrize("process", ROBOT)
+def test_what_a_process_on_a_robot_imports_is_declared_for_robots(process: str) -> None:
+    assert undeclared(reachable(process), declared("robot"), frozenset(["robotkube"])) == {}
+
+
+@pytest.mark.parametrize("process", COMMAND_LINE)
+def test_what_the_command_line_imports_is_declared_for_the_platform_or_for_robots(process: str) -> None:
+    assert undeclared(reachable(process), declared("platform", "robot"), frozenset(["robotkube"])) == {}
+
+
+@pytest.mark.parametrize("folder", ["operator/src", "operator/tests", "benchmarks", "ci", "scenarios"])
+def test_what_a_folder_imports_is_declared_in_some_extra(folder: str) -> None:
+    names = frozenset(name for path in (TOP / folder).rglob("*.py") for name in imported(path.read_text()))
+    assert undeclared(names, every_extra(), own_packages()) == {}
+
+
+def test_every_module_that_runs_as_a_process_is_looked_at() -> None:
+    """A new process has to be put into one of the lists above."""
+    guards = (path for path in SOURCES.rglob("*.py") if "\nif __name__ ==" in path.read_text())
+    runs = {module_name(path) for path in guards if "skeletons" not in path.parts}
+    assert runs == {*PLATFORM, *ROBOT, *COMMAND_LINE}
+
+
+def test_every_package_that_is_declared_for_the_platform_is_imported() -> None:
+    """What nothing imports, such as a library that was replaced, goes."""
+    homes = packages_distributions()
+    names = {name.partition(".")[0] for process in (*PLATFORM, *COMMAND_LINE) for name in reachable(process)}
+    used = {distribution(one) for name in names for one in homes.get(name, [])}
+    assert declared("platform") - used == set()

@@ -1,0 +1,155 @@
+"""`make test` itself: every test is in one group, and its counts are right however a run ends."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from _pytest.mark.expression import Expression
+
+from ci import results
+from ci import test as groups
+from tests.stages.waiting import until
+
+pytestmark = pytest.mark.processes
+
+SECONDS_MAX = 60
+MARKS = ("processes", "toolchain", "platform", "thorough")
+MIXED = """
+import pytest
+def test_passes(): pass
+def test_fails(): assert False
+@pytest.mark.skip(reason="for the count")
+def test_is_skipped(): pass
+@pytest.fixture
+def broken():
+    yield
+    raise RuntimeError("teardown")
+def test_fails_in_its_teardown(broken): pass
+"""
+DYING = """
+import os, signal
+def test_passes(): pass
+def test_kills_the_run(): os.kill(os.getpid(), signal.SIGKILL)
+def test_never_runs(): pass
+"""
+
+
+HANGING = """
+import pathlib, time, pytest
+@pytest.fixture(scope="session")
+def server():
+    yield
+    time.sleep(1)
+    pathlib.Path("taken-down").touch()
+def test_passes(): pass
+def test_hangs(server):
+    pathlib.Path("hanging").touch()
+    time.sleep(600)
+"""
+
+
+def counted(folder: Path, name: str, text: str, processes: int = 1) -> tuple[int, results.Counts]:
+    """Exit code and counts of a pytest run of one file."""
+    (folder / f"test_{name}.py").write_text(text)
+    environment = {**os.environ, results.VARIABLE: str(folder / "results")}
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "ci.results", "-p", "no:cacheprovider", str(folder)]
+    command += groups.spread(processes)
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, timeout=SECONDS_MAX, check=False)
+    return done.returncode, results.read(folder / "results")
+
+
+@pytest.mark.parametrize("marks", [set(c) for n in range(5) for c in itertools.combinations(MARKS, n)], ids=str)
+def test_a_test_of_any_marks_is_in_one_group(marks: set[str]) -> None:
+    chosen = [
+        group.name
+        for group in (*groups.GROUPS, groups.THOROUGH)
+        if group.marker and Expression.compile(group.marker).evaluate(lambda name, **_: name in marks)
+    ]
+    assert len(chosen) == 1
+
+
+def test_each_test_counts_once_as_its_worst(tmp_path: Path) -> None:
+    code, counts = counted(tmp_path, "mixed", MIXED)
+    assert (code, counts) == (1, results.Counts(1, 2, 1))
+
+
+def test_a_run_that_is_killed_keeps_its_counts(tmp_path: Path) -> None:
+    code, counts = counted(tmp_path, "dying", DYING)
+    assert code == -9
+    assert counts == results.Counts(1, 1, 0, ("test_dying.py::test_kills_the_run",))
+
+
+def test_a_run_of_which_one_process_is_killed_keeps_its_counts(tmp_path: Path) -> None:
+    (tmp_path / "test_other.py").write_text(MIXED)
+    code, counts = counted(tmp_path, "dying", DYING, 2)
+    assert code == 1
+    assert counts == results.Counts(2, 3, 1)
+
+
+def test_a_file_that_cannot_be_imported_is_a_failure(tmp_path: Path) -> None:
+    code, counts = counted(tmp_path, "broken", "import nothing_of_this_name\n")
+    assert code != 0
+    assert counts == results.Counts(0, 1, 0)
+
+
+def test_no_run_at_all_counts_nothing(tmp_path: Path) -> None:
+    assert results.read(tmp_path / "results") == results.Counts(0, 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("processes", "text", "passed"),
+    [(1, MIXED, 1), (1, "", 0), (1, DYING, 1), (2, "", 0)],
+    ids=["failing", "empty", "dying", "empty of two"],
+)
+def test_a_group_with_a_failure_or_without_a_test_has_failed(
+    processes: int,
+    text: str,
+    passed: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (tmp_path / "operator" / "tests" / "some").mkdir(parents=True)
+    (tmp_path / "operator" / "pyproject.toml").write_text("[tool.pytest.ini_options]\nmarkers = ['thorough: slow']\n")
+    (tmp_path / "operator" / "tests" / "some" / "test_some.py").write_text(text)
+    monkeypatch.setattr(groups, "TOP", tmp_path)
+    counts = groups.run_pytest(groups.Group("some", "not thorough", 20, "nothing", processes))
+    assert counts.passed == passed
+    assert counts.failed >= 1
+    assert ("no test was run" in capsys.readouterr().out) == (not passed)
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_a_group_that_hangs_is_taken_down_and_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, processes: int
+) -> None:
+    (tmp_path / "operator" / "tests" / "some").mkdir(parents=True)
+    (tmp_path / "operator" / "pyproject.toml").touch()
+    (tmp_path / "operator" / "tests" / "some" / "test_some.py").write_text(HANGING)
+    monkeypatch.setattr(groups, "TOP", tmp_path)
+    monkeypatch.setattr(groups.Group, "seconds_max", property(lambda _: over_when(tmp_path / "hanging")))
+    counts = groups.run_pytest(groups.Group("some", "not thorough", 1, "nothing", processes))
+    assert (counts.passed, counts.failed) == (1, 1)
+    assert (tmp_path / "taken-down").exists()
+
+
+def over_when(file: Path) -> float:
+    """A group's time, which is over when the file is there."""
+    until(file.exists, "the test that hangs", SECONDS_MAX)
+    return 0.1
+
+
+def test_the_last_line_sums_all_groups() -> None:
+    finished = [
+        groups.Result(groups.GROUPS[0], 1, 0, 0, 2.0),
+        groups.Result(groups.GROUPS[1], 600, 2, 3, 301.0),
+    ]
+    lines = groups.table(finished).splitlines()
+    assert lines[-1] == "601 passed, 2 failed, 3 skipped"
+    assert lines[2].endswith("late")
+    assert not lines[1].endswith("late")

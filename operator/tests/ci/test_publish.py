@@ -1,0 +1,198 @@
+"""Publishing what was built to a real forge: images with their bills, charts by a submission that a gate verifies."""
+
+import hashlib
+import io
+import json
+import tarfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pygit2
+import pytest
+
+from ci import evidence, publish
+from ci.cluster.images import Image
+from ci.errors import SetUpError
+from ci.images import bills
+from robotkube.registry.catalogue.core.catalogue import FOLDERS, read_catalogue
+from robotkube.registry.charts.adapters.oci import OciRegistry
+from robotkube.registry.charts.core.packing import build_tag
+from robotkube.registry.evidence.core.statements import Check
+from robotkube.registry.evidence.core.verification_policy import read_verification_policy
+from robotkube.registry.publication.loops.submitting import PUBLISHED, UNCHANGED
+from robotkube.registry.suites.core.image_checks import BILL_TYPE
+from tests.stages.forge.installation import Installation
+from tests.stages.registry.publications import Publishing
+from tests.stages.registry.signed_evidence import POLICY_TEXT
+
+pytestmark = pytest.mark.toolchain
+
+SUITES = read_verification_policy(POLICY_TEXT).suites
+BILL = b'{"bomFormat": "CycloneDX"}'
+REPOSITORY = "forge.robotkube.svc.cluster.local:3000/robotkube"
+
+
+def image(folder: Path, name: str, content: bytes) -> Image:
+    """An image of one layer in an OCI layout archive."""
+    layer = content
+    config = json.dumps({"architecture": "amd64", "os": "linux", "rootfs": {"type": "layers", "diff_ids": []}}).encode()
+    manifest = json.dumps(
+        {
+            "schemaVersion": 2,
+            "mediaType": "application/vnd.oci.image.manifest.v1+json",
+            "config": descriptor("application/vnd.oci.image.config.v1+json", config),
+            "layers": [descriptor("application/vnd.oci.image.layer.v1.tar", layer)],
+        }
+    ).encode()
+    entry = descriptor("application/vnd.oci.image.manifest.v1+json", manifest)
+    files = {f"blobs/sha256/{hashlib.sha256(data).hexdigest()}": data for data in (layer, config, manifest)}
+    files["index.json"] = json.dumps({"schemaVersion": 2, "manifests": [entry]}).encode()
+    archive = folder / f"{name}-{hashlib.sha256(content).hexdigest()[:8]}" / "image.tar"
+    archive.parent.mkdir(exist_ok=True)
+    archive.with_name(bills.FILE).write_bytes(BILL)
+    with tarfile.open(archive, "w") as tar:
+        for path, data in files.items():
+            info = tarfile.TarInfo(path)
+            info.size = len(data)
+            tar.addfile(info, io.BytesIO(data))
+    return Image(name, f"{REPOSITORY}/{name}@{entry['digest']}", archive)
+
+
+def descriptor(kind: str, data: bytes) -> dict[str, object]:
+    return {"mediaType": kind, "digest": "sha256:" + hashlib.sha256(data).hexdigest(), "size": len(data)}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _catalogue_of_its_own(installation: Installation) -> Iterator[None]:
+    """Only the policies, as in a new installation: the other tests of the session have charts in theirs that were
+    never packed, and versions that nothing leads to. Theirs is put back afterwards."""
+    clone = installation.clone("gate", "robotkube/catalogue")
+    tip = clone.tip()
+    before = clone.repository[tip].tree
+    index = pygit2.Index()
+    index.read_tree(before)
+    gone = [entry.path for entry in index if entry.path.startswith(("applications/", "charts/", "evidence/"))]
+    assert clone.push(clone.commit(dict.fromkeys(gone), "begin\n", [tip]), "refs/heads/main") == ""
+    yield
+    who = pygit2.Signature("gate", "gate@forge.invalid")
+    tip = clone.tip()
+    commit = clone.repository.create_commit(None, who, who, "as before\n", before.id, [tip])
+    assert clone.push(str(commit), "refs/heads/main") == ""
+
+
+@pytest.fixture
+def access(installation: Installation) -> publish.ForgeAccess:
+    return publish.ForgeAccess(installation.url, publish.ACCOUNT, installation.passwords[publish.ACCOUNT])
+
+
+@pytest.fixture
+def publishing(installation: Installation, tmp_path: Path) -> Iterator[Publishing]:
+    """A gate that publishes, as that of the embedded cluster: local builds may replace each other."""
+    found = Publishing(installation, tmp_path / "gate", local_builds=True)
+    found.start()
+    yield found
+    found.stop()
+
+
+def test_what_was_built_is_published_once_and_its_evidence_kept(
+    installation: Installation, publishing: Publishing, access: publish.ForgeAccess, tmp_path: Path
+) -> None:
+    ros, said, kept = image(tmp_path, "ros", b"one"), list[str](), tmp_path / "kept"
+    first = publish.publish_to(access, [ros], kept, said.append)
+    assert first.outcome.verdict == PUBLISHED
+    assert {chart.name.split()[0] for chart in first.outcome.charts} == set(publish.BASE)
+    assert len(publishing.runner.runs) == len(SUITES) * len(first.outcome.charts)
+    assert any(line.startswith("bag-player 0.1.1: static 1  passed") for line in said)
+    with OciRegistry(installation.url, "argocd", installation.passwords["argocd"]) as registry:
+        for chart in first.outcome.charts:
+            digest = registry.manifest_digest(f"verified/{chart.artefact.chart}", chart.digest)
+            assert digest == chart.digest
+    with OciRegistry(installation.url, "suite-runner", installation.passwords["suite-runner"]) as registry:
+        [bill] = registry.attachments("robotkube/ros", ros.reference.partition("@")[2])
+        assert (bill.artifact_type, bill.data) == (BILL_TYPE, BILL)
+    files = {path.relative_to(kept).as_posix(): path.read_text() for path in kept.rglob("*.json")}
+    assert files == first.outcome.evidence
+    again = publish.publish_to(access, [ros], kept)
+    assert again.outcome.verdict == UNCHANGED
+    assert len(publishing.runner.runs) == len(SUITES) * len(first.outcome.charts)
+
+
+def test_more_charts_come_with_what_they_replace_and_the_applications_they_run(
+    publishing: Publishing, access: publish.ForgeAccess, tmp_path: Path
+) -> None:
+    ros, kept = image(tmp_path, "ros", b"more"), tmp_path / "kept"
+    older = publish.publish_to(access, [ros], kept, extra=["object-detection@0.1.1"])
+    assert "object-detection 0.1.1" in {chart.name for chart in older.outcome.charts}
+    newer = publish.publish_to(access, [ros], kept, extra=["object-detection", "object-tracking"])
+    names = {chart.name for chart in newer.outcome.charts}
+    assert names == {"object-detection 0.2.1", "object-tracking 0.1.1", "object-tracking 0.2.1"}
+    assert "object-detection 0.1.1" in newer.outcome.unchanged
+    assert "applications/environment-perception.yaml" in newer.outcome.applications
+    found = read_catalogue({path: text for path, text in publishing.main().items() if path.startswith(FOLDERS)})
+    assert [v.version for v in found.charts["object-detection"] if v.state == "verified"] == ["0.1.1", "0.2.1"]
+    assert found.problems == ()
+
+
+def test_a_chart_that_is_not_there_is_named(access: publish.ForgeAccess, tmp_path: Path) -> None:
+    with pytest.raises(SetUpError, match=r"no chart object-detection@0.9.0; there are bag-player, .*@0.1.1"):
+        publish.publish_to(access, [image(tmp_path, "ros", b"x")], tmp_path / "kept", extra=["object-detection@0.9.0"])
+
+
+def test_another_image_gives_other_charts_and_the_old_ones_stay(
+    installation: Installation, publishing: Publishing, access: publish.ForgeAccess, tmp_path: Path
+) -> None:
+    published = [
+        publish.publish_to(access, [image(tmp_path, "ros", content)], tmp_path / "kept") for content in (b"a", b"b")
+    ]
+    old, new = ({chart.digest for chart in one.outcome.charts} for one in published)
+    assert not old & new
+    with OciRegistry(installation.url, "argocd", installation.passwords["argocd"]) as registry:
+        for chart in (chart for one in published for chart in one.outcome.charts):  # what runs stays there
+            repository, tag = f"verified/{chart.artefact.chart}", build_tag(chart.artefact.version, chart.digest)
+            assert registry.manifest_digest(repository, tag) == chart.digest
+    found = read_catalogue({path: text for path, text in publishing.main().items() if path.startswith(FOLDERS)})
+    assert found.assurance == "verified"
+    for chart in published[1].outcome.charts:
+        version = next(v for v in found.charts[chart.artefact.chart] if v.version == chart.artefact.version)
+        assert (version.state, version.digest) == ("verified", chart.digest)
+
+
+def test_a_refusal_says_what_the_gate_found(
+    publishing: Publishing, access: publish.ForgeAccess, tmp_path: Path
+) -> None:
+    publishing.runner.checks["static"] = (Check("pods are restricted", False, "a privileged pod", "take it out"),)
+    with pytest.raises(SetUpError, match=r"the gate refused to publish, see http(?s:.*)pods are restricted") as refusal:
+        publish.publish_to(access, [image(tmp_path, "ros", b"refused")], tmp_path / "kept")
+    assert "take it out" in str(refusal.value)
+    assert not (tmp_path / "kept").exists()
+
+
+def test_an_image_that_no_one_built_is_named(access: publish.ForgeAccess, tmp_path: Path) -> None:
+    with pytest.raises(SetUpError, match=r"spec.images: no reference of ros"):
+        publish.publish_to(access, [image(tmp_path, "other", b"x")], tmp_path / "kept")
+
+
+def test_an_image_without_its_bill_is_refused(access: publish.ForgeAccess, tmp_path: Path) -> None:
+    ros = image(tmp_path, "ros", b"no bill")
+    ros.archive.with_name(bills.FILE).unlink()
+    with pytest.raises(SetUpError, match=r"bill-.*: missing; build the images again: make images"):
+        publish.publish_to(access, [ros], tmp_path / "kept")
+
+
+def test_a_wrong_password_is_named(installation: Installation, tmp_path: Path) -> None:
+    wrong = publish.ForgeAccess(installation.url, publish.ACCOUNT, "wrong")
+    with pytest.raises(SetUpError, match="publisher"):
+        publish.publish_to(wrong, [image(tmp_path, "ros", b"x")], tmp_path / "kept")
+
+
+def test_the_key_is_made_once_for_its_user_alone(tmp_path: Path) -> None:
+    path = evidence.key_file(tmp_path)
+    text = path.read_bytes()
+    assert path.stat().st_mode & 0o777 == 0o600
+    assert [file.name for file in tmp_path.iterdir()] == ["key.pem"]
+    key = evidence.signing_key(tmp_path)
+    assert evidence.key_file(tmp_path).read_bytes() == text
+    assert evidence.kept_folder(tmp_path) == tmp_path / key.key_id
+    path.write_text("broken")
+    with pytest.raises(SetUpError, match=r"no PEM private key.*; remove the file to get a new key"):
+        evidence.signing_key(tmp_path)

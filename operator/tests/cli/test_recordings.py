@@ -1,0 +1,271 @@
+"""`robotkube recording ...` on recordings in memory: tables, refusals and what a person is told."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robotkube.cli import main as cli
+from robotkube.cli.output import Table
+from robotkube.cli.recordings import commands as cli_recordings
+from robotkube.errors import InputError, RefusalError, UnavailableError
+from robotkube.robots.recording.core.documents import SegmentPlace
+
+POSE, CLOUD = "/vehicles/vehicle_00/pose", "/vehicles/vehicle_00/lidar_center/pointcloud"
+STAMPS = (100, 200, 300, 400)
+NAME = "lidar-proximity-3e07ce"
+
+
+def payload(topic: str, stamp: int) -> bytes:
+    return f"{topic} {stamp}".encode()
+
+
+def digest(topic: str, stamp: int) -> str:
+    return hashlib.sha256(payload(topic, stamp)).hexdigest()
+
+
+def audit(topic: str, received: int, **values: Any) -> dict[str, Any]:
+    numbers = {"received": received, "stored": received, "early": 0, "duplicates": 0, "dropped": 0}
+    return {"topic": topic, **numbers, "gaps": [], "closed": True, **values}
+
+
+class Memory:
+    """A database with one recording, and its segments."""
+
+    def __init__(self, name: str = NAME, ended: int | None = 9_000_000_000) -> None:
+        topics = {POSE: {"type": "p", "storage": "document"}, CLOUD: {"type": "c", "storage": "segment"}}
+        provenance = {"task": "cloud-0/near", "event": "3e07ce"}
+        self.document: dict[str, Any] = {
+            "_id": name, "started": 4_000_000_000, "ended": ended, "topics": topics, "provenance": provenance,
+            "volumes": ["cloud-0/recordings"], "counts": {"documents": 4, "segments": 4, "dropped": 0},
+        }  # fmt: skip
+        self.samples = [
+            {"stamp": stamp, "sha256": digest(POSE, stamp), "data": payload(POSE, stamp)} for stamp in STAMPS
+        ]
+        self.entries = [
+            {"topic": CLOUD, "stamp": stamp, "sha256": digest(CLOUD, stamp), "size": len(payload(CLOUD, stamp)),
+             "volume": "cloud-0/recordings", "segment": "one.mcap", "offset": stamp, "stored": 5_000_000_000}
+            for stamp in STAMPS[1:]
+        ]  # fmt: skip
+
+        self.bucket = ""
+        self.files = [
+            {"_id": "f", "volume": "cloud-0/recordings", "segment": "one.mcap", "sha256": "whole", "size": 4000}
+        ]
+        self.told = [audit(POSE, 4), audit(CLOUD, 3)]
+
+    def recordings(self) -> Sequence[Mapping[str, Any]]:
+        return [self.document]
+
+    def buckets(self, recording: str) -> Iterable[Mapping[str, Any]]:
+        bucket = {"topic": POSE, "samples": self.samples}
+        content = "".join(f"{sample['stamp']}:{sample['sha256']};" for sample in self.samples)
+        name = self.bucket or hashlib.sha256(content.encode()).hexdigest()[:16]
+        return [{"_id": f"{recording}/{POSE}/0/{name}", **bucket}]
+
+    def index(self, recording: str) -> Iterable[Mapping[str, Any]]:
+        return [{"_id": f"{recording}/{CLOUD}/{one['offset']}", "recording": recording, **one} for one in self.entries]
+
+    def segments(self, recording: str) -> Sequence[Mapping[str, Any]]:
+        return self.files
+
+    def audits(self, recording: str) -> Sequence[Mapping[str, Any]]:
+        return self.told
+
+    def digest(self, volume: str, segment: str) -> tuple[str, int]:
+        return "whole", 4000
+
+    def read(self, volume: str, place: SegmentPlace, size: int) -> bytes:
+        if volume != "cloud-0/recordings":
+            raise UnavailableError(f"{volume}: is away")
+        return payload(CLOUD, place.offset)
+
+
+@pytest.fixture
+def ledgers(tmp_path: Path) -> Path:
+    for topic in (POSE, CLOUD):
+        lines = [{"sequence": n, "stamp": s, "sha256": digest(topic, s)} for n, s in enumerate(STAMPS)]
+        text = "\n".join(json.dumps(line) for line in [*lines, {"end": True, "count": len(lines)}])
+        (tmp_path / f"{topic.replace('/', '__')}.jsonl").write_text(text)
+    return tmp_path
+
+
+def verified(memory: Memory, folder: Path, window: tuple[int, int] | None = None) -> Table:
+    return cli_recordings.verified({"cloud-0": memory}, memory, NAME, [folder], window)
+
+
+def test_the_list_has_the_oldest_first_and_names_the_agent() -> None:
+    younger = Memory("younger", ended=None)
+    younger.document["started"] = 6_000_000_000
+    table = cli_recordings.listed({"cloud-1": younger, "cloud-0": Memory()})
+    shown = [(row["recording"], row["agent"], row["state"], row["seconds"]) for row in table.rows]
+    assert shown == [(NAME, "cloud-0", "ended", 5.0), ("younger", "cloud-1", "open", None)]
+    assert table.rows[0]["started"] == "1970-01-01T00:00:04Z"
+
+
+def test_show_has_provenance_and_first_stored() -> None:
+    (row,) = cli_recordings.shown({"cloud-0": Memory()}, NAME).rows
+    assert row["provenance"]["event"] == "3e07ce"
+    assert row["first_stored"] == {CLOUD: "1970-01-01T00:00:05Z"}
+
+
+def test_an_unknown_recording_is_refused() -> None:
+    with pytest.raises(RefusalError, match="there is no recording other"):
+        cli_recordings.shown({"cloud-0": Memory()}, "other")
+
+
+def test_a_name_that_two_agents_have_is_refused_until_one_is_chosen() -> None:
+    changed = Memory()
+    changed.samples[0]["data"] = b"other"
+    readers = {"cloud-0": Memory(), "cloud-1": changed}
+    with pytest.raises(InputError, match=f"{NAME} was recorded by cloud-0, cloud-1, each its own; say by --agent"):
+        cli_recordings.verified(readers, changed, NAME, [], None)
+    assert cli_recordings.verified({"cloud-1": changed}, changed, NAME, [], None).refusal
+
+
+def test_stamps_and_digests_that_were_changed_in_the_database_are_named() -> None:
+    memory = Memory()
+    (before,) = memory.buckets(NAME)
+    memory.bucket = before["_id"].rpartition("/")[2]
+    memory.samples[0] |= {"data": b"forged", "sha256": hashlib.sha256(b"forged").hexdigest()}
+    memory.entries[0]["stamp"] += 1
+    refusal = cli_recordings.verified({"cloud-0": memory}, memory, NAME, [], None).refusal
+    assert (
+        f"2 documents have other stamps or digests than they were stored with; the first: ['{before['_id']}']"
+        in refusal
+    )
+    memory.bucket = ""
+    refusal = cli_recordings.verified({"cloud-0": memory}, memory, NAME, [], None).refusal
+    assert (
+        f"1 documents have other stamps or digests than they were stored with; the first: ['{NAME}/{CLOUD}/200']"
+        in refusal
+    )
+
+
+def test_what_no_audit_tells_of_is_not_proved() -> None:
+    memory = Memory()
+    memory.told = memory.told[:1]
+    refusal = cli_recordings.verified({"cloud-0": memory}, memory, NAME, [], None).refusal
+    assert refusal == f"{NAME}: {CLOUD}: no audit says what was received"
+    memory.samples, memory.entries, memory.files, memory.told = [], [], [], []
+    refusal = cli_recordings.verified({"cloud-0": memory}, memory, NAME, [], None).refusal
+    assert "nothing is stored, and no audit says what was received" in refusal
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"\xff\xfe",
+        b"[1]",
+        b'{"sequence": 1, "stamp": "soon", "sha256": "a"}',
+        b'{"sequence": 1, "stamp": [], "sha256": 1}',
+    ],
+)
+def test_a_damaged_ledger_is_named(ledgers: Path, content: bytes) -> None:
+    file = ledgers / f"{POSE.replace('/', '__')}.jsonl"
+    file.write_bytes(content)
+    with pytest.raises(InputError, match=str(file)):
+        verified(Memory(), ledgers)
+
+
+def test_an_equal_recording_is_complete_within_the_clouds_window(ledgers: Path) -> None:
+    table = verified(Memory(), ledgers)
+    assert table.refusal == ""
+    assert {row["topic"]: (row["published"], row["stored"]) for row in table.rows} == {CLOUD: (3, 3), POSE: (3, 4)}
+
+
+def test_a_given_window_counts(ledgers: Path) -> None:
+    table = verified(Memory(), ledgers, (100, 400))
+    assert {row["topic"]: row["lost"] for row in table.rows} == {CLOUD: 1, POSE: 0}
+    assert f"{CLOUD}: 1 missing without explanation, 1 of the ledger not stored" in table.refusal
+
+
+def test_a_lost_a_changed_and_an_unreadable_message_are_refused(ledgers: Path) -> None:
+    memory = Memory()
+    del memory.samples[2]
+    memory.samples[1]["data"] = b"other"
+    memory.entries[1]["volume"] = "cloud-9/recordings"
+    table = verified(memory, ledgers)
+    rows = {row["topic"]: row for row in table.rows}
+    assert rows[POSE]["unexplained"] == 1
+    assert (rows[POSE]["lost"], rows[POSE]["mismatches"], rows[CLOUD]["unreadable"]) == (1, 1, 1)
+    assert "cloud-9/recordings: is away (--segments" in table.refusal
+
+
+def test_without_ledgers_checksums_and_audits_are_proved() -> None:
+    memory = Memory()
+    table = cli_recordings.verified({"cloud-0": memory}, memory, NAME, [], None)
+    assert table.refusal == ""
+    assert [(row["received"], row["stored"], row["published"]) for row in table.rows] == [(3, 3, None), (4, 4, None)]
+
+
+def test_gaps_unexplained_losses_changed_files_and_open_recordings_are_refused() -> None:
+    memory = Memory(ended=None)
+    gap = {"where": "spool", "why": "disk full: 1.bson", "count": 2, "first": 300, "last": 400}
+    memory.told = [audit(POSE, 6, dropped=2, gaps=[gap]), audit(CLOUD, 4)]
+    memory.files[0]["sha256"] = "other"
+    table = cli_recordings.verified({"cloud-0": memory}, memory, NAME, [], None)
+    rows = {row["topic"]: row for row in table.rows}
+    assert (rows[POSE]["missing"], rows[POSE]["gaps"], rows[POSE]["unexplained"]) == (2, [gap], 0)
+    assert (rows[CLOUD]["missing"], rows[CLOUD]["unexplained"]) == (0, 1)
+    for text in (
+        "has not ended", f"{POSE}: 1 gaps", f"{CLOUD}: 1 missing without explanation",
+        "one.mcap: is not the file that was finished",
+    ):  # fmt: skip
+        assert text in table.refusal
+
+
+def test_a_loss_that_a_gap_covers_is_explained(ledgers: Path) -> None:
+    memory = Memory()
+    del memory.samples[2]
+    gap = {"where": "recorder", "why": "killed", "count": None, "first": 250, "last": 350}
+    memory.told[0] = audit(POSE, 3, gaps=[gap])
+    (row,) = [row for row in verified(memory, ledgers).rows if row["topic"] == POSE]
+    assert (row["lost"], row["unexplained"], row["complete"]) == (1, 0, "false")
+
+
+def test_a_topic_without_ledger_is_no_success(ledgers: Path) -> None:
+    (ledgers / f"{POSE.replace('/', '__')}.jsonl").unlink()
+    assert f"no ledger was given of: {POSE}" in verified(Memory(), ledgers).refusal
+
+
+def test_without_any_ledger_the_expected_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"no ledger of a topic .* __vehicles__vehicle_00__lidar_center__pointcloud"):
+        verified(Memory(), tmp_path)
+
+
+def test_without_large_messages_the_window_must_be_said(ledgers: Path) -> None:
+    memory = Memory()
+    memory.entries = []
+    with pytest.raises(InputError, match="--window FIRST:LAST"):
+        verified(memory, ledgers)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--segments", "recordings"], "must be <node>/<claim>=<existing folder>"),
+        (["--window", "9:3"], "the first not later"),
+        (["--window", "²:³"], "two stamps in ns"),
+    ],
+)
+def test_wrong_arguments_are_named(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["recording", "verify", NAME, "--ledgers", ".", *arguments]) == cli.EXIT_USAGE
+    assert message in capsys.readouterr().err
+
+
+def test_an_incomplete_recording_shows_its_table_and_ends_refused(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = Table("topics", ("topic",), [{"topic": POSE}], refusal="differs")
+    command = cli.Command("recording", "verify", "", lambda options: table)
+    monkeypatch.setattr(cli, "commands", lambda: [command])
+    assert cli.main(["recording", "verify"]) == cli.EXIT_REFUSED
+    out, err = capsys.readouterr()
+    assert POSE in out
+    assert err == "robotkube: differs\n"

@@ -1,0 +1,177 @@
+"""The command line on a real API server: data on stdout, talk on stderr, exit codes."""
+
+import io
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TextIO
+
+import pytest
+
+from robotkube.cli.main import main
+from robotkube.cli.tasks import watch
+from tests.stages.kubernetes.api_calls import TASKS, Api
+from tests.stages.kubernetes.api_server import ApiServerProcess
+
+pytestmark = pytest.mark.toolchain
+
+
+class Line:
+    """Runs commands with access to the test's server."""
+
+    def __init__(self, api_server: ApiServerProcess, capture: pytest.CaptureFixture[str]) -> None:
+        self._access, self._capture = ["--kubeconfig", str(api_server.kubeconfig)], capture
+
+    def run(self, *words: str) -> tuple[int, str, str]:
+        code = main([*words[:2], *self._access, *words[2:]])
+        out, err = self._capture.readouterr()
+        return code, out, err
+
+
+@pytest.fixture
+def line(api_server: ApiServerProcess, capsys: pytest.CaptureFixture[str]) -> Line:
+    return Line(api_server, capsys)
+
+
+def test_tasks(line: Line, api: Api) -> None:
+    code, out, _ = line.run("task", "list")
+    assert (code, out.split()) == (0, ["TASK", "APPLICATION", "STATE", "REASON", "PLAN", "PULL", "REQUEST"])
+    api.task("one", reason="near")
+    code, out, _ = line.run("task", "list")
+    assert out.splitlines()[1].split() == ["cloud-0/one", "recording", "New", "near", "-", "-"]
+    code, out, _ = line.run("task", "list", "--output", "json")
+    assert json.loads(out)["tasks"][0]["task"] == "cloud-0/one"
+    code, out, _ = line.run("task", "show", "cloud-0/one", "--output", "yaml")
+    assert "application: recording" in out
+    code, out, err = line.run("task", "withdraw", "cloud-0/one", "--dry-run")
+    assert (code, out, err) == (0, "", "would withdraw: cloud-0/one\n")
+    assert line.run("task", "withdraw", "cloud-0/one")[0] == 0
+    code, out, err = line.run("task", "show", "cloud-0/one")
+    assert code == 1
+    assert "there is no task cloud-0/one" in err
+
+
+TASK = """
+metadata: {name: from-file, namespace: cloud-0}
+spec: {application: recording, parameters: {vehicles: [vehicle-00]}, priority: 7}
+"""
+
+
+def test_submitting(line: Line, api: Api, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "task.yaml"
+    file.write_text(TASK)
+    submit = ("task", "submit", "-f", str(file), "--requester", "tester")
+    assert line.run(*submit, "--dry-run") == (0, "", "would be submitted: cloud-0/from-file\n")
+    assert line.run("task", "show", "cloud-0/from-file")[0] == 1
+    code, out, err = line.run(*submit, "--output", "json")
+    assert (code, json.loads(out), err) == (0, {"task": "cloud-0/from-file"}, "submitted: cloud-0/from-file\n")
+    assert line.run(*submit)[2] == "unchanged: cloud-0/from-file\n"
+    monkeypatch.setattr("sys.stdin", io.StringIO(TASK))
+    words = ("task", "submit", "-f", "-", "--requester", "tester", "--parameter", "vehicles=[vehicle-01]")
+    assert line.run(*words, "--policy", "Preempt")[2] == "changed: cloud-0/from-file\n"
+    found = json.loads(line.run("task", "show", "cloud-0/from-file", "--output", "json")[1])["spec"]
+    assert (found["parameters"], found["priority"], found["conflictPolicy"]) == (
+        {"vehicles": ["vehicle-01"]},
+        7,
+        "Preempt",
+    )
+    assert line.run("task", "withdraw", "cloud-0/from-file")[0] == 0
+
+
+def test_submitting_by_options_and_waiting(line: Line, api: Api) -> None:
+    words = ("task", "submit", "--namespace", "cloud-0", "--application", "recording", "--name", "waits")
+    code, out, err = line.run(*words, "--lease", "60", "--wait", "0.2", "--output", "json")
+    assert (code, json.loads(out)["lease_seconds"]) == (1, 60)
+    assert "not ready within 0.2 s: New" in err
+    condition = {"type": "Accepted", "status": "False", "reason": "NoCapableNode", "message": "no node with lidar"}
+    conditions = [{**condition, "lastTransitionTime": "2026-11-21T10:00:00Z"}]
+    api.merge(f"{TASKS}/waits/status", {"status": {"observedGeneration": 1, "conditions": conditions}})
+    code, out, err = line.run(*words, "--lease", "60", "--wait", "5")
+    assert (code, "NoCapableNode: no node with lidar" in err) == (1, True)
+    assert line.run("task", "withdraw", "cloud-0/waits")[0] == 0
+
+
+def test_watching(line: Line, api: Api, monkeypatch: pytest.MonkeyPatch) -> None:
+    api.task("watched")
+    condition = {"type": "Accepted", "status": "True", "reason": "Accepted", "message": "yes"}
+    conditions = [{**condition, "lastTransitionTime": "2026-11-21T10:00:00Z"}]
+    api.merge(f"{TASKS}/watched/status", {"status": {"conditions": conditions}})
+    write_change = watch.write_change
+
+    def write_and_withdraw(change: Mapping[str, str], form: str, stream: TextIO) -> None:
+        write_change(change, form, stream)
+        if change["condition"] == "Accepted":
+            api.delete(f"{TASKS}/watched")
+
+    monkeypatch.setattr(watch, "write_change", write_and_withdraw)
+    code, out, _ = line.run("task", "watch", "cloud-0/watched", "--seconds", "20", "--output", "json")
+    found = [json.loads(text) for text in out.splitlines()]
+    assert (code, [row["condition"] for row in found]) == (0, ["Submitted", "Accepted", "Withdrawn"])
+    assert (found[1]["status"], found[1]["reason"], found[1]["message"]) == ("True", "Accepted", "yes")
+
+
+def test_releases_without_any(line: Line) -> None:
+    assert line.run("release", "list")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "text"),
+    [
+        (("task", "show", "one"), 2, "must be <namespace>/<name>"),
+        (("task", "submit", "--application", "recording"), 2, "--namespace: name the agent"),
+        (("task", "submit", "--namespace", "cloud-0"), 2, "--application: name one"),
+        (("task", "submit", "--namespace", "cloud-0", "--application", "x", "--parameter", "x"), 2, "write KEY=VALUE"),
+        (("task", "submit", "--namespace", "nowhere", "--application", "x"), 2, "there is no namespace nowhere"),
+        (("task", "submit", "--namespace", "cloud-0", "--application", "x", "--priority", "1001"), 2, "spec.priority"),
+        (("task", "submit", "--namespace", "cloud-0", "--application", "x", "--wait", "0"), 2, "give seconds above 0"),
+        (("task", "submit", "-f", "nowhere.yaml"), 2, "--file nowhere.yaml"),
+        (("task", "watch", "--seconds", "0"), 2, "give seconds above 0"),
+        (("task", "explain"), 2, "name a task that is there, or describe a new one"),
+        (("trace", "abc", "--manager", "north"), 2, "no Service north in namespace robotkube"),
+        (("plan", "list"), 2, "no Service manager in namespace robotkube"),
+        (("registry", "search", "--platform", "--platform-namespace", "elsewhere"), 2, "in namespace elsewhere"),
+    ],
+)
+def test_wrong_usage(line: Line, words: tuple[str, ...], code: int, text: str) -> None:
+    found, out, err = line.run(*words)
+    assert (found, out) == (code, "")
+    assert text in err
+
+
+def test_submitting_finds_forge_account_and_images_in_the_cluster(line: Line, api: Api) -> None:
+    """The forge of this cluster does not answer: what is asked of the cluster comes first, then nothing was sent."""
+    words = ("registry", "submit", "mqtt-bridge", "--platform-namespace", "submitting", "--wait", "0")
+    code, _, err = line.run(*words)
+    assert (code, "no Service forge in namespace submitting" in err) == (2, True)
+    api.post("/api/v1/namespaces", {"metadata": {"name": "submitting"}})
+    core = "/api/v1/namespaces/submitting"
+    api.post(f"{core}/services", {"metadata": {"name": "forge"}, "spec": {"ports": [{"port": 3000}]}})
+    code, _, err = line.run(*words)
+    assert (code, "no Secret forge-account-publisher in namespace submitting" in err) == (2, True)
+    account = {"username": "publisher", "password": "p"}
+    api.post(f"{core}/secrets", {"metadata": {"name": "forge-account-publisher"}, "stringData": account})
+    code, _, err = line.run(*words)
+    assert code == 2
+    assert "spec.images: no reference of ros (known: none); give its reference in the file of --images" in err
+    data = {"images.yaml": "platform: host/platform@sha256:1\n"}
+    api.post(f"{core}/configmaps", {"metadata": {"name": "platform-images"}, "data": data})
+    code, _, err = line.run(*words)
+    assert code == 2
+    assert "(known: platform)" in err
+
+
+def test_an_unreachable_cluster(
+    tmp_path: object, api_server: ApiServerProcess, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = api_server.kubeconfig.read_text().replace(f":{api_server.port}", ":1")
+    path = api_server.folder / "nowhere"
+    path.write_text(text)
+    assert main(["task", "list", "--kubeconfig", str(path)]) == 3
+    assert "Connection refused" in capsys.readouterr().err
+
+
+def test_grammar(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["task", "paint"])
+    assert caught.value.code == 2
+    assert "paint" in capsys.readouterr().err

@@ -1,0 +1,44 @@
+"""The examples in the pages about policies and operators are ones that the programs take."""
+
+from __future__ import annotations
+
+import re
+
+from robotkube.delivery.deployment.core.policies.edits import read_edits_policy
+from robotkube.delivery.deployment.core.policies.initial import read_initial_policy
+from robotkube.delivery.deployment.core.policies.merge import AUTOMATIC, read_merge_policy
+from robotkube.delivery.deployment.core.policies.updates import read_update_policy
+from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
+from robotkube.registry.catalogue.core.applications import read_application
+from tests.stages.paths import DOCS
+
+PAGES = DOCS / "how-to"
+BLOCK = re.compile(r"^```yaml (\S+)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+
+
+def blocks(page: str) -> dict[str, str]:
+    """Examples that say which file they are, by path."""
+    return dict(BLOCK.findall((PAGES / page).read_text(encoding="utf-8")))
+
+
+def test_every_policy_on_the_page_can_be_read() -> None:
+    found = blocks("write-a-policy.md")
+    initial = read_initial_policy(found.pop("policies/initial.yaml"))
+    assert [addition.application for addition in initial.add] == ["bag-player", "pose-telemetry"]
+    merge = read_merge_policy(found.pop("policies/merge.yaml"))
+    assert merge.way("manager-north", ["releases/vehicle-01/a.yaml"]) == AUTOMATIC
+    assert read_update_policy(found.pop("policies/updates.yaml")).charts["object-detection"].canary
+    assert read_edits_policy(found.pop("policies/edits.yaml")) == "revert"
+    assert found == {}
+
+
+def test_the_operator_on_the_page_is_an_application_that_says_who_launched_it() -> None:
+    text = blocks("write-an-operator.md")["registry/applications/gate-operator.yaml"]
+    application = read_application(text, "applications/gate-operator.yaml")
+    [service] = application.services
+    render = Jinja2Templates().render
+    scope = {
+        "task": {"namespace": "cloud-0", "name": "near"},
+        "parameters": {"site": "roadside-0", "vehicle": "vehicle-00"},
+    }
+    assert render(service.values["detector"]["task"], scope) == "cloud-0/near"

@@ -1,0 +1,213 @@
+"""Composing again from what is known gives the same answer as composing from scratch, whatever happened in between."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import pytest
+
+from robotkube.delivery.deployment.core.releases import Release
+from robotkube.delivery.manager.core.composition.composer import Composition, Demand, Memo, Met, compose
+from robotkube.delivery.manager.core.composition.inputs import Inputs
+from robotkube.delivery.manager.core.composition.memo import KEPT_MAX, PREFIXES_BETWEEN_MAX, Recent
+from robotkube.delivery.manager.core.placement.capacity import Resources
+from robotkube.delivery.manager.core.placement.placement import NodeState, fleet
+from robotkube.delivery.tasks.core.task_description import TaskDescription, TaskPlacement
+from robotkube.errors import RefusalError
+from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
+from robotkube.foundation.documents.adapters.json_schema import validate
+from robotkube.registry.catalogue.core.guarantees import GuaranteeRequirement
+from robotkube.testing.synthetic import Synthetic, demands, synthetic
+from tests.stages.delivery.placement import ONE, application, catalogue, chart, demand, task, world
+
+RENDER = Jinja2Templates().render
+SMALL = synthetic(RENDER, validate, charts=7, versions=3, nodes=24, standing=6)
+STEPS = 25
+
+
+@dataclass
+class History:
+    """A world to which random things happen."""
+
+    chance: random.Random
+    tasks: dict[str, TaskDescription] = field(default_factory=lambda: dict(SMALL.tasks))
+    nodes: dict[str, NodeState] = field(default_factory=lambda: {n.name: n for n in SMALL.nodes})
+    present: Mapping[str, Release] = field(default_factory=lambda: dict(SMALL.tree.releases))
+    others: Mapping[str, Release] = field(default_factory=dict)
+    pins: dict[str, tuple[str, str]] = field(default_factory=dict)
+    withheld: dict[tuple[str, str], str] = field(default_factory=dict)
+    now_ns: int = 0
+    made: int = 0
+
+    def world(self) -> Inputs:
+        machines = fleet(SMALL.agents, list(self.nodes.values()), self.now_ns)
+        found = replace(SMALL.inputs(RENDER, validate, self.present), fleet=machines)
+        return replace(found, others=self.others, pins=dict(self.pins), withheld=dict(self.withheld))
+
+    def demands(self) -> list[Demand]:
+        return [replace(d, roles=("cloud",)) if d.key.endswith("3") else d for d in demands(list(self.tasks.values()))]
+
+    def happen(self, desired: Composition) -> None:
+        act = self.chance.choice(
+            [self.ask, self.ask, self.ask, self.withdraw, self.change, self.node, self.node, self.pin, self.hand_over]
+        )
+        if self.chance.random() < 0.4:
+            self.present = desired.releases  # main has it now
+        act()
+        self.now_ns += 10_000_000_000
+
+    def ask(self) -> None:
+        self.made += 1
+        task = SMALL.new_task(self.made)
+        near = self.chance.choice([*self.tasks, "nobody/nothing"]) if self.tasks else "nobody/nothing"
+        placement = self.chance.choice(
+            [
+                TaskPlacement(),
+                TaskPlacement(),
+                TaskPlacement(anti_affinity=(near, "d00-x")),
+                TaskPlacement(roles=("edge",)),
+            ]
+        )
+        wanted = self.chance.choice([(), (), (GuaranteeRequirement("delay", "atMost", 101, "ms"),)])
+        self.tasks[task.key] = replace(task, placement=placement, requirements=wanted)
+
+    def withdraw(self) -> None:
+        if self.tasks:
+            self.tasks.pop(self.chance.choice(list(self.tasks)))
+
+    def change(self) -> None:
+        if self.tasks:
+            key = self.chance.choice(list(self.tasks))
+            other = SMALL.new_task(self.chance.randrange(12))
+            self.tasks[key] = replace(
+                self.tasks[key], application=other.application, parameters=other.parameters, generation=self.made
+            )
+
+    def node(self) -> None:
+        node = self.chance.choice(SMALL.nodes)
+        state = self.chance.choice(
+            [
+                node,
+                replace(node, cordoned=True),
+                replace(node, ready=False, not_ready_since=self.now_ns),
+                replace(node, ready=False, not_ready_since=0),
+                replace(node, allocatable=Resources(100, 2**28)),
+                replace(node, platform="linux/riscv64"),
+                None,
+            ]
+        )
+        self.nodes.pop(node.name, None)
+        if state is not None:
+            self.nodes[node.name] = state
+
+    def pin(self) -> None:
+        chart = self.chance.choice([c for versions in SMALL.catalogue.charts.values() for c in versions])
+        if self.chance.random() < 0.5 and self.present:
+            self.pins[self.chance.choice(sorted(r.key for r in self.present.values()))] = (chart.chart, chart.version)
+        else:
+            self.withheld = {} if self.withheld else {(chart.chart, chart.version): "withheld"}
+
+    def hand_over(self) -> None:
+        paths = sorted(self.present)
+        taken = frozenset(self.chance.sample(paths, len(paths) // 10))
+        self.others = {path: self.present[path] for path in taken}
+        self.present = {path: release for path, release in self.present.items() if path not in taken}
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("kept_max", [KEPT_MAX, 3])
+def test_what_is_remembered_changes_nothing(seed: int, kept_max: int) -> None:
+    history, memo = History(random.Random(seed)), Memo(kept_max)  # noqa: S311 - a case is named by its number
+    for _ in range(STEPS):
+        asked, world = history.demands(), history.world()
+        found = compose(asked, world, memo)
+        assert found == compose(asked, world)
+        if history.chance.random() < 0.3 and asked:  # a trial, as conflicts are settled by them
+            trial = [d for d in asked if history.chance.random() < 0.8]
+            assert compose(trial, world, memo) == compose(trial, world)
+        history.happen(found)
+
+
+def test_histories_meet_and_refuse_for_many_reasons() -> None:
+    reasons: set[str] = set()
+    for seed in range(12):
+        history = History(random.Random(seed))  # noqa: S311
+        for _ in range(STEPS):
+            found = compose(history.demands(), history.world())
+            reasons |= {"Met" if isinstance(o, Met) else o.reason for o in found.outcomes.values()}
+            history.happen(found)
+    assert reasons >= {"Met", "NoCapableNode", "GuaranteeNotMet"}
+
+
+def sizes(memo: Memo) -> list[int]:
+    return [
+        len(kept) for owner in (memo, memo.index(SMALL.inputs(RENDER, validate)).selector) for kept in tables(owner)
+    ]
+
+
+def tables(owner: object) -> list[Recent[Any, Any]]:
+    return [value for value in vars(owner).values() if isinstance(value, Recent)]
+
+
+def test_a_memo_keeps_as_much_as_it_may() -> None:
+    kept: dict[int, list[int]] = {}
+    for kept_max in (0, 3, KEPT_MAX):
+        memo = Memo(kept_max)
+        compose(demands(list(SMALL.tasks.values())), SMALL.inputs(RENDER, validate), memo)
+        kept[kept_max] = sizes(memo)
+    assert set(kept[0]) == {0}
+    assert max(kept[3]) == 3
+    assert max(kept[KEPT_MAX]) > 3
+
+
+def test_states_of_prefixes_are_bounded() -> None:
+    memo, asked = Memo(), demands(list(SMALL.tasks.values()))
+    for number in range(12):
+        asked += demands([SMALL.new_task(number)])
+        compose(asked, SMALL.inputs(RENDER, validate), memo)
+    assert memo.prefixes == PREFIXES_BETWEEN_MAX
+
+
+def test_values_of_a_release_are_checked_again_when_they_have_changed() -> None:
+    schema = {"type": "object", "properties": {"x": {"type": "integer"}}}
+    selector = Memo().index(world(schema=lambda chart, version: schema)).selector
+    worker = selector.catalogue.charts["worker"][0]
+    selector.check_values(worker, {"x": 1}, "edge-0/a")
+    selector.check_values(worker, {"x": 1}, "edge-0/a")
+    with pytest.raises(RefusalError, match="values"):
+        selector.check_values(worker, {"x": "one"}, "edge-0/a")
+
+
+def test_composing_the_same_again_expands_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    memo, asked, inputs = Memo(), demands(list(SMALL.tasks.values())), SMALL.inputs(RENDER, validate)
+    composed = compose(asked, inputs, memo)
+    monkeypatch.setattr("robotkube.delivery.manager.core.composition.memo.expand", None)
+    assert compose(asked, inputs, memo) == composed
+    assert compose(asked, replace(inputs, present={**composed.releases}), memo).releases == composed.releases
+
+
+@pytest.mark.parametrize("version", ["0.2.0", "0.1.0"])
+def test_what_has_come_to_main_keeps_the_version_that_main_has(version: str) -> None:
+    memo, asked = Memo(), [demand(task())]
+    inputs = world(catalogue(application(ONE), chart(version="0.2.0")))
+    composed = compose(asked, inputs, memo)
+    key = next(release.key for release in composed.releases.values())
+    merged = replace(inputs, present=composed.releases, pins={key: ("worker", version)})
+    again = compose(asked, merged, memo)
+    assert again == compose(asked, merged)
+    assert [release.version for release in again.releases.values()] == [version]
+
+
+def test_a_large_world_is_answered_the_same_again_and_again() -> None:
+    world: Synthetic = synthetic(RENDER, validate, charts=10, versions=2, nodes=120, standing=130)
+    memo, standing = Memo(), list(world.tasks.values())
+    scene: Any = world.inputs(RENDER, validate)
+    for number in (1, 2, 3):
+        asked = demands([*standing, world.new_task(number)])
+        assert compose(asked, scene, memo) == compose(asked, scene)
+    fewer = demands([*standing[:100], *standing[101:]])
+    assert compose(fewer, scene, memo) == compose(fewer, scene)
+    assert compose([], scene, memo) == Composition({}, {})

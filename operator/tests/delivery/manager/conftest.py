@@ -1,0 +1,3 @@
+"""The manager in memory."""
+
+from tests.stages.delivery.fixtures import stage  # noqa: F401 - fixtures

@@ -1,0 +1,76 @@
+"""The manager as its pod runs it: one process, its settings file, a real forge with its gate, a real API server."""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from robotkube.foundation.kubernetes.adapters.client import call
+from robotkube.foundation.runtime.adapters.webhook_server import sign
+from tests.stages.delivery.manager_process import Pod, write_settings
+from tests.stages.forge.installation import WEBHOOK_SECRET, Installation, RunningGate, manager_secret, outside
+from tests.stages.kubernetes.api_calls import TASKS, Api
+from tests.stages.programs import free_port
+from tests.stages.waiting import until
+
+pytestmark = [pytest.mark.toolchain, pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning")]
+
+
+@pytest.fixture
+def pod(installation: Installation, gate: RunningGate, manager_api: Api, tmp_path: Path) -> Iterator[Pod]:
+    port = free_port()
+    lease = manager_api.lease()
+    found = Pod(write_settings(outside(installation), tmp_path, port, lease), manager_api.kubeconfig, port, "manager-0")
+    yield found
+    found.kill()
+
+
+def test_a_task_of_the_api_server_is_on_main(pod: Pod, manager_api: Api, gate: RunningGate) -> None:
+    until(pod.ready, "ready", 30)
+    until(lambda: all(p["on_main"] or p["error"] for p in pod.plans()), "initial configuration on main")
+    manager_api.task(
+        "meeting", application="pose-point-cloud-recording", parameters={"vehicles": ["vehicle-00", "vehicle-01"]}
+    )
+    until(lambda: status(manager_api)[0].get("Committed") == "True", "committed")
+    assert status(manager_api)[0]["Accepted"] == "True"
+    assert len(status(manager_api)[1]["commit"]) == 40
+    assert status(manager_api)[1]["releases"][1] == "cloud-0/recorder-vehicle-00-vehicle-01"
+    answer = next(plan for plan in pod.plans() if plan["commit"] == status(manager_api)[1]["commit"])
+    assert (answer["cause"], "cloud-0/meeting" in answer["tasks"]) == ("task", True)
+    catalogue = pod.get("/catalogue")
+    assert catalogue is not None
+    assert "proximity-operator" in catalogue.text
+    body = json.dumps({"repository": {"full_name": "robotkube/deployment"}}).encode()
+    headers = {"X-Gitea-Event": "push", "X-Gitea-Signature": sign(body, manager_secret().encode())}
+    assert httpx.post(f"{pod.url}/webhook", content=body, headers=headers).status_code == 204
+    headers["X-Gitea-Signature"] = sign(body, WEBHOOK_SECRET.encode())
+    assert httpx.post(f"{pod.url}/webhook", content=body, headers=headers).status_code == 401, "signed for the gate"
+    assert httpx.post(f"{pod.url}/webhook", content=body, headers={}).status_code == 401
+    assert "robotkube_manager_plans_total" in httpx.get(f"{pod.url}/metrics").text
+    manager_api.delete(f"{TASKS}/meeting")
+    until(lambda: pod.plans()[-1]["cause"] == "withdrawal" and pod.plans()[-1]["on_main"], "withdrawn")
+    assert gate.gate.statistics.sources["handed"] > 0, "its objects were handed over"
+    assert pod.end() == 0
+
+
+def status(manager_api: Api) -> tuple[dict[str, str], dict[str, Any]]:
+    found = json.loads(call(manager_api.client, "GET", f"{TASKS}/meeting").data).get("status", {})
+    return {c["type"]: c["status"] for c in found.get("conditions", [])}, found
+
+
+def test_wrong_settings_end_the_process_with_the_file_and_the_key(pod: Pod, tmp_path: Path) -> None:
+    pod.end()
+    config = tmp_path / "config.yaml"
+    config.write_text(config.read_text().replace("branch: main", "branch: main\n  surprise: 1"))
+    environment = {**os.environ, "ROBOTKUBE_CONFIG": str(config)}
+    command = [sys.executable, "-m", "robotkube.delivery.manager"]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=30, check=False)
+    assert done.returncode == 2
+    assert "forge.surprise: unknown key" in done.stderr
+    assert str(config) in done.stderr

@@ -1,0 +1,393 @@
+"""Updates: which release may take a newer version, who waits, what is taken back, and what is never tried again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robotkube.delivery.deployment.core.policies.updates import UpdatePolicy, UpdateRule, read_update_policy
+from robotkube.delivery.deployment.core.releases import Release
+from robotkube.delivery.manager.core.composition.composer import Composition, Met, Refused
+from robotkube.delivery.manager.core.updates import (
+    DEGRADED,
+    HEALTHY,
+    PROGRESSING,
+    SECOND_NS,
+    ClusterHealth,
+    Move,
+    ReleaseHealth,
+    Targets,
+    UpdateMemory,
+    Updates,
+    decide,
+    moved,
+)
+from robotkube.errors import DocumentError
+from robotkube.registry.catalogue.core.applications import Application, ChartRequirement, PlacementRule, Service
+from robotkube.registry.catalogue.core.catalogue import Catalogue
+from robotkube.registry.catalogue.core.chart_versions import ChartVersion
+
+CANARY = UpdateRule(canary=True, success_seconds=30, failure_seconds=100)
+DETECTION, BRIDGE = "object-detection", "mqtt-bridge"
+
+
+def version(chart: str, number: str, state: str = "verified") -> ChartVersion:
+    return ChartVersion(chart, number, state, f"sha256:{chart}-{number}")
+
+
+def application(name: str, chart: str, versions: str = "") -> Application:
+    service = Service(name, name, ChartRequirement(chart, versions), PlacementRule(), {})
+    return Application(name, name, (), {}, (service,))
+
+
+def catalogue(*versions: ChartVersion) -> Catalogue:
+    charts: dict[str, tuple[ChartVersion, ...]] = {}
+    for one in versions:
+        charts[one.chart] = (*charts.get(one.chart, ()), one)
+    offered = {name: application(name, name) for name in charts}
+    return Catalogue(offered, charts, "none")
+
+
+OLD, NEW = version(DETECTION, "0.1.0"), version(DETECTION, "0.2.0")
+BRIDGES = version(BRIDGE, "0.1.0")
+BOTH = catalogue(OLD, NEW, BRIDGES)
+
+
+def release(agent: str, found: ChartVersion = OLD) -> Release:
+    return Release(agent, found.chart, found.chart, found.version, found.digest, {"of": agent})
+
+
+@dataclass
+class Fleet:
+    """Main and cluster as one: applies what is decided, and answers with the health that a test sets."""
+
+    agents: tuple[str, ...]
+    policy: UpdatePolicy = field(default_factory=lambda: UpdatePolicy(CANARY))
+    catalogue: Catalogue = BOTH
+    now: int = 1000
+    memory: UpdateMemory = field(default_factory=UpdateMemory)
+    main: dict[str, Release] = field(default_factory=dict)
+    health: dict[str, ReleaseHealth] = field(default_factory=dict)
+    online: dict[str, int] = field(default_factory=dict)
+    commits: list[Move] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        for agent in self.agents:
+            for found in (OLD, BRIDGES):
+                one = release(agent, found)
+                self.main[one.path] = one
+                self.health[one.key] = ReleaseHealth(HEALTHY, 0)
+            self.online[agent] = 0
+
+    def decide(self) -> Updates:
+        def sight() -> ClusterHealth:
+            return ClusterHealth(self.health, self.online)
+
+        return decide(self.main, Targets(self.catalogue), self.policy, self.memory, sight, self.now * SECOND_NS)
+
+    def commit(self) -> Move | None:
+        """One plan, if there is one to make: what it moves starts anew."""
+        move = self.decide().move
+        if move is None:
+            return None
+        before = {}
+        for path, one in self.main.items():
+            chart, number = move.pins[one.key]
+            found = self.catalogue.version(chart, number)
+            assert found is not None
+            if found.digest != one.digest:
+                before[one.key] = (one.chart, one.version)
+                self.main[path] = replace(one, version=found.version, digest=found.digest)
+                self.health[one.key] = ReleaseHealth(PROGRESSING, self.now * SECOND_NS)
+        assert set(before) == set(move.keys)
+        at_ns = self.now * SECOND_NS
+        if move.cause == "update":
+            found = self.catalogue.version(move.chart, move.version)
+            assert found is not None
+            made = (f"commit {len(self.commits)}", at_ns)
+            self.memory = self.memory.updated(move.chart, (move.version, found.digest), before, made)
+        else:
+            self.memory = self.memory.reverted(move.chart, move.keys, move.reason)
+        self.commits.append(move)
+        return move
+
+    def show(self, key: str, state: str) -> None:
+        self.health[key] = ReleaseHealth(state, self.now * SECOND_NS)
+
+    def versions(self, chart: str = DETECTION) -> dict[str, str]:
+        return {one.namespace: one.version for one in self.main.values() if one.chart == chart}
+
+
+VEHICLES = ("vehicle-00", "vehicle-01", "vehicle-02")
+
+
+def test_without_a_newer_version_everything_keeps_what_it_has() -> None:
+    fleet = Fleet(VEHICLES, catalogue=catalogue(OLD, BRIDGES))
+    found = fleet.decide()
+    assert found.move is None
+    assert found.words == ()
+    assert found.pins["vehicle-00/object-detection"] == (DETECTION, "0.1.0")
+    assert len(found.pins) == 6
+
+
+def test_without_a_canary_all_releases_of_the_chart_move_together_and_nothing_else() -> None:
+    fleet = Fleet(VEHICLES, UpdatePolicy())
+    move = fleet.commit()
+    assert move is not None
+    assert (move.cause, move.reason) == ("update", "object-detection 0.2.0")
+    assert set(fleet.versions().values()) == {"0.2.0"}
+    assert set(fleet.versions(BRIDGE).values()) == {"0.1.0"}
+    assert fleet.commit() is None
+
+
+def test_two_charts_are_two_plans() -> None:
+    fleet = Fleet(VEHICLES, UpdatePolicy(), catalogue(OLD, NEW, BRIDGES, version(BRIDGE, "0.3.0")))
+    assert [move.chart for move in (fleet.commit(), fleet.commit()) if move] == [BRIDGE, DETECTION]
+
+
+def test_the_canary_goes_first_and_the_others_follow_when_it_has_succeeded() -> None:
+    fleet = Fleet(VEHICLES)
+    move = fleet.commit()
+    assert move is not None
+    assert move.keys == ("vehicle-00/object-detection",)
+    assert move.reason == "object-detection 0.2.0, first on vehicle-00"
+    assert fleet.decide().move is None
+    fleet.now += 5
+    fleet.show("vehicle-00/object-detection", HEALTHY)
+    fleet.now += 29
+    found = fleet.decide()
+    assert found.move is None
+    assert found.words == ("object-detection 0.2.0 is on trial: vehicle-00/object-detection must be healthy for 30 s",)
+    assert "canary" in found.withheld[DETECTION, "0.2.0"]
+    fleet.now += 1
+    move = fleet.commit()
+    assert move is not None
+    assert move.keys == ("vehicle-01/object-detection", "vehicle-02/object-detection")
+
+
+@pytest.mark.parametrize("state", [DEGRADED, PROGRESSING])
+def test_a_canary_that_fails_is_taken_back_and_the_digest_is_never_tried_again(state: str) -> None:
+    fleet = Fleet(VEHICLES)
+    before = dict(fleet.main)
+    fleet.commit()
+    fleet.now += 10
+    fleet.show("vehicle-00/object-detection", state)
+    fleet.now += 0 if state == DEGRADED else 90
+    move = fleet.commit()
+    assert move is not None
+    assert move.cause == "revert"
+    assert "vehicle-00/object-detection" in move.reason
+    assert move.undone == ("commit 0",)
+    assert fleet.main == before
+    fleet.now += 10_000
+    assert fleet.commit() is None
+    assert "taken back" not in fleet.decide().words
+    assert "0.2.0 back" in fleet.decide().withheld[DETECTION, "0.2.0"]
+    fleet.memory = fleet.memory.policy_changed()
+    assert fleet.commit() is not None
+
+
+def test_what_a_device_held_goes_back_later() -> None:
+    fleet = Fleet(VEHICLES, UpdatePolicy())
+    fleet.commit()
+    fleet.show("vehicle-00/object-detection", DEGRADED)
+    move = fleet.decide().move
+    assert move is not None
+    fleet.memory = fleet.memory.reverted(DETECTION, move.keys[:2], "failed")
+    late = fleet.decide().move
+    assert late is not None
+    assert (late.cause, late.keys) == ("revert", ("vehicle-02/object-detection",))
+    assert late.pins["vehicle-02/object-detection"] == (DETECTION, "0.1.0")
+
+
+def test_a_newer_version_than_the_bad_one_is_tried() -> None:
+    fleet = Fleet(VEHICLES)
+    fleet.commit()
+    fleet.show("vehicle-00/object-detection", DEGRADED)
+    fleet.commit()
+    fleet.catalogue = catalogue(OLD, NEW, version(DETECTION, "0.2.1"), BRIDGES)
+    move = fleet.commit()
+    assert move is not None
+    assert (move.cause, move.version) == ("update", "0.2.1")
+
+
+def test_where_people_forbid_it_nothing_is_taken_back_and_nothing_goes_further() -> None:
+    fleet = Fleet(VEHICLES, UpdatePolicy(replace(CANARY, revert=False)))
+    fleet.commit()
+    fleet.show("vehicle-00/object-detection", DEGRADED)
+    found = fleet.decide()
+    assert found.move is None
+    assert "not reverted since the policy says so" in found.words[0]
+
+
+def test_an_agent_that_is_offline_holds_nobody_and_gets_the_update_when_it_is_back() -> None:
+    fleet = Fleet(VEHICLES)
+    del fleet.online["vehicle-00"]
+    move = fleet.commit()
+    assert move is not None
+    assert move.keys == ("vehicle-01/object-detection",)
+    fleet.show("vehicle-01/object-detection", HEALTHY)
+    fleet.now += 30
+    move = fleet.commit()
+    assert move is not None
+    assert move.keys == ("vehicle-02/object-detection",)
+    fleet.show("vehicle-02/object-detection", HEALTHY)
+    assert fleet.decide().words == ("object-detection 0.2.0 waits for vehicle-00, which is offline",)
+    fleet.online["vehicle-00"] = fleet.now * SECOND_NS
+    fleet.now += 30
+    assert fleet.commit() is not None
+    assert set(fleet.versions().values()) == {"0.2.0"}
+
+
+def test_a_canary_that_goes_offline_is_replaced_by_another() -> None:
+    fleet = Fleet(VEHICLES)
+    fleet.commit()
+    del fleet.online["vehicle-00"]
+    move = fleet.commit()
+    assert move is not None
+    assert move.keys == ("vehicle-01/object-detection",)
+
+
+def test_an_agent_that_comes_back_gets_the_whole_time_to_become_healthy() -> None:
+    fleet = Fleet(VEHICLES)
+    fleet.commit()
+    fleet.show("vehicle-00/object-detection", PROGRESSING)
+    fleet.now += 99
+    fleet.online["vehicle-00"] = fleet.now * SECOND_NS
+    fleet.now += 99
+    assert fleet.decide().move is None
+    fleet.now += 1
+    move = fleet.decide().move
+    assert move is not None
+    assert move.cause == "revert"
+
+
+def test_trouble_long_after_an_update_is_not_its_doing() -> None:
+    fleet = Fleet(VEHICLES, UpdatePolicy())
+    fleet.commit()
+    for key in fleet.health:
+        fleet.show(key, HEALTHY)
+    fleet.now += 1_000_000
+    fleet.show("vehicle-00/object-detection", DEGRADED)
+    assert fleet.decide().move is None
+    fleet.health["vehicle-00/object-detection"] = ReleaseHealth(PROGRESSING, None)
+    assert fleet.decide().move is None
+
+
+def test_a_share_of_the_fleet_may_fail() -> None:
+    agents = tuple(f"vehicle-{number:02d}" for number in range(10))
+    fleet = Fleet(agents, UpdatePolicy(UpdateRule(threshold=0.8)))
+    fleet.commit()
+    for agent in agents[:2]:
+        fleet.show(f"{agent}/object-detection", DEGRADED)
+    assert fleet.decide().move is None
+    fleet.show("vehicle-02/object-detection", DEGRADED)
+    move = fleet.decide().move
+    assert move is not None
+    assert move.cause == "revert"
+    assert len(move.keys) == 10
+
+
+def test_a_version_that_no_application_takes_moves_nobody() -> None:
+    old_only = replace(BOTH, applications={"object-detection": application("a", DETECTION, "<0.2.0")})
+    assert Fleet(VEHICLES, catalogue=old_only).decide().move is None
+    assert Fleet(VEHICLES, catalogue=catalogue(OLD, version(DETECTION, "0.2.0", "withdrawn"))).decide().move is None
+
+
+def desired(releases: Mapping[str, Release], **outcomes: Met | Refused) -> Composition:
+    return Composition(releases, outcomes)
+
+
+def test_a_step_takes_what_it_names_and_nothing_else() -> None:
+    fleet = Fleet(VEHICLES)
+    present = dict(fleet.main)
+    move = fleet.decide().move
+    assert move is not None
+    path = "releases/vehicle-00/object-detection.yaml"
+    after = {**present, path: release("vehicle-00", NEW)}
+    changes, problem = moved(move, desired(after), desired(present), present)
+    assert [(change.path, change.before, change.after) for change in changes] == [(path, present[path], after[path])]
+    assert problem == ""
+    other = "releases/vehicle-01/mqtt-bridge.yaml"
+    beyond = {**after, other: replace(present[other], values={})}
+    changes, problem = moved(move, desired(beyond), desired(present), present)
+    assert changes == ()
+    assert "would change vehicle-01/mqtt-bridge as well" in problem
+    met, refused = Met((), ()), Refused("InsufficientResources", "no memory")
+    changes, problem = moved(move, desired(after, task=refused), desired(present, task=met), present)
+    assert changes == ()
+    assert "would refuse task: no memory" in problem
+    assert moved(move, desired(present), desired(present), present)[1].endswith(
+        "suits none of vehicle-00/object-detection"
+    )
+    edited = {**present, path: replace(present[path], values={"by": "hand"})}
+    assert moved(move, desired(after), desired(present), edited)[0] == ()
+
+
+EVENTS = st.lists(
+    st.tuples(
+        st.sampled_from(["healthy", "degraded", "offline", "online", "wait", "commit", "restart", "new"]),
+        st.integers(0, 3),
+        st.integers(1, 60),
+    ),
+    max_size=60,
+)
+
+
+@given(EVENTS, st.booleans(), st.sampled_from([0.5, 1.0]))
+def test_histories(events: list[tuple[str, int, int]], canary: bool, threshold: float) -> None:
+    """Whatever happens: a digest that was taken back is never tried again, neighbours stay, a revert restores exactly
+    what was there, offline agents are left alone, and a deaf manager decides as one that never stopped."""
+    agents = tuple(f"vehicle-{number:02d}" for number in range(4))
+    fleet = Fleet(agents, UpdatePolicy(replace(CANARY, canary=canary, threshold=threshold)))
+    bad: set[str] = set()
+    restored: dict[str, dict[str, str]] = {}
+    versions = 2
+    for event, who, amount in events:
+        key = f"{agents[who]}/object-detection"
+        if event in ("healthy", "degraded"):
+            fleet.show(key, event)
+        elif event == "offline":
+            fleet.online.pop(agents[who], None)
+        elif event == "online":
+            fleet.online.setdefault(agents[who], fleet.now * SECOND_NS)
+        elif event == "new" and versions < 5:
+            versions += 1
+            charts = {**fleet.catalogue.charts}
+            charts[DETECTION] = (*charts[DETECTION], version(DETECTION, f"0.{versions}.0"))
+            fleet.catalogue = replace(fleet.catalogue, charts=charts)
+        elif event == "restart":
+            again = Fleet(agents, fleet.policy, fleet.catalogue, fleet.now, fleet.memory)
+            again.main, again.health, again.online = fleet.main, fleet.health, fleet.online
+            assert again.decide() == fleet.decide()
+        fleet.now += amount
+        offline = {a: fleet.versions().get(a) for a in agents if a not in fleet.online}
+        before = fleet.versions()
+        move = fleet.commit()
+        if move is None:
+            continue
+        assert set(fleet.versions(BRIDGE).values()) == {"0.1.0"}
+        if move.cause == "update":
+            assert move.version not in bad
+            restored.setdefault(move.version, {}).update({k: before[k.partition("/")[0]] for k in move.keys})
+            assert all(fleet.versions()[agent] == found for agent, found in offline.items())
+        else:
+            bad.add(move.version)
+            assert {k: fleet.versions()[k.partition("/")[0]] for k in move.keys} == {
+                k: restored[move.version][k] for k in move.keys
+            }
+
+
+def test_the_policy_is_read_strictly() -> None:
+    policy = read_update_policy("default: {successSeconds: 5}\ncharts: {object-detection: {canary: true}}\n")
+    assert policy.rule(release("a")) == ("charts.object-detection", UpdateRule(canary=True, success_seconds=5))
+    assert policy.rule(release("a", BRIDGES)) == ("default", UpdateRule(success_seconds=5))
+    assert read_update_policy("{}\n") == UpdatePolicy()
+    text = "default: {canary: 1, threshold: 0, more: 1}\ncharts: {A_B: {successSeconds: 0}}\napplications: []\n"
+    with pytest.raises(DocumentError) as refused:
+        read_update_policy(text)
+    assert len(refused.value.problems) == 6

@@ -1,0 +1,262 @@
+"""The MQTT door in memory: what operators say becomes tasks, and what becomes of tasks is said to them."""
+
+from __future__ import annotations
+
+import json
+import tracemalloc
+from typing import Any
+
+import pytest
+
+from robotkube.delivery.tasks.core.mqtt_messages import (
+    DOOR_REASONS,
+    MESSAGE_BYTES_MAX,
+    NOT_ACCEPTED,
+    NOT_REACHED,
+    NOT_READABLE,
+    TOO_LARGE,
+    UNKNOWN_TASK,
+    RejectedMessage,
+    TaskRequest,
+    read_message,
+)
+from robotkube.delivery.tasks.loops import mqtt_gateway
+from robotkube.delivery.tasks.loops.mqtt_gateway import MqttTaskGateway, door_metrics
+from robotkube.errors import InputError, UnavailableError
+from robotkube.foundation.runtime.adapters.prometheus_series import series_text
+from robotkube.testing.clusters import MemoryTasks
+from robotkube.testing.doors import MemoryGatewayChannel, MemoryTaskWriter
+from tests.stages.delivery.random_messages import ASKED, SPEC, random_message
+
+START_NS = 1795250000_000000000
+RANDOM_MESSAGES, THOROUGH_MESSAGES = 200, 5000
+
+
+class House:
+    """A door with its surroundings."""
+
+    def __init__(self) -> None:
+        self.tasks, self.channel = MemoryTasks(), MemoryGatewayChannel()
+        self.writer = MemoryTaskWriter(self.tasks)
+        self.seconds, self.leads = 0.0, True
+        operators = {"vehicle-00": "vehicle-00", "cloud-0": "cloud-0"}
+        self.door = MqttTaskGateway(
+            operators, self.channel, self.tasks, self.writer, self, lambda: START_NS + int(self.seconds * 1e9), self.now
+        )
+
+    def term(self) -> int | None:
+        return 1 if self.leads else None
+
+    def overtake(self, term: int) -> None:
+        raise AssertionError("nobody asks the door")
+
+    def now(self) -> float:
+        return self.seconds
+
+    def say(self, document: Any, operator: str = "vehicle-00") -> None:
+        self.channel.send(operator, document)
+        self.turn()
+
+    def turn(self) -> None:
+        self.seconds += 1.0
+        self.door.turn(0.0)
+
+    def told(self) -> list[tuple[str, dict[str, Any]]]:
+        found, self.channel.answers = self.channel.answers, []
+        return found
+
+    def refusal(self) -> tuple[str, str]:
+        [(topic, answer)] = self.told()
+        assert topic == "robotkube/task_status/vehicle-00"
+        [condition] = answer["conditions"]
+        assert (condition["type"], condition["status"]) == ("Accepted", "False")
+        return condition["reason"], condition["message"]
+
+
+@pytest.fixture
+def house() -> House:
+    return House()
+
+
+def test_a_message_becomes_a_task_of_its_operator(house: House) -> None:
+    house.say(ASKED | {"spec": {**SPEC, "requester": "somebody-else", "priority": 200}})
+    task = house.tasks.objects["vehicle-00/look"]
+    assert task["spec"]["requester"] == "vehicle-00"
+    assert task["spec"]["priority"] == 200
+    assert task["spec"]["event"]["id"] == "look"
+    assert task["metadata"]["labels"] == {"robotkube.io/door": "mqtt"}
+    assert house.told() == [("robotkube/task_status/vehicle-00", {"id": "look", "conditions": []})]
+    assert len(house.channel.acknowledged) == 1
+
+
+def test_the_same_id_twice_is_one_task_and_another_spec_a_change(house: House) -> None:
+    house.say(ASKED)
+    house.say(ASKED)
+    assert house.tasks.objects["vehicle-00/look"]["metadata"]["generation"] == 1
+    house.say(ASKED | {"spec": {**SPEC, "parameters": {"vehicles": ["vehicle-02"]}}})
+    task = house.tasks.objects["vehicle-00/look"]
+    assert (task["metadata"]["generation"], task["spec"]["parameters"]) == (2, {"vehicles": ["vehicle-02"]})
+    assert list(house.tasks.objects) == ["vehicle-00/look"]
+
+
+def test_a_task_of_a_namespace_cannot_be_named_from_another(house: House) -> None:
+    house.say({**ASKED, "metadata": {"name": "look", "namespace": "cloud-0"}})
+    assert house.refusal()[0] == NOT_READABLE
+    house.say({**ASKED, "metadata": {"name": "cloud-0/look"}})
+    assert house.refusal()[0] == NOT_READABLE
+    house.say(ASKED, "cloud-0")
+    house.told()
+    house.say({"withdraw": "look"})
+    assert house.refusal() == (UNKNOWN_TASK, "there is no task vehicle-00/look")
+    assert list(house.tasks.objects) == ["cloud-0/look"]
+
+
+def test_withdrawing_and_renewing(house: House) -> None:
+    house.say(ASKED)
+    house.say({"renew": "look"})
+    assert house.tasks.objects["vehicle-00/look"]["metadata"]["annotations"] == {
+        "robotkube.io/lease-renewed": "2026-11-21T08:33:22.000000Z"
+    }
+    house.told()
+    house.say({"withdraw": "look"})
+    assert house.tasks.objects == {}
+    assert house.told() == [("robotkube/task_status/vehicle-00", {"id": "look", "conditions": [], "withdrawn": True})]
+    house.say({"renew": "look"})
+    assert house.refusal()[0] == UNKNOWN_TASK
+
+
+def test_what_changes_in_a_status_is_told_once_and_nothing_of_others_tasks(house: House) -> None:
+    house.say(ASKED)
+    house.tasks.create("vehicle-00", "detected", SPEC)
+    condition = {"type": "Accepted", "status": "True", "reason": "Accepted", "message": "yes"}
+    status = {"conditions": [condition], "plan": "p", "pullRequest": {"number": 3, "url": "u"}, "unknown": 1}
+    house.told()
+    for key in ("vehicle-00/look", "vehicle-00/detected"):
+        house.tasks.patch_status(*key.split("/"), status)
+    house.turn()
+    house.turn()
+    [(_, answer)] = house.told()
+    assert answer == {"id": "look", "conditions": [condition], "plan": "p", "pullRequest": {"number": 3, "url": "u"}}
+
+
+def test_a_restarted_door_tells_again_and_forgets_nothing(house: House) -> None:
+    house.say(ASKED)
+    operators = {"vehicle-00": "vehicle-00"}
+    again = MqttTaskGateway(operators, house.channel, house.tasks, house.writer, house, lambda: 0, lambda: 1.0)
+    house.told()
+    again.turn(0.0)
+    assert [answer["id"] for _, answer in house.told()] == ["look"]
+
+
+def test_answers_wait_for_the_broker_and_refused_messages_come_again(house: House) -> None:
+    house.channel.connected = False
+    house.say(ASKED)
+    house.say(b"no JSON")
+    assert [message.payload for message in house.channel.acknowledged] == [json.dumps(ASKED).encode()]
+    assert [message.payload for message in house.channel.left] == [b"no JSON"]
+    house.channel.connected = True
+    house.turn()
+    assert [answer["id"] for _, answer in house.told()] == ["look"]
+
+
+def test_an_api_server_that_is_away_delays_and_one_that_refuses_is_quoted(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mqtt_gateway, "RETRY_SECONDS_FIRST", 0.001)
+    house.writer.faults = [UnavailableError("away"), UnavailableError("away")]
+    house.say(ASKED)
+    assert list(house.tasks.objects) == ["vehicle-00/look"]
+    house.told()
+    house.writer.faults = [InputError("spec.priority: must be at most 1000")]
+    house.say({**ASKED, "metadata": {"name": "second"}})
+    assert house.refusal() == (NOT_ACCEPTED, "spec.priority: must be at most 1000")
+
+
+def test_trying_again_is_bounded(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mqtt_gateway, "RETRY_SECONDS_FIRST", 0.001)
+    monkeypatch.setattr(mqtt_gateway, "TRY_SECONDS_MAX", -1.0)
+    house.writer.faults = [UnavailableError("away")]
+    house.say(ASKED)
+    assert house.refusal()[0] == NOT_REACHED
+
+
+def test_a_door_that_closes_leaves_the_message_with_the_broker(house: House) -> None:
+    house.door.stop(1.0)
+    house.say(ASKED)
+    assert (house.tasks.objects, house.channel.acknowledged) == ({}, [])
+
+
+def test_only_the_process_that_leads_has_the_door_open(house: House) -> None:
+    house.turn()
+    kinds = ("tasks", "holds")
+    assert house.channel.topics == [f"robotkube/{kind}/{name}" for kind in kinds for name in ("cloud-0", "vehicle-00")]
+    house.leads = False
+    house.say(ASKED)
+    assert (house.channel.connected, house.tasks.objects, house.door.complaint) == (False, {}, "")
+    house.leads = house.channel.connected = True
+    house.turn()
+    assert list(house.tasks.objects) == ["vehicle-00/look"]
+
+
+def test_topics_of_nobody_are_dropped(house: House) -> None:
+    house.say(ASKED, "vehicle-99")
+    assert (house.tasks.objects, house.told(), len(house.channel.acknowledged)) == ({}, [], 1)
+
+
+@pytest.mark.parametrize(
+    ("payload", "reason", "words"),
+    [
+        (b"", NOT_READABLE, "no JSON"),
+        (b"\xff\xfe", NOT_READABLE, "UTF-8"),
+        (b"[1]", NOT_READABLE, "list and no object"),
+        (b"[" * 100_000, NOT_READABLE, "no JSON"),
+        (b'{"metadata": {"name": "a"}, "metadata": {}, "spec": {}}', NOT_READABLE, "stands twice"),
+        (b'{"metadata": {"name": "a"}, "spec": {"x": NaN}}', NOT_READABLE, "spec.x: nan is not a JSON number"),
+        (b'{"metadata": {"name": "A b"}, "spec": {}}', NOT_READABLE, "metadata.name"),
+        (b'{"metadata": {"name": "a"}, "spec": {}, "status": {}}', NOT_READABLE, "status: unknown key"),
+        (b'{"metadata": {"name": "a"}, "spec": {"chain": {}}}', NOT_READABLE, "spec.chain: is set by the platform"),
+        (b'{"kind": "Pod", "metadata": {"name": "a"}, "spec": {}}', NOT_READABLE, "kind: 'Pod' must be"),
+        (b'{"withdraw": "a", "renew": "a"}', NOT_READABLE, "renew: unknown key"),
+        (b'{"withdraw": 7}', NOT_READABLE, "withdraw: 7 must match"),
+        (b'{"metadata": {"name": "a"}, "spec": "' + b"x" * MESSAGE_BYTES_MAX + b'"}', TOO_LARGE, "at most 262144"),
+    ],
+)
+def test_what_cannot_become_a_task_is_refused_with_words(house: House, payload: bytes, reason: str, words: str) -> None:
+    house.say(payload)
+    found, message = house.refusal()
+    assert found == reason
+    assert words in message
+    assert len(message) < 3000
+    assert house.tasks.objects == {}
+
+
+def test_a_refusal_names_the_id_where_it_can() -> None:
+    assert read_message(b'{"metadata": {"name": "a"}, "spec": 1}', 10) == RejectedMessage(
+        NOT_READABLE, "spec: must be an object", "a"
+    )
+
+
+@pytest.mark.parametrize("count", [RANDOM_MESSAGES, pytest.param(THOROUGH_MESSAGES, marks=pytest.mark.thorough)])
+def test_random_messages_are_accepted_or_refused_with_a_reason_in_bounded_memory(house: House, count: int) -> None:
+    tracemalloc.start()
+    outcomes: dict[str, int] = {}
+    for number in range(count):
+        payload = random_message(number)
+        order = read_message(payload, len(payload))
+        house.say(payload)
+        if isinstance(order, RejectedMessage):
+            assert order.reason in DOOR_REASONS
+            assert order.message
+        expected = order.reason if isinstance(order, RejectedMessage) else type(order).__name__
+        outcomes[expected] = outcomes.get(expected, 0) + 1
+        if isinstance(order, TaskRequest):
+            assert f"vehicle-00/{order.id}" in house.tasks.objects
+        house.told()
+        [acknowledged] = house.channel.acknowledged
+        assert acknowledged.size == len(payload)
+        house.channel.acknowledged.clear()
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert {"TaskRequest", NOT_READABLE, TOO_LARGE} <= set(outcomes)
+    assert peak < 64 * 1024 * 1024
+    assert 'outcome="TooLarge"' in series_text(door_metrics(house.door))

@@ -1,0 +1,117 @@
+"""Identifiers have their patterns in one place, and the committed schemas hold the same ones."""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robotkube.foundation.documents.core import patterns
+from tests.stages.paths import REPOSITORY
+
+ROOT = REPOSITORY
+SOURCE = ROOT / "operator" / "src" / "robotkube"
+HOME = "foundation/documents/core/patterns.py"
+LETTERS_AND_DIGITS = re.compile(
+    r"\[[^\]]*([a-z]-[a-z]|[A-Z]-[A-Z])[^\]]*0-9|\[[^\]]*0-9[^\]]*([a-z]-[a-z]|[A-Z]-[A-Z])"
+)
+
+NO_IDENTIFIERS = {
+    ("foundation/documents/core/yaml_codec.py", "_PLAIN"): "text that YAML writes without quotes",
+    ("robots/ros/adapters/rclpy_node.py", "_WORD_START"): "where a word begins inside a CamelCase name",
+    ("robots/bags/core/playback.py", "_LINE"): "a line of a ledger, with a bare SHA-256",
+    ("registry/publication/core/submissions.py", "_EVIDENCE_FILE"): "a path, with the first letters of a digest",
+}
+SCHEMAS_ALONE = {
+    r"\{\{": "a value template",
+    "^([0-9]{1,6}(\\.[0-9]{1,3})?|[0-9]{1,9}m)$": "a quantity of processor time",
+    "^[0-9]{1,9}(Ki|Mi|Gi)$": "a quantity of memory",
+}
+
+
+def literals(node: ast.Call | ast.Assign | ast.Dict) -> Iterator[str]:
+    """Patterns that a call compiles or matches, and those that a JSON schema keeps as texts."""
+    if isinstance(node, ast.Call):
+        function = ast.unparse(node.func)
+        if function.startswith("re.") and node.args:
+            yield "".join(texts(node.args[0]))
+        yield from ("".join(texts(keyword.value)) for keyword in node.keywords if keyword.arg == "pattern")
+    elif isinstance(node, ast.Dict):
+        for key, value in zip(node.keys, node.values, strict=True):
+            if isinstance(key, ast.Constant) and key.value == "pattern":
+                yield "".join(texts(value))
+    elif name_of(node).endswith("PATTERN"):
+        yield "".join(texts(node.value))
+
+
+def texts(node: ast.AST) -> Iterator[str]:
+    return (part.value for part in ast.walk(node) if isinstance(part, ast.Constant) and isinstance(part.value, str))
+
+
+def name_of(node: ast.AST) -> str:
+    return ast.unparse(node.targets[0]) if isinstance(node, ast.Assign) else ""
+
+
+def identifier_patterns(text: str) -> set[str]:
+    """Names (the literal, where there is none) of a module's patterns that say what an identifier looks like."""
+    tree = ast.parse(text)
+    names = {id(node.value): name_of(node) for node in ast.walk(tree) if isinstance(node, ast.Assign)}
+    found = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call | ast.Assign | ast.Dict):
+            wrong = [literal for literal in literals(node) if LETTERS_AND_DIGITS.search(literal)]
+            found |= {names.get(id(node)) or name_of(node) or literal for literal in wrong}
+    return found
+
+
+def schemas() -> list[Path]:
+    return sorted((ROOT / "registry" / "schemas").glob("*.json"))
+
+
+def patterns_of(schema: Any) -> Iterator[str]:
+    for key, value in schema.items() if isinstance(schema, dict) else enumerate(schema):
+        if key == "pattern" and isinstance(value, str):
+            yield value
+        elif isinstance(value, dict | list):
+            yield from patterns_of(value)
+
+
+def test_no_module_but_one_says_what_an_identifier_looks_like() -> None:
+    modules = {path.relative_to(SOURCE).as_posix(): path.read_text(encoding="utf-8") for path in SOURCE.rglob("*.py")}
+    elsewhere = {(path, name) for path, text in modules.items() if path != HOME for name in identifier_patterns(text)}
+    assert elsewhere == set(NO_IDENTIFIERS), f"patterns of identifiers stand in {HOME}; others here, with a reason"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        'NAME = re.compile(r"[a-z0-9]+")',
+        'NAME = re.compile(rf"{PREFIX}/[A-Za-z_][A-Za-z0-9_]*")',
+        'x = re.fullmatch("[0-9a-f]{40}", y)',
+        'TASK_PATTERN = "^[a-z0-9-]+$"',
+        'X = {"type": "string", "pattern": "^[0-9A-Z]+$"}',
+        'X = text("a name", pattern="^[a-z0-9]$")',
+    ],
+)
+def test_a_pattern_of_an_identifier_is_seen(text: str) -> None:
+    assert identifier_patterns(f"import re\n{text}\n")
+
+
+@pytest.mark.parametrize(
+    "text", ['X = re.compile(r"[0-9]+")', "X = re.compile(NAME.pattern)", 'X = "[a-z0-9] is a class"']
+)
+def test_other_patterns_and_texts_are_not(text: str) -> None:
+    assert not identifier_patterns(f"import re\n{text}\n")
+
+
+@pytest.mark.parametrize("path", schemas(), ids=lambda path: path.name)
+def test_the_schemas_of_entries_hold_the_same_patterns(path: Path) -> None:
+    known = {patterns.anchored(value) for value in vars(patterns).values() if isinstance(value, re.Pattern)}
+    written = set(patterns_of(json.loads(path.read_text(encoding="utf-8"))))
+    ranges = {text for text in written if patterns.VERSION.pattern in text}  # comparators with versions in them
+    assert written - known - ranges - set(SCHEMAS_ALONE) == set()

@@ -1,0 +1,101 @@
+"""Two processes behind one Service: what reaches the one that waits is answered by the one that leads."""
+
+import json
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import httpx
+import pytest
+
+from robotkube.foundation.kubernetes.adapters.leader_proxy import LeaderRequests
+from robotkube.foundation.kubernetes.adapters.lease import identity_of
+from robotkube.foundation.runtime.adapters.webhook_server import WebhookDelivery, WebServer, sign
+from robotkube.testing.leadership import MemoryLeadership
+from tests.stages.programs import free_port
+
+SECRET = b"shared"
+
+
+class Process:
+    def __init__(self, name: str) -> None:
+        self.leadership, self.heard = MemoryLeadership(None), list[WebhookDelivery]()
+        self.requests = LeaderRequests(self.leadership)
+
+        def answer(body: bytes) -> tuple[int, Mapping[str, Any]]:
+            return 404, {"by": name, "asked": json.loads(body)}
+
+        pages, posts = {"/plans": lambda: {"by": name}}, {"/explain": answer}
+        self.server = WebServer(
+            *("127.0.0.1", 0, list, str, SECRET, self.heard.append, pages), posts=posts, elsewhere=self.requests
+        )
+        self.server.start()
+        self.address = f"127.0.0.1:{self.server.port}"
+
+    def deliver(self, secret: bytes = SECRET) -> httpx.Response:
+        body = json.dumps({"after": "x"}).encode()
+        headers = {"X-Gitea-Event": "push", "X-Gitea-Signature": sign(body, secret)}
+        return httpx.post(f"http://{self.address}/webhook", content=body, headers=headers)
+
+    def stop(self) -> None:
+        self.server.stop()
+        self.requests.close()
+
+
+@pytest.fixture
+def leader() -> Iterator[Process]:
+    found = Process("leader")
+    found.leadership.number = 1
+    yield found
+    found.stop()
+
+
+@pytest.fixture
+def waiting(leader: Process) -> Iterator[Process]:
+    found = Process("waiting")
+    found.leadership.other = leader.address
+    yield found
+    found.stop()
+
+
+def test_pages_and_questions_are_answered_by_the_leader(leader: Process, waiting: Process) -> None:
+    for process in (leader, waiting):
+        assert httpx.get(f"http://{process.address}/plans").json() == {"by": "leader"}
+        answer = httpx.post(f"http://{process.address}/explain", json={"task": "a/b"})
+        assert (answer.status_code, answer.json()) == (404, {"by": "leader", "asked": {"task": "a/b"}})
+        assert answer.headers["content-type"] == "application/json"
+        assert httpx.get(f"http://{process.address}/else").status_code == 404
+
+
+def test_a_delivery_is_heard_by_the_leader_once(leader: Process, waiting: Process) -> None:
+    assert waiting.deliver().status_code == 204
+    assert (leader.heard, waiting.heard) == ([WebhookDelivery("push", {"after": "x"})], [])
+    assert waiting.deliver(b"wrong").status_code == 401
+    assert len(leader.heard) == 1
+
+
+def test_without_a_leader_the_sender_is_told(waiting: Process) -> None:
+    waiting.leadership.other = None
+    answers = [httpx.get(f"http://{waiting.address}/plans"), waiting.deliver()]
+    assert [answer.status_code for answer in answers] == [503, 503]
+    assert "no process of this manager leads" in answers[0].text
+    waiting.leadership.other = f"127.0.0.1:{free_port()}"
+    answer = httpx.get(f"http://{waiting.address}/plans")
+    assert (answer.status_code, waiting.leadership.other in answer.text) == (503, True)
+
+
+def test_two_that_take_each_other_for_the_leader_do_not_ask_for_ever(leader: Process, waiting: Process) -> None:
+    leader.leadership.number, leader.leadership.other = None, waiting.address
+    assert httpx.get(f"http://{waiting.address}/plans").status_code == 503
+
+
+def test_health_and_metrics_are_a_process_s_own(waiting: Process) -> None:
+    waiting.leadership.other = None
+    for path in ("/livez", "/readyz", "/metrics"):
+        assert httpx.get(f"http://{waiting.address}{path}").status_code == 200
+
+
+@pytest.mark.parametrize(
+    ("host", "identity"), [("10.0.0.7", "manager-x_10.0.0.7:8080"), ("fd00::7", "manager-x_[fd00::7]:8080")]
+)
+def test_an_identity_names_pod_and_address(host: str, identity: str) -> None:
+    assert identity_of("manager-x", host, 8080) == identity

@@ -1,0 +1,142 @@
+"""What the platform's own accounts may do in the cluster: nothing that runs, reads secrets or gives rights.
+Exactly what they may, by the same chart on an API server alone: charts/test_rights.py."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Iterator
+
+import pytest
+from kubernetes import client, config
+
+from ci.installation import KEY_SECRET
+from tests.stages.platform.running_platform import Platform
+
+MANAGER, GATE, RUNNER = "robotkube/manager", "robotkube/gate", "robotkube/suite-runner"
+CHART_UNDER_TEST = "robotkube-suite-0/application"
+KEY = f"secrets/{KEY_SECRET}"
+ACCOUNTS = (MANAGER, GATE, RUNNER, CHART_UNDER_TEST, "cloud-0/event-detector", "vehicle-00/mqtt-bridge")
+NAMESPACES = ("robotkube", "argocd", "cloud-0", "vehicle-00", "default")
+WRITE = ("create", "update", "patch", "delete", "deletecollection")
+EVERYWHERE = ""
+# (verbs, API group, resource, subresource)
+FORBIDDEN = (
+    (WRITE, "", "pods", ""),
+    (WRITE, "apps", "deployments", ""),
+    (WRITE, "apps", "statefulsets", ""),
+    (WRITE, "batch", "jobs", ""),
+    (WRITE, "", "configmaps", ""),
+    ((*WRITE, "get", "list"), "", "secrets", ""),
+    (("create",), "", "serviceaccounts", "token"),
+    (("create", "get"), "", "pods", "exec"),
+    (("create", "get"), "", "pods", "attach"),
+    ((*WRITE, "bind", "escalate"), "rbac.authorization.k8s.io", "roles", ""),
+    ((*WRITE, "bind", "escalate"), "rbac.authorization.k8s.io", "clusterroles", ""),
+    (WRITE, "rbac.authorization.k8s.io", "rolebindings", ""),
+    (WRITE, "rbac.authorization.k8s.io", "clusterrolebindings", ""),
+    (("impersonate",), "", "users", ""),
+    (("impersonate",), "", "groups", ""),
+    (("impersonate",), "", "serviceaccounts", ""),
+    (WRITE, "argoproj.io", "applications", ""),
+    (WRITE, "argoproj.io", "applicationsets", ""),
+    (WRITE, "argoproj.io", "appprojects", ""),
+    (WRITE, "apiextensions.k8s.io", "customresourcedefinitions", ""),
+)
+# As a person asks: what the words of the rule name, and controls that the question is understood.
+ASKED = (
+    (MANAGER, "create pods", "no"),
+    (MANAGER, "patch deployments.apps", "no"),
+    (MANAGER, "get secrets", "no"),
+    (MANAGER, "create serviceaccounts --subresource=token", "no"),
+    (MANAGER, "create pods --subresource=exec", "no"),
+    (MANAGER, "create roles.rbac.authorization.k8s.io", "no"),
+    (MANAGER, "bind clusterroles.rbac.authorization.k8s.io", "no"),
+    (MANAGER, "escalate clusterroles.rbac.authorization.k8s.io", "no"),
+    (MANAGER, "impersonate users", "no"),
+    (MANAGER, "patch applications.argoproj.io -n argocd", "no"),
+    (MANAGER, "create applicationsets.argoproj.io -n argocd", "no"),
+    (MANAGER, "update appprojects.argoproj.io -n argocd", "no"),
+    (MANAGER, "create taskdescriptions.robotkube.io -n cloud-0", "yes"),
+    (MANAGER, "patch taskdescriptions.robotkube.io -n vehicle-00", "yes"),
+    (MANAGER, "delete taskdescriptions.robotkube.io -n vehicle-00", "yes"),
+    (MANAGER, "update taskdescriptions.robotkube.io -n vehicle-00", "no"),
+    (MANAGER, "deletecollection taskdescriptions.robotkube.io -n vehicle-00", "no"),
+    (GATE, "create taskdescriptions.robotkube.io -n cloud-0", "no"),
+    (MANAGER, "get nodes", "yes"),
+    (MANAGER, "list applications.argoproj.io -n argocd", "yes"),
+    (MANAGER, "patch taskdescriptions.robotkube.io --subresource=status -n cloud-0", "yes"),
+    (GATE, "get pods", "no"),
+    *((account, f"get {KEY} -n robotkube", "no") for account in (MANAGER, GATE, RUNNER, CHART_UNDER_TEST)),
+    (RUNNER, "create deployments.apps -n robotkube-suite-0", "yes"),
+    (RUNNER, "create pods -n robotkube-suite-1", "yes"),
+    (RUNNER, "create secrets -n robotkube-suite-0", "yes"),
+    (RUNNER, "get secrets -n robotkube-suite-0", "no"),
+    (RUNNER, "create roles.rbac.authorization.k8s.io -n robotkube-suite-0", "no"),
+    (CHART_UNDER_TEST, "get configmaps -n robotkube-suite-0", "yes"),
+    (CHART_UNDER_TEST, "get secrets -n robotkube-suite-0", "no"),
+    (CHART_UNDER_TEST, "create pods -n robotkube-suite-0", "no"),
+    ("cloud-0/event-detector", "create taskdescriptions.robotkube.io -n cloud-0", "yes"),
+    ("cloud-0/event-detector", "create taskdescriptions.robotkube.io -n vehicle-00", "no"),
+    ("cloud-0/event-detector", "patch taskdescriptions.robotkube.io --subresource=status -n cloud-0", "no"),
+    ("cloud-0/event-detector", "get configmaps -n vehicle-00", "no"),
+    ("vehicle-00/mqtt-bridge", "watch configmaps -n vehicle-00", "yes"),
+    ("vehicle-00/mqtt-bridge", "create taskdescriptions.robotkube.io -n vehicle-00", "no"),
+)
+
+
+def groups(account: str) -> tuple[str, ...]:
+    """The groups of a service account `<namespace>/<name>`."""
+    namespace = account.partition("/")[0]
+    return ("system:serviceaccounts", f"system:serviceaccounts:{namespace}", "system:authenticated")
+
+
+def user(account: str) -> str:
+    """The user name of a service account."""
+    return f"system:serviceaccount:{account.replace('/', ':')}"
+
+
+@pytest.fixture
+def reviews(platform: Platform) -> Iterator[client.AuthorizationV1Api]:
+    """The question behind `kubectl auth can-i`, asked often over one connection."""
+    connection = config.new_client_from_config(str(platform.installer.kubeconfig))
+    yield client.AuthorizationV1Api(connection)
+    connection.close()
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("account", ACCOUNTS)
+def test_accounts_of_the_platform_write_nothing_that_runs(reviews: client.AuthorizationV1Api, account: str) -> None:
+    allowed = []
+    for verbs, group, resource, subresource in FORBIDDEN:
+        for verb in verbs:
+            for namespace in (*NAMESPACES, EVERYWHERE):
+                attributes = client.V1ResourceAttributes(
+                    group=group, resource=resource, subresource=subresource, verb=verb, namespace=namespace
+                )
+                question = client.V1SubjectAccessReviewSpec(
+                    user=user(account), groups=list(groups(account)), resource_attributes=attributes
+                )
+                answer = reviews.create_subject_access_review(client.V1SubjectAccessReview(spec=question))
+                if answer.status.allowed:
+                    allowed.append(f"{verb} {resource}/{subresource} in {namespace or 'all namespaces'}")
+    assert allowed == []
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(("account", "question", "expected"), ASKED)
+def test_kubectl_says_the_same(platform: Platform, account: str, question: str, expected: str) -> None:
+    program = [str(platform.installer.binaries / "kubectl"), "--kubeconfig", str(platform.installer.kubeconfig)]
+    impersonate = ["--as", user(account), *(f"--as-group={group}" for group in groups(account))]
+    done = subprocess.run(
+        [*program, "auth", "can-i", *question.split(), *impersonate],
+        capture_output=True, text=True, timeout=30, check=False,
+    )  # fmt: skip
+    assert (done.stdout.strip(), done.returncode) == (expected, 0 if expected == "yes" else 1), done.stderr
+
+
+def test_robots_pods_hold_no_token_but_the_mounted_one(platform: Platform) -> None:
+    """A service account's token is mounted only where the process needs it."""
+    for namespace in ("robotkube", "cloud-0", "vehicle-00", "robotkube-suite-0", "robotkube-suite-1"):
+        for account in platform.get("-n", namespace, "serviceaccounts")["items"]:
+            if account["metadata"]["name"] != "default":
+                assert account.get("automountServiceAccountToken") is False, (namespace, account["metadata"]["name"])

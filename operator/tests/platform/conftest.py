@@ -1,0 +1,87 @@
+"""One cluster `test` with the platform on it, shared by all tests that need one, and the story run on it once.
+
+ROBOTKUBE_KEEP_CLUSTER=1 leaves it running at the end, to look around or for the next run.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.stages.platform.running_platform import SCENARIO, VARIANT, Platform, shared, spoken, stop_demo, take_down
+from tests.stages.platform.story import Story, play
+from tests.stages.platform.table_one import Stage, on_stage
+
+# The first starts and removes clusters itself; the last ones leave the platform changed. The stories of Table I follow.
+ORDER = (
+    "cluster/test_embedded_provider",
+    "cluster/test_images",
+    "cluster/test_database",
+    "cluster/test_rights",
+    "suites/test_suites",
+    "suites/test_refused_submissions",
+    "suites/test_interface",
+    "cluster/test_story",
+    "cluster/test_bridges",
+    "cluster/test_restoring",
+    "cluster/test_sharing",
+    "cluster/test_three_vehicles",
+    "cluster/test_withdrawing",
+    "cluster/test_observing",
+    "cluster/test_task_gateway",
+    "cluster/test_rule_reload",
+    "cluster/test_how_to",
+    "cluster/test_how_to_detector",
+    "cluster/test_agents",
+    "cluster/test_updates",
+    "cluster/test_refusals",
+    "cluster/test_lifecycle",
+    "cluster/test_interrupting",
+    "cluster/test_scenarios",
+    *(f"table_one/test_p{number:02}" for number in range(1, 11)),
+)
+HERE = Path(__file__).parent
+
+
+@pytest.hookimpl(tryfirst=True)  # before tests are chosen by their markers
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Marks the tests below this folder; they come last, in this order of their files."""
+    ours = [item for item in items if HERE in item.path.parents]
+    for item in ours:
+        item.add_marker(pytest.mark.platform)
+    items[:] = [item for item in items if HERE not in item.path.parents] + sorted(ours, key=_place)
+
+
+def _place(item: pytest.Item) -> int:
+    return ORDER.index(item.path.relative_to(HERE).with_suffix("").as_posix())
+
+
+@pytest.fixture(scope="session")
+def no_demo(pytestconfig: pytest.Config) -> None:
+    """A running demo is stopped, and that is said: only one cluster runs at a time."""
+    stop_demo(pytestconfig)
+
+
+@pytest.fixture(scope="session")
+def platform(pytestconfig: pytest.Config, no_demo: None) -> Iterator[Platform]:
+    """The cluster with Argo CD, the platform, and images, charts and catalogue published."""
+    yield shared(pytestconfig)
+    take_down()
+
+
+@pytest.fixture(scope="session")
+def story(pytestconfig: pytest.Config, platform: Platform, tmp_path_factory: pytest.TempPathFactory) -> Story:
+    """The small scenario, run once from its first pull request to its report."""
+    with spoken(pytestconfig):
+        print("\nthe small scenario runs, two minutes", file=sys.stderr, flush=True)
+        return play(platform, SCENARIO, VARIANT, tmp_path_factory.mktemp("story"))
+
+
+@pytest.fixture
+def stage(platform: Platform) -> Iterator[Stage]:
+    """Begins with everything as main asks for, and ends with main asking for what it did before."""
+    with on_stage(platform) as stage:
+        yield stage

@@ -1,0 +1,83 @@
+"""Schemas that take for ever are refused in words, and the next one is checked as if nothing had been."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robotkube.errors import InputError
+from robotkube.foundation.documents.adapters import json_schema
+from robotkube.foundation.documents.core.yaml_codec import read_mapping, write_mapping
+from robotkube.foundation.runtime.adapters import bounded_process
+from robotkube.foundation.runtime.adapters.bounded_process import BoundedProcess
+from robotkube.registry.catalogue.adapters.bounded_validation import COMMAND, BoundedSchemas
+from tests.stages.registry.publication_in_memory import World
+from tests.stages.registry.submissions import application
+
+GOOD = {"type": "object", "properties": {"name": {"type": "string", "pattern": "^[a-z]+$"}}}
+SLOW = {"properties": {"name": {"pattern": "^(a+)+$"}}}
+VALUE = {"name": "a" * 40 + "b"}
+TOO_MUCH = "checking takes more than 1 s or 160 MiB; simplify patterns and references of the schema"
+DOUBLING = {
+    "$ref": "#/$defs/d0",
+    "$defs": {
+        **{f"d{n}": {"allOf": [{"$ref": f"#/$defs/d{n + 1}"}, {"$ref": f"#/$defs/d{n + 1}"}]} for n in range(40)},
+        "d40": True,
+    },
+}
+
+
+@pytest.fixture(scope="module")
+def schemas() -> Iterator[BoundedSchemas]:
+    found = BoundedSchemas()
+    yield found
+    found.close()
+
+
+@pytest.mark.parametrize("value", [{"name": "abc"}, {"name": "ABC"}, {"name": 3}, [], None])
+def test_answers_are_those_of_the_library(schemas: BoundedSchemas, value: Any) -> None:
+    tools = schemas.tools()
+    assert schemas.validate(GOOD, value, "values") == json_schema.validate(GOOD, value, "values")
+    assert tools.validate(GOOD, value) == json_schema.validate(GOOD, value)
+    assert tools.violations(GOOD, value) == json_schema.violations(GOOD, value)
+    assert tools.check_schema({"pattern": "("}) == json_schema.check_schema({"pattern": "("})
+
+
+@pytest.mark.parametrize(("schema", "value"), [(SLOW, VALUE), (DOUBLING, {})])
+def test_what_takes_for_ever_is_refused_and_the_next_is_checked(
+    schemas: BoundedSchemas, schema: dict[str, Any], value: Any
+) -> None:
+    [problem] = schemas.validate(schema, value, "spec.values")
+    assert problem.startswith(f"spec.values: {TOO_MUCH}")
+    assert schemas.validate(GOOD, {"name": "abc"}) == []
+    with pytest.raises(InputError, match="simplify patterns"):
+        schemas.tools().validate(schema, value)
+
+
+def test_a_process_that_went_is_started_again() -> None:
+    process = BoundedProcess(COMMAND)
+    process.close()
+    assert process.call("validate", GOOD, {"name": "abc"}, "values") == []
+    process.close()
+    process.close()
+
+
+def test_an_answer_beyond_the_bound_is_refused(schemas: BoundedSchemas, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bounded_process, "ANSWER_BYTES_MAX", 100)
+    [problem] = schemas.validate({"maxLength": 1}, "x" * 1000, "values")
+    assert TOO_MUCH in problem
+
+
+def test_a_submission_whose_schema_takes_for_ever_is_refused(schemas: BoundedSchemas, tmp_path: Path) -> None:
+    world = World(tmp_path)
+    world.tools = schemas.tools()
+    world.start()
+    path = "applications/relaying.yaml"
+    document = read_mapping(application(), path)
+    document["spec"]["parameters"] = {**document["spec"]["parameters"], **DOUBLING}
+    number = world.submit(**{path: write_mapping(document)})
+    assert TOO_MUCH in world.settle(number)
+    assert not world.merged(number)

@@ -1,0 +1,242 @@
+"""registry/: schemas and readers agree, and what composition makes of it fits the charts' own schemas."""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from robotkube.delivery.deployment.core.policies.initial import read_initial_policy
+from robotkube.delivery.manager.core.composition.composer import Demand, Inputs, Met, compose
+from robotkube.delivery.manager.core.composition.initial_demands import initial_demands
+from robotkube.delivery.manager.core.placement.placement import Agent, NodeState, fleet
+from robotkube.delivery.tasks.core.task_description import read_task
+from robotkube.errors import DocumentError, RefusalError
+from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
+from robotkube.foundation.documents.adapters.json_schema import check_schema, validate
+from robotkube.foundation.documents.core.yaml_codec import write_mapping
+from robotkube.registry.catalogue.core.catalogue import (
+    ChartRequirement,
+    read_application,
+    read_assurance,
+    read_catalogue,
+    read_chart_version,
+)
+from robotkube.registry.catalogue.core.versions import in_range
+from robotkube.robots.detector.core.settings import read_detector_settings
+from tests.stages.paths import REPOSITORY
+
+REGISTRY = REPOSITORY / "registry"
+APPLICATIONS = sorted(REGISTRY.glob("applications/*.yaml"))
+CHARTS = sorted(REGISTRY.glob("charts/*/*.yaml"))
+STATUS = {"state": "staged", "digest": "sha256:" + "0" * 64, "images": []}
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """What was found about some evidence."""
+
+    assured: bool
+    problems: tuple[str, ...] = ()
+
+
+def schema(name: str) -> dict[str, Any]:
+    return dict(json.loads((REGISTRY / "schemas" / f"{name}.json").read_text()))
+
+
+def load(path: Path) -> dict[str, Any]:
+    return dict(yaml.safe_load(path.read_text()))
+
+
+@pytest.mark.parametrize("path", APPLICATIONS, ids=lambda p: p.stem)
+def test_applications_are_valid(path: Path) -> None:
+    assert validate(schema("application"), load(path)) == []
+    application = read_application(path.read_text(), f"applications/{path.name}")
+    assert check_schema(application.parameters) == []
+    assert application.parameters["additionalProperties"] is False
+
+
+@pytest.mark.parametrize("path", CHARTS, ids=lambda p: f"{p.parent.name}-{p.stem}")
+def test_chart_versions_are_valid_with_and_without_a_status(path: Path) -> None:
+    assert validate(schema("chart-version"), load(path)) == []
+    published = {**load(path), "status": STATUS}
+    assert validate(schema("chart-version"), published) == []
+    found = read_chart_version(write_mapping(published), str(path.relative_to(REGISTRY)))
+    assert (found.chart, found.version) == (path.parent.name, path.stem)
+    folders = [load(file) for file in REPOSITORY.glob(f"charts/*/{found.chart}/Chart.yaml")]
+    assert (found.chart, found.version) in [(chart["name"], chart["version"]) for chart in folders]
+
+
+def test_the_release_policy_is_valid() -> None:
+    path = REGISTRY / "policies" / "release.yaml"
+    assert validate(schema("release-policy"), load(path)) == []
+    assert read_assurance(path.read_text(), "policies/release.yaml") == "verified"
+    with pytest.raises(DocumentError, match="must be one of none, verified"):
+        read_assurance("assurance: some\n", "policies/release.yaml")
+
+
+BREAKS: list[tuple[str, Any]] = [
+    ("spec.surprise", 1),
+    ("spec.initialFor", "Not A Role"),
+    ("spec.parameters", {"type": "array"}),
+    ("spec.services.0.chart.version", "latest"),
+    ("spec.services.0.placement", {"role": "cloud", "agent": "a"}),
+    ("spec.services.0.placement", {}),
+    ("spec.services.0.values.placement", {"agent": "x"}),
+    ("spec.services.0.forEach", {"task": [1]}),
+    ("spec.links.0.kind", "carrier-pigeon"),
+    ("spec.links.0.to", {}),
+    ("spec.links.0.topics.0.extra", 1),
+    ("metadata.name", "Upper"),
+    ("kind", "Chart"),
+]
+
+
+@pytest.mark.parametrize(("key", "value"), BREAKS, ids=[key for key, _ in BREAKS])
+def test_schema_and_reader_refuse_the_same(key: str, value: Any) -> None:
+    document = copy.deepcopy(load(REGISTRY / "applications" / "pose-point-cloud-recording.yaml"))
+    place: Any = document
+    *parents, last = key.split(".")
+    for part in parents:
+        place = place[int(part)] if part.isdecimal() else place[part]
+    place[last] = value
+    assert validate(schema("application"), document) != []
+    with pytest.raises(DocumentError):
+        read_application(write_mapping(document), "applications/pose-point-cloud-recording.yaml")
+
+
+TASKS: dict[str, dict[str, Any]] = {
+    "pose-point-cloud-recording": {"vehicles": ["vehicle-00"]},
+    "environment-perception": {"sensor": "roadside-0"},
+    "roadside-operator": {"site": "roadside-0", "vehicle": "vehicle-00"},
+    "uncertainty-operator": {"site": "roadside-0", "vehicle": "vehicle-00"},
+}
+INITIAL = """add:
+- {application: bag-player, forRole: vehicle}
+- {application: intersection-operator, forRole: cloud}
+"""
+
+
+def everything(tasks: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """All releases of a small fleet: players, an operator at an intersection, and what `tasks` (application ->
+    parameters) ask for."""
+    files = {str(p.relative_to(REGISTRY)): p.read_text() for p in APPLICATIONS}
+    files |= {str(p.relative_to(REGISTRY)): write_mapping({**load(p), "status": STATUS}) for p in CHARTS}
+    catalogue = read_catalogue({**files, "policies/release.yaml": "assurance: none\n"})
+    roles = {"cloud-0": "cloud", "roadside-0": "roadside", "vehicle-00": "vehicle"}
+    agents = [Agent(name, role, name) for name, role in roles.items()]
+    capabilities = {"cloud-0": frozenset({"recording"}), "roadside-0": frozenset({"perception"})}
+    nodes = [NodeState(a.name, a.name, a.role, capabilities.get(a.name, frozenset()), True) for a in agents]
+    machines = fleet(agents, nodes)
+    demands = initial_demands(catalogue, read_initial_policy(INITIAL), machines)
+    for application, parameters in tasks.items():
+        event = {"rule": "near", "id": "e1", "trace": "0" * 32, "time": "2026-11-21T10:00:00Z"}
+        spec = {"event": event, "application": application, "parameters": parameters}
+        task = read_task({"metadata": {"namespace": "cloud-0", "name": application}, "spec": spec})
+        demands.append(Demand(task.key, task.application, task.parameters, task=task))
+    desired = compose(demands, Inputs(catalogue, machines, {}, Jinja2Templates().render, validate))
+    refused = {key: outcome for key, outcome in desired.outcomes.items() if not isinstance(outcome, Met)}
+    assert refused == {}
+    return dict(desired.releases)
+
+
+RELEASES = everything(TASKS)
+
+
+@pytest.mark.parametrize("path", sorted(RELEASES))
+def test_composed_values_fit_the_charts(path: str) -> None:
+    release = RELEASES[path]
+    found = json.loads((REPOSITORY / "charts" / "apps" / release.chart / "values.schema.json").read_text())
+    values = {**release.values, "global": {"plan": "p"}}
+    assert validate(found, values) == []
+
+
+def test_every_chart_is_used() -> None:
+    assert {release.chart for release in RELEASES.values()} == {path.parent.name for path in CHARTS}
+    assert {release.version for release in RELEASES.values() if release.chart.startswith("object-")} == {"0.2.1"}
+    assert sorted(release.key for release in RELEASES.values()) == [
+        "cloud-0/event-detector",
+        "cloud-0/intersection-operator",
+        "cloud-0/mqtt-bridge",
+        "cloud-0/recorder-vehicle-00",
+        "roadside-0/mqtt-bridge",
+        "roadside-0/object-detection-roadside-0",
+        "roadside-0/object-tracking-roadside-0",
+        "roadside-0/roadside-operator-vehicle-00",
+        "vehicle-00/bag-player",
+        "vehicle-00/mqtt-bridge",
+        "vehicle-00/object-detection-vehicle-00",
+        "vehicle-00/uncertainty-operator-roadside-0",
+    ]
+
+
+@pytest.mark.parametrize(("sensor", "sent"), [("roadside-0", ["objects", "uncertainty"]), ("vehicle-00", [])])
+def test_results_leave_a_node_only_from_the_sensor_s_own_agent(sensor: str, sent: list[str]) -> None:
+    """The broker takes an agent's topics from that agent alone; another one's clouds are fetched."""
+    found = {release.key: release for release in everything({"object-detection": {"sensor": sensor}}).values()}
+    assert f"roadside-0/object-detection-{sensor}" in found
+    bridge = found["roadside-0/mqtt-bridge"].values["bridge"]
+    own = [topic["name"] for topic in bridge["out"] if not topic["name"].endswith("/pose")]
+    assert own == [f"/vehicles/roadside_0/{word}" for word in sent]
+    clouds = [topic["name"] for topic in bridge["in"]]
+    assert clouds == ([] if sent else ["/vehicles/vehicle_00/lidar_center/pointcloud"])
+
+
+def test_composed_detectors_read_their_settings() -> None:
+    """What the charts write from these values, the detector takes; operators of a chain name the task above them."""
+    tasks = {}
+    for release in RELEASES.values():
+        if release.chart == "event-detector":
+            settings = read_detector_settings({"name": release.key, **release.values["detector"]}, release.key)
+            tasks[release.name] = settings.task
+    assert tasks["roadside-operator-vehicle-00"] == "cloud-0/roadside-operator"
+    assert tasks["uncertainty-operator-roadside-0"] == "cloud-0/uncertainty-operator"
+    assert tasks["intersection-operator"] == ""
+
+
+@pytest.mark.parametrize(
+    ("version", "requirement", "expected"),
+    [
+        ("0.1.0", ">=0.1.0 <0.2.0", True),
+        ("0.1.9", ">=0.1.0 <0.2.0", True),
+        ("0.2.0", ">=0.1.0 <0.2.0", False),
+        ("0.10.0", ">0.9.0", True),
+        ("1.0.0-rc.1", ">=1.0.0", False),
+        ("1.0.0", "=1.0.0", True),
+        ("1.0.0", "<=0.9.9", False),
+    ],
+)
+def test_version_ranges(version: str, requirement: str, expected: bool) -> None:
+    assert in_range(version, requirement) is expected
+
+
+def test_the_highest_allowed_version_is_taken_and_every_candidate_has_its_reason() -> None:
+    files = {}
+    states = {"0.1.0": "verified", "0.1.1": "staged", "0.1.2": "withdrawn", "0.2.0": "verified"}
+    for version, state in states.items():
+        document = load(CHARTS[0])
+        document["spec"].pop("replaces", None)
+        document["spec"]["version"], document["status"] = version, {**STATUS, "state": state}
+        files[f"charts/{CHARTS[0].parent.name}/{version}.yaml"] = write_mapping(document)
+    wanted = ChartRequirement(CHARTS[0].parent.name, ">=0.1.0 <0.2.0")
+    taken, reasons = read_catalogue({**files, "policies/release.yaml": "assurance: none\n"}).select(wanted)
+    assert taken.version == "0.1.1"
+    assert len(reasons) == 4
+    strict = read_catalogue(files)  # without a policy: verified only, and only with evidence
+    with pytest.raises(RefusalError, match="no valid evidence: its evidence was not assessed"):
+        strict.select(wanted)
+    chart = CHARTS[0].parent.name
+    proven = strict.with_evidence(
+        {(chart, "0.1.0"): Assessment(True), (chart, "0.2.0"): Assessment(False, ("forged",))}
+    )
+    assert proven.select(wanted)[0].version == "0.1.0"
+    with pytest.raises(RefusalError, match="no valid evidence: forged"):
+        proven.select(replace(wanted, version=">=0.2.0"))
+    with pytest.raises(RefusalError, match=r"not in >=3\.0\.0"):
+        read_catalogue(files).select(ChartRequirement(CHARTS[0].parent.name, ">=3.0.0"))

@@ -1,0 +1,143 @@
+"""`registry validate`: the project's registry has no mistake, and every mistake is named with file, key and fix."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from pathlib import Path
+
+import pytest
+
+from robotkube.errors import InputError
+from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
+from robotkube.foundation.documents.adapters.json_schema import check_schema, validate, violations
+from robotkube.registry.catalogue.adapters.skeletons import new_application
+from robotkube.registry.catalogue.adapters.source_folders import read_sources
+from robotkube.registry.catalogue.core.guarantees import UNITS
+from robotkube.registry.catalogue.core.sources import SourceProblem, Tools
+from robotkube.registry.catalogue.core.validation import validate_sources
+from tests.stages.paths import REPOSITORY
+from tests.stages.registry.registry_mistakes import (
+    BRIDGE,
+    CHARTS,
+    FILES,
+    REACTION,
+    RECORDING,
+    REFERENCES,
+    RELEASE,
+    TEMPLATES,
+    Mistake,
+    both,
+    put,
+    write,
+)
+
+SECONDS_MAX = 10.0  # of the processor for 500 versions; it takes 2
+
+
+def tools() -> Tools:
+    templates = Jinja2Templates()
+    return Tools(templates.render, templates.references, check_schema, validate, violations)
+
+
+TOOLS = tools()
+
+
+def findings(folder: Path, charts: bool = False) -> list[SourceProblem]:
+    sources = read_sources(folder / "registry", folder / "charts" if charts else None)
+    return validate_sources(sources, TOOLS)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A copy of the project's registry and charts, of the bridge without what its version replaces: a catalogue need
+    not have the whole history."""
+    shutil.copytree(REPOSITORY / "registry", tmp_path / "registry")
+    (tmp_path / "registry" / "charts" / "mqtt-bridge" / "0.1.1.yaml").unlink()
+    shutil.copytree(REPOSITORY / "charts" / "apps", tmp_path / "charts")
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("place", "charts"),
+    [
+        ("apps", {"bag-player", "event-detector", "mqtt-bridge", "object-detection", "object-tracking"}),
+        ("earlier", {"event-detector", "mqtt-bridge", "object-detection", "object-tracking"}),
+    ],
+)
+def test_the_project_has_no_mistakes(place: str, charts: set[str]) -> None:
+    sources = read_sources(REPOSITORY / "registry", REPOSITORY / "charts" / place)
+    assert set(sources.folders) == charts
+    assert validate_sources(sources, TOOLS) == []
+
+
+def test_what_registry_new_writes_has_no_mistakes(folder: Path) -> None:
+    new_application("text-relay", "text/relay", folder / "charts", folder / "registry")
+    assert findings(folder, charts=True) == []
+
+
+@pytest.mark.parametrize("mistake", [*FILES, *REFERENCES, *TEMPLATES], ids=lambda m: m.name)
+def test_a_mistake_is_named(folder: Path, mistake: Mistake) -> None:
+    assert findings(folder) == []
+    mistake.make(folder)
+    found = findings(folder)
+    assert any(_names(f, mistake) for f in found), "\n".join(map(str, found))
+    assert all(";" in f.text for f in found), "no fix: " + "\n".join(map(str, found))
+
+
+@pytest.mark.parametrize("mistake", CHARTS, ids=lambda m: m.name)
+def test_a_difference_from_the_chart_is_named(folder: Path, mistake: Mistake) -> None:
+    assert findings(folder, charts=True) == []
+    mistake.make(folder)
+    found = findings(folder, charts=True)
+    assert any(_names(f, mistake) for f in found), "\n".join(map(str, found))
+
+
+def _names(finding: SourceProblem, mistake: Mistake) -> bool:
+    return finding.file.endswith(mistake.file) and finding.key == mistake.key and mistake.text in finding.text
+
+
+def test_all_mistakes_come_at_once(folder: Path) -> None:
+    put(RECORDING, "spec.services[0].chart.name", "gone")(folder)
+    put(RECORDING, f"{REACTION}.recording", "{{ nothing }}")(folder)
+    both(put(BRIDGE, "spec.a", 1), put(BRIDGE, "spec.b", 2), write(RELEASE, b"["))(folder)
+    found = [str(f) for f in findings(folder)]
+    for wanted in (
+        "chart.name",
+        "unknown name 'nothing'",
+        "spec.a: unknown",
+        "spec.b: unknown",
+        "release.yaml: document",
+    ):
+        assert sum(wanted in text for text in found) == 1, found
+
+
+def test_a_broken_file_does_not_make_others_dangle(folder: Path) -> None:
+    (folder / BRIDGE).write_text("a: b\n")
+    (folder / "registry" / "applications" / "mqtt-bridge.yaml").write_text("a: b\n")
+    assert {Path(f.file).name for f in findings(folder)} == {"0.2.1.yaml", "mqtt-bridge.yaml"}
+
+
+def test_a_folder_that_is_none(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no folder; name the one"):
+        read_sources(tmp_path / "nothing")
+
+
+def test_five_hundred_versions(folder: Path) -> None:
+    text = (folder / BRIDGE).read_text().replace("\n  replaces: 0.2.0\n  skips: [0.1.1]", "")
+    for chart in range(50):
+        place = folder / "registry" / "charts" / f"chart-{chart:02d}"
+        place.mkdir()
+        for number in range(10):
+            before = f"\n  replaces: 0.{number - 1}.0" if number else ""
+            named = text.replace("name: mqtt-bridge", f"name: {place.name}")
+            changed = named.replace("version: 0.2.1", f"version: 0.{number}.0{before}")
+            (place / f"0.{number}.0.yaml").write_text(changed)
+    began = time.process_time()
+    assert findings(folder) == []
+    assert time.process_time() - began < SECONDS_MAX
+
+
+def test_the_manual_names_every_unit() -> None:
+    text = (REPOSITORY / "docs" / "reference" / "catalogue.md").read_text()
+    assert f"`{' '.join(UNITS)}`" in text

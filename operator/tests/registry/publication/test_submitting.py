@@ -1,0 +1,200 @@
+"""Submitting with everything in memory: what is sent, what is followed, what comes back."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from robotkube.errors import DocumentError, InputError, UnavailableError
+from robotkube.registry.evidence.core.statements import Check
+from robotkube.registry.publication.loops.submitting import (
+    AWAY_SECONDS_MAX,
+    PLANNED,
+    PUBLISHED,
+    REFUSED,
+    UNCHANGED,
+    SubmissionOutcome,
+    Submitting,
+)
+from robotkube.registry.publication.ports import ChartSource, SubmittedSources
+from robotkube.registry.suites.core.requests import SuiteProgress
+from tests.stages.registry.publication_in_memory import World
+from tests.stages.registry.submissions import IMAGE, SUITES, application, chart, entry_path
+
+APPLICATION = {"applications/relaying.yaml": application()}
+
+
+class Publisher:
+    """Submits to a world in which the gate does a round whenever the publisher sleeps."""
+
+    def __init__(self, world: World) -> None:
+        self.world, self.now = world, 0.0
+        self.lines: list[str] = []
+        self.while_waiting: Callable[[], None] = lambda: None
+        forge = world.forge
+        self._submitting = Submitting(
+            world.catalogue,
+            forge,
+            forge,
+            world.registry,
+            "publisher",
+            lambda: self.now,
+            self.sleep,
+            self.lines.append,
+        )
+
+    def sleep(self, seconds: float) -> None:
+        self.now += seconds
+        self.while_waiting()
+        if not self.world.catalogue.away:
+            self.world.gate.round()
+
+    def submit(self, sources: SubmittedSources, wait_seconds: float = 60.0, **how: bool) -> SubmissionOutcome:
+        return self._submitting.submit(sources, wait_seconds, **how)
+
+
+@pytest.fixture
+def publisher(tmp_path: Path) -> Publisher:
+    return Publisher(World(tmp_path))
+
+
+def source(name: str = "relay", version: str = "0.1.0", text: str = "kind: ConfigMap\n") -> ChartSource:
+    packed, spec = chart(name, version, text)
+    document = {
+        "apiVersion": "registry.robotkube.io/v1alpha1",
+        "kind": "ChartVersion",
+        "metadata": {"name": name},
+        "spec": spec,
+    }
+    return ChartSource(document, packed, (IMAGE,))
+
+
+def test_everything_given_is_one_pull_request(publisher: Publisher) -> None:
+    outcome = publisher.submit(SubmittedSources((source(), source("other")), APPLICATION))
+    assert outcome.verdict == PUBLISHED
+    assert len(publisher.world.forge.pulls) == 1
+    assert len(outcome.evidence) == 2 * (len(SUITES) + 1)
+    title = publisher.world.forge.pulls[1].title
+    assert title.startswith("submit: relay 0.1.0, other 0.1.0, application relaying (")
+    assert "relay 0.1.0: pushed to staging as sha256:" in publisher.lines[0]
+    assert "Verified: other 0.1.0, relay 0.1.0, application relaying" in publisher.lines
+
+
+def test_what_is_published_is_said_so_and_not_submitted_again(publisher: Publisher) -> None:
+    first = publisher.submit(SubmittedSources((source(),), APPLICATION))
+    again = publisher.submit(SubmittedSources((source(),), APPLICATION))
+    assert (again.verdict, again.unchanged, again.evidence) == (UNCHANGED, ("relay 0.1.0",), first.evidence)
+    more = publisher.submit(SubmittedSources((source(), source("other"))))
+    assert (more.verdict, more.unchanged, [one.name for one in more.charts]) == (
+        PUBLISHED,
+        ("relay 0.1.0",),
+        ["other 0.1.0"],
+    )
+    assert publisher.world.runner.runs.count(("relay", "static")) == 1
+
+
+def test_a_refusal_brings_the_report(publisher: Publisher) -> None:
+    publisher.world.runner.checks["static"] = (Check("probes", False, "none", "add them"),)
+    outcome = publisher.submit(SubmittedSources((source(),)))
+    assert outcome.verdict == REFUSED
+    assert "static of relay failed" in outcome.text
+    assert outcome.evidence == {}
+
+
+def test_a_dry_run_only_says_what_it_would_do(publisher: Publisher) -> None:
+    outcome = publisher.submit(SubmittedSources((source(),), APPLICATION), dry_run=True)
+    assert (outcome.verdict, outcome.applications) == (PLANNED, ("applications/relaying.yaml",))
+    assert publisher.world.forge.pulls == {}
+    assert publisher.world.registry.charts == {}
+
+
+def test_what_is_not_decided_in_time_is_followed_by_the_next_call(publisher: Publisher) -> None:
+    publisher.world.runner.progress["install"] = SuiteProgress("running")
+    with pytest.raises(UnavailableError, match=r"http://forge/pulls/1: not decided within the given time"):
+        publisher.submit(SubmittedSources((source(),)), wait_seconds=5)
+    del publisher.world.runner.progress["install"]
+    outcome = publisher.submit(SubmittedSources((source(),)))
+    assert (outcome.verdict, outcome.number) == (PUBLISHED, 1)
+
+
+def test_only_kept_evidence_of_these_digests_is_carried(publisher: Publisher, tmp_path: Path) -> None:
+    kept = publisher.submit(SubmittedSources((source(), source("other")))).evidence
+    fresh = Publisher(World(tmp_path / "fresh"))
+    fresh.world.signer, fresh.world.verifier = publisher.world.signer, publisher.world.verifier
+    fresh.world.start()
+    outcome = fresh.submit(SubmittedSources((source(), source("other", text="kind: Secret\n")), kept=kept))
+    assert outcome.verdict == PUBLISHED
+    assert fresh.world.runner.runs == [("other", suite) for suite in SUITES]
+    head = fresh.world.catalogue.commits[fresh.world.catalogue.heads[1]]
+    carried = {path for path in head.changes if path.startswith("evidence/")}
+    assert carried == {path for path in kept if path.startswith("evidence/relay/")}
+
+
+def test_a_pull_request_closed_by_somebody_is_a_refusal(publisher: Publisher) -> None:
+    publisher.world.runner.fail = UnavailableError("away")
+
+    def close() -> None:
+        publisher.world.forge.close(1)
+
+    publisher.while_waiting = close
+    publisher.world.gate.round = lambda: None  # type: ignore[method-assign]
+    outcome = publisher.submit(SubmittedSources((source(),)))
+    assert outcome.verdict == REFUSED
+    assert outcome.text == "the pull request was closed without a report of the gate\n"
+
+
+def test_the_same_thing_published_by_somebody_else_meanwhile_is_fine(publisher: Publisher) -> None:
+    world = publisher.world
+    other = world.submit(chart())
+
+    def both() -> None:
+        world.gate.round()
+
+    publisher.while_waiting = both
+    outcome = publisher.submit(SubmittedSources((source(),)))
+    assert outcome.verdict == PUBLISHED
+    assert world.merged(other)
+    assert not world.merged(2)
+
+
+def test_a_forge_that_is_away_for_a_moment_is_waited_for(publisher: Publisher) -> None:
+    publisher.world.catalogue.away = True
+
+    def back() -> None:
+        publisher.world.catalogue.away = publisher.now < AWAY_SECONDS_MAX / 2
+
+    publisher.while_waiting = back
+    assert publisher.submit(SubmittedSources((source(),))).verdict == PUBLISHED
+    publisher.world.catalogue.away = True
+    publisher.while_waiting = lambda: None
+    with pytest.raises(UnavailableError):
+        publisher.submit(SubmittedSources((source("third"),)))
+
+
+def test_a_chart_given_twice_is_refused(publisher: Publisher) -> None:
+    with pytest.raises(InputError, match="given twice"):
+        publisher.submit(SubmittedSources((source(), source(text="kind: Secret\n"))))
+
+
+def test_an_entry_that_the_gate_would_not_take_is_refused_before_anything_is_pushed(publisher: Publisher) -> None:
+    packed, spec = chart(platforms=["linux/amd64", "linux/arm64"])
+    wrong = ChartSource({**source().document, "spec": spec}, packed, (IMAGE,))
+    with pytest.raises(DocumentError, match=f"{entry_path(packed)}: spec.platforms: name exactly one"):
+        publisher.submit(SubmittedSources((wrong,)))
+    assert publisher.world.registry.charts == {}
+
+
+def test_what_is_published_can_be_submitted_again(publisher: Publisher) -> None:
+    """The gate finds that everything still counts and changes nothing; after a change of keys it would verify again."""
+    publisher.submit(SubmittedSources((source(),)))
+    outcome = publisher.submit(SubmittedSources((source(),)), again=True)
+    assert outcome.verdict == PUBLISHED
+    assert "## Already published: relay 0.1.0" in outcome.text
+    assert len(publisher.world.runner.runs) == len(SUITES)
+
+
+def test_an_entry_that_somebody_merged_by_hand_is_told(publisher: Publisher) -> None:
+    one = source()
+    publisher.world.catalogue.push({one.submitted.path: one.entry})
+    with pytest.raises(InputError, match="main has this as staged already, by somebody's hand"):
+        publisher.submit(SubmittedSources((one,)))

@@ -1,0 +1,260 @@
+"""The interface suite on real processes: the bridge over a real broker, charts as `registry new` writes them, and the
+same ones with a mistake each."""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import yaml
+
+from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
+from robotkube.registry.catalogue.adapters.skeletons import new_application
+from robotkube.registry.catalogue.core.chart_versions import read_chart_version
+from robotkube.registry.catalogue.core.expected_topics import ExpectedTopic
+from robotkube.registry.charts.core.values_schemas import overlay
+from robotkube.registry.evidence.core.statements import Artefact, Check
+from robotkube.registry.suites.core.interface_observations import read_observation
+from robotkube.registry.suites.loops.interface import InterfaceSuite
+from robotkube.registry.suites.loops.interface_observer import InterfaceObserver, ObserverPorts, ObserverTimeouts
+from robotkube.registry.suites.ports.suites import Subject
+from tests.stages.paths import REPOSITORY
+from tests.stages.registry.local_namespace import SOURCE, LocalRoom, deployment
+from tests.stages.registry.wrong_interfaces import LIBRARY, MISTAKES, wrong_chart
+from tests.stages.ros.ros_domains import domain as ros_domain
+
+pytestmark = pytest.mark.processes
+
+HEALTH_PORT = '"", 8081'
+
+Render = Callable[[Mapping[str, Any], str], list[dict[str, Any]]]
+
+
+@pytest.fixture
+def room(tmp_path: Path) -> Iterator[LocalRoom]:
+    made = LocalRoom(tmp_path)
+    yield made
+    made.close()
+
+
+WHOLE, SHORT = ObserverTimeouts(), ObserverTimeouts(settle=3.0, answer=3.0, watch=4.0)
+"""For charts that are right, which cost no more than they take, and for those of which something is missed in vain."""
+
+
+def suite(bounds: ObserverTimeouts = WHOLE) -> InterfaceSuite:
+    return InterfaceSuite("observer", Jinja2Templates().render, time.time_ns, lambda: secrets.token_hex(8), bounds)
+
+
+def subject(chart: Path, entry: Mapping[str, Any], render: Render) -> Subject:
+    artefact = Artefact(chart.name, "0.1.1", "sha256:" + "0" * 64, "linux/amd64")
+    values = (chart / "values.yaml").read_bytes()
+    return Subject(artefact, entry, {"values.yaml": values}, b"", {"ros": "ros@sha256:0"}, render)
+
+
+def bridge_objects(values: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
+    settings = {"agent": values["placement"]["agent"], **values["bridge"]}
+    command = ["robotkube-bridge"]
+    return deployment(name, command, {"config.yaml": yaml.safe_dump(settings)}, "broker-account")
+
+
+def relay(chart: Path) -> Render:
+    """The objects of a chart that `registry new` wrote. Its health port is moved: many run on this machine."""
+    defaults = yaml.safe_load((chart / "values.yaml").read_text())
+    node = (chart / "files" / "node.py").read_text()
+    assert HEALTH_PORT in node
+    node = "import os\n" + node.replace(HEALTH_PORT, '"", int(os.environ["ROBOTKUBE_HEALTH_PORT"])')
+
+    def objects(values: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
+        settings = yaml.safe_dump(overlay(defaults, values)["relay"])
+        return deployment(name, ["python3", "/etc/robotkube/node.py"], {"config.yaml": settings, "node.py": node})
+
+    return objects
+
+
+def said(checks: list[Check]) -> str:
+    return "\n".join(f"{check.name}: {check.found} -> {check.fix}" for check in checks)
+
+
+def test_the_bridge_is_what_its_entry_declares(room: LocalRoom) -> None:
+    chart = REPOSITORY / "charts" / "apps" / "mqtt-bridge"
+    entry = yaml.safe_load((REPOSITORY / "registry/charts/mqtt-bridge/0.2.1.yaml").read_text())
+    checks = list(suite().run(subject(chart, entry, bridge_objects), room))
+    assert said([check for check in checks if not check.passed]) == ""
+    names = {check.name for check in checks}
+    assert "set vehicle: ros in /vehicles/suite_a/transform leads to an output" in names
+    assert "set cloud: mqtt in mqtt/vehicles/suite_b/pointcloud leads to an output" in names
+    assert {f"set {name}: no undeclared topics" for name in ("vehicle", "cloud")} <= names
+    assert (room.leftovers(), room.deleted) == ([], ["mqtt-bridge", "mqtt-bridge"])
+
+
+def test_a_bridge_with_another_entry_is_refused(room: LocalRoom) -> None:
+    """Qualities, the type inside the frames, a topic that is not declared, at the broker."""
+    chart = REPOSITORY / "charts" / "apps" / "mqtt-bridge"
+    entry = yaml.safe_load((REPOSITORY / "registry/charts/mqtt-bridge/0.2.1.yaml").read_text())
+    interfaces = {item["name"]: item for item in entry["spec"]["interfaces"]}
+    interfaces["mqtt-out"] |= {"type": "nav_msgs/msg/Odometry", "qos": {"qos": 0, "retain": True}}
+    interfaces["mqtt-in"] |= {"topic": "other{{ topic.name }}", "qos": {"qos": 2, "retain": False}}
+    entry["spec"]["suites"]["sets"].pop()
+    failed = [check for check in suite(SHORT).run(subject(chart, entry, bridge_objects), room) if not check.passed]
+    text = said(failed)
+    pose, route = "mqtt/vehicles/suite_a/pose", "mqtt/vehicles/suite_a/route"
+    for part in (
+        f"mqtt out {pose}: wrong QoS: it is published with QoS 1, declared is 0 -> publish with QoS 0",
+        f"mqtt out {pose}: wrong retain flag: it is published without the retain flag, declared is with it",
+        f"mqtt out {pose}: wrong type: its messages are no nav_msgs/msg/Odometry: 76 bytes cannot be read as one",
+        "mqtt in other/vehicles/suite_a/route: declared but absent: the broker saw no subscription of",
+        f"it subscribed to {route}",
+        f"undeclared topic mqtt in {route}: topic {route} was subscribed, which no interface declares",
+        "mqtt in other/vehicles/suite_a/route leads to an output: after messages (nav_msgs/msg/Path) were sent to",
+    ):
+        assert part in text, f"{part}\n--- is not in\n{text}"
+
+
+def player_objects(values: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
+    command = ["robotkube-player"]
+    return deployment(name, command, {"config.yaml": yaml.safe_dump(values["player"])})
+
+
+def test_the_player_opens_the_topics_of_a_bag_of_its_own_image(room: LocalRoom) -> None:
+    chart = REPOSITORY / "charts" / "apps" / "bag-player"
+    entry = yaml.safe_load((REPOSITORY / "registry/charts/bag-player/0.1.1.yaml").read_text())
+    checks = list(suite().run(subject(chart, entry, player_objects), room))
+    assert said([check for check in checks if not check.passed]) == ""
+    names = {check.name for check in checks}
+    assert "set second: ros out /vehicles/suite_b/lidar_center/transform" in names
+    ledgers = sorted(path.parent.name for path in room.folder.glob("scratch/ledger/*/*pose.jsonl"))
+    assert ledgers == ["suite-first", "suite-second"], "the ordered runs were not played"
+
+
+# Those that the entry or the observer alone decides are shown by test_interface_observations.py as well.
+IN_EVERY_RUN = ("undeclared-topic", "wrong-quality", "unused-input")
+ALSO = [name for name in MISTAKES if name not in IN_EVERY_RUN]
+PERCEPTION = {"object-detection": "detection", "object-tracking": "tracking"}
+OLDER: dict[str, dict[str, Any]] = {"object-detection": {"method": "size"}, "object-tracking": {"motion": "still"}}
+
+
+@pytest.mark.parametrize(
+    ("place", "version"), [("apps", "0.2.1"), pytest.param("earlier", "0.1.1", marks=pytest.mark.thorough)]
+)
+@pytest.mark.parametrize("name", PERCEPTION)
+def test_perception_is_what_its_entry_declares(room: LocalRoom, name: str, place: str, version: str) -> None:
+    chart = REPOSITORY / "charts" / place / name
+    entry = yaml.safe_load((REPOSITORY / f"registry/charts/{name}/{version}.yaml").read_text())
+    defaults = yaml.safe_load((chart / "values.yaml").read_text())
+
+    def objects(values: Mapping[str, Any], release: str) -> list[dict[str, Any]]:
+        settings = {**(OLDER[name] if place == "earlier" else {}), **overlay(defaults, values)[PERCEPTION[name]]}
+        command = [f"robotkube-{name}"]
+        return deployment(release, command, {"config.yaml": yaml.safe_dump(settings)})
+
+    checks = list(suite().run(subject(chart, entry, objects), room))
+    assert said([check for check in checks if not check.passed]) == ""
+    source = "lidar_center/pointcloud" if name == "object-detection" else "objects"
+    assert f"set second: ros in /vehicles/suite_b/{source} leads to an output" in {check.name for check in checks}
+    assert room.leftovers() == []
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for place in ("charts", "registry/applications", "registry/charts"):
+        (tmp_path / "source" / place).mkdir(parents=True)
+    (tmp_path / "source/charts/robotkube-app").symlink_to(LIBRARY, target_is_directory=True)
+    return tmp_path / "source"
+
+
+def test_what_registry_new_writes_passes(room: LocalRoom, folder: Path) -> None:
+    new_application("relay", "relay/text", folder / "charts", folder / "registry")
+    chart = folder / "charts" / "relay"
+    entry = yaml.safe_load((folder / "registry/charts/relay/0.1.0.yaml").read_text())
+    checks = list(suite().run(subject(chart, entry, relay(chart)), room))
+    assert said([check for check in checks if not check.passed]) == ""
+    assert len(checks) > 8
+
+
+@pytest.mark.parametrize("name", [*IN_EVERY_RUN, *(pytest.param(name, marks=pytest.mark.thorough) for name in ALSO)])
+def test_each_mistake_fails_with_words_that_say_it(room: LocalRoom, folder: Path, name: str) -> None:
+    mistake = MISTAKES[name]
+    chart, path = wrong_chart(name, folder)
+    read_chart_version(path.read_text(), f"charts/{name}/{path.name}", published=False)
+    entry = yaml.safe_load(path.read_text())
+    if mistake.per_set:
+        del entry["spec"]["suites"]["sets"][1:]  # the others say the same, in ten seconds more
+    failed = [check for check in suite(SHORT).run(subject(chart, entry, relay(chart)), room) if not check.passed]
+    wanted = f"set first: {mistake.check}" if mistake.per_set else mistake.check
+    [check] = [check for check in failed if check.name == wanted] or pytest.fail(said(failed))
+    assert mistake.found in check.found
+    assert mistake.fix in check.fix
+    assert not mistake.alone or len(failed) == 1, said(failed)
+
+
+def test_a_chart_that_never_gets_ready_is_said_so(room: LocalRoom, folder: Path) -> None:
+    new_application("relay", "relay/text", folder / "charts", folder / "registry")
+    chart = folder / "charts" / "relay"
+    (chart / "files" / "node.py").write_text(f"print('no settings', {HEALTH_PORT!r})\n")
+    entry = yaml.safe_load((folder / "registry/charts/relay/0.1.0.yaml").read_text())
+    failed = [check for check in suite(SHORT).run(subject(chart, entry, relay(chart)), room) if not check.passed]
+    assert [check.name for check in failed] == ["set first: runs", "set second: runs"]
+    assert "was not ready: no settings" in failed[0].found
+    assert room.leftovers() == []
+
+
+def test_a_type_that_is_not_installed_is_said_so(room: LocalRoom, folder: Path) -> None:
+    new_application("relay", "relay/text", folder / "charts", folder / "registry")
+    chart = folder / "charts" / "relay"
+    text = (folder / "registry/charts/relay/0.1.0.yaml").read_text()
+    entry = yaml.safe_load(text.replace("std_msgs/msg/String", "nowhere_msgs/msg/Thing"))
+    del entry["spec"]["suites"]["sets"][1:]
+    (check,) = (c for c in suite(SHORT).run(subject(chart, entry, relay(chart)), room) if not c.passed)
+    assert check.name == "set first: runs"
+    assert "the observer could not look at the chart: exit code 2" in check.found
+    assert "message package nowhere_msgs is not installed in this image" in check.found
+    assert room.leftovers() == []
+
+
+def test_an_observer_that_shall_end_makes_no_more_messages() -> None:
+    """The first one of a type costs seconds of imports on a busy machine: more than the observer has then."""
+    topic = ExpectedTopic("input", "ros", "in", "/suite/never", "std_msgs/msg/String", "reliable", "volatile")
+    network: Any = SimpleNamespace(advertise=lambda *_: SimpleNamespace(matched=0), endpoints=lambda: ())
+    messages: Any = SimpleNamespace(payload=lambda _: pytest.fail("a message was made"))
+    seen = InterfaceObserver(
+        [topic], ObserverPorts(network, messages, time.monotonic, time.sleep, lambda: True), 60.0
+    ).run()
+    assert [(answer.input, answer.output) for answer in seen.answers] == [(0, None)]
+
+
+def test_the_observer_ends_on_sigterm_with_what_it_saw(tmp_path: Path) -> None:
+    topic = ExpectedTopic("input", "ros", "in", "/suite/never", "std_msgs/msg/String", "reliable", "volatile")
+    config = {
+        "topics": [asdict(topic)], "node": "suite_observer_test", "client": "", "broker": False, "database": None,
+        "clear": False, "seconds_max": 60.0, "bounds": asdict(ObserverTimeouts(settle=60.0)),
+    }  # fmt: skip
+    (tmp_path / "config.json").write_text(json.dumps(config))
+    environment = {
+        **os.environ,
+        "ROBOTKUBE_SUITE_CONFIG": str(tmp_path / "config.json"),
+        "ROS_DOMAIN_ID": ros_domain(),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "ROS_LOG_DIR": str(tmp_path / "ros"),
+        "PYTHONPATH": str(SOURCE),
+    }
+    command = [sys.executable, "-m", "robotkube.registry.suites.observer"]
+    process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stderr is not None
+    assert '"looking"' in process.stderr.readline()
+    process.send_signal(signal.SIGTERM)
+    output, errors = process.communicate(timeout=10)
+    assert process.returncode == 0, errors
+    seen = read_observation(json.loads(output.splitlines()[-1])["observation"], "observer")
+    assert [(answer.input, answer.output) for answer in seen.answers] == [(0, None)]
+    assert seen.endpoints == ()

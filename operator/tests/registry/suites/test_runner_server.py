@@ -1,0 +1,186 @@
+"""The suite-runner's protocol over real sockets, and its process: token, key, bounds, results, the end."""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+import yaml
+
+from robotkube.errors import InputError, UnavailableError
+from robotkube.foundation.runtime.adapters.webhook_server import BODY_BYTES_MAX, WebServer
+from robotkube.registry.suites.adapters.runner_client import SuiteRunnerClient
+from robotkube.registry.suites.adapters.runner_server import REQUEST_BYTES_MAX, RunsEndpoint
+from robotkube.registry.suites.core.requests import SuiteProgress, SuiteRequest, request_document
+from robotkube.registry.suites.loops.static import StaticSuite
+from robotkube.testing.suites import make_request, passed
+from tests.stages.waiting import until
+
+pytestmark = pytest.mark.processes
+
+TOKEN = "shared word"  # noqa: S105 - of the tests
+START_SECONDS_MAX = 60.0
+
+
+class Runner:
+    def __init__(self) -> None:
+        self.asked: list[SuiteRequest] = []
+        self.error: Exception | None = None
+        endpoint = RunsEndpoint(TOKEN, self.take)
+        self.server = WebServer("127.0.0.1", 0, list, str, put=endpoint.put)
+        self.server.start()
+        self.url = f"http://127.0.0.1:{self.server.port}"
+
+    def take(self, request: SuiteRequest) -> SuiteProgress:
+        if self.error:
+            raise self.error
+        self.asked.append(request)
+        return SuiteProgress("finished", passed(request))
+
+    def put(self, path: str, content: bytes, token: str = TOKEN) -> httpx.Response:
+        return httpx.put(self.url + path, content=content, headers={"Authorization": f"Bearer {token}"})
+
+
+@pytest.fixture
+def runner() -> Iterator[Runner]:
+    found = Runner()
+    yield found
+    found.server.stop()
+
+
+def test_the_gates_client_and_the_server_understand_each_other(runner: Runner) -> None:
+    request, client = make_request(), SuiteRunnerClient(runner.url, TOKEN)
+    assert client.run(request) == SuiteProgress("finished", passed(request))
+    assert runner.asked == [request]
+    runner.error = UnavailableError("64 runs wait already")
+    with pytest.raises(UnavailableError, match="64 runs wait already"):
+        client.run(request)
+    runner.error = InputError("no such room")
+    with pytest.raises(InputError, match="no such room"):
+        client.run(request)
+    client.disconnect()
+    stranger = SuiteRunnerClient(runner.url, "guessed")
+    with pytest.raises(UnavailableError, match="401"):
+        stranger.run(request)
+    stranger.disconnect()
+
+
+BODY = json.dumps(request_document(make_request())).encode()
+
+
+@pytest.mark.parametrize(
+    ("path", "content", "status", "words"),
+    [
+        (f"/runs/{make_request().key}", b"{", 400, "not JSON"),
+        (f"/runs/{make_request().key}", b"[" * 100_000, 400, "not JSON"),
+        (f"/runs/{make_request().key}", b"{}", 400, "artefact: missing"),
+        (f"/runs/{'0' * 32}", BODY, 400, "the key of this request is"),
+        ("/runs/", BODY, 404, "not found"),
+        ("/elsewhere", BODY, 404, "not found"),
+        (f"/runs/{make_request().key}", bytes(REQUEST_BYTES_MAX + 1), 413, "longer than"),
+        (f"/runs/{make_request().key}", bytes(BODY_BYTES_MAX + 1), 413, "longer than"),
+    ],
+)
+def test_requests_that_are_refused(runner: Runner, path: str, content: bytes, status: int, words: str) -> None:
+    try:
+        answer = runner.put(path, content)
+    except httpx.TransportError:  # the server closed before all of it was sent
+        assert len(content) > BODY_BYTES_MAX
+        return
+    assert (answer.status_code, words in answer.text) == (status, True), answer.text
+    assert runner.asked == []
+
+
+@pytest.mark.parametrize("token", ["x", "guessed", "shared wor"])
+def test_without_the_token_nothing_is_read(runner: Runner, token: str) -> None:
+    assert runner.put(f"/runs/{make_request().key}", BODY, token).status_code == 401
+    assert runner.asked == []
+
+
+def test_a_server_without_put_takes_none() -> None:
+    server = WebServer("127.0.0.1", 0, list, str)
+    server.start()
+    assert httpx.put(f"http://127.0.0.1:{server.port}/runs/x", content=b"").status_code == 404
+    server.stop()
+
+
+def settings(folder: Path, **more: Any) -> Path:
+    (folder / "forge").mkdir()
+    for name in ("forge/username", "forge/password", "token"):
+        (folder / name).write_text("word")
+    charts = "oci://127.0.0.1:1"
+    document = {
+        "listen": {"address": "127.0.0.1", "port": 0},
+        "log_level": "info",
+        "forge": {"url": "http://127.0.0.1:1", "credentials": str(folder / "forge")},
+        "registry": {name: f"{charts}/{name}" for name in ("staging", "verified")} | {"images": f"{charts}/robotkube"},
+        "token": str(folder / "token"),
+        "platform_namespace": "robotkube",
+        "agent": "cloud-0",
+        "rooms": [],
+        "images": {"observer": "ros@x", "broker": "mosquitto@x", "database": ""},
+        "database": {"kind": "", "arguments": []},
+    }
+    path = folder / "config.yaml"
+    path.write_text(yaml.safe_dump(document | more))
+    return path
+
+
+@pytest.fixture
+def process(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
+    environment = {**os.environ, "ROBOTKUBE_CONFIG": str(settings(tmp_path))}
+    with (tmp_path / "log").open("wb") as log:
+        command = [sys.executable, "-m", "robotkube.registry.suites"]
+        found = subprocess.Popen(command, env=environment, stderr=log)
+    lines: list[dict[str, Any]] = []
+
+    def started() -> bool:
+        lines[:] = [json.loads(line) for line in (tmp_path / "log").read_text().splitlines()]
+        assert found.poll() is None, lines
+        return any(line["event"] == "started" for line in lines)
+
+    try:
+        until(started, "the suite-runner started", START_SECONDS_MAX)
+        yield found, f"http://127.0.0.1:{next(line['port'] for line in lines if line['event'] == 'started')}"
+    finally:
+        found.kill()
+        found.wait(10)
+
+
+def test_the_process_runs_suites_and_ends_on_sigterm(process: tuple[subprocess.Popen[bytes], str]) -> None:
+    running, url = process
+    client = SuiteRunnerClient(url, "word")
+    request = make_request("static")
+    request = replace(request, rule=replace(request.rule, version=StaticSuite.version))
+    until(lambda: client.run(request).finished, "finished", START_SECONDS_MAX)
+    result = client.run(request).result
+    assert result is not None
+    assert result.outcome == "unfinished"
+    assert "registry http://127.0.0.1:1" in result.checks[0].found
+    elsewhere = replace(request, repository="robotkube/greeter", policy_digest=request.artefact.digest)
+    until(lambda: client.run(elsewhere).finished, "finished", START_SECONDS_MAX)
+    assert "must be in staging" in str(client.run(elsewhere).result)
+    assert "without a pool" in client.run(make_request("install")).reason
+    client.disconnect()
+    assert httpx.get(f"{url}/livez").status_code == 200
+    assert httpx.get(f"{url}/readyz").status_code == 200
+    assert '{outcome="unfinished",suite="static"} 2' in httpx.get(f"{url}/metrics").text
+    running.terminate()
+    assert running.wait(10) == 0
+
+
+def test_wrong_settings_are_named_at_once(tmp_path: Path) -> None:
+    room = {"namespace": "a", "domain_id": 500}
+    path = settings(tmp_path, rooms=[room], agent="", database={"kind": "oracle", "arguments": []}, key="k")
+    environment = {**os.environ, "ROBOTKUBE_CONFIG": str(path)}
+    command = [sys.executable, "-m", "robotkube.registry.suites"]
+    done = subprocess.run(command, env=environment, capture_output=True, timeout=START_SECONDS_MAX, check=False)
+    assert done.returncode == 2
+    for words in ("key: unknown key", "agent: ", "database.kind: must be", "rooms[0].domain_id: must be"):
+        assert words in done.stderr.decode()

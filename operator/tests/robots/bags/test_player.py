@@ -1,0 +1,205 @@
+"""The player on a clock that the test moves."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from benchmarks.bags import Track, lidar_tracks, message, pose_track, write_bag
+from robotkube.errors import InputError, UnavailableError
+from robotkube.robots.bags.adapters.ledger_files import LedgerFiles
+from robotkube.robots.bags.adapters.reading import open_bag
+from robotkube.robots.bags.core.playback import BagTopic, PlaybackRun, restamped
+from robotkube.robots.bags.loops.player import Player
+from robotkube.robots.ros.core.common_messages import header_stamp
+from tests.stages.bridge.memory_network import Network
+
+START = 1_795_250_000_000_000_000
+POSE = BagTopic("/p", "geometry_msgs/msg/PoseStamped", "reliable", "volatile", 10)
+LATCHED = BagTopic("/t", "geometry_msgs/msg/TransformStamped", "reliable", "transient_local", 1)
+
+
+class Clock:
+    """Sleeping moves it; `stall` makes one sleep longer. `acts` are done when their time has come."""
+
+    def __init__(self, now: int) -> None:
+        self.time, self.stall_at, self.stall = now, -1, 0
+        self.acts: list[tuple[int, Callable[[], None]]] = []
+
+    def now(self) -> int:
+        return self.time
+
+    def sleep(self, nanoseconds: int) -> None:
+        self.time += nanoseconds
+        if self.time >= self.stall_at >= 0:
+            self.time, self.stall_at = self.time + self.stall, -1
+        for act in [act for act in self.acts if act[0] <= self.time]:
+            self.acts.remove(act)
+            act[1]()
+
+
+class Bag:
+    def __init__(self, count: int) -> None:
+        self.topics = [POSE, LATCHED]
+        self.count = count
+
+    def messages(self) -> Iterator[tuple[str, int, bytes]]:
+        yield LATCHED.name, 0, message(0, 0, 40)
+        for k in range(self.count):
+            yield POSE.name, k * 10_000_000, message(k, 0, 76)
+
+
+class World:
+    def __init__(self, folder: Path, now: int, count: int = 500) -> None:
+        self.clock, self.folder = Clock(now), folder
+        self.network = Network(self.clock)
+        self.ended = False
+        self.player = Player(
+            self.network, Bag(count), LedgerFiles(folder), self.clock, lambda *a, **k: None, lambda: self.ended
+        )
+
+    def at(self, moment: int, act: Callable[[], None]) -> None:
+        self.clock.acts.append((moment, act))
+
+    def end(self) -> None:
+        self.ended = True
+
+    def ledger(self, run: str, name: str) -> list[dict[str, object]]:
+        return [json.loads(line) for line in (self.folder / run / f"{name}.jsonl").read_text().splitlines()]
+
+
+def test_messages_are_stamped_on_the_grid_and_ledgered(tmp_path: Path) -> None:
+    world = World(tmp_path, START - 2_000_000_000)
+    world.at(START - 10**9, lambda: world.player.order(PlaybackRun("one", START)))
+    world.at(START + 6 * 10**9, world.end)
+    world.player.serve()
+    poses = world.network.endpoint("/p").published
+    assert [header_stamp(data) for data in poses] == [START + k * 10_000_000 for k in range(500)]
+    ledger = world.ledger("one", "__p")
+    assert ledger[-1] == {"end": True, "count": 500}
+    assert [(line["sequence"], line["stamp"], line["sha256"]) for line in ledger[:-1]] == [
+        (k, START + k * 10_000_000, hashlib.sha256(data).hexdigest()) for k, data in enumerate(poses)
+    ]
+    assert world.ledger("one", "__t")[-1] == {"end": True, "count": 1}
+    assert world.player.counts.late == 0
+    assert 'robotkube_player_matched_subscriptions{topic="/p"} 1\n' in world.player.metrics()
+
+
+def test_it_is_silent_without_an_order(tmp_path: Path) -> None:
+    world = World(tmp_path, START)
+    world.at(START + 5 * 10**9, world.end)
+    world.player.serve()
+    assert world.network.endpoint("/p").published == []
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_stall_is_made_up_for_in_order_and_counted(tmp_path: Path) -> None:
+    world = World(tmp_path, START)
+    world.player.order(PlaybackRun("one", START))
+    world.clock.stall_at, world.clock.stall = START + 10**9, 2 * 10**9
+    world.at(START + 9 * 10**9, world.end)
+    world.player.serve()
+    assert [line.get("sequence") for line in world.ledger("one", "__p")[:-1]] == list(range(500))
+    assert world.player.counts.late == 100
+
+
+def test_a_new_run_starts_over(tmp_path: Path) -> None:
+    world = World(tmp_path, START)
+    world.player.order(PlaybackRun("one", START))
+    second = START + 20 * 10**9
+    world.at(START + 10**9, lambda: world.player.order(PlaybackRun("two", second)))
+    world.at(second + 6 * 10**9, world.end)
+    world.player.serve()
+    assert "end" not in world.ledger("one", "__p")[-1]
+    assert world.ledger("two", "__p")[0]["stamp"] == second
+    assert world.ledger("two", "__p")[-1] == {"end": True, "count": 500}
+
+
+def test_after_a_restart_it_goes_on_where_its_ledger_ends(tmp_path: Path) -> None:
+    first = World(tmp_path, START)
+    first.player.order(PlaybackRun("one", START))
+    first.at(START + 10**9, first.end)
+    first.player.serve()
+    written = len(first.ledger("one", "__p"))
+    second = World(tmp_path, START + 3 * 10**9)
+    second.player.order(PlaybackRun("one", START))
+    second.at(START + 9 * 10**9, second.end)
+    second.player.serve()
+    ledger = second.ledger("one", "__p")
+    sequences = [line["sequence"] for line in ledger[:-1]]
+    assert sequences == [*range(written), *range(200, 500)]
+    assert ledger[-1] == {"end": True, "count": len(sequences)}
+    assert second.player.counts.skipped == 200 - written
+    assert second.network.endpoint("/t").published == [restamped(message(0, 0, 40), START)]
+    assert len(second.ledger("one", "__t")) == 2
+
+
+def test_after_a_signal_it_asks_for_the_rest(tmp_path: Path) -> None:
+    world = World(tmp_path, START)
+    world.network.signals = [0, 3, 0, 50]
+    world.player.order(PlaybackRun("one", START))
+    world.at(START + 9 * 10**9, world.end)
+    world.player.serve()
+    assert [line.get("sequence") for line in world.ledger("one", "__p")[:-1]] == list(range(500))
+    assert [header_stamp(data) for data in world.network.endpoint("/p").published] == [
+        START + k * 10_000_000 for k in range(500)
+    ]
+    assert world.player.counts.published == 501
+
+
+def test_what_is_not_taken_is_not_in_the_ledger(tmp_path: Path) -> None:
+    world = World(tmp_path, START)
+    world.network.refused = restamped(message(207, 0, 76), START + 207 * 10_000_000)
+    world.player.order(PlaybackRun("one", START))
+    with pytest.raises(UnavailableError, match=r"topic /p: the middleware did not take a message: no room"):
+        world.player.serve()
+    assert [line["sequence"] for line in world.ledger("one", "__p")] == list(range(207))
+    assert len(world.network.endpoint("/p").published) == 207
+
+
+def test_a_run_far_away_is_waited_for_and_may_be_taken_back(tmp_path: Path) -> None:
+    world = World(tmp_path, START - 60 * 10**9)
+    world.player.order(PlaybackRun("one", START))
+    world.at(START - 20 * 10**9, lambda: world.player.order(None))
+    world.at(START + 10**9, world.end)
+    world.player.serve()
+    assert world.network.endpoint("/p").published == []
+    assert world.clock.time < START + 2 * 10**9
+
+
+def test_a_bag_is_read_with_topics_and_times(tmp_path: Path) -> None:
+    tracks = [pose_track("vehicle-00"), *lidar_tracks("vehicle-00", 5000)]
+    counts = write_bag(tmp_path / "bag", tracks, 3)
+    bag = open_bag(tmp_path / "bag")
+    assert {(t.name, t.type, t.durability, t.depth) for t in bag.topics} == {
+        (t.name, t.type, t.durability, t.depth) for t in tracks
+    }
+    found: dict[str, list[int]] = {}
+    for topic, moment, data in bag.messages():
+        found.setdefault(topic, []).append(moment)
+        assert len(data) == next(t.size for t in tracks if t.name == topic)
+    assert {topic: len(moments) for topic, moments in found.items()} == counts
+    bag.close()
+    assert found["/vehicles/vehicle_00/pose"] == [k * 10_000_000 for k in range(300)]
+
+
+def test_players_refuse_damaged_bags(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="name a rosbag2 folder"):
+        open_bag(tmp_path / "nothing")
+    write_bag(tmp_path / "bag", [Track("/p", POSE.type, 100, 76)], 1)
+    file = tmp_path / "bag" / "bag.mcap"
+    data = bytearray(file.read_bytes())
+    data[2000] ^= 1
+    file.write_bytes(data)
+    with open_bag(tmp_path / "bag") as bag, pytest.raises(InputError, match="does not fit its checksum"):
+        list(bag.messages())
+    file.write_bytes(data[:5000])
+    with pytest.raises(InputError, match="was not finished or is cut off"):
+        open_bag(tmp_path / "bag")
+    (tmp_path / "bag" / "metadata.yaml").write_text("a: 1")
+    with pytest.raises(InputError, match="is not the metadata of a rosbag2 bag"):
+        open_bag(tmp_path / "bag")

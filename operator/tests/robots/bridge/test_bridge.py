@@ -1,0 +1,191 @@
+"""The bridge's decisions, with a network and connections in memory."""
+
+from robotkube.robots.bridge.core.settings import DOOR_TYPE
+from robotkube.robots.bridge.loops.flows import FRAME_BYTES_MAX
+from robotkube.robots.mqtt.core.batches import decode_frame, encode_frame
+from robotkube.robots.ros.core.common_messages import string_message, string_text
+from tests.stages.bridge.in_memory import CLOUD, EVERYBODY, POSE, TRANSFORM, World
+
+
+def test_a_drain_becomes_one_frame() -> None:
+    world = World()
+    world.configure(out=[POSE])
+    world.connect()
+    world.network.endpoint(POSE["name"]).waiting = [b"one", b"two"]
+    world.bridge.turn(0.0)
+    (sent,) = world.channels["telemetry"].sent
+    assert (sent[0], sent[2]) == ("mqtt/vehicles/vehicle_00/pose", False)
+    frame = decode_frame(sent[1])
+    assert (frame.session, frame.sequence, frame.messages) == (42, 0, (b"one", b"two"))
+
+
+def test_the_task_door_carries_texts_as_they_are() -> None:
+    world = World()
+    status = {"name": "/robotkube/task_status", "type": DOOR_TYPE}
+    world.configure(out=[{"name": "/robotkube/tasks", "type": DOOR_TYPE}], into=[status])
+    world.connect()
+    asked = [b'{"withdraw": "a"}', '{"ä": 1}'.encode()]
+    cut_off = [b"\x00\x01", b"\x00\x01\0\0\xff\0\0\0x"]
+    world.network.endpoint("/robotkube/tasks").waiting = [*map(string_message, asked), *cut_off]
+    world.bridge.turn(0.0)
+    telemetry = world.channels["telemetry"]
+    assert telemetry.sent == [("robotkube/tasks/vehicle-00", text, False) for text in asked]
+    assert 'robotkube_bridge_malformed_messages_total{topic="/robotkube/tasks"} 2' in world.bridge.metrics()
+    assert "robotkube/task_status/vehicle-00" in telemetry.subscribed
+    telemetry.events.received("robotkube/task_status/vehicle-00", b'{"id": "a"} \xff', b"")
+    [published] = world.network.endpoint("/robotkube/task_status").published
+    assert string_text(published) == b'{"id": "a"} ' + "\ufffd".encode()
+
+
+def test_large_messages_get_frames_of_their_own() -> None:
+    world = World()
+    world.configure(out=[CLOUD])
+    world.connect()
+    world.network.endpoint(CLOUD["name"]).waiting = [bytes(FRAME_BYTES_MAX // 2 + 1)] * 3
+    world.bridge.turn(0.0)
+    assert [decode_frame(payload).sequence for _, payload, _ in world.channels["bulk"].sent] == [0, 1, 2]
+
+
+def test_messages_are_published_once() -> None:
+    world = World()
+    world.configure(into=[POSE])
+    world.connect()
+    channel = world.channels["telemetry"]
+    assert channel.subscribed == ["mqtt/vehicles/vehicle_00/pose"]
+    for sequence in (0, 1, 1, 0, 2):
+        channel.events.received("mqtt/vehicles/vehicle_00/pose", encode_frame(7, sequence, [b"%d" % sequence]), b"")
+    assert world.network.endpoint(POSE["name"]).published == [b"0", b"1", b"2"]
+    assert 'duplicate_frames_total{topic="/vehicles/vehicle_00/pose"} 2' in world.bridge.metrics()
+
+
+def test_a_damaged_frame_is_counted_and_said_once() -> None:
+    world = World()
+    world.configure(into=[POSE])
+    for _ in range(3):
+        world.channels["telemetry"].events.received("mqtt/vehicles/vehicle_00/pose", b"nonsense", b"")
+    assert 'refused_frames_total{channel="telemetry"} 3' in world.bridge.metrics()
+    assert sum("frame refused" in line for line in world.lines) == 1
+
+
+def test_new_settings_touch_only_what_differs() -> None:
+    world = World()
+    world.configure(out=[POSE])
+    world.connect()
+    pose = world.network.endpoint(POSE["name"])
+    world.configure(out=[POSE, CLOUD], into=[{**POSE, "name": "/other"}])
+    assert world.network.endpoint(POSE["name"]) is pose
+    assert world.channels["telemetry"].subscribed == ["mqtt/other"]
+    world.configure(out=[POSE])
+    assert [e.topic for e in world.network.made if e.closed] == [CLOUD["name"], "/other"]
+    assert not pose.closed
+    assert world.channels["telemetry"].unsubscribed == ["mqtt/other"]
+    assert world.channels["bulk"].closed
+    assert world.bridge.channels == ("telemetry",)
+
+
+def test_sequences_go_on_when_a_topic_comes_back() -> None:
+    world = World()
+    sequences = []
+    for _ in range(2):
+        world.configure(out=[POSE])
+        world.connect()
+        world.network.endpoint(POSE["name"]).waiting = [b"x"]
+        world.bridge.turn(0.0)
+        sequences.append(decode_frame(world.channels["telemetry"].sent[-1][1]).sequence)
+        world.configure()
+    assert sequences == [0, 1]
+
+
+def test_an_unknown_type_is_a_complaint_and_the_others_go_on() -> None:
+    world = World()
+    world.configure(out=[{**CLOUD, "type": "nowhere/msg/Cloud"}, POSE])
+    world.connect()
+    assert "message package nowhere is not installed" in str(world.bridge.complaint)
+    world.network.endpoint(POSE["name"]).waiting = [b"x"]
+    world.bridge.turn(0.0)
+    assert len(world.channels["telemetry"].sent) == 1
+    world.configure(out=[POSE])
+    assert world.bridge.complaint is None
+
+
+def test_ready_means_configured_and_connected() -> None:
+    world = World()
+    assert world.bridge.complaint == "no settings yet"
+    world.configure(out=[POSE])
+    assert world.bridge.complaint == "not connected"
+    world.connect()
+    assert world.bridge.complaint is None
+    world.channels["telemetry"].events.refused("mqtt/x", "not authorised")
+    assert world.bridge.complaint == "mqtt/x: not authorised"
+
+
+def test_the_log_says_once_why_there_is_no_connection() -> None:
+    world = World()
+    world.configure(out=[POSE])
+    channel = world.channels["telemetry"]
+    for said in (channel.complaint, "Not authorized", "Not authorized", None, "does not answer"):
+        channel.complaint = said
+        world.bridge.turn(0.0)
+    assert world.logged("not connected") == [
+        {"channel": "telemetry", "reason": "Not authorized"},
+        {"channel": "telemetry", "reason": "does not answer"},
+    ]
+
+
+def test_retained_frames_are_sent_again_to_a_broker_that_forgot_them() -> None:
+    world = World()
+    world.configure(out=[TRANSFORM])
+    world.connect()
+    channel = world.channels["telemetry"]
+    world.network.endpoint(TRANSFORM["name"]).waiting = [b"x"]
+    world.bridge.turn(0.0)
+    channel.acknowledge(1)
+    channel.lose()
+    channel.connect(session_kept=True)
+    world.bridge.turn(0.1)
+    assert len(channel.sent) == 1
+    channel.lose()
+    channel.connect(session_kept=False)
+    world.bridge.turn(0.2)
+    assert channel.sent[0] == channel.sent[1]
+    assert channel.sent[0][2]
+    channel.acknowledge(2, heard=False)
+    world.configure()
+    world.bridge.turn(1e9)
+    assert channel.sent[-1] == ("mqtt/vehicles/vehicle_00/transform", b"", True)
+
+
+def test_topics_of_an_older_session_are_unsubscribed() -> None:
+    world = World()
+    world.configure(into=[POSE])
+    world.connect()
+    world.channels["telemetry"].events.received("mqtt/long/gone", encode_frame(1, 1, [b"x"]), b"")
+    assert {"mqtt/long/gone", "mqtt/+/gone"} <= set(world.channels["telemetry"].unsubscribed)
+
+
+def test_what_is_subscribed_is_not_unsubscribed_for_a_message_that_is_for_nobody() -> None:
+    world = World()
+    world.configure(into=[EVERYBODY])
+    world.connect()
+    world.channels["telemetry"].events.received("mqtt/vehicles/vehicle_00/pose", encode_frame(1, 1, [b"x"]), b"")
+    world.channels["telemetry"].events.received("mqtt/other/vehicle_00/pose", encode_frame(1, 1, [b"x"]), b"")
+    gone = world.channels["telemetry"].unsubscribed
+    assert "mqtt/other/+/pose" in gone
+    assert "mqtt/vehicles/+/pose" not in gone
+
+
+def test_nothing_is_lost_over_a_reconnection() -> None:
+    world = World()
+    world.configure(out=[POSE])
+    world.connect()
+    channel, pose = world.channels["telemetry"], world.network.endpoint(POSE["name"])
+    pose.waiting = [b"0"]
+    world.bridge.turn(0.0)
+    channel.lose()
+    pose.waiting = [b"1"]
+    world.bridge.turn(0.1)
+    channel.connect()
+    for step in range(3):
+        world.bridge.turn(0.2 + step)
+        channel.acknowledge(len(channel.sent))
+    assert [decode_frame(payload).messages[0] for _, payload, _ in channel.sent] == [b"0", b"0", b"1"]

@@ -1,0 +1,155 @@
+"""What a recording looks like, and that the comparison finds every way in which it can be wrong."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robotkube.robots.recording.core.documents import (
+    Duplicates,
+    LedgerLine,
+    Received,
+    SegmentMessage,
+    SegmentPlace,
+    StoredMessage,
+    bucket_documents,
+    compare,
+    compare_topic,
+    index_document,
+)
+from robotkube.robots.recording.loops.reading import read_ledger
+
+WINDOW = (100, 200)
+
+
+def digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def line(number: int) -> LedgerLine:
+    return LedgerLine(number, number, digest(str(number)))
+
+
+def stored(number: int, text: str | None = None) -> StoredMessage:
+    value = digest(str(number) if text is None else text)
+    return StoredMessage("/p", number, value, value, 10)
+
+
+GOOD_LINES = [line(n) for n in range(90, 211, 10)]
+GOOD_STORED = [stored(n) for n in range(90, 211, 10)]
+
+
+def test_equal_is_complete() -> None:
+    verdict = compare_topic("/p", GOOD_LINES, GOOD_STORED, WINDOW)
+    assert verdict.complete
+    assert (verdict.published, verdict.stored) == (11, 11)
+
+
+def test_outside_of_the_window_nothing_counts() -> None:
+    verdict = compare_topic("/p", GOOD_LINES, [m for m in GOOD_STORED if 100 <= m.stamp <= 200], WINDOW)
+    assert verdict.complete
+
+
+def test_a_lost_message_is_named() -> None:
+    verdict = compare_topic("/p", GOOD_LINES, [m for m in GOOD_STORED if m.stamp != 150], WINDOW)
+    assert verdict.lost == (line(150),)
+    assert not verdict.complete
+
+
+def test_a_doubled_message_is_named() -> None:
+    verdict = compare_topic("/p", GOOD_LINES, [*GOOD_STORED, stored(150), stored(150)], WINDOW)
+    assert verdict.duplicates == (150, 150)
+    assert verdict.lost == ()
+
+
+def test_a_changed_message_is_named_once() -> None:
+    changed = [m if m.stamp != 150 else stored(150, "other") for m in GOOD_STORED]
+    verdict = compare_topic("/p", GOOD_LINES, changed, WINDOW)
+    assert (verdict.mismatches, verdict.lost, verdict.unknown) == ((150,), (), ())
+
+
+def test_bytes_that_differ_from_what_was_claimed_are_named() -> None:
+    claimed = [m if m.stamp != 150 else replace(m, claimed=digest("x")) for m in GOOD_STORED]
+    assert compare_topic("/p", GOOD_LINES, claimed, WINDOW).mismatches == (150,)
+
+
+def test_an_invented_message_is_named() -> None:
+    assert compare_topic("/p", GOOD_LINES, [*GOOD_STORED, stored(155)], WINDOW).unknown == (155,)
+
+
+def test_an_unreadable_message_is_lost_and_named() -> None:
+    broken = [m if m.stamp != 150 else replace(m, sha256="", problem="n/c: away") for m in GOOD_STORED]
+    verdict = compare_topic("/p", GOOD_LINES, broken, WINDOW)
+    assert (verdict.unreadable, verdict.lost) == (("n/c: away",), (line(150),))
+
+
+def test_topics_without_ledger_are_named() -> None:
+    verdict = compare("r", {"/p": GOOD_LINES}, [*GOOD_STORED, replace(stored(1), topic="/q")], WINDOW)
+    assert verdict.complete
+    assert verdict.without_ledger == ("/q",)
+    assert not compare("r", {"/p": GOOD_LINES}, [], WINDOW).complete
+    assert not compare("r", {}, GOOD_STORED, WINDOW).complete
+
+
+messages = st.lists(
+    st.builds(
+        lambda topic, stamp, data: Received(topic, stamp, stamp + 1, hashlib.sha256(data).hexdigest(), data),
+        st.sampled_from(["/a", "/b"]),
+        st.integers(0, 5 * 10**9),
+        st.binary(max_size=4),
+    ),
+    max_size=30,
+    unique_by=lambda message: (message.topic, message.stamp, message.sha256),
+)
+
+
+@given(messages)
+def test_buckets_hold_everything_once_and_are_named_by_content(items: list[Received]) -> None:
+    buckets = bucket_documents("r", items)
+    assert buckets == bucket_documents("r", list(reversed(items))) or len({m.stamp for m in items}) < len(items)
+    assert len({bucket["_id"] for bucket in buckets}) == len(buckets)
+    found = [(b["topic"], s["stamp"], s["sha256"]) for b in buckets for s in b["samples"]]
+    assert sorted(found) == sorted((m.topic, m.stamp, m.sha256) for m in items)
+    for bucket in buckets:
+        assert bucket["_id"].startswith(f"r/{bucket['topic']}/{bucket['second']}/")
+        assert {s["stamp"] // 10**9 for s in bucket["samples"]} == {bucket["second"]}
+
+
+def test_index_entries_are_told_apart_when_stamps_are_equal() -> None:
+    message = SegmentMessage("/c", 5, 6, digest("x"), 1, SegmentPlace("r/1.mcap", 9))
+    entry = index_document("r", message, "n/c", distinct=False)
+    assert (entry["_id"], entry["stored"], entry["size"]) == ("r//c/5", None, 1)
+    assert index_document("r", message, "n/c", distinct=True)["_id"] != entry["_id"]
+
+
+def test_duplicates_are_bounded_and_exact() -> None:
+    seen = Duplicates(stamps_max=2)
+    assert seen.admit("/p", 1, digest("a"))
+    assert not seen.admit("/p", 1, digest("a"))
+    assert seen.admit("/p", 1, digest("b"))
+    assert seen.admit("/q", 1, digest("a"))
+    assert seen.shares_stamp("/p", 1)
+    assert not seen.shares_stamp("/q", 1)
+    assert seen.admit("/p", 2, digest("a"))
+    assert seen.admit("/p", 3, digest("a"))
+    assert seen.admit("/p", 1, digest("a")), "forgotten: two stamps later"
+    assert seen.dropped == 1
+
+
+def test_a_ledger_without_its_end_is_refused() -> None:
+    import pytest
+
+    from robotkube.errors import DocumentError
+
+    text = '{"sequence": 0, "stamp": 5, "sha256": "ab"}'
+    assert read_ledger([text, '{"end": true, "count": 1}'], "x") == [LedgerLine(0, 5, "ab")]
+    for lines, problem in [
+        ([text], "has no end line"),
+        ([text, '{"end": true, "count": 2}'], "has 1 messages, says 2"),
+        ([text[:20]], "line 1: is no ledger line"),
+    ]:
+        with pytest.raises(DocumentError, match=problem):
+            read_ledger(lines, "x")

@@ -1,0 +1,38 @@
+"""Messages are published when they are due, several in a call, on real ROS."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.stages.ros import due_publisher
+from tests.stages.waiting import until
+
+pytestmark = pytest.mark.processes
+
+
+def test_messages_are_published_when_they_are_due(start: Callable[..., subprocess.Popen[str]], tmp_path: Path) -> None:
+    process = start("-m", "tests.stages.ros.due_publisher", "/due", str(tmp_path / "found.json"))
+    until(lambda: process.poll() is not None)
+    assert process.returncode == 0
+    found = json.loads((tmp_path / "found.json").read_text())
+
+    turns = found["in_turns"]
+    assert turns["said"] == [due_publisher.COUNT, 0, ""]
+    assert turns["took"] >= (due_publisher.COUNT - 1) * due_publisher.STEP_NS
+    for place, taken in enumerate(turns["taken"]):
+        numbers = [number for number, _ in taken]
+        assert numbers == list(range(place, due_publisher.COUNT, 2))
+        assert all(after >= number * due_publisher.STEP_NS for number, after in taken), "none before its time"
+    assert turns["turns"] >= 1, "another thread ran meanwhile"
+
+    assert found["past"] == [3, 1, ""]
+    assert found["signal"]["said"] == [1, 0, ""]
+    assert found["signal"]["seen"], "the interpreter got the signal"
+    assert found["none"] == [0, 0, ""]
+    assert found["wrong"] == "TypeError"
+    assert found["closed"] == [1, 1, "the publisher is closed"]

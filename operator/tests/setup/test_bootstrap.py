@@ -1,0 +1,134 @@
+"""The bootstrap on a real forge: twice without a change, changed passwords, killed half-way, refusals."""
+
+import secrets
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import httpx
+import pytest
+
+from robotkube.errors import InputError, UnavailableError
+from robotkube.setup.adapters.gitea_administration import GiteaAdministration
+from robotkube.setup.loops.bootstrap import Bootstrap, Repository, plan_teams
+from tests.stages.forge.gitea import ForgeProcess
+from tests.stages.forge.installation import ACCOUNTS, CATALOGUE, Installation, forge_setup
+
+pytestmark = pytest.mark.toolchain
+
+
+def bootstrap() -> Bootstrap:
+    return Bootstrap(30, time.monotonic, time.sleep)
+
+
+def test_the_second_run_changes_nothing(installation: Installation, administration: GiteaAdministration) -> None:
+    run = bootstrap()
+    run.forge(installation.setup, administration)
+    assert run.changed == []
+
+
+def test_a_changed_password_is_set(installation: Installation, administration: GiteaAdministration) -> None:
+    new = secrets.token_hex(12)
+    accounts = tuple(replace(a, password=new) if a.name == "argocd" else a for a in installation.setup.accounts)
+    run = bootstrap()
+    run.forge(replace(installation.setup, accounts=accounts), administration)
+    assert run.changed == ["account argocd"]
+    assert httpx.get(f"{installation.url}/api/v1/user", auth=("argocd", new)).status_code == 200
+    back = bootstrap()
+    back.forge(installation.setup, administration)
+    assert back.changed == ["account argocd"]
+
+
+def test_access_that_is_taken_back_is_gone(installation: Installation, administration: GiteaAdministration) -> None:
+    deployment, catalogue = installation.setup.repositories
+    access = {**catalogue.access, "argocd": "read", "publisher": "write"}
+    wider = replace(installation.setup, repositories=(deployment, replace(catalogue, access=access)))
+    given, taken = bootstrap(), bootstrap()
+    given.forge(wider, administration)
+    assert given.changed == ["team robotkube/catalogue-read", "team robotkube/catalogue-write"]
+    taken.forge(installation.setup, administration)
+    assert taken.changed == given.changed
+
+
+def test_the_seed_is_the_first_commit_and_never_comes_again(installation: Installation) -> None:
+    clone = installation.clone("manager", "robotkube/catalogue")
+    commit = clone.repository[clone.tip()]
+    while commit.parents:
+        commit = commit.parents[0]
+    assert {entry.name for entry in commit.tree} == {path.split("/")[0] for path in CATALOGUE}
+    assert commit.author.name == "administrator"
+    assert commit.message.startswith("Begin this repository")
+
+
+def test_a_run_that_was_killed_is_finished_by_the_next(tmp_path: Path) -> None:
+    """Each step is cut off once, on a forge of its own; the next run makes what is missing."""
+    process = ForgeProcess(tmp_path / "forge")
+    process.start()
+    administration = GiteaAdministration(process.url, process.administrator, process.administrator_password)
+    setup = forge_setup({name: secrets.token_hex(12) for name in ACCOUNTS}, "http://127.0.0.1:9/webhook")
+    try:
+        for method in ("make_account", "make_repository", "seed", "protect", "make_team", "make_webhook"):
+            broken = Broken(administration, method)
+            with pytest.raises(InputError, match="cut off"):
+                bootstrap().forge(setup, broken)  # type: ignore[arg-type]
+        last = bootstrap()
+        last.forge(setup, administration)
+        assert last.changed
+        again = bootstrap()
+        again.forge(setup, administration)
+        assert again.changed == []
+    finally:
+        administration.disconnect()
+        process.remove()
+
+
+class Broken:
+    """An administration that ends after the first call of one method."""
+
+    def __init__(self, real: GiteaAdministration, method: str) -> None:
+        self._real, self._method = real, method
+
+    def __getattr__(self, name: str) -> object:
+        method = getattr(self._real, name)
+        if name != self._method:
+            return method
+
+        def once(*arguments: object) -> None:
+            method(*arguments)
+            raise InputError("cut off")
+
+        return once
+
+
+def test_a_forge_that_never_answers_ends_the_run_within_the_bound() -> None:
+    now = [0.0]
+
+    def sleep(seconds: float) -> None:
+        now[0] += seconds
+
+    administration = GiteaAdministration("http://127.0.0.1:9", "administrator", "x")
+    run = Bootstrap(5, lambda: now[0], sleep, jitter=lambda: 0.75)  # 0.75 s, then 1.5 s: the bound cuts the last wait
+    with pytest.raises(UnavailableError, match=r"http://127.0.0.1:9"):
+        run.forge(forge_setup(dict.fromkeys(ACCOUNTS, "x"), "http://127.0.0.1:9/webhook"), administration)
+    administration.disconnect()
+    assert now[0] == 5
+
+
+def test_an_empty_seed_is_refused(installation: Installation, administration: GiteaAdministration) -> None:
+    empty = Repository("staging/empty", "", "main", {}, {"publisher": "read"}, ("publisher",))
+    setup = replace(installation.setup, repositories=(empty,), webhooks=())
+    with pytest.raises(InputError, match="seed of staging/empty: the folder holds no files"):
+        bootstrap().forge(setup, administration)
+
+
+def test_teams_give_the_fewest_rights(installation: Installation) -> None:
+    teams = {f"{team.organisation}/{team.name}": team for team in plan_teams(installation.setup)}
+    assert teams["robotkube/deployment-read"].members == {"manager", "argocd"}
+    assert teams["robotkube/deployment-write"].members == {"gate", "operator-team", "reviewer"}
+    assert teams["robotkube/catalogue-read"].members == {"manager", "publisher"}
+    assert teams["robotkube/catalogue-write"].members == {"gate", "operator-team"}
+    assert teams["robotkube/packages-write"].members == {"publisher"}
+    assert teams["staging/packages-write"].members == {"publisher", "gate"}
+    assert teams["staging/packages-write"].units == {"repo.packages": "write"}
+    assert teams["verified/packages-write"].members == {"gate"}
+    assert teams["verified/packages-read"].members == {"manager", "argocd", "suite-runner"}

@@ -1,0 +1,168 @@
+"""A manager with everything around it in memory; its catalogue is the project's own, published with evidence."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from robotkube.delivery.deployment.core.releases import Release, read_tree
+from robotkube.delivery.manager.core.placement.placement import Agent, NodeState
+from robotkube.delivery.manager.loops.main_reader import MainReader
+from robotkube.delivery.manager.loops.planner import ManagerSettings, Planner
+from robotkube.delivery.manager.loops.proposals.plan_observer import PlanObserver
+from robotkube.delivery.manager.loops.reconciler import (
+    APPLICATIONS,
+    DEPLOYMENT,
+    TASKS,
+    ApplicationManager,
+    ManagerPorts,
+)
+from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
+from robotkube.foundation.documents.adapters.json_schema import validate
+from robotkube.foundation.documents.core.digests import sha256
+from robotkube.registry.catalogue.loops.verified_catalogue import AssuredCatalogue
+from robotkube.registry.charts.core.packing import published_digest
+from robotkube.registry.evidence.core.statements import Artefact, Listing
+from robotkube.testing.clusters import MemoryArgoCD, MemoryCluster, MemoryTasks
+from robotkube.testing.forges import MemoryForge, MemoryRepository
+from robotkube.testing.leadership import MemoryLeadership
+from tests.stages.paths import REGISTRY, REPOSITORY
+from tests.stages.registry.signed_evidence import PLATFORM, POLICY_TEXT, Signing, signing_key, trusting
+from tests.stages.waiting import WAIT_SECONDS_MAX
+
+CHARTS = "oci://forge.robotkube.svc.cluster.local:3000/verified"
+MEETING = "cloud-0/meeting"
+START_NS = 1795250000_000000000
+
+
+def schema_file(chart: str, version: str) -> dict[str, str]:
+    """The values schema of a chart of this project, with its values as default, as the gate publishes it."""
+    found = [REPOSITORY / "charts" / folder / chart for folder in ("apps", "earlier")]
+    source = next(f for f in found if yaml.safe_load((f / "Chart.yaml").read_text())["version"] == version)
+    schema = json.loads((source / "values.schema.json").read_text())
+    schema["default"] = yaml.safe_load((source / "values.yaml").read_text())
+    return {f"charts/{chart}/{version}.schema.json": json.dumps(schema, indent=1, sort_keys=True) + "\n"}
+
+
+def catalogue_files(signing: Signing) -> dict[str, str]:
+    """The project's own catalogue, published with evidence."""
+    files = {str(p.relative_to(REGISTRY)): p.read_text() for p in REGISTRY.glob("applications/*.yaml")}
+    for index, path in enumerate(sorted(REGISTRY.glob("charts/*/*.yaml"))):
+        document = yaml.safe_load(path.read_text())
+        digest = f"sha256:{index + 1:012x}{index:052x}"  # sources are named by the first twelve
+        about = Artefact(path.parent.name, document["spec"]["version"], digest, PLATFORM)
+        schema = schema_file(about.chart, about.version)
+        signing.listed = Listing(published_digest(document["spec"], []), sha256("".join(schema.values()).encode()))
+        envelopes = signing.sign(about)
+        files |= {f"{about.folder}/{name}.json": data.decode() for name, data in envelopes.items()}
+        evidence = sha256(envelopes["summary"])
+        status = {"state": "verified", "digest": about.digest, "images": [], "evidence": evidence}
+        document["status"] = {**status, "policy": signing.policy.digest}
+        files |= {str(path.relative_to(REGISTRY)): yaml.safe_dump(document), **schema}
+    return {**files, "policies/release.yaml": "assurance: verified\n", "policies/verification.yaml": POLICY_TEXT}
+
+
+class UntilPaused(threading.Event):
+    """Ends the loop that waits for it, which the manager's does after a failed step."""
+
+    def wait(self, timeout: float | None = None) -> bool:
+        self.set()
+        return True
+
+
+class Stage:
+    """Everything around one manager; the clock moves only when a test moves it."""
+
+    told: Sequence[str] = ()
+
+    def __init__(self, folder: Path, vehicles: int = 3) -> None:
+        key = signing_key(folder / "key")
+        self.verifier = trusting(folder / "trusted", key)
+        names = [(f"vehicle-{i:02d}", "vehicle") for i in range(vehicles)] + [("cloud-0", "cloud")]
+        self.settings = ManagerSettings(tuple(Agent(name, role, name) for name, role in names), CHARTS)
+        capabilities = {"cloud": frozenset({"recording"})}
+        self.cluster = MemoryCluster(
+            [NodeState(name, name, role, capabilities.get(role, frozenset()), True) for name, role in names]
+        )
+        self.repository, self.catalogue = MemoryRepository(), MemoryRepository()
+        self.repository.push({"policies/initial.yaml": "add: []\nremove: []\n"}, "seed")
+        self.catalogue.push(catalogue_files(Signing(key)), "seed")
+        self.forge = MemoryForge(self.repository)
+        self.tasks, self.argocd = MemoryTasks(), MemoryArgoCD()
+        self.leadership = MemoryLeadership()
+        self.seconds = 0.0
+        self.manager = self.start()
+
+    def start(self) -> ApplicationManager:
+        """A new process: nothing is remembered."""
+
+        def now_ns() -> int:
+            return START_NS + int(self.seconds * 1e9)
+
+        def monotonic() -> float:
+            return self.seconds
+
+        def aside(call: Callable[[], None]) -> None:
+            call()
+
+        catalogue, main = AssuredCatalogue(self.catalogue, self.verifier), MainReader(self.repository)
+        render = Jinja2Templates().render
+        planner = Planner(self.settings, self.tasks, self.cluster, catalogue, main, render, validate)
+        observer = PlanObserver(self.cluster, self.argocd, aside, now_ns, monotonic)
+        world = ManagerPorts(self.tasks, self.cluster, self.repository, self.forge, self.forge, self.leadership)
+        return ApplicationManager(world, catalogue, main, planner, observer, now_ns, monotonic)
+
+    def go(self, steps: int = 4, seconds: float = 0.1, wake: str = TASKS) -> None:
+        self.manager.wake(wake)
+        for _ in range(steps):
+            self.manager.step()
+            self.seconds += seconds
+            self.tell()
+
+    def tell(self) -> None:
+        """What gate and forge say of proposals: nothing of main when a person moved it."""
+        states = [pull.state for pull in self.forge.pulls.values()]
+        if states != self.told:
+            self.told = states
+            self.manager.wake(DEPLOYMENT)
+
+    def fail(self) -> None:
+        """One turn of the loop in which the world does not answer."""
+        stopping = UntilPaused()
+        bound = threading.Timer(WAIT_SECONDS_MAX, stopping.set)
+        bound.start()
+        self.manager.wake(TASKS)
+        self.manager.run(stopping)
+        bound.cancel()
+
+    def settle(self) -> None:
+        """Propose, merge, let Argo CD finish, observe."""
+        self.go()
+        self.cluster.settle(self.releases())
+        self.go(wake=APPLICATIONS)
+
+    def releases(self) -> dict[str, Release]:
+        tree = read_tree(self.repository.files(self.repository.tip, ("releases", "sources")))
+        assert tree.problems == ()
+        return dict(tree.releases)
+
+    def ask(self, name: str = "meeting", vehicles: tuple[str, ...] = ("vehicle-00", "vehicle-01"), **spec: Any) -> str:
+        event = {"rule": "lidar-proximity", "id": f"event-{name}", "trace": "a" * 32, "time": "2026-11-21T10:00:00Z"}
+        document = {
+            "requester": "cloud-0/event-detector",
+            "event": event,
+            "reason": f"{', '.join(vehicles)} within 400 m",
+            "application": "pose-point-cloud-recording",
+            "parameters": {"vehicles": list(vehicles)},
+            **spec,
+        }
+        self.tasks.create("cloud-0", name, document)
+        return f"cloud-0/{name}"
+
+    def plans(self) -> list[dict[str, Any]]:
+        return list(self.manager.records.as_json()["plans"])

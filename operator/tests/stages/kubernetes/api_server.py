@@ -1,0 +1,105 @@
+"""etcd and kube-apiserver of the tool chain on loopback ports, without nodes and controllers, for tests."""
+
+from __future__ import annotations
+
+import secrets
+import subprocess
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import httpx
+import yaml
+
+from tests.stages.programs import free_port, program
+
+START_SECONDS_MAX = 60.0
+
+
+@dataclass
+class ApiServerProcess:
+    """One control plane below `folder`; `stop_server` and `start_server` take only the API server away and back."""
+
+    folder: Path
+    etcd_port: int = field(default_factory=free_port)
+    port: int = field(default_factory=free_port)
+    token: str = field(default_factory=lambda: secrets.token_hex(16))
+    etcd: subprocess.Popen[bytes] | None = None
+    server: subprocess.Popen[bytes] | None = None
+
+    @property
+    def kubeconfig(self) -> Path:
+        return self.folder / "kubeconfig"
+
+    def start(self) -> None:
+        key = self.folder / "account.key"
+        subprocess.run(["openssl", "genrsa", "-out", str(key), "2048"], check=True, capture_output=True, timeout=30)
+        (self.folder / "tokens.csv").write_text(f"{self.token},administrator,administrator,system:masters\n")
+        self._write_kubeconfig()
+        peer, url = f"http://127.0.0.1:{free_port()}", f"http://127.0.0.1:{self.etcd_port}"
+        self.etcd = self._run(
+            "etcd", f"--data-dir={self.folder}/etcd", "--unsafe-no-fsync", f"--listen-client-urls={url}",
+            f"--advertise-client-urls={url}", f"--listen-peer-urls={peer}", f"--initial-advertise-peer-urls={peer}",
+            f"--initial-cluster=default={peer}",
+        )  # fmt: skip
+        self.start_server()
+
+    def start_server(self) -> None:
+        key = self.folder / "account.key"
+        self.server = self._run(
+            "kube-apiserver", f"--etcd-servers=http://127.0.0.1:{self.etcd_port}", "--bind-address=127.0.0.1",
+            f"--secure-port={self.port}", f"--cert-dir={self.folder}/certificates", "--authorization-mode=RBAC",
+            f"--token-auth-file={self.folder}/tokens.csv", "--service-cluster-ip-range=10.255.0.0/24",
+            "--disable-admission-plugins=ServiceAccount,TaintNodesByCondition", "--endpoint-reconciler-type=none",
+            "--service-account-issuer=https://kubernetes.default.svc", f"--service-account-key-file={key}",
+            f"--service-account-signing-key-file={key}",
+        )  # fmt: skip
+        deadline = time.monotonic() + START_SECONDS_MAX
+        while not self._ready():
+            assert self.server.poll() is None, self._log()
+            assert time.monotonic() < deadline, self._log()
+            time.sleep(0.1)
+
+    def stop_server(self) -> None:
+        """Killed: asked to end, it waits for its open watches."""
+        if self.server is not None:
+            self.server.kill()
+            self.server.wait(10)
+
+    def compact(self) -> None:
+        """etcd forgets everything but the newest: a watch of the API server cannot go on from an older position."""
+        base = f"http://127.0.0.1:{self.etcd_port}/v3"
+        revision = httpx.post(f"{base}/maintenance/status", json={}).json()["header"]["revision"]
+        httpx.post(f"{base}/kv/compaction", json={"revision": revision, "physical": True}).raise_for_status()
+
+    def stop(self) -> None:
+        self.stop_server()
+        if self.etcd is not None:
+            self.etcd.kill()
+            self.etcd.wait(10)
+
+    def _run(self, name: str, *arguments: str) -> subprocess.Popen[bytes]:
+        with (self.folder / f"{name}.log").open("ab") as log:
+            return subprocess.Popen([program(name), *arguments], stdout=log, stderr=log)
+
+    def _ready(self) -> bool:
+        headers = {"Authorization": f"Bearer {self.token}"}
+        try:
+            return httpx.get(f"https://127.0.0.1:{self.port}/readyz", headers=headers, verify=False).is_success  # noqa: S501
+        except httpx.HTTPError:
+            return False
+
+    def _log(self) -> str:
+        return (self.folder / "kube-apiserver.log").read_text()[-2000:]
+
+    def _write_kubeconfig(self) -> None:
+        server = {"server": f"https://127.0.0.1:{self.port}", "insecure-skip-tls-verify": True}
+        document = {
+            "apiVersion": "v1",
+            "kind": "Config",
+            "clusters": [{"name": "test", "cluster": server}],
+            "users": [{"name": "test", "user": {"token": self.token}}],
+            "contexts": [{"name": "test", "context": {"cluster": "test", "user": "test"}}],
+            "current-context": "test",
+        }
+        self.kubeconfig.write_text(yaml.safe_dump(document))

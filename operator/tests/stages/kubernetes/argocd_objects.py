@@ -1,0 +1,92 @@
+"""Argo CD's objects on an API server without nodes, as they are before us; the bootstrap Job's account and Role."""
+
+import base64
+import time
+from pathlib import Path
+from typing import Any
+
+import yaml
+from kubernetes import client, config
+
+from ci.folders import PROJECT
+from tests.stages.kubernetes.api_server import ApiServerProcess
+
+SERVED_SECONDS_MAX = 30.0
+ROLE = PROJECT / "charts" / "robotkube" / "templates" / "bootstrap" / "role.yaml"
+NAMESPACE = "argocd"
+
+
+def connect(server: ApiServerProcess) -> client.ApiClient:
+    """A client of the administrator."""
+    return config.new_client_from_config(str(server.kubeconfig))
+
+
+def install_argocd(server: ApiServerProcess) -> None:
+    """Namespace, the objects that Argo CD's manifests bring, and what argocd-server makes at its start."""
+    api = connect(server)
+    core = client.CoreV1Api(api)
+    core.create_namespace({"metadata": {"name": NAMESPACE}})
+    key = {"server.secretkey": base64.b64encode(b"x" * 32).decode()}
+    core.create_namespaced_secret(NAMESPACE, {"metadata": {"name": "argocd-secret"}, "data": key})
+    core.create_namespaced_config_map(NAMESPACE, {"metadata": {"name": "argocd-cm"}, "data": {"url": "http://x"}})
+    core.create_namespaced_config_map(NAMESPACE, {"metadata": {"name": "argocd-rbac-cm"}})
+    client.AppsV1Api(api).create_namespaced_deployment(NAMESPACE, deployment("argocd-applicationset-controller"))
+    client.ApiextensionsV1Api(api).create_custom_resource_definition(project_definition())
+    make_project(client.CustomObjectsApi(api))
+
+
+def make_project(objects: client.CustomObjectsApi) -> None:
+    """AppProject `default`, which allows everything."""
+    spec = {
+        "sourceRepos": ["*"],
+        "destinations": [{"server": "*", "namespace": "*"}],
+        "clusterResourceWhitelist": [{"group": "*", "kind": "*"}],
+    }
+    project = {
+        "apiVersion": "argoproj.io/v1alpha1",
+        "kind": "AppProject",
+        "metadata": {"name": "default"},
+        "spec": spec,
+    }
+    end = time.monotonic() + SERVED_SECONDS_MAX
+    while True:
+        try:
+            objects.create_namespaced_custom_object("argoproj.io", "v1alpha1", NAMESPACE, "appprojects", project)
+            return
+        except client.ApiException:  # the definition is not served yet
+            assert time.monotonic() < end, "AppProject is not served"
+            time.sleep(0.1)
+
+
+def bootstrap_kubeconfig(server: ApiServerProcess, folder: Path) -> Path:
+    """A kubeconfig of ServiceAccount `bootstrap` with exactly the rules of the platform chart's Role."""
+    api, text = connect(server), ROLE.read_text()
+    core, rbac = client.CoreV1Api(api), client.RbacAuthorizationV1Api(api)
+    account, role = {"metadata": {"name": "bootstrap"}}, {"metadata": {"name": "robotkube-bootstrap"}}
+    rules = yaml.safe_load(text[text.index("\nrules:") :])["rules"]
+    core.create_namespaced_service_account(NAMESPACE, account)
+    rbac.create_namespaced_role(NAMESPACE, {**role, "rules": rules})
+    reference = {"apiGroup": "rbac.authorization.k8s.io", "kind": "Role", "name": "robotkube-bootstrap"}
+    subject = {"kind": "ServiceAccount", "name": "bootstrap", "namespace": NAMESPACE}
+    rbac.create_namespaced_role_binding(NAMESPACE, {**role, "roleRef": reference, "subjects": [subject]})
+    issued = core.create_namespaced_service_account_token("bootstrap", NAMESPACE, {"spec": {}})
+    document = yaml.safe_load(server.kubeconfig.read_text())
+    document["users"][0]["user"] = {"token": issued.status.token}
+    path = folder / "bootstrap.kubeconfig"
+    path.write_text(yaml.safe_dump(document))
+    return path
+
+
+def deployment(name: str) -> dict[str, Any]:
+    labels = {"app": name}
+    pod = {"metadata": {"labels": labels}, "spec": {"containers": [{"name": "main", "image": "x:1"}]}}
+    return {"metadata": {"name": name}, "spec": {"selector": {"matchLabels": labels}, "template": pod}}
+
+
+def project_definition() -> dict[str, Any]:
+    """AppProject with an open schema: what the project says is Argo CD's business."""
+    schema = {"type": "object", "x-kubernetes-preserve-unknown-fields": True}
+    version = {"name": "v1alpha1", "served": True, "storage": True, "schema": {"openAPIV3Schema": schema}}
+    names = {"kind": "AppProject", "plural": "appprojects", "singular": "appproject"}
+    spec = {"group": "argoproj.io", "scope": "Namespaced", "names": names, "versions": [version]}
+    return {"metadata": {"name": "appprojects.argoproj.io"}, "spec": spec}

@@ -1,0 +1,89 @@
+"""Suites on the running platform, asked for as the gate asks: charts in staging, requests, results."""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ci import publish
+from ci.cluster.images import lock_file, read_lock
+from robotkube.registry.charts.adapters.chart_folders import pack
+from robotkube.registry.charts.adapters.oci import OciRegistry
+from robotkube.registry.evidence.core.statements import Artefact, SuiteResult
+from robotkube.registry.evidence.core.verification_policy import SuiteRule
+from robotkube.registry.suites.adapters.runner_client import SuiteRunnerClient
+from robotkube.registry.suites.core.requests import SuiteRequest
+from tests.stages.platform.running_platform import Platform, eventually
+
+STAGING = "staging"
+EMPTY_SECONDS_MAX = 120.0
+
+
+def images() -> Mapping[str, str]:
+    """Name -> reference of the images that the cluster has."""
+    return {image.name: image.reference for image in read_lock(lock_file())}
+
+
+def request(platform: Platform, chart: Path, entry: Path, rule: SuiteRule, **more: Any) -> SuiteRequest:
+    """Put the chart into staging; what the gate would ask about it."""
+    document = yaml.safe_load(entry.read_text(encoding="utf-8"))
+    packed = pack(chart, images(), document["spec"])
+    forge = publish.find_forge(platform.installer.kubeconfig)
+    with OciRegistry(forge.url, forge.username, forge.password) as registry:
+        digest = registry.push_chart(STAGING, packed, f"{packed.tag}_{packed.digest[7:19]}")
+    artefact = Artefact(packed.name, packed.version, digest, "linux/amd64")
+    policy, attempt = f"sha256:{secrets.token_hex(32)}", secrets.token_hex(8)
+    return SuiteRequest(artefact, f"{STAGING}/{packed.name}", policy, rule, document, attempt=attempt, **more)
+
+
+def results(platform: Platform, requests: Mapping[str, SuiteRequest], seconds: float) -> dict[str, SuiteResult]:
+    """What the suite-runner says of each; all are asked for at once and run in the rooms of the pool."""
+    where = platform.access.endpoint("suite-runner")
+    token = platform.access.secret("robotkube", "suite-runner-token")["token"]
+    runner = SuiteRunnerClient(f"http://{where.host}:{where.port}", token)
+    found: dict[str, SuiteResult] = {}
+
+    def finished() -> bool:
+        for name, asked in requests.items():
+            progress = runner.run(asked)
+            if progress.result is not None:
+                found[name] = progress.result
+        return len(found) == len(requests)
+
+    try:
+        eventually("the suite-runner has run all suites", finished, seconds)
+    finally:
+        runner.disconnect()
+    return found
+
+
+def said(result: SuiteResult) -> str:
+    """The failed checks in words."""
+    return "\n".join(f"{check.name}: {check.found}" for check in result.failed)
+
+
+def pool(platform: Platform) -> list[str]:
+    """The namespaces of the rooms."""
+    names = [item["metadata"]["name"] for item in platform.get("namespaces")["items"]]
+    return [name for name in names if name.startswith("robotkube-suite-")]
+
+
+def await_empty(platform: Platform) -> None:
+    """Until no pod, Deployment, Secret or ConfigMap of a run is left in any room."""
+    rooms = pool(platform)
+    assert rooms
+
+    def empty() -> bool:
+        return not any(_left(platform, room) for room in rooms)
+
+    eventually("no object of a run is left in any room", empty, EMPTY_SECONDS_MAX)
+
+
+def _left(platform: Platform, room: str) -> list[str]:
+    found = platform.get("-n", room, "deployments,replicasets,pods,secrets,configmaps")["items"]
+    names = [f"{item['kind']} {item['metadata']['name']}" for item in found]
+    return [name for name in names if name != "ConfigMap kube-root-ca.crt"]

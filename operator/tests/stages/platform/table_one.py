@@ -1,0 +1,294 @@
+"""What the stories of Table I do and look at: tasks and policies as people and operators give them, main as Git has it,
+pods and messages as the cluster has them. What the manager says of itself is not asked."""
+
+from __future__ import annotations
+
+import base64
+import json
+import struct
+import subprocess
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import yaml
+
+from scenarios.generator import messages
+from scenarios.runner import asking, policy
+from scenarios.runner.acting import task
+from scenarios.runner.deployment import Deployment
+from scenarios.runner.inputs import Commit
+from tests.stages.platform.running_platform import Platform, eventually
+
+DEPLOYED_SECONDS_MAX = 90.0
+GONE_SECONDS_MAX = 90.0
+DECIDED_SECONDS_MAX = 30.0
+HEARD_SECONDS_MAX = 30
+SPOKEN_SECONDS_MAX = 300
+ENDED_SECONDS_MAX = 15
+READY_SECONDS_MAX = 120.0
+SETTLED_SECONDS_MAX = 120.0
+TEXT, NUMBER, POSES = "std_msgs/msg/String", "std_msgs/msg/Float64", "geometry_msgs/msg/PoseArray"
+BRIDGE = "mqtt-bridge"
+
+# Run in a pod of the agent's: everything that speaks ROS there has these modules.
+LISTEN = """
+import base64, sys, time
+from robotkube.robots.ros.adapters.rclpy_node import RosNode
+topic, kind, count, seconds = sys.argv[1], sys.argv[2], int(sys.argv[3]), float(sys.argv[4])
+heard, end = RosNode("table_one_listener").subscribe(topic, kind), time.monotonic() + seconds
+while count > 0 and time.monotonic() < end:
+    for data in heard.take():
+        print(base64.b64encode(data).decode(), flush=True)
+        count -= 1
+    time.sleep(0.02)
+"""
+SPEAK = """
+import base64, json, select, sys, time
+from robotkube.robots.ros.adapters.rclpy_node import RosNode
+from robotkube.robots.bags.core.playback import restamped
+from robotkube.robots.ros.core.common_messages import STAMPED_TYPES
+node, sources = RosNode("table_one_speaker"), []
+for topic, kind, text in json.loads(sys.stdin.readline()):
+    stamped = kind in STAMPED_TYPES
+    sources.append((node.advertise(topic, kind), base64.b64decode(text), stamped))
+period, end = 1 / float(sys.argv[1]), time.monotonic() + float(sys.argv[2])
+while time.monotonic() < end and not select.select([sys.stdin], [], [], 0)[0]:  # its end: nobody wants to hear more
+    for publisher, data, stamped in sources:
+        publisher.publish(restamped(data, time.time_ns()) if stamped else data)
+    time.sleep(period)
+"""
+
+Message = tuple[str, str, bytes]
+"""Topic, type, serialised message."""
+
+
+@dataclass(frozen=True)
+class Pod:
+    """A pod of a release: its identity, where it runs, its containers' images by digest, whether it is ready."""
+
+    name: str
+    uid: str
+    node: str
+    images: tuple[str, ...]
+    ready: bool
+
+
+@dataclass
+class Stage:
+    """The platform, and a clone of the deployment repository as the person's account sees it."""
+
+    platform: Platform
+    deployment: Deployment
+    submitted: list[str] = field(default_factory=list)
+
+    # tasks and policies ----------------------------------------------------------------------------------------------
+
+    def submit(self, namespace: str, name: str, **spec: Any) -> str:
+        """A task as an operator of `namespace` gives it; its key. `spec`: application or provides, parameters, ..."""
+        self.platform.access.create_task(task({"namespace": namespace, "name": name, **spec}))
+        self.submitted.append(f"{namespace}/{name}")
+        return self.submitted[-1]
+
+    def withdraw(self, key: str) -> None:
+        """The demand ends; one that is not there is fine."""
+        self.platform.access.delete_task(*key.split("/", 1))
+
+    def tasks(self, namespace: str) -> dict[str, Mapping[str, Any]]:
+        """The tasks of a namespace by key."""
+        found = [one for one in self.platform.access.tasks() if one["metadata"]["namespace"] == namespace]
+        return {f"{namespace}/{one['metadata']['name']}": one for one in found}
+
+    def told(self, key: str, kind: str = "Accepted") -> Mapping[str, str]:
+        """A condition of a task, empty while it has none: what its submitter is told."""
+        found = self.platform.access.task(*key.split("/", 1)) or {}
+        conditions = found.get("status", {}).get("conditions", [])
+        return next((one for one in conditions if one["type"] == kind), {})
+
+    def await_told(self, key: str, reason: str) -> Mapping[str, str]:
+        """The condition Accepted once it has `reason`."""
+        eventually(f"task {key} is told {reason}", lambda: self.told(key).get("reason") == reason, DECIDED_SECONDS_MAX)
+        return self.told(key)
+
+    @contextmanager
+    def asked_by_a_person(self, *entries: Mapping[str, Any]) -> Iterator[None]:
+        """Entries of policies/initial.yaml by a person's pull request, and afterwards another one without them."""
+        self._put_policy(lambda kept: [*kept, *entries])
+        try:
+            yield
+        finally:
+            self._put_policy(lambda kept: [entry for entry in kept if entry not in entries])
+
+    def ask_otherwise(self, entry: Mapping[str, Any], other: Mapping[str, Any]) -> None:
+        """Another entry of policies/initial.yaml in the place of one, by a person's pull request."""
+        self._put_policy(lambda kept: [other if one == entry else one for one in kept])
+
+    def _put_policy(self, change: Any) -> None:
+        self.deployment.fetch()
+        document = yaml.safe_load(self.deployment.file(policy.PATH)) or {}
+        text = yaml.safe_dump(document | {"add": change(list(document.get("add") or []))}, sort_keys=True)
+        topic = f"table-one-{time.time_ns()}"
+        asking.change(self.deployment, policy.PATH, text, "policy(initial): a story of Table I", topic)
+
+    # main ------------------------------------------------------------------------------------------------------------
+
+    def releases(self) -> dict[str, Mapping[str, Any]]:
+        """Release files of main by <namespace>/<release>."""
+        self.deployment.fetch()
+        return self.deployment.releases()
+
+    def annotation(self, release: str, name: str) -> str:
+        """What a release on main says of itself, such as chart-version or tasks; empty when it is not there."""
+        found = self.releases().get(release, {})
+        return str(found.get("metadata", {}).get("annotations", {}).get(f"robotkube.io/{name}", ""))
+
+    def seats(self, key: str) -> set[str]:
+        """Releases on main that name a task, but for the bridges, which are everybody's."""
+        return {
+            release
+            for release in self.releases()
+            if key in self.annotation_of(release).split() and release.rpartition("/")[2] != BRIDGE
+        }
+
+    def await_seats(self, key: str) -> set[str]:
+        """`seats` once there are any: a task is accepted before its plan is on main."""
+        return set(eventually(f"{key} has its seats on main", lambda: self.seats(key)))
+
+    def annotation_of(self, release: str) -> str:
+        """Tasks that a release names, in the clone as it was fetched last."""
+        found = self.deployment.releases().get(release, {})
+        return str(found.get("metadata", {}).get("annotations", {}).get("robotkube.io/tasks", ""))
+
+    def commits(self) -> Sequence[Commit]:
+        """Main's commits, newest first, with their trailers."""
+        self.deployment.fetch()
+        return self.deployment.commits()
+
+    def commit_of(self, release: str) -> Commit:
+        """The last commit that touched a release's file."""
+        path = f"releases/{release}.yaml"
+        return next(commit for commit in self.commits() if path in commit.paths)
+
+    def message(self, commit: Commit) -> str:
+        """The whole message of a commit: what was decided, and why."""
+        return self.deployment.message(commit.sha)
+
+    # the cluster -----------------------------------------------------------------------------------------------------
+
+    def pods(self, release: str) -> list[Pod]:
+        """Pods of a release (`<namespace>/<name>`), those that end included."""
+        namespace, name = release.split("/", 1)
+        items = self.platform.get("-n", namespace, "pods", "-l", f"app.kubernetes.io/instance={name}")["items"]
+        return [_pod(item) for item in items]
+
+    def await_running(self, *releases: str, seconds: float = DEPLOYED_SECONDS_MAX) -> dict[str, Pod]:
+        """The one ready pod of each release, once all of them are on main and run."""
+
+        def running() -> dict[str, Pod]:
+            found = {release: self.pods(release) for release in releases if release in self.releases()}
+            ready = {release: pods[0] for release, pods in found.items() if len(pods) == 1 and pods[0].ready}
+            return ready if len(ready) == len(releases) else {}
+
+        return dict(eventually(f"{', '.join(releases)} run", running, seconds))
+
+    def await_gone(self, *releases: str, seconds: float = GONE_SECONDS_MAX) -> None:
+        """No file on main, no Application and no pod of these releases."""
+
+        def gone() -> bool:
+            known, applications = self.releases(), self.platform.access.applications()
+            here = [one for one in releases if one in known or one.replace("/", "-") in applications]
+            return not here and not any(self.pods(release) for release in releases)
+
+        eventually(f"{', '.join(releases)} are gone", gone, seconds)
+
+    def node_labels(self, node: str) -> Mapping[str, str]:
+        """Labels of a node."""
+        return dict(self.platform.get("node", node)["metadata"]["labels"])
+
+    @contextmanager
+    def stopped(self, node: str) -> Iterator[None]:
+        """A node's machine is ended, and started again afterwards."""
+        self.platform.provider.stop_node(node)
+        try:
+            yield
+        finally:
+            self.platform.provider.start_node(node)
+            eventually(f"node {node} is back", lambda: self._is_ready(node), READY_SECONDS_MAX)
+
+    def _is_ready(self, node: str) -> bool:
+        return any(one.name == node and one.ready for one in self.platform.provider.nodes())
+
+    # messages --------------------------------------------------------------------------------------------------------
+
+    def hear(self, release: str, topic: str, kind: str, count: int = 1) -> list[Any]:
+        """`count` messages of a topic on the node of a release's pod, read there; fails when there are fewer."""
+        command = self._inside(release, LISTEN, topic, kind, str(count), str(HEARD_SECONDS_MAX))
+        done = subprocess.run(command, capture_output=True, text=True, timeout=HEARD_SECONDS_MAX + 30, check=False)
+        lines = done.stdout.split()
+        assert len(lines) >= count, f"{topic}: {len(lines)} of {count} messages\n{done.stderr[-2000:]}"
+        return [messages.store.deserialize_cdr(base64.b64decode(line), kind) for line in lines[:count]]
+
+    @contextmanager
+    def spoken(self, release: str, *said: Message, hertz: float = 10) -> Iterator[None]:
+        """Messages published on the node of a release's pod as if a service there said them, again and again, stamped
+        with the present time where they have a header."""
+        command = self._inside(release, SPEAK, str(hertz), str(SPOKEN_SECONDS_MAX), stdin=True)
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
+        assert process.stdin is not None
+        try:
+            lines = [(topic, kind, base64.b64encode(data).decode()) for topic, kind, data in said]
+            process.stdin.write(json.dumps(lines) + "\n")
+            process.stdin.flush()
+            yield
+            assert process.poll() is None, f"the speaker beside {release} ended with {process.returncode}"
+        finally:
+            process.stdin.close()
+            _end(process)
+
+    def _inside(self, release: str, program: str, *arguments: str, stdin: bool = False) -> list[str]:
+        namespace, name = release.split("/", 1)
+        kubectl = [str(self.platform.installer.binaries / "kubectl"), f"--kubeconfig={self.platform.access.kubeconfig}"]
+        words = [*kubectl, "-n", namespace, "exec", *(["-i"] if stdin else []), f"deployment/{name}", "--"]
+        return [*words, "python3", "-c", program, *arguments]
+
+
+@contextmanager
+def on_stage(platform: Platform) -> Iterator[Stage]:
+    """A stage that begins with everything as main asks for, and ends with main asking for what it did before."""
+    eventually("all Applications synced and healthy", platform.settled, SETTLED_SECONDS_MAX)
+    forge, person = platform.access.endpoint("forge"), platform.scenario.story.person
+    with Deployment(forge, person, platform.password(person)) as deployment:
+        stage = Stage(platform, deployment)
+        before = set(stage.releases())
+        yield stage
+        for key in stage.submitted:
+            stage.withdraw(key)
+        eventually("main asks for what it did before", lambda: set(stage.releases()) == before, SETTLED_SECONDS_MAX)
+
+
+def _end(process: subprocess.Popen[str]) -> None:
+    try:
+        process.wait(ENDED_SECONDS_MAX)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+
+
+def _pod(item: Mapping[str, Any]) -> Pod:
+    status = item["status"]
+    conditions = {one["type"]: one["status"] for one in status.get("conditions", [])}
+    ready = conditions.get("Ready") == "True" and "deletionTimestamp" not in item["metadata"]
+    images = tuple(container["image"] for container in item["spec"]["containers"])
+    return Pod(item["metadata"]["name"], item["metadata"]["uid"], item["spec"].get("nodeName", ""), images, ready)
+
+
+def pose(x: float, y: float = 0.0) -> bytes:
+    """A geometry_msgs/PoseStamped in frame map, in m."""
+    return messages.PoseWriter().message(0, x, y, 0.0)
+
+
+def number(value: float) -> bytes:
+    """A std_msgs/Float64."""
+    return b"\0\1\0\0" + struct.pack("<d", value)

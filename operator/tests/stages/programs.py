@@ -1,0 +1,24 @@
+"""Programs of the tool chain, as `make test` names their folder, else as they are built (or found built) here."""
+
+from __future__ import annotations
+
+import functools
+import os
+from pathlib import Path
+
+from benchmarks.pods import free_port as free_port
+from ci import preparing, toolchain
+
+
+@functools.cache
+def folder() -> Path:
+    """The folder of all programs."""
+    given = os.environ.get(preparing.TOOLCHAIN_VARIABLE)
+    return Path(given) if given else toolchain.ensure().binaries
+
+
+def program(name: str) -> str:
+    """Path of one program; a missing one fails the test that needs it."""
+    path = folder() / name
+    assert path.is_file(), f"{path} is missing: run make toolchain"
+    return str(path)

@@ -1,0 +1,157 @@
+"""Real keys and signed evidence for tests: a key pair per name, a policy, the files of a published chart version."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
+
+from robotkube.foundation.documents.core.digests import sha256
+from robotkube.foundation.documents.core.yaml_codec import write_mapping
+from robotkube.registry.charts.core.packing import published_digest
+from robotkube.registry.evidence.adapters.dsse import KeyFile, TrustedKeys
+from robotkube.registry.evidence.core.statements import (
+    Artefact,
+    Check,
+    Listing,
+    SuiteResult,
+    suite_statement,
+    summary_statement,
+)
+from robotkube.registry.evidence.core.verification_policy import (
+    PATH,
+    SuiteRule,
+    VerificationPolicy,
+    read_verification_policy,
+)
+
+PLATFORM = "linux/amd64"
+VERIFIED_AT = "2026-11-21T10:00:00Z"
+CHARTS_URL = "oci://forge.example:3000/verified"
+POLICY_TEXT = """\
+apiVersion: registry.robotkube.io/v1alpha1
+kind: VerificationPolicy
+metadata: {name: release}
+spec:
+  suites:
+  - {name: static, version: "1", seconds: 60}
+  - {name: images, version: "1", seconds: 60}
+  - {name: install, version: "2", seconds: 240}
+"""
+POLICY = read_verification_policy(POLICY_TEXT, PATH)
+
+
+def signing_key(folder: Path, seed: int | None = None) -> KeyFile:
+    """A key of its own in `folder`/key.pem; always the same one for a `seed`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    if seed is None:
+        private = Ed25519PrivateKey.generate()
+    else:
+        private = Ed25519PrivateKey.from_private_bytes(hashlib.sha256(str(seed).encode()).digest())
+    path = folder / "key.pem"
+    path.write_bytes(private.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
+    return KeyFile(path)
+
+
+def trusting(folder: Path, *keys: KeyFile) -> TrustedKeys:
+    """Exactly these keys trusted, by the files in `folder`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for path in folder.iterdir():
+        path.unlink()
+    for key in keys:
+        (folder / f"{key.key_id}.pem").write_text(key.public_key)
+    return TrustedKeys(folder)
+
+
+def artefact(chart: str = "app", version: str = "0.1.0", content: str = "", platform: str = PLATFORM) -> Artefact:
+    """A chart version; its digest follows from `content`, or from its name."""
+    digest = sha256((content or f"{chart} {version}").encode())
+    return Artefact(chart, version, digest, platform)
+
+
+def result(rule: SuiteRule, *failed: str) -> SuiteResult:
+    """What a run of a suite found: two checks, the named ones failed."""
+    checks = [Check("first", True), Check("second", True), *(Check(name, False, "this", "do that") for name in failed)]
+    return SuiteResult(rule.name, rule.version, "failed" if failed else "passed", tuple(checks), 1.5)
+
+
+@dataclass
+class Signing:
+    """Signs all that a publication signs. `envelopes`: suite (or "summary") -> envelope; `schema` is the text of the
+    values schema that is published beside, `listed` all that is said of the chart where it is not what `entry` says."""
+
+    key: KeyFile
+    policy: VerificationPolicy = POLICY
+    schema: str = ""
+    listed: Listing | None = None
+    envelopes: dict[str, bytes] = field(default_factory=dict)
+
+    def sign(self, about: Artefact, suites: Sequence[str] | None = None) -> Mapping[str, bytes]:
+        """Envelopes that all suites passed, and the summary of them."""
+        for rule in self.policy.suites:
+            if suites is None or rule.name in suites:
+                self.envelopes[rule.name] = self.key.sign(suite_statement(about, self.policy.digest, result(rule)))
+        self.summarise(about)
+        return self.envelopes
+
+    def summarise(self, about: Artefact) -> bytes:
+        """Sign the summary of the envelopes as they are."""
+        digests = {name: sha256(data) for name, data in self.envelopes.items() if name != "summary"}
+        uri = f"{CHARTS_URL}/{about.chart}"
+        listed = self.listed or listing(about, self.schema)
+        statement = summary_statement(about, self.policy, PATH, uri, "robotkube-gate", VERIFIED_AT, digests, listed)
+        self.envelopes["summary"] = self.key.sign(statement)
+        return self.envelopes["summary"]
+
+
+def spec(about: Artefact) -> dict[str, Any]:
+    """What the entry of a chart version says."""
+    return {
+        "version": about.version,
+        "description": "A chart of the tests",
+        "channel": "stable",
+        "platforms": [PLATFORM],
+        "images": [],
+    }
+
+
+def listing(about: Artefact, schema: str = "") -> Listing:
+    """What the catalogue says of a chart version with that entry and that values schema."""
+    return Listing(published_digest(spec(about), []), sha256(schema.encode()) if schema else "")
+
+
+def entry(about: Artefact, state: str = "verified", evidence: str = "", policy: str = POLICY.digest) -> dict[str, str]:
+    """The catalogue's file of a chart version (path -> text)."""
+    status = {"state": state, "digest": about.digest, "images": []}
+    if evidence:
+        status |= {"evidence": evidence, "policy": policy}
+    document = {
+        "apiVersion": "registry.robotkube.io/v1alpha1",
+        "kind": "ChartVersion",
+        "metadata": {"name": about.chart},
+        "spec": spec(about),
+        "status": status,
+    }
+    return {f"charts/{about.chart}/{about.version}.yaml": write_mapping(document)}
+
+
+def published(key: KeyFile, about: Artefact, policy: VerificationPolicy = POLICY, schema: str = "") -> dict[str, str]:
+    """The files of a chart version that was published with evidence: its entry, values schema and envelopes."""
+    envelopes = Signing(key, policy, schema).sign(about)
+    files = {f"{about.folder}/{name}.json": data.decode() for name, data in envelopes.items()}
+    if schema:
+        files[f"charts/{about.chart}/{about.version}.schema.json"] = schema
+    return files | entry(about, evidence=sha256(envelopes["summary"]), policy=policy.digest)
+
+
+def catalogue(*parts: Mapping[str, str], assurance: str = "verified", policy: str = POLICY_TEXT) -> dict[str, str]:
+    """The files of a catalogue repository with these chart versions."""
+    files = {"policies/release.yaml": f"assurance: {assurance}\n", PATH: policy}
+    for part in parts:
+        files |= part
+    return files

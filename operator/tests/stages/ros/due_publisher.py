@@ -1,0 +1,103 @@
+"""Publishes messages when they are due, takes them itself, and writes what came of it as JSON.
+
+python -m tests.stages.ros.due_publisher TOPIC FILE
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from robotkube.robots.ros.adapters.rclpy_node import RosNode, RosPublisher, RosSubscription
+from tests.stages.ros.self_receiver import TYPE, message, number_of, rounds
+
+COUNT, STEP_NS, SECOND_NS = 20, 10_000_000, 1_000_000_000
+LATE_NS = SECOND_NS
+
+
+def main(topic: str, file: Path) -> None:
+    """Publish in every way, write."""
+    node = RosNode("publishing")
+    publishers = [node.advertise(f"{topic}/{name}", TYPE, depth=100) for name in ("a", "b")]
+    subscriptions = [node.subscribe(f"{topic}/{name}", TYPE, depth=100) for name in ("a", "b")]
+    for _ in rounds():
+        if all(publisher.matched for publisher in publishers):
+            break
+    found = {
+        "in_turns": in_turns(node, publishers, subscriptions),
+        "past": past(node, publishers[0]),
+        "signal": signalled(node, publishers[0]),
+        "none": node.publish_due([], LATE_NS),
+        "wrong": wrong(lambda: node.publish_due([(publishers[0], 0, "text")], LATE_NS)),  # type: ignore[list-item]
+        "closed": closed(node, publishers),
+    }
+    file.write_text(json.dumps(found))
+    os._exit(0)
+
+
+def in_turns(node: RosNode, publishers: list[RosPublisher], subscriptions: list[RosSubscription]) -> dict[str, Any]:
+    """Two topics in turns, on a grid; how often another thread ran meanwhile."""
+    begin, turns, ended = time.time_ns() + 10 * STEP_NS, itertools.count(), threading.Event()
+
+    def count() -> None:
+        while not ended.wait(0.001):
+            next(turns)
+
+    other = threading.Thread(target=count)
+    other.start()
+    asked = [(publishers[k % 2], begin + k * STEP_NS, message(k)) for k in range(COUNT)]
+    said = node.publish_due(asked, LATE_NS)
+    took = time.time_ns() - begin
+    ended.set()
+    other.join()
+    taken: list[list[tuple[int, int]]] = [[], []]
+    for _ in rounds():
+        for several, subscription in zip(taken, subscriptions, strict=True):
+            several += [(number_of(data), sent.time - begin) for data, _, sent in subscription.take_sent()]
+        if sum(map(len, taken)) == COUNT:
+            break
+    return {"said": said, "took": took, "taken": taken, "turns": next(turns)}
+
+
+def past(node: RosNode, publisher: RosPublisher) -> Any:
+    """Due two seconds ago, just now, and soon."""
+    now = time.time_ns()
+    dues = (now - 2 * SECOND_NS, now - STEP_NS, now + STEP_NS)
+    return node.publish_due([(publisher, due, message(0)) for due in dues], LATE_NS)
+
+
+def signalled(node: RosNode, publisher: RosPublisher) -> dict[str, Any]:
+    """A signal comes between the first and the second."""
+    seen: list[int] = []
+    signal.signal(signal.SIGALRM, lambda number, _: seen.append(number))
+    now = time.time_ns()
+    signal.setitimer(signal.ITIMER_REAL, 0.3)
+    said = node.publish_due([(publisher, now + k * 10 * SECOND_NS, message(k)) for k in range(2)], LATE_NS)
+    return {"said": said, "seen": seen}
+
+
+def closed(node: RosNode, publishers: list[RosPublisher]) -> Any:
+    """The second one's publisher is closed."""
+    publishers[1].close()
+    return node.publish_due([(publisher, 0, message(0)) for publisher in (*publishers, publishers[0])], LATE_NS)
+
+
+def wrong(call: Callable[[], object]) -> str:
+    """The error's kind."""
+    try:
+        call()
+    except (TypeError, RuntimeError) as error:
+        return type(error).__name__
+    return "none"
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], Path(sys.argv[2]))

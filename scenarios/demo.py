@@ -1,0 +1,112 @@
+"""`make demo`: from nothing to the scenario's report. Every step is idempotent and says what it found in the cache.
+
+python -m scenarios.demo SCENARIO [--variant manager-killed] [--set vehicles=3] [--until cluster|platform] [--name demo]
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from ci import preparing, publish
+from ci.cluster import topology
+from ci.cluster.__main__ import overrides
+from ci.cluster.addresses import PLANS
+from ci.cluster.embedded import Embedded
+from ci.cluster.records import ClusterFolders
+from ci.errors import SetUpError
+from ci.installation import Installer
+from ci.steps import Steps
+from scenarios import definition
+from scenarios.definition import Scenario, ScenarioError
+from scenarios.generator import routes
+from scenarios.runner import running
+
+STOPS = ("cluster", "platform", "scenario")
+STEPS = {"cluster": 3, "platform": 6, "scenario": 7}
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is to be run: scenario folder, overrides of its parameters, cluster name, last step; `kept` is the folder of
+    evidence for the publication (default: the user's cache); `variant` is a named set of parameters or steps."""
+
+    scenario: Path
+    settings: dict[str, str]
+    name: str
+    until: str
+    kept: Path | None = None
+    variant: str | None = None
+
+    def settled(self) -> Scenario:
+        """The scenario with its parameters; ScenarioError."""
+        return definition.load(self.scenario, [f"{key}={value}" for key, value in self.settings.items()], self.variant)
+
+
+def bring_up(request: Request, steps: Steps) -> Installer:
+    """Tool chain, images, cluster, Argo CD, platform, catalogue. Returns the installer of the running cluster.
+
+    Scenario and settings are checked before anything is started; raises ScenarioError or SetUpError.
+    """
+    settled = request.settled()
+    if settled.players:
+        routes.duration_seconds(settled.parameters)
+    counts = {"vehicles": str(settled.parameters.vehicles)}
+    wanted = topology.read(request.scenario / "scenario.yaml", counts)
+    with steps.step("tool chain"):
+        binaries = preparing.tool_chain()
+    with steps.step("images"):
+        prepared = preparing.everything()
+    provider = Embedded(request.name, binaries)
+    with steps.step("cluster"):
+        provider.up(wanted, prepared.images)
+    folders = ClusterFolders(request.name)
+    installer = Installer(binaries, folders.kubeconfig, folders.base / "values")
+    if request.until == "cluster":
+        return installer
+    with steps.step("Argo CD"):
+        installer.argocd(prepared.references())
+    with steps.step("platform"):
+        installer.platform(prepared.references(), wanted)
+    with steps.step("catalogue") as step:
+        published = publish.publish(folders.kubeconfig, step.say, request.kept, settled.extra_charts)
+        step.note = published.outcome.verdict
+    return installer
+
+
+def run(request: Request) -> int:
+    """Exit code of the whole: the scenario's when it ran."""
+    steps = Steps(STEPS[request.until])
+    installer = bring_up(request, steps)
+    if request.until != "scenario":
+        print(f"export KUBECONFIG={installer.kubeconfig}")
+        return 0
+    with steps.step("scenario"):
+        seconds = dict(steps.seconds)
+        return running.run(request.scenario, request.name, request.settings, request.variant, set_up_seconds=seconds)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        prog="make demo", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("scenario", type=definition.find, help="its folder, or its name below scenarios/")
+    parser.add_argument("--variant", help="named set of parameters or steps in scenario.yaml")
+    parser.add_argument("--set", action="append", default=[], metavar="PARAMETER=VALUE")
+    parser.add_argument("--name", choices=sorted(PLANS), default="demo")
+    parser.add_argument("--until", choices=STOPS, default="scenario")
+    given = parser.parse_args()
+    try:
+        return run(Request(given.scenario, overrides(given.set), given.name, given.until, variant=given.variant))
+    except (SetUpError, ScenarioError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return getattr(error, "exit_code", 1)
+    except KeyboardInterrupt:
+        print("interrupted; what was finished is kept, `make down` removes what runs", file=sys.stderr)
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())
