@@ -1,24 +1,24 @@
 """A ROS domain of this test process's own: nodes of other test processes beside it are never heard."""
 
+import atexit
 import functools
 import os
 import socket
 
 DOMAINS = range(100, 200)
-_claims: list[socket.socket] = []
 
 
 @functools.cache
 def domain() -> str:
-    """For ROS_DOMAIN_ID; claimed on this machine until the process ends."""
+    """For ROS_DOMAIN_ID; reserved on this machine until the process ends."""
     for offset in range(len(DOMAINS)):
         number = DOMAINS[(os.getpid() + offset) % len(DOMAINS)]
-        claim = socket.socket(socket.AF_UNIX)
+        reservation = socket.socket(socket.AF_UNIX)
         try:
-            claim.bind(f"\0robotkube-tests-ros-domain-{number}")
+            reservation.bind(f"\0robotkube-tests-ros-domain-{number}")
         except OSError:
-            claim.close()
+            reservation.close()
             continue
-        _claims.append(claim)
+        atexit.register(reservation.close)
         return str(number)
-    raise AssertionError(f"all ROS domains of {DOMAINS} are claimed by tests that run")
+    raise AssertionError(f"all ROS domains of {DOMAINS} are reserved by tests that run")
