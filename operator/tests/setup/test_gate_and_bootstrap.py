@@ -22,7 +22,7 @@ from pymongo.errors import OperationFailure
 from robotkube.cli import main as cli
 from robotkube.foundation.runtime.adapters.webhook_server import WebServer
 from robotkube.registry.evidence.core.statements import Check
-from robotkube.registry.suites.adapters.runner_server import RunsEndpoint
+from robotkube.registry.suites.adapters.runner_protocol import RunsEndpoint
 from robotkube.testing.publishing import ScriptedRunner
 from tests.stages.forge.catalogue_evidence import SEED, key_folder
 from tests.stages.forge.gitea import ForgeProcess

@@ -15,8 +15,7 @@ import yaml
 
 from robotkube.errors import InputError, UnavailableError
 from robotkube.foundation.runtime.adapters.webhook_server import BODY_BYTES_MAX, WebServer
-from robotkube.registry.suites.adapters.runner_client import SuiteRunnerClient
-from robotkube.registry.suites.adapters.runner_server import REQUEST_BYTES_MAX, RunsEndpoint
+from robotkube.registry.suites.adapters.runner_protocol import REQUEST_BYTES_MAX, RunsEndpoint, SuiteRunnerClient
 from robotkube.registry.suites.core.requests import SuiteProgress, SuiteRequest, request_document
 from robotkube.registry.suites.loops.static import StaticSuite
 from robotkube.testing.suites import make_request, passed

@@ -15,7 +15,7 @@ from robotkube.registry.charts.adapters.chart_folders import pack
 from robotkube.registry.charts.adapters.oci import OciRegistry
 from robotkube.registry.evidence.core.statements import Artefact, SuiteResult
 from robotkube.registry.evidence.core.verification_policy import SuiteRule
-from robotkube.registry.suites.adapters.runner_client import SuiteRunnerClient
+from robotkube.registry.suites.adapters.runner_protocol import SuiteRunnerClient
 from robotkube.registry.suites.core.requests import SuiteRequest
 from tests.stages.platform.running_platform import Platform, eventually
 

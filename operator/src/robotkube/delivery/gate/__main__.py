@@ -38,7 +38,7 @@ from robotkube.registry.evidence.adapters.dsse import KeyFile, TrustedKeys
 from robotkube.registry.publication.loops.publication import PublicationLoop, publication_metrics
 from robotkube.registry.publication.loops.submission_reader import PublicationSettings
 from robotkube.registry.publication.loops.verification import ChartVerification, VerifyingSettings
-from robotkube.registry.suites.adapters.runner_client import SuiteRunnerClient
+from robotkube.registry.suites.adapters.runner_protocol import SuiteRunnerClient
 from robotkube.registry.suites.core.requests import SuiteProgress, SuiteRequest
 from robotkube.registry.suites.ports.suites import SuiteRunner
 

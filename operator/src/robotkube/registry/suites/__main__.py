@@ -16,7 +16,7 @@ from robotkube.foundation.runtime.process import Process, run
 from robotkube.registry.evidence.core.verification_policy import SuiteRule
 from robotkube.registry.suites import run_process
 from robotkube.registry.suites.adapters.forked_runs import ForkedSuites
-from robotkube.registry.suites.adapters.runner_server import RunsEndpoint
+from robotkube.registry.suites.adapters.runner_protocol import RunsEndpoint
 from robotkube.registry.suites.loops.images import ImagesSuite
 from robotkube.registry.suites.loops.namespace_cleanup import ClusterNamespaceCleaner
 from robotkube.registry.suites.loops.queue import SuiteQueue

@@ -95,7 +95,7 @@ UNCHECKED = (  # by the start of the name
     "registry.charts.adapters.oci",  # publication's own points
     "foundation.forge.adapters.push_hooks",  # these ask others to look or to begin, and change nothing
     "delivery.manager.adapters.argocd",
-    "registry.suites.adapters.runner_client",
+    "registry.suites.adapters.runner_protocol",
 )
 
 
