@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ci import architecture, chart_reference, command_reference, detector_reference, markdown, rule_reference
+from ci.walks import page as walks
 from robotkube.delivery.manager.adapters.prometheus import reference
 
 TOP = Path(__file__).resolve().parent.parent
@@ -180,3 +181,4 @@ if __name__ == "__main__":
     print(rule_reference.PAGE.relative_to(TOP), *(path.relative_to(TOP) for path in chart_reference.write()))
     print(PAGE.relative_to(TOP), METRICS_PAGE.relative_to(TOP), commands.relative_to(TOP))
     architecture.write()
+    walks.write()
