@@ -21,7 +21,7 @@ from benchmarks.bags import POSE_TYPE, message
 from robotkube.foundation.runtime.process import PodSettings, Process, run
 from robotkube.robots.bridge.__main__ import account
 from robotkube.robots.mqtt.adapters.paho_channel import PahoChannel
-from robotkube.robots.mqtt.core.batches import decode_frame, encode_frame
+from robotkube.robots.mqtt.core.batches import decode_batch, encode_batch
 from robotkube.robots.mqtt.core.message_properties import MQTT_PREFIX
 from robotkube.robots.ros.adapters.rclpy_node import RosNode
 
@@ -88,7 +88,7 @@ class Listener:
     def received(self, topic: str, payload: bytes, properties: bytes) -> None:
         """See the port."""
         assert self.sink is not None
-        for data in decode_frame(payload).messages:
+        for data in decode_batch(payload).messages:
             self.sink.take(data)
 
 
@@ -151,7 +151,7 @@ def mqtt_source(process: Process, options: argparse.Namespace) -> Any:
 
     def frame(messages: list[bytes]) -> None:
         nonlocal frames
-        assert channel.publish(topic, encode_frame(session, frames, messages), False) is not None
+        assert channel.publish(topic, encode_batch(session, frames, messages), False) is not None
         events.unacknowledged += 1
         frames += 1
         turn()

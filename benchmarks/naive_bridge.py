@@ -22,7 +22,7 @@ from paho.mqtt.enums import CallbackAPIVersion
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 
-from robotkube.robots.mqtt.core.batches import decode_frame, encode_frame
+from robotkube.robots.mqtt.core.batches import decode_batch, encode_batch
 
 CONNECT_SECONDS_MAX = 30
 
@@ -48,7 +48,7 @@ def forward(client: mqtt.Client, topic: str, session: int) -> Callable[[bytes], 
 
     def publish(data: bytes) -> None:
         nonlocal count
-        client.publish(f"mqtt{topic}", encode_frame(session, count, [data]), qos=1)
+        client.publish(f"mqtt{topic}", encode_batch(session, count, [data]), qos=1)
         count += 1
 
     return publish
@@ -63,7 +63,7 @@ def backward(client: mqtt.Client, node: Any, topics: list[dict[str, Any]]) -> No
     }
 
     def received(_: mqtt.Client, __: object, message: mqtt.MQTTMessage) -> None:
-        for data in decode_frame(message.payload).messages:
+        for data in decode_batch(message.payload).messages:
             publishers[message.topic].publish(bytes(data))
 
     client.on_message = received

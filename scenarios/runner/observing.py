@@ -14,7 +14,7 @@ from kubernetes import watch
 from paho.mqtt import client as mqtt
 from paho.mqtt.enums import CallbackAPIVersion
 
-from robotkube.robots.mqtt.core.batches import BatchError, decode_frame
+from robotkube.robots.mqtt.core.batches import BatchError, decode_batch
 from scenarios.runner.access import Access
 from scenarios.runner.inputs import BrokerLog, BrokerMessages, BrokerResult, Pod
 from scenarios.runner.waiting import RunError
@@ -96,7 +96,7 @@ class BrokerObserver:
 def frame_texts(payload: bytes) -> list[str]:
     """The texts in a frame of std_msgs/String (CDR, little endian); what is none is left out."""
     try:
-        return [text_of(message) for message in decode_frame(payload).messages]
+        return [text_of(message) for message in decode_batch(payload).messages]
     except (BatchError, struct.error, UnicodeDecodeError):
         return []
 

@@ -237,7 +237,7 @@ def test_a_bridge_that_may_not_says_so(broker: int, official: Any) -> None:
         assert time.monotonic() < deadline, bridge.complaint
         bridge.turn(time.monotonic())
         time.sleep(0.01)
-    assert "mqtt/vehicles/vehicle_03/pose: the broker refuses a frame (reason 0x87" in str(bridge.complaint)
+    assert "mqtt/vehicles/vehicle_03/pose: the broker refuses a message (reason 0x87" in str(bridge.complaint)
     assert 'why="refused by the broker"} 1' in bridge.metrics()
     bridge.close()
 

@@ -17,7 +17,7 @@ from robotkube.robots.bridge.core.settings import read_bridge_settings
 from robotkube.robots.bridge.loops.bridge import Bridge
 from robotkube.robots.bridge.loops.flows import SendingSession
 from robotkube.robots.detector.wiring import ApiTasks
-from robotkube.robots.mqtt.core.batches import decode_frame
+from robotkube.robots.mqtt.core.batches import decode_batch
 from robotkube.testing.api_server import ApiServerInMemory
 from tests.stages.bridge.memory_network import Channel, Network
 from tests.stages.runtime.settings_reading import Reading
@@ -76,7 +76,7 @@ class Stage:
     @property
     def sent(self) -> list[bytes]:
         """Messages that left."""
-        frames = [decode_frame(payload) for _, payload, _ in self.channels["telemetry"].sent]
+        frames = [decode_batch(payload) for _, payload, _ in self.channels["telemetry"].sent]
         return [message for frame in frames for message in frame.messages]
 
     def settle(self) -> None:

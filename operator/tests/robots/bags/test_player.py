@@ -155,7 +155,7 @@ def test_what_is_not_taken_is_not_in_the_ledger(tmp_path: Path) -> None:
     world = World(tmp_path, START)
     world.network.refused = restamped(message(207, 0, 76), START + 207 * 10_000_000)
     world.player.order(PlaybackRun("one", START))
-    with pytest.raises(UnavailableError, match=r"topic /p: the middleware did not take a message: no room"):
+    with pytest.raises(UnavailableError, match=r"topic /p: the middleware did not accept a message: no room"):
         world.player.serve()
     assert [line["sequence"] for line in world.ledger("one", "__p")] == list(range(207))
     assert len(world.network.endpoint("/p").published) == 207

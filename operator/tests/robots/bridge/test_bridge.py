@@ -1,13 +1,13 @@
 """The bridge's decisions, with a network and connections in memory."""
 
-from robotkube.robots.bridge.core.settings import DOOR_TYPE
-from robotkube.robots.bridge.loops.flows import FRAME_BYTES_MAX
-from robotkube.robots.mqtt.core.batches import decode_frame, encode_frame
+from robotkube.robots.bridge.core.settings import GATEWAY_TYPE
+from robotkube.robots.bridge.loops.flows import BATCH_BYTES_MAX
+from robotkube.robots.mqtt.core.batches import decode_batch, encode_batch
 from robotkube.robots.ros.core.common_messages import string_message, string_text
 from tests.stages.bridge.in_memory import CLOUD, EVERYBODY, POSE, TRANSFORM, World
 
 
-def test_a_drain_becomes_one_frame() -> None:
+def test_a_drain_becomes_one_batch() -> None:
     world = World()
     world.configure(out=[POSE])
     world.connect()
@@ -15,14 +15,14 @@ def test_a_drain_becomes_one_frame() -> None:
     world.bridge.turn(0.0)
     (sent,) = world.channels["telemetry"].sent
     assert (sent[0], sent[2]) == ("mqtt/vehicles/vehicle_00/pose", False)
-    frame = decode_frame(sent[1])
-    assert (frame.session, frame.sequence, frame.messages) == (42, 0, (b"one", b"two"))
+    batch = decode_batch(sent[1])
+    assert (batch.session, batch.sequence, batch.messages) == (42, 0, (b"one", b"two"))
 
 
-def test_the_task_door_carries_texts_as_they_are() -> None:
+def test_the_task_gateway_carries_texts_as_they_are() -> None:
     world = World()
-    status = {"name": "/robotkube/task_status", "type": DOOR_TYPE}
-    world.configure(out=[{"name": "/robotkube/tasks", "type": DOOR_TYPE}], into=[status])
+    status = {"name": "/robotkube/task_status", "type": GATEWAY_TYPE}
+    world.configure(out=[{"name": "/robotkube/tasks", "type": GATEWAY_TYPE}], into=[status])
     world.connect()
     asked = [b'{"withdraw": "a"}', '{"ä": 1}'.encode()]
     cut_off = [b"\x00\x01", b"\x00\x01\0\0\xff\0\0\0x"]
@@ -37,13 +37,13 @@ def test_the_task_door_carries_texts_as_they_are() -> None:
     assert string_text(published) == b'{"id": "a"} ' + "\ufffd".encode()
 
 
-def test_large_messages_get_frames_of_their_own() -> None:
+def test_large_messages_get_batches_of_their_own() -> None:
     world = World()
     world.configure(out=[CLOUD])
     world.connect()
-    world.network.endpoint(CLOUD["name"]).waiting = [bytes(FRAME_BYTES_MAX // 2 + 1)] * 3
+    world.network.endpoint(CLOUD["name"]).waiting = [bytes(BATCH_BYTES_MAX // 2 + 1)] * 3
     world.bridge.turn(0.0)
-    assert [decode_frame(payload).sequence for _, payload, _ in world.channels["bulk"].sent] == [0, 1, 2]
+    assert [decode_batch(payload).sequence for _, payload, _ in world.channels["bulk"].sent] == [0, 1, 2]
 
 
 def test_messages_are_published_once() -> None:
@@ -53,18 +53,18 @@ def test_messages_are_published_once() -> None:
     channel = world.channels["telemetry"]
     assert channel.subscribed == ["mqtt/vehicles/vehicle_00/pose"]
     for sequence in (0, 1, 1, 0, 2):
-        channel.events.received("mqtt/vehicles/vehicle_00/pose", encode_frame(7, sequence, [b"%d" % sequence]), b"")
+        channel.events.received("mqtt/vehicles/vehicle_00/pose", encode_batch(7, sequence, [b"%d" % sequence]), b"")
     assert world.network.endpoint(POSE["name"]).published == [b"0", b"1", b"2"]
-    assert 'duplicate_frames_total{topic="/vehicles/vehicle_00/pose"} 2' in world.bridge.metrics()
+    assert 'duplicate_batches_total{topic="/vehicles/vehicle_00/pose"} 2' in world.bridge.metrics()
 
 
-def test_a_damaged_frame_is_counted_and_said_once() -> None:
+def test_a_damaged_batch_is_counted_and_logged_once() -> None:
     world = World()
     world.configure(into=[POSE])
     for _ in range(3):
         world.channels["telemetry"].events.received("mqtt/vehicles/vehicle_00/pose", b"nonsense", b"")
-    assert 'refused_frames_total{channel="telemetry"} 3' in world.bridge.metrics()
-    assert sum("frame refused" in line for line in world.lines) == 1
+    assert 'refused_batches_total{channel="telemetry"} 3' in world.bridge.metrics()
+    assert sum("batch refused" in line for line in world.lines) == 1
 
 
 def test_new_settings_touch_only_what_differs() -> None:
@@ -91,7 +91,7 @@ def test_sequences_go_on_when_a_topic_comes_back() -> None:
         world.connect()
         world.network.endpoint(POSE["name"]).waiting = [b"x"]
         world.bridge.turn(0.0)
-        sequences.append(decode_frame(world.channels["telemetry"].sent[-1][1]).sequence)
+        sequences.append(decode_batch(world.channels["telemetry"].sent[-1][1]).sequence)
         world.configure()
     assert sequences == [0, 1]
 
@@ -123,8 +123,8 @@ def test_the_log_says_once_why_there_is_no_connection() -> None:
     world = World()
     world.configure(out=[POSE])
     channel = world.channels["telemetry"]
-    for said in (channel.complaint, "Not authorized", "Not authorized", None, "does not answer"):
-        channel.complaint = said
+    for complaint in (channel.complaint, "Not authorized", "Not authorized", None, "does not answer"):
+        channel.complaint = complaint
         world.bridge.turn(0.0)
     assert world.logged("not connected") == [
         {"channel": "telemetry", "reason": "Not authorized"},
@@ -132,7 +132,7 @@ def test_the_log_says_once_why_there_is_no_connection() -> None:
     ]
 
 
-def test_retained_frames_are_sent_again_to_a_broker_that_forgot_them() -> None:
+def test_retained_batches_are_sent_again_to_a_broker_that_forgot_them() -> None:
     world = World()
     world.configure(out=[TRANSFORM])
     world.connect()
@@ -159,7 +159,7 @@ def test_topics_of_an_older_session_are_unsubscribed() -> None:
     world = World()
     world.configure(into=[POSE])
     world.connect()
-    world.channels["telemetry"].events.received("mqtt/long/gone", encode_frame(1, 1, [b"x"]), b"")
+    world.channels["telemetry"].events.received("mqtt/long/gone", encode_batch(1, 1, [b"x"]), b"")
     assert {"mqtt/long/gone", "mqtt/+/gone"} <= set(world.channels["telemetry"].unsubscribed)
 
 
@@ -167,8 +167,8 @@ def test_what_is_subscribed_is_not_unsubscribed_for_a_message_that_is_for_nobody
     world = World()
     world.configure(into=[EVERYBODY])
     world.connect()
-    world.channels["telemetry"].events.received("mqtt/vehicles/vehicle_00/pose", encode_frame(1, 1, [b"x"]), b"")
-    world.channels["telemetry"].events.received("mqtt/other/vehicle_00/pose", encode_frame(1, 1, [b"x"]), b"")
+    world.channels["telemetry"].events.received("mqtt/vehicles/vehicle_00/pose", encode_batch(1, 1, [b"x"]), b"")
+    world.channels["telemetry"].events.received("mqtt/other/vehicle_00/pose", encode_batch(1, 1, [b"x"]), b"")
     gone = world.channels["telemetry"].unsubscribed
     assert "mqtt/other/+/pose" in gone
     assert "mqtt/vehicles/+/pose" not in gone
@@ -188,4 +188,4 @@ def test_nothing_is_lost_over_a_reconnection() -> None:
     for step in range(3):
         world.bridge.turn(0.2 + step)
         channel.acknowledge(len(channel.sent))
-    assert [decode_frame(payload).messages[0] for _, payload, _ in channel.sent] == [b"0", b"0", b"1"]
+    assert [decode_batch(payload).messages[0] for _, payload, _ in channel.sent] == [b"0", b"0", b"1"]

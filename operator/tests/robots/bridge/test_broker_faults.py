@@ -47,10 +47,10 @@ def test_an_outage_of_the_broker_costs_no_pose_and_every_missing_cloud_is_known(
     missing = sorted(set(range(stage.sent[CLOUD["name"]])) - set(clouds))
     assert clouds == sorted(set(clouds))
     assert len(missing) > away * hertz / 2
-    told = [read_gap_text(string_text(one).decode()) for one in stage.cloud.network.endpoint(GAPS_TOPIC).published]
-    assert sorted(number for gap in told for number in range(gap.first, gap.last + 1)) == missing
-    assert sum(gap.count or 0 for gap in told) == len(missing)
-    assert {(gap.topic, gap.where) for gap in told} == {(CLOUD["name"], "mqtt-bridge of vehicle-00")}
+    gaps = [read_gap_text(string_text(one).decode()) for one in stage.cloud.network.endpoint(GAPS_TOPIC).published]
+    assert sorted(number for gap in gaps for number in range(gap.first, gap.last + 1)) == missing
+    assert sum(gap.count or 0 for gap in gaps) == len(missing)
+    assert {(gap.topic, gap.where) for gap in gaps} == {(CLOUD["name"], "mqtt-bridge of vehicle-00")}
 
 
 def test_a_connection_that_breaks_loses_and_doubles_nothing(stage: Stage) -> None:

@@ -58,15 +58,15 @@ def play(setting: Setting, acts: dict[float, Callable[[], None]]) -> Received:
     last = {name: ledger(setting, agent, name)[-1] for agent, name in zip(setting.agents, poses, strict=True)}
     eventually(lambda: all(line in received_now(setting).get(name, ()) for name, line in last.items()), "last poses")
     setting.close()
-    found = received_now(setting)
-    assert found, f"the receiver said:\n{(setting.folder / 'receiver.log').read_text()[-4000:]}"
-    return found
+    received = received_now(setting)
+    assert received, f"the receiver said:\n{(setting.folder / 'receiver.log').read_text()[-4000:]}"
+    return received
 
 
 def received_now(setting: Setting) -> Received:
     """What had arrived when nothing more came; the receiver writes it then."""
-    found = setting.folder / "received.json"
-    result = json.loads(found.read_text()) if found.exists() else {}
+    file = setting.folder / "received.json"
+    result = json.loads(file.read_text()) if file.exists() else {}
     return {name: [(stamp, digest) for stamp, digest in topic["hashes"]] for name, topic in result.items()}
 
 

@@ -12,7 +12,7 @@ import pytest
 from benchmarks import pods
 from robotkube.robots.bridge.core import mqtt_client_format as ika
 from robotkube.robots.mqtt.adapters.paho_channel import BrokerAccount, PahoChannel
-from robotkube.robots.mqtt.core.batches import decode_frame, encode_frame
+from robotkube.robots.mqtt.core.batches import decode_batch, encode_batch
 from robotkube.robots.mqtt.core.message_properties import type_properties, types_topic
 from robotkube.robots.mqtt.core.properties import read_properties
 from robotkube.robots.ros.core.cdr import CdrWriter, Header
@@ -65,8 +65,8 @@ class Client:
 
     def __init__(self, stage: Stage, account: str) -> None:
         self.stage, self.got = stage, dict[str, tuple[bytes, bytes]]()
-        found = BrokerAccount("127.0.0.1", stage.broker.port, account, pods.password(account))
-        self.channel = PahoChannel(lambda: found, f"{account}-client", 5, self)
+        credentials = BrokerAccount("127.0.0.1", stage.broker.port, account, pods.password(account))
+        self.channel = PahoChannel(lambda: credentials, f"{account}-client", 5, self)
         self.until(lambda: self.channel.complaint is None)
 
     def until(self, condition: Any) -> None:
@@ -125,8 +125,8 @@ def test_a_type_that_is_not_installed_is_read_by_its_definition(tmp_path: Path) 
     with running(tmp_path) as stage:
         sender = Client(stage, "vehicle-00")
         sender.channel.publish(types_topic(TF_TOPIC), TF_DEFINITION.encode(), True, type_properties(TF, "", ""))
-        frame = encode_frame(1, 0, [bytes(writer.data)])
-        sender.channel.publish(TF_TOPIC, frame, True, type_properties(TF, "ab" * 16))
+        batch = encode_batch(1, 0, [bytes(writer.data)])
+        sender.channel.publish(TF_TOPIC, batch, True, type_properties(TF, "ab" * 16))
         reader = Client(stage, "cloud-0")
         reader.channel.subscribe(["mqtt/vehicles/+/tf", "robotkube/types/mqtt/vehicles/+/tf"])
         sender.until(lambda: True)
@@ -138,7 +138,7 @@ def test_a_type_that_is_not_installed_is_read_by_its_definition(tmp_path: Path) 
         fields = Layouts(kinds.__getitem__).reader(
             kind, ["transforms[0].child_frame_id", "transforms[0].transform.translation.y"]
         )
-        assert fields(decode_frame(payload[0]).messages[0]) == ("base", 2.5)
+        assert fields(decode_batch(payload[0]).messages[0]) == ("base", 2.5)
         sender.channel.close()
         reader.channel.close()
 
@@ -155,8 +155,8 @@ def test_definitions_are_retained_beside_the_messages(tmp_path: Path) -> None:
         client.channel.close()
 
 
-def test_the_how_to_reads_frames() -> None:
+def test_the_how_to_reads_batches() -> None:
     [code] = re.findall(r"```python\n(.*?)```", HOW_TO.read_text(), re.DOTALL)
     known: dict[str, Any] = {}
     exec(code, known)  # noqa: S102 - the page's own example
-    assert known["messages"](encode_frame(5, 6, [b"a", b"", b"bcd"])) == (5, 6, [b"a", b"", b"bcd"])
+    assert known["messages"](encode_batch(5, 6, [b"a", b"", b"bcd"])) == (5, 6, [b"a", b"", b"bcd"])

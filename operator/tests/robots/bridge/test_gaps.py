@@ -1,4 +1,4 @@
-"""What a bridge drops: counted by topic, place and reason with first and last stamp, and told to the receiver."""
+"""What a bridge drops: counted by topic, place and reason with first and last stamp, and reported to the receiver."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from benchmarks.bags import message
 from robotkube.robots.bridge.core.losses import OTHERS, TOPICS_MAX, Losses
 from robotkube.robots.bridge.core.outbox import LARGE, MANY, OLD, REFUSED, Outbox, OutboxBounds, OutgoingBatch
-from robotkube.robots.mqtt.core.batches import encode_frame
+from robotkube.robots.mqtt.core.batches import encode_batch
 from robotkube.robots.mqtt.core.message_properties import (
     GAPS_PER_MESSAGE_MAX,
     GAPS_TOPIC,
@@ -41,14 +41,14 @@ def after_an_outage(world: World) -> None:
     world.bridge.turn(19.95)
 
 
-def test_clouds_of_an_outage_are_told_with_the_first_one_after_it() -> None:
+def test_clouds_of_an_outage_are_reported_with_the_first_one_after_it() -> None:
     world = World()
     after_an_outage(world)
     assert gaps_sent(world, "bulk") == [Gap(CLOUD["name"], WHERE, MANY, 190, 0, 189)]
     assert world.logged("messages dropped") == []
     world.channels["bulk"].acknowledge(1)
-    told = {"why": MANY, "where": WHERE, "count": 190, "first": 0, "last": 189, "topic": CLOUD["name"]}
-    assert world.logged("messages dropped") == [{"channel": "bulk", **told}]
+    gap = {"why": MANY, "where": WHERE, "count": 190, "first": 0, "last": 189, "topic": CLOUD["name"]}
+    assert world.logged("messages dropped") == [{"channel": "bulk", **gap}]
     world.bridge.turn(19.96)
     assert len(world.channels["bulk"].sent) == 5, "then as many as may be on their way at once"
     assert gaps_sent(world, "bulk") == []
@@ -57,7 +57,7 @@ def test_clouds_of_an_outage_are_told_with_the_first_one_after_it() -> None:
     assert f"robotkube_bridge_dropped_last_stamp_seconds{labels} 0.000000189" in world.bridge.metrics()
 
 
-def test_a_gap_whose_teller_is_dropped_is_told_by_the_next_one() -> None:
+def test_a_gap_whose_batch_is_dropped_is_reported_by_the_next_one() -> None:
     world = World()
     after_an_outage(world)
     world.channels["bulk"].lose()
@@ -68,14 +68,14 @@ def test_a_gap_whose_teller_is_dropped_is_told_by_the_next_one() -> None:
     assert gaps_sent(world, "bulk") == [Gap(CLOUD["name"], WHERE, MANY, 191, 0, 190)]
 
 
-def test_what_nobody_could_be_told_is_told_at_the_end() -> None:
+def test_what_nobody_could_receive_is_reported_at_the_end() -> None:
     world = World()
     after_an_outage(world)
     world.bridge.close()
     assert [fields["count"] for fields in world.logged("messages dropped")] == [190]
 
 
-def test_a_frame_that_the_broker_refuses_is_a_gap_and_a_complaint() -> None:
+def test_a_batch_that_the_broker_refuses_is_a_gap_and_a_complaint() -> None:
     world = World()
     world.configure(out=[POSE])
     world.connect()
@@ -87,69 +87,69 @@ def test_a_frame_that_the_broker_refuses_is_a_gap_and_a_complaint() -> None:
     assert "mqtt/vehicles/vehicle_00/pose: not authorised" in str(world.bridge.complaint)
 
 
-def test_the_receiver_publishes_what_it_is_told() -> None:
+def test_the_receiver_publishes_reported_gaps() -> None:
     world = World()
     world.configure(into=[POSE], publish_gaps=True)
     world.connect()
     gap = Gap(POSE["name"], WHERE, OLD, 3, 10, 30)
-    frame = encode_frame(1, 4, [b"pose"])
+    batch = encode_batch(1, 4, [b"pose"])
     for _ in range(2):
-        world.channels["telemetry"].events.received("mqtt" + POSE["name"], frame, gaps_property([gap]))
+        world.channels["telemetry"].events.received("mqtt" + POSE["name"], batch, gaps_property([gap]))
     assert [read_gap_text(string_text(one).decode()) for one in world.network.endpoint(GAPS_TOPIC).published] == [gap]
     assert len(world.logged("messages missing")) == 1
     world.configure(into=[POSE])
     assert [e.topic for e in world.network.made if e.closed] == [GAPS_TOPIC]
 
 
-def test_a_frame_of_another_type_or_with_broken_properties_is_refused() -> None:
+def test_a_batch_of_another_type_or_with_broken_properties_is_refused() -> None:
     world = World()
     world.configure(into=[POSE])
     world.connect()
-    frame = encode_frame(1, 0, [b"pose"])
+    batch = encode_batch(1, 0, [b"pose"])
     wrong_type = b"\x26\0\x04type\0\x01x"
     for properties in (wrong_type, b"\x26", b"\x26\0\x04gaps\0\x01{"):
-        world.channels["telemetry"].events.received("mqtt" + POSE["name"], frame, properties)
+        world.channels["telemetry"].events.received("mqtt" + POSE["name"], batch, properties)
     assert world.network.endpoint(POSE["name"]).published == []
-    assert 'refused_frames_total{channel="telemetry"} 3' in world.bridge.metrics()
-    assert "its type is x, that of the topic geometry_msgs/msg/PoseStamped" in str(world.logged("frame refused"))
+    assert 'refused_batches_total{channel="telemetry"} 3' in world.bridge.metrics()
+    assert "its type is x, that of the topic geometry_msgs/msg/PoseStamped" in str(world.logged("batch refused"))
 
 
-def frame(number: int, born: float, retained: bool = False, size: int = 1) -> OutgoingBatch:
+def batch(number: int, born: float, retained: bool = False, size: int = 1) -> OutgoingBatch:
     return OutgoingBatch("t", bytes(size), 1, retained, born, b"", "/t", number, number)
 
 
-def test_each_bound_has_its_reason_and_retained_frames_stay() -> None:
-    outbox = Outbox(OutboxBounds(seconds_max=60, frames_max=5, bytes_max=100, inflight_max=2))
-    outbox.put(frame(0, 0, retained=True))
-    outbox.put(frame(1, 0))
-    outbox.put(frame(2, 50))
-    found = outbox.next(70)
-    assert found is not None
-    assert (found.retained, [gap.first for gap in found.gaps]) == (True, [1])
+def test_each_bound_has_its_reason_and_retained_batches_stay() -> None:
+    outbox = Outbox(OutboxBounds(seconds_max=60, batches_max=5, bytes_max=100, inflight_max=2))
+    outbox.put(batch(0, 0, retained=True))
+    outbox.put(batch(1, 0))
+    outbox.put(batch(2, 50))
+    following = outbox.next(70)
+    assert following is not None
+    assert (following.retained, [gap.first for gap in following.gaps]) == (True, [1])
     assert [(gap.why, gap.first, gap.last) for gap in outbox.losses.sums] == [(OLD, 1, 1)]
-    outbox.put(frame(3, 70, size=100))
+    outbox.put(batch(3, 70, size=100))
     assert [(gap.why, gap.first) for gap in outbox.losses.sums] == [(OLD, 1), (LARGE, 2)]
     for number in range(4, 10):
-        outbox.put(frame(number, 71))
+        outbox.put(batch(number, 71))
     assert [(gap.why, gap.first, gap.last) for gap in outbox.losses.sums] == [(OLD, 1, 1), (LARGE, 2, 3), (MANY, 4, 4)]
     assert outbox.bytes == 5
 
 
-def test_what_does_not_fit_beside_a_message_is_told_with_the_next() -> None:
-    outbox = Outbox(OutboxBounds(seconds_max=60, frames_max=5, bytes_max=100, inflight_max=2))
+def test_what_does_not_fit_beside_a_message_is_reported_with_the_next() -> None:
+    outbox = Outbox(OutboxBounds(seconds_max=60, batches_max=5, bytes_max=100, inflight_max=2))
     reasons = [f"reason {number}" for number in range(GAPS_PER_MESSAGE_MAX + 2)]
     for number, why in enumerate(reasons):
         outbox.losses.add(Gap("/t", "here", why, 1, number, number))
-    told = []
+    reported = []
     for number in range(2):
-        outbox.put(frame(number, 0))
-        found = outbox.next(0)
-        assert found is not None
-        outbox.sent(number, found)
-        told.append([gap.why for gap in found.gaps])
-        assert read_gaps(read_properties(gaps_property(found.gaps)).user["gaps"]) == list(found.gaps)
-    assert told == [reasons[:GAPS_PER_MESSAGE_MAX], reasons[GAPS_PER_MESSAGE_MAX:]]
-    assert outbox.untold == [Gap("/t", "here", why, 1, number, number) for number, why in enumerate(reasons)]
+        outbox.put(batch(number, 0))
+        following = outbox.next(0)
+        assert following is not None
+        outbox.sent(number, following)
+        reported.append([gap.why for gap in following.gaps])
+        assert read_gaps(read_properties(gaps_property(following.gaps)).user["gaps"]) == list(following.gaps)
+    assert reported == [reasons[:GAPS_PER_MESSAGE_MAX], reasons[GAPS_PER_MESSAGE_MAX:]]
+    assert outbox.unreported == [Gap("/t", "here", why, 1, number, number) for number, why in enumerate(reasons)]
 
 
 def test_losses_are_bounded() -> None:
@@ -163,27 +163,27 @@ def test_losses_are_bounded() -> None:
 @given(st.lists(st.sampled_from(["put", "send", "acknowledge", "reject", "lose", "wait"]), max_size=80))
 def test_every_message_is_delivered_or_in_a_gap(actions: list[str]) -> None:
     """Whatever happens, the numbers that were not delivered are those that the sums count and the gaps cover."""
-    outbox = Outbox(OutboxBounds(seconds_max=5, frames_max=4, bytes_max=1000, inflight_max=2))
+    outbox = Outbox(OutboxBounds(seconds_max=5, batches_max=4, bytes_max=1000, inflight_max=2))
     outbox.connected(0)
     number = token = 0
     now = 0.0
     flying: dict[int, OutgoingBatch] = {}
     delivered: set[int] = set()
-    told: list[Gap] = []
+    reported: list[Gap] = []
     for action in actions:
         if action == "put":
-            outbox.put(frame(number, now))
+            outbox.put(batch(number, now))
             number += 1
-        elif action == "send" and (found := outbox.next(now)) is not None:
+        elif action == "send" and (following := outbox.next(now)) is not None:
             token += 1
-            outbox.sent(token, found)
-            flying[token] = found
+            outbox.sent(token, following)
+            flying[token] = following
         elif action in ("acknowledge", "reject") and flying:
             first = min(flying)
-            found = flying.pop(first)
+            following = flying.pop(first)
             if action == "acknowledge":
-                delivered.add(found.first)
-                told += outbox.acknowledged(first, True, now)
+                delivered.add(following.first)
+                reported += outbox.acknowledged(first, True, now)
             else:
                 outbox.rejected(first)
         elif action == "lose":
@@ -193,7 +193,7 @@ def test_every_message_is_delivered_or_in_a_gap(actions: list[str]) -> None:
             now += 3
     kept = {one.first for one in (*flying.values(), *outbox.waiting)}
     missing = set(range(number)) - delivered - kept
-    gaps = [*told, *outbox.untold]
+    gaps = [*reported, *outbox.unreported]
     assert sum(gap.count or 0 for gap in outbox.losses.sums) == outbox.dropped == len(missing)
     assert sum(gap.count or 0 for gap in gaps) == len(missing)
     assert all(any(gap.covers(stamp) for gap in gaps) for stamp in missing)

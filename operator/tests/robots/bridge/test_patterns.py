@@ -8,7 +8,7 @@ from robotkube.robots.bridge.core import mqtt_client_format as ika
 from robotkube.robots.bridge.core.settings import TOPICS_MAX
 from robotkube.robots.bridge.loops import flows
 from robotkube.robots.bridge.loops.bridge import FORGET_SECONDS
-from robotkube.robots.mqtt.core.batches import decode_frame, encode_frame
+from robotkube.robots.mqtt.core.batches import decode_batch, encode_batch
 from robotkube.robots.mqtt.core.properties import read_properties
 from robotkube.robots.ros.core.graph import Endpoint
 from tests.stages.bridge.in_memory import EVERYBODY, POSE, TRACE, World
@@ -51,8 +51,8 @@ def test_topics_of_others_are_found_at_the_broker() -> None:
     telemetry = world.channels["telemetry"]
     assert telemetry.subscribed == ["mqtt/vehicles/+/pose"]
     for sequence in range(2):
-        telemetry.events.received("mqtt" + OTHER, encode_frame(1, sequence, [b"%d" % sequence]), b"")
-        telemetry.events.received("mqtt" + POSE["name"], encode_frame(1, sequence, [b"own"]), b"")
+        telemetry.events.received("mqtt" + OTHER, encode_batch(1, sequence, [b"%d" % sequence]), b"")
+        telemetry.events.received("mqtt" + POSE["name"], encode_batch(1, sequence, [b"own"]), b"")
     assert [(e.topic, e.published) for e in world.network.made] == [(OTHER, [b"0", b"1"])]
     assert telemetry.subscribed == ["mqtt/vehicles/+/pose"]
     world.configure()
@@ -64,10 +64,10 @@ def test_what_cannot_be_opened_is_bounded_and_forgotten_with_its_settings() -> N
     world = World()
     world.configure(into=[{**EVERYBODY, "type": "nowhere/msg/Odd"}])
     world.connect()
-    receive, frames = world.channels["telemetry"].events.received, iter(range(10_000))
+    receive, batches = world.channels["telemetry"].events.received, iter(range(10_000))
 
     def come(agent: str) -> None:
-        receive(f"mqtt/vehicles/{agent}/pose", encode_frame(1, next(frames), [b"pose"]), b"")
+        receive(f"mqtt/vehicles/{agent}/pose", encode_batch(1, next(batches), [b"pose"]), b"")
 
     for number in range(2 * TOPICS_MAX):
         come(f"agent_{number}")
@@ -87,15 +87,15 @@ def test_what_comes_in_does_not_go_out_and_what_goes_out_does_not_come_in() -> N
     world.configure(out=[EVERYBODY], into=[EVERYBODY])
     world.connect()
     telemetry = world.channels["telemetry"]
-    telemetry.events.received("mqtt" + OTHER, encode_frame(1, 0, [b"in"]), b"")
+    telemetry.events.received("mqtt" + OTHER, encode_batch(1, 0, [b"in"]), b"")
     bridged = published("/vehicles/vehicle_07/pose", node="/mqtt_bridge")
     world.network.others = [published(OTHER), published(POSE["name"]), bridged]
     world.bridge.turn(1.0)
     assert [e.topic for e in world.network.made] == [OTHER, POSE["name"]]
-    telemetry.events.received("mqtt" + POSE["name"], encode_frame(9, 0, [b"back"]), b"")
+    telemetry.events.received("mqtt" + POSE["name"], encode_batch(9, 0, [b"back"]), b"")
     world.network.endpoint(POSE["name"]).waiting = [b"out"]
     world.bridge.turn(2.0)
-    assert [decode_frame(data).messages for _, data, _ in telemetry.sent] == [(b"out",)]
+    assert [decode_batch(data).messages for _, data, _ in telemetry.sent] == [(b"out",)]
     assert world.network.endpoint(POSE["name"]).published == []
 
 
@@ -109,11 +109,11 @@ def test_a_topic_that_is_named_stays_when_all_are_asked_for() -> None:
     world.configure(into=[named, EVERYBODY])
     assert telemetry.subscribed == ["mqtt" + OTHER, "mqtt/vehicles/+/pose"]
     assert telemetry.unsubscribed == ["mqtt" + OTHER]
-    telemetry.events.received("mqtt" + OTHER, encode_frame(1, 0, [b"0"]), b"")
+    telemetry.events.received("mqtt" + OTHER, encode_batch(1, 0, [b"0"]), b"")
     world.configure(into=[named])
     assert telemetry.subscribed[2:] == ["mqtt" + OTHER]
     assert telemetry.unsubscribed[1:] == ["mqtt/vehicles/+/pose"]
-    telemetry.events.received("mqtt" + OTHER, encode_frame(1, 1, [b"1"]), b"")
+    telemetry.events.received("mqtt" + OTHER, encode_batch(1, 1, [b"1"]), b"")
     assert (sink.published, sink.closed) == ([b"0", b"1"], False)
 
 
@@ -124,12 +124,12 @@ def test_the_middleware_gets_nothing_before_somebody_listens() -> None:
     sink = world.network.endpoint(POSE["name"])
     sink.matched = 0
     receive = world.channels["telemetry"].events.received
-    receive("mqtt" + POSE["name"], encode_frame(1, 0, [b"0"]), b"")
+    receive("mqtt" + POSE["name"], encode_batch(1, 0, [b"0"]), b"")
     world.bridge.turn(0.1)
     assert sink.published == []
     sink.matched = 1
     world.bridge.turn(0.2)
-    receive("mqtt" + POSE["name"], encode_frame(1, 1, [b"1"]), b"")
+    receive("mqtt" + POSE["name"], encode_batch(1, 1, [b"1"]), b"")
     assert sink.published == [b"0", b"1"]
 
 
@@ -141,8 +141,8 @@ def test_holding_is_bounded(seconds: float) -> None:
     sink = world.network.endpoint(POSE["name"])
     sink.matched = 0
     count = 1 if seconds else flows.HELD_MESSAGES_MAX + 1
-    frame = encode_frame(1, 0, [b"x"] * count)
-    world.channels["telemetry"].events.received("mqtt" + POSE["name"], frame, b"")
+    batch = encode_batch(1, 0, [b"x"] * count)
+    world.channels["telemetry"].events.received("mqtt" + POSE["name"], batch, b"")
     world.now_ns += int(seconds * 1e9)
     world.bridge.turn(0.0)
     assert len(sink.published) == count
@@ -162,9 +162,9 @@ def test_messages_say_what_they_are() -> None:
         True,
     )
     assert read_properties(telemetry.properties[0]).user == {"type": POSE["type"]}
-    found = read_properties(telemetry.properties[1])
-    assert found.content_type == "application/x-robotkube-frames"
-    assert found.user == {"type": POSE["type"], "trace": "cd" * 16, "stamp": "7"}
+    properties = read_properties(telemetry.properties[1])
+    assert properties.content_type == "application/x-robotkube-frames"
+    assert properties.user == {"type": POSE["type"], "trace": "cd" * 16, "stamp": "7"}
     world.configure(publish_types=True)
     world.bridge.turn(1.0)
     assert telemetry.sent[-1] == (types, b"", True)
@@ -217,7 +217,7 @@ def test_mqtt_client_with_another_type_is_refused_in_words() -> None:
     world.connect()
     kind = ika.encode_type(ika.RosMessageType("std_msgs/msg/String", False))
     world.channels["telemetry"].events.received("mqtt_client/ros_msg_type/mqtt" + POSE["name"], kind, b"")
-    assert "its type is std_msgs/msg/String, that of the topic geometry_msgs" in str(world.logged("frame refused"))
+    assert "its type is std_msgs/msg/String, that of the topic geometry_msgs" in str(world.logged("batch refused"))
     assert len(world.channels["telemetry"].subscribed) == 1
 
 
@@ -245,4 +245,4 @@ def test_messages_of_mqtt_client_are_never_published_as_another_type() -> None:
     telemetry.events.received(name, stamped, b"")
     assert world.network.endpoint(POSE["name"]).published == [MESSAGE] * 3
     assert telemetry.subscribed.count(name) == 2
-    assert 'refused_frames_total{channel="telemetry"} 3' in world.bridge.metrics()
+    assert 'refused_batches_total{channel="telemetry"} 3' in world.bridge.metrics()

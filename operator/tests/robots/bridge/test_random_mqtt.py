@@ -14,7 +14,7 @@ import pytest
 from benchmarks.bags import message
 from robotkube.robots.bridge.core import mqtt_client_format as ika
 from robotkube.robots.mqtt.adapters import paho_channel
-from robotkube.robots.mqtt.core.batches import MAGIC, encode_frame
+from robotkube.robots.mqtt.core.batches import MAGIC, encode_batch
 from robotkube.robots.mqtt.core.message_properties import GAPS_TOPIC, stamp_property, type_properties
 from robotkube.robots.mqtt.core.packets import MalformedPacketError, write_number
 from robotkube.robots.mqtt.core.properties import user_property
@@ -27,26 +27,26 @@ CASES = pytest.mark.parametrize("cases", [200, pytest.param(20_000, marks=pytest
 
 
 def payloads(random_: random.Random) -> bytes:
-    """Bytes of any kind: noise, frames that are cut, or lie about their counts and lengths, other formats."""
+    """Bytes of any kind: noise, batches that are cut, or lie about their counts and lengths, other formats."""
     pose = message(random_.randrange(2**40), random_.randrange(2**60), random_.randrange(20, 200))
-    frame = encode_frame(random_.randrange(2**64), random_.randrange(2**64), [pose] * random_.randrange(5))
+    batch = encode_batch(random_.randrange(2**64), random_.randrange(2**64), [pose] * random_.randrange(5))
     kind = random_.randrange(8)
     if kind == 0:
         return random_.randbytes(random_.randrange(300))
     if kind == 1:
-        return frame[: random_.randrange(len(frame))]
+        return batch[: random_.randrange(len(batch))]
     if kind == 2:
         return MAGIC + random_.randbytes(16) + struct.pack("<I", random_.randrange(2**32)) + random_.randbytes(40)
     if kind == 3:
         head = MAGIC + bytes(16) + struct.pack("<II", 1, random_.randrange(2**32))
         return head + random_.randbytes(random_.randrange(60))
     if kind == 4:
-        changed = bytearray(frame)
+        changed = bytearray(batch)
         changed[random_.randrange(len(changed))] = random_.randrange(256)
         return bytes(changed)
     if kind == 5:
         return ika.encode_type(ika.RosMessageType(random_.choice([POSE["type"], "x/msg/Y", "\0" * 40]), True))
-    return frame if kind == 6 else ika.encode_message(pose, random_.choice([None, 17]))
+    return batch if kind == 6 else ika.encode_message(pose, random_.choice([None, 17]))
 
 
 def properties(random_: random.Random) -> bytes:
@@ -98,9 +98,9 @@ def test_any_message_at_any_topic(cases: int) -> None:
     known = [endpoint.topic for endpoint in world.network.made]
     assert len(known) <= 502
     assert {GAPS_TOPIC, IKA["name"], "/vehicles/vehicle_03/pose"} <= set(known)
-    events.received("mqtt/vehicles/vehicle_03/pose", encode_frame(1, 1, [b"good"]), b"")
+    events.received("mqtt/vehicles/vehicle_03/pose", encode_batch(1, 1, [b"good"]), b"")
     assert world.network.endpoint("/vehicles/vehicle_03/pose").published == [b"good"]
-    assert 'refused_frames_total{channel="telemetry"} 0' not in world.bridge.metrics()
+    assert 'refused_batches_total{channel="telemetry"} 0' not in world.bridge.metrics()
 
 
 @CASES

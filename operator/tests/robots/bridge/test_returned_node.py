@@ -16,7 +16,7 @@ from robotkube.robots.bridge.core.settings import read_bridge_settings
 from robotkube.robots.bridge.loops.bridge import Bridge
 from robotkube.robots.bridge.loops.flows import SendingSession
 from robotkube.robots.mqtt.adapters.paho_channel import BrokerAccount, PahoChannel
-from robotkube.robots.mqtt.core.batches import decode_frame
+from robotkube.robots.mqtt.core.batches import decode_batch
 from robotkube.robots.mqtt.ports import ChannelEvents
 from robotkube.testing.api_server import ApiServerInMemory
 from tests.stages.bridge.memory_network import Network
@@ -31,7 +31,7 @@ TURNS_AFTER = 40
 
 
 class Receiver:
-    """Who hears the topic, in whatever order its frames come."""
+    """Who hears the topic, in whatever order its batches come."""
 
     def __init__(self, account: BrokerAccount) -> None:
         self.messages: list[bytes] = []
@@ -49,7 +49,7 @@ class Receiver:
     def rejected(self, token: int, reason: str) -> None: ...
 
     def received(self, topic: str, payload: bytes, properties: bytes) -> None:
-        self.messages += decode_frame(payload).messages
+        self.messages += decode_batch(payload).messages
 
 
 class Stage:

@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 
 from robotkube.errors import DocumentError
 from robotkube.robots.bridge.core.settings import (
-    DOOR_TOPICS,
-    DOOR_TYPE,
+    GATEWAY_TOPICS,
+    GATEWAY_TYPE,
     BridgedTopic,
     check_agent,
     difference,
@@ -16,7 +16,7 @@ from robotkube.robots.bridge.core.settings import (
 
 POSE = {"name": "/vehicles/vehicle_00/pose", "type": "geometry_msgs/msg/PoseStamped"}
 TOPICS = st.dictionaries(st.sampled_from(["/a", "/b", "/c", "/d"]), st.sampled_from([1, 2]), max_size=4).map(
-    lambda found: {name: BridgedTopic(name, "x/msg/Y", depth=depth) for name, depth in found.items()}
+    lambda depths: {name: BridgedTopic(name, "x/msg/Y", depth=depth) for name, depth in depths.items()}
 )
 
 
@@ -33,14 +33,14 @@ def test_defaults_are_those_of_a_pose() -> None:
     assert settings.channels == {"telemetry"}
 
 
-def test_topics_of_the_task_door_have_names_of_their_own_per_agent() -> None:
-    topics = {way: [{"name": name, "type": DOOR_TYPE}] for name, way in DOOR_TOPICS.items()}
+def test_topics_of_the_task_gateway_have_names_of_their_own_per_agent() -> None:
+    topics = {way: [{"name": name, "type": GATEWAY_TYPE}] for name, way in GATEWAY_TOPICS.items()}
     settings = read_bridge_settings({"agent": "vehicle-00", **topics}, "config.yaml")
     assert settings.outgoing["/robotkube/tasks"].mqtt == "robotkube/tasks/vehicle-00"
     assert settings.incoming["/robotkube/task_status"].mqtt == "robotkube/task_status/vehicle-00"
 
 
-TASKS = {"name": "/robotkube/tasks", "type": DOOR_TYPE}
+TASKS = {"name": "/robotkube/tasks", "type": GATEWAY_TYPE}
 
 
 @pytest.mark.parametrize(
@@ -72,11 +72,11 @@ def test_refusals_name_file_key_and_fix(change: dict[str, object], words: str) -
 def test_the_difference_turns_old_into_new_and_touches_nothing_else(
     old: dict[str, BridgedTopic], new: dict[str, BridgedTopic]
 ) -> None:
-    found = difference(old, new)
-    kept = {name: topic for name, topic in old.items() if name not in found.closed}
-    assert {**kept, **{topic.name: topic for topic in found.opened}} == new
-    assert all(old.get(topic.name) != topic for topic in found.opened)
-    assert all(new.get(name) != old[name] for name in found.closed)
+    change = difference(old, new)
+    kept = {name: topic for name, topic in old.items() if name not in change.closed}
+    assert {**kept, **{topic.name: topic for topic in change.opened}} == new
+    assert all(old.get(topic.name) != topic for topic in change.opened)
+    assert all(new.get(name) != old[name] for name in change.closed)
 
 
 def test_the_agent_stays() -> None:

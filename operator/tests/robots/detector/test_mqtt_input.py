@@ -9,7 +9,7 @@ import pytest
 from robotkube.robots.detector.core.settings import MQTT, TopicSettings
 from robotkube.robots.detector.loops.broker import QUEUE_MAX, TOPICS_MAX, Broker, MqttReactions
 from robotkube.robots.detector.wiring import definition
-from robotkube.robots.mqtt.core.batches import encode_frame
+from robotkube.robots.mqtt.core.batches import encode_batch
 from robotkube.robots.mqtt.core.message_properties import gaps_property, type_properties
 from robotkube.robots.mqtt.core.properties import read_properties
 from robotkube.robots.mqtt.ports import ChannelEvents
@@ -70,7 +70,7 @@ class Stage:
         self.broker.connected(False)
 
     def frame(self, sequence: int, *messages: bytes, topic: str = POSE, type_name: str = TYPE) -> None:
-        self.broker.received(topic, encode_frame(1, sequence, messages), type_properties(type_name, ""))
+        self.broker.received(topic, encode_batch(1, sequence, messages), type_properties(type_name, ""))
 
 
 @pytest.fixture
@@ -154,7 +154,7 @@ def test_gaps_of_senders_are_told(stage: Stage) -> None:
     stage.broker.follow([POSES])
     gap = Gap(NAME, "mqtt-bridge of vehicle-00", "waited too long", 3, 10, 30)
     for _ in range(2):  # a broker sends again what was on its way when the connection was lost
-        stage.broker.received(POSE, encode_frame(1, 0, [b"a"]), type_properties(TYPE, "") + gaps_property([gap]))
+        stage.broker.received(POSE, encode_batch(1, 0, [b"a"]), type_properties(TYPE, "") + gaps_property([gap]))
     assert stage.gaps == [gap]
 
 

@@ -16,7 +16,7 @@ import pytest
 
 from benchmarks import pods
 from robotkube.foundation.documents.core.yaml_codec import write_mapping
-from robotkube.robots.mqtt.core.batches import encode_frame
+from robotkube.robots.mqtt.core.batches import encode_batch
 from robotkube.robots.mqtt.core.message_properties import type_properties, types_topic
 from tests.stages.detector.event_peer import EventPeer, broker_for_events
 from tests.stages.detector.rules import number
@@ -61,7 +61,7 @@ def test_a_type_that_is_not_installed_comes_with_its_definition(broker: pods.Bro
     peer, frames = EventPeer(broker), iter(range(1000))
 
     def say(value: float) -> None:
-        peer.say(TOPIC, encode_frame(1, next(frames), [number(value)]), type_properties(TYPE, ""))
+        peer.say(TOPIC, encode_batch(1, next(frames), [number(value)]), type_properties(TYPE, ""))
 
     def status() -> Any:
         with urllib.request.urlopen(f"http://127.0.0.1:{port}/status", timeout=5) as answer:

@@ -23,10 +23,10 @@ TOPIC = "mqtt/vehicles/vehicle_00/pose"
 
 
 class Events:
-    """Notes what a channel tells."""
+    """Notes the events of a channel."""
 
     def __init__(self) -> None:
-        self.frames: list[tuple[str, bytes]] = []
+        self.messages: list[tuple[str, bytes]] = []
         self.acknowledgements: dict[int, bool] = {}
         self.sessions: list[bool] = []
         self.losses = 0
@@ -49,7 +49,7 @@ class Events:
         self.refusals.append(reason)
 
     def received(self, topic: str, payload: bytes, properties: bytes) -> None:
-        self.frames.append((topic, payload))
+        self.messages.append((topic, payload))
         self.properties.append(properties)
 
 
@@ -58,8 +58,8 @@ class Peer:
 
     def __init__(self, broker: pods.Broker, account: str, password: str | None = None) -> None:
         self.events = Events()
-        found = BrokerAccount("127.0.0.1", broker.port, account, password or pods.password(account))
-        self.channel = PahoChannel(lambda: found, f"{account}-telemetry", 60, self.events)
+        credentials = BrokerAccount("127.0.0.1", broker.port, account, password or pods.password(account))
+        self.channel = PahoChannel(lambda: credentials, f"{account}-telemetry", 60, self.events)
 
     def send(self, payload: bytes, retained: bool = False, topic: str = TOPIC) -> int:
         token = self.channel.publish(topic, payload, retained)
@@ -83,7 +83,7 @@ def connected(peer: Peer) -> Peer:
 
 
 def subscribed(sender: Peer, receiver: Peer) -> None:
-    """Returns when the broker has the receiver's subscription, as it tells the sender; one probe at a time."""
+    """Returns when the broker has the receiver's subscription, as it reports to the sender; one probe at a time."""
     heard = sender.events.acknowledgements
     while True not in heard.values():
         token = sender.send(b"probe")
@@ -98,20 +98,20 @@ def broker(tmp_path: Path) -> Iterator[pods.Broker]:
     running.stop()
 
 
-def test_frames_of_any_size_arrive_in_order_and_are_acknowledged(broker: pods.Broker) -> None:
+def test_messages_of_any_size_arrive_in_order_and_are_acknowledged(broker: pods.Broker) -> None:
     vehicle, cloud = connected(Peer(broker, "vehicle-00")), connected(Peer(broker, "cloud-0"))
     cloud.channel.subscribe(["mqtt/vehicles/vehicle_00/#"])
     subscribed(vehicle, cloud)
     payloads = [b"", b"a", bytes(127), bytes(128), bytes(20_000), bytes(320_000), bytes(3_000_000), b"end"]
     tokens = [vehicle.send(payload) for payload in payloads]
-    turn_until(lambda: (TOPIC, b"end") in cloud.events.frames, vehicle, cloud)
+    turn_until(lambda: (TOPIC, b"end") in cloud.events.messages, vehicle, cloud)
     turn_until(lambda: vehicle.events.acknowledgements.keys() >= set(tokens), vehicle, cloud)
-    frames = [payload for _, payload in cloud.events.frames if payload != b"probe"]
-    assert frames == payloads
+    messages = [payload for _, payload in cloud.events.messages if payload != b"probe"]
+    assert messages == payloads
     assert all(vehicle.events.acknowledgements[token] for token in tokens)
 
 
-def test_what_nobody_hears_is_told_and_retained_frames_come_later(broker: pods.Broker) -> None:
+def test_what_nobody_hears_is_reported_and_retained_messages_come_later(broker: pods.Broker) -> None:
     vehicle = connected(Peer(broker, "vehicle-00"))
     volatile, retained = vehicle.send(b"1"), vehicle.send(b"2", retained=True)
     turn_until(lambda: len(vehicle.events.acknowledgements) == 2, vehicle)
@@ -119,10 +119,10 @@ def test_what_nobody_hears_is_told_and_retained_frames_come_later(broker: pods.B
     assert retained in vehicle.events.acknowledgements
     cloud = connected(Peer(broker, "cloud-0"))
     cloud.channel.subscribe([TOPIC])
-    turn_until(lambda: cloud.events.frames == [(TOPIC, b"2")], cloud)
+    turn_until(lambda: cloud.events.messages == [(TOPIC, b"2")], cloud)
 
 
-def test_the_broker_keeps_frames_for_a_client_that_comes_back(broker: pods.Broker) -> None:
+def test_the_broker_keeps_messages_for_a_client_that_comes_back(broker: pods.Broker) -> None:
     vehicle, cloud = connected(Peer(broker, "vehicle-00")), connected(Peer(broker, "cloud-0"))
     cloud.channel.subscribe([TOPIC])
     subscribed(vehicle, cloud)
@@ -132,8 +132,8 @@ def test_the_broker_keeps_frames_for_a_client_that_comes_back(broker: pods.Broke
     assert all(vehicle.events.acknowledgements[token] for token in tokens)
     again = connected(Peer(broker, "cloud-0"))
     assert again.events.sessions == [True]
-    turn_until(lambda: (TOPIC, b"3") in again.events.frames, again)  # a probe that was heard may come once more
-    assert [payload for _, payload in again.events.frames[-3:]] == [b"1", b"2", b"3"]
+    turn_until(lambda: (TOPIC, b"3") in again.events.messages, again)  # a probe that was heard may come once more
+    assert [payload for _, payload in again.events.messages[-3:]] == [b"1", b"2", b"3"]
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
@@ -154,19 +154,19 @@ def test_wrong_accounts_and_foreign_topics_are_refused_in_words(broker: pods.Bro
     cloud = connected(Peer(broker, "cloud-0"))
     cloud.send(b"x")
     turn_until(lambda: cloud.events.refusals, cloud)
-    assert "the broker refuses a frame (reason 0x87" in cloud.events.refusals[0]
+    assert "the broker refuses a message (reason 0x87" in cloud.events.refusals[0]
     assert "look at the broker's ACL for this agent" in cloud.events.refusals[0]
 
 
 @pytest.mark.parametrize(
     ("setting", "size", "retained", "words"),
     [
-        ("max_packet_size 2000", 2000, False, "at most 2000 are taken; see the broker's max_packet_size"),
+        ("max_packet_size 2000", 2000, False, "at most 2000 are accepted; see the broker's max_packet_size"),
         ("retain_available false", 10, True, "the broker retains no messages; let it"),
         ("message_size_limit 2000", 2001, False, "(reason 0x95 of MQTT 5); look at the broker's limits and log"),
     ],
 )
-def test_what_a_broker_does_not_take_costs_no_connection(
+def test_what_a_broker_does_not_accept_costs_no_connection(
     tmp_path: Path, setting: str, size: int, retained: bool, words: str
 ) -> None:
     broker = pods.Broker(tmp_path, {"vehicle-00": pods.vehicle_rules("vehicle-00")})
@@ -185,15 +185,15 @@ def test_what_a_broker_does_not_take_costs_no_connection(
     assert peer.events.losses == 0
 
 
-def test_a_broker_that_says_good_bye_is_quoted() -> None:
-    said: list[str] = []
+def test_the_reason_of_a_broker_that_disconnects_is_quoted() -> None:
+    reasons: list[str] = []
     client = paho_channel._Client("x", lambda *_: None, lambda *_: None)
-    client.on_disconnect = lambda client, userdata, flags, reason, properties: said.append(str(reason))
+    client.on_disconnect = lambda client, userdata, flags, reason, properties: reasons.append(str(reason))
     for packet in (b"\xe0\x01\x95", b"\xe0\x02\x8b\0", b"\xe0\0"):
         client._buffer += packet
         client._handle_buffer()
         client._buffer.clear()
-    assert said == ["Packet too large", "Server shutting down", "Normal disconnection"]
+    assert reasons == ["Packet too large", "Server shutting down", "Normal disconnection"]
 
 
 def test_an_absent_broker_is_a_complaint() -> None:
@@ -216,11 +216,11 @@ def test_lengths_are_written_as_they_are_read(length: int) -> None:
 
 
 @given(st.lists(st.binary(max_size=300), max_size=6), st.lists(st.integers(1, 400), min_size=1, max_size=20))
-def test_frames_are_put_together_from_any_pieces(payloads: list[bytes], cuts: list[int]) -> None:
+def test_messages_are_put_together_from_any_pieces(payloads: list[bytes], cuts: list[int]) -> None:
     got: list[bytes] = []
     client = paho_channel._Client("x", lambda topic, payload, properties: got.append(payload), lambda mid, reason: None)
     for payload in payloads:
-        client.send_frame("mqtt/topic", payload, False, b"")
+        client.send_message("mqtt/topic", payload, False, b"")
     stream = b"".join(packet["packet"] for packet in client._out_packet)
     client._out_packet.clear()
     place, turn = 0, 0

@@ -66,13 +66,13 @@ def test_the_pauses_double_up_to_one_second() -> None:
 
 
 def test_the_pauses_of_two_robots_differ() -> None:
-    first, second = (list(pauses(random.Random(seed).random, 5)) for seed in (1, 2))
+    first, second = (list(pauses(random.Random(seed).random, 5)) for seed in (1, 2))  # noqa: S311  # any spread
     assert all(abs(one - other) > 0.002 for one, other in zip(first, second, strict=True))
 
 
 @pytest.mark.parametrize("outage", [1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0])
 def test_a_robot_is_back_no_later_than_with_the_fixed_pauses(outage: float) -> None:
-    source = random.Random(7)
+    source = random.Random(7)  # noqa: S311  # any spread
     outages = [outage * source.uniform(0.7, 1.4) for _ in range(OUTAGES)]
     jittered = [returns(seconds, BACKOFF_SECONDS_MAX, source.random) for seconds in outages]
     fixed = [returns(seconds, FIXED_SECONDS_MAX, lambda: 1.0) for seconds in outages]
@@ -82,7 +82,7 @@ def test_a_robot_is_back_no_later_than_with_the_fixed_pauses(outage: float) -> N
 
 
 def test_a_fleet_comes_back_spread_over_the_whole_second() -> None:
-    source = random.Random(7)
+    source = random.Random(7)  # noqa: S311  # any spread
     moments = [returns(20.0, BACKOFF_SECONDS_MAX, source.random) for _ in range(OUTAGES)]
     tenths = [sum(low <= 10 * moment < low + 1 for moment in moments) / OUTAGES for low in range(10)]
     assert max(tenths) < 0.25

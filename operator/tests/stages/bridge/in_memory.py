@@ -44,7 +44,7 @@ class World:
 
     def logged(self, event: str) -> list[dict[str, Any]]:
         """Fields of every line of that kind."""
-        return [fields for found, fields in self.events if found == event]
+        return [fields for logged, fields in self.events if logged == event]
 
     def connect(self) -> None:
         for channel in self.channels.values():

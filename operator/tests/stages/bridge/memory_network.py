@@ -68,12 +68,12 @@ class Network:
 
     def endpoint(self, topic: str) -> Endpoint:
         """The open endpoint of a topic."""
-        (found,) = [e for e in self.made if e.topic == topic and not e.closed]
-        return found
+        (opened,) = [e for e in self.made if e.topic == topic and not e.closed]
+        return opened
 
 
 class Channel:
-    """Notes what it is told; the test plays the broker."""
+    """Notes its calls; the test plays the broker."""
 
     def __init__(self, name: str, events: ChannelEvents) -> None:
         self.name, self.events = name, events
@@ -95,7 +95,7 @@ class Channel:
         self.events.disconnected()
 
     def acknowledge(self, token: int, heard: bool = True) -> None:
-        """The broker has the frame."""
+        """The broker has the batch."""
         self.events.acknowledged(token, heard)
 
     def turn(self, now: float) -> None: ...
@@ -103,7 +103,7 @@ class Channel:
     def flush(self) -> None: ...
 
     def reject(self, token: int) -> None:
-        """The broker does not take the frame."""
+        """The broker does not accept the batch."""
         self.events.rejected(token, "not authorised")
 
     def publish(self, topic: str, payload: bytes, retained: bool, properties: bytes = b"") -> int | None:

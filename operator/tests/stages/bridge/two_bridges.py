@@ -73,11 +73,11 @@ class Stage:
         """The connection of a side's telemetry, once the broker has taken it."""
         channel = side.channels["telemetry"]
         self.until(lambda: channel.complaint is None)
-        found: socket.socket = channel.socket
-        return found
+        connection: socket.socket = channel.socket
+        return connection
 
     def play(self, seconds: float, *topics: tuple[dict[str, str], float], singly: bool = False) -> None:
-        """Publish `topics` (with their hertz) in real time; message k has stamp k. `singly`: a frame for each, also
+        """Publish `topics` (with their hertz) in real time; message k has stamp k. `singly`: a batch for each, also
         when this machine has come to a halt for a moment."""
         begin = time.monotonic()
         first = {topic["name"]: self.sent.get(topic["name"], 0) for topic, _ in topics}

@@ -25,7 +25,7 @@ from robotkube.registry.suites.adapters.database_observer import PymongoCollecti
 from robotkube.registry.suites.core.interface_observations import Observation
 from robotkube.registry.suites.loops.interface_observer import InterfaceObserver, ObserverPorts, ObserverTimeouts
 from robotkube.robots.bags.core.playback import restamped
-from robotkube.robots.mqtt.core.batches import encode_frame
+from robotkube.robots.mqtt.core.batches import encode_batch
 from robotkube.robots.ros.adapters.message_classes import default_message, misfit
 from robotkube.robots.ros.adapters.rclpy_node import RosNode
 from robotkube.robots.ros.core.common_messages import STAMPED_TYPES
@@ -53,7 +53,7 @@ class DefaultMessages:
         if topic.medium != MQTT:
             return data
         self._sequence += 1
-        return encode_frame(self._session, self._sequence - 1, [data])
+        return encode_batch(self._session, self._sequence - 1, [data])
 
     def misfit(self, type_name: str, data: bytes) -> str:
         """See the port."""

@@ -46,25 +46,25 @@ def body(process: Process) -> None:
         return channels[name]
 
     sender = SendingSession(session, time.time_ns, definition_of, trace)
-    ownership = ownership_of(pod)
-    bridge = Bridge(RosNode(NODE_NAME), channel, sender, process.log, ownership)
-    follower = SettingsWatch(bridge, process, ownership)
-    HealthServer(ready=lambda: follower.complaint, metrics=follower.metrics, port=pod.health_port).start()
-    follower.apply(read_text(pod.config_file, "the bridge's settings"), str(pod.config_file))
+    fencing = ownership_of(pod)
+    bridge = Bridge(RosNode(NODE_NAME), channel, sender, process.log, fencing)
+    settings = SettingsWatch(bridge, process, fencing)
+    HealthServer(ready=lambda: settings.complaint, metrics=settings.metrics, port=pod.health_port).start()
+    settings.apply(read_text(pod.config_file, "the bridge's settings"), str(pod.config_file))
     if pod.config_map is not None:
-        follower.follow(pod.config_map)
+        settings.watch(pod.config_map)
     gc.freeze()
-    loop(process, bridge, follower, channels, period)
+    turn_bridge(process, bridge, settings, channels, period)
     bridge.close()
 
 
-def loop(
-    process: Process, bridge: Bridge, follower: SettingsWatch, channels: Mapping[str, PahoChannel], period: float
+def turn_bridge(
+    process: Process, bridge: Bridge, settings: SettingsWatch, channels: Mapping[str, PahoChannel], period: float
 ) -> None:
     """Turn the bridge every `period` seconds, and a connection with large batches whenever it can go on."""
     due = time.monotonic()
     while not process.stopping.is_set():
-        follower.apply_news()
+        settings.apply_changes()
         bridge.turn(time.monotonic())
         due = max(due + period, time.monotonic())
         while (left := due - time.monotonic()) > 0:
@@ -82,11 +82,11 @@ class SettingsWatch:
     """Applies settings to the bridge: the mounted file at the beginning, then every change of the ConfigMap. Refused
     ones leave the old settings active; `complaint` and a metric say so."""
 
-    def __init__(self, bridge: Bridge, process: Process, ownership: Fencing) -> None:
+    def __init__(self, bridge: Bridge, process: Process, fencing: Fencing) -> None:
         self._bridge = bridge
         self._process = process
-        self._ownership = ownership
-        self._news: deque[tuple[str, str]] = deque(maxlen=1)
+        self._fencing = fencing
+        self._changes: deque[tuple[str, str]] = deque(maxlen=1)
         self._refused: str | None = None
         self._applied = ""
 
@@ -100,23 +100,23 @@ class SettingsWatch:
     def metrics(self) -> str:
         """The bridge's metrics and the state of its settings."""
         refused = f"robotkube_settings_refused {int(self._refused is not None)}\n"
-        return f"{self._bridge.metrics()}{refused}{self._ownership.metrics()}"
+        return f"{self._bridge.metrics()}{refused}{self._fencing.metrics()}"
 
-    def follow(self, config_map: str) -> None:
+    def watch(self, config_map: str) -> None:
         """Watch the ConfigMap from now on."""
         where = f"ConfigMap {config_map}, key {KEY}"
 
         def changed(data: Mapping[str, str]) -> None:
             if KEY in data:
-                self._news.append((data[KEY], where))
+                self._changes.append((data[KEY], where))
 
-        follow_settings(self._process, config_map, self._ownership, changed)
+        follow_settings(self._process, config_map, self._fencing, changed)
 
-    def apply_news(self) -> None:
-        """Apply what the watch brought, then let the bridge send if it may; called by the loop's thread."""
-        held = not self._ownership.sure  # read first: what made it sure is among the news by then
-        while self._news:
-            self.apply(*self._news.popleft())
+    def apply_changes(self) -> None:
+        """Apply the changes that the watch reported, then let the bridge send if it may, on the loop's thread."""
+        held = not self._fencing.sure  # read first: what made it sure is among the changes by then
+        while self._changes:
+            self.apply(*self._changes.popleft())
         self._bridge.hold(held)
 
     def apply(self, text: str, where: str) -> None:

@@ -28,7 +28,7 @@ from robotkube.registry.suites.ports.interfaces import (
     ObservedDatabase,
     ObservedNetwork,
 )
-from robotkube.robots.mqtt.core.batches import MAGIC, BatchError, decode_frame
+from robotkube.robots.mqtt.core.batches import MAGIC, BatchError, decode_batch
 from robotkube.robots.ros.core.graph import Endpoint
 from robotkube.robots.ros.ports import MessageSink, MessageSource
 
@@ -172,7 +172,7 @@ class InterfaceObserver:
 
     def _frame_doubt(self, message: BrokerMessage) -> str:
         try:
-            frame = decode_frame(message.payload)
+            frame = decode_batch(message.payload)
         except BatchError as error:
             return str(error)
         types = [t.type for t in self.expected if (t.medium, t.direction) == (MQTT, OUT) and t.matches(message.topic)]

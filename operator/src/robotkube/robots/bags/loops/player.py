@@ -196,7 +196,7 @@ class Player:
             counts.late += done.late
             if done.refusal:
                 topic = ready[done.published].track.topic.name
-                raise UnavailableError(f"topic {topic}: the middleware did not take a message: {done.refusal}")
+                raise UnavailableError(f"topic {topic}: the middleware did not accept a message: {done.refusal}")
             ready = ready[done.published :]
         return True
 

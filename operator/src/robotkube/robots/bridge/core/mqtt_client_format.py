@@ -39,7 +39,7 @@ def encode_type(kind: RosMessageType) -> bytes:
 
 
 def decode_type(data: bytes) -> RosMessageType:
-    """The type in `data`; BatchError when that is no RosMsgType."""
+    """The type that `data` states; BatchError when that is no RosMsgType."""
     try:
         reader = CdrReader(data)
         reader.text()  # md5

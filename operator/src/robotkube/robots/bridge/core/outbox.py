@@ -50,7 +50,7 @@ class OutboxBounds:
     """Limits of an outbox: age of what waits in seconds, batches, bytes, and batches that are on their way at once."""
 
     seconds_max: float
-    frames_max: int
+    batches_max: int
     bytes_max: int
     inflight_max: int
 
@@ -76,14 +76,14 @@ class Outbox:
 
     @property
     def bytes(self) -> int:
-        """Bytes of what waits and is not on its way."""
+        """The bytes of what waits and is not on its way."""
         return self._bytes
 
-    def put(self, frame: OutgoingBatch) -> None:
+    def put(self, batch: OutgoingBatch) -> None:
         """Add a batch at the end."""
-        self._waiting.append(frame)
-        self._bytes += len(frame.payload)
-        self._bound(frame.born)
+        self._waiting.append(batch)
+        self._bytes += len(batch.payload)
+        self._bound(batch.born)
 
     def next(self, now: float) -> OutgoingBatch | None:
         """The batch to send now, with the gaps before it, or None; call `sent` or `give_back` afterwards."""
@@ -102,39 +102,39 @@ class Outbox:
         return tuple(self._waiting)
 
     @property
-    def untold(self) -> list[Gap]:
-        """Gaps that no acknowledged batch has reported."""
-        return [*(gap for frame in (*self._inflight.values(), *self._waiting) for gap in frame.gaps), *self.losses.open]
+    def unreported(self) -> list[Gap]:
+        """The gaps that no acknowledged batch has reported."""
+        return [*(gap for batch in (*self._inflight.values(), *self._waiting) for gap in batch.gaps), *self.losses.open]
 
-    def give_back(self, frame: OutgoingBatch) -> None:
-        """Put back `frame`, which `next` returned and which could not be sent."""
-        self._waiting.appendleft(frame)
-        self._bytes += len(frame.payload)
+    def give_back(self, batch: OutgoingBatch) -> None:
+        """Put back `batch`, which `next` returned and which could not be sent."""
+        self._waiting.appendleft(batch)
+        self._bytes += len(batch.payload)
 
-    def sent(self, token: int, frame: OutgoingBatch) -> None:
-        """Note that `frame` is on its way; `token` will come back with its acknowledgement."""
-        self._inflight[token] = frame
+    def sent(self, token: int, batch: OutgoingBatch) -> None:
+        """Note that `batch` is on its way; `token` will come back with its acknowledgement."""
+        self._inflight[token] = batch
 
     def acknowledged(self, token: int, heard: bool, now: float) -> tuple[Gap, ...]:
         """Take out a batch that the broker has; the gaps that were reported with it. `heard`: it has subscribers."""
-        frame = self._inflight.pop(token, None)
-        if frame is None:
+        batch = self._inflight.pop(token, None)
+        if batch is None:
             return ()
         if self._settling_until is not None:
             if heard or now >= self._settling_until:
                 self._settling_until = None
-            elif not frame.retained:
-                self.give_back(frame)
+            elif not batch.retained:
+                self.give_back(batch)
                 self._retry_at = now + SETTLING_RETRY_SECONDS
                 return ()
-        return frame.gaps
+        return batch.gaps
 
     def rejected(self, token: int) -> OutgoingBatch | None:
         """Give up a batch that the broker does not accept; the batch."""
-        frame = self._inflight.pop(token, None)
-        if frame is not None:
-            self._give_up(frame, REFUSED)
-        return frame
+        batch = self._inflight.pop(token, None)
+        if batch is not None:
+            self._give_up(batch, REFUSED)
+        return batch
 
     def connected(self, now: float) -> None:
         """Begin with a new connection: what was on its way on the old one waits again, in the old order."""
@@ -146,39 +146,39 @@ class Outbox:
     def disconnected(self, now: float) -> None:
         """Let what was on its way wait again, for the connection is gone."""
         self._waiting.extendleft(reversed(self._inflight.values()))
-        self._bytes += sum(len(frame.payload) for frame in self._inflight.values())
+        self._bytes += sum(len(batch.payload) for batch in self._inflight.values())
         self._inflight.clear()
         self._bound(now)
 
     def forget(self, topic: str) -> None:
         """Drop what waits for a topic that is not carried any more."""
         kept: deque[OutgoingBatch] = deque()
-        for frame in self._waiting:
-            if frame.topic == topic:
-                self._bytes -= len(frame.payload)
-                self._give_up(frame, CLOSED)
+        for batch in self._waiting:
+            if batch.topic == topic:
+                self._bytes -= len(batch.payload)
+                self._give_up(batch, CLOSED)
             else:
-                kept.append(frame)
+                kept.append(batch)
         self._waiting = kept
 
     def _pop(self) -> OutgoingBatch:
-        frame = self._waiting.popleft()
-        self._bytes -= len(frame.payload)
-        losses = self.losses.close(frame.name) if frame.name else ()
+        batch = self._waiting.popleft()
+        self._bytes -= len(batch.payload)
+        losses = self.losses.close(batch.name) if batch.name else ()
         if not losses:
-            return frame
-        gaps = (*frame.gaps, *losses)
+            return batch
+        gaps = (*batch.gaps, *losses)
         for gap in gaps[GAPS_PER_MESSAGE_MAX:]:  # the next batch reports them
             self.losses.reopen(gap)
-        return replace(frame, gaps=gaps[:GAPS_PER_MESSAGE_MAX])
+        return replace(batch, gaps=gaps[:GAPS_PER_MESSAGE_MAX])
 
     def _bound(self, now: float) -> None:
         while (excess := self._excess(now)) is not None:
             place, why = excess
-            frame = self._waiting[place]
+            batch = self._waiting[place]
             del self._waiting[place]
-            self._bytes -= len(frame.payload)
-            self._give_up(frame, why)
+            self._bytes -= len(batch.payload)
+            self._give_up(batch, why)
 
     def _excess(self, now: float) -> tuple[int, str] | None:
         """Place and reason of the batch that has to go; retained ones only when nothing else is left."""
@@ -188,17 +188,17 @@ class Outbox:
             return None
         place = 0
         if waiting[0].retained:
-            place = next((index for index, frame in enumerate(waiting) if not frame.retained), 0)
-        if len(waiting) > bounds.frames_max:
+            place = next((index for index, batch in enumerate(waiting) if not batch.retained), 0)
+        if len(waiting) > bounds.batches_max:
             return place, MANY
         if self._bytes > bounds.bytes_max and len(waiting) > 1:
             return place, LARGE
         oldest = waiting[place]
         return (place, OLD) if not oldest.retained and now - oldest.born > bounds.seconds_max else None
 
-    def _give_up(self, frame: OutgoingBatch, why: str) -> None:
-        self.dropped += frame.messages
-        for gap in frame.gaps:
+    def _give_up(self, batch: OutgoingBatch, why: str) -> None:
+        self.dropped += batch.messages
+        for gap in batch.gaps:
             self.losses.reopen(gap)
-        if frame.messages and frame.name:
-            self.losses.add(Gap(frame.name, self._where, why, frame.messages, frame.first, frame.last))
+        if batch.messages and batch.name:
+            self.losses.add(Gap(batch.name, self._where, why, batch.messages, batch.first, batch.last))

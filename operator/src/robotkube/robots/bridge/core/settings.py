@@ -4,7 +4,7 @@
 name, its payload batches of messages. `{agent}` in a name stands for any agent: under `out` topics are discovered in
 the ROS network while the bridge runs, under `in` all of them are subscribed to at the broker; a bridge's own agent is
 never brought in that way, and what it brings in never goes out. Channels are MQTT connections of their own, so that
-large messages do not delay small ones. The two topics of the task gateway (DOOR_TOPICS) are other: the agent's name
+large messages do not delay small ones. The two topics of the task gateway (GATEWAY_TOPICS) are other: the agent's name
 follows theirs on MQTT, and the payload is the text of the std_msgs/msg/String, so that whoever speaks MQTT alone can
 use them, too.
 """
@@ -27,15 +27,15 @@ from robotkube.robots.ros.core.topic_patterns import AGENT, TopicPattern
 TELEMETRY = "telemetry"
 BULK = "bulk"
 CHANNELS = (TELEMETRY, BULK)
-FRAMES = "frames"
+BATCHES = "frames"  # the value in settings, older than the word
 MQTT_CLIENT = "mqtt_client"
 DEPTH_DEFAULT = 1000
 DEPTH_MAX = 100_000
 TOPICS_MAX = 500
-DOOR_TOPICS = {"/robotkube/tasks": "out", "/robotkube/task_status": "in"}
-DOOR_TYPE = "std_msgs/msg/String"
+GATEWAY_TOPICS = {"/robotkube/tasks": "out", "/robotkube/task_status": "in"}
+GATEWAY_TYPE = "std_msgs/msg/String"
 
-_FORMAT = re.compile(f"{FRAMES}|{MQTT_CLIENT}")
+_FORMAT = re.compile(f"{BATCHES}|{MQTT_CLIENT}")
 _CHANNEL = re.compile("|".join(CHANNELS))
 _RELIABILITY = re.compile("reliable|best_effort")
 _DURABILITY = re.compile("volatile|transient_local")
@@ -48,10 +48,10 @@ def _pattern(text: str) -> TopicPattern:
 
 @dataclass(frozen=True)
 class BridgedTopic:
-    """One topic with its type and quality of service on the ROS side, or one per agent when `name` holds `{agent}`.
+    """One topic with its type and QoS profile on the ROS side, or one per agent when `name` holds `{agent}`.
 
-    `door` is the agent's name for a topic of the task gateway, empty for all others; `mqtt_topic` another MQTT name
-    than the usual one; `inject_timestamp` is of the format mqtt_client."""
+    `gateway_agent` is the agent's name for a topic of the task gateway, empty for all others; `mqtt_topic` another MQTT
+    name than `mqtt` + the ROS name; `inject_timestamp` is of the format mqtt_client."""
 
     name: str
     type: str
@@ -59,16 +59,16 @@ class BridgedTopic:
     reliability: str = "reliable"
     durability: str = "volatile"
     depth: int = DEPTH_DEFAULT
-    format: str = FRAMES
+    format: str = BATCHES
     inject_timestamp: bool = False
     mqtt_topic: str = ""
-    door: str = ""
+    gateway_agent: str = ""
 
     @property
     def mqtt(self) -> str:
         """The topic's MQTT name."""
-        if self.door:
-            return f"{self.name[1:]}/{self.door}"
+        if self.gateway_agent:
+            return f"{self.name[1:]}/{self.gateway_agent}"
         return self.mqtt_topic or MQTT_PREFIX + self.name
 
     @property
@@ -149,7 +149,7 @@ def _topics(reader: Reader, value: Any, path: str, agent: str) -> dict[str, Brid
     names: dict[str, str] = {}
     for index, item in enumerate(items[:TOPICS_MAX]):
         topic = _topic(reader, item, f"{path}[{index}]")
-        if topic.name in DOOR_TOPICS:
+        if topic.name in GATEWAY_TOPICS:
             topic = _gateway_topic(reader, topic, path, index, agent)
         if topic.name in topics:
             reader.problems.append(f"{path}[{index}].name: {topic.name} stands twice; keep one")
@@ -164,11 +164,11 @@ def _topics(reader: Reader, value: Any, path: str, agent: str) -> dict[str, Brid
 def _gateway_topic(reader: Reader, topic: BridgedTopic, path: str, index: int, agent: str) -> BridgedTopic:
     """A topic of the task gateway: its direction, type and durability are given."""
     where = f"{path}[{index}]"
-    if DOOR_TOPICS[topic.name] != path:
-        reader.problems.append(f"{where}: {topic.name} goes only {DOOR_TOPICS[topic.name]}; move it there")
-    reader.equal(topic.type, f"{where}.type", DOOR_TYPE)
-    reader.equal(topic.durability, f"{where}.durability", "volatile")  # kept messages would be asked again
-    return replace(topic, door=agent)
+    if GATEWAY_TOPICS[topic.name] != path:
+        reader.problems.append(f"{where}: {topic.name} goes only {GATEWAY_TOPICS[topic.name]}; move it there")
+    reader.equal(topic.type, f"{where}.type", GATEWAY_TYPE)
+    reader.equal(topic.durability, f"{where}.durability", "volatile")  # kept messages would be requests once more
+    return replace(topic, gateway_agent=agent)
 
 
 def _topic(reader: Reader, item: Any, path: str) -> BridgedTopic:
@@ -184,7 +184,7 @@ def _topic(reader: Reader, item: Any, path: str) -> BridgedTopic:
         reliability=reader.word(values.get("reliability"), join(path, "reliability"), _RELIABILITY, "reliable"),
         durability=reader.word(values.get("durability"), join(path, "durability"), _DURABILITY, "volatile"),
         depth=depth if isinstance(depth, int) else DEPTH_DEFAULT,
-        format=reader.word(values.get("format"), join(path, "format"), _FORMAT, FRAMES),
+        format=reader.word(values.get("format"), join(path, "format"), _FORMAT, BATCHES),
         inject_timestamp=_switch(reader, values, path, "inject_timestamp"),
         mqtt_topic=reader.word(values.get("mqtt_topic"), join(path, "mqtt_topic"), MQTT_TOPIC, ""),
     )

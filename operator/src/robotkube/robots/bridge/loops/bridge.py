@@ -38,18 +38,18 @@ Log = Callable[..., None]
 class Bridge:
     """Carries topics as `configure` says. All methods belong to one thread, `complaint` and `metrics` to any.
 
-    After a connection was lost and made again, nothing leaves until the release is no longer fenced (`ownership` is
+    After a connection was lost and made again, nothing leaves until the release is no longer fenced (`fencing` is
     sure) and `hold` was called with that."""
 
     def __init__(
-        self, network: RobotNetwork, make_channel: MakeChannel, sender: SendingSession, log: Log, ownership: Fencing
+        self, network: RobotNetwork, make_channel: MakeChannel, sender: SendingSession, log: Log, fencing: Fencing
     ) -> None:
         self._network = network
         self._make_channel = make_channel
         self._sender = sender
         self._log = log
         self._own_trace = sender.trace
-        self._hold = SendPause(ownership)
+        self._pause = SendPause(fencing)
         self._settings: BridgeSettings | None = None
         self._outgoing: dict[str, Outgoing] = {}
         self._incoming: dict[str, Incoming] = {}
@@ -57,7 +57,8 @@ class Bridge:
         self._gaps: Incoming | None = None
         self._links: dict[str, BrokerConnection] = {}
         self._problems: dict[str, str] = {}
-        self._matched_at = self._search_at = self._now = 0.0
+        self._matched_at = self._search_at = 0.0
+        self._now = 0.0
 
     @property
     def settings(self) -> BridgeSettings | None:
@@ -71,7 +72,7 @@ class Bridge:
 
     def hold(self, held: bool) -> None:
         """Let outgoing batches wait in their bounds, or no longer: called after everything that was read is applied."""
-        self._hold.held = held
+        self._pause.held = held
 
     def configure(self, settings: BridgeSettings) -> None:
         """Carry these topics from now on. Only what differs is closed and opened; a topic that cannot be opened
@@ -112,8 +113,8 @@ class Bridge:
             if messages:
                 outgoing.messages += len(messages)
                 link = self._links[outgoing.topic.channel]
-                for frame in outgoing.frames(messages, now):
-                    link.put(frame)
+                for batch in outgoing.batches(messages, now):
+                    link.put(batch)
         for link in self._links.values():
             link.turn(now)
         if self._gaps is not None:
@@ -156,12 +157,12 @@ class Bridge:
     def metrics(self) -> str:
         """Counters in Prometheus' text format."""
         carried = BridgeState(list(self._outgoing.values()), list(self._incoming.values()), list(self._links.values()))
-        lines = [*metric_lines(carried), f"topics_refused {len(self._problems)}", f"held {int(self._hold.held)}"]
+        lines = [*metric_lines(carried), f"topics_refused {len(self._problems)}", f"held {int(self._pause.held)}"]
         return "".join(f"robotkube_bridge_{line}\n" for line in lines)
 
     def _link(self, name: str, agent: str) -> BrokerConnection:
         return BrokerConnection(
-            name, agent, self._make_channel, self._log, self._sender.clock, self._open_discovered, self._hold
+            name, agent, self._make_channel, self._log, self._sender.clock, self._open_discovered, self._pause
         )
 
     def _count_matched(self) -> None:
@@ -182,10 +183,10 @@ class Bridge:
             return  # its topics are searched
         source = self._network.subscribe(topic.name, topic.type, topic.reliability, topic.durability, topic.depth)
         self._outgoing[topic.name] = Outgoing(topic, source, self._sender)
-        for frame in self._outgoing[topic.name].introduction(
+        for batch in self._outgoing[topic.name].introduction(
             self._now, bool(self._settings and self._settings.publish_types)
         ):
-            self._links[topic.channel].put(frame)
+            self._links[topic.channel].put(batch)
 
     def _open_incoming(self, topic: BridgedTopic) -> None:
         incoming = None
@@ -252,8 +253,8 @@ class Bridge:
             outgoing.source.close()
             link = self._links[outgoing.topic.channel]
             link.withdraw(outgoing.topic.mqtt)
-            for frame in outgoing.introduction(self._now, True):
-                link.withdraw(frame.topic)
+            for batch in outgoing.introduction(self._now, True):
+                link.withdraw(batch.topic)
 
     def _close_incoming(self, name: str) -> None:
         """Do not bring in a topic any more, or all of a general one."""

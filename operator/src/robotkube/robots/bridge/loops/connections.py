@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from robotkube.errors import InputError
 from robotkube.foundation.runtime.loops.fencing import Fencing
-from robotkube.robots.bridge.core import mqtt_client_format as ika
+from robotkube.robots.bridge.core import mqtt_client_format
 from robotkube.robots.bridge.core.outbox import Outbox, OutboxBounds, OutgoingBatch
 from robotkube.robots.bridge.core.settings import BULK, MQTT_CLIENT, BridgedTopic
 from robotkube.robots.bridge.loops.flows import Incoming
@@ -20,8 +20,8 @@ if TYPE_CHECKING:  # the ports know every part's domain: 25 ms of a start
 
     MakeChannel = Callable[[str, str, ChannelEvents], MqttChannel]
 
-TELEMETRY_BOUNDS = OutboxBounds(seconds_max=60.0, frames_max=60_000, bytes_max=96 * 1024 * 1024, inflight_max=200)
-BULK_BOUNDS = OutboxBounds(seconds_max=2.0, frames_max=10, bytes_max=48 * 1024 * 1024, inflight_max=4)
+TELEMETRY_BOUNDS = OutboxBounds(seconds_max=60.0, batches_max=60_000, bytes_max=96 * 1024 * 1024, inflight_max=200)
+BULK_BOUNDS = OutboxBounds(seconds_max=2.0, batches_max=10, bytes_max=48 * 1024 * 1024, inflight_max=4)
 REFUSALS_MAX = 50
 
 Log = Callable[..., None]
@@ -33,18 +33,18 @@ OpenIncoming = Callable[[BridgedTopic, str], Incoming | None]
 class SendPause:
     """The pause of sending between a connection made anew and settings read since then."""
 
-    ownership: Fencing
+    fencing: Fencing
     held: bool = False
 
-    def doubt(self) -> None:
+    def interrupted(self) -> None:
         """Pause, for a connection was made anew, unless the settings were read a moment ago."""
-        self.ownership.doubt()
-        self.held = self.held or not self.ownership.sure
+        self.fencing.doubt()
+        self.held = self.held or not self.fencing.sure
 
 
 class BrokerConnection:
     """One connection to the broker, and its events. `opened` makes the topics that general ones discover; nothing
-    leaves while `hold` says so."""
+    leaves while `pause` holds it."""
 
     def __init__(
         self,
@@ -54,16 +54,17 @@ class BrokerConnection:
         log: Log,
         clock: Callable[[], int],
         opened: OpenIncoming,
-        hold: SendPause,
+        pause: SendPause,
     ) -> None:
         self.name = name
-        self._hold = hold
+        self._pause = pause
         self.outbox = Outbox(BULK_BOUNDS if name == BULK else TELEMETRY_BOUNDS, f"mqtt-bridge of {agent}")
         self.incoming: dict[str, Incoming] = {}
         self.general: dict[str, BridgedTopic] = {}
         self.filters: tuple[str, ...] = ()
         self.retained: dict[str, OutgoingBatch] = {}
-        self.bad_frames = self.connections = 0
+        self.refused_batches = 0
+        self.connections = 0
         self.refusals: dict[str, str] = {}
         self._log = log
         self._clock = clock
@@ -106,32 +107,32 @@ class BrokerConnection:
             if incoming.announced:
                 yield incoming.topic.mqtt
 
-    def put(self, frame: OutgoingBatch) -> None:
+    def put(self, batch: OutgoingBatch) -> None:
         """Send a batch when its turn comes."""
-        self.outbox.put(frame)
-        if frame.retained:
-            self.retained[frame.topic] = frame
+        self.outbox.put(batch)
+        if batch.retained:
+            self.retained[batch.topic] = batch
 
     def withdraw(self, topic: str) -> None:
         """Forget an MQTT topic, also at the broker, unless it may be somebody else's by now."""
         self.outbox.forget(topic)
-        if self.retained.pop(topic, None) is not None and not self._hold.held:
+        if self.retained.pop(topic, None) is not None and not self._pause.held:
             self.outbox.put(OutgoingBatch(topic, b"", 0, True, self._now))
 
     def connected(self, session_kept: bool) -> None:
         """Subscribe anew; a broker without a session of ours has lost what it retained, too."""
         self.connections += 1
         if self.connections > 1:
-            self._hold.doubt()
+            self._pause.interrupted()
         self.refusals.clear()
         self._log("connected", channel=self.name, session_kept=session_kept)
         self.channel.subscribe(self.filters)
         self.outbox.connected(self._now)
         if not session_kept:
-            waiting = {(frame.topic, frame.payload) for frame in self.outbox.waiting}
-            for frame in self.retained.values():
-                if (frame.topic, frame.payload) not in waiting:
-                    self.outbox.put(frame)
+            waiting = {(batch.topic, batch.payload) for batch in self.outbox.waiting}
+            for batch in self.retained.values():
+                if (batch.topic, batch.payload) not in waiting:
+                    self.outbox.put(batch)
 
     def disconnected(self) -> None:
         """Let what was on its way wait again."""
@@ -140,13 +141,13 @@ class BrokerConnection:
         self.outbox.disconnected(self._now)
 
     def acknowledged(self, token: int, heard: bool) -> None:
-        """Take an acknowledged batch out of the outbox."""
+        """Remove an acknowledged batch from the outbox."""
         self._log_dropped(self.outbox.acknowledged(token, heard, self._now))
 
     def rejected(self, token: int, reason: str) -> None:
         """Give up a batch that the broker does not accept."""
-        frame = self.outbox.rejected(token)
-        self.refused("" if frame is None else frame.topic, reason)
+        batch = self.outbox.rejected(token)
+        self.refused("" if batch is None else batch.topic, reason)
 
     def refused(self, topic: str, reason: str) -> None:
         """Keep a refusal of the broker as a complaint until the next connection."""
@@ -166,20 +167,20 @@ class BrokerConnection:
         try:
             incoming.receive(payload, properties, self._clock())
         except InputError as error:
-            self.count_bad(topic, str(error))
+            self.count_refused(topic, str(error))
 
-    def count_bad(self, topic: str, error: str) -> None:
+    def count_refused(self, topic: str, error: str) -> None:
         """Count a payload that cannot be carried; only the first one is logged."""
-        self.bad_frames += 1
-        if self.bad_frames == 1:
-            self._log("frame refused", topic=topic, error=error)
+        self.refused_batches += 1
+        if self.refused_batches == 1:
+            self._log("batch refused", topic=topic, error=error)
 
     def turn(self, now: float) -> None:
         """Read, then send as much as the outbox allows, then write. All events come within a turn."""
         self._now = now
         self.channel.turn(now)
         self._log_complaint()
-        if self.channel.complaint is None and not self._hold.held:
+        if self.channel.complaint is None and not self._pause.held:
             self._send(now)
         self.channel.flush()
         for incoming in self.incoming.values():
@@ -190,7 +191,7 @@ class BrokerConnection:
         """Send what the connection accepts at once, then leave the broker."""
         self.turn(self._now)
         self.channel.close()
-        self._log_dropped(self.outbox.untold)
+        self._log_dropped(self.outbox.unreported)
 
     def _log_complaint(self) -> None:
         """Log why there is no connection, once for each reason."""
@@ -200,13 +201,13 @@ class BrokerConnection:
         self._logged = complaint
 
     def _send(self, now: float) -> None:
-        while (frame := self.outbox.next(now)) is not None:
-            properties = frame.properties + gaps_property(frame.gaps)
-            token = self.channel.publish(frame.topic, frame.payload, frame.retained, properties)
+        while (batch := self.outbox.next(now)) is not None:
+            properties = batch.properties + gaps_property(batch.gaps)
+            token = self.channel.publish(batch.topic, batch.payload, batch.retained, properties)
             if token is None:
-                self.outbox.give_back(frame)
+                self.outbox.give_back(batch)
                 return
-            self.outbox.sent(token, frame)
+            self.outbox.sent(token, batch)
 
     def _log_dropped(self, gaps: Iterable[Gap]) -> None:
         for gap in gaps:
@@ -214,8 +215,8 @@ class BrokerConnection:
 
     def _find(self, topic: str, payload: bytes) -> Incoming | None:
         """The topic for a message whose MQTT topic is not known by name, opened when it is a general one's."""
-        typed = topic.startswith(ika.TYPE_PREFIX)
-        name = topic.removeprefix(ika.TYPE_PREFIX) if typed else topic
+        typed = topic.startswith(mqtt_client_format.TYPE_PREFIX)
+        name = topic.removeprefix(mqtt_client_format.TYPE_PREFIX) if typed else topic
         incoming = self.incoming.get(name) or self._open(name)
         if typed and incoming is not None and incoming.topic.format == MQTT_CLIENT:
             self._announce(incoming, payload)
@@ -232,20 +233,20 @@ class BrokerConnection:
         return None
 
     def _announce(self, incoming: Incoming, payload: bytes) -> None:
-        """Note what mqtt_client's messages are, which it says before each of them; then subscribe to them."""
+        """Note the type of mqtt_client's messages, which it announces before each of them; then subscribe to them."""
         before = incoming.announced
         try:
             if payload:
-                incoming.announce(ika.decode_type(payload))
+                incoming.announce(mqtt_client_format.decode_type(payload))
         except InputError as error:
-            self.count_bad(incoming.topic.mqtt, str(error))
+            self.count_refused(incoming.topic.mqtt, str(error))
         if incoming.announced != before:
             self._subscribe()
 
 
 def _filters(topic: BridgedTopic) -> Iterator[str]:
-    """The filters to subscribe to at once: of mqtt_client the types, which say how to read the messages."""
-    yield ika.type_topic(topic.filter) if topic.format == MQTT_CLIENT else topic.filter
+    """The filters to subscribe to at once: of mqtt_client those of the types, needed to read the messages."""
+    yield mqtt_client_format.type_topic(topic.filter) if topic.format == MQTT_CLIENT else topic.filter
 
 
 def _fits(mqtt_filter: str, topic: str) -> bool:

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from robotkube.errors import UnavailableError
-from robotkube.robots.bridge.core import mqtt_client_format as ika
+from robotkube.robots.bridge.core import mqtt_client_format
 from robotkube.robots.bridge.core.outbox import OutgoingBatch
 from robotkube.robots.bridge.core.settings import MQTT_CLIENT, BridgedTopic
-from robotkube.robots.mqtt.core.batches import BatchError, SeenBatches, decode_frame, encode_frame
+from robotkube.robots.mqtt.core.batches import BatchError, SeenBatches, decode_batch, encode_batch
 from robotkube.robots.mqtt.core.message_properties import (
     GAPS,
     TYPE,
@@ -27,12 +27,12 @@ from robotkube.robots.ros.core.gaps import Gap
 if TYPE_CHECKING:  # the ports know every part's domain: 25 ms of a start
     from robotkube.robots.ros.ports import MessageSink, MessageSource
 
-FRAME_BYTES_MAX = 1_000_000
+BATCH_BYTES_MAX = 1_000_000
 HOLD_SECONDS_MAX = 3.0
 HELD_MESSAGES_MAX = 2_000
 HELD_BYTES_MAX = 32 * 1024 * 1024
 DEFINITION_ENCODING = "text/x-ros2msg"
-NOT_TAKEN = "not taken by the middleware"
+NOT_ACCEPTED = "not accepted by the middleware"
 
 OnLoss = Callable[[Gap], None]
 OnGaps = Callable[[Sequence[Gap]], None]
@@ -66,33 +66,35 @@ class Outgoing:
         self._sender = sender
         self._has_header = topic.type in STAMPED_TYPES
         self._properties = type_properties(topic.type, sender.trace)
-        forms = {True: self._texts, False: self._plain if topic.format == MQTT_CLIENT else self._frames}
-        self.frames: Callable[[Sequence[bytes], float], Iterator[OutgoingBatch]] = forms[bool(topic.door)]
+        of_messages = self._single_batches if topic.format == MQTT_CLIENT else self._message_batches
+        self.batches: Callable[[Sequence[bytes], float], Iterator[OutgoingBatch]]
+        self.batches = self._text_batches if topic.gateway_agent else of_messages
 
     def introduction(self, now: float, publish_types: bool) -> Iterator[OutgoingBatch]:
         """The batches that are retained at the broker beside the messages: their type or its definition."""
         topic = self.topic
         if topic.format == MQTT_CLIENT:
-            kind = ika.encode_type(ika.RosMessageType(topic.type, topic.inject_timestamp))
-            yield OutgoingBatch(ika.type_topic(topic.mqtt), kind, 0, True, now)
-        elif publish_types and not topic.door and (text := self._sender.definition(topic.type)):
+            kind = mqtt_client_format.encode_type(mqtt_client_format.RosMessageType(topic.type, topic.inject_timestamp))
+            yield OutgoingBatch(mqtt_client_format.type_topic(topic.mqtt), kind, 0, True, now)
+        elif publish_types and not topic.gateway_agent and (text := self._sender.definition(topic.type)):
             properties = type_properties(topic.type, "", DEFINITION_ENCODING)
             yield OutgoingBatch(types_topic(topic.mqtt), text.encode(), 0, True, now, properties)
 
-    def _frames(self, messages: Sequence[bytes], now: float) -> Iterator[OutgoingBatch]:
+    def _message_batches(self, messages: Sequence[bytes], now: float) -> Iterator[OutgoingBatch]:
+        """Batches of many messages each."""
         sender = self._sender
         topic = self.topic
         for part in parts(messages):
-            payload = encode_frame(sender.session, sender.sequence(topic.name), part)
-            yield self._frame(payload, part, now)
+            payload = encode_batch(sender.session, sender.sequence(topic.name), part)
+            yield self._batch(payload, part, now)
 
-    def _plain(self, messages: Sequence[bytes], now: float) -> Iterator[OutgoingBatch]:
+    def _single_batches(self, messages: Sequence[bytes], now: float) -> Iterator[OutgoingBatch]:
         """Batches of one message each, as ika's mqtt_client writes it."""
         for message in messages:
             stamp = self._sender.clock() if self.topic.inject_timestamp else None
-            yield self._frame(ika.encode_message(message, stamp), (message,), now)
+            yield self._batch(mqtt_client_format.encode_message(message, stamp), (message,), now)
 
-    def _texts(self, messages: Sequence[bytes], now: float) -> Iterator[OutgoingBatch]:
+    def _text_batches(self, messages: Sequence[bytes], now: float) -> Iterator[OutgoingBatch]:
         """The texts of String messages, each as it is."""
         for message in messages:
             try:
@@ -100,7 +102,7 @@ class Outgoing:
             except ValueError:
                 self.malformed += 1
 
-    def _frame(self, payload: bytes, messages: Sequence[bytes], now: float) -> OutgoingBatch:
+    def _batch(self, payload: bytes, messages: Sequence[bytes], now: float) -> OutgoingBatch:
         topic = self.topic
         first = self._stamp(messages[0])
         last = first if len(messages) == 1 else self._stamp(messages[-1])
@@ -134,9 +136,11 @@ class Incoming:
         self._on_gaps = on_gaps
         self._has_header = topic.type in STAMPED_TYPES
         self._held: deque[bytes] | None = deque()
-        self._held_bytes = self._held_since = 0
-        forms = {True: self._text, False: self._plain if topic.format == MQTT_CLIENT else self._frame}
-        self._decode: Callable[[bytes, bytes, int], Sequence[bytes]] = forms[bool(topic.door)]
+        self._held_bytes = 0
+        self._held_since = 0
+        of_messages = self._single if topic.format == MQTT_CLIENT else self._batch
+        self._decode: Callable[[bytes, bytes, int], Sequence[bytes]]
+        self._decode = self._text if topic.gateway_agent else of_messages
 
     def receive(self, payload: bytes, properties: bytes, clock_ns: int) -> None:
         """Publish the messages of a payload, unless it was here before. BatchError: it is something else, and nothing
@@ -154,7 +158,7 @@ class Incoming:
         if len(self._held) > HELD_MESSAGES_MAX or self._held_bytes > HELD_BYTES_MAX or self.sink.matched:
             self._release(clock_ns)
 
-    def announce(self, kind: ika.RosMessageType) -> None:
+    def announce(self, kind: mqtt_client_format.RosMessageType) -> None:
         """Note the type of mqtt_client's messages from now on; BatchError when it is not the topic's."""
         self.announced = kind.name == self.topic.type
         if not self.announced:
@@ -189,24 +193,24 @@ class Incoming:
             except UnavailableError:
                 self.lost_messages += 1
                 stamp = self._stamp(message, clock_ns)
-                self._on_loss(Gap(self.topic.name, "ros", NOT_TAKEN, 1, stamp, stamp))
+                self._on_loss(Gap(self.topic.name, "ros", NOT_ACCEPTED, 1, stamp, stamp))
 
-    def _frame(self, payload: bytes, properties: bytes, clock_ns: int) -> Sequence[bytes]:
-        frame = decode_frame(payload)
+    def _batch(self, payload: bytes, properties: bytes, clock_ns: int) -> Sequence[bytes]:
+        batch = decode_batch(payload)
         user = read_properties(properties).user if properties else {}
         if user.get(TYPE, self.topic.type) != self.topic.type:
             raise BatchError(f"its type is {user[TYPE]}, that of the topic {self.topic.type}; make the two the same")
         gaps = read_gaps(user[GAPS]) if GAPS in user else ()
-        if not self.seen.fresh(frame.session, frame.sequence):
+        if not self.seen.fresh(batch.session, batch.sequence):
             return ()
         if gaps:
             self._on_gaps(gaps)
-        return frame.messages
+        return batch.messages
 
-    def _plain(self, payload: bytes, properties: bytes, clock_ns: int) -> Sequence[bytes]:
+    def _single(self, payload: bytes, properties: bytes, clock_ns: int) -> Sequence[bytes]:
         if not self.announced:  # of a session that is older than this process, or of another type by now
-            raise BatchError("nobody has said of what type it is, and whether it is stamped")
-        message, stamp = ika.decode_message(payload, self.stamped)
+            raise BatchError("its type is not announced, nor whether it is stamped")
+        message, stamp = mqtt_client_format.decode_message(payload, self.stamped)
         if stamp is not None:
             self.latency_seconds = (clock_ns - stamp) / 1e9
         return (message,)
@@ -222,11 +226,11 @@ class Incoming:
 
 
 def parts(messages: Sequence[bytes]) -> Iterator[Sequence[bytes]]:
-    """`messages` in parts of at most FRAME_BYTES_MAX bytes; a larger message stands alone."""
+    """`messages` in parts of at most BATCH_BYTES_MAX bytes; a larger message stands alone."""
     begin = size = 0
     for index, message in enumerate(messages):
         size += len(message)
-        if size > FRAME_BYTES_MAX and index > begin:
+        if size > BATCH_BYTES_MAX and index > begin:
             yield messages[begin:index]
             begin = index
             size = len(message)

@@ -38,8 +38,8 @@ def _incoming(into: Incoming) -> Iterator[str]:
     name = into.topic.name
     yield f'messages_total{{direction="in",topic="{name}"}} {into.messages}'
     yield f'matched_sinks{{topic="{name}"}} {into.matched}'
-    yield f'duplicate_frames_total{{topic="{name}"}} {into.seen.duplicates}'
-    yield f'missing_frames{{topic="{name}"}} {into.seen.missing}'
+    yield f'duplicate_batches_total{{topic="{name}"}} {into.seen.duplicates}'
+    yield f'missing_batches{{topic="{name}"}} {into.seen.missing}'
     if into.topic.format == MQTT_CLIENT and into.stamped:
         yield f'latency_seconds{{topic="{name}"}} {into.latency_seconds:.6f}'
 
@@ -48,9 +48,9 @@ def _link(link: BrokerConnection) -> Iterator[str]:
     name = link.name
     yield f'connected{{channel="{name}"}} {int(link.channel.complaint is None)}'
     yield f'connections_total{{channel="{name}"}} {link.connections}'
-    yield f'queued_frames{{channel="{name}"}} {len(link.outbox)}'
+    yield f'queued_batches{{channel="{name}"}} {len(link.outbox)}'
     yield f'queued_bytes{{channel="{name}"}} {link.outbox.bytes}'
-    yield f'refused_frames_total{{channel="{name}"}} {link.bad_frames}'
+    yield f'refused_batches_total{{channel="{name}"}} {link.refused_batches}'
     for gap in link.outbox.losses.sums:
         labels = f'channel="{name}",topic="{gap.topic}",where="{gap.where}",why="{_quoted(gap.why)}"'
         yield f"dropped_messages_total{{{labels}}} {gap.count}"

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from robotkube.errors import InputError
 from robotkube.foundation.runtime.loops.fencing import Fencing
 from robotkube.robots.detector.core.settings import TopicSettings
-from robotkube.robots.mqtt.core.batches import SeenBatches, decode_frame
+from robotkube.robots.mqtt.core.batches import SeenBatches, decode_batch
 from robotkube.robots.mqtt.core.message_properties import (
     GAPS,
     MQTT_PREFIX,
@@ -71,7 +71,7 @@ class MqttInput:
         """Receive a batch; True when it came for the first time. InputError when it is none, or of another type."""
         if type_name and type_name != self.type:
             raise InputError(f"its messages are {type_name}, not {self.type}; change the topic's type")
-        frame = decode_frame(payload)
+        frame = decode_batch(payload)
         self.matched = 1
         if not self._seen.fresh(frame.session, frame.sequence):
             return False

@@ -60,19 +60,20 @@ NO_MATCHING_SUBSCRIBERS = 0x10
 FAILURE = 0x80
 NOT_ALLOWED = frozenset([0x80, 0x83, 0x87])  # unspecified, implementation specific, not authorized: what an ACL gives
 QOS = 1
+QOS_BITS = 0x06  # of a PUBLISH: 0 when it is not acknowledged
 PUBLISH, PUBLISH_QOS_1, PUBACK, DISCONNECT = 0x30, 0x32, 0x40, 0xE0
 PACKET_HEAD_BYTES_MAX = 14  # of a PUBLISH beside topic, properties and payload
 
 _MID = struct.Struct("!H")
 _ACKNOWLEDGEMENT = struct.Struct("!BBH")
 
-FrameReceived = Callable[[str, bytes, bytes], None]
-FrameAcknowledged = Callable[[int, int], None]
+MessageReceived = Callable[[str, bytes, bytes], None]
+MessageAcknowledged = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
 class BrokerAccount:
-    """Who connects where."""
+    """An account at a broker: its address and credentials."""
 
     host: str
     port: int
@@ -81,14 +82,15 @@ class BrokerAccount:
 
 
 class _Client(mqtt.Client):
-    """paho's client, which keeps the connection, with a path of its own for frames and their acknowledgements.
+    """paho's client, which keeps the connection, with a path of its own for messages and their acknowledgements.
 
-    paho makes objects for the properties of every packet and three system calls to read one: 150 us for a frame and its
-    acknowledgement, 30 us here. All packets but those two go to paho as it expects them."""
+    paho makes objects for the properties of every packet and three system calls to read one: 150 us for a message and
+    its acknowledgement, 30 us here. All packets but those two go to paho as it expects them."""
 
-    def __init__(self, client_id: str, received: FrameReceived, acknowledged: FrameAcknowledged) -> None:
+    def __init__(self, client_id: str, received: MessageReceived, acknowledged: MessageAcknowledged) -> None:
         super().__init__(CallbackAPIVersion.VERSION2, client_id=client_id, protocol=mqtt.MQTTv5)
-        self._frame_received, self._frame_acknowledged = received, acknowledged
+        self._message_received = received
+        self._message_acknowledged = acknowledged
         self._buffer = bytearray()
 
     def read_all(self) -> None:
@@ -116,9 +118,11 @@ class _Client(mqtt.Client):
             if len(data) < RECEIVE_BYTES:
                 return
 
-    def send_frame(self, topic: str, payload: bytes, retained: bool, properties: bytes) -> int:
+    def send_message(self, topic: str, payload: bytes, retained: bool, properties: bytes) -> int:
         """Queue a PUBLISH with QoS 1; its packet identifier."""
-        mid, name, size = self._mid_generate(), topic.encode(), write_number(len(properties))
+        mid = self._mid_generate()
+        name = topic.encode()
+        size = write_number(len(properties))
         length = write_number(len(name) + 4 + len(size) + len(properties) + len(payload))
         head = struct.pack(f"!H{len(name)}sH", len(name), name, mid)
         parts = (bytes((PUBLISH_QOS_1 | retained,)), length, head, size, properties, payload)
@@ -137,34 +141,39 @@ class _Client(mqtt.Client):
 
     def _handle_buffer(self) -> bool:
         """Handle the whole packets in the buffer; False when the connection ended on one."""
-        buffer, place, size = self._buffer, 0, len(self._buffer)
+        buffer = self._buffer
+        size = len(buffer)
+        place = 0
         while (whole := packet_bounds(buffer, place, size)) is not None:
             begin, end = whole
-            command, place = buffer[place], end
+            command = buffer[place]
+            place = end
             if command & 0xF0 == PUBLISH:
-                self._handle_frame(command, buffer, begin, end)
+                self._handle_message(command, buffer, begin, end)
             elif command == PUBACK:
                 if end < begin + _MID.size:
                     raise MalformedPacketError(f"an acknowledgement of {end - begin} bytes")
                 (mid,) = _MID.unpack_from(buffer, begin)
-                self._frame_acknowledged(mid, buffer[begin + 2] if end > begin + 2 else 0)
+                self._message_acknowledged(mid, buffer[begin + 2] if end > begin + 2 else 0)
             elif not self._handle_other(command, bytes(buffer[begin:end])):
                 return False
         del buffer[:place]
         return True
 
-    def _handle_frame(self, command: int, buffer: bytearray, begin: int, end: int) -> None:
+    def _handle_message(self, command: int, buffer: bytearray, begin: int, end: int) -> None:
         place = begin + _MID.size
         if place <= end:
             place += _MID.unpack_from(buffer, begin)[0]
-        topic, quality = buffer[begin + _MID.size : place].decode(errors="replace"), command & 0x06
-        mid, place = place, place + (_MID.size if quality else 0)
+        topic = buffer[begin + _MID.size : place].decode(errors="replace")
+        acknowledged = command & QOS_BITS
+        mid = place
+        place += _MID.size if acknowledged else 0
         properties = read_number(buffer, place, end)
         if properties is None or sum(properties) > end:
             raise MalformedPacketError(f"a message of {end - begin} bytes ends before its content")
         size, place = properties
-        self._frame_received(topic, bytes(buffer[place + size : end]), bytes(buffer[place : place + size]))
-        if quality:
+        self._message_received(topic, bytes(buffer[place + size : end]), bytes(buffer[place : place + size]))
+        if acknowledged:
             (number,) = _MID.unpack_from(buffer, mid)
             self._out_packet.append(_packet(_ACKNOWLEDGEMENT.pack(PUBACK, 2, number)))
 
@@ -204,8 +213,8 @@ def _packet(data: bytes) -> Any:
 
 
 class PahoChannel:
-    """A connection under `client_id`. `account` is asked at every attempt, since passwords may be replaced;
-    the broker keeps the session for `session_seconds` after a loss."""
+    """A connection under `client_id`. `account` is read at every attempt, since passwords may be replaced; the broker
+    keeps the session for `session_seconds` after a loss."""
 
     def __init__(
         self,
@@ -216,14 +225,19 @@ class PahoChannel:
         jitter: Random = random.random,
     ) -> None:
         self._jitter = jitter
-        self._account, self._client_id, self._session_seconds = account, client_id, session_seconds
+        self._account = account
+        self._client_id = client_id
+        self._session_seconds = session_seconds
         self._events = events
         self._client: _Client | None = None
         self._attempt: _Attempt | None = None
-        self._failures, self._retry_at, self._misc_at, self._now = 0, 0.0, 0.0, 0.0
+        self._failures = 0
+        self._retry_at = self._misc_at = self._now = 0.0
         self._subscribing: dict[int, list[str]] = {}
-        self._unacknowledged, self._receive_maximum = 0, RECEIVE_MAXIMUM
-        self._packet_bytes_max, self._retains = PACKET_BYTES_MAX, True
+        self._unacknowledged = 0
+        self._receive_maximum = RECEIVE_MAXIMUM
+        self._packet_bytes_max = PACKET_BYTES_MAX
+        self._retains = True
         self._rejected: deque[tuple[int, str]] = deque()
         self._up = False
         self.complaint: str | None = f"{client_id}: not connected to the broker yet"
@@ -244,12 +258,12 @@ class PahoChannel:
         """See the port."""
         if self._client is None or not self._up or self._unacknowledged >= self._receive_maximum:
             return None
-        reason = self._beyond(len(topic.encode()) + len(properties) + len(payload), retained)
+        reason = self._limit_problem(len(topic.encode()) + len(properties) + len(payload), retained)
         if reason:  # the broker would end the connection, again and again
             self._rejected.append((self._client._mid_generate(), reason))
             return self._rejected[-1][0]
         self._unacknowledged += 1
-        return self._client.send_frame(topic, payload, retained, properties)
+        return self._client.send_message(topic, payload, retained, properties)
 
     def subscribe(self, topics: Sequence[str]) -> None:
         """See the port."""
@@ -274,7 +288,8 @@ class PahoChannel:
     def close(self) -> None:
         """See the port; the session stays at the broker until it expires."""
         if self._client is not None:
-            client, self._client = self._client, None
+            client = self._client
+            self._client = None
             with contextlib.suppress(OSError, ValueError):
                 client.disconnect()
                 client.write_all()
@@ -289,11 +304,12 @@ class PahoChannel:
         """Whether packets wait for the socket."""
         return self._client is not None and self._client.want_write()
 
-    def _beyond(self, content_bytes: int, retained: bool) -> str:
-        """What the broker said it does not take of a frame, in words; empty when it takes it."""
-        size, size_max = content_bytes + PACKET_HEAD_BYTES_MAX, self._packet_bytes_max
+    def _limit_problem(self, content_bytes: int, retained: bool) -> str:
+        """The limit that the broker stated and a message exceeds, in words; empty when it exceeds none."""
+        size = content_bytes + PACKET_HEAD_BYTES_MAX
+        size_max = self._packet_bytes_max
         if size > size_max:
-            return f"a packet of {size} bytes, at most {size_max} are taken; see the broker's max_packet_size"
+            return f"a packet of {size} bytes, at most {size_max} are accepted; see the broker's max_packet_size"
         if retained and not self._retains:
             return "the broker retains no messages; let it (mosquitto: retain_available true)"
         return ""
@@ -305,7 +321,8 @@ class PahoChannel:
             return
         if self._attempt.running:
             return
-        attempt, self._attempt = self._attempt, None
+        attempt = self._attempt
+        self._attempt = None
         if attempt.error is not None:
             self.complaint = f"{self._client_id}: {attempt.error}"
             self._lost()
@@ -332,7 +349,9 @@ class PahoChannel:
         if client is not self._client or reason.value >= FAILURE:
             self.complaint = f"{self._client_id}: the broker refuses the connection: {reason}"
             return
-        self._up, self.complaint, self._failures = True, None, 0
+        self._up = True
+        self.complaint = None
+        self._failures = 0
         self._subscribing.clear()
         self._unacknowledged = 0
         self._receive_maximum = getattr(properties, "ReceiveMaximum", RECEIVE_MAXIMUM)
@@ -351,23 +370,25 @@ class PahoChannel:
     def _on_acknowledged(self, mid: int, reason: int) -> None:
         self._unacknowledged = max(0, self._unacknowledged - 1)
         if reason >= FAILURE:
-            said = f"the broker refuses a frame (reason {reason:#x} of MQTT 5)"
-            self._events.rejected(mid, said + _advice(reason))
+            refusal = f"the broker refuses a message (reason {reason:#x} of MQTT 5)"
+            self._events.rejected(mid, refusal + _advice(reason))
         else:
             self._events.acknowledged(mid, reason != NO_MATCHING_SUBSCRIBERS)
 
     def _on_subscribe(self, client: Any, userdata: Any, mid: int, reasons: Any, properties: Any) -> None:
         for topic, reason in zip(self._subscribing.pop(mid, []), reasons, strict=False):
             if reason.value >= FAILURE:
-                said = f"the broker refuses the subscription: {reason}"
-                self._events.refused(topic, said + _advice(reason.value))
+                refusal = f"the broker refuses the subscription: {reason}"
+                self._events.refused(topic, refusal + _advice(reason.value))
 
     def _lost(self) -> None:
-        """After a failed attempt or a lost connection; the next attempt waits for the back-off."""
-        was_up, self._up = self._up, False
+        """Let the next attempt wait for the back-off, after a failed attempt or a lost connection."""
+        was_up = self._up
+        self._up = False
         self._rejected.clear()
         pause = backoff(self._failures, BACKOFF_SECONDS_MIN, BACKOFF_SECONDS_MAX, self._jitter)
-        self._failures, self._retry_at = self._failures + 1, self._now + pause
+        self._failures += 1
+        self._retry_at = self._now + pause
         if was_up:
             self._events.disconnected()
 
@@ -378,7 +399,8 @@ class _Attempt:
     def __init__(self, new_client: Callable[[], _Client], account: Callable[[], BrokerAccount]) -> None:
         self.client: _Client | None = None
         self.error: str | None = None
-        self._new_client, self._account = new_client, account
+        self._new_client = new_client
+        self._account = account
         self._thread = threading.Thread(target=self._run, name="connect", daemon=True)
         self._thread.start()
 
@@ -389,7 +411,8 @@ class _Attempt:
 
     def _run(self) -> None:
         try:
-            account, client = self._account(), self._new_client()
+            account = self._account()
+            client = self._new_client()
             client.username_pw_set(account.username, account.password)
             properties = client.session_properties  # type: ignore[attr-defined]
             client.connect(account.host, account.port, KEEPALIVE_SECONDS, clean_start=False, properties=properties)
@@ -399,7 +422,7 @@ class _Attempt:
 
 
 def _advice(reason: int) -> str:
-    """What to look at after a refusal."""
+    """The place where the reason of a refusal stands, as the end of its sentence."""
     return f"; look at the broker's {'ACL for this agent' if reason in NOT_ALLOWED else 'limits and log'}"
 
 
@@ -408,7 +431,7 @@ def _prepare_socket(client: Any, userdata: Any, connection: Any) -> None:
 
 
 def _written_by_turn(client: Any, userdata: Any, connection: Any) -> None:
-    """Its presence makes paho queue packets until `write_all`."""
+    """A callback without content: its presence makes paho queue packets until `write_all`."""
 
 
 def wait(channels: Iterable[PahoChannel], prompt: Iterable[PahoChannel], seconds: float) -> bool:

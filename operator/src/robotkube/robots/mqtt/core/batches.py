@@ -38,7 +38,7 @@ class MessageBatch:
     messages: tuple[bytes, ...]
 
 
-def encode_frame(session: int, sequence: int, messages: Sequence[bytes]) -> bytes:
+def encode_batch(session: int, sequence: int, messages: Sequence[bytes]) -> bytes:
     """The bytes of a batch."""
     parts = [_HEAD.pack(MAGIC, session, sequence, len(messages))]
     for message in messages:
@@ -47,24 +47,24 @@ def encode_frame(session: int, sequence: int, messages: Sequence[bytes]) -> byte
     return b"".join(parts)
 
 
-def decode_frame(data: bytes) -> MessageBatch:
+def decode_batch(data: bytes) -> MessageBatch:
     """The batch in `data`; BatchError says what is wrong with it and where."""
     if len(data) < _HEAD.size:
-        raise BatchError(f"a frame of {len(data)} bytes is shorter than its head of {_HEAD.size} bytes")
+        raise BatchError(f"a batch of {len(data)} bytes is shorter than its head of {_HEAD.size} bytes")
     magic, session, sequence, count = _HEAD.unpack_from(data)
     if magic != MAGIC:
-        raise BatchError(f"the frame begins with {magic!r} instead of {MAGIC!r}; the sender speaks another format")
+        raise BatchError(f"the batch begins with {magic!r} instead of {MAGIC!r}; the sender speaks another format")
     if count > MESSAGES_MAX:
-        raise BatchError(f"a frame of {count} messages; send at most {MESSAGES_MAX} in one")
+        raise BatchError(f"a batch of {count} messages; send at most {MESSAGES_MAX} in one")
     messages = []
     place = _HEAD.size
     size = len(data)
     for number in range(count):
         if place + 4 > size:
-            raise BatchError(f"the frame ends at byte {size}, before message {number + 1} of {count}")
+            raise BatchError(f"the batch ends at byte {size}, before message {number + 1} of {count}")
         end = place + 4 + _LENGTH.unpack_from(data, place)[0]
         if end > size:
-            raise BatchError(f"message {number + 1} of {count} ends at byte {end} of a frame of {size} bytes")
+            raise BatchError(f"message {number + 1} of {count} ends at byte {end} of a batch of {size} bytes")
         messages.append(data[place + 4 : end])
         place = end
     if place != size:

@@ -21,8 +21,6 @@ MQTT_PREFIX = "mqtt"
 GAPS_TOPIC = "/robotkube/gaps"
 GAPS_TYPE = "std_msgs/msg/String"
 GAPS_DEPTH = 1000
-
-
 TYPE, STAMP, TRACE, GAPS = "type", "stamp", "trace", "gaps"
 TYPES_PREFIX = "robotkube/types/"
 GAP_CHARACTERS_MAX = 4000
@@ -49,8 +47,8 @@ def stamp_property(stamp: int) -> bytes:
 
 def gaps_property(gaps: Sequence[Gap]) -> bytes:
     """The property with the gaps before this message, at most GAPS_PER_MESSAGE_MAX; empty without any."""
-    texts = ", ".join(gap_text(gap) for gap in gaps[:GAPS_PER_MESSAGE_MAX])
-    return user_property(GAPS, f"[{texts}]") if gaps else b""
+    documents = ", ".join(gap_text(gap) for gap in gaps[:GAPS_PER_MESSAGE_MAX])
+    return user_property(GAPS, f"[{documents}]") if gaps else b""
 
 
 def gap_text(gap: Gap) -> str:
@@ -63,7 +61,7 @@ def read_gap_text(text: str) -> Gap:
     try:
         return _gap(_values(text))
     except _WRONG as error:
-        raise BatchError(f"{text[:100]!r} says of no gap what it is: {error}") from error
+        raise BatchError(f"{text[:100]!r} is no gap: {error}") from error
 
 
 def read_gaps(text: str) -> list[Gap]:

@@ -18,7 +18,7 @@ PROPERTIES_MAX = 64
 
 _LENGTH = struct.Struct("!H")
 _FIXED_BYTES = {0x01: 1, 0x02: 4, 0x23: 2}  # payload format, message expiry, topic alias
-_TEXTS = frozenset([0x08, 0x09])  # response topic, correlation data
+_LENGTH_PREFIXED = frozenset([0x08, 0x09])  # response topic, correlation data
 _SUBSCRIPTION = 0x0B
 
 
@@ -54,7 +54,7 @@ def read_properties(data: bytes) -> MessageProperties:
             if place >= len(data):
                 return MessageProperties(kind, user)
             code = data[place]
-            place = place + 1
+            place += 1
             if code == USER_PROPERTY:
                 key, place = _read_text(data, place)
                 user[key], place = _read_text(data, place)
@@ -89,7 +89,7 @@ def _after(code: int, data: bytes, place: int) -> int:
     """The position after a property that is not read."""
     if code in _FIXED_BYTES:
         return place + _FIXED_BYTES[code]
-    if code in _TEXTS:
+    if code in _LENGTH_PREFIXED:
         return _octets(data, place)[1]
     if code == _SUBSCRIPTION and (number := read_number(data, place, len(data))) is not None:
         return number[1]

@@ -332,7 +332,7 @@ class RosPublisher:
         try:
             self._publish(data)
         except self._failure as error:
-            raise UnavailableError(f"topic {self.topic}: the middleware did not take a message: {error}") from error
+            raise UnavailableError(f"topic {self.topic}: the middleware did not accept a message: {error}") from error
 
     @property
     def matched(self) -> int:
