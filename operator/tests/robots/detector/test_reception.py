@@ -16,7 +16,7 @@ from robotkube.robots.ros.core.qos import (
     QosProfile,
     QosViolations,
     RequestedQos,
-    matched,
+    matching_profile,
     mismatch,
 )
 from robotkube.robots.rules.adapters.child_processes import ChildProcess
@@ -307,7 +307,7 @@ WEAK = QosProfile("best_effort", "volatile")
 def test_a_subscription_asks_for_what_all_publishers_give(
     asked: RequestedQos, offers: list[QosProfile], expected: QosProfile
 ) -> None:
-    assert matched(asked, [PublisherOffer("/p", POSE_TYPE, offer) for offer in offers]) == expected
+    assert matching_profile(asked, [PublisherOffer("/p", POSE_TYPE, offer) for offer in offers]) == expected
 
 
 @pytest.mark.parametrize(

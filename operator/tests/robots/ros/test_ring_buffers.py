@@ -80,8 +80,8 @@ def test_other_bounds_take_what_does_not_fit_and_nothing_else(count: int) -> Non
         for message in random_messages(draw):
             if draw.random() < 0.1:
                 terms = random_terms(draw)
-                buffer.rebound(*terms)
-                model.rebound(*terms)
+                buffer.change_bounds(*terms)
+                model.change_bounds(*terms)
                 assert buffer.samples() == tuple(model.kept), seed
                 kept_over += len(buffer) > 1
             assert buffer.insert(message) == model.insert(message), (seed, message)
@@ -103,15 +103,19 @@ def test_a_topic_of_a_pool_becomes_latched_and_back_with_its_bytes() -> None:
         buffer = pool.make(name, wide)
         for stamp in range(4):
             buffer.insert(sample(stamp, data=b"0123456789"))
-    assert (pool.bytes, pool.rebound("a", wide, True, "drop", "restart"), pool.bytes) == (80, pool.buffers["a"], 40)
+    assert (pool.bytes, pool.change_bounds("a", wide, True, "drop", "restart"), pool.bytes) == (
+        80,
+        pool.buffers["a"],
+        40,
+    )
     for stamp in range(4, 14):
         pool.buffers["a"].insert(sample(stamp, data=b"0123456789"))
     assert (len(pool.buffers["a"]), pool.bytes) == (14, 40), "no part in the process's bytes"
-    pool.rebound("a", wide, False, "drop", "restart")
+    pool.change_bounds("a", wide, False, "drop", "restart")
     assert pool.bytes <= 100
     assert (len(pool.buffers["a"]), len(pool.buffers["b"])) == (5, 4), "from whoever holds most"
     with pytest.raises(KeyError):
-        pool.rebound("c", wide, False, "drop", "restart")
+        pool.change_bounds("c", wide, False, "drop", "restart")
 
 
 def check_sums(buffer: RingBuffer) -> None:

@@ -41,7 +41,7 @@ class ModelBuffer:
              "evicted_count", "evicted_process"), 0,
         )  # fmt: skip
 
-    def rebound(self, bounds: BufferBounds, latched: bool, duplicates: str, jump: str) -> None:
+    def change_bounds(self, bounds: BufferBounds, latched: bool, duplicates: str, jump: str) -> None:
         self._bind(bounds, latched, duplicates, jump)
         self._evict_all()
 

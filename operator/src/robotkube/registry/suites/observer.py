@@ -26,7 +26,7 @@ from robotkube.registry.suites.core.interface_observations import Observation
 from robotkube.registry.suites.loops.interface_observer import InterfaceObserver, ObserverPorts, ObserverTimeouts
 from robotkube.robots.bags.core.playback import restamped
 from robotkube.robots.mqtt.core.batches import encode_batch
-from robotkube.robots.ros.adapters.message_classes import default_message, misfit
+from robotkube.robots.ros.adapters.message_classes import default_message, type_mismatch
 from robotkube.robots.ros.adapters.rclpy_node import RosNode
 from robotkube.robots.ros.core.common_messages import STAMPED_TYPES
 
@@ -57,7 +57,7 @@ class DefaultMessages:
 
     def misfit(self, type_name: str, data: bytes) -> str:
         """See the port."""
-        return misfit(type_name, data)
+        return type_mismatch(type_name, data)
 
 
 def body(process: Process) -> None:

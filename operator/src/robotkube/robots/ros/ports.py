@@ -35,7 +35,7 @@ class MessageSink(Protocol):
         ...
 
     def publish(self, data: bytes) -> None:
-        """Send one message. UnavailableError when the middleware cannot take it now."""
+        """Send one message. UnavailableError when the middleware cannot accept it now."""
         ...
 
     def close(self) -> None:

@@ -30,7 +30,7 @@ from robotkube.robots.ros.core.ring_buffers import (
     JUMP_RESTART,
     BufferBounds,
 )
-from robotkube.robots.ros.core.topic_patterns import UNREADABLE, TopicPattern
+from robotkube.robots.ros.core.topic_patterns import UNREADABLE_TOPIC, TopicPattern
 from robotkube.robots.rules.core import RULES_MAX, Always, Rule, read_rules
 from robotkube.robots.rules.core.specification.expressions import Check
 from robotkube.robots.rules.core.specification.settings_reader import SettingsReader
@@ -248,7 +248,7 @@ def _unread(items: Sequence[SettingsReader], rules: Sequence[Rule]) -> Collectio
 def _cross_problems(settings: DetectorSettings, known: SettingsContext, unread: Collection[str]) -> list[str]:
     """The problems between parts of the settings; parts that could not be read are not reported twice."""
     topics = [topic.pattern.text for topic in settings.topics]
-    problems = _repeated("topics", [text for text in topics if text != UNREADABLE])
+    problems = _repeated("topics", [text for text in topics if text != UNREADABLE_TOPIC])
     if any(rule.name == TIME_JUMP for rule in settings.rules):
         problems.append(f"rules: the name {TIME_JUMP} is taken by the jumps of topics' time; give the rule another one")
     names = [*sorted(rule.name for rule in settings.rules if not rule.silent), TIME_JUMP]

@@ -122,7 +122,7 @@ def topic_document(topic: TopicSubscription, now: int) -> dict[str, Any]:
         "source": topic.settings.source,
         "matched": topic.matched,
         "asked": topic.quality.text(),
-        "offered": [{"node": offer.node, "quality": offer.quality.text()} for offer in topic.offers],
+        "offered": [{"node": offer.node, "quality": offer.qos_profile.text()} for offer in topic.offers],
         "problem": topic.problem,
         "incompatible": {"count": counter.incompatible, "policy": topic.incompatible.policy},
         "missed_deadlines": counter.missed_deadlines,

@@ -26,7 +26,7 @@ from robotkube.robots.detector.loops.subscription import (
 from robotkube.robots.mqtt.core.message_properties import GAPS_DEPTH, GAPS_TOPIC, GAPS_TYPE
 from robotkube.robots.ros.core.cdr_readers.readers import Layouts
 from robotkube.robots.ros.core.common_messages import STAMPED_TYPES, header_stamp
-from robotkube.robots.ros.core.qos import TRANSIENT_LOCAL, PublisherOffer, QosProfile, matched
+from robotkube.robots.ros.core.qos import TRANSIENT_LOCAL, PublisherOffer, QosProfile, matching_profile
 from robotkube.robots.ros.core.ring_buffers import BufferPool, RingBuffer
 from robotkube.robots.ros.core.topic_patterns import TopicPattern
 from robotkube.robots.rules.core import Proximity
@@ -196,7 +196,7 @@ class TopicSubscriptions:
             del self.topics[topic.name]  # to be subscribed to at its new source
         elif (settings.asked, settings.depth) != (before.asked, before.depth):
             source = self._source(settings.source)
-            self._subscribe_anew(topic, matched(settings.asked, of_type(topic, source.offers(topic.name))))
+            self._subscribe_anew(topic, matching_profile(settings.asked, of_type(topic, source.offers(topic.name))))
 
     def _subscribe_anew(
         self, topic: TopicSubscription, quality: QosProfile, offers: tuple[PublisherOffer, ...] = ()
@@ -242,7 +242,9 @@ class TopicSubscriptions:
 
     def _open(self, name: str, settings: TopicSettings) -> TopicSubscription | None:
         source = self._source(settings.source)
-        quality = matched(settings.asked, [offer for offer in source.offers(name) if offer.type == settings.type])
+        quality = matching_profile(
+            settings.asked, [offer for offer in source.offers(name) if offer.type == settings.type]
+        )
         try:
             subscription = source.subscribe(name, settings, quality)
         except DocumentError as error:
@@ -263,7 +265,7 @@ class TopicSubscriptions:
         if before is not None and before.type != settings.type:
             self._remove_buffer(name)
         self._buffered[name] = settings
-        give = self.pool.rebound if name in self.pool.buffers else self.pool.make
+        give = self.pool.change_bounds if name in self.pool.buffers else self.pool.make
         return give(name, settings.bounds, settings.latched, settings.duplicates, settings.jump)
 
     def _counter(self, name: str, settings: TopicSettings) -> InputCounter:
@@ -321,7 +323,7 @@ class TopicSubscriptions:
         topic.offers = offers
         self._report_refusals(topic, refused, topic.quality)
         fitting = of_type(topic, offers)
-        quality = matched(topic.settings.asked, fitting)
+        quality = matching_profile(topic.settings.asked, fitting)
         renewed = bool(fitting) and quality != topic.quality
         if renewed and known and offers != known:
             renewed = len(problem_of(topic, quality)) < len(problem_of(topic, topic.quality))
@@ -346,7 +348,9 @@ class TopicSubscriptions:
         time."""
         if topic.counter.incompatible > refused:
             text = "topic %s: the middleware has refused publishers because of %s (%d so far): asked %s, offered %s"
-            offered = "; ".join(dict.fromkeys(offer.quality.text() for offer in topic.offers)) or "not known any more"
+            offered = (
+                "; ".join(dict.fromkeys(offer.qos_profile.text() for offer in topic.offers)) or "not known any more"
+            )
             count = topic.counter.incompatible
             policy = topic.incompatible.policy
             log.warning(text, topic.name, policy, count, quality.text(), offered)

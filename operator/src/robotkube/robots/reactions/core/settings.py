@@ -13,7 +13,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from robotkube.foundation.documents.core.patterns import HOST_LABEL, MQTT_TOPIC, SECRET_KEY, WEBHOOK_URL
-from robotkube.robots.ros.core.topic_patterns import UNREADABLE, TopicPattern
+from robotkube.robots.ros.core.topic_patterns import UNREADABLE_TOPIC, TopicPattern
 from robotkube.robots.rules.core.specification.settings_reader import SettingsReader
 
 OPERATOR, RECORDING, WEBHOOK, MQTT, PYTHON = "operator", "recording", "webhook", "mqtt", "python"
@@ -151,7 +151,7 @@ def reaction_problems(
     if not isinstance(reaction, RecordingReaction):
         return
     for topic in reaction.topics:
-        if UNREADABLE in (topic.pattern.text, *buffers):
+        if UNREADABLE_TOPIC in (topic.pattern.text, *buffers):
             continue  # told already, and what it was meant to be nobody knows
         seconds = buffers.get(topic.pattern.text)
         if seconds is None:

@@ -11,7 +11,7 @@ _BUILT_IN = re.compile(r"(u?int(8|16|32|64)|float(32|64)|bool|byte|char|w?string
 
 
 def definition(type_name: str, share: Path) -> str:
-    """The type's definition with all types it uses, in MCAP's `ros2msg` form; `""` when `share` does not have it."""
+    """The definition of a type with all types it uses, in MCAP's `ros2msg` form; `""` when `share` does not have it."""
     parts: dict[str, str] = {}
     try:
         _collect(type_name, share, parts, 0)

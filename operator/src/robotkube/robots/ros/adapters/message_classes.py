@@ -30,7 +30,7 @@ def default_message(type_name: str) -> bytes:
     return bytes(serialize_message(message_class(type_name)()))
 
 
-def misfit(type_name: str, data: bytes) -> str:
+def type_mismatch(type_name: str, data: bytes) -> str:
     """The reason why `data` is no serialised message of the type, in words; empty when it is one.
 
     It is one when it stays as long after it was read and written."""

@@ -3,7 +3,7 @@
 Why not rclpy.Node, executors and message classes: they cost most of what a small process costs. A node object opens six
 more DDS entities, a message package imports numpy, an executor spends 200 us per message. Here a process has a context,
 one node without services, and per topic one publisher or subscription that moves bytes (CDR with its encapsulation).
-Figures: docs/decisions/0004-data-path.md.
+Measurements: docs/decisions/0004-data-path.md.
 
     node = RosNode("bridge")         # one per process; ROS_DOMAIN_ID comes from the environment
     poses = node.subscribe("/p", "geometry_msgs/msg/PoseStamped", depth=1000)
@@ -32,12 +32,12 @@ from robotkube.errors import InputError, RobotKubeError, UnavailableError
 from robotkube.foundation.documents.core.patterns import ROS_TYPE
 from robotkube.robots.ros.core.common_messages import PublishOutcome
 
-if TYPE_CHECKING:  # only who looks at the graph needs them
+if TYPE_CHECKING:  # only who reads the graph needs them
     from robotkube.robots.ros.core.graph import Endpoint
     from robotkube.robots.ros.core.qos import PublisherOffer
 
 PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
-UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"  # the middleware's word until a node has said its name
+UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"  # the middleware's word until it knows a node's name
 ENDLESS_NS = 1 << 62
 INCOMPATIBLE, DEADLINE, LIVELINESS = "incompatible", "deadline", "liveliness"
 POLICY_PREFIX = "RMW_QOS_POLICY_"
@@ -49,8 +49,8 @@ class MessageTypeError(InputError):
 
 
 def message_type(name: str) -> Any:
-    """What the bindings need to know of a type such as geometry_msgs/msg/PoseStamped: an object whose class holds the
-    type support. The package's Python messages are not imported. MessageTypeError says what is wrong with `name`."""
+    """The bindings' handle of a type such as geometry_msgs/msg/PoseStamped: an object whose class holds the type
+    support. The package's Python messages are not imported. MessageTypeError says what is wrong with `name`."""
     if not ROS_TYPE.fullmatch(name):
         raise MessageTypeError(f"type {name!r} is not written like geometry_msgs/msg/PoseStamped")
     package, _, message = name.partition("/msg/")
@@ -66,8 +66,8 @@ def _type_support_module(package: str, name: str) -> ModuleType:
     full_name = f"{package}.{package}_s__rosidl_typesupport_c"
     if full_name in sys.modules:
         return sys.modules[full_name]
-    found = importlib.util.find_spec(package)
-    folders = list(found.submodule_search_locations or ()) if found else []
+    installed = importlib.util.find_spec(package)
+    folders = list(installed.submodule_search_locations or ()) if installed else []
     libraries = [p for folder in folders for p in Path(folder).glob(f"{package}_s__rosidl_typesupport_c*.so")]
     if not libraries:
         raise MessageTypeError(f"type {name}: message package {package} is not installed in this image")
@@ -85,7 +85,8 @@ class RosNode:
 
     def __init__(self, name: str) -> None:
         _use_profile()
-        self._bindings, self._native = _bindings(), _native()
+        self._bindings = _bindings()
+        self._native = _native()
         self._context = self._bindings.Context([], self._bindings.RCL_DEFAULT_DOMAIN_ID)
         with self._context:
             self._node = self._bindings.Node(name, "/", self._context, [], False, False)
@@ -103,9 +104,9 @@ class RosNode:
     ) -> RosSubscription:
         """A subscription; MessageTypeError for an unknown type, InputError for a topic name ROS refuses."""
         kind = message_type(type_name)
-        quality = self._quality(reliability, durability, depth, deadline_ns, liveliness, lease_ns)
+        qos_profile = self._qos_profile(reliability, durability, depth, deadline_ns, liveliness, lease_ns)
         with self._node:
-            handle = self._make(lambda: self._bindings.Subscription(self._node, kind, topic, quality), topic)
+            handle = self._make(lambda: self._bindings.Subscription(self._node, kind, topic, qos_profile), topic)
             kinds = self._bindings.rcl_subscription_event_type_t
             events = {INCOMPATIBLE: self._event(handle, kinds.RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS)}
             if deadline_ns is not None:
@@ -119,24 +120,24 @@ class RosNode:
     ) -> RosPublisher:
         """A publisher; errors as in `subscribe`."""
         kind = message_type(type_name)
-        quality = self._quality(reliability, durability, depth)
+        qos_profile = self._qos_profile(reliability, durability, depth)
         with self._node:
-            handle = self._make(lambda: self._bindings.Publisher(self._node, kind, topic, quality), topic)
+            handle = self._make(lambda: self._bindings.Publisher(self._node, kind, topic, qos_profile), topic)
         return RosPublisher(topic, handle, self._bindings.RCLError)
 
     def publish_due(self, messages: Sequence[tuple[Any, int, bytes]], late_ns: int) -> PublishOutcome:
         """See the port; the publishers are this node's own."""
-        asked = [(publisher.address, due, data) for publisher, due, data in messages]
-        published, late, refusal = self._native.publish_due(asked, late_ns)
+        addressed = [(publisher.address, due, data) for publisher, due, data in messages]
+        published, late, refusal = self._native.publish_due(addressed, late_ns)
         return PublishOutcome(published, late, refusal or "")
 
     def topics(self) -> dict[str, list[str]]:
-        """Topic -> message types of every topic that somebody publishes or subscribes to now."""
+        """The topics that somebody publishes or subscribes to now, each with its message types."""
         with self._node:
             return dict(self._bindings.rclpy_get_topic_names_and_types(self._node, False))
 
     def endpoints(self) -> list[Endpoint]:
-        """Publishers and subscriptions of all other nodes that are known now; those of ROS alone, not of services."""
+        """The publishers and subscriptions of all other nodes that are known now; those of topics, not of services."""
         ends = (
             ("out", self._bindings.rclpy_get_publishers_info_by_topic),
             ("in", self._bindings.rclpy_get_subscriptions_info_by_topic),
@@ -152,10 +153,10 @@ class RosNode:
             ]
 
     def offers(self, topic: str) -> list[PublisherOffer]:
-        """The publishers of a topic that are known now, with what they promise."""
+        """The publishers of a topic that are known now, with the QoS profiles that they offer."""
         with self._node:
-            found = self._bindings.rclpy_get_publishers_info_by_topic(self._node, topic, False)
-        return [_offer(entry) for entry in found]
+            publishers = self._bindings.rclpy_get_publishers_info_by_topic(self._node, topic, False)
+        return [_offer(entry) for entry in publishers]
 
     def close(self) -> None:
         """Leave the network. May hang in the middleware: a process calls it only under its shutdown deadline."""
@@ -176,7 +177,7 @@ class RosNode:
         except (ValueError, self._bindings.RCLError) as error:
             raise InputError(f"topic {topic}: ROS refuses it: {error}") from error
 
-    def _quality(
+    def _qos_profile(
         self,
         reliability: str,
         durability: str,
@@ -188,19 +189,19 @@ class RosNode:
         from rclpy import qos
         from rclpy.duration import Duration
 
-        more: dict[str, Any] = {}
+        optional: dict[str, Any] = {}
         if deadline_ns is not None:
-            more["deadline"] = Duration(nanoseconds=deadline_ns)
+            optional["deadline"] = Duration(nanoseconds=deadline_ns)
         if lease_ns is not None:
-            more["liveliness_lease_duration"] = Duration(nanoseconds=lease_ns)
+            optional["liveliness_lease_duration"] = Duration(nanoseconds=lease_ns)
         if liveliness != "automatic" or lease_ns is not None:
-            more["liveliness"] = qos.LivelinessPolicy[liveliness.upper()]
+            optional["liveliness"] = qos.LivelinessPolicy[liveliness.upper()]
         profile: Any = qos.QoSProfile
         return profile(
             depth=depth,
             reliability=qos.ReliabilityPolicy[reliability.upper()],
             durability=qos.DurabilityPolicy[durability.upper()],
-            **more,
+            **optional,
         ).get_c_qos_profile()
 
 
@@ -209,10 +210,10 @@ def _endpoint(topic: str, direction: str, entry: Mapping[str, Any]) -> Endpoint:
 
     from robotkube.robots.ros.core.graph import Endpoint
 
-    profile, node = entry["qos_profile"], _node_of(entry)
+    profile = entry["qos_profile"]
     reliability = qos.ReliabilityPolicy(profile["reliability"]).name.lower()
     durability = qos.DurabilityPolicy(profile["durability"]).name.lower()
-    return Endpoint(topic, direction, entry["topic_type"], reliability, durability, node)
+    return Endpoint(topic, direction, entry["topic_type"], reliability, durability, _node_of(entry))
 
 
 def _node_of(entry: Mapping[str, Any]) -> str:
@@ -226,25 +227,25 @@ def _offer(entry: Mapping[str, Any]) -> PublisherOffer:
     from robotkube.robots.ros.core.qos import PublisherOffer, QosProfile
 
     profile = entry["qos_profile"]
-    quality = QosProfile(
+    qos_profile = QosProfile(
         qos.ReliabilityPolicy(profile["reliability"]).name.lower(),
         qos.DurabilityPolicy(profile["durability"]).name.lower(),
         _duration(profile["deadline"]),
         qos.LivelinessPolicy(profile["liveliness"]).name.lower(),
         _duration(profile["liveliness_lease_duration"]),
     )
-    return PublisherOffer(_node_of(entry), entry["topic_type"], quality)
+    return PublisherOffer(_node_of(entry), entry["topic_type"], qos_profile)
 
 
-def _duration(found: Any) -> int | None:
-    """Nanoseconds; None when it is endless."""
-    nanoseconds = int(found.nanoseconds)
+def _duration(duration: Any) -> int | None:
+    """A duration of the bindings in nanoseconds; None when it is endless."""
+    nanoseconds = int(duration.nanoseconds)
     return nanoseconds if 0 < nanoseconds < ENDLESS_NS else None
 
 
 class MessageIdentity(NamedTuple):
-    """When a message was sent, ns since 1970, and its number in its publisher's sequence; None when the middleware does
-    not number them. Every subscription is told the same of a message."""
+    """The identity of a message, the same for every subscription: when it was sent, ns since 1970, and its number in
+    its publisher's sequence; None when the middleware does not number them."""
 
     time: int
     number: int | None
@@ -255,7 +256,9 @@ class RosSubscription:
 
     def __init__(self, topic: str, handle: Any, native: Any, events: Mapping[str, Any]) -> None:
         self.topic = topic
-        self._handle, self._native, self._address = handle, native, int(handle.pointer)
+        self._handle = handle
+        self._native = native
+        self._address = int(handle.pointer)
         self._events = {name: event for name, event in events.items() if event is not None}
         self._lost_liveliness = 0
 
@@ -277,11 +280,12 @@ class RosSubscription:
 
     @property
     def matched(self) -> int:
-        """Publishers that are connected now."""
+        """The number of publishers that are connected now."""
         with self._handle:
             return int(self._handle.get_publisher_count())
 
-    def _said(self, name: str) -> Any:
+    def _status(self, name: str) -> Any:
+        """The middleware's status of an event; None where it does not count it."""
         event = self._events.get(name)
         if event is None:
             return None
@@ -290,25 +294,25 @@ class RosSubscription:
 
     @property
     def incompatible(self) -> tuple[int, str]:
-        """How many publishers the middleware has refused because of their quality so far, and the policy in which the
-        last of them did not fit, such as durability."""
-        said = self._said(INCOMPATIBLE)
-        if said is None or not said.total_count:
+        """The number of publishers that the middleware has refused because of their QoS profile so far, and the policy
+        in which the last of them did not fit, such as durability."""
+        status = self._status(INCOMPATIBLE)
+        if status is None or not status.total_count:
             return 0, ""
-        return int(said.total_count), said.last_policy_kind.name.removeprefix(POLICY_PREFIX).lower()
+        return int(status.total_count), status.last_policy_kind.name.removeprefix(POLICY_PREFIX).lower()
 
     @property
     def missed_deadlines(self) -> int:
-        """How often the deadline that was asked for has passed without a message so far."""
-        said = self._said(DEADLINE)
-        return 0 if said is None else int(said.total_count)
+        """The number of times that the requested deadline has passed without a message so far."""
+        status = self._status(DEADLINE)
+        return 0 if status is None else int(status.total_count)
 
     @property
     def lost_liveliness(self) -> int:
-        """How many publishers have been seen to give no sign of life for as long as the lease that was asked for; one
-        that fell silent and came back between two looks is not seen."""
-        said = self._said(LIVELINESS)
-        self._lost_liveliness += 0 if said is None else max(int(said.not_alive_count_change), 0)
+        """The number of publishers that were seen to give no sign of life for as long as the requested lease; one that
+        fell silent and came back between two reads is not seen."""
+        status = self._status(LIVELINESS)
+        self._lost_liveliness += 0 if status is None else max(int(status.not_alive_count_change), 0)
         return self._lost_liveliness
 
     def close(self) -> None:
@@ -323,12 +327,14 @@ class RosPublisher:
     """Sends serialised messages on one topic."""
 
     def __init__(self, topic: str, handle: Any, failure: type[Exception]) -> None:
-        self.topic, self.address = topic, int(handle.pointer)
-        self._handle, self._failure = handle, failure
+        self.topic = topic
+        self.address = int(handle.pointer)
+        self._handle = handle
+        self._failure = failure
         self._publish = handle.publish_raw
 
     def publish(self, data: bytes) -> None:
-        """Send one serialised message. UnavailableError when the middleware cannot take it now."""
+        """Send one serialised message. UnavailableError when the middleware cannot accept it now."""
         try:
             self._publish(data)
         except self._failure as error:
@@ -336,7 +342,7 @@ class RosPublisher:
 
     @property
     def matched(self) -> int:
-        """Subscriptions that are connected now."""
+        """The number of subscriptions that are connected now."""
         with self._handle:
             return int(self._handle.get_subscription_count())
 
@@ -347,6 +353,7 @@ class RosPublisher:
 
 
 def _bindings() -> Any:
+    """The bindings of rclpy."""
     try:
         from rclpy.impl.implementation_singleton import rclpy_implementation
     except ImportError as error:

@@ -39,7 +39,7 @@ STAMPED_TYPES = frozenset(
 
 class PublishOutcome(NamedTuple):
     """The outcome of a call to publish messages: the first `published` of them were sent, `late` of these later than
-    allowed. `refusal`: why the middleware did not take the next one; empty when it did not refuse."""
+    allowed. `refusal`: why the middleware did not accept the next one; empty when it did not refuse."""
 
     published: int
     late: int

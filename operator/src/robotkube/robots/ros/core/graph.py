@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Endpoint:
-    """A publisher (`out`) or subscription (`in`) of the chart in the ROS graph; `node` is empty while its name is not
-    known."""
+    """A publisher (`out`) or subscription (`in`) in the ROS graph; `node` is empty while its name is not known."""
 
     topic: str
     direction: str

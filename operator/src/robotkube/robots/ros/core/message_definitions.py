@@ -41,7 +41,7 @@ class Field:
     count: int = 0
 
 
-NOTHING = Field("structure_needs_at_least_one_member", "uint8")
+PLACEHOLDER_FIELD = Field("structure_needs_at_least_one_member", "uint8")
 """What a type without fields is made of, in every serialised message."""
 
 Definitions = Mapping[str, tuple[Field, ...]]
@@ -68,7 +68,7 @@ def read_definitions(type_name: str, text: str) -> Definitions:
         if heading is None:
             raise ValueError(f"{type_name}: a part of its definition does not begin with MSG: package/Name")
         parts.setdefault(short_name(heading[1]), other[heading.end() :])
-    return {name: tuple(_fields(name, part, parts)) or (NOTHING,) for name, part in parts.items()}
+    return {name: tuple(_fields(name, part, parts)) or (PLACEHOLDER_FIELD,) for name, part in parts.items()}
 
 
 def _fields(owner: str, text: str, parts: Mapping[str, str]) -> Iterator[Field]:

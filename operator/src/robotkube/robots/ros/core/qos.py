@@ -44,7 +44,7 @@ class PublisherOffer(NamedTuple):
 
     node: str
     type: str
-    quality: QosProfile
+    qos_profile: QosProfile
 
 
 class IncompatiblePublishers(NamedTuple):
@@ -72,20 +72,19 @@ class RequestedQos(NamedTuple):
     lease_ns: int | None = None
 
 
-def matched(requested: RequestedQos, offers: Sequence[PublisherOffer]) -> QosProfile:
+def matching_profile(requested: RequestedQos, offers: Sequence[PublisherOffer]) -> QosProfile:
     """The strictest profile that all of the publishers meet, where the settings leave it open: the longest of the
     promised durations, and a strong kind only where each of them has it. Without publishers reliable and volatile."""
-    offered = [offer.quality for offer in offers]
-    kinds = [quality.liveliness for quality in offered]
-    reliable = all(quality.reliability == RELIABLE for quality in offered)
-    kept = bool(offered) and all(quality.durability == TRANSIENT_LOCAL for quality in offered)
-    manual = bool(offered) and all(kind == MANUAL_BY_TOPIC for kind in kinds)
+    offered = [offer.qos_profile for offer in offers]
+    reliable = all(profile.reliability == RELIABLE for profile in offered)
+    kept = bool(offered) and all(profile.durability == TRANSIENT_LOCAL for profile in offered)
+    manual = bool(offered) and all(profile.liveliness == MANUAL_BY_TOPIC for profile in offered)
     return QosProfile(
         reliability=requested.reliability or (RELIABLE if reliable else BEST_EFFORT),
         durability=requested.durability or (TRANSIENT_LOCAL if kept else VOLATILE),
-        deadline_ns=requested.deadline_ns or _longest([quality.deadline_ns for quality in offered]),
+        deadline_ns=requested.deadline_ns or _longest([profile.deadline_ns for profile in offered]),
         liveliness=requested.liveliness or (MANUAL_BY_TOPIC if manual else AUTOMATIC),
-        lease_ns=requested.lease_ns or _longest([quality.lease_ns for quality in offered]),
+        lease_ns=requested.lease_ns or _longest([profile.lease_ns for profile in offered]),
     )
 
 
@@ -110,7 +109,7 @@ def mismatches(wanted: QosProfile, offer: QosProfile) -> Iterator[str]:
 
 def mismatch(type_name: str, wanted: QosProfile, offer: PublisherOffer) -> str:
     """The reason why a publisher's messages do not arrive, in one sentence; empty when they do."""
-    problems = list(mismatches(wanted, offer.quality))
+    problems = list(mismatches(wanted, offer.qos_profile))
     if offer.type != type_name:
         problems.insert(0, f"type: asked {type_name}, offered {offer.type}")
     if not problems:

@@ -77,7 +77,7 @@ class _Budget:
         heapify(heap)
         while self.bytes > target and heap:
             _, order, buffer = heap[0]
-            buffer.give_way()
+            buffer.drop_oldest()
             if buffer.bytes:
                 heapreplace(heap, (-buffer.bytes, order, buffer))
             else:
@@ -197,7 +197,7 @@ class RingBuffer:
         self._newest = -_FOREVER
         self._ahead = _FOREVER
 
-    def rebound(self, bounds: BufferBounds, latched: bool, duplicates: str, jump: str) -> None:
+    def change_bounds(self, bounds: BufferBounds, latched: bool, duplicates: str, jump: str) -> None:
         """Change bounds and policies; what fits stays, the oldest messages leave."""
         self.latched = latched
         self.duplicate_policy = duplicates
@@ -216,7 +216,7 @@ class RingBuffer:
         self._budget = budget
         budget.bytes += self.bytes
 
-    def give_way(self) -> None:
+    def drop_oldest(self) -> None:
         """Drop the oldest message for the sake of the process's bytes."""
         self._drop()
         self.evicted_process += 1
@@ -366,14 +366,14 @@ class BufferPool:
             self._budget.buffers.append(buffer)
         return buffer
 
-    def rebound(self, name: str, bounds: BufferBounds, latched: bool, duplicates: str, jump: str) -> RingBuffer:
+    def change_bounds(self, name: str, bounds: BufferBounds, latched: bool, duplicates: str, jump: str) -> RingBuffer:
         """Change bounds and policies of a topic's buffer, which keeps what fits; KeyError when it has none."""
         buffer = self._buffers[name]
         if latched != buffer.latched:
             others = [other for other in self._budget.buffers if other is not buffer]
             self._budget.buffers = others if latched else [*others, buffer]
             buffer.share(_Budget(_FOREVER, []) if latched else self._budget)
-        buffer.rebound(bounds, latched, duplicates, jump)
+        buffer.change_bounds(bounds, latched, duplicates, jump)
         if self._budget.bytes > self._budget.bytes_max:
             self._budget.relieve()
         return buffer

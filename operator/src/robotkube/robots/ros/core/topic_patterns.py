@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from robotkube.foundation.documents.core.patterns import ROS_AGENT, ROS_TOPIC
 
 AGENT = "{agent}"
-UNREADABLE = "/_unreadable_"
+UNREADABLE_TOPIC = "/_unreadable_"
 """The stand-in for a topic whose name could not be read; that problem was reported, and others about it are not."""
 
 

@@ -90,8 +90,8 @@ def _member(shapes: Shapes, type_name: str, path: str, part: str) -> tuple[Field
     members = shapes.fields(type_name)
     member = next((member for member in members if match and member.name == match["name"]), None)
     if match is None or member is None:
-        there = ", ".join(member.name for member in members)
-        raise ValueError(f"{path}: {type_name} has no field {part}; it has {there}")
+        names = ", ".join(member.name for member in members)
+        raise ValueError(f"{path}: {type_name} has no field {part}; it has {names}")
     selector = match["selector"] or ""
     if selector and member.kind == SINGLE:
         raise ValueError(f"{path}: {member.name} of {type_name} is one value; leave {selector} away")
@@ -175,7 +175,7 @@ class Compiler:
             element = self._shapes.of_type(member.type)
             extent = self._extent(member)
             if element.sizes is not None:
-                self._steps.append(steps_of.skip_alike(extent, element.sizes))
+                self._steps.append(steps_of.skip_elements(extent, element.sizes))
             else:
                 self._steps.append(steps_of.skip_each(extent, self._walk(member.type)))
         elif member.type in TEXTS:
@@ -204,10 +204,10 @@ class Compiler:
             self._run.append(_FixedValue(CODES[member.type][0], want.slot))
         elif member.type in TEXTS and want.slot is not None:
             unit = TEXTS[member.type]
-            self._steps.append(steps_of.take_text(self._heads(4), self._order, unit, want.slot))
+            self._steps.append(steps_of.read_text(self._heads(4), self._order, unit, want.slot))
         elif member.type in TIMES and want.slot is not None:
             parts = [want.fields[name].slot if name in want.fields else None for name in ("sec", "nanosec")]
-            self._steps.append(steps_of.take_time(self._heads(4), self._order, want.slot, parts))
+            self._steps.append(steps_of.read_time(self._heads(4), self._order, want.slot, parts))
         else:
             self._fields(member.type, want, to_the_end)
 
@@ -216,10 +216,10 @@ class Compiler:
         slots = {index: part.slot for index, part in want.elements.items() if part.slot is not None}
         whole = slots if want.slot is None else {None: want.slot, **slots}
         if member.type in CODES:
-            self._steps.append(steps_of.take_numbers(extent, CODES[member.type][0], self._order, whole))
+            self._steps.append(steps_of.read_numbers(extent, CODES[member.type][0], self._order, whole))
         elif member.type in TEXTS:
-            read_element = steps_of.take_text(aligned(4), self._order, TEXTS[member.type], 0)
-            self._steps.append(steps_of.take_texts(extent, read_element, whole))
+            read_element = steps_of.read_text(aligned(4), self._order, TEXTS[member.type], 0)
+            self._steps.append(steps_of.read_texts(extent, read_element, whole))
         else:
             self._read_structures(member.type, want, extent)
 
@@ -228,14 +228,14 @@ class Compiler:
         picks = {i: self._part(type_name, part) for i, part in want.elements.items() if i is not None}
         every = self._every(type_name, want.elements[None]) if None in want.elements else None
         if every is None and sizes is not None:
-            self._steps.append(steps_of.pick_alike(extent, sizes, picks))
+            self._steps.append(steps_of.read_elements(extent, sizes, picks))
         elif every is not None and sizes is not None and not picks and _is_one_read(every):
             run = cast(steps_of.ReadRun, every.steps[0])
             columns = [every.columns[slot] for slot in run.slots]
-            self._steps.append(steps_of.take_columns(extent, sizes, run, columns))
+            self._steps.append(steps_of.read_columns(extent, sizes, run, columns))
         else:
             walk = [steps_of.skip_fixed(sizes)] if sizes is not None else self._walk(type_name)
-            self._steps.append(steps_of.take_each(extent, walk, picks, every))
+            self._steps.append(steps_of.read_each(extent, walk, picks, every))
 
     def _every(self, type_name: str, want: FieldSelection) -> steps_of.Every:
         columns: list[tuple[str, int]] = []
@@ -260,12 +260,12 @@ class Compiler:
     def _flush(self) -> Sizes:
         """Add the read of the values that are waiting; returns the bytes to skip behind the last of them."""
         last = max((place for place, item in enumerate(self._run) if isinstance(item, _FixedValue)), default=-1)
-        taken = self._run[: last + 1]
+        pending = self._run[: last + 1]
         rest = self._run[last + 1 :]
         self._run = []
-        if taken:
-            slots = tuple(item.slot for item in taken if isinstance(item, _FixedValue))
-            structs = tuple(Struct(self._format(taken, position)) for position in range(8))
+        if pending:
+            slots = tuple(item.slot for item in pending if isinstance(item, _FixedValue))
+            structs = tuple(Struct(self._format(pending, position)) for position in range(8))
             self._steps.append(steps_of.ReadRun(structs, slots))
         return after(item for item in rest if not isinstance(item, _FixedValue))
 

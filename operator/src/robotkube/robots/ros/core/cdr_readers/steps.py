@@ -81,7 +81,7 @@ def skip_text(heads: Sizes, order: str, unit: int) -> Step:
     return step
 
 
-def skip_alike(extent: Extent, sizes: Sizes) -> Step:
+def skip_elements(extent: Extent, sizes: Sizes) -> Step:
     """A step over elements of fixed size."""
 
     def step(data: Data, position: int, out: list[Any]) -> int:
@@ -122,7 +122,7 @@ class ReadRun:
         return position + layout.size
 
 
-def take_time(heads: Sizes, order: str, slot: int, parts: Sequence[int | None]) -> Step:
+def read_time(heads: Sizes, order: str, slot: int, parts: Sequence[int | None]) -> Step:
     """A step that reads a Time or Duration as ns; seconds and nanoseconds go into the slots of `parts` that are
     given."""
     unpack = Struct(order + "iI").unpack_from
@@ -139,7 +139,7 @@ def take_time(heads: Sizes, order: str, slot: int, parts: Sequence[int | None]) 
     return step
 
 
-def take_text(heads: Sizes, order: str, unit: int, slot: int) -> Step:
+def read_text(heads: Sizes, order: str, unit: int, slot: int) -> Step:
     """A step that reads a text without its end mark."""
     unpack = Struct(order + "I").unpack_from
 
@@ -179,7 +179,7 @@ def series(code: str, values: Any) -> Sequence[Any]:
     return array(code, values) if code and code != "?" else tuple(values)
 
 
-def take_numbers(extent: Extent, code: str, order: str, slots: Mapping[int | None, int]) -> Step:
+def read_numbers(extent: Extent, code: str, order: str, slots: Mapping[int | None, int]) -> Step:
     """A step that reads elements that are numbers: the whole series (key None) and single ones (their index)."""
     layout = Struct(order + code)
     size = layout.size
@@ -209,7 +209,7 @@ def _within(index: int, count: int) -> int:
     return index
 
 
-def take_texts(extent: Extent, read_element: Step, slots: Mapping[int | None, int]) -> Step:
+def read_texts(extent: Extent, read_element: Step, slots: Mapping[int | None, int]) -> Step:
     """A step that reads elements that are texts; `read_element` reads one of them into slot 0."""
 
     def step(data: Data, position: int, out: list[Any]) -> int:
@@ -234,7 +234,7 @@ class Every:
     columns: Sequence[tuple[str, int]]
 
 
-def pick_alike(extent: Extent, sizes: Sizes, picks: Mapping[int, Sequence[Step]]) -> Step:
+def read_elements(extent: Extent, sizes: Sizes, picks: Mapping[int, Sequence[Step]]) -> Step:
     """A step that reads single elements of fixed size."""
 
     def step(data: Data, position: int, out: list[Any]) -> int:
@@ -246,7 +246,7 @@ def pick_alike(extent: Extent, sizes: Sizes, picks: Mapping[int, Sequence[Step]]
     return step
 
 
-def take_each(extent: Extent, walk: Sequence[Step], picks: Mapping[int, Sequence[Step]], every: Every | None) -> Step:
+def read_each(extent: Extent, walk: Sequence[Step], picks: Mapping[int, Sequence[Step]], every: Every | None) -> Step:
     """A step that reads elements of any size one after the other: single ones, and columns of all."""
     steps = every.steps if every else walk
     columns = every.columns if every else ()
@@ -270,7 +270,7 @@ def take_each(extent: Extent, walk: Sequence[Step], picks: Mapping[int, Sequence
     return step
 
 
-def take_columns(extent: Extent, sizes: Sizes, element: ReadRun, columns: Sequence[tuple[str, int]]) -> Step:
+def read_columns(extent: Extent, sizes: Sizes, element: ReadRun, columns: Sequence[tuple[str, int]]) -> Step:
     """A step that reads columns of elements of fixed size with one read each: from the second element on all at once.
 
     `columns`: code and slot of each value of `element`.

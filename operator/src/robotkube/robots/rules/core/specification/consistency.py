@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from robotkube.robots.ros.core.cdr_readers.readers import NUMBER, TRUTH, UnknownTypeError
-from robotkube.robots.ros.core.topic_patterns import AGENT, UNREADABLE
+from robotkube.robots.ros.core.topic_patterns import AGENT, UNREADABLE_TOPIC
 from robotkube.robots.rules.core.specification.specifications import (
     ALL,
     ANY,
@@ -55,7 +55,7 @@ def _topic_problems(rule: Rule, topics: Mapping[str, str], layouts: Layouts | No
     key = "topics" if isinstance(rule.condition, Python) else "topic"
     for topic in rule.topics:
         if topic.text not in topics:
-            if topic.text != UNREADABLE:
+            if topic.text != UNREADABLE_TOPIC:
                 yield key, f"{topic.text} is not listed under topics; add it there"
         elif layouts is not None:
             yield from _field_problems(rule, topics[topic.text], layouts)

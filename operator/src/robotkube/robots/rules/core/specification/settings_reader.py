@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
 from robotkube.foundation.documents.core.patterns import SUBDOMAIN
-from robotkube.robots.ros.core.topic_patterns import UNREADABLE, TopicPattern
+from robotkube.robots.ros.core.topic_patterns import UNREADABLE_TOPIC, TopicPattern
 
 NAME_LENGTH_MAX = 100
 
@@ -95,7 +95,7 @@ class SettingsReader:
         except ValueError as error:
             if text:
                 self.problem(key, str(error))
-            return TopicPattern(UNREADABLE)
+            return TopicPattern(UNREADABLE_TOPIC)
 
     def mapping(self, key: str, required: bool = True) -> SettingsReader:
         return SettingsReader(self._take(key, None if required else {}), self._key(key), self._problems)
