@@ -40,14 +40,14 @@ def test_a_ledger_is_read_up_to_its_last_whole_line(count: int, ended: bool, cut
     state = playback.read_ledger(data)
     whole = data[: data.rfind(b"\n") + 1]
     assert state.whole_bytes == len(whole)
-    assert state.lines == state.next == whole.count(b'"sequence"')
+    assert state.messages == state.next_sequence == whole.count(b'"sequence"')
     assert state.ended == (ended and cut == 0)
 
 
 def test_a_ledger_with_a_gap_goes_on_after_its_last_number() -> None:
     data = (playback.ledger_line(0, 0, "0" * 64) + playback.ledger_line(5, 5, "0" * 64)).encode()
     state = playback.read_ledger(data)
-    assert (state.lines, state.next) == (2, 6)
+    assert (state.messages, state.next_sequence) == (2, 6)
 
 
 def test_orders() -> None:

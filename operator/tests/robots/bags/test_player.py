@@ -178,13 +178,13 @@ def test_a_bag_is_read_with_topics_and_times(tmp_path: Path) -> None:
     assert {(t.name, t.type, t.durability, t.depth) for t in bag.topics} == {
         (t.name, t.type, t.durability, t.depth) for t in tracks
     }
-    found: dict[str, list[int]] = {}
+    offsets: dict[str, list[int]] = {}
     for topic, moment, data in bag.messages():
-        found.setdefault(topic, []).append(moment)
+        offsets.setdefault(topic, []).append(moment)
         assert len(data) == next(t.size for t in tracks if t.name == topic)
-    assert {topic: len(moments) for topic, moments in found.items()} == counts
+    assert {topic: len(moments) for topic, moments in offsets.items()} == counts
     bag.close()
-    assert found["/vehicles/vehicle_00/pose"] == [k * 10_000_000 for k in range(300)]
+    assert offsets["/vehicles/vehicle_00/pose"] == [k * 10_000_000 for k in range(300)]
 
 
 def test_players_refuse_damaged_bags(tmp_path: Path) -> None:

@@ -69,7 +69,7 @@ def write_rosbag(folder: Path, storage: StoragePlugin, mode: CompressionMode, ve
 def write_mcap(
     path: Path,
     compression: CompressionType = CompressionType.ZSTD,
-    found: list[Message] | None = None,
+    written: list[Message] | None = None,
     chunking: bool = True,
     index: IndexType = IndexType.ALL,
 ) -> None:
@@ -83,7 +83,7 @@ def write_mcap(
             channels[name] = writer.register_channel(
                 name, "cdr", writer.register_schema(kind, "ros2msg", text.encode())
             )
-        for name, moment, data in messages() if found is None else found:
+        for name, moment, data in messages() if written is None else written:
             writer.add_message(channels[name], moment, data, moment)
         writer.finish()
 
@@ -122,8 +122,8 @@ def test_single_files_in_any_order(
     random.Random(7).shuffle(mixed)  # noqa: S311
     write_mcap(tmp_path / "one.mcap", compression, mixed, chunking, index)
     assert read(tmp_path / "one.mcap") == (messages(), [])
-    found, _ = read(tmp_path / "one.mcap", {"/words"})
-    assert found == [message for message in messages() if message[0] == "/words"]
+    read_messages, _ = read(tmp_path / "one.mcap", {"/words"})
+    assert read_messages == [message for message in messages() if message[0] == "/words"]
 
 
 def change_tables(bag: Path, statement: str) -> None:
@@ -135,19 +135,19 @@ def change_tables(bag: Path, statement: str) -> None:
 def test_unsorted_tables_are_read_in_order(tmp_path: Path) -> None:
     write_rosbag(tmp_path / "bag", StoragePlugin.SQLITE3, CompressionMode.NONE)
     change_tables(tmp_path / "bag", "UPDATE messages SET timestamp = 1000000000 - timestamp")
-    found, complaints = read(tmp_path / "bag")
-    assert [m for m, _, _ in found] == [name for name, _, _ in reversed(messages())]
-    assert [t for _, t, _ in found] == sorted(t for _, t, _ in found)
+    read_messages, complaints = read(tmp_path / "bag")
+    assert [m for m, _, _ in read_messages] == [name for name, _, _ in reversed(messages())]
+    assert [t for _, t, _ in read_messages] == sorted(t for _, t, _ in read_messages)
     assert not complaints
 
 
 def test_split_bags_and_folders_without_metadata(tmp_path: Path) -> None:
     folder = tmp_path / "bag"
     folder.mkdir()
-    write_mcap(folder / "b_0.mcap", found=messages()[::2])
+    write_mcap(folder / "b_0.mcap", written=messages()[::2])
     write_mcap(folder / "b_1.mcap", CompressionType.LZ4, messages()[1::2])
-    found, complaints = read(folder)
-    assert found == messages()
+    read_messages, complaints = read(folder)
+    assert read_messages == messages()
     assert len(complaints) == 1
     assert "reading b_0.mcap, b_1.mcap" in complaints[0]
 
@@ -161,9 +161,9 @@ def test_cut_off_files_are_read_as_far_as_they_go(share: float, compression: Com
     path.write_bytes(data[: int(len(data) * share)])
     with pytest.raises(InputError, match="not finished or is cut off"):
         open_bag(path)
-    found, complaints = read(path)
-    assert found == messages()[: len(found)]
-    assert len(found) > (share * COUNT) * 0.4
+    read_messages, complaints = read(path)
+    assert read_messages == messages()[: len(read_messages)]
+    assert len(read_messages) > (share * COUNT) * 0.4
     assert "its end is missing" in complaints[0]
 
 
@@ -171,9 +171,9 @@ def test_a_cut_off_database_is_read_as_far_as_it_goes(tmp_path: Path) -> None:
     write_rosbag(tmp_path / "bag", StoragePlugin.SQLITE3, CompressionMode.NONE)
     path = tmp_path / "bag" / "bag.db3"
     path.write_bytes(path.read_bytes()[: path.stat().st_size * 3 // 4 // 4096 * 4096])
-    found, complaints = read(tmp_path / "bag")
-    assert found
-    assert all(message in messages() for message in found)
+    read_messages, complaints = read(tmp_path / "bag")
+    assert read_messages
+    assert all(message in messages() for message in read_messages)
     assert complaints
     assert any("damaged" in text or "cannot be read" in text for text in complaints)
 
@@ -203,8 +203,8 @@ def test_packed_messages_are_known_without_metadata(single: bool, tmp_path: Path
     write_rosbag(tmp_path / "bag", StoragePlugin.SQLITE3, CompressionMode.MESSAGE)
     if not single:
         (tmp_path / "bag" / "metadata.yaml").unlink()
-    found, complaints = read(tmp_path / "bag" / "bag.db3" if single else tmp_path / "bag")
-    assert found == messages()
+    read_messages, complaints = read(tmp_path / "bag" / "bag.db3" if single else tmp_path / "bag")
+    assert read_messages == messages()
     assert len(complaints) == (0 if single else 1)
 
 
@@ -220,8 +220,8 @@ def test_files_are_known_by_what_they_hold(tmp_path: Path) -> None:
 def test_a_detector_reads_only_what_it_asks_for(tmp_path: Path) -> None:
     write_mcap(tmp_path / "one.mcap")
     wanted = ("/words", "std_msgs/msg/String")
-    found = list(read_bag(tmp_path / "one.mcap", lambda _: None, lambda name, kind: (name, kind) == wanted))
-    assert found == [(*wanted, moment, data) for name, moment, data in messages() if name == "/words"]
+    read_messages = list(read_bag(tmp_path / "one.mcap", lambda _: None, lambda name, kind: (name, kind) == wanted))
+    assert read_messages == [(*wanted, moment, data) for name, moment, data in messages() if name == "/words"]
 
 
 @pytest.mark.parametrize("ending", [".zstd", ".zst"])
@@ -236,8 +236,8 @@ def test_packed_files_may_be_of_several_parts(ending: str, tmp_path: Path) -> No
 def test_a_bag_that_lies_there_packed_and_unpacked_is_read_once(tmp_path: Path) -> None:
     write_mcap(tmp_path / "one.mcap")
     (tmp_path / "one.mcap.zstd").write_bytes(zstandard.compress((tmp_path / "one.mcap").read_bytes()))
-    found, complaints = read(tmp_path)
-    assert found == messages()
+    read_messages, complaints = read(tmp_path)
+    assert read_messages == messages()
     assert complaints[0].endswith("reading one.mcap")
 
 
@@ -252,9 +252,9 @@ def cut_off_packed(folder: Path, share: float) -> Path:
 @pytest.mark.parametrize("share", [0.5, 0.9, 0.9999])
 def test_cut_off_packed_files_are_named_and_read_as_far_as_they_go(share: float, tmp_path: Path) -> None:
     path = cut_off_packed(tmp_path, share)
-    found, complaints = read(path)
-    assert set(found) <= set(messages())
-    assert len(found) > share * 20 * COUNT
+    read_messages, complaints = read(path)
+    assert set(read_messages) <= set(messages())
+    assert len(read_messages) > share * 20 * COUNT
     assert complaints[0].startswith(f"{path}: is cut off; ")
     assert all(text.startswith(f"{path}: ") for text in complaints)
 
@@ -279,8 +279,8 @@ def test_an_unknown_compression_of_messages_is_said_once(tmp_path: Path) -> None
     write_rosbag(tmp_path / "bag", StoragePlugin.SQLITE3, CompressionMode.MESSAGE)
     path = tmp_path / "bag" / "metadata.yaml"
     path.write_text(path.read_text().replace("zstd", "snappy"))
-    found, complaints = read(tmp_path / "bag")
-    assert found == messages()  # which are zstd all the same
+    read_messages, complaints = read(tmp_path / "bag")
+    assert read_messages == messages()  # which are zstd all the same
     assert len(complaints) == 1
     assert "metadata.yaml: compression_format: 'snappy' is not zstd" in complaints[0]
 
@@ -288,9 +288,9 @@ def test_an_unknown_compression_of_messages_is_said_once(tmp_path: Path) -> None
 def test_not_every_fault_is_told(tmp_path: Path) -> None:
     write_rosbag(tmp_path / "bag", StoragePlugin.SQLITE3, CompressionMode.MESSAGE)
     change_tables(tmp_path / "bag", "UPDATE messages SET data = X'00010000'")
-    found, complaints = read(tmp_path / "bag")
-    assert (found, len(complaints)) == ([], COMPLAINTS_MAX + 1)
-    assert complaints[-1].endswith("the others are not told")
+    read_messages, complaints = read(tmp_path / "bag")
+    assert (read_messages, len(complaints)) == ([], COMPLAINTS_MAX + 1)
+    assert complaints[-1].endswith("the others are not reported")
 
 
 @pytest.mark.parametrize("refused", ["iterdir", "stat"])
@@ -352,11 +352,11 @@ def corrupt_and_read(folder: Path, count: int) -> None:
             target.write_bytes(corrupted((sources / source).read_bytes(), random_))
         wanted = random_.choice([None, {"/words"}])
         try:
-            found, _ = read(target, wanted)
+            read_messages, _ = read(target, wanted)
         except InputError:
             continue
-        readable += bool(set(found) & set(whole))
-        assert len(found) <= 20 * COUNT
+        readable += bool(set(read_messages) & set(whole))
+        assert len(read_messages) <= 20 * COUNT
     assert readable > count // 3
 
 

@@ -18,7 +18,7 @@ from robotkube.cli import main as cli
 from robotkube.cli.recordings.export import MCAP, ExportRequest, exported
 from robotkube.errors import InputError, UnavailableError
 from robotkube.robots.bags.adapters.command_line_bags import Bags
-from robotkube.robots.export.core.labels import Labelling
+from robotkube.robots.export.core.labels import LabellingSettings
 from robotkube.robots.export.loops.bag_export import Selection, first_stamp
 from robotkube.robots.recording.core.documents import SEGMENT, Received, SegmentPlace, bucket_documents
 from robotkube.robots.ros.core.topic_patterns import TopicPattern
@@ -51,7 +51,7 @@ class Memory:
         self.samples = bucket_documents(NAME, received)
         self.clouds = [message for message in messages if message not in small]
         self.away = False
-        self.told: list[dict[str, Any]] = []
+        self.gaps: list[dict[str, Any]] = []
 
     def recordings(self) -> Sequence[Mapping[str, Any]]:
         return [self.document]
@@ -69,7 +69,7 @@ class Memory:
         return []
 
     def audits(self, recording: str) -> Sequence[Mapping[str, Any]]:
-        return self.told
+        return self.gaps
 
     def read(self, volume: str, place: SegmentPlace, size: int) -> bytes:
         if self.away:
@@ -84,8 +84,8 @@ class Memory:
 def messages(tmp_path_factory: pytest.TempPathFactory) -> Sequence[Message]:
     scenario = definition.load(FOLDER, SETTINGS)
     made = bags.make_bags(scenario, tmp_path_factory.mktemp("cache"), lambda text: None)
-    with Bags(list(made.values()), pytest.fail) as found:
-        return list(found.played(set(found.types), BEGIN))
+    with Bags(list(made.values()), pytest.fail) as opened:
+        return list(opened.played(set(opened.types), BEGIN))
 
 
 def read_rosbag(folder: Path) -> list[Message]:
@@ -93,19 +93,19 @@ def read_rosbag(folder: Path) -> list[Message]:
     with Reader(folder) as reader:
         for connection in reader.connections:
             assert connection.msgdef.data
-        found = [(c.topic, moment, data) for c, moment, data in reader.messages()]
+        written = [(c.topic, moment, data) for c, moment, data in reader.messages()]
         for connection, _, data in reader.messages():
             STORE.deserialize_cdr(data, connection.msgtype)
-    return found
+    return written
 
 
 def test_a_rosbag2_folder_with_everything(messages: Sequence[Message], tmp_path: Path) -> None:
     memory = Memory(messages)
     table = exported(memory, memory, memory.document, tmp_path / "out", ExportRequest())
     assert not table.refusal
-    found = read_rosbag(tmp_path / "out")
-    assert [moment for _, moment, _ in found] == sorted(moment for _, moment, _ in found)
-    assert sorted(found) == sorted((topic, stamp + DELAY_NS, data) for topic, stamp, data in messages)
+    written = read_rosbag(tmp_path / "out")
+    assert [moment for _, moment, _ in written] == sorted(moment for _, moment, _ in written)
+    assert sorted(written) == sorted((topic, stamp + DELAY_NS, data) for topic, stamp, data in messages)
     assert sum(row["messages"] for row in table.rows) == len(messages)
     with Reader(tmp_path / "out") as reader:
         durabilities = {
@@ -121,21 +121,21 @@ def test_one_mcap_file_of_a_selection(messages: Sequence[Message], tmp_path: Pat
     selection = Selection((TopicPattern("/vehicles/vehicle_00/pose"), TopicPattern(TRANSFORMS)), first, last)
     exported(memory, memory, memory.document, tmp_path / "out", ExportRequest(selection, MCAP))
     with (tmp_path / "out" / f"{NAME}.mcap").open("rb") as file:
-        found = [(c.topic, m.publish_time, s.encoding) for s, c, m in make_reader(file).iter_messages()]
-    poses = [stamp for topic, stamp, _ in found if topic == "/vehicles/vehicle_00/pose"]
+        written = [(c.topic, m.publish_time, s.encoding) for s, c, m in make_reader(file).iter_messages()]
+    poses = [stamp for topic, stamp, _ in written if topic == "/vehicles/vehicle_00/pose"]
     assert poses == [t for n, t, _ in messages if n == "/vehicles/vehicle_00/pose" and first <= t <= last]
-    assert {topic for topic, _, _ in found} == {
+    assert {topic for topic, _, _ in written} == {
         "/vehicles/vehicle_00/pose",
         "/vehicles/vehicle_00/lidar_center/transform",
         "/vehicles/vehicle_01/lidar_center/transform",
     }
-    assert {encoding for *_, encoding in found} == {"ros2msg"}
+    assert {encoding for *_, encoding in written} == {"ros2msg"}
     assert not (tmp_path / "out" / "metadata.yaml").exists()
 
 
 def test_a_dataset_beside_the_bag(messages: Sequence[Message], tmp_path: Path) -> None:
     memory = Memory(messages)
-    exported(memory, memory, memory.document, tmp_path / "out", ExportRequest(), Labelling())
+    exported(memory, memory, memory.document, tmp_path / "out", ExportRequest(), LabellingSettings())
     names = {path.name for path in (tmp_path / "out" / "dataset").iterdir()}
     assert names == {"training", "labels.jsonl", "README.md", "preview.png"}
     assert read_rosbag(tmp_path / "out")
@@ -173,7 +173,7 @@ def test_refusals_leave_nothing_behind(messages: Sequence[Message], tmp_path: Pa
         exported(memory, memory, memory.document, tmp_path / "out", mistyped)
     poses = ExportRequest(Selection((TopicPattern(POSES),)))
     with pytest.raises(InputError, match="labels need clouds and the poses of at least two"):
-        exported(memory, memory, memory.document, tmp_path / "out", poses, Labelling())
+        exported(memory, memory, memory.document, tmp_path / "out", poses, LabellingSettings())
     assert [path.name for path in tmp_path.iterdir()] == ["there"]
 
 
@@ -234,12 +234,12 @@ def test_times_are_given_in_three_ways() -> None:
 def test_seconds_count_from_the_first_stamp_also_before_the_event(messages: Sequence[Message]) -> None:
     """What was taken from the buffer, and bags of another day, have stamps before the recorder's start."""
     memory = Memory(messages)
-    memory.told = [
+    memory.gaps = [
         {"topic": "/vehicles/vehicle_00/pose", "window": [BEGIN - 5, BEGIN + 9]},
         {"topic": "/vehicles/vehicle_01/pose", "window": [BEGIN - 7, BEGIN + 9]},
         {"topic": "/vehicles/vehicle_01/lidar_center/pointcloud", "window": None},
         {"topic": "/vehicles/vehicle_00/lidar_center/transform", "window": [1, 1]},
     ]
     assert first_stamp(memory, memory.document) == BEGIN - 7
-    memory.told = []
+    memory.gaps = []
     assert first_stamp(memory, memory.document) == BEGIN

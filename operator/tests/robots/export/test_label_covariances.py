@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
-from robotkube.robots.export.core.labels import Label, Labelling
+from robotkube.robots.export.core.labels import Label, LabellingSettings
 from robotkube.robots.export.core.transforms import Deviation, deviation
 from robotkube.robots.export.loops.labelling import LabellingCounts, label_clouds
 from robotkube.robots.perception.core.messages import CLOUD_TYPE
@@ -26,16 +26,16 @@ PLAIN, COVARIANT, ODOMETRY = (
 MOUNT = "geometry_msgs/msg/TransformStamped"
 SECOND_NS = 1_000_000_000
 DISTANCE_M = 30.0
-GIVEN = Labelling(pose_sigma_m=0.5, heading_sigma_rad=0.05)
+GIVEN = LabellingSettings(pose_sigma_m=0.5, heading_sigma_rad=0.05)
 
 
 def covariance(position_m: float, heading_rad: float) -> list[float]:
     """Along y the position is known best."""
-    found = [0.0] * 36
-    found[0] = found[14] = position_m**2
-    found[7] = position_m**2 / 4
-    found[35] = heading_rad**2
-    return found
+    covariance = [0.0] * 36
+    covariance[0] = covariance[14] = position_m**2
+    covariance[7] = position_m**2 / 4
+    covariance[35] = heading_rad**2
+    return covariance
 
 
 def make(name: str, **fields: Any) -> Any:
@@ -102,14 +102,14 @@ def label(
     bag = Bag(types, known, SECOND_NS + between * SECOND_NS // 20)
     counts = LabellingCounts()
     (labelled,) = label_clouds(bag, LAYOUTS, GIVEN, counts)
-    (found,) = labelled.labels
+    (only,) = labelled.labels
     assert counts.unreadable == 0
-    return found
+    return only
 
 
-def expected(found: Label, own: Deviation, other: Deviation) -> tuple[float, float]:
+def expected(vehicle: Label, own: Deviation, other: Deviation) -> tuple[float, float]:
     """At the stamp of a pose, where nothing is interpolated."""
-    position = math.hypot(own.position_m, other.position_m, own.heading_rad * found.distance_m)
+    position = math.hypot(own.position_m, other.position_m, own.heading_rad * vehicle.distance_m)
     return pytest.approx(position), pytest.approx(math.hypot(own.heading_rad, other.heading_rad))
 
 
@@ -119,35 +119,35 @@ STATED = Deviation(GIVEN.pose_sigma_m, GIVEN.heading_sigma_rad)
 @pytest.mark.parametrize("own", [COVARIANT, ODOMETRY])
 @pytest.mark.parametrize("other", [COVARIANT, ODOMETRY])
 def test_both_poses_covariances_are_the_labels(own: str, other: str) -> None:
-    found = label((own, other))
-    assert (found.position_uncertainty_m, found.heading_uncertainty_rad) == expected(
-        found, Deviation(0.1, 0.01), Deviation(0.3, 0.02)
+    vehicle = label((own, other))
+    assert (vehicle.position_uncertainty_m, vehicle.heading_uncertainty_rad) == expected(
+        vehicle, Deviation(0.1, 0.01), Deviation(0.3, 0.02)
     )
 
 
 def test_a_pose_without_covariance_has_what_is_given() -> None:
-    found = label((PLAIN, ODOMETRY))
-    assert (found.position_uncertainty_m, found.heading_uncertainty_rad) == expected(
-        found, STATED, Deviation(0.3, 0.02)
+    vehicle = label((PLAIN, ODOMETRY))
+    assert (vehicle.position_uncertainty_m, vehicle.heading_uncertainty_rad) == expected(
+        vehicle, STATED, Deviation(0.3, 0.02)
     )
-    found = label((PLAIN, PLAIN))
-    assert (found.position_uncertainty_m, found.heading_uncertainty_rad) == expected(found, STATED, STATED)
+    vehicle = label((PLAIN, PLAIN))
+    assert (vehicle.position_uncertainty_m, vehicle.heading_uncertainty_rad) == expected(vehicle, STATED, STATED)
 
 
 @pytest.mark.parametrize("unknown", [[0.0] * 36, [-1.0, *[0.0] * 35], [math.nan] * 36])
 def test_a_covariance_that_says_nothing_is_none(unknown: list[float]) -> None:
-    found = label(other=unknown)
-    assert (found.position_uncertainty_m, found.heading_uncertainty_rad) == expected(
-        found, Deviation(0.1, 0.01), STATED
+    vehicle = label(other=unknown)
+    assert (vehicle.position_uncertainty_m, vehicle.heading_uncertainty_rad) == expected(
+        vehicle, Deviation(0.1, 0.01), STATED
     )
 
 
 def test_between_two_poses_the_larger_one_counts_and_what_interpolation_may_be_wrong() -> None:
-    found = label(between=True)
+    vehicle = label(between=True)
     turn = 3.0 * 0.1**2 / 8
-    assert found.heading_uncertainty_rad == pytest.approx(math.hypot(0.01, turn, 0.04, turn))
-    move, own_turn = 10.0 * 0.1**2 / 8, math.hypot(0.01, turn) * found.distance_m
-    assert found.position_uncertainty_m == pytest.approx(math.hypot(0.1, 0.6, move, move, own_turn))
+    assert vehicle.heading_uncertainty_rad == pytest.approx(math.hypot(0.01, turn, 0.04, turn))
+    move, own_turn = 10.0 * 0.1**2 / 8, math.hypot(0.01, turn) * vehicle.distance_m
+    assert vehicle.position_uncertainty_m == pytest.approx(math.hypot(0.1, 0.6, move, move, own_turn))
 
 
 def test_axes_that_vary_together_make_no_label_too_sure() -> None:
@@ -156,9 +156,9 @@ def test_axes_that_vary_together_make_no_label_too_sure() -> None:
     for _ in range(200):
         part = random.normal(size=(6, 6))
         matrix = part @ part.T
-        found = deviation(matrix.ravel().tolist())
-        assert found is not None
+        bound = deviation(matrix.ravel().tolist())
+        assert bound is not None
         largest = math.sqrt(np.linalg.eigvalsh(matrix[:3, :3])[-1])
-        assert largest <= found.position_m * (1 + 1e-9) <= math.sqrt(3) * largest * (1 + 1e-6)
-        assert found.heading_rad == pytest.approx(math.sqrt(matrix[5, 5]))
+        assert largest <= bound.position_m * (1 + 1e-9) <= math.sqrt(3) * largest * (1 + 1e-6)
+        assert bound.heading_rad == pytest.approx(math.sqrt(matrix[5, 5]))
     assert deviation([1.0] * 9) is None

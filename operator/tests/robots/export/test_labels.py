@@ -18,7 +18,7 @@ from robotkube.robots.bags.adapters.command_line_bags import Bags
 from robotkube.robots.bags.adapters.writing import BagWriter
 from robotkube.robots.bags.core.playback import BagTopic
 from robotkube.robots.export.adapters.kitti_dataset import preview
-from robotkube.robots.export.core.labels import SIZE_DEFAULT, Label, Labelling
+from robotkube.robots.export.core.labels import SIZE_DEFAULT, Label, LabellingSettings
 from robotkube.robots.export.core.png import GREEN
 from robotkube.robots.export.loops.labelling import POSES_DEFAULT, LabellingCounts, label_clouds
 from robotkube.robots.perception.core.messages import read_cloud
@@ -43,8 +43,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Path]:
 def test_the_box_holds_the_other_vehicles_points(made: Mapping[str, Path]) -> None:
     counts = LabellingCounts()
     shown = held = 0
-    with Bags(list(made.values()), pytest.fail) as found:
-        for one in label_clouds(found, found.layouts, Labelling(distance_m=300.0), counts):
+    with Bags(list(made.values()), pytest.fail) as opened:
+        for one in label_clouds(opened, opened.layouts, LabellingSettings(distance_m=300.0), counts):
             points = np.array([one.cloud.x, one.cloud.y, one.cloud.z], np.float64).T
             vehicle = points[np.array(one.cloud.intensity, np.float32) == np.float32(VEHICLE)]
             if not len(vehicle):
@@ -58,22 +58,24 @@ def test_the_box_holds_the_other_vehicles_points(made: Mapping[str, Path]) -> No
             assert label.points >= len(vehicle) * 0.95
             assert label.age_seconds <= 0.05
             assert 0 < label.position_uncertainty_m < 0.02 + 0.002 * label.distance_m
-    assert counts.nowhere <= 2  # nothing is extrapolated beyond the last pose
+    assert counts.unlocated <= 2  # nothing is extrapolated beyond the last pose
     assert not counts.unreadable
     assert shown > 30
     assert held >= 0.95 * shown
 
 
 def test_a_dataset_in_kittis_layout(made: Mapping[str, Path], tmp_path: Path) -> None:
-    said: list[str] = []
+    reported: list[str] = []
     folder = tmp_path / "dataset"
     with pytest.raises(InputError, match=r"poses of at least two: the bag has 1 topics .* poses of vehicle-00"):
-        write_dataset(made["vehicle-00"], tmp_path / "none", "meeting", Labelling(), POSES_DEFAULT, said.append)
+        write_dataset(
+            made["vehicle-00"], tmp_path / "none", "meeting", LabellingSettings(), POSES_DEFAULT, reported.append
+        )
     joined = tmp_path / "joined"
     joined.mkdir()
     for path in made.values():
         (joined / f"{path.name}.mcap").symlink_to(path / f"{path.name}.mcap")
-    counts = write_dataset(joined, folder, "meeting", Labelling(), POSES_DEFAULT, said.append)
+    counts = write_dataset(joined, folder, "meeting", LabellingSettings(), POSES_DEFAULT, reported.append)
     lines = [json.loads(line) for line in (folder / "labels.jsonl").read_text().splitlines()]
     assert len(lines) == counts.clouds
     assert sum(len(line["labels"]) for line in lines) == counts.boxes > 0
@@ -100,24 +102,28 @@ def test_a_dataset_in_kittis_layout(made: Mapping[str, Path], tmp_path: Path) ->
     assert label["points"] > 20
     assert "labels.jsonl" in (folder / "README.md").read_text()
     assert_picture((folder / "preview.png").read_bytes())
-    assert any(text.startswith("dataset: ") for text in said)
+    assert any(text.startswith("dataset: ") for text in reported)
 
 
 def test_why_no_cloud_can_be_labelled_is_said(made: Mapping[str, Path], tmp_path: Path) -> None:
-    with Bags(list(made.values()), pytest.fail) as found:
-        types = {name: kind for name, kind in found.types.items() if not name.endswith("/transform")}
-        played = list(found.played(set(types), 10**18))
+    with Bags(list(made.values()), pytest.fail) as opened:
+        types = {name: kind for name, kind in opened.types.items() if not name.endswith("/transform")}
+        played = list(opened.played(set(types), 10**18))
         clouds = [name for name, kind in types.items() if kind == "sensor_msgs/msg/PointCloud2"]
     topics = [BagTopic(name, kind, "reliable", "volatile", 10) for name, kind in types.items()]
     with BagWriter(tmp_path / "bag", topics) as bag:
         for name, stamp, data in [*played, (clouds[0], 10**18, b"short")]:
             bag.add(name, stamp, data)
         bag.finish()
-    said: list[str] = []
+    reported: list[str] = []
     number = sum(name in clouds for name, *_ in played)
     with pytest.raises(InputError, match=f"{number} of unknown place, 1 messages unreadable"):
-        write_dataset(tmp_path / "bag", tmp_path / "out", "meeting", Labelling(), POSES_DEFAULT, said.append)
-    assert any("no transform leads from frame 'vehicle_00/lidar_center' to a vehicle's" in text for text in said), said
+        write_dataset(
+            tmp_path / "bag", tmp_path / "out", "meeting", LabellingSettings(), POSES_DEFAULT, reported.append
+        )
+    assert any("no transform leads from frame 'vehicle_00/lidar_center' to a vehicle's" in text for text in reported), (
+        reported
+    )
 
 
 def test_a_vehicle_far_away_leaves_the_preview_to_those_that_are_near() -> None:

@@ -17,7 +17,7 @@ from robotkube.robots.perception.core.detection import (
     REFLECTANCE,
     SIZE,
     DetectedObject,
-    FindingSettings,
+    ObjectCriteria,
     find_objects,
     uncertainty,
 )
@@ -28,7 +28,7 @@ from scenarios.generator import messages, scene
 from tests.stages.bridge.memory_network import Network
 from tests.stages.ros import lidar_clouds
 
-OLDER, NEWER = FindingSettings(SIZE, range_m=25), FindingSettings(REFLECTANCE, range_m=60)
+OLDER, NEWER = ObjectCriteria(SIZE, range_m=25), ObjectCriteria(REFLECTANCE, range_m=60)
 DOCUMENT = {
     "cloud": "/v/cloud",
     "objects": "/v/objects",
@@ -61,20 +61,20 @@ def test_poses_are_written_as_ros_reads_them() -> None:
     assert read_poses(data).poses == (pose, pose)
 
 
-@pytest.mark.parametrize(("finding", "error_m"), [(OLDER, 0.5), (NEWER, 1.5)])
-def test_the_box_is_found_as_far_as_is_promised(finding: FindingSettings, error_m: float) -> None:
-    for x in [*range(-int(finding.range_m) + 3, -5, 4), *range(6, int(finding.range_m) - 4, 4)]:
+@pytest.mark.parametrize(("criteria", "error_m"), [(OLDER, 0.5), (NEWER, 1.5)])
+def test_the_box_is_found_as_far_as_is_promised(criteria: ObjectCriteria, error_m: float) -> None:
+    for x in [*range(-int(criteria.range_m) + 3, -5, 4), *range(6, int(criteria.range_m) - 4, 4)]:
         other = scene.Place(float(x), 4.0, math.pi)
-        found = find_objects(read_cloud(lidar_clouds.cloud(other, seed=x + 100)), finding)
+        found = find_objects(read_cloud(lidar_clouds.cloud(other, seed=x + 100)), criteria)
         assert len(found) == 1, x
         assert math.dist((found[0].pose.x, found[0].pose.y), lidar_clouds.seen_at(other)) <= error_m, x
 
 
-@pytest.mark.parametrize("finding", [OLDER, NEWER])
-def test_nothing_is_found_where_nothing_is(finding: FindingSettings) -> None:
+@pytest.mark.parametrize("criteria", [OLDER, NEWER])
+def test_nothing_is_found_where_nothing_is(criteria: ObjectCriteria) -> None:
     for x in range(0, 60, 3):
         own = scene.Place(float(x), -4.0, 0.0)
-        assert find_objects(read_cloud(lidar_clouds.cloud(own=own, seed=x)), finding) == ()
+        assert find_objects(read_cloud(lidar_clouds.cloud(own=own, seed=x)), criteria) == ()
 
 
 def test_a_turned_vehicle_has_its_heading() -> None:
@@ -111,13 +111,13 @@ def test_every_cloud_gives_poses_and_an_uncertainty() -> None:
     detection, network = configured()
     clouds = [lidar_clouds.cloud(stamp=5), lidar_clouds.cloud(scene.Place(12.0, 4.0, math.pi), stamp=6)]
     network.endpoint("/v/cloud").waiting += clouds
-    assert detection.perceiving.turn() == 2
+    assert detection.processor.turn() == 2
     answers = [read_poses(data) for data in network.endpoint("/v/objects").published]
     assert [(poses.header.stamp, len(poses.poses)) for poses in answers] == [(5, 0), (6, 1)]
     first, second = (data[4:] for data in network.endpoint("/v/uncertainty").published)
     assert struct.unpack("<d", first) == (0.0,)
     assert 0 < struct.unpack("<d", second)[0] < 0.1
-    assert detection.perceiving.complaint is None
+    assert detection.processor.complaint is None
 
 
 def test_an_empty_message_gives_an_empty_answer() -> None:
@@ -126,17 +126,17 @@ def test_an_empty_message_gives_an_empty_answer() -> None:
     assert messages.store.deserialize_cdr(empty, messages.CLOUD_TYPE).width == 0
     detection, network = configured()
     network.endpoint("/v/cloud").waiting += [empty]
-    detection.perceiving.turn()
+    detection.processor.turn()
     assert [read_poses(data).poses for data in network.endpoint("/v/objects").published] == [()]
 
 
 def test_what_cannot_be_read_is_counted_and_left_out() -> None:
     detection, network = configured()
     network.endpoint("/v/cloud").waiting += [b"", lidar_clouds.cloud()[:5000], lidar_clouds.cloud()]
-    detection.perceiving.turn()
+    detection.processor.turn()
     assert len(network.endpoint("/v/objects").published) == 1
-    assert "detection_received_messages_total 3" in detection.perceiving.metrics()
-    assert "detection_malformed_messages_total 2" in detection.perceiving.metrics()
+    assert "detection_received_messages_total 3" in detection.processor.metrics()
+    assert "detection_malformed_messages_total 2" in detection.processor.metrics()
 
 
 def test_new_settings_open_topics_anew_only_when_they_changed() -> None:
@@ -144,7 +144,7 @@ def test_new_settings_open_topics_anew_only_when_they_changed() -> None:
     detection.configure(read_detection_settings({**DOCUMENT, "rangeMetres": 10}, "config.yaml"))
     assert len(network.made) == 3
     network.endpoint("/v/cloud").waiting += [lidar_clouds.cloud(scene.Place(30.0, 4.0, math.pi))]
-    detection.perceiving.turn()
+    detection.processor.turn()
     assert [read_poses(data).poses for data in network.endpoint("/v/objects").published] == [()]
     detection.configure(read_detection_settings({**DOCUMENT, "cloud": "/w/cloud"}, "config.yaml"))
     assert [one.closed for one in network.made] == [True, True, True, False, False, False]

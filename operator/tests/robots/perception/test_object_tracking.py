@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 
 from robotkube.errors import DocumentError
-from robotkube.robots.perception.core.detection import REFLECTANCE, FindingSettings, find_objects
+from robotkube.robots.perception.core.detection import REFLECTANCE, ObjectCriteria, find_objects
 from robotkube.robots.perception.core.messages import PlanarPose, Poses, read_cloud, write_poses
-from robotkube.robots.perception.core.settings import read_track_settings
-from robotkube.robots.perception.core.tracking import STEADY, STILL, Tracker, TrackingSettings
+from robotkube.robots.perception.core.settings import read_tracking_settings
+from robotkube.robots.perception.core.tracking import STEADY, STILL, Tracker, TrackerSettings
 from robotkube.robots.perception.loops.object_tracking import ObjectTracking
 from robotkube.robots.ros.core.cdr import CdrReader, Header
 from scenarios.generator import messages, scene
@@ -21,7 +21,7 @@ from tests.stages.bridge.memory_network import Network
 from tests.stages.ros import lidar_clouds
 
 PERIOD_NS = 100_000_000
-OLDER, NEWER = TrackingSettings(STILL, 2.0, 0.35), TrackingSettings(STEADY, 4.0, 1.0)
+OLDER, NEWER = TrackerSettings(STILL, 2.0, 0.35), TrackerSettings(STEADY, 4.0, 1.0)
 DOCUMENT = {"objects": "/v/objects", "tracks": "/v/tracks", "motion": STEADY, "gateMetres": 4, "gapSeconds": 1}
 
 
@@ -30,7 +30,7 @@ def poses(count: int, places: Sequence[tuple[float, float]]) -> Poses:
     return Poses(Header(count * PERIOD_NS, "lidar"), tuple(PlanarPose(x, y, 0.0) for x, y in places))
 
 
-def identities(settings: TrackingSettings, speed: float, unseen: Sequence[int] = ()) -> list[int]:
+def identities(settings: TrackerSettings, speed: float, unseen: Sequence[int] = ()) -> list[int]:
     """Identity per cloud of one object that drives at `speed` m/s."""
     tracker, found = Tracker(settings), []
     for count in range(1, 40):
@@ -40,7 +40,7 @@ def identities(settings: TrackingSettings, speed: float, unseen: Sequence[int] =
 
 
 @pytest.mark.parametrize(("settings", "speed"), [(OLDER, 15.0), (NEWER, 30.0)])
-def test_one_object_keeps_its_identity(settings: TrackingSettings, speed: float) -> None:
+def test_one_object_keeps_its_identity(settings: TrackerSettings, speed: float) -> None:
     assert set(identities(settings, speed)) == {1}
 
 
@@ -70,7 +70,7 @@ def test_objects_found_in_clouds_keep_their_identity() -> None:
     for count in range(1, 41):
         other = scene.Place(50.0 - 2.5 * count, 4.0, math.pi)
         cloud = read_cloud(lidar_clouds.cloud(other, stamp=count * PERIOD_NS, seed=count))
-        found = find_objects(cloud, FindingSettings(REFLECTANCE, 60))
+        found = find_objects(cloud, ObjectCriteria(REFLECTANCE, 60))
         tracks = tracker.observe(Poses(cloud.header, tuple(one.pose for one in found)))
         assert len(tracks) == 1
         seen |= {track.id for track in tracks}
@@ -87,7 +87,7 @@ def test_what_is_not_newer_changes_nothing() -> None:
 def service(**changes: Any) -> tuple[ObjectTracking, Network]:
     network = Network()
     tracking = ObjectTracking(network, lambda *_, **__: None)
-    tracking.configure(read_track_settings({**DOCUMENT, **changes}, "config.yaml"))
+    tracking.configure(read_tracking_settings({**DOCUMENT, **changes}, "config.yaml"))
     return tracking, network
 
 
@@ -96,7 +96,7 @@ def test_every_message_gives_the_tracks_as_text() -> None:
     for count, places in ((1, []), (2, [(1.0, 2.0)]), (4, [(1.5, 2.0)])):
         found = poses(count, places)
         network.endpoint("/v/objects").waiting.append(write_poses(found.header, found.poses))
-    tracking.perceiving.turn()
+    tracking.processor.turn()
     published = network.endpoint("/v/tracks").published
     assert messages.store.deserialize_cdr(published[0], "std_msgs/msg/String").data == CdrReader(published[0]).text()
     documents = [json.loads(CdrReader(data).text()) for data in published]
@@ -112,10 +112,10 @@ def test_other_settings_begin_anew() -> None:
     tracking, network = service()
     for number in (1, 2):
         network.endpoint("/v/objects").waiting.append(write_poses(Header(number, "lidar"), [PlanarPose(0, 0, 0)] * 2))
-    tracking.perceiving.turn()
-    tracking.configure(read_track_settings({**DOCUMENT, "gapSeconds": 2}, "config.yaml"))
+    tracking.processor.turn()
+    tracking.configure(read_tracking_settings({**DOCUMENT, "gapSeconds": 2}, "config.yaml"))
     network.endpoint("/v/objects").waiting.append(write_poses(Header(3, "lidar"), [PlanarPose(0, 0, 0)]))
-    tracking.perceiving.turn()
+    tracking.processor.turn()
     tracks = [json.loads(CdrReader(data).text())["tracks"] for data in network.endpoint("/v/tracks").published]
     assert [[track["id"] for track in found] for found in tracks] == [[1, 2], [1, 2], [1]]
 
@@ -123,19 +123,19 @@ def test_other_settings_begin_anew() -> None:
 def test_what_is_no_pose_array_is_counted() -> None:
     tracking, network = service()
     network.endpoint("/v/objects").waiting.append(b"\0\1\0\0abc")
-    tracking.perceiving.turn()
-    assert "tracking_malformed_messages_total 1" in tracking.perceiving.metrics()
+    tracking.processor.turn()
+    assert "tracking_malformed_messages_total 1" in tracking.processor.metrics()
     assert network.endpoint("/v/tracks").published == []
 
 
 def test_a_type_that_is_not_installed_is_a_complaint(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("robotkube.robots.perception.loops.object_tracking.POSES_TYPE", "nowhere/msg/Poses")
     tracking, _ = service()
-    assert "nowhere" in str(tracking.perceiving.complaint)
+    assert "nowhere" in str(tracking.processor.complaint)
 
 
 def test_settings_are_refused_with_every_problem() -> None:
     with pytest.raises(DocumentError) as raised:
-        read_track_settings({**DOCUMENT, "motion": "", "gateMetres": "far", "tracks": "relative"}, "config.yaml")
+        read_tracking_settings({**DOCUMENT, "motion": "", "gateMetres": "far", "tracks": "relative"}, "config.yaml")
     for part in ("motion: ''", "gateMetres: 'far' must be", "tracks: 'relative'"):
         assert part in str(raised.value)

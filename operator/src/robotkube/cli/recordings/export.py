@@ -20,7 +20,7 @@ from robotkube.robots.bags.adapters.reading import open_bag
 from robotkube.robots.bags.adapters.writing import BagWriter
 from robotkube.robots.export.adapters.kitti_dataset import KittiDataset
 from robotkube.robots.export.adapters.staging_file import TemporaryStagingFile
-from robotkube.robots.export.core.labels import DISTANCE_DEFAULT, GAP_SECONDS_DEFAULT, SIZE_DEFAULT, Labelling
+from robotkube.robots.export.core.labels import DISTANCE_DEFAULT, GAP_SECONDS_DEFAULT, SIZE_DEFAULT, LabellingSettings
 from robotkube.robots.export.loops.bag_export import (
     STAMP_MAX,
     STAMP_MIN,
@@ -109,7 +109,7 @@ class ExportRequest:
         return cls(Selection(patterns, first, last), options.format, options.poses)
 
 
-def labelling_settings(options: argparse.Namespace) -> Labelling:
+def labelling_settings(options: argparse.Namespace) -> LabellingSettings:
     """The settings of labelling in the options; InputError names the wrong one."""
     try:
         length, width, height = (float(metres) for metres in options.size.lower().split("x"))
@@ -121,7 +121,7 @@ def labelling_settings(options: argparse.Namespace) -> Labelling:
             raise InputError(f"{name}: {number} must be a number above 0")
     if not 0 <= options.pose_sigma <= 1e6:
         raise InputError(f"--pose-sigma: {options.pose_sigma} must be a number from 0")
-    return Labelling((length, width, height), options.gap, options.distance, options.pose_sigma)
+    return LabellingSettings((length, width, height), options.gap, options.distance, options.pose_sigma)
 
 
 def exported(
@@ -130,7 +130,7 @@ def exported(
     recording: Mapping[str, Any],
     folder: Path,
     wanted: ExportRequest,
-    labels: Labelling | None = None,
+    labels: LabellingSettings | None = None,
 ) -> Table:
     """Export a recording, and return the table: a row per topic. Nothing is left behind when it fails."""
     if folder.exists():
@@ -151,7 +151,7 @@ def exported(
 
 
 def write_dataset(
-    bag: Path, folder: Path, name: str, settings: Labelling, poses: str, say: Callable[[str], None]
+    bag: Path, folder: Path, name: str, settings: LabellingSettings, poses: str, say: Callable[[str], None]
 ) -> LabellingCounts:
     """Label the clouds of a bag into a new folder; `say` gets the messages. InputError as of `label_clouds`."""
     counts = LabellingCounts()
@@ -169,17 +169,17 @@ def write_dataset(
             say(problem)
         if not counts.clouds:
             raise InputError(
-                f"no cloud has a label: {counts.nowhere} of unknown place, {counts.unreadable} messages unreadable: "
+                f"no cloud has a label: {counts.unlocated} of unknown place, {counts.unreadable} messages unreadable: "
                 "a cloud has a place between two own poses (see --gap), by transforms from its frame to the vehicle"
             )
         numbers = {
             "clouds": counts.clouds,
             "boxes": counts.boxes,
-            "clouds of unknown place, left out": counts.nowhere,
+            "clouds of unknown place, left out": counts.unlocated,
             "unreadable messages, left out": counts.unreadable,
         }
         dataset.finish(name, settings, numbers)
-    left_out = f"{counts.nowhere} clouds of unknown place and {counts.unreadable} unreadable messages left out"
+    left_out = f"{counts.unlocated} clouds of unknown place and {counts.unreadable} unreadable messages left out"
     say(f"dataset: {counts.clouds} clouds, {counts.boxes} boxes; {left_out}")
     return counts
 

@@ -49,13 +49,13 @@ def body(process: Process) -> None:
         log=process.log,
         stopped=process.stopping.is_set,
     )
-    watch = follow(player, process, split_name(pod.config_map)[0])
+    watch = watch_run(player, process, split_name(pod.config_map)[0])
     HealthServer(ready=lambda: watch.complaint, metrics=player.metrics, port=pod.health_port).start()
     gc.freeze()
     player.serve()
 
 
-def follow(player: Player, process: Process, namespace: str) -> ConfigMapWatch:
+def watch_run(player: Player, process: Process, namespace: str) -> ConfigMapWatch:
     """Watch ConfigMap `simulation` of the namespace and order its runs from the player."""
     where = f"ConfigMap {namespace}/{SIMULATION}"
 

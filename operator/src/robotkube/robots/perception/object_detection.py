@@ -9,7 +9,7 @@ from robotkube.robots.perception.process import GRACE_SECONDS, serve
 
 
 def body(process: Process) -> None:
-    """Find objects until the process shall end."""
+    """Detect objects until the process shall end."""
     serve(process, "object_detection", ObjectDetection, read_detection_settings)
 
 

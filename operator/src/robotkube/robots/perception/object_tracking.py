@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from robotkube.foundation.runtime.process import Process, run
-from robotkube.robots.perception.core.settings import read_track_settings
+from robotkube.robots.perception.core.settings import read_tracking_settings
 from robotkube.robots.perception.loops.object_tracking import ObjectTracking
 from robotkube.robots.perception.process import GRACE_SECONDS, serve
 
 
 def body(process: Process) -> None:
-    """Follow objects until the process shall end."""
-    serve(process, "object_tracking", ObjectTracking, read_track_settings)
+    """Track objects until the process shall end."""
+    serve(process, "object_tracking", ObjectTracking, read_tracking_settings)
 
 
 def main() -> None:

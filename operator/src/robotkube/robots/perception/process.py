@@ -23,18 +23,18 @@ PERIOD_SECONDS = 0.02
 KEY = "config.yaml"
 
 Settings = TypeVar("Settings")
-Given = TypeVar("Given", contravariant=True)
+AppliedSettings = TypeVar("AppliedSettings", contravariant=True)
 
 
-class PerceptionService(Protocol[Given]):
-    """A perception service that is given settings."""
+class PerceptionService(Protocol[AppliedSettings]):
+    """A perception service whose settings may change while it runs."""
 
     @property
-    def perceiving(self) -> MessageProcessor:
+    def processor(self) -> MessageProcessor:
         """Its topics and counters."""
         ...
 
-    def configure(self, settings: Given) -> None:
+    def configure(self, settings: AppliedSettings) -> None:
         """Apply settings."""
         ...
 
@@ -51,26 +51,26 @@ def serve(
         read_mapping(read_text(pod.config_file, "the settings"), str(pod.config_file)), str(pod.config_file)
     )
     service = make(RosNode(node), process.log)
-    perceiving = service.perceiving
-    ownership = ownership_of(pod)
+    processor = service.processor
+    fencing = ownership_of(pod)
     HealthServer(
-        ready=lambda: perceiving.complaint,
-        metrics=lambda: perceiving.metrics() + ownership.metrics(),
+        ready=lambda: processor.complaint,
+        metrics=lambda: processor.metrics() + fencing.metrics(),
         port=pod.health_port,
     ).start()
     service.configure(settings)
-    news: deque[str] = deque(maxlen=1)
+    changes: deque[str] = deque(maxlen=1)
     if pod.config_map is not None:
-        follow_settings(process, pod.config_map, ownership, lambda data: _note(news, data))
-    process.log("ready", complaint=perceiving.complaint)
+        follow_settings(process, pod.config_map, fencing, lambda data: _note(changes, data))
+    process.log("ready", complaint=processor.complaint)
     gc.freeze()
     while not process.stopping.wait(PERIOD_SECONDS):
-        sure = ownership.sure  # read first: what made it sure is among the news by then
-        if news:
-            _apply(process, service, read, news.popleft())
+        sure = fencing.sure  # read first: what made it sure is among the changes by then
+        if changes:
+            _apply(process, service, read, changes.popleft())
         if sure:
-            perceiving.turn()
-    perceiving.close()
+            processor.turn()
+    processor.close()
 
 
 def _apply(
@@ -86,6 +86,6 @@ def _apply(
         process.log("settings refused", error=str(error))
 
 
-def _note(news: deque[str], data: Mapping[str, str]) -> None:
+def _note(changes: deque[str], data: Mapping[str, str]) -> None:
     if KEY in data:
-        news.append(data[KEY])
+        changes.append(data[KEY])

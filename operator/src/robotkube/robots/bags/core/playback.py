@@ -17,11 +17,15 @@ from robotkube.foundation.documents.core.patterns import NAME, PLAYER_RUN
 from robotkube.foundation.documents.core.reader import Reader
 
 LATE_NS = 1_000_000_000
+"""A message that is published so long after its time, or longer, is late."""
 NANOSECONDS = 1_000_000_000
-SECONDS_END = 1 << 31
+STAMP_SECONDS_END = 1 << 31
+"""The first second since 1970 that a header's stamp cannot say."""
 
-_LITTLE, _BIG = struct.Struct("<iI"), struct.Struct(">iI")
-_HEADER_END = 12
+_LITTLE_STAMP = struct.Struct("<iI")
+_BIG_STAMP = struct.Struct(">iI")
+_STAMP_BEGIN = 4
+_STAMP_END = 12
 _PATH = re.compile(r"/.+")
 _START = re.compile(r"[0-9]{1,19}")
 _END_LINE = re.compile(r'\{"end": true, "count": ([0-9]+)\}')
@@ -30,7 +34,7 @@ _LINE = re.compile(r'\{"sequence": ([0-9]+), "stamp": ([0-9]+), "sha256": "([0-9
 
 @dataclass(frozen=True)
 class BagTopic:
-    """A topic as the bag declares it."""
+    """A topic of a bag: its name, type and QoS profile, as the bag states them."""
 
     name: str
     type: str
@@ -46,7 +50,7 @@ class BagTopic:
 
 @dataclass(frozen=True)
 class PlayerSettings:
-    """`config.yaml` of a player; both are folders."""
+    """The settings of a player (`config.yaml`): its agent, and the folders of the bag and of the ledgers."""
 
     agent: str
     bag: str
@@ -62,7 +66,7 @@ class PlaybackRun:
 
 
 def read_player_settings(document: Mapping[str, Any], where: str) -> PlayerSettings:
-    """The settings; DocumentError names `where` and every problem."""
+    """The settings of a player in a document; DocumentError names `where` and every problem."""
     reader = Reader(where)
     values = reader.mapping(document, "", ["agent", "bag", "ledger"])
     settings = PlayerSettings(
@@ -75,7 +79,8 @@ def read_player_settings(document: Mapping[str, Any], where: str) -> PlayerSetti
 
 
 def read_run(data: Mapping[str, str] | None, where: str) -> PlaybackRun | None:
-    """The ordered run; None without ConfigMap or without key `run`. DocumentError names key and fix."""
+    """The run that ConfigMap `simulation` orders; None without ConfigMap or without key `run`. DocumentError names key
+    and fix."""
     if not data or "run" not in data:
         return None
     run = data["run"]
@@ -91,16 +96,16 @@ def read_run(data: Mapping[str, str] | None, where: str) -> PlaybackRun | None:
 def restamped(data: bytes, stamp: int) -> bytes:
     """A serialised message that begins with std_msgs/Header, now with `stamp` (ns). InputError: the message is too
     short, or the stamp is beyond what a header can say."""
-    if len(data) < _HEADER_END:
+    if len(data) < _STAMP_END:
         raise InputError(f"a message of {len(data)} bytes does not begin with std_msgs/Header")
     seconds, nanoseconds = divmod(stamp, NANOSECONDS)
-    if not -SECONDS_END <= seconds < SECONDS_END:
+    if not -STAMP_SECONDS_END <= seconds < STAMP_SECONDS_END:
         raise InputError(
             f"the start of the run and a time of the bag make {seconds} s since 1970, more than a stamp can say: "
             "times of a bag that is played count from the start of the run, not from 1970"
         )
-    header = (_LITTLE if data[1] & 1 else _BIG).pack(seconds, nanoseconds)
-    return b"".join((data[:4], header, data[_HEADER_END:]))
+    time = (_LITTLE_STAMP if data[1] & 1 else _BIG_STAMP).pack(seconds, nanoseconds)
+    return b"".join((data[:_STAMP_BEGIN], time, data[_STAMP_END:]))
 
 
 def ledger_name(topic: str) -> str:
@@ -109,7 +114,7 @@ def ledger_name(topic: str) -> str:
 
 
 def ledger_line(sequence: int, stamp: int, sha256: str) -> str:
-    """One message's line."""
+    """The line of one message in a ledger."""
     return f'{{"sequence": {sequence}, "stamp": {stamp}, "sha256": "{sha256}"}}\n'
 
 
@@ -120,28 +125,29 @@ def ledger_end(count: int) -> str:
 
 @dataclass(frozen=True)
 class LedgerState:
-    """The state of a ledger that is already there: messages published, the first sequence number after them, whether it
-    is finished, and how many of its bytes are whole lines (a torn last line is cut off)."""
+    """The state of a ledger that is already there. `messages`: number of published ones; `next_sequence`: the first
+    sequence number after them; `ended`: whether its topic was played to its end; `whole_bytes`: length of its whole
+    lines (a torn last line is cut off)."""
 
-    lines: int = 0
-    next: int = 0
+    messages: int = 0
+    next_sequence: int = 0
     ended: bool = False
     whole_bytes: int = 0
 
 
 def read_ledger(data: bytes) -> LedgerState:
-    """State of a ledger; lines after a torn or foreign one do not count."""
-    lines = following = place = 0
+    """The state of a ledger by its bytes; lines after a torn or foreign one do not count."""
+    messages = next_sequence = whole_bytes = 0
     for raw in data.splitlines(keepends=True):
         line = raw.decode("ascii", errors="replace")
         if not line.endswith("\n"):
             break
         if _END_LINE.fullmatch(line.rstrip("\n")):
-            return LedgerState(lines, following, True, place + len(raw))
+            return LedgerState(messages, next_sequence, True, whole_bytes + len(raw))
         match = _LINE.fullmatch(line.rstrip("\n"))
         if match is None:
             break
-        lines += 1
-        following = int(match[1]) + 1
-        place += len(raw)
-    return LedgerState(lines, following, False, place)
+        messages += 1
+        next_sequence = int(match[1]) + 1
+        whole_bytes += len(raw)
+    return LedgerState(messages, next_sequence, False, whole_bytes)

@@ -42,14 +42,14 @@ class PlaybackCounts:
 
 
 @dataclass
-class _Track:
-    """A topic of the bag in the run that is played. `sequence`: number of its next message in the bag; `next`: first
-    number that the ledger does not have; `lines`: messages in the ledger."""
+class _TopicPlayback:
+    """A topic of the bag in the run that is played. `sequence`: number of its next message in the bag;
+    `next_sequence`: first number that the ledger does not have; `messages`: number of those in the ledger."""
 
     topic: BagTopic
     sink: MessageSink
-    next: int
-    lines: int
+    next_sequence: int
+    messages: int
     ended: bool
     sequence: int = 0
 
@@ -61,7 +61,7 @@ class _Track:
 class _Ready(NamedTuple):
     """A message with its ledger line, to be published when it is due."""
 
-    track: _Track
+    playback: _TopicPlayback
     due: int
     data: bytes
     line: str
@@ -122,58 +122,64 @@ class Player:
         )
 
     def _play(self, run: PlaybackRun) -> None:
-        tracks = self._tracks(run)
+        playbacks = self._playbacks(run)
         self.counts.runs += 1
-        self.log("run begins", run=run.id, start=run.start, resumed=any(track.lines for track in tracks.values()))
+        self.log(
+            "run begins", run=run.id, start=run.start, resumed=any(playback.messages for playback in playbacks.values())
+        )
         try:
-            finished = self._messages(run, tracks)
+            finished = self._messages(run, playbacks)
             if finished:
-                self._end(tracks)
+                self._end(playbacks)
         finally:
-            self._note()
+            self._fill_ledgers()
             self.ledgers.close()
         self.log("run ended", run=run.id, finished=finished, published=self.counts.published, late=self.counts.late)
 
-    def _tracks(self, run: PlaybackRun) -> dict[str, _Track]:
-        tracks = {}
+    def _playbacks(self, run: PlaybackRun) -> dict[str, _TopicPlayback]:
+        playbacks = {}
         for topic in self.bag.topics:
             state = self.ledgers.open(run.id, topic.name)
             sink = self._sinks[topic.name]
-            tracks[topic.name] = _Track(topic, sink, state.next, state.lines, state.ended)
-        return tracks
+            playbacks[topic.name] = _TopicPlayback(topic, sink, state.next_sequence, state.messages, state.ended)
+        return playbacks
 
-    def _messages(self, run: PlaybackRun, tracks: dict[str, _Track]) -> bool:
+    def _messages(self, run: PlaybackRun, playbacks: dict[str, _TopicPlayback]) -> bool:
         """Play all messages; whether the bag was played to its end."""
-        resumed = any(track.lines for track in tracks.values())
+        resumed = any(playback.messages for playback in playbacks.values())
         begun = self.clock.now()
         flush_at = 0
         for batch in _ahead(self.bag.messages()):
-            ready = self._prepared(run, tracks, batch, begun - LATE_NS if resumed else None)
-            self._note()
+            ready = self._prepared(run, playbacks, batch, begun - LATE_NS if resumed else None)
+            self._fill_ledgers()
             if (now := self.clock.now()) >= flush_at:
                 self.ledgers.flush()
                 flush_at = now + FLUSH_NS
             if not self._publish(run, ready):
                 return False
-        self._note()
+        self._fill_ledgers()
         return True
 
     def _prepared(
-        self, run: PlaybackRun, tracks: dict[str, _Track], batch: Sequence[tuple[str, int, bytes]], missed: int | None
+        self,
+        run: PlaybackRun,
+        playbacks: dict[str, _TopicPlayback],
+        batch: Sequence[tuple[str, int, bytes]],
+        missed: int | None,
     ) -> list[_Ready]:
         """The messages of the batch that are to be published; those due before `missed` are not."""
         ready = []
         for name, offset, data in batch:
-            track = tracks[name]
+            playback = playbacks[name]
             due = run.start + offset
-            sequence = track.sequence
-            track.sequence += 1
-            if sequence < track.next or (missed is not None and due < missed):
-                self._skip(track, sequence, data, due)
+            sequence = playback.sequence
+            playback.sequence += 1
+            if sequence < playback.next_sequence or (missed is not None and due < missed):
+                self._skip(playback, sequence, data, due)
                 continue
-            message = track.message(data, due)
+            message = playback.message(data, due)
             line = ledger_line(sequence, due, hashlib.sha256(message).hexdigest())
-            ready.append(_Ready(track, due, message, line))
+            ready.append(_Ready(playback, due, message, line))
         return ready
 
     def _publish(self, run: PlaybackRun, ready: Sequence[_Ready]) -> bool:
@@ -184,41 +190,41 @@ class Player:
         while ready:
             while (left := ready[0].due - now()) > IDLE_NS:
                 sleep(min(left - IDLE_NS, IDLE_NS))
-                self._note()
+                self._fill_ledgers()
                 self.ledgers.flush()
                 if self._interrupted(run):
                     return False
             if self._interrupted(run):
                 return False
-            done = self.network.publish_due([(m.track.sink, m.due, m.data) for m in ready], LATE_NS)
-            self._published += ready[: done.published]
-            counts.published += done.published
-            counts.late += done.late
-            if done.refusal:
-                topic = ready[done.published].track.topic.name
-                raise UnavailableError(f"topic {topic}: the middleware did not accept a message: {done.refusal}")
-            ready = ready[done.published :]
+            outcome = self.network.publish_due([(m.playback.sink, m.due, m.data) for m in ready], LATE_NS)
+            self._published += ready[: outcome.published]
+            counts.published += outcome.published
+            counts.late += outcome.late
+            if outcome.refusal:
+                topic = ready[outcome.published].playback.topic.name
+                raise UnavailableError(f"topic {topic}: the middleware did not accept a message: {outcome.refusal}")
+            ready = ready[outcome.published :]
         return True
 
-    def _note(self) -> None:
+    def _fill_ledgers(self) -> None:
         """Put what was published into the ledgers."""
         for message in self._published:
-            self.ledgers.append(message.track.topic.name, message.line)
-            message.track.lines += 1
+            self.ledgers.append(message.playback.topic.name, message.line)
+            message.playback.messages += 1
         self._published.clear()
 
-    def _skip(self, track: _Track, sequence: int, data: bytes, due: int) -> None:
+    def _skip(self, playback: _TopicPlayback, sequence: int, data: bytes, due: int) -> None:
         """Skip a message of an earlier life of this player, or missed between the two; late subscribers of latched
         topics still need it."""
-        if track.topic.latched:
-            track.sink.publish(track.message(data, due))
-        if sequence >= track.next:
+        if playback.topic.latched:
+            playback.sink.publish(playback.message(data, due))
+        if sequence >= playback.next_sequence:
             self.counts.skipped += 1
 
-    def _end(self, tracks: dict[str, _Track]) -> None:
-        for name, track in tracks.items():
-            if not track.ended:
-                self.ledgers.append(name, ledger_end(track.lines))
+    def _end(self, playbacks: dict[str, _TopicPlayback]) -> None:
+        for name, playback in playbacks.items():
+            if not playback.ended:
+                self.ledgers.append(name, ledger_end(playback.messages))
 
     def _interrupted(self, run: PlaybackRun) -> bool:
         return self.stopped() or (self._ordered is not run and self._ordered != run)

@@ -8,8 +8,8 @@ from io import TextIOWrapper
 from pathlib import Path
 
 from robotkube.errors import InputError
-from robotkube.robots.export.core.kitti import CALIBRATION, json_line, label_line, read_me
-from robotkube.robots.export.core.labels import Label, Labelling, corners, interleaved
+from robotkube.robots.export.core.kitti import CALIBRATION, json_line, label_line, readme_text
+from robotkube.robots.export.core.labels import Label, LabellingSettings, corners, interleaved
 from robotkube.robots.export.core.png import GREEN, GREY, ORANGE, WHITE, Picture
 from robotkube.robots.perception.core.messages import Cloud
 
@@ -50,10 +50,10 @@ class KittiDataset:
         if self._best is None or seen > self._best[0]:
             self._best = (seen, cloud, labels)
 
-    def finish(self, name: str, settings: Labelling, counts: Mapping[str, int]) -> None:
+    def finish(self, name: str, settings: LabellingSettings, counts: Mapping[str, int]) -> None:
         """Write README and preview; nothing more is added."""
         self._lines.close()
-        (self._folder / "README.md").write_text(read_me(name, settings, counts), encoding="utf-8")
+        (self._folder / "README.md").write_text(readme_text(name, settings, counts), encoding="utf-8")
         if self._best is not None:
             (self._folder / "preview.png").write_bytes(preview(self._best[1], self._best[2]).png())
 

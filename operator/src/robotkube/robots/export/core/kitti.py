@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from robotkube.robots.export.core.labels import Label, Labelling
+from robotkube.robots.export.core.labels import Label, LabellingSettings
 
 KIND = "Car"
 CALIBRATION = (
@@ -43,10 +43,10 @@ def json_line(frame: str, topic: str, frame_id: str, stamp: int, labels: Sequenc
     return json.dumps(document) + "\n"
 
 
-def read_me(name: str, settings: Labelling, counts: Mapping[str, int]) -> str:
+def readme_text(name: str, settings: LabellingSettings, counts: Mapping[str, int]) -> str:
     """The text of the dataset's README.md."""
     length, width, height = settings.size
-    return f"""# Point clouds of {name}, labelled by what the others said
+    return f"""# Point clouds of {name}, labelled by the other vehicles' poses
 
 Layout of KITTI's object benchmark, so that its readers read it:
 

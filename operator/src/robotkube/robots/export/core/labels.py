@@ -34,8 +34,8 @@ MARGIN_M = 0.05
 
 
 @dataclass(frozen=True)
-class Labelling:
-    """Settings of a labelling. `size`: length, width, height of the others in m, their pose on the ground at the
+class LabellingSettings:
+    """The settings of a labelling. `size`: length, width, height of the others in m, their pose on the ground at the
     centre. Poses farther apart than `gap_seconds` are not joined; who is farther than `distance_m` is not labelled.
     `pose_sigma_m`, `heading_sigma_rad`: of poses that come without a covariance, as they were measured."""
 
@@ -79,7 +79,7 @@ class AgentPoses:
         """Whether transforms lead from this frame to somebody's body."""
         return self.mounts.up_to(frame, list(self.bodies)) is not None
 
-    def labels(self, frame: str, stamp: int, settings: Labelling) -> list[Label] | None:
+    def labels(self, frame: str, stamp: int, settings: LabellingSettings) -> list[Label] | None:
         """Labels of the others around a sensor; None when nobody knows where the sensor was then."""
         mount = self.mounts.up_to(frame, list(self.bodies))
         if mount is None:
@@ -102,7 +102,7 @@ class AgentPoses:
 
 
 def _label(
-    agent: str, sensor: Transform, here: InterpolatedPose, there: InterpolatedPose, settings: Labelling
+    agent: str, sensor: Transform, here: InterpolatedPose, there: InterpolatedPose, settings: LabellingSettings
 ) -> Label:
     relative = sensor.inverse @ there.transform
     centre = relative.apply((0.0, 0.0, settings.size[2] / 2))

@@ -20,7 +20,8 @@ class Picture:
     """A raster of `width` x `height` pixels; what lies outside is left out."""
 
     def __init__(self, width: int, height: int, ground: Colour = BLACK) -> None:
-        self.width, self.height = width, height
+        self.width = width
+        self.height = height
         self._rows = [bytearray(ground * width) for _ in range(height)]
 
     def point(self, x: float, y: float, colour: Colour) -> None:

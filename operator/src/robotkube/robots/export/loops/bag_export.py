@@ -92,40 +92,42 @@ class Export:
 
 def first_stamp(reader: RecordingReader, recording: Mapping[str, Any]) -> int:
     """The recording's begin, ns: the least stamp that its audits know of, without latched topics: they are older."""
-    planned = _Planned(recording.get("topics") or {})
+    recorded = _RecordedTopics(recording.get("topics") or {})
     windows = [
         audit["window"]
         for audit in reader.audits(str(recording["_id"]))
-        if audit.get("window") and planned.windowed(audit["topic"])
+        if audit.get("window") and recorded.windowed(audit["topic"])
     ]
     return min((first for first, _ in windows), default=int(recording.get("started") or 0))
 
 
-def prepare(reader: RecordingReader, recording: Mapping[str, Any], selection: Selection, shelf: StagingFile) -> Export:
-    """Find the recording's messages; `recording` is its document. InputError when nothing is chosen, something that is
-    not there, or too much."""
-    planned = _Planned(recording.get("topics") or {})
+def prepare(
+    reader: RecordingReader, recording: Mapping[str, Any], selection: Selection, staging: StagingFile
+) -> Export:
+    """The recording's chosen messages, ready to be written; `recording` is its document. InputError when nothing is
+    chosen, something that is not there, or too much."""
+    recorded = _RecordedTopics(recording.get("topics") or {})
     entries: list[_Entry] = []
-    for entry in _entries(reader, str(recording["_id"]), selection, planned, shelf):
+    for entry in _entries(reader, str(recording["_id"]), selection, recorded, staging):
         entries.append(entry)
         if len(entries) > MESSAGES_MAX:
             raise InputError(f"more than {MESSAGES_MAX} messages; export a part with --from and --to")
-    planned.require(str(recording["_id"]), selection, bool(entries))
+    recorded.require(str(recording["_id"]), selection, bool(entries))
     entries.sort(reverse=True)
     once = {(entry.topic, entry.stamp, entry.sha256): entry for entry in entries}  # some may be stored twice
     entries = list(reversed(once.values()))
     names = sorted({entry.topic for entry in entries})
-    return Export([planned.topic(name) for name in names], entries)
+    return Export([recorded.topic(name) for name in names], entries)
 
 
-def write(export: Export, segments: SegmentReader, shelf: StagingFile, target: Target) -> None:
+def write(export: Export, segments: SegmentReader, staging: StagingFile, target: Target) -> None:
     """Write all messages whose bytes are what was recorded; the others are counted in `export`."""
     for entry in export.entries:
         if not (0 <= entry.stamp <= STAMP_MAX and 0 <= entry.received <= STAMP_MAX):
             export.leave_out(entry, "a bag has no times before 1970")
             continue
         try:
-            data = _data(entry, segments, shelf)
+            data = _data(entry, segments, staging)
         except UnavailableError as error:
             export.leave_out(entry, str(error))
             continue
@@ -135,13 +137,13 @@ def write(export: Export, segments: SegmentReader, shelf: StagingFile, target: T
         target.add(entry.topic, entry.received, data, entry.stamp)
 
 
-def _data(entry: _Entry, segments: SegmentReader, shelf: StagingFile) -> bytes:
+def _data(entry: _Entry, segments: SegmentReader, staging: StagingFile) -> bytes:
     if not entry.volume:
-        return shelf.get(entry.place, entry.size)
+        return staging.get(entry.place, entry.size)
     return segments.read(entry.volume, SegmentPlace(entry.segment, entry.place), entry.size)
 
 
-class _Planned:
+class _RecordedTopics:
     """The topics of a recording's document, by pattern."""
 
     def __init__(self, documents: Mapping[str, Mapping[str, Any]]) -> None:
@@ -184,23 +186,23 @@ class _Planned:
         ]
         if chosen and not absent:
             return
-        there = "; ".join(f"{name} from {first} to {last}" for name, (first, last) in sorted(self._spans.items()))
+        held = "; ".join(f"{name} from {first} to {last}" for name, (first, last) in sorted(self._spans.items()))
         what = f"there is nothing of {', '.join(absent)}" if absent else "no message is chosen by --from and --to"
-        raise InputError(f"{recording}: {what}; it holds (stamps in ns): {there or 'no messages'}")
+        raise InputError(f"{recording}: {what}; it holds (stamps in ns): {held or 'no messages'}")
 
 
 def _entries(
-    reader: RecordingReader, recording: str, selection: Selection, planned: _Planned, shelf: StagingFile
+    reader: RecordingReader, recording: str, selection: Selection, recorded: _RecordedTopics, staging: StagingFile
 ) -> Iterator[_Entry]:
     for bucket in reader.buckets(recording):
         topic = bucket["topic"]
         for sample in bucket["samples"]:
-            if planned.chosen(topic, sample["stamp"], selection):
+            if recorded.chosen(topic, sample["stamp"], selection):
                 data = bytes(sample["data"])
-                place = shelf.put(data)
+                place = staging.put(data)
                 yield _Entry(sample["received"], sample["stamp"], topic, sample["sha256"], len(data), place)
     for entry in reader.index(recording):
-        if planned.chosen(entry["topic"], entry["stamp"], selection):
+        if recorded.chosen(entry["topic"], entry["stamp"], selection):
             yield _Entry(
                 entry["received"], entry["stamp"], entry["topic"], entry["sha256"], entry["size"], entry["offset"],
                 entry["volume"], entry["segment"],

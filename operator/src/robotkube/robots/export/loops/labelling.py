@@ -11,7 +11,7 @@ from typing import Any
 
 from robotkube.errors import InputError
 from robotkube.robots.bags.ports.sources import BagSource
-from robotkube.robots.export.core.labels import AgentPoses, Label, Labelling, points_within
+from robotkube.robots.export.core.labels import AgentPoses, Label, LabellingSettings, points_within
 from robotkube.robots.export.core.transforms import PoseHistory, StaticTransforms, deviation, transform
 from robotkube.robots.perception.core.messages import CLOUD_TYPE, Cloud, read_cloud
 from robotkube.robots.ros.core.cdr_readers.readers import FieldReader, Layouts
@@ -38,11 +38,11 @@ class LabelledCloud:
 
 @dataclass
 class LabellingCounts:
-    """Counters of a labelling. `nowhere`: clouds of which nobody knows where their sensor was; they are left out, as
-    are messages that are `unreadable`. `frames`: of the sensors that no transform joins to a vehicle."""
+    """The counters of a labelling. `unlocated`: clouds whose sensor's place nobody knows; they are left out, as are
+    messages that are `unreadable`. `frames`: of the sensors that no transform joins to a vehicle."""
 
     clouds: int = 0
-    nowhere: int = 0
+    unlocated: int = 0
     unreadable: int = 0
     boxes: int = 0
     problems: list[str] = field(default_factory=list)
@@ -50,7 +50,7 @@ class LabellingCounts:
 
 
 def label_clouds(
-    bag: BagSource, layouts: Layouts, settings: Labelling, counts: LabellingCounts, poses: str = POSES_DEFAULT
+    bag: BagSource, layouts: Layouts, settings: LabellingSettings, counts: LabellingCounts, poses: str = POSES_DEFAULT
 ) -> Iterator[LabelledCloud]:
     """Every cloud whose sensor's place is known, in the order of the times. `poses`: pattern of the pose topics.
 
@@ -72,7 +72,7 @@ def label_clouds(
         frame = cloud.header.frame.lstrip("/")
         labels = agents.labels(frame, cloud.header.stamp, settings)
         if labels is None:
-            counts.nowhere += 1
+            counts.unlocated += 1
             if len(counts.frames) < FRAMES_MAX and not agents.knows(frame):
                 counts.frames.add(frame)
             continue

@@ -33,8 +33,8 @@ Point = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
-class FindingSettings:
-    """The vehicles to find: their length and width, least number of points, and up to which distance."""
+class ObjectCriteria:
+    """The criteria of a vehicle: its length and width, least number of points, and the greatest distance."""
 
     method: str
     range_m: float
@@ -57,10 +57,10 @@ class DetectedObject:
         return 1 / math.sqrt(self.points)
 
 
-def find_objects(cloud: Cloud, settings: FindingSettings) -> tuple[DetectedObject, ...]:
+def find_objects(cloud: Cloud, criteria: ObjectCriteria) -> tuple[DetectedObject, ...]:
     """The vehicles in the cloud, nearest first."""
-    boxes = (_fitted(cluster, settings) for cluster in _clusters(_candidates(cloud, settings), CELL_M[settings.method]))
-    within = [box for box in boxes if box and math.hypot(box.pose.x, box.pose.y) <= settings.range_m]
+    boxes = (_fitted(cluster, criteria) for cluster in _clusters(_candidates(cloud, criteria), CELL_M[criteria.method]))
+    within = [box for box in boxes if box and math.hypot(box.pose.x, box.pose.y) <= criteria.range_m]
     return tuple(sorted(within, key=lambda box: math.hypot(box.pose.x, box.pose.y)))
 
 
@@ -69,15 +69,15 @@ def uncertainty(objects: Sequence[DetectedObject]) -> float:
     return max((detected.uncertainty for detected in objects), default=0.0)
 
 
-def _candidates(cloud: Cloud, settings: FindingSettings) -> list[Point]:
+def _candidates(cloud: Cloud, criteria: ObjectCriteria) -> list[Point]:
     """Points above the ground that may belong to a vehicle."""
     if not cloud.z:
         return []
     floor = _ground(cloud) + GROUND_CLEARANCE_M
-    reach = (settings.range_m + MARGIN_M) ** 2
+    reach = (criteria.range_m + MARGIN_M) ** 2
     above = [index for index, z in enumerate(cloud.z) if floor < z < floor + HEIGHT_MAX_M]
-    if settings.method == REFLECTANCE:
-        bright = settings.reflectance_min
+    if criteria.method == REFLECTANCE:
+        bright = criteria.reflectance_min
         intensity = cloud.intensity
         above = [index for index in above if intensity[index] >= bright] if intensity else []
     points = ((cloud.x[index], cloud.y[index], cloud.z[index]) for index in above)
@@ -126,18 +126,18 @@ class _Rectangle:
         return self.high[0] - self.low[0], self.high[1] - self.low[1]
 
 
-def _fitted(cluster: Sequence[Point], settings: FindingSettings) -> DetectedObject | None:
+def _fitted(cluster: Sequence[Point], criteria: ObjectCriteria) -> DetectedObject | None:
     """The box of known size behind the faces that are seen; None when the cluster is too small or too large."""
-    if len(cluster) < settings.points_min:
+    if len(cluster) < criteria.points_min:
         return None
     rectangle = _smallest_rectangle(cluster)
     longer = max(rectangle.extents)
-    if longer > settings.length_m + SIZE_TOLERANCE_M or min(rectangle.extents) > settings.width_m + SIZE_TOLERANCE_M:
+    if longer > criteria.length_m + SIZE_TOLERANCE_M or min(rectangle.extents) > criteria.width_m + SIZE_TOLERANCE_M:
         return None
     # Seen is a side when it is longer than the width, else a front or a back, behind which the length lies.
     first_is_longer = rectangle.extents[0] >= rectangle.extents[1]
-    lengthwise = first_is_longer == (longer > settings.width_m + FACE_TOLERANCE_M)
-    sizes = (settings.length_m, settings.width_m) if lengthwise else (settings.width_m, settings.length_m)
+    lengthwise = first_is_longer == (longer > criteria.width_m + FACE_TOLERANCE_M)
+    sizes = (criteria.length_m, criteria.width_m) if lengthwise else (criteria.width_m, criteria.length_m)
     along, across = (_centre(rectangle.low[axis], rectangle.high[axis], sizes[axis]) for axis in (0, 1))
     cosine, sine = math.cos(rectangle.yaw), math.sin(rectangle.yaw)
     heading = rectangle.yaw if lengthwise else rectangle.yaw + math.pi / 2

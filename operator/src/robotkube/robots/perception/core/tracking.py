@@ -22,9 +22,9 @@ TRACKS_MAX = 200
 
 
 @dataclass(frozen=True)
-class TrackingSettings:
-    """Settings of a tracker. `gate_m`: how far from where it is expected an object may be; `gap_seconds`: how long it
-    may be out of sight."""
+class TrackerSettings:
+    """The settings of a tracker. `gate_m`: the greatest distance of an object from where it is expected; `gap_seconds`:
+    the longest time that it may be out of sight."""
 
     motion: str
     gate_m: float
@@ -45,14 +45,14 @@ class Track:
 
     @property
     def age_seconds(self) -> float:
-        """The time for which it has been followed."""
+        """The time for which it has been tracked."""
         return (self.last - self.first) / NANOSECONDS
 
 
 class Tracker:
-    """Follows the objects of one sensor. Identities count from 1 and are never used again."""
+    """Tracks the objects of one sensor. Identities count from 1 and are never used again."""
 
-    def __init__(self, settings: TrackingSettings) -> None:
+    def __init__(self, settings: TrackerSettings) -> None:
         self.settings = settings
         self._tracks: dict[int, Track] = {}
         self._next = 1

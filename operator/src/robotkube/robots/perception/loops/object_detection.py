@@ -24,10 +24,10 @@ CLOUDS_MAX = 2  # an older cloud is worth less than a late one
 
 
 class ObjectDetection:
-    """Finds objects in clouds with the settings it was given last."""
+    """Detects objects in clouds with the settings it was given last."""
 
     def __init__(self, network: RobotNetwork, log: Log) -> None:
-        self.perceiving = MessageProcessor("detection", network, log)
+        self.processor = MessageProcessor("detection", network, log)
         self._settings: DetectionSettings | None = None
 
     def configure(self, settings: DetectionSettings) -> None:
@@ -38,12 +38,12 @@ class ObjectDetection:
         if before is not None and topics == (before.cloud, before.objects, before.uncertainty):
             return
         sinks = [(settings.objects, POSES_TYPE), (settings.uncertainty, NUMBER_TYPE)]
-        self.perceiving.open((settings.cloud, CLOUD_TYPE), sinks, self._find, CLOUDS_MAX)
+        self.processor.open((settings.cloud, CLOUD_TYPE), sinks, self._detect, CLOUDS_MAX)
 
-    def _find(self, data: bytes) -> Mapping[str, bytes]:
+    def _detect(self, data: bytes) -> Mapping[str, bytes]:
         assert self._settings is not None
         cloud = read_cloud(data)
-        objects = find_objects(cloud, self._settings.finding)
+        objects = find_objects(cloud, self._settings.criteria)
         return {
             self._settings.objects: write_poses(cloud.header, [detected.pose for detected in objects]),
             self._settings.uncertainty: write_number(uncertainty(objects)),

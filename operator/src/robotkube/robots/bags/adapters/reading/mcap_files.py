@@ -126,30 +126,30 @@ class McapFile:
 
     def _scan(self) -> FileContents:
         """Go through all records, up to the first that is not whole."""
-        described = FileContents()
+        contents = FileContents()
         place = len(mcap_records.MAGIC)
         while place + mcap_records.RECORD.size <= self._size:
             opcode, length = mcap_records.RECORD.unpack(self._read(place, mcap_records.RECORD.size))
             if opcode == mcap_records.DATA_END:
-                return described
+                return contents
             whole = place + mcap_records.RECORD.size + length <= self._size
             if not whole:
                 self._complain(
                     f"{self._path}: cut off or damaged at byte {place} of {self._size}; what is before is read"
                 )
             if opcode == mcap_records.CHUNK:
-                self._scan_chunk(described, place, min(mcap_records.RECORD.size + length, self._size - place))
+                self._scan_chunk(contents, place, min(mcap_records.RECORD.size + length, self._size - place))
             elif whole:
-                self._scan_record(described, opcode, place, length)
+                self._scan_record(contents, opcode, place, length)
             if not whole:
-                return described
+                return contents
             place += mcap_records.RECORD.size + length
-        return described
+        return contents
 
-    def _scan_record(self, described: FileContents, opcode: int, place: int, length: int) -> None:
+    def _scan_record(self, contents: FileContents, opcode: int, place: int, length: int) -> None:
         if opcode in (mcap_records.SCHEMA, mcap_records.CHANNEL) and length <= SMALL_BYTES_MAX:
             try:
-                described.take(opcode, self._read(place + mcap_records.RECORD.size, length))
+                contents.add(opcode, self._read(place + mcap_records.RECORD.size, length))
             except ValueError as error:
                 self._complain(f"{self._path}: at byte {place}: {error}; left out")
         elif opcode == mcap_records.MESSAGE and mcap_records.MESSAGE_HEAD.size <= length <= MESSAGE_BYTES_MAX:
@@ -159,7 +159,7 @@ class McapFile:
             self._channels.append(number)
             self._places.append(place)
 
-    def _scan_chunk(self, described: FileContents, place: int, length: int) -> None:
+    def _scan_chunk(self, contents: FileContents, place: int, length: int) -> None:
         chunk = ChunkPlace(0, 0, place, length)
         times: list[int] = []
         data = self._unpacked(chunk)
@@ -168,11 +168,11 @@ class McapFile:
                 times.append(mcap_records.MESSAGE_HEAD.unpack_from(data, start)[2])
             elif opcode in (mcap_records.SCHEMA, mcap_records.CHANNEL):
                 try:
-                    described.take(opcode, data[start : start + size])
+                    contents.add(opcode, data[start : start + size])
                 except ValueError as error:
                     self._complain(f"{self._path}: in the chunk at byte {place}: {error}; left out")
         if times:
-            described.chunks.append(ChunkPlace(min(times), max(times), place, length))
+            contents.chunks.append(ChunkPlace(min(times), max(times), place, length))
 
     def _read_topics(self) -> tuple[list[BagTopic], dict[str, str], dict[int, str]]:
         topics: dict[str, BagTopic] = {}

@@ -39,7 +39,7 @@ _BAD = (McapError, struct.error, ValueError, KeyError, OverflowError, MemoryErro
 
 @dataclass(slots=True)
 class ChunkPlace:
-    """The place of a chunk's record; `indexes`: channel -> place of its message index, empty when nobody knows."""
+    """The place of a chunk's record; `indexes`: channel -> place of its message index, empty when they are unknown."""
 
     first: int
     last: int
@@ -50,14 +50,14 @@ class ChunkPlace:
 
 @dataclass
 class FileContents:
-    """What is known of a file's channels, schemas and chunks."""
+    """The channels, schemas and chunks of a file, as far as they are known."""
 
     schemas: dict[int, Any] = field(default_factory=dict)
     channels: dict[int, Any] = field(default_factory=dict)
     chunks: list[ChunkPlace] = field(default_factory=list)
     statistics: Any = None
 
-    def take(self, opcode: int, body: bytes) -> None:
+    def add(self, opcode: int, body: bytes) -> None:
         """Add a schema, channel, chunk index or statistics record; ValueError when it is none."""
         reader: Any = {SCHEMA: Schema, CHANNEL: Channel, CHUNK_INDEX: ChunkIndex, STATISTICS: Statistics}.get(opcode)
         if reader is None:
@@ -109,14 +109,14 @@ def read_summary(section: bytes, footer: bytes) -> FileContents:
     _, start, checksum = FOOTER_BODY.unpack_from(footer, RECORD.size)
     if checksum and zlib.crc32(footer[: -LENGTH.size], zlib.crc32(section)) != checksum:
         raise ValueError("its summary does not fit its checksum")
-    described = FileContents()
+    contents = FileContents()
     covered = 0
     for opcode, place, length in body_records(section):
-        described.take(opcode, section[place : place + length])
+        contents.add(opcode, section[place : place + length])
         covered = place + length
-    if covered != len(section) or (start and not described.channels and described.chunks):
+    if covered != len(section) or (start and not contents.channels and contents.chunks):
         raise ValueError("its summary is damaged")
-    return described
+    return contents
 
 
 def chunk_head(data: bytes) -> tuple[int, int, str, int, int]:

@@ -14,7 +14,7 @@ METADATA = "metadata.yaml"
 UNKNOWN = "unknown"
 COMPRESSIONS = ("", "zstd")
 METADATA_BYTES_MAX = 16 * 1024 * 1024
-QUALITY_BYTES_MAX = 64 * 1024
+QOS_BYTES_MAX = 64 * 1024
 FILES_MAX = 10_000
 DEPTH_DEFAULT = 10
 DEPTH_MAX = 1_000_000
@@ -55,16 +55,16 @@ def read_metadata(folder: Path) -> Metadata:
     return Metadata(storage, files, mode if mode == "message" else "", compression)
 
 
-def quality(value: Any) -> dict[str, Any]:
+def qos_profile(value: Any) -> dict[str, Any]:
     """The first offered QoS profile, of YAML text or of what stands in it; nothing when it says none."""
     if isinstance(value, str):
-        value = _load_quietly(value) if len(value) <= QUALITY_BYTES_MAX else None
+        value = _load_quietly(value) if len(value) <= QOS_BYTES_MAX else None
     return value[0] if isinstance(value, list) and value and isinstance(value[0], dict) else {}
 
 
 def topic(name: str, type_name: str, offered: Any) -> BagTopic:
     """A topic with its QoS profile; rosbag2 writes policies as words (version 9) or numbers (before)."""
-    profile = quality(offered)
+    profile = qos_profile(offered)
     reliability = str(profile.get("reliability") or "reliable")
     durability = str(profile.get("durability") or "volatile")
     depth = profile.get("depth")

@@ -147,7 +147,7 @@ def open_bag(path: Path, complain: Complain = refuse) -> OpenBag:
             return
         reported.add(problem)
         more = len(reported) > COMPLAINTS_MAX
-        complain(f"{path}: more than {COMPLAINTS_MAX} faults; the others are not told" if more else problem)
+        complain(f"{path}: more than {COMPLAINTS_MAX} faults; the others are not reported" if more else problem)
 
     return OpenBag(path, once)
 
