@@ -41,13 +41,13 @@ DOCUMENT = {
 
 def test_a_cloud_is_read_as_it_was_written() -> None:
     data = lidar_clouds.cloud(stamp=1_234_000_000_567)
-    found = read_cloud(data)
-    assert (found.header.stamp, found.header.frame) == (1_234_000_000_567, lidar_clouds.FRAME)
+    cloud = read_cloud(data)
+    assert (cloud.header.stamp, cloud.header.frame) == (1_234_000_000_567, lidar_clouds.FRAME)
     message = messages.store.deserialize_cdr(data, messages.CLOUD_TYPE)
     words = struct.unpack(f"<{len(message.data) // 4}f", message.data.tobytes())
-    assert list(found.x) == list(words[0::4])
-    assert list(found.z) == list(words[2::4])
-    assert list(found.intensity) == list(words[3::4])
+    assert list(cloud.x) == list(words[0::4])
+    assert list(cloud.z) == list(words[2::4])
+    assert list(cloud.intensity) == list(words[3::4])
 
 
 def test_poses_are_written_as_ros_reads_them() -> None:
@@ -65,9 +65,9 @@ def test_poses_are_written_as_ros_reads_them() -> None:
 def test_the_box_is_found_as_far_as_is_promised(criteria: ObjectCriteria, error_m: float) -> None:
     for x in [*range(-int(criteria.range_m) + 3, -5, 4), *range(6, int(criteria.range_m) - 4, 4)]:
         other = scene.Place(float(x), 4.0, math.pi)
-        found = find_objects(read_cloud(lidar_clouds.cloud(other, seed=x + 100)), criteria)
-        assert len(found) == 1, x
-        assert math.dist((found[0].pose.x, found[0].pose.y), lidar_clouds.seen_at(other)) <= error_m, x
+        objects = find_objects(read_cloud(lidar_clouds.cloud(other, seed=x + 100)), criteria)
+        assert len(objects) == 1, x
+        assert math.dist((objects[0].pose.x, objects[0].pose.y), lidar_clouds.seen_at(other)) <= error_m, x
 
 
 @pytest.mark.parametrize("criteria", [OLDER, NEWER])
@@ -79,8 +79,8 @@ def test_nothing_is_found_where_nothing_is(criteria: ObjectCriteria) -> None:
 
 def test_a_turned_vehicle_has_its_heading() -> None:
     other = scene.Place(12.0, 0.0, math.radians(60))
-    [found] = find_objects(read_cloud(lidar_clouds.cloud(other)), NEWER)
-    heading = 2 * math.atan2(found.pose.quaternion_z, found.pose.quaternion_w)
+    [detected] = find_objects(read_cloud(lidar_clouds.cloud(other)), NEWER)
+    heading = 2 * math.atan2(detected.pose.quaternion_z, detected.pose.quaternion_w)
     deviation = (heading - (other.yaw - lidar_clouds.MOUNT.yaw) + math.pi / 2) % math.pi - math.pi / 2
     assert abs(math.degrees(deviation)) < 6
 

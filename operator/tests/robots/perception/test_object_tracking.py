@@ -32,11 +32,11 @@ def poses(count: int, places: Sequence[tuple[float, float]]) -> Poses:
 
 def identities(settings: TrackerSettings, speed: float, unseen: Sequence[int] = ()) -> list[int]:
     """Identity per cloud of one object that drives at `speed` m/s."""
-    tracker, found = Tracker(settings), []
+    tracker, seen = Tracker(settings), []
     for count in range(1, 40):
         places = [] if count in unseen else [(speed * count / 10, 0.0)]
-        found += [track.id for track in tracker.observe(poses(count, places))]
-    return found
+        seen += [track.id for track in tracker.observe(poses(count, places))]
+    return seen
 
 
 @pytest.mark.parametrize(("settings", "speed"), [(OLDER, 15.0), (NEWER, 30.0)])
@@ -70,8 +70,8 @@ def test_objects_found_in_clouds_keep_their_identity() -> None:
     for count in range(1, 41):
         other = scene.Place(50.0 - 2.5 * count, 4.0, math.pi)
         cloud = read_cloud(lidar_clouds.cloud(other, stamp=count * PERIOD_NS, seed=count))
-        found = find_objects(cloud, ObjectCriteria(REFLECTANCE, 60))
-        tracks = tracker.observe(Poses(cloud.header, tuple(one.pose for one in found)))
+        objects = find_objects(cloud, ObjectCriteria(REFLECTANCE, 60))
+        tracks = tracker.observe(Poses(cloud.header, tuple(one.pose for one in objects)))
         assert len(tracks) == 1
         seen |= {track.id for track in tracks}
     assert seen == {1}
@@ -94,8 +94,8 @@ def service(**changes: Any) -> tuple[ObjectTracking, Network]:
 def test_every_message_gives_the_tracks_as_text() -> None:
     tracking, network = service()
     for count, places in ((1, []), (2, [(1.0, 2.0)]), (4, [(1.5, 2.0)])):
-        found = poses(count, places)
-        network.endpoint("/v/objects").waiting.append(write_poses(found.header, found.poses))
+        observed = poses(count, places)
+        network.endpoint("/v/objects").waiting.append(write_poses(observed.header, observed.poses))
     tracking.processor.turn()
     published = network.endpoint("/v/tracks").published
     assert messages.store.deserialize_cdr(published[0], "std_msgs/msg/String").data == CdrReader(published[0]).text()
@@ -117,7 +117,7 @@ def test_other_settings_begin_anew() -> None:
     network.endpoint("/v/objects").waiting.append(write_poses(Header(3, "lidar"), [PlanarPose(0, 0, 0)]))
     tracking.processor.turn()
     tracks = [json.loads(CdrReader(data).text())["tracks"] for data in network.endpoint("/v/tracks").published]
-    assert [[track["id"] for track in found] for found in tracks] == [[1, 2], [1, 2], [1]]
+    assert [[track["id"] for track in document] for document in tracks] == [[1, 2], [1, 2], [1]]
 
 
 def test_what_is_no_pose_array_is_counted() -> None:

@@ -102,8 +102,8 @@ def stage(tmp_path: Path) -> Iterator[Stage]:
 
 def page(port: int, path: str) -> str:
     with urllib.request.urlopen(f"http://127.0.0.1:{port}{path}", timeout=5) as answer:
-        found: bytes = answer.read()
-    return found.decode()
+        body: bytes = answer.read()
+    return body.decode()
 
 
 def test_a_vehicle_in_live_clouds_gets_an_identity(stage: Stage) -> None:
@@ -113,8 +113,8 @@ def test_a_vehicle_in_live_clouds_gets_an_identity(stage: Stage) -> None:
     stage.run("sender", "-c", SENDER, str(stage.folder / "cloud"))
 
     def tracked() -> list[dict[str, Any]]:
-        found = (json.loads(line) for line in stage.lines("sender") if line.startswith("{"))
-        return [document for document in found if document["tracks"]]
+        documents = (json.loads(line) for line in stage.lines("sender") if line.startswith("{"))
+        return [document for document in documents if document["tracks"]]
 
     until(lambda: len(tracked()) >= 5 and "uncertainty 12" in stage.lines("sender"))
     assert {track["id"] for document in tracked() for track in document["tracks"]} == {1}
@@ -140,5 +140,5 @@ def test_wrong_settings_are_refused_with_file_and_key(
 ) -> None:
     process, _ = stage.serve(name, settings)
     assert process.wait(20) == 2
-    said = (stage.folder / f"{name}.log").read_text()
-    assert f"{stage.folder}/{name}.yaml: {problem}" in said
+    log = (stage.folder / f"{name}.log").read_text()
+    assert f"{stage.folder}/{name}.yaml: {problem}" in log

@@ -16,13 +16,13 @@ pytestmark = pytest.mark.processes
 
 
 def test_messages_are_published_when_they_are_due(start: Callable[..., subprocess.Popen[str]], tmp_path: Path) -> None:
-    process = start("-m", "tests.stages.ros.due_publisher", "/due", str(tmp_path / "found.json"))
+    process = start("-m", "tests.stages.ros.due_publisher", "/due", str(tmp_path / "results.json"))
     until(lambda: process.poll() is not None)
     assert process.returncode == 0
-    found = json.loads((tmp_path / "found.json").read_text())
+    results = json.loads((tmp_path / "results.json").read_text())
 
-    turns = found["in_turns"]
-    assert turns["said"] == [due_publisher.COUNT, 0, ""]
+    turns = results["in_turns"]
+    assert turns["outcome"] == [due_publisher.COUNT, 0, ""]
     assert turns["took"] >= (due_publisher.COUNT - 1) * due_publisher.STEP_NS
     for place, taken in enumerate(turns["taken"]):
         numbers = [number for number, _ in taken]
@@ -30,9 +30,9 @@ def test_messages_are_published_when_they_are_due(start: Callable[..., subproces
         assert all(after >= number * due_publisher.STEP_NS for number, after in taken), "none before its time"
     assert turns["turns"] >= 1, "another thread ran meanwhile"
 
-    assert found["past"] == [3, 1, ""]
-    assert found["signal"]["said"] == [1, 0, ""]
-    assert found["signal"]["seen"], "the interpreter got the signal"
-    assert found["none"] == [0, 0, ""]
-    assert found["wrong"] == "TypeError"
-    assert found["closed"] == [1, 1, "the publisher is closed"]
+    assert results["past"] == [3, 1, ""]
+    assert results["signal"]["outcome"] == [1, 0, ""]
+    assert results["signal"]["seen"], "the interpreter got the signal"
+    assert results["none"] == [0, 0, ""]
+    assert results["wrong"] == "TypeError"
+    assert results["closed"] == [1, 1, "the publisher is closed"]

@@ -82,17 +82,17 @@ def test_random_fields_of_random_types_are_read(count: int) -> None:
     for seed in range(count):
         types = RandomTypes(seed)
         value = types.one(types.top)
-        wanted = [found for found in (types.path(value) for _ in range(types.draw.randrange(1, 12))) if found]
+        wanted = [chosen for chosen in (types.path(value) for _ in range(types.draw.randrange(1, 12))) if chosen]
         text = types.text()
         reader = Layouts({"test_msgs/msg/T0": text}.__getitem__).reader(
             "test_msgs/msg/T0", [path for path, _ in wanted]
         )
         for little in (True, False):
             data = types.message(value, little)
-            found = reader(memoryview(data) if little else data)
-            assert [plain(one) for one in found] == [expected for _, expected in wanted], (seed, wanted, text)
-            assert [kind_of(one) for one in found] == list(reader.kinds), (seed, wanted)
-            read += len(found)
+            values = reader(memoryview(data) if little else data)
+            assert [plain(one) for one in values] == [expected for _, expected in wanted], (seed, wanted, text)
+            assert [kind_of(one) for one in values] == list(reader.kinds), (seed, wanted)
+            read += len(values)
     assert read > 3 * count
 
 
@@ -123,9 +123,9 @@ def test_installed_types_are_read_as_the_type_library_writes_them(type_name: str
     """Every single field of every installed type: each number of the message is another."""
     message = build(type_name, iter(range(1, 100_000)))
     data = bytes(store.serialize_cdr(message, type_name))
-    found = Layouts(installed)
-    paths = [path for path in found.fields(type_name) if "[]" not in path]
-    for path, value in zip(paths, found.reader(type_name, paths)(data), strict=True):
+    known = Layouts(installed)
+    paths = [path for path in known.fields(type_name) if "[]" not in path]
+    for path, value in zip(paths, known.reader(type_name, paths)(data), strict=True):
         expected = message
         for part in path.split("."):
             expected = getattr(expected, part)
@@ -199,12 +199,12 @@ def test_elements_columns_and_the_same_field_twice() -> None:
 
 
 def test_fields_and_stamps_of_types_are_known() -> None:
-    found = layouts()
-    assert found.fields("test_msgs/msg/Poses")[:3] == ["header.stamp", "header.frame_id", "poses[].header.stamp"]
-    assert found.stamp_path(POSE) == "header.stamp"
-    assert found.stamp_path("std_msgs/msg/Header") == "stamp"
-    assert found.stamp_path("test_msgs/msg/Nothing") == ""
-    assert found.reader(POSE, ("header.stamp",)) is found.reader(POSE, ["header.stamp"])
+    known = layouts()
+    assert known.fields("test_msgs/msg/Poses")[:3] == ["header.stamp", "header.frame_id", "poses[].header.stamp"]
+    assert known.stamp_path(POSE) == "header.stamp"
+    assert known.stamp_path("std_msgs/msg/Header") == "stamp"
+    assert known.stamp_path("test_msgs/msg/Nothing") == ""
+    assert known.reader(POSE, ("header.stamp",)) is known.reader(POSE, ["header.stamp"])
 
 
 @pytest.mark.parametrize(
@@ -272,7 +272,7 @@ def test_no_payload_crashes_hangs_or_grows(count: int) -> None:
             types = RandomTypes(seed % 500)
             draw = random.Random(seed)  # noqa: S311 - the same cases every time
             value = types.one(types.top)
-            paths = [found[0] for found in (types.path(value) for _ in range(6)) if found]
+            paths = [chosen[0] for chosen in (types.path(value) for _ in range(6)) if chosen]
             reader = Layouts({"test_msgs/msg/T0": types.text()}.__getitem__).reader("test_msgs/msg/T0", paths)
             data = damaged(draw, types.message(value, draw.random() < 0.5))
             tracemalloc.reset_peak()
@@ -312,10 +312,10 @@ def test_a_megabyte_of_empty_texts_is_passed_or_refused_in_time(texts: int, outc
     data = bytes([0, 1, 0, 0]) + bytes(16) + texts.to_bytes(4, "little") + bytes(1_000_000)
     began = time.process_time()
     try:
-        found = reader(data)[0]
+        value = reader(data)[0]
     except ValueError:
-        found = None
-    assert found == outcome
+        value = None
+    assert value == outcome
     assert time.process_time() - began < 2
 
 
@@ -333,9 +333,9 @@ def test_no_definition_crashes_or_hangs(count: int) -> None:
                 ["", lines[place][: draw.randrange(1 + len(lines[place]))], draw.choice(lines), "T0[] again",
                  "uint8[4294967295] a", "T1[4294967295] b", draw.randbytes(9).decode("latin-1")]
             )  # fmt: skip
-        found = Layouts({"test_msgs/msg/T0": "\n".join(lines)}.__getitem__)
+        known = Layouts({"test_msgs/msg/T0": "\n".join(lines)}.__getitem__)
         try:
-            reader = found.reader("test_msgs/msg/T0", found.fields("test_msgs/msg/T0")[:50])
+            reader = known.reader("test_msgs/msg/T0", known.fields("test_msgs/msg/T0")[:50])
         except ValueError:
             continue
         readable += 1

@@ -183,36 +183,38 @@ def test_a_real_publisher_is_heard_once_and_without_a_gap(
     start("-m", "tests.stages.ros.qos_publisher", "/numbers", json.dumps(wanted))
     until(lambda: receiver.poll() is not None)
     assert receiver.returncode == 0
-    found = json.loads((tmp_path / "numbers.json").read_text())
-    assert sorted(found) == list(range(-1, COUNT - 1))
+    numbers = json.loads((tmp_path / "numbers.json").read_text())
+    assert sorted(numbers) == list(range(-1, COUNT - 1))
 
 
 def test_a_subscription_gives_what_waits_in_three_forms(
     start: Callable[..., subprocess.Popen[str]], tmp_path: Path
 ) -> None:
-    process = start("-m", "tests.stages.ros.self_receiver", "/bytes", str(tmp_path / "found.json"))
+    process = start("-m", "tests.stages.ros.self_receiver", "/bytes", str(tmp_path / "results.json"))
     until(lambda: process.poll() is not None)
     assert process.returncode == 0
-    found = json.loads((tmp_path / "found.json").read_text())
-    assert found["empty"] == [[], [[], None], []]
+    results = json.loads((tmp_path / "results.json").read_text())
+    assert results["empty"] == [[], [[], None], []]
 
     numbers = list(range(self_receiver.COUNT + 1))
     sizes = [
         len(self_receiver.message(number, self_receiver.LONG_BYTES * (number == self_receiver.COUNT)))
         for number in numbers
     ]
-    assert max(map(len, found["take"])) <= 3
-    assert [tuple(one) for several in found["take"] for one in several] == list(zip(numbers, sizes, strict=True))
+    assert max(map(len, results["take"])) <= 3
+    assert [tuple(one) for several in results["take"] for one in several] == list(zip(numbers, sizes, strict=True))
 
-    assert max(len(several) for several, _ in found["take_timed"]) <= 4
-    assert [number for several, _ in found["take_timed"] for number, _ in several] == numbers
-    for several, last in found["take_timed"]:
+    assert max(len(several) for several, _ in results["take_timed"]) <= 4
+    assert [number for several, _ in results["take_timed"] for number, _ in several] == numbers
+    for several, last in results["take_timed"]:
         assert last == (several[-1][0] + 1 if several else None), "a publisher numbers from 1"
 
-    assert [(number, said) for number, _, _, said in found["take_sent"]] == [(one, one + 1) for one in numbers]
-    for _, received, sent, _ in found["take_sent"]:
-        assert found["began"] <= sent <= received <= found["ended"]
+    assert [(number, position) for number, _, _, position in results["take_sent"]] == [
+        (one, one + 1) for one in numbers
+    ]
+    for _, received, sent, _ in results["take_sent"]:
+        assert results["began"] <= sent <= received <= results["ended"]
 
-    assert found["closed"] == ["the subscription is closed"] * 3
-    first, last = found["memory"]
+    assert results["closed"] == ["the subscription is closed"] * 3
+    first, last = results["memory"]
     assert last - first < 4 * self_receiver.BURST_BYTES, "a tenth of what went through, and what allocators keep"

@@ -31,7 +31,7 @@ def main(topic: str, file: Path) -> None:
     for _ in rounds():
         if all(publisher.matched for publisher in publishers):
             break
-    found = {
+    results = {
         "in_turns": in_turns(node, publishers, subscriptions),
         "past": past(node, publishers[0]),
         "signal": signalled(node, publishers[0]),
@@ -39,7 +39,7 @@ def main(topic: str, file: Path) -> None:
         "wrong": wrong(lambda: node.publish_due([(publishers[0], 0, "text")], LATE_NS)),  # type: ignore[list-item]
         "closed": closed(node, publishers),
     }
-    file.write_text(json.dumps(found))
+    file.write_text(json.dumps(results))
     os._exit(0)
 
 
@@ -54,7 +54,7 @@ def in_turns(node: RosNode, publishers: list[RosPublisher], subscriptions: list[
     other = threading.Thread(target=count)
     other.start()
     asked = [(publishers[k % 2], begin + k * STEP_NS, message(k)) for k in range(COUNT)]
-    said = node.publish_due(asked, LATE_NS)
+    outcome = node.publish_due(asked, LATE_NS)
     took = time.time_ns() - begin
     ended.set()
     other.join()
@@ -64,7 +64,7 @@ def in_turns(node: RosNode, publishers: list[RosPublisher], subscriptions: list[
             several += [(number_of(data), sent.time - begin) for data, _, sent in subscription.take_sent()]
         if sum(map(len, taken)) == COUNT:
             break
-    return {"said": said, "took": took, "taken": taken, "turns": next(turns)}
+    return {"outcome": outcome, "took": took, "taken": taken, "turns": next(turns)}
 
 
 def past(node: RosNode, publisher: RosPublisher) -> Any:
@@ -80,8 +80,8 @@ def signalled(node: RosNode, publisher: RosPublisher) -> dict[str, Any]:
     signal.signal(signal.SIGALRM, lambda number, _: seen.append(number))
     now = time.time_ns()
     signal.setitimer(signal.ITIMER_REAL, 0.3)
-    said = node.publish_due([(publisher, now + k * 10 * SECOND_NS, message(k)) for k in range(2)], LATE_NS)
-    return {"said": said, "seen": seen}
+    outcome = node.publish_due([(publisher, now + k * 10 * SECOND_NS, message(k)) for k in range(2)], LATE_NS)
+    return {"outcome": outcome, "seen": seen}
 
 
 def closed(node: RosNode, publishers: list[RosPublisher]) -> Any:

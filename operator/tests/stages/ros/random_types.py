@@ -127,25 +127,25 @@ class RandomTypes:
         if not self.types[type_name]:
             return None
         member = self.draw.choice(self.types[type_name])
-        path, found = member.name, [value[member.name] for value in values]
+        path, reached = member.name, [value[member.name] for value in values]
         simple = member.type in NUMBERS or member.type in TEXTS
         if member.extent:
             if simple and self.draw.random() < 0.5:
-                return path + self.draw.choice(["", "[]"]), found[0] if one else found
-            shortest = min((len(elements) for elements in found), default=0)
+                return path + self.draw.choice(["", "[]"]), reached[0] if one else reached
+            shortest = min((len(elements) for elements in reached), default=0)
             if shortest and self.draw.random() < 0.6:
                 index = self.draw.randrange(shortest)
-                path, found = f"{path}[{index}]", [elements[index] for elements in found]
+                path, reached = f"{path}[{index}]", [elements[index] for elements in reached]
             elif one and not simple:
-                path, found, one = f"{path}[]", found[0], False
+                path, reached, one = f"{path}[]", reached[0], False
             else:
                 return None
         if simple:
-            return path, found[0] if one else found
+            return path, reached[0] if one else reached
         if member.type == TIME and self.draw.random() < 0.5:
-            times = [value["sec"] * NANOSECONDS + value["nanosec"] for value in found]
+            times = [value["sec"] * NANOSECONDS + value["nanosec"] for value in reached]
             return path, times[0] if one else times
-        rest = self._path(member.type, found, one)
+        rest = self._path(member.type, reached, one)
         return (f"{path}.{rest[0]}", rest[1]) if rest else None
 
 

@@ -33,15 +33,15 @@ def main(name: str, file: Path) -> None:
         TopicSettings(TopicPattern(name), "std_msgs/msg/Float64", depth=COUNT),
     )
     subscription = topics.subscribe(name, settings, QosProfile())
-    found, renewals, end = list[float](), 0, time.monotonic() + SECONDS_MAX
-    while len(found) < COUNT and time.monotonic() < end:
+    numbers, renewals, end = list[float](), 0, time.monotonic() + SECONDS_MAX
+    while len(numbers) < COUNT and time.monotonic() < end:
         time.sleep(0.015)
-        found += [struct.unpack_from("<d", data, 4)[0] for data, _ in subscription.drain(1000)]
-        if len(found) >= (renewals + 1) * MESSAGES_BETWEEN:
+        numbers += [struct.unpack_from("<d", data, 4)[0] for data, _ in subscription.drain(1000)]
+        if len(numbers) >= (renewals + 1) * MESSAGES_BETWEEN:
             renewals += 1
             subscription = topics.subscribe(name, settings, QosProfile(durability=TRANSIENT_LOCAL), subscription)
-    file.write_text(json.dumps(found))
-    os._exit(0 if len(found) >= COUNT else 1)
+    file.write_text(json.dumps(numbers))
+    os._exit(0 if len(numbers) >= COUNT else 1)
 
 
 if __name__ == "__main__":

@@ -44,19 +44,19 @@ def main(topic: str, file: Path) -> None:
     for _ in rounds():
         if publisher.matched == 4:
             break
-    found: dict[str, Any] = {"empty": [plain.take(), timed.take_timed(), sent.take_sent()], "began": time.time_ns()}
+    results: dict[str, Any] = {"empty": [plain.take(), timed.take_timed(), sent.take_sent()], "began": time.time_ns()}
     for number in range(COUNT):
         publisher.publish(message(number))
     publisher.publish(message(COUNT, LONG_BYTES))
-    found["take"] = [[(number_of(data), len(data)) for data in several] for several in _plain(plain)]
-    found["take_timed"] = [
+    results["take"] = [[(number_of(data), len(data)) for data in several] for several in _plain(plain)]
+    results["take_timed"] = [
         ([(number_of(data), received) for data, received in several], last) for several, last in _timed(timed)
     ]
-    found["take_sent"] = [(number_of(data), received, *said) for data, received, said in _sent(sent)]
-    found["ended"] = time.time_ns()
-    found["closed"] = _refusals(closed)
-    found["memory"] = _memory(publisher, plain, timed, sent)
-    file.write_text(json.dumps(found))
+    results["take_sent"] = [(number_of(data), received, *identity) for data, received, identity in _sent(sent)]
+    results["ended"] = time.time_ns()
+    results["closed"] = _refusals(closed)
+    results["memory"] = _memory(publisher, plain, timed, sent)
+    file.write_text(json.dumps(results))
     os._exit(0)
 
 
@@ -70,41 +70,41 @@ def rounds() -> Iterator[None]:
 
 
 def _plain(subscription: RosSubscription) -> list[list[bytes]]:
-    found: list[list[bytes]] = []
+    received: list[list[bytes]] = []
     for _ in rounds():
-        found.append(subscription.take(3))
-        if sum(map(len, found)) > COUNT:
+        received.append(subscription.take(3))
+        if sum(map(len, received)) > COUNT:
             break
-    return found
+    return received
 
 
 def _timed(subscription: RosSubscription) -> list[tuple[list[tuple[bytes, int]], int | None]]:
-    found: list[tuple[list[tuple[bytes, int]], int | None]] = []
+    received: list[tuple[list[tuple[bytes, int]], int | None]] = []
     for _ in rounds():
-        found.append(subscription.take_timed(4))
-        if sum(len(several) for several, _ in found) > COUNT:
+        received.append(subscription.take_timed(4))
+        if sum(len(several) for several, _ in received) > COUNT:
             break
-    return found
+    return received
 
 
 def _sent(subscription: RosSubscription) -> list[tuple[bytes, int, MessageIdentity]]:
-    found: list[tuple[bytes, int, MessageIdentity]] = []
+    received: list[tuple[bytes, int, MessageIdentity]] = []
     for _ in rounds():
-        found += subscription.take_sent()
-        if len(found) > COUNT:
+        received += subscription.take_sent()
+        if len(received) > COUNT:
             break
-    return found
+    return received
 
 
 def _refusals(subscription: RosSubscription) -> list[str]:
     subscription.close()
-    said = []
+    refusals = []
     for take in (subscription.take, subscription.take_timed, subscription.take_sent):
         try:
             take(1)
         except RuntimeError as error:
-            said.append(str(error))
-    return said
+            refusals.append(str(error))
+    return refusals
 
 
 def _memory(

@@ -1,1 +1,1 @@
-"""ROS 2: subscriptions and publishers, quality of service, reading of serialised messages, buffers."""
+"""ROS 2: subscriptions and publishers, QoS profiles, reading of serialised messages, buffers."""
