@@ -23,7 +23,7 @@ from robotkube.registry.suites import __main__ as suite_runner
 from robotkube.robots.bags.core.playback import read_player_settings
 from robotkube.robots.bridge.core.settings import read_bridge_settings
 from robotkube.robots.detector.core.settings import read_detector_settings
-from robotkube.robots.perception.core.settings import read_detection_settings, read_track_settings
+from robotkube.robots.perception.core.settings import read_detection_settings, read_tracking_settings
 from robotkube.setup import bootstrap, teardown
 from tests.stages.paths import CHARTS
 from tests.stages.settings_mounted import mounted, write
@@ -43,7 +43,7 @@ APPS: dict[str, Callable[[Mapping[str, Any], str], Any]] = {
     "event-detector": read_detector_settings,
     "mqtt-bridge": read_bridge_settings,
     "object-detection": read_detection_settings,
-    "object-tracking": read_track_settings,
+    "object-tracking": read_tracking_settings,
 }
 
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from robotkube.robots.bags.adapters.reading import open_bag
-from robotkube.robots.perception.core.detection import REFLECTANCE, FindingSettings, find_objects
+from robotkube.robots.perception.core.detection import REFLECTANCE, ObjectCriteria, find_objects
 from robotkube.robots.perception.core.messages import Poses, read_cloud
-from robotkube.robots.perception.core.tracking import STEADY, Tracker, TrackingSettings
+from robotkube.robots.perception.core.tracking import STEADY, Tracker, TrackerSettings
 from scenarios import definition
 from scenarios.generator import bags, checking, drives, intersection, routes, three_vehicles
 from tests.stages.paths import SCENARIOS
@@ -105,7 +105,7 @@ def test_perception_on_the_road_side_unit_follows_one_vehicle(
     passing: definition.Scenario, made: Mapping[str, Path]
 ) -> None:
     """The bag through both services: one identity, seen whenever it is within the range that is guaranteed."""
-    bag, tracker = open_bag(made["roadside-0"]), Tracker(TrackingSettings(STEADY, 4.0, 1.0))
+    bag, tracker = open_bag(made["roadside-0"]), Tracker(TrackerSettings(STEADY, 4.0, 1.0))
     topic, parameters = definition.cloud_topic("roadside-0"), passing.parameters
     identities, missed, clouds = set(), [], 0
     for name, moment, data in bag.messages():
@@ -113,7 +113,7 @@ def test_perception_on_the_road_side_unit_follows_one_vehicle(
             continue
         clouds += 1
         cloud = read_cloud(data)
-        found = find_objects(cloud, FindingSettings(REFLECTANCE, 60))
+        found = find_objects(cloud, ObjectCriteria(REFLECTANCE, 60))
         identities |= {track.id for track in tracker.observe(Poses(cloud.header, tuple(one.pose for one in found)))}
         vehicle, unit = (routes.motion(parameters, index, np.array([moment / 1e9])) for index in (0, 1))
         if routes.distance(vehicle, unit)[0] < 58 and len(found) != 1:
