@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import pytest
 
+from robotkube.robots.detector.adapters.type_definitions import definition
 from robotkube.robots.detector.core.settings import MQTT, TopicSettings
 from robotkube.robots.detector.loops.broker import QUEUE_MAX, TOPICS_MAX, Broker, MqttReactions
-from robotkube.robots.detector.wiring import definition
 from robotkube.robots.mqtt.core.batches import encode_frame
 from robotkube.robots.mqtt.core.message_properties import gaps_property, type_properties
 from robotkube.robots.mqtt.core.properties import read_properties

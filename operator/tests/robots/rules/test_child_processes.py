@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from robotkube.robots.detector.wiring import CachedExpressionCheck
+from robotkube.robots.detector.adapters.expression_checks import CachedExpressionCheck
 from robotkube.robots.ros.core.cdr_readers.readers import Layouts
 from robotkube.robots.rules.adapters.child_processes import ChildProcess
 from robotkube.robots.rules.core import RISE, START, STOP, Edge, Rule, RuleAnswer, RuleQuestion

@@ -29,8 +29,10 @@ from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.foundation.runtime.adapters.health_server import HealthServer
 from robotkube.foundation.runtime.config_watch import follow_settings, ownership_of
 from robotkube.foundation.runtime.process import PodSettings, Process, read_text, run
-from robotkube.robots.detector import wiring as parts
+from robotkube.robots.detector import wiring
+from robotkube.robots.detector.adapters.expression_checks import CachedExpressionCheck
 from robotkube.robots.detector.adapters.ros_topics import RosTopics
+from robotkube.robots.detector.adapters.type_definitions import definition
 from robotkube.robots.detector.core.settings import MQTT, STATES, DetectorSettings, read_detector_settings
 from robotkube.robots.detector.loops.detector import EventDetector
 from robotkube.robots.detector.loops.dispatching import Dispatcher
@@ -100,33 +102,33 @@ class Room:
         self._name = pod.config_map or ""
         self._news: deque[tuple[DetectorSettings, int]] = deque(maxlen=NEWS_MAX)
         self._commands: deque[tuple[str, int]] = deque(maxlen=COMMANDS_MAX)
-        self._expressions = parts.CachedExpressionCheck(parts.check_expressions)
+        self._expressions = CachedExpressionCheck()
         self._learned: deque[str] = deque()
         self._ready = False
         self.refusal = SettingsRefusal()
-        self._spans = parts.make_spans(os.environ, self._name)
+        self._spans = wiring.make_spans(os.environ, self._name)
         self.layouts = Layouts(self._definition)
         self.detector = self._make()
         self.status = DetectorStatus(self.detector, time.time_ns, self.refusal, self._unreachable, self._kept)
 
     def _make(self) -> EventDetector:
         raising = Dispatcher(
-            lambda settings, box: parts.make_operator(settings, self._pod, self._ownership, box),
-            lambda settings, box: parts.make_reaction(
+            lambda settings, box: wiring.make_operator(settings, self._pod, self._ownership, box),
+            lambda settings, box: wiring.make_reaction(
                 settings, self._pod, self._ownership, box, self._connection, self._journal_of(box)
             ),
             time.time_ns,
             self._spans,
         )
         recordings = RecordingReactions(
-            lambda plan, buffers: parts.make_recordings(plan, buffers, self._pod, self._ownership, self._carried)
+            lambda plan, buffers: wiring.make_recordings(plan, buffers, self._pod, self._ownership, self._carried)
         )
         return EventDetector(
             self._source,
             self.layouts,
             raising,
             recordings,
-            lambda: parts.make_workers(lambda: self.detector.settings, self._definition),
+            lambda: wiring.make_workers(lambda: self.detector.settings, self._definition),
             time.time_ns,
             time.monotonic,
         )
@@ -134,17 +136,18 @@ class Room:
     def read(self, text: str, where: str) -> DetectorSettings:
         """Read settings from a text; DocumentError has all problems."""
         document = read_mapping(text, where, values=False)
-        return read_detector_settings(document, where, parts.knowledge(document, self.layouts, self._expressions))
+        context = wiring.settings_context(document, self.layouts, self._expressions)
+        return read_detector_settings(document, where, context)
 
     def begin(self, settings: DetectorSettings) -> None:
         """Apply the first settings, and fill the buffers when they name a bag."""
         self._name = settings.name
         self.detector.apply(settings)
         if settings.bag:
+            from robotkube.robots.detector.adapters.bag_messages import read_bag
+
             try:
-                filled = self.detector.fill(
-                    parts.read_bag(Path(settings.bag), self._complain, self.detector.topics.asked)
-                )
+                filled = self.detector.fill(read_bag(Path(settings.bag), self._complain, self.detector.topics.asked))
             except InputError as error:
                 raise InputError(f"{self._pod.config_file}: buffer.bag: {error}") from error
             self._process.log("filled", bag=settings.bag, messages=filled)
@@ -242,9 +245,9 @@ class Room:
 
     def _journal_of(self, box: DeadLetterBox) -> DeliveryJournal | None:
         """The journal of deliveries, made for the first reaction that needs it; None when no folder is named."""
-        folder = os.environ.get(parts.JOURNAL_VARIABLE, "")
+        folder = os.environ.get(wiring.JOURNAL_VARIABLE, "")
         if self._journal is None and folder:
-            self._journal = parts.make_journal(folder, self._name, box)
+            self._journal = wiring.make_journal(folder, self._name, box)
         return self._journal
 
     def _source(self, name: str) -> LiveTopics:
@@ -253,7 +256,7 @@ class Room:
     def _connection(self) -> Broker:
         if self._broker is None:
             lack = self.detector.recordings.lack
-            self._broker = parts.make_broker(self._pod, self._name, self._ownership, self._learned.append, lack)
+            self._broker = wiring.make_broker(self._pod, self._name, self._ownership, self._learned.append, lack)
         return self._broker
 
     # on other threads ------------------------------------------------------------------------------------------------
@@ -275,21 +278,10 @@ class Room:
 
     def _warn(self, sentence: str) -> None:
         """Create a Kubernetes Event about the ConfigMap, where its author sees it."""
-        from robotkube.foundation.documents.core.times import time_text
-        from robotkube.foundation.kubernetes.adapters.http_client import (
-            ApiServer,
-            config_map_warning,
-            event_path,
-            split_name,
-        )
+        from robotkube.robots.detector.adapters.config_map_events import report_refused_settings
 
-        namespace, name = split_name(self._pod.config_map or "")
-        message = f"{sentence}; the settings before go on"
-        component = "event-detector"
-        now = time_text(time.time_ns())
-        event = config_map_warning(namespace, name, "SettingsRefused", message, component, now)
         try:
-            ApiServer.from_environment(os.environ).create(event_path(namespace), event)
+            report_refused_settings(self._pod.config_map or "", sentence, time.time_ns())
         except RobotKubeError as error:
             self._process.log("no Kubernetes Event", error=str(error))
 
@@ -308,7 +300,7 @@ class Room:
         return "" if self._broker is None else self._broker.definitions.get(type_name, "")
 
     def _definition(self, type_name: str) -> str:
-        return parts.definition(type_name, {} if self._broker is None else self._broker.definitions)
+        return definition(type_name, {} if self._broker is None else self._broker.definitions)
 
     def _kept(self) -> Mapping[str, Any]:
         return MEMORY_ONLY if self._journal is None else self._journal.document()

@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import os
-import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robotkube.errors import InputError, RefusalError
+from robotkube.errors import InputError
 from robotkube.foundation.runtime.loops.fencing import Fencing
 from robotkube.foundation.runtime.process import PodSettings, read_secret
 from robotkube.robots.detector.core.settings import DetectorSettings, SettingsContext
 from robotkube.robots.reactions.core.settings import DeliveryReaction, MqttReaction, PythonReaction, WebhookReaction
-from robotkube.robots.reactions.core.task_requests import renewal
 from robotkube.robots.reactions.loops.operator import OperatorReactions
 from robotkube.robots.recording.core.plans import RecordingPlan
 
 if TYPE_CHECKING:
-    from robotkube.foundation.kubernetes.adapters.http_client import ApiServer
     from robotkube.robots.detector.loops.broker import Broker
     from robotkube.robots.reactions.loops.dead_letters import DeadLetterBox
     from robotkube.robots.reactions.loops.delivery_journal import DeliveryJournal
@@ -29,59 +26,13 @@ if TYPE_CHECKING:
     from robotkube.robots.ros.core.cdr_readers.readers import Layouts
     from robotkube.robots.ros.core.gaps import Gap
     from robotkube.robots.ros.core.ring_buffers import RingBuffer
-    from robotkube.robots.rules.core.specification.expressions import Check, Checked
+    from robotkube.robots.rules.core.specification.expressions import Check
     from robotkube.robots.rules.loops.workers import RuleWorkers
 
 RECORDINGS_FOLDER = "/var/lib/robotkube/recordings"
-TASKS = ("robotkube.io", "v1alpha1", "taskdescriptions")
 SESSION_SECONDS = 60
 JOURNAL_VARIABLE = "ROBOTKUBE_REACTIONS"
 SPANS_VARIABLE = "OTEL_EXPORTER_OTLP_TRACES_ENDPOINT"
-
-
-class ApiTasks:
-    """The TaskDescriptions of one namespace over the API server (port OwnTasks). Nothing is written while the process
-    is not sure that its release is still its own: UnavailableError."""
-
-    def __init__(self, api: ApiServer, namespace: str, ownership: Fencing) -> None:
-        self._api = api
-        self._namespace = namespace
-        self._ownership = ownership
-
-    def tasks(self) -> Sequence[Mapping[str, Any]]:
-        """See the port."""
-        task_list = self._api.get(self._path()) or {}
-        return list(task_list.get("items", []))
-
-    def create(self, task: Mapping[str, Any]) -> None:
-        """Create the object; RefusalError carries the server's words."""
-        self._ownership.check()
-        try:
-            self._api.create(self._path(), task)
-        except InputError as error:
-            raise RefusalError("Refused", str(error)) from error
-
-    def renew(self, name: str, now: int) -> bool:
-        """Renew the lease by a patch of the annotation."""
-        self._ownership.check()
-        try:
-            return self._api.patch(self._path(name), renewal(now))
-        except InputError as error:
-            raise RefusalError("Refused", str(error)) from error
-
-    def delete(self, name: str) -> None:
-        """Delete the object."""
-        self._ownership.check()
-        try:
-            self._api.delete(self._path(name))
-        except InputError as error:
-            raise RefusalError("Refused", str(error)) from error
-
-    def _path(self, name: str = "") -> str:
-        from robotkube.foundation.kubernetes.adapters.http_client import custom_path
-
-        group, version, plural = TASKS
-        return custom_path(group, version, self._namespace, plural, name)
 
 
 def make_operator(
@@ -89,6 +40,7 @@ def make_operator(
 ) -> OperatorReactions:
     """Start the operator reaction, whose tasks are in the namespace of the pod's ConfigMap."""
     from robotkube.foundation.kubernetes.adapters.http_client import ApiServer, split_name
+    from robotkube.robots.detector.adapters.api_tasks import ApiTasks
 
     namespace, _ = split_name(pod.config_map or settings.name)
     tasks = ApiTasks(ApiServer.from_environment(os.environ), namespace, ownership)
@@ -197,19 +149,12 @@ def make_broker(
     """The detector's connection to the broker. Its client id is the name of its release, which no bridge has, and of
     the Node that the release names."""
     from robotkube.robots.detector.loops.broker import Broker
-    from robotkube.robots.mqtt.adapters.paho_channel import BrokerAccount, PahoChannel
-
-    def account() -> BrokerAccount:
-        folder = pod.broker_folder
-        port = read_secret(folder, "port")
-        if not port.isdecimal():
-            raise InputError(f"{folder / 'port'}: {port!r} is no port number")
-        words = [read_secret(folder, key) for key in ("host", "username", "password")]
-        return BrokerAccount(words[0], int(port), words[1], words[2])
+    from robotkube.robots.mqtt.adapters.broker_account import read_broker_account
+    from robotkube.robots.mqtt.adapters.paho_channel import PahoChannel
 
     client = "-".join([name.replace("/", "-"), *([pod.placed_node] if pod.placed_node else [])])
     return Broker(
-        lambda events: PahoChannel(account, client, SESSION_SECONDS, events),
+        lambda events: PahoChannel(lambda: read_broker_account(pod.broker_folder), client, SESSION_SECONDS, events),
         time.time_ns,
         time.monotonic,
         learned,
@@ -236,60 +181,7 @@ def make_spans(environment: Mapping[str, str], name: str) -> Spans | None:
     return OtlpSpans(endpoint, "robotkube-event-detector", name)
 
 
-def installed_definition(type_name: str) -> str:
-    """The definition of an installed type with all it uses; KeyError when it is not installed."""
-    from robotkube.robots.ros.adapters.installed_definitions import definition
-
-    text = definition(type_name, Path(sys.prefix) / "share")
-    if not text:
-        raise KeyError(type_name)
-    return text
-
-
-def definition(type_name: str, carried: Mapping[str, str]) -> str:
-    """The definition of a type: an installed one counts before one that the broker has `carried`; KeyError when it is
-    unknown."""
-    try:
-        return installed_definition(type_name)
-    except KeyError:
-        return carried[type_name]
-
-
-def read_bag(
-    path: Path, complain: Callable[[str], None], wanted: Callable[[str, str], bool]
-) -> Iterator[tuple[str, str, int, bytes]]:
-    """The topic, type, time in ns and bytes of a bag's messages; `wanted`: true for topics and types to be read."""
-    from robotkube.robots.bags.adapters.reading import open_bag
-
-    with open_bag(path, complain) as bag:
-        types = {topic.name: topic.type for topic in bag.topics}
-        for topic, moment, data in bag.messages({name for name, kind in types.items() if wanted(name, kind)}):
-            yield topic, types[topic], moment, data
-
-
-class CachedExpressionCheck:
-    """A check of expressions that remembers results, since a check takes a second."""
-
-    def __init__(self, check: Check) -> None:
-        self._check = check
-        self._known: dict[Checked, str] = {}
-
-    def __call__(self, texts: Sequence[Checked]) -> Sequence[str]:
-        """The problem of each expression, empty when there is none."""
-        known = {text: self._known[text] for text in texts if text in self._known}
-        new = [text for text in dict.fromkeys(texts) if text not in known]
-        self._known = {**known, **(dict(zip(new, self._check(new), strict=True)) if new else {})}
-        return [self._known[text] for text in texts]
-
-
-def check_expressions(texts: Sequence[Checked]) -> Sequence[str]:
-    """The problem of each of these expressions, empty when there is none; by a process of its own."""
-    from robotkube.robots.rules import host
-
-    return host.check_expressions(texts)
-
-
-def knowledge(document: Mapping[str, Any], layouts: Layouts, check: Check = check_expressions) -> SettingsContext:
+def settings_context(document: Mapping[str, Any], layouts: Layouts, check: Check) -> SettingsContext:
     """The facts that a document is checked against; only what it needs is imported."""
     kinds = {
         item.get("kind")
