@@ -157,14 +157,14 @@ def test_expressions_are_checked_where_the_caller_can() -> None:
         assert {names for _, names in texts} == {("v", "agent")}
         return ["" if ">" in text else f"no sense in {text}" for text, _ in texts]
 
+    from robotkube.foundation.documents.core.reader import Reader
     from robotkube.robots.rules.core import read_rules
-    from robotkube.robots.rules.core.specification.settings_reader import SettingsReader
     from tests.stages.detector.rules import TOPICS, layouts
 
-    problems: list[str] = []
-    item = SettingsReader(changed("formula"), "rules[0]", problems)
+    reader = Reader("rules")
+    item = reader.keys_of(changed("formula"), "rules[0]")
     read_rules([item], TOPICS, layouts(), check=check)
-    assert problems == ["rules[0].until: no sense in v < 1.0"]
+    assert reader.problems == ["rules[0].until: no sense in v < 1.0"]
 
 
 def accepted(documents: list[Any]) -> bool:

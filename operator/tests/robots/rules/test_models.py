@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
+from robotkube.foundation.documents.core.reader import Reader
 from robotkube.robots.rules.core import START, STOP, Edge, Message
 from robotkube.robots.rules.core.specification.areas import Area, read_area
-from robotkube.robots.rules.core.specification.settings_reader import SettingsReader
 from tests.stages.detector.rules import MS, NOW, NUMBERS, POSE, POSES, SECOND, RuleStage, pose, seconds
 from tests.stages.examples import EXAMPLES
 
@@ -208,9 +208,9 @@ def test_rates_are_what_counting_gives(cases: int) -> None:
 
 
 def problems_of_area(*rings: list[list[float]]) -> list[str]:
-    problems: list[str] = []
-    read_area(SettingsReader({"type": "Polygon", "coordinates": list(rings)}, "area", problems))
-    return problems
+    reader = Reader("area")
+    read_area(reader.keys_of({"type": "Polygon", "coordinates": list(rings)}, "area"))
+    return reader.problems
 
 
 def inside_by_winding(ring: list[list[float]], x: int, y: int) -> bool | None:

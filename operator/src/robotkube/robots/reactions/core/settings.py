@@ -13,8 +13,9 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from robotkube.foundation.documents.core.patterns import HOST_LABEL, MQTT_TOPIC, SECRET_KEY, WEBHOOK_URL
+from robotkube.foundation.documents.core.reader import MappingReader
 from robotkube.robots.ros.core.topic_patterns import UNREADABLE, TopicPattern
-from robotkube.robots.rules.core.specification.settings_reader import SettingsReader
+from robotkube.robots.rules.core.specification.topic_keys import read_topic_pattern
 
 OPERATOR, RECORDING, WEBHOOK, MQTT, PYTHON = "operator", "recording", "webhook", "mqtt", "python"
 KINDS = (OPERATOR, RECORDING, WEBHOOK, MQTT, PYTHON)
@@ -130,11 +131,11 @@ DeliveryReaction = WebhookReaction | MqttReaction | PythonReaction
 Reaction = OperatorReaction | RecordingReaction | DeliveryReaction
 
 
-def read_reaction(item: SettingsReader) -> Reaction:
+def read_reaction(item: MappingReader) -> Reaction:
     """One reaction; its problems go to the list that `item` shares."""
     kind, rule = item.choice("kind", KINDS), item.text("rule")
     reaction = _READERS[kind](item, rule)
-    item.done()
+    item.refuse_unknown_keys()
     return reaction
 
 
@@ -161,15 +162,17 @@ def reaction_problems(
             yield f"topics: {short}; make buffer.seconds longer"
 
 
-def _operator(item: SettingsReader, rule: str) -> Reaction:
+def _operator(item: MappingReader, rule: str) -> Reaction:
     lease = item.has("lease_seconds")
-    seconds = item.whole("lease_seconds", LEASE_SECONDS_MIN, LEASE_SECONDS_MAX, None if lease else LEASE_SECONDS_MIN)
-    parameters, application = item.plain("parameters"), item.text("application")
+    seconds = item.whole_number(
+        "lease_seconds", LEASE_SECONDS_MIN, LEASE_SECONDS_MAX, None if lease else LEASE_SECONDS_MIN
+    )
+    parameters, application = item.any_mapping("parameters"), item.text("application")
     return OperatorReaction(rule, application, parameters, seconds if lease else None)
 
 
-def _recording(item: SettingsReader, rule: str) -> Reaction:
-    topics = tuple(_recording_topic(topic) for topic in item.items("topics", TOPICS_MAX))
+def _recording(item: MappingReader, rule: str) -> Reaction:
+    topics = tuple(_recording_topic(topic) for topic in item.mappings("topics", TOPICS_MAX))
     return RecordingReaction(
         rule=rule,
         recording=item.name("recording"),
@@ -177,22 +180,22 @@ def _recording(item: SettingsReader, rule: str) -> Reaction:
         topics=topics,
         after_seconds=item.number("afterSeconds", 0, AFTER_SECONDS_MAX, 0),
         trace=item.text("trace", ""),
-        provenance=item.plain("provenance"),
+        provenance=item.any_mapping("provenance"),
     )
 
 
-def _recording_topic(item: SettingsReader) -> RecordingTopic:
+def _recording_topic(item: MappingReader) -> RecordingTopic:
     topic = RecordingTopic(
-        item.pattern("name"),
+        read_topic_pattern(item, "name"),
         item.choice("storage", ("document", "segment")),
         item.number("before_seconds", 0, WINDOW_SECONDS_MAX, 0),
         item.number("after_seconds", 0, WINDOW_SECONDS_MAX, 0),
     )
-    item.done()
+    item.refuse_unknown_keys()
     return topic
 
 
-def _webhook(item: SettingsReader, rule: str) -> Reaction:
+def _webhook(item: MappingReader, rule: str) -> Reaction:
     url, secret = item.text("url"), item.text("secret", "")
     if problem := _address_problem(url):
         item.problem("url", problem)
@@ -223,26 +226,26 @@ def _is_host(text: str) -> bool:
         return False
 
 
-def _mqtt(item: SettingsReader, rule: str) -> Reaction:
+def _mqtt(item: MappingReader, rule: str) -> Reaction:
     topic = item.text("topic")
     if topic and not MQTT_TOPIC.fullmatch(topic):
         item.problem("topic", "must be the full name of an MQTT topic such as events/near, without + and #")
     return MqttReaction(rule, topic, item.flag("retained", False), _retry(item))
 
 
-def _python(item: SettingsReader, rule: str) -> Reaction:
-    return PythonReaction(rule, item.text("plugin"), item.plain("settings"), _timeout(item), _retry(item))
+def _python(item: MappingReader, rule: str) -> Reaction:
+    return PythonReaction(rule, item.text("plugin"), item.any_mapping("settings"), _timeout(item), _retry(item))
 
 
-def _timeout(item: SettingsReader) -> float:
+def _timeout(item: MappingReader) -> float:
     return item.number("timeout_seconds", TIMEOUT_SECONDS_MIN, TIMEOUT_SECONDS_MAX, TIMEOUT_SECONDS_DEFAULT)
 
 
-def _retry(item: SettingsReader) -> float:
+def _retry(item: MappingReader) -> float:
     return item.number("retry_seconds", 0, RETRY_SECONDS_MAX, RETRY_SECONDS_DEFAULT)
 
 
-_READERS: Mapping[str, Callable[[SettingsReader, str], Reaction]] = {
+_READERS: Mapping[str, Callable[[MappingReader, str], Reaction]] = {
     OPERATOR: _operator,
     RECORDING: _recording,
     WEBHOOK: _webhook,

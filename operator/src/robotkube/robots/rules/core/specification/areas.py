@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
-from robotkube.robots.rules.core.specification.settings_reader import SettingsReader
+from robotkube.foundation.documents.core.reader import MappingReader
 from robotkube.robots.rules.core.specification.specifications import Point, Ring
 
 CORNERS_MAX = 1000
@@ -24,11 +24,11 @@ class AreaError(ValueError):
     """A fault in coordinates, as the end of a sentence that begins with the key."""
 
 
-def read_area(item: SettingsReader) -> tuple[Polygon, ...]:
+def read_area(item: MappingReader) -> tuple[Polygon, ...]:
     """Read `{type: Polygon | MultiPolygon, coordinates: ...}`; problems go to the reader's list."""
     kind = item.choice("type", ("Polygon", "MultiPolygon"))
-    coordinates = item.anything("coordinates")
-    item.done()
+    coordinates = item.value("coordinates")
+    item.refuse_unknown_keys()
     try:
         polygons = tuple(_polygon(entry) for entry in _list(coordinates if kind == "MultiPolygon" else [coordinates]))
         corners = sum(len(ring) for polygon in polygons for ring in polygon)

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
-from robotkube.errors import DocumentError
+from robotkube.foundation.documents.core.reader import MappingReader, Reader
 from robotkube.robots.rules.core import START, Edge
-from robotkube.robots.rules.core.specification.settings_reader import SettingsReader
 
 EVENTS_MAX = 10_000
 TOLERANCE_SECONDS_DEFAULT = 1.0
@@ -69,35 +68,34 @@ def events(edges: Sequence[Edge]) -> list[Event]:
 
 def read_expectations(document: Mapping[str, Any], where: str, begin: int) -> Expectations:
     """Read the document; `begin`: of the bags, ns. DocumentError names every problem."""
-    problems: list[str] = []
-    root = SettingsReader(document, "", problems)
+    reader = Reader(where)
+    root = reader.keys_of(document)
     tolerance = root.number("tolerance_seconds", 0, SECONDS_MAX, TOLERANCE_SECONDS_DEFAULT)
     expectations = Expectations(
-        events=tuple(_event(item, begin) for item in root.items("events", EVENTS_MAX, required=False)),
+        events=tuple(_event(item, begin) for item in root.mappings("events", EVENTS_MAX, required=False)),
         tolerance_seconds=tolerance,
         precision=root.number("precision", 0, 1, 1.0),
         recall=root.number("recall", 0, 1, 1.0),
         timing_seconds=root.number("timing_seconds", 0, SECONDS_MAX, tolerance),
     )
-    root.done()
-    if problems:
-        raise DocumentError(where, problems)
+    root.refuse_unknown_keys()
+    reader.finish()
     return expectations
 
 
-def _event(item: SettingsReader, begin: int) -> Event:
+def _event(item: MappingReader, begin: int) -> Event:
     rule = item.text("rule")
     agents = item.texts("agents", 0)
     start = _moment(item, "start", begin)
     stop = _moment(item, "stop", begin) if item.has("stop") else None
     if stop is not None and stop < start:
         item.problem("stop", "must not be before start")
-    item.done()
+    item.refuse_unknown_keys()
     return Event(rule, tuple(sorted(agents)), start, stop)
 
 
-def _moment(item: SettingsReader, key: str, begin: int) -> int:
-    value = item.anything(key)
+def _moment(item: MappingReader, key: str, begin: int) -> int:
+    value = item.value(key)
     if isinstance(value, (int, float)) and not isinstance(value, bool) and -SECONDS_MAX <= value <= SECONDS_MAX:
         return begin + round(value * NANOSECONDS)
     if isinstance(value, str):
