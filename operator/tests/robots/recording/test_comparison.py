@@ -72,7 +72,7 @@ def test_a_changed_message_is_named_once() -> None:
 
 
 def test_bytes_that_differ_from_what_was_claimed_are_named() -> None:
-    claimed = [m if m.stamp != 150 else replace(m, claimed=digest("x")) for m in GOOD_STORED]
+    claimed = [m if m.stamp != 150 else replace(m, recorded_sha256=digest("x")) for m in GOOD_STORED]
     assert compare_topic("/p", GOOD_LINES, claimed, WINDOW).mismatches == (150,)
 
 

@@ -242,7 +242,7 @@ def test_a_topic_that_nobody_can_read_does_not_spoil_the_rest(site: Site) -> Non
     publisher.wait(SECONDS_MAX)
     stored = list(stored_messages(site.reader, site.segments, RECORDING))
     assert {message.topic for message in stored} == set(TOPICS)
-    assert all(message.sha256 == message.claimed for message in stored)
+    assert all(message.sha256 == message.recorded_sha256 for message in stored)
 
 
 def test_without_a_node_name_the_process_says_what_to_set(site: Site) -> None:
@@ -260,7 +260,7 @@ def test_readiness_names_what_is_missing(site: Site, database_server: Any) -> No
     database_server.kill()
     port = free_port()
     process = site.record(port)
-    until(lambda: state(port)[0] == 503 and "database or claim has not answered yet: task-1" in state(port)[1])
+    until(lambda: state(port)[0] == 503 and "database or volume claim has not answered yet: task-1" in state(port)[1])
     database_server.start()
     until(lambda: state(port)[0] == 200)
     process.send_signal(signal.SIGTERM)

@@ -157,13 +157,13 @@ def test_events_whose_windows_overlap_share_a_recording_with_both_as_causes(benc
 
 
 def test_counts_never_fall_when_a_recording_is_over(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    forget, counted = Journal.forget, list[int]()
+    forget, counted = Journal.remove_listener, list[int]()
 
     def counting(journal: Journal, listener: Listener) -> None:
         counted.append(bench.recordings.counts()["offered"])
         forget(journal, listener)
 
-    monkeypatch.setattr(Journal, "forget", counting)
+    monkeypatch.setattr(Journal, "remove_listener", counting)
     event = Event("0123456789ab", bench.now)
     bench.recordings.trigger(event, bench.now)
     bench.play(10)
@@ -209,7 +209,7 @@ def test_windows_keep_what_some_event_asks_for(spans: list[tuple[int, int]]) -> 
     asked = [(start - 2, start + seconds + 1) for start, seconds in spans]
     for second in range(-5, 140):
         wanted = any(first <= second <= last for first, last in asked)
-        assert windows.keeps(POSE, second * SECOND) == wanted
+        assert windows.contains(POSE, second * SECOND) == wanted
     intervals = windows.intervals(POSE)
     assert all(last + 1 < first for (_, last), (first, _) in pairwise(intervals))
 

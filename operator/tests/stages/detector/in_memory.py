@@ -233,7 +233,7 @@ class MemoryRecordings:
         self.ends: list[str] = []
         self.gaps: list[Any] = []
 
-    def lack(self, gap: Any) -> None:
+    def note_gap(self, gap: Any) -> None:
         self.gaps.append(gap)
 
     def offer(self, topic: str, type_name: str, sample: Any) -> None:

@@ -94,7 +94,7 @@ class Room:
     def __init__(self, process: Process, pod: PodSettings) -> None:
         self._process = process
         self._pod = pod
-        self._ownership = ownership_of(pod)
+        self._fencing = ownership_of(pod)
         self._node = RosNode("event_detector")
         self._ros = RosTopics(self._node)
         self._broker: Broker | None = None
@@ -113,15 +113,15 @@ class Room:
 
     def _make(self) -> EventDetector:
         raising = Dispatcher(
-            lambda settings, box: wiring.make_operator(settings, self._pod, self._ownership, box),
+            lambda settings, box: wiring.make_operator(settings, self._pod, self._fencing, box),
             lambda settings, box: wiring.make_reaction(
-                settings, self._pod, self._ownership, box, self._connection, self._journal_of(box)
+                settings, self._pod, self._fencing, box, self._connection, self._journal_of(box)
             ),
             time.time_ns,
             self._spans,
         )
         recordings = RecordingReactions(
-            lambda plan, buffers: wiring.make_recordings(plan, buffers, self._pod, self._ownership, self._carried)
+            lambda plan, buffers: wiring.make_recordings(plan, buffers, self._pod, self._fencing, self._carried)
         )
         return EventDetector(
             self._source,
@@ -164,7 +164,7 @@ class Room:
                 (recordings.failed for recordings in detector.recordings.at_work if recordings.failed), None
             ),
             ready=lambda: status.not_ready() or None,
-            metrics=lambda: status.metrics() + self._ownership.metrics(),
+            metrics=lambda: status.metrics() + self._fencing.metrics(),
             pages={
                 "/input": lambda: json.dumps(detector.input_document()),
                 "/events": lambda: json.dumps(detector.events_document()),
@@ -185,7 +185,7 @@ class Room:
             if CONFIG_KEY in data:
                 self._change(data[CONFIG_KEY])
 
-        return follow_settings(self._process, self._pod.config_map, self._ownership, receive)
+        return follow_settings(self._process, self._pod.config_map, self._fencing, receive)
 
     def receive(self) -> None:
         """Run the detector's turns until the process shall end."""
@@ -255,8 +255,8 @@ class Room:
 
     def _connection(self) -> Broker:
         if self._broker is None:
-            lack = self.detector.recordings.lack
-            self._broker = wiring.make_broker(self._pod, self._name, self._ownership, self._learned.append, lack)
+            lack = self.detector.recordings.note_gap
+            self._broker = wiring.make_broker(self._pod, self._name, self._fencing, self._learned.append, lack)
         return self._broker
 
     # on other threads ------------------------------------------------------------------------------------------------

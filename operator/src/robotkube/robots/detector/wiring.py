@@ -36,14 +36,14 @@ SPANS_VARIABLE = "OTEL_EXPORTER_OTLP_TRACES_ENDPOINT"
 
 
 def make_operator(
-    settings: DetectorSettings, pod: PodSettings, ownership: Fencing, box: DeadLetterBox
+    settings: DetectorSettings, pod: PodSettings, fencing: Fencing, box: DeadLetterBox
 ) -> OperatorReactions:
     """Start the operator reaction, whose tasks are in the namespace of the pod's ConfigMap."""
     from robotkube.foundation.kubernetes.adapters.http_client import ApiServer, split_name
     from robotkube.robots.detector.adapters.api_tasks import ApiTasks
 
     namespace, _ = split_name(pod.config_map or settings.name)
-    tasks = ApiTasks(ApiServer.from_environment(os.environ), namespace, ownership)
+    tasks = ApiTasks(ApiServer.from_environment(os.environ), namespace, fencing)
     reactions = OperatorReactions(settings.name, namespace, tasks, time.time_ns, time.monotonic, settings.task, box)
     reactions.start()
     return reactions
@@ -63,7 +63,7 @@ def make_journal(folder: str, name: str, box: DeadLetterBox) -> DeliveryJournal:
 def make_reaction(
     settings: DeliveryReaction,
     pod: PodSettings,
-    ownership: Fencing,
+    fencing: Fencing,
     box: DeadLetterBox,
     broker: Callable[[], Broker],
     journal: DeliveryJournal | None,
@@ -79,7 +79,7 @@ def make_reaction(
     from robotkube.robots.reactions.loops.deliveries import Deliveries
     from robotkube.robots.reactions.loops.fenced_sender import FencedSender
 
-    sender = FencedSender(_sender(settings, pod), ownership)
+    sender = FencedSender(_sender(settings, pod), fencing)
     deliveries = Deliveries(settings.name, sender, settings.retry_seconds, box, time.monotonic, kept)
     deliveries.start()
     return deliveries
@@ -102,7 +102,7 @@ def make_recordings(
     plan: RecordingPlan,
     buffers: Mapping[str, RingBuffer],
     pod: PodSettings,
-    ownership: Fencing,
+    fencing: Fencing,
     carried: Callable[[str], str],
 ) -> Recordings:
     """Start the recordings of a recording reaction. `carried`: the definition of a type that the broker has carried,
@@ -116,10 +116,10 @@ def make_recordings(
     place = RecorderPlace(
         volume=f"{pod.node}/{plan.volume}",
         open_store=lambda: _open_store(pod),
-        open_claim=lambda: _open_claim(root, plan.recording),
+        open_volume_claim=lambda: _open_volume_claim(root, plan.recording),
         clock_ns=time.time_ns,
         monotonic=time.monotonic,
-        ownership=ownership,
+        fencing=fencing,
     )
     recordings = Recordings(plan, place, buffers, carried=carried)
     recordings.start()
@@ -133,7 +133,7 @@ def _open_store(pod: PodSettings) -> RecordingStore:
     return PymongoRecordingStore(connect(read_account(pod.database_folder)))
 
 
-def _open_claim(root: Path, owner: str) -> MountedVolumeClaim:
+def _open_volume_claim(root: Path, owner: str) -> MountedVolumeClaim:
     from robotkube.robots.recording.adapters.volume_claim import MountedVolumeClaim
 
     return MountedVolumeClaim(root, owner, time.time_ns)
@@ -142,7 +142,7 @@ def _open_claim(root: Path, owner: str) -> MountedVolumeClaim:
 def make_broker(
     pod: PodSettings,
     name: str,
-    ownership: Fencing,
+    fencing: Fencing,
     learned: Callable[[str], None],
     lacking: Callable[[Gap], None],
 ) -> Broker:
@@ -159,7 +159,7 @@ def make_broker(
         time.monotonic,
         learned,
         lacking,
-        ownership,
+        fencing,
     )
 
 

@@ -107,7 +107,7 @@ class Broker:
     """The connection to the broker: topics of the source mqtt (port LiveTopics), and messages of MQTT reactions.
 
     `make` gives the connection for its events; `learned` gets a type whose definition has come, `lacking` a gap of
-    messages that were given up on their way. Nothing is sent while `ownership` is not sure."""
+    messages that were given up on their way. Nothing is sent while `fencing` is not sure."""
 
     def __init__(
         self,
@@ -116,13 +116,13 @@ class Broker:
         monotonic: Callable[[], float],
         learned: Learned,
         lacking: Callable[[Gap], None],
-        ownership: Fencing | None = None,
+        fencing: Fencing | None = None,
     ) -> None:
         self._clock_ns = clock_ns
         self._monotonic = monotonic
         self._learned = learned
         self._lacking = lacking
-        self._ownership = ownership or Fencing()
+        self._fencing = fencing or Fencing()
         self._connected_before = False
         self._followed: Sequence[TopicSettings] = ()
         self._filters: tuple[str, ...] = ()
@@ -200,7 +200,7 @@ class Broker:
         while self._waiting and now - self._waiting[0].begun > self._waiting[0].sender.retry_seconds:
             message = self._waiting.popleft()
             message.sender.give_up(message.delivery, self.unreachable or "the broker has not acknowledged it")
-        while self._waiting and self._ownership.sure:
+        while self._waiting and self._fencing.sure:
             message = self._waiting[0]
             token = self._channel.publish(message.topic, message.body, message.retained, message.properties)
             if token is None:
@@ -231,7 +231,7 @@ class Broker:
 
     @property
     def _is_in_vain(self) -> bool:
-        return bool(self.unreachable) or self._ownership.lost
+        return bool(self.unreachable) or self._fencing.lost
 
     # events of the connection ----------------------------------------------------------------------------------------
 
@@ -239,7 +239,7 @@ class Broker:
         """See the port ChannelEvents."""
         log.info("broker: connected session_kept=%s", session_kept)
         if self._connected_before:
-            self._ownership.doubt()
+            self._fencing.doubt()
         self._connected_before = True
         self.refusals.clear()
         self._channel.subscribe(self._filters)

@@ -243,7 +243,7 @@ class EventDetector:
         if last is not None and last.stamp - before.stamp > 1:
             gap = Gap(topic.name, SUBSCRIPTION, PUSHED_OUT, count, before.stamp + 1, last.stamp - 1)
             for recording in topic.recordings:
-                recording.lack(gap)
+                recording.note_gap(gap)
 
     @staticmethod
     def _stamp_of(place: FillTarget, data: bytes, received: int) -> int | None:
@@ -333,7 +333,7 @@ class EventDetector:
     def _receive_gaps(self) -> None:
         for data, _ in () if self._gaps is None else self._gaps.drain(DRAIN_MESSAGES_MAX):
             try:
-                self.recordings.lack(read_gap_text(string_text(data).decode()))
+                self.recordings.note_gap(read_gap_text(string_text(data).decode()))
             except (ValueError, InputError) as error:
                 log.warning("topic %s: %s", GAPS_TOPIC, error)
 

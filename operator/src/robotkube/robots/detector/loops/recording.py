@@ -43,7 +43,7 @@ class RecordingReactions:
     def not_ready(self) -> str:
         """The reason why recordings are not ready, in words; empty when they are."""
         waiting = [recordings.plan.recording for recordings in self.at_work if not recordings.ready]
-        return f"database or claim has not answered yet: {', '.join(waiting)}" if waiting else ""
+        return f"database or volume claim has not answered yet: {', '.join(waiting)}" if waiting else ""
 
     def apply(self, settings: DetectorSettings) -> None:
         """Apply new settings; recordings whose plan is unchanged go on."""
@@ -77,10 +77,10 @@ class RecordingReactions:
             if recordings.plan.rule == edge.rule:
                 recordings.trigger(edge, now) if edge.edge == START else recordings.end(edge, now)
 
-    def lack(self, gap: Gap) -> None:
+    def note_gap(self, gap: Gap) -> None:
         """Report a gap of messages that were given up on their way here."""
         for recordings in self.at_work:
-            recordings.lack(gap)
+            recordings.note_gap(gap)
 
     def tick(self, now: int) -> None:
         """Close the recordings' windows that are over at `now` (ns)."""

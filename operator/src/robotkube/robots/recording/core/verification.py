@@ -64,7 +64,7 @@ class TopicExamination:
 
     @property
     def complete(self) -> bool:
-        """Whether everything that was there to record is stored as it was."""
+        """True when everything that was there to record is stored as it was."""
         return not self.problems
 
 
@@ -92,12 +92,12 @@ def _examine(
     ledger: Sequence[LedgerLine] | None,
     window: Window,
 ) -> TopicExamination:
-    copies = Counter((message.stamp, message.claimed) for message in messages)
+    copies = Counter((message.stamp, message.recorded_sha256) for message in messages)
     return TopicExamination(
         topic=topic,
         stored=len(copies),
         duplicates=len(messages) - len(copies),
-        mismatches=tuple(m.stamp for m in messages if not m.problem and m.sha256 != m.claimed),
+        mismatches=tuple(m.stamp for m in messages if not m.problem and m.sha256 != m.recorded_sha256),
         unreadable=tuple(m.problem for m in messages if m.problem),
         audit=audit,
         verdict=None if ledger is None else compare_topic(topic, ledger, messages, window),

@@ -84,9 +84,8 @@ def _rule(item: MappingReader) -> Rule | None:
     condition = read(item)
     scope = _scope(item, kind)
     agents = _agents(item, kind, scope)
-    at_least = (
-        int(item.whole_number("at_least", 1, AGENTS_MAX, 1)) if scope == kinds.GROUP and kind != kinds.ALWAYS else 1
-    )
+    grouped = scope == kinds.GROUP and kind != kinds.ALWAYS
+    at_least = item.whole_number("at_least", 1, AGENTS_MAX, 1) if grouped else 1
     if agents and at_least > (most := _members_max(kind, len(agents))):
         item.problem("at_least", f"must not be more than {most}: for so many it can hold, of {len(agents)} agents")
     return Rule(
