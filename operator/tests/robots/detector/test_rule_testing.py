@@ -105,7 +105,7 @@ def test_the_events_are_those_of_brute_force() -> None:
     assert result.messages == 1200
     assert not result.malformed
     assert not result.problems
-    assert not result.unsaid
+    assert not result.incomplete
 
 
 @pytest.mark.parametrize("turn_ns", [1, MS, 60 * MS, 400 * MS])

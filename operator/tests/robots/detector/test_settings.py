@@ -9,7 +9,7 @@ import pytest
 from robotkube.errors import DocumentError
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.robots.detector.core.settings import SettingsContext, read_detector_settings
-from robotkube.robots.reactions.core.settings import OperatorReaction, RecordingReaction, RecordingTopic
+from robotkube.robots.reactions.core.settings import OperatorReactionSettings, RecordingReactionSettings, RecordingTopic
 from robotkube.robots.ros.core.topic_patterns import TopicPattern
 from robotkube.robots.rules.core import Proximity
 
@@ -50,9 +50,9 @@ def test_a_good_document_is_read() -> None:
     near, (operator, recording, *others) = settings.rules[0], settings.reactions
     assert isinstance(near.condition, Proximity)
     assert (near.condition.start_distance_m, near.condition.stop_distance_m, near.agents) == (400, 500, ("a", "b"))
-    assert isinstance(operator, OperatorReaction)
+    assert isinstance(operator, OperatorReactionSettings)
     assert operator.parameters == {"vehicles": "{agents}"}
-    assert isinstance(recording, RecordingReaction)
+    assert isinstance(recording, RecordingReactionSettings)
     assert recording.topics == (RecordingTopic(TopicPattern("/vehicles/vehicle_00/cloud"), "segment", 0, 0),)
     assert recording.after_seconds == 1.5
     assert (settings.topics[0].buffer_seconds, settings.topics[1].depth) == (5, 20)

@@ -10,7 +10,7 @@ from robotkube.errors import UnavailableError
 from robotkube.foundation.runtime.loops.fencing import FRESH_SECONDS, Fencing
 from robotkube.robots.detector.loops.broker import Broker, MqttReactions
 from robotkube.robots.mqtt.ports import ChannelEvents
-from robotkube.robots.reactions.core.settings import MqttReaction
+from robotkube.robots.reactions.core.settings import MqttReactionSettings
 from robotkube.robots.reactions.loops.dead_letters import DeadLetterBox
 from robotkube.robots.reactions.loops.fenced_sender import FencedSender
 from robotkube.robots.reactions.ports.deliveries import EdgeDelivery
@@ -72,7 +72,7 @@ class Stage:
         clock = lambda: self.now  # noqa: E731
         self.broker = Broker(self._make, lambda: 1, clock, lambda name: None, lambda gap: None, self.fencing)
         self.box = DeadLetterBox(lambda: 1)
-        settings = MqttReaction("near", "alerts", retry_seconds=3600.0)
+        settings = MqttReactionSettings("near", "alerts", retry_seconds=3600.0)
         self.reaction = MqttReactions(settings, self.broker, self.box, lambda: self.now)
         self.broker.connected(False)
 

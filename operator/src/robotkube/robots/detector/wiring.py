@@ -12,7 +12,12 @@ from robotkube.errors import InputError
 from robotkube.foundation.runtime.loops.fencing import Fencing
 from robotkube.foundation.runtime.process import PodSettings, read_secret
 from robotkube.robots.detector.core.settings import DetectorSettings, SettingsContext
-from robotkube.robots.reactions.core.settings import DeliveryReaction, MqttReaction, PythonReaction, WebhookReaction
+from robotkube.robots.reactions.core.settings import (
+    DeliveryReactionSettings,
+    MqttReactionSettings,
+    PythonReactionSettings,
+    WebhookReactionSettings,
+)
 from robotkube.robots.reactions.loops.operator import OperatorReactions
 from robotkube.robots.recording.core.plans import RecordingPlan
 
@@ -61,7 +66,7 @@ def make_journal(folder: str, name: str, box: DeadLetterBox) -> DeliveryJournal:
 
 
 def make_reaction(
-    settings: DeliveryReaction,
+    settings: DeliveryReactionSettings,
     pod: PodSettings,
     fencing: Fencing,
     box: DeadLetterBox,
@@ -71,22 +76,22 @@ def make_reaction(
     """Start a reaction that delivers edges."""
     from robotkube.robots.reactions.loops.delivery_journal import ReactionJournal
 
-    kept = ReactionJournal(journal, settings.key, settings.name)
-    if isinstance(settings, MqttReaction):
+    reaction_journal = ReactionJournal(journal, settings.key, settings.name)
+    if isinstance(settings, MqttReactionSettings):
         from robotkube.robots.detector.loops.broker import MqttReactions
 
-        return MqttReactions(settings, broker(), box, time.monotonic, kept)
+        return MqttReactions(settings, broker(), box, time.monotonic, reaction_journal)
     from robotkube.robots.reactions.loops.deliveries import Deliveries
     from robotkube.robots.reactions.loops.fenced_sender import FencedSender
 
     sender = FencedSender(_sender(settings, pod), fencing)
-    deliveries = Deliveries(settings.name, sender, settings.retry_seconds, box, time.monotonic, kept)
+    deliveries = Deliveries(settings.name, sender, settings.retry_seconds, box, time.monotonic, reaction_journal)
     deliveries.start()
     return deliveries
 
 
-def _sender(settings: WebhookReaction | PythonReaction, pod: PodSettings) -> DeliverySender:
-    if isinstance(settings, PythonReaction):
+def _sender(settings: WebhookReactionSettings | PythonReactionSettings, pod: PodSettings) -> DeliverySender:
+    if isinstance(settings, PythonReactionSettings):
         from robotkube.robots.reactions.adapters.child_processes import ProcessSender
 
         return ProcessSender(settings.plugin, settings.settings, settings.timeout_seconds)
@@ -144,12 +149,12 @@ def make_broker(
     name: str,
     fencing: Fencing,
     learned: Callable[[str], None],
-    lacking: Callable[[Gap], None],
+    note_gap: Callable[[Gap], None],
 ) -> Broker:
     """The detector's connection to the broker. Its client id is the name of its release, which no bridge has, and of
     the Node that the release names."""
+    from robotkube.robots.detector.adapters.broker_account import read_broker_account
     from robotkube.robots.detector.loops.broker import Broker
-    from robotkube.robots.mqtt.adapters.broker_account import read_broker_account
     from robotkube.robots.mqtt.adapters.paho_channel import PahoChannel
 
     client = "-".join([name.replace("/", "-"), *([pod.placed_node] if pod.placed_node else [])])
@@ -158,7 +163,7 @@ def make_broker(
         time.time_ns,
         time.monotonic,
         learned,
-        lacking,
+        note_gap,
         fencing,
     )
 

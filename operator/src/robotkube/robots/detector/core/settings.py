@@ -14,10 +14,10 @@ from robotkube.foundation.documents.core.patterns import ROS_TYPE, TASK
 from robotkube.foundation.documents.core.reader import MappingReader, Reader
 from robotkube.foundation.documents.core.yaml_codec import json_problems
 from robotkube.robots.reactions.core.settings import (
-    DeliveryReaction,
-    OperatorReaction,
-    Reaction,
-    RecordingReaction,
+    DeliveryReactionSettings,
+    OperatorReactionSettings,
+    ReactionSettings,
+    RecordingReactionSettings,
     reaction_problems,
     read_reaction,
 )
@@ -96,7 +96,7 @@ class TopicSettings:
         return BufferBounds(self.buffer_seconds, self.buffer_bytes, count)
 
     @property
-    def asked(self) -> RequestedQos:
+    def requested_qos(self) -> RequestedQos:
         """The quality of service that the settings request."""
         return RequestedQos(
             self.reliability,
@@ -115,7 +115,7 @@ class DetectorSettings:
     name: str
     topics: tuple[TopicSettings, ...]
     rules: tuple[Rule, ...] = ()
-    reactions: tuple[Reaction, ...] = ()
+    reactions: tuple[ReactionSettings, ...] = ()
     task: str = ""
     state: str = ACTIVE
     buffer_bytes: int = PROCESS_BYTES_DEFAULT
@@ -132,19 +132,19 @@ class DetectorSettings:
         return {topic.pattern.text: topic.type for topic in self.topics}
 
     @property
-    def recordings(self) -> tuple[RecordingReaction, ...]:
+    def recordings(self) -> tuple[RecordingReactionSettings, ...]:
         """The recording reactions."""
-        return tuple(reaction for reaction in self.reactions if isinstance(reaction, RecordingReaction))
+        return tuple(reaction for reaction in self.reactions if isinstance(reaction, RecordingReactionSettings))
 
     @property
-    def operators(self) -> tuple[OperatorReaction, ...]:
+    def operators(self) -> tuple[OperatorReactionSettings, ...]:
         """The operator reactions."""
-        return tuple(reaction for reaction in self.reactions if isinstance(reaction, OperatorReaction))
+        return tuple(reaction for reaction in self.reactions if isinstance(reaction, OperatorReactionSettings))
 
     @property
-    def deliveries(self) -> tuple[DeliveryReaction, ...]:
+    def deliveries(self) -> tuple[DeliveryReactionSettings, ...]:
         """The reactions that notify a receiver of an event: webhooks, MQTT messages, installed ones."""
-        known = (RecordingReaction, OperatorReaction)
+        known = (RecordingReactionSettings, OperatorReactionSettings)
         return tuple(reaction for reaction in self.reactions if not isinstance(reaction, known))
 
     def is_always(self, rule: str) -> bool:

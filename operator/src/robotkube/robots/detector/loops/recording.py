@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 from robotkube.robots.detector.core.settings import DetectorSettings
-from robotkube.robots.reactions.core.settings import RecordingReaction
+from robotkube.robots.reactions.core.settings import RecordingReactionSettings
 from robotkube.robots.recording.core.plans import RecordedTopic, RecordingPlan
 from robotkube.robots.rules.core import START, Edge
 
@@ -48,19 +48,21 @@ class RecordingReactions:
     def apply(self, settings: DetectorSettings) -> None:
         """Apply new settings; recordings whose plan is unchanged go on."""
         plans = {reaction.recording: recording_plan(reaction, settings) for reaction in settings.recordings}
-        before, self._at_work = self._at_work, {}
+        before = self._at_work
+        self._at_work = {}
         self._leaving += [recordings for name, recordings in before.items() if plans.get(name) != recordings.plan]
         for name, plan in plans.items():
             known = before.get(name)
             same = known is not None and known.plan == plan
             self._at_work[name] = known if known is not None and same else self._make(plan, self.buffers)
-        others = {other.rule for other in settings.reactions if not isinstance(other, RecordingReaction)}
+        others = {other.rule for other in settings.reactions if not isinstance(other, RecordingReactionSettings)}
         recorded = {reaction.rule for reaction in settings.recordings} | {rule.name for rule in settings.rules}
         self._silent = frozenset(rule for rule in recorded - others if settings.is_always(rule))
 
     def leaving(self) -> list[Recordings]:
         """The recordings that are not asked for any more, once each; the caller stops them."""
-        leaving, self._leaving = self._leaving, []
+        leaving = self._leaving
+        self._leaving = []
         return leaving
 
     def of(self, topic: str) -> list[Recordings]:
@@ -88,7 +90,7 @@ class RecordingReactions:
             recordings.tick(now)
 
 
-def recording_plan(reaction: RecordingReaction, settings: DetectorSettings) -> RecordingPlan:
+def recording_plan(reaction: RecordingReactionSettings, settings: DetectorSettings) -> RecordingPlan:
     """The plan of a recording reaction, with the settings of its topics."""
     by_name = {topic.pattern: topic for topic in settings.topics}
     topics = tuple(

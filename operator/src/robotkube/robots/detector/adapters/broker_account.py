@@ -1,4 +1,4 @@
-"""The account of a robot process at the broker, read from the files of the mounted Secret `broker`."""
+"""The detector's account at the broker, read from the files of the mounted Secret `broker`."""
 
 from __future__ import annotations
 
