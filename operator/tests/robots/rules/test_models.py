@@ -241,7 +241,7 @@ def test_areas_hold_what_winding_says(cases: int) -> None:
         for _ in range(40):
             x, y = chance.randint(-10, 10), chance.randint(-10, 10)
             out, into = inside_by_winding(outer, x, y), inside_by_winding(hole, x, y)
-            assert found.holds(x, y) == (out is not False and into is not True), (seed, x, y)
+            assert found.contains(x, y) == (out is not False and into is not True), (seed, x, y)
 
 
 def crosses_by_every_pair(ring: list[list[float]]) -> bool:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from robotkube.robots.ros.core.cdr_readers.readers import Layouts
     from robotkube.robots.ros.core.gaps import Gap
     from robotkube.robots.ros.core.ring_buffers import RingBuffer
-    from robotkube.robots.rules.core.specification.expressions import Check
+    from robotkube.robots.rules.core.specification.expressions import CheckExpressions
     from robotkube.robots.rules.loops.workers import RuleWorkers
 
 RECORDINGS_FOLDER = "/var/lib/robotkube/recordings"
@@ -186,7 +186,7 @@ def make_spans(environment: Mapping[str, str], name: str) -> Spans | None:
     return OtlpSpans(endpoint, "robotkube-event-detector", name)
 
 
-def settings_context(document: Mapping[str, Any], layouts: Layouts, check: Check) -> SettingsContext:
+def settings_context(document: Mapping[str, Any], layouts: Layouts, check: CheckExpressions) -> SettingsContext:
     """The facts that a document is checked against; only what it needs is imported."""
     kinds = {
         item.get("kind")

@@ -32,7 +32,7 @@ from robotkube.robots.ros.core.ring_buffers import (
 )
 from robotkube.robots.ros.core.topic_patterns import UNREADABLE, TopicPattern
 from robotkube.robots.rules.core import RULES_MAX, Always, Rule, read_rules
-from robotkube.robots.rules.core.specification.expressions import Check
+from robotkube.robots.rules.core.specification.expressions import CheckExpressions
 from robotkube.robots.rules.core.specification.topic_keys import read_topic_pattern
 
 if TYPE_CHECKING:
@@ -160,7 +160,7 @@ class SettingsContext:
     layouts: Layouts | None = None
     rules: Collection[str] | None = None
     reactions: Collection[str] | None = None
-    check: Check | None = field(default=None, compare=False)
+    check: CheckExpressions | None = field(default=None, compare=False)
 
 
 def read_detector_settings(

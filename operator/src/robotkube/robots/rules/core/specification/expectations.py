@@ -117,8 +117,8 @@ def score(actual: Sequence[Event], expected: Expectations) -> Score:
     stops = [(actual[f].stop, expected.events[e].stop) for f, e in pairs]
     errors += [math.inf if a is None else abs(a - b) / NANOSECONDS for a, b in stops if b is not None]
     matched = len(pairs)
-    taken = {f for f, _ in pairs}
-    met = {e for _, e in pairs}
+    paired_actual = {of_actual for of_actual, _ in pairs}
+    paired_expected = {of_expected for _, of_expected in pairs}
     precision = matched / len(actual) if actual else 1.0
     recall = matched / len(expected.events) if expected.events else 1.0
     timing = max(errors, default=0.0)
@@ -128,8 +128,8 @@ def score(actual: Sequence[Event], expected: Expectations) -> Score:
         recall=recall,
         timing_seconds=timing,
         timing_mean_seconds=sum(errors) / len(errors) if errors else 0.0,
-        missing=tuple(event for index, event in enumerate(expected.events) if index not in met),
-        unexpected=tuple(event for index, event in enumerate(actual) if index not in taken),
+        missing=tuple(event for index, event in enumerate(expected.events) if index not in paired_expected),
+        unexpected=tuple(event for index, event in enumerate(actual) if index not in paired_actual),
         failures=tuple(_failures(precision, recall, timing, expected)),
     )
 
@@ -140,19 +140,19 @@ def _pairs(actual: Sequence[Event], expected: Expectations) -> list[tuple[int, i
         by_key.setdefault((event.rule, tuple(sorted(event.agents))), []).append(index)
     tolerance = expected.tolerance_seconds * NANOSECONDS
     near = [
-        (abs(actual[f].start - event.start), f, e)
-        for e, event in enumerate(expected.events)
-        for f in by_key.get((event.rule, event.agents), ())
-        if abs(actual[f].start - event.start) <= tolerance
+        (abs(actual[of_actual].start - event.start), of_actual, of_expected)
+        for of_expected, event in enumerate(expected.events)
+        for of_actual in by_key.get((event.rule, event.agents), ())
+        if abs(actual[of_actual].start - event.start) <= tolerance
     ]
     pairs: list[tuple[int, int]] = []
-    taken: set[int] = set()
-    met: set[int] = set()
-    for _, f, e in sorted(near):
-        if f not in taken and e not in met:
-            pairs.append((f, e))
-            taken.add(f)
-            met.add(e)
+    paired_actual: set[int] = set()
+    paired_expected: set[int] = set()
+    for _, of_actual, of_expected in sorted(near):
+        if of_actual not in paired_actual and of_expected not in paired_expected:
+            pairs.append((of_actual, of_expected))
+            paired_actual.add(of_actual)
+            paired_expected.add(of_expected)
     return pairs
 
 

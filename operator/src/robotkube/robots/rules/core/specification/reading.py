@@ -11,7 +11,7 @@ from robotkube.robots.ros.core.topic_patterns import AGENT, TopicPattern
 from robotkube.robots.rules.core.specification import specifications as kinds
 from robotkube.robots.rules.core.specification.areas import read_area
 from robotkube.robots.rules.core.specification.consistency import cross_problems
-from robotkube.robots.rules.core.specification.expressions import Check, names_of
+from robotkube.robots.rules.core.specification.expressions import CheckExpressions, usable_names
 from robotkube.robots.rules.core.specification.specifications import Level, Part, Rule, Timing
 from robotkube.robots.rules.core.specification.topic_keys import read_topic_pattern
 
@@ -37,36 +37,36 @@ def read_rules(
     topics: Mapping[str, str],
     layouts: Layouts | None = None,
     plugins: Collection[str] | None = None,
-    check: Check | None = None,
+    check: CheckExpressions | None = None,
 ) -> tuple[Rule, ...]:
-    """The rules; problems go to the list that `items` share, and what is returned then is of no use.
+    """Read the rules; problems go to the reader that `items` belong to, and what is returned then is of no use.
 
     `topics`: pattern -> type of the document's topics. Fields are looked for in `layouts`, when given; a type that is
     not known there may come with the messages. `plugins`: the names that are installed, None when nobody knows.
-    `check` says what is wrong with each of some expressions (with the names that it may use), `""` when nothing is.
+    `check` gives the problem of each of some expressions (with the names that it may use), `""` when there is none.
     """
-    read = [(item, _rule(item)) for item in items]
-    found = [(item, rule) for item, rule in read if rule is not None]
-    unread = {str(item.value("name")) for item, rule in read if rule is None}
-    for item, rule in found:
+    outcomes = [(item, _rule(item)) for item in items]
+    read = [(item, rule) for item, rule in outcomes if rule is not None]
+    unread = {str(item.value("name")) for item, rule in outcomes if rule is None}
+    for item, rule in read:
         item.refuse_unknown_keys()
-        for key, text in cross_problems(rule, [other for _, other in found], topics, layouts, plugins, unread):
+        for key, text in cross_problems(rule, [other for _, other in read], topics, layouts, plugins, unread):
             item.problem(key, text)
     if check is not None:
-        _check_expressions(found, check)
-    return tuple(rule for _, rule in found)
+        _check_expressions(read, check)
+    return tuple(rule for _, rule in read)
 
 
-def _check_expressions(found: Sequence[tuple[MappingReader, Rule]], check: Check) -> None:
-    asked = [
-        (item, key, (text, names_of(rule.condition, rule.scope)))
-        for item, rule in found
+def _check_expressions(read: Sequence[tuple[MappingReader, Rule]], check: CheckExpressions) -> None:
+    expressions = [
+        (item, key, (text, usable_names(rule.condition, rule.scope)))
+        for item, rule in read
         if isinstance(rule.condition, kinds.Cel)
         for key, text in (("expression", rule.condition.expression), ("until", rule.condition.until))
         if text
     ]
-    answers = check([expression for _, _, expression in asked]) if asked else ()
-    for (item, key, _), problem in zip(asked, answers, strict=True):
+    problems = check([expression for _, _, expression in expressions]) if expressions else ()
+    for (item, key, _), problem in zip(expressions, problems, strict=True):
         if problem:
             item.problem(key, problem)
 
@@ -100,7 +100,7 @@ def _rule(item: MappingReader) -> Rule | None:
 
 
 def _members_max(kind: str, agents: int) -> int:
-    """For how many members a rule of a group can hold: agents, pairs of them, or the group as one."""
+    """The number of members for which a rule of a group can hold: agents, pairs of them, or the group as one."""
     pairs = agents * (agents - 1) // 2
     return {kinds.COMBINATION: 1, kinds.PROXIMITY: pairs, kinds.PYTHON: agents + pairs}.get(kind, agents)
 
@@ -122,13 +122,13 @@ def _agents(item: MappingReader, kind: str, scope: str) -> tuple[str, ...]:
     if not needed and not item.has("agents"):
         item.value("agents")
         return ()
-    found = item.texts("agents", 2 if scope == kinds.PAIR or kind == kinds.PROXIMITY else 1)
-    for agent in found:
+    agents = item.texts("agents", 2 if scope == kinds.PAIR or kind == kinds.PROXIMITY else 1)
+    for agent in agents:
         if not NAME.fullmatch(agent):
             item.problem("agents", f"{agent!r} is no agent's name: a-z, 0-9 and - in at most 63 letters")
-    if len(found) > AGENTS_MAX:
-        item.problem("agents", f"must hold at most {AGENTS_MAX} agents; leave it out to look at all of them")
-    return found
+    if len(agents) > AGENTS_MAX:
+        item.problem("agents", f"must hold at most {AGENTS_MAX} agents; leave it out to evaluate all of them")
+    return agents
 
 
 def _timing(item: MappingReader, kind: str) -> Timing:
@@ -146,17 +146,17 @@ def _timing(item: MappingReader, kind: str) -> Timing:
     )
 
 
-def _proximity(item: MappingReader) -> kinds.Condition:
-    found = kinds.Proximity(
+def _proximity(item: MappingReader) -> kinds.ConditionSettings:
+    settings = kinds.Proximity(
         topic=_agents_topic(item),
         start_distance_m=item.number("start_distance_m", DISTANCE_MIN, DISTANCE_MAX),
         stop_distance_m=item.number("stop_distance_m", DISTANCE_MIN, DISTANCE_MAX),
         stale_seconds=item.number("stale_seconds", 0.001, 3600, kinds.STALE_SECONDS_DEFAULT),
         position=item.text("position", "pose.position"),
     )
-    if item.has("stop_distance_m") and found.stop_distance_m < found.start_distance_m:
+    if item.has("stop_distance_m") and settings.stop_distance_m < settings.start_distance_m:
         item.problem("stop_distance_m", "must not be less than start_distance_m, else every pose would be an edge")
-    return found
+    return settings
 
 
 def _agents_topic(item: MappingReader) -> TopicPattern:
@@ -166,7 +166,7 @@ def _agents_topic(item: MappingReader) -> TopicPattern:
     return topic
 
 
-def _geofence(item: MappingReader) -> kinds.Condition:
+def _geofence(item: MappingReader) -> kinds.ConditionSettings:
     return kinds.Geofence(
         topic=read_topic_pattern(item, "topic"),
         polygons=read_area(item.mapping("area")),
@@ -177,18 +177,18 @@ def _geofence(item: MappingReader) -> kinds.Condition:
     )
 
 
-def _threshold(item: MappingReader) -> kinds.Condition:
+def _threshold(item: MappingReader) -> kinds.ConditionSettings:
     return kinds.Threshold(
         read_topic_pattern(item, "topic"), item.text("field"), _level(item, LEVELS, -VALUE_MAX, VALUE_MAX)
     )
 
 
 def _level(item: MappingReader, keys: Sequence[tuple[str, str]], least: float, most: float) -> Level:
-    """Keys start_above and stop_below, or start_below and stop_above; one of the two tells which are meant."""
+    """Read start_above and stop_below, or start_below and stop_above: whichever is there decides."""
     (start, stop), (other, end) = keys
     if not any(item.has(key) for key in (start, stop, other, end)):
         for key in (start, stop, other, end):
-            item.value(key)  # known, when a misspelt one is told
+            item.value(key)  # known, when a misspelt one is reported
         item.problem(start, f"is missing; it needs {start} and {stop}, or {other} and {end}")
         return Level(True, least, least)
     above = item.has(keys[0][0]) or (item.has(keys[0][1]) and not item.has(keys[1][0]))
@@ -199,7 +199,7 @@ def _level(item: MappingReader, keys: Sequence[tuple[str, str]], least: float, m
     return level
 
 
-def _rate(item: MappingReader) -> kinds.Condition:
+def _rate(item: MappingReader) -> kinds.ConditionSettings:
     level = _level(item, RATES, 0.001, HZ_MAX)
     window = item.number("window_seconds", 0.01, RATE_WINDOW_MAX, 2.0)
     if max(level.start, level.stop) * window > RATE_COUNT_MAX:
@@ -209,11 +209,11 @@ def _rate(item: MappingReader) -> kinds.Condition:
     return kinds.Rate(read_topic_pattern(item, "topic"), level, window)
 
 
-def _absence(item: MappingReader) -> kinds.Condition:
+def _absence(item: MappingReader) -> kinds.ConditionSettings:
     return kinds.Absence(read_topic_pattern(item, "topic"), item.number("seconds", 0.01, SECONDS_MAX))
 
 
-def _combination(item: MappingReader) -> kinds.Condition:
+def _combination(item: MappingReader) -> kinds.ConditionSettings:
     modes = [mode for mode in (kinds.ALL, kinds.ANY, "not", kinds.SEQUENCE) if item.has(mode)]
     if len(modes) != 1:
         item.problem("kind", "a combination needs exactly one of the keys all, any, not and sequence")
@@ -229,7 +229,7 @@ def _combination(item: MappingReader) -> kinds.Condition:
 
 
 def _parts(item: MappingReader, mode: str) -> tuple[Part, ...]:
-    """A list of rules' names; in all and any also `{not: <name>}`."""
+    """Read a list of rules' names; in all and any also `{not: <name>}`."""
     value = item.value(mode)
     if not isinstance(value, list) or not 2 <= len(value) <= PARTS_MAX:
         item.problem(mode, f"must be a list of 2 to {PARTS_MAX} names of rules")
@@ -248,7 +248,7 @@ def _part(entry: Any, mode: str) -> Part | None:
     return Part(entry["not"], negated=True) if negated and isinstance(entry["not"], str) and entry["not"] else None
 
 
-def _cel(item: MappingReader) -> kinds.Condition:
+def _cel(item: MappingReader) -> kinds.ConditionSettings:
     return kinds.Cel(
         topic=read_topic_pattern(item, "topic"),
         fields=_variables(item.mapping("fields")),
@@ -276,7 +276,7 @@ def _variables(item: MappingReader) -> Mapping[str, str]:
     return {name: item.text(name) for name in names if isinstance(name, str)}
 
 
-def _python(item: MappingReader) -> kinds.Condition:
+def _python(item: MappingReader) -> kinds.ConditionSettings:
     names = item.texts("topics", 1)
     if len(names) > PLUGIN_TOPICS_MAX:
         item.problem("topics", f"must hold at most {PLUGIN_TOPICS_MAX} topics")
@@ -295,7 +295,7 @@ def _python(item: MappingReader) -> kinds.Condition:
     )
 
 
-_READERS: Mapping[str, Callable[[MappingReader], kinds.Condition]] = {
+_READERS: Mapping[str, Callable[[MappingReader], kinds.ConditionSettings]] = {
     kinds.PROXIMITY: _proximity,
     kinds.GEOFENCE: _geofence,
     kinds.THRESHOLD: _threshold,
