@@ -55,8 +55,8 @@ def names(stage: DetectorStage) -> list[str]:
 
 
 def workers(stage: DetectorStage) -> dict[str, Any]:
-    found: dict[str, Any] = stage.status.document()["rules"]["workers"]
-    return found
+    workers: dict[str, Any] = stage.status.document()["rules"]["workers"]
+    return workers
 
 
 class Unawaited(ChildProcess):
@@ -328,8 +328,8 @@ def test_a_subscription_asks_for_what_all_publishers_give(
     ],
 )
 def test_a_mismatch_names_both_sides(wanted: QosProfile, offered: QosProfile, expected: str) -> None:
-    found = mismatch(POSE_TYPE, wanted, PublisherOffer("/p", POSE_TYPE, offered))
-    assert found == (f"/p does not fit: {expected}" if expected else "")
+    problem = mismatch(POSE_TYPE, wanted, PublisherOffer("/p", POSE_TYPE, offered))
+    assert problem == (f"/p does not fit: {expected}" if expected else "")
 
 
 def test_another_type_is_a_mismatch() -> None:
@@ -367,8 +367,8 @@ def test_what_publishers_give_is_asked_for_and_a_flash_of_one_is_not_followed(st
 
 def test_broken_promises_are_counted_on_over_a_new_subscription(stage: DetectorStage) -> None:
     def shown() -> tuple[int, int]:
-        found = stage.status.document()["topics"][TOPIC]
-        return found["missed_deadlines"], found["lost_liveliness"]
+        shown = stage.status.document()["topics"][TOPIC]
+        return shown["missed_deadlines"], shown["lost_liveliness"]
 
     stage.apply({**PLAIN, "topics": [{**PLAIN["topics"][0], "deadline_seconds": 1}]})
     stage.live.topics[TOPIC].violations = QosViolations(3, 1)
@@ -388,8 +388,8 @@ def test_a_misfit_is_told_until_it_is_mended(stage: DetectorStage, caplog: pytes
     caplog.set_level("INFO")
 
     def shown() -> tuple[str, dict[str, Any]]:
-        found = stage.status.document()["topics"][TOPIC]
-        return found["problem"], found["incompatible"]
+        shown = stage.status.document()["topics"][TOPIC]
+        return shown["problem"], shown["incompatible"]
 
     stage.apply({**PLAIN, "topics": [{**PLAIN["topics"][0], "durability": "transient_local"}]})
     stage.live.offered[TOPIC] = [PublisherOffer("/player", POSE_TYPE, QosProfile())]

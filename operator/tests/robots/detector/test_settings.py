@@ -105,7 +105,7 @@ def test_a_good_document_is_read() -> None:
         (["reactions", 2, "url"], f"http://{'a' * 64}.org/", "is no host: a name of labels of at most 63 letters"),
         (["reactions", 2, "url"], "http://[:::]/", "reactions[2].url: [:::] is no host"),
         (["reactions", 2, "url"], "http://10.0.0.256/", "reactions[2].url: 10.0.0.256 is no host"),
-        (["rules", 0, "silent"], True, "reactions[0].rule: near is silent and raises no events; take silent away"),
+        (["rules", 0, "silent"], True, "reactions[0].rule: near is silent and gives no events; take silent away"),
         (["reactions", 2, "secret"], "not a key", "reactions[2].secret: must be the name of a key"),
         (["reactions", 3, "topic"], "a/+/b", "reactions[3].topic: must be the full name of an MQTT topic"),
         (["reactions", 4, "plugin"], "shout", "reactions[4].plugin: no installed package offers the reaction shout"),

@@ -162,12 +162,12 @@ def test_every_history_of_kills_leaves_what_was_kept_and_nothing_else(tmp_path: 
                 if (size := path.stat().st_size) > before:
                     path.write_bytes(path.read_bytes()[: chance.randrange(before, size + 1)])
                 life = Life(folder)
-                found = life.from_predecessor()
-                assert len(set(found)) == len(found)
-                assert safe <= set(found), seed
-                assert set(found) <= {*ids(*range(1, number + 1))} - over, seed
-                assert found == sorted(found), seed
-                live, safe = found, set(found)
+                left = life.from_predecessor()
+                assert len(set(left)) == len(left)
+                assert safe <= set(left), seed
+                assert set(left) <= {*ids(*range(1, number + 1))} - over, seed
+                assert left == sorted(left), seed
+                live, safe = left, set(left)
         life.kill()
 
 

@@ -105,13 +105,13 @@ def test_what_was_taken_over_is_discarded_and_counted(settings: Any) -> None:
     stage.cut()
     assert stage.volume.batches, "what waits for long is safe from a kill"
     stage.record(0.1)
-    documents = {name: dict(found) for name, found in stage.database.collections.items()}
+    documents = {name: dict(collection) for name, collection in stage.database.collections.items()}
     stage.read(settings)
     assert stage.fencing.lost
     stage.record()
     assert not stage.end()
     assert stage.stored == [b"1"]
-    assert {name: dict(found) for name, found in stage.database.collections.items()} == documents
+    assert {name: dict(collection) for name, collection in stage.database.collections.items()} == documents
     assert not stage.volume.batches
     assert stage.journal.counts.discarded > 3
     (audit,) = stage.database.collections[AUDITS].values()

@@ -121,12 +121,12 @@ class Site:
         return min(int(audit["window"][1]) for audit in audits)
 
     def ledgers(self) -> dict[str, list[LedgerLine]]:
-        found = {}
+        ledgers = {}
         for name in TOPICS:
             path = self.folder / "ledgers" / f"{name.replace('/', '__')}.jsonl"
             with path.open() as file:
-                found[name] = read_ledger(file, str(path))
-        return found
+                ledgers[name] = read_ledger(file, str(path))
+        return ledgers
 
     def close(self) -> None:
         for process in self.processes:
@@ -160,10 +160,10 @@ def test_sigterm_in_mid_write_leaves_a_complete_recording(site: Site) -> None:
     first = first_stamps(site.reader, RECORDING)
     window = (max(first.values()), site.received_up_to())
     ledgers = {name: lines for name, lines in site.ledgers().items() if not name.endswith("transform")}
-    verdict = verify(site.reader, site.segments, RECORDING, ledgers, window)
-    assert verdict.complete, verdict
-    assert all(topic.stored > 10 for topic in verdict.topics.values())
-    assert set(verdict.without_ledger) <= set(TOPICS)
+    comparison = verify(site.reader, site.segments, RECORDING, ledgers, window)
+    assert comparison.complete, comparison
+    assert all(topic.stored > 10 for topic in comparison.topics.values())
+    assert set(comparison.without_ledger) <= set(TOPICS)
     transforms = [m for m in stored_messages(site.reader, site.segments, RECORDING) if m.topic.endswith("transform")]
     assert {(m.topic, m.sha256) for m in transforms} == {
         (name, lines[0].sha256) for name, lines in site.ledgers().items() if name.endswith("transform")
@@ -193,8 +193,8 @@ def test_a_killed_recorder_leaves_everything_acknowledged_readable(site: Site) -
     publisher.terminate()
     publisher.wait(SECONDS_MAX)
     everything = (0, time.time_ns())
-    verdict = verify(site.reader, site.segments, RECORDING, site.ledgers(), everything)
-    for topic in verdict.topics.values():
+    comparison = verify(site.reader, site.segments, RECORDING, site.ledgers(), everything)
+    for topic in comparison.topics.values():
         assert (topic.duplicates, topic.mismatches, topic.unknown, topic.unreadable) == ((), (), (), ())
     assert kept <= {(m.topic, m.stamp, m.sha256) for m in stored_messages(site.reader, site.segments, RECORDING)}
     assert len(list((site.folder / "claim" / RECORDING).iterdir())) == 2

@@ -102,8 +102,8 @@ def test_a_second_writer_is_told_the_same_again(database: RecordingDatabase) -> 
     recorded(database, range(40, 50), BRIDGE)
     recorded(database, range(53, 60), BRIDGE)
     assert len(database.audits("r")) == 2
-    found = add_up(database.audits("r"))[POSE]
-    assert (found.gaps, found.unexplained(17)) == ((BRIDGE,), 0)
+    audit = add_up(database.audits("r"))[POSE]
+    assert (audit.gaps, audit.unexplained(17)) == ((BRIDGE,), 0)
 
 
 def test_what_bridges_gave_up_is_told_to_recordings(stage: DetectorStage) -> None:

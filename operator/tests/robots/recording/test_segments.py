@@ -81,8 +81,8 @@ def test_an_unfinished_segment_is_read_record_by_record(
     (path,) = tmp_path.rglob("*.mcap")
     with path.open("rb") as file:
         records = itertools.islice(StreamReader(file, record_size_limit=None).records, 3 + 5)
-        found = [record for record in records if isinstance(record, Message)]
-    assert [record.data for record in found] == [message(n).data for n in range(5)]
+        messages = [record for record in records if isinstance(record, Message)]
+    assert [record.data for record in messages] == [message(n).data for n in range(5)]
 
 
 def test_a_second_writer_of_the_recording_leaves_the_first_ones_files(
@@ -149,13 +149,13 @@ def test_a_cut_segment_gets_an_end_behind_its_last_whole_record(
     segments.close()
     path.write_bytes(data[: len(data) - cut])
     (name,) = repair.unfinished(())
-    found = repair.messages(name)
+    messages = repair.messages(name)
     closed = repair.finish(name)
     whole = 5 - -(-cut // (1000 + 31))
     assert closed is not None
-    assert len(found) == closed.messages == whole
+    assert len(messages) == closed.messages == whole
     reader = McapSegmentReader({"n/c": tmp_path})
-    for n, one in enumerate(found):
+    for n, one in enumerate(messages):
         assert (one.topic, one.stamp, one.received) == ("/cloud", n, n + 5)
         assert reader.read("n/c", one.place, one.size) == message(n).data
     assert reader.digest("n/c", name) == (closed.sha256, closed.size)

@@ -77,10 +77,10 @@ class Bench:
 
     def kept(self, recording: str) -> dict[str, list[int]]:
         """Topic -> tenths that are stored."""
-        found: dict[str, list[int]] = {}
+        stamps: dict[str, list[int]] = {}
         for topic, stamp, _ in self.database.known(recording):
-            found.setdefault(topic, []).append((stamp - BEGIN) // (100 * MS))
-        return {topic: sorted(tenths) for topic, tenths in found.items()}
+            stamps.setdefault(topic, []).append((stamp - BEGIN) // (100 * MS))
+        return {topic: sorted(tenths) for topic, tenths in stamps.items()}
 
     def ended(self, recording: str) -> bool:
         return any(one["_id"] == recording and one["ended"] for one in self.database.recordings())
@@ -217,9 +217,9 @@ def test_windows_keep_what_some_event_asks_for(spans: list[tuple[int, int]]) -> 
 @given(st.sets(st.integers(1, 198), max_size=19), st.integers(1, 10**8))
 def test_holes_of_a_regular_topic_are_counted_exactly(missing: set[int], period: int) -> None:
     stamps = [number * period for number in range(200) if number not in missing]
-    found = holes(stamps)
-    assert sum(count for *_, count in found) == len(missing)
-    inside = {number for number in range(200) if any(first <= number * period <= last for first, last, _ in found)}
+    gaps = holes(stamps)
+    assert sum(count for *_, count in gaps) == len(missing)
+    inside = {number for number in range(200) if any(first <= number * period <= last for first, last, _ in gaps)}
     assert inside == missing
 
 
@@ -227,8 +227,8 @@ def test_holes_of_a_regular_topic_are_counted_exactly(missing: set[int], period:
 def test_a_hole_covers_what_is_missing_of_uneven_stamps(jitter: list[int], begin: int, count: int) -> None:
     stamps = [number * 10 * 10**6 + moved for number, moved in enumerate(jitter)]
     missing = stamps[begin : begin + count]
-    [(first, last, found)] = holes([stamp for stamp in stamps if stamp not in missing])
-    assert (found, sum(first <= stamp <= last for stamp in stamps)) == (count, count)
+    [(first, last, missing_count)] = holes([stamp for stamp in stamps if stamp not in missing])
+    assert (missing_count, sum(first <= stamp <= last for stamp in stamps)) == (count, count)
     assert all(first <= stamp <= last for stamp in missing)
 
 

@@ -157,12 +157,12 @@ class DetectorStage:
         self.status = DetectorStatus(self.detector, lambda: self.now)
 
     def _operator(self, settings: DetectorSettings, box: DeadLetterBox) -> OperatorReactions:
-        found = OperatorReactions(
+        reactions = OperatorReactions(
             settings.name, settings.agent, self.tasks, lambda: self.now, lambda: self.seconds, settings.task, box
         )
-        self.operators.append(found)
-        found.start()
-        return found
+        self.operators.append(reactions)
+        reactions.start()
+        return reactions
 
     def _reaction(self, settings: DeliveryReactionSettings, box: DeadLetterBox) -> Any:
         return self.reactions.setdefault(settings.name, MemoryReaction(settings.name))
@@ -203,8 +203,8 @@ class DetectorStage:
 
     def events(self) -> list[dict[str, Any]]:
         """As /events."""
-        found: list[dict[str, Any]] = self.detector.events_document()["events"]
-        return found
+        events: list[dict[str, Any]] = self.detector.events_document()["events"]
+        return events
 
     def edges(self) -> list[tuple[str, bool]]:
         """Each edge, and whether its task has been dealt with."""

@@ -256,9 +256,7 @@ def _cross_problems(settings: DetectorSettings, known: SettingsContext, unread: 
     buffers = {topic.pattern.text: topic.buffer_seconds for topic in settings.topics}
     for index, reaction in enumerate(settings.reactions):
         if reaction.rule in silent:
-            problems.append(
-                f"reactions[{index}].rule: {reaction.rule} is silent and raises no events; take silent away"
-            )
+            problems.append(f"reactions[{index}].rule: {reaction.rule} is silent and gives no events; take silent away")
             continue
         named = [*names, reaction.rule] if reaction.rule in unread or not reaction.rule else names
         sentences = reaction_problems(reaction, named, buffers, known.reactions)

@@ -433,16 +433,16 @@ class Journal:
             latest = {(write.id, write.update): number for number, write in enumerate(self._waiting)}
             excess = self._waiting_bytes - 2 * self._bounds.waiting_bytes
             lost: list[Write] = []
-            kept: list[Write] = []
+            remaining: list[Write] = []
             for number, write in enumerate(self._waiting):
                 replaced = write.collection == AUDITS and latest[write.id, write.update] != number
                 if excess > 0 and (replaced or messages_of(write)[1]):
                     excess -= write.size
                     lost.append(write)
                 else:
-                    kept.append(write)
-            self._waiting = deque(kept)
-            self._waiting_bytes = sum(write.size for write in kept)
+                    remaining.append(write)
+            self._waiting = deque(remaining)
+            self._waiting_bytes = sum(write.size for write in remaining)
         self._audit_lost(lost, MEMORY, NO_SPOOL, self._urgent)
 
     def _audit_lost(
