@@ -18,12 +18,12 @@ from pathlib import Path
 
 from benchmarks.bags import NANOSECONDS, POSE_TYPE
 from ci.errors import SetUpError
+from robotkube.foundation.documents.core.reader import Reader
 from robotkube.robots.ros.adapters.installed_definitions import definition
 from robotkube.robots.ros.core.cdr_readers.readers import Layouts
 from robotkube.robots.rules.core import START, read_rules
 from robotkube.robots.rules.core.engine import RuleEngine
 from robotkube.robots.rules.core.messages import Message
-from robotkube.robots.rules.core.specification.settings_reader import SettingsReader
 
 AGENTS, HERTZ, SECONDS, PLAIN_SECONDS = 1000, 10, 10, 1
 TOWN_M, NEAR_M, APART_M, STEP_M = 10_000.0, 50.0, 60.0, 1.5
@@ -71,10 +71,11 @@ def engine() -> RuleEngine:
         "start_distance_m": NEAR_M,
         "stop_distance_m": APART_M,
     }
-    layouts, problems = Layouts(_definition), list[str]()
-    rules = read_rules([SettingsReader(rule, "rules[0]", problems)], {pattern: POSE_TYPE}, layouts)
-    if problems:
-        raise SetUpError("; ".join(problems))
+    layouts = Layouts(_definition)
+    reader = Reader("the rule")
+    rules = read_rules([reader.keys_of(rule, "rules[0]")], {pattern: POSE_TYPE}, layouts)
+    if reader.problems:
+        raise SetUpError("; ".join(reader.problems))
     return RuleEngine(rules, layouts, "cloud-0")
 
 

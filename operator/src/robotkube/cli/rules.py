@@ -84,7 +84,7 @@ def test(options: argparse.Namespace) -> Table:
         result = run(settings, bags, options.start)
         seconds = time.monotonic() - began
     for problem in [
-        *result.unsaid,
+        *result.incomplete,
         *result.problems,
         *(f"{name}: {n} messages cannot be read" for name, n in result.malformed.items()),
     ]:
@@ -230,7 +230,7 @@ def _table(result: ReplayResult, scored: Score | None, problems: Sequence[str]) 
         "messages": result.messages,
         "problems": list(problems),
     }
-    refused = ["events may be missing: not all rules could look at all messages"] if result.unsaid else []
+    refused = ["events may be missing: not all rules could look at all messages"] if result.incomplete else []
     if scored is not None:
         document["expected"] = {**_plain_score(scored), "passed": not scored.failures}
         text += _score_text(scored, result.begin)

@@ -242,11 +242,11 @@ class MemoryRepair:
 
     volume: RecordingVolume
 
-    def left(self, finished: Collection[str]) -> Sequence[str]:
+    def unfinished(self, finished: Collection[str]) -> Sequence[str]:
         """As the port says."""
         return [name for name, file in self.volume.files.items() if file.writer is None and name not in finished]
 
-    def found(self, segment: str) -> Sequence[SegmentMessage]:
+    def messages(self, segment: str) -> Sequence[SegmentMessage]:
         """As the port says."""
         self.volume.require(-(1 << 60))
         return [

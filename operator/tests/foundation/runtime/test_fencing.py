@@ -16,7 +16,7 @@ from robotkube.foundation.runtime.process import PodSettings, Process
 from robotkube.robots.bridge.core.settings import read_bridge_settings
 from robotkube.robots.bridge.loops.bridge import Bridge
 from robotkube.robots.bridge.loops.flows import SendingSession
-from robotkube.robots.detector.wiring import ApiTasks
+from robotkube.robots.detector.adapters.api_tasks import ApiTasks
 from robotkube.robots.mqtt.core.batches import decode_batch
 from robotkube.testing.api_server import ApiServerInMemory
 from tests.stages.bridge.memory_network import Channel, Network

@@ -19,7 +19,7 @@ from rosbags.typesys import Stores, get_typestore
 from robotkube.errors import InputError
 from robotkube.robots.bags.adapters.reading import open_bag
 from robotkube.robots.bags.adapters.reading.opening import COMPLAINTS_MAX
-from robotkube.robots.detector.wiring import read_bag
+from robotkube.robots.detector.adapters.bag_messages import read_bag
 from robotkube.robots.ros.core.cdr_readers.readers import Layouts
 from tests.stages.examples import EXAMPLES
 

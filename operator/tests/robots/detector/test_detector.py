@@ -8,8 +8,8 @@ from dataclasses import replace
 import pytest
 
 from robotkube.foundation.documents.core.times import time_ns, time_text
-from robotkube.robots.reactions.core.settings import OperatorReaction
-from robotkube.robots.reactions.core.task_requests import demand, event_of
+from robotkube.robots.reactions.core.settings import OperatorReactionSettings
+from robotkube.robots.reactions.core.task_requests import event_of, event_task
 from robotkube.robots.ros.core.common_messages import header_stamp, pose_position
 from robotkube.robots.rules.core import START, Edge
 from tests.stages.detector.in_memory import MS, NOW, DetectorStage, MemoryTasks, pose
@@ -244,7 +244,7 @@ def test_fields_are_read_from_the_bytes(frame: bytes, order: str) -> None:
 
 def test_a_task_tells_its_event_again() -> None:
     edge = Edge("near", START, ("a", "b"), "1" * 16, "2" * 32, NOW + 123_000, NOW, 12.0)
-    task = demand("cloud-0/d", OperatorReaction("near", "recording", {}), edge, "{agents} within 400 m")
+    task = event_task("cloud-0/d", OperatorReactionSettings("near", "recording", {}), edge, "{agents} within 400 m")
     assert event_of(task, "cloud-0/d") == replace(edge, distance_m=None)
     assert event_of(task, "cloud-0/e") is None
     assert event_of({"metadata": {}, "spec": {"requester": "cloud-0/d"}}, "cloud-0/d") is None

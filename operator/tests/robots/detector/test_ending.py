@@ -16,9 +16,9 @@ def test_what_comes_after_the_end_was_asked_for_is_received(after_seconds: float
     def turn() -> int:
         """One message is published after the first turn."""
         nonlocal published, received
-        found, published = published - received, 1
-        received += found
-        return found
+        messages, published = published - received, 1
+        received += messages
+        return messages
 
     asked = time.monotonic()
     finish(turn, after_seconds)

@@ -86,7 +86,7 @@ def write(folder: Path) -> None:
 
 @pytest.fixture
 def spawn(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
-    found: list[subprocess.Popen[bytes]] = []
+    processes: list[subprocess.Popen[bytes]] = []
 
     def spawn(*words: str, **variables: str) -> subprocess.Popen[bytes]:
         environment = {
@@ -97,12 +97,12 @@ def spawn(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
             "PYTHONPATH": os.pathsep.join(sys.path),
             **variables,
         }
-        with (tmp_path / f"log-{len(found)}").open("wb") as log:
-            found.append(subprocess.Popen([sys.executable, *words], env=environment, stdout=log, stderr=log))
-        return found[-1]
+        with (tmp_path / f"log-{len(processes)}").open("wb") as log:
+            processes.append(subprocess.Popen([sys.executable, *words], env=environment, stdout=log, stderr=log))
+        return processes[-1]
 
     yield spawn
-    for process in found:
+    for process in processes:
         process.kill()
         process.wait(10)
 

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 import pytest
 
+from robotkube.robots.detector.adapters.type_definitions import definition
 from robotkube.robots.detector.core.settings import MQTT, TopicSettings
 from robotkube.robots.detector.loops.broker import QUEUE_MAX, TOPICS_MAX, Broker, MqttReactions
-from robotkube.robots.detector.wiring import definition
 from robotkube.robots.mqtt.core.batches import encode_batch
 from robotkube.robots.mqtt.core.message_properties import gaps_property, type_properties
 from robotkube.robots.mqtt.core.properties import read_properties
 from robotkube.robots.mqtt.ports import ChannelEvents
-from robotkube.robots.reactions.core.settings import MqttReaction
+from robotkube.robots.reactions.core.settings import MqttReactionSettings
 from robotkube.robots.reactions.loops.dead_letters import DeadLetterBox
 from robotkube.robots.reactions.ports.deliveries import EdgeDelivery
 from robotkube.robots.ros.core.gaps import Gap
@@ -79,7 +79,7 @@ def stage() -> Stage:
 
 
 def test_topics_of_any_agent_are_found_by_what_comes(stage: Stage) -> None:
-    stage.broker.follow([POSES])
+    stage.broker.announce([POSES])
     stage.connect()
     assert stage.channel.filters == {"mqtt/vehicles/+/pose", "robotkube/types/mqtt/vehicles/+/pose"}
     assert stage.broker.visible() == {}
@@ -94,7 +94,7 @@ def test_topics_of_any_agent_are_found_by_what_comes(stage: Stage) -> None:
 
 
 def test_the_oldest_go_when_nobody_drains(stage: Stage) -> None:
-    stage.broker.follow([POSES])
+    stage.broker.announce([POSES])
     topic = stage.broker.subscribe(NAME, POSES, QosProfile())
     stage.frame(0, *(b"%d" % number for number in range(8)))
     assert [data for data, _ in topic.drain(500)] == [b"3", b"4", b"5", b"6", b"7"]
@@ -102,7 +102,7 @@ def test_the_oldest_go_when_nobody_drains(stage: Stage) -> None:
 
 
 def test_what_is_no_frame_or_of_another_type_is_counted(stage: Stage) -> None:
-    stage.broker.follow([POSES])
+    stage.broker.announce([POSES])
     stage.broker.received(POSE, b"nonsense", b"")
     stage.broker.received(POSE, b"x", b"\xff\xff")
     stage.frame(0, b"a", type_name="std_msgs/msg/String")
@@ -113,7 +113,7 @@ def test_what_is_no_frame_or_of_another_type_is_counted(stage: Stage) -> None:
 
 def test_each_topic_of_another_type_is_named_once(stage: Stage, caplog: pytest.LogCaptureFixture) -> None:
     """With both types: nothing else says why such a topic never appears."""
-    stage.broker.follow([POSES])
+    stage.broker.announce([POSES])
     for number in range(3):
         for agent in ("vehicle_00", "vehicle_01"):
             stage.frame(number, b"a", topic=f"mqtt/vehicles/{agent}/pose", type_name="std_msgs/msg/String")
@@ -123,7 +123,7 @@ def test_each_topic_of_another_type_is_named_once(stage: Stage, caplog: pytest.L
 
 def test_definitions_come_with_the_messages(stage: Stage) -> None:
     odd = "other_msgs/msg/Odd"
-    stage.broker.follow([TopicSettings(TopicPattern("/vehicles/{agent}/pose"), odd, MQTT)])
+    stage.broker.announce([TopicSettings(TopicPattern("/vehicles/{agent}/pose"), odd, MQTT)])
     topic = "robotkube/types/" + POSE
     for _ in range(2):
         stage.broker.received(topic, b"float64 x\n", type_properties(odd, "", ""))
@@ -135,7 +135,7 @@ def test_definitions_come_with_the_messages(stage: Stage) -> None:
 
 
 def test_an_agent_defines_no_other_type_than_that_of_its_topic(stage: Stage) -> None:
-    stage.broker.follow([POSES])
+    stage.broker.announce([POSES])
     for name, said in ((POSE, "tf2_msgs/msg/TFMessage"), ("mqtt/vehicles/vehicle_00/other", TYPE)):
         stage.broker.received("robotkube/types/" + name, b"float64 x\n", type_properties(said, "", ""))
     assert (stage.learned, stage.broker.definitions, stage.broker.malformed) == ([], {}, 2)
@@ -151,7 +151,7 @@ def test_an_installed_type_is_not_what_somebody_at_the_broker_says() -> None:
 
 
 def test_gaps_of_senders_are_told(stage: Stage) -> None:
-    stage.broker.follow([POSES])
+    stage.broker.announce([POSES])
     gap = Gap(NAME, "mqtt-bridge of vehicle-00", "waited too long", 3, 10, 30)
     for _ in range(2):  # a broker sends again what was on its way when the connection was lost
         stage.broker.received(POSE, encode_batch(1, 0, [b"a"]), type_properties(TYPE, "") + gaps_property([gap]))
@@ -160,15 +160,15 @@ def test_gaps_of_senders_are_told(stage: Stage) -> None:
 
 def test_a_topic_that_is_not_followed_any_more_is_given_up(stage: Stage) -> None:
     stage.connect()
-    stage.broker.follow([POSES])
+    stage.broker.announce([POSES])
     stage.frame(0, b"a")
-    stage.broker.follow([])
+    stage.broker.announce([])
     assert (stage.channel.filters, stage.broker.visible()) == (set(), {})
 
 
 def test_a_topic_that_was_forgotten_is_found_again_by_what_comes(stage: Stage) -> None:
     """Agents that are gone take no place from others."""
-    stage.broker.follow([POSES])
+    stage.broker.announce([POSES])
     for number in range(TOPICS_MAX + 5):
         name = f"/vehicles/v{number}/pose"
         stage.frame(0, b"a", topic=f"mqtt{name}")
@@ -182,7 +182,7 @@ def test_a_topic_that_was_forgotten_is_found_again_by_what_comes(stage: Stage) -
 
 
 def reaction(stage: Stage, box: DeadLetterBox, retry_seconds: float = 10.0) -> MqttReactions:
-    settings = MqttReaction("near", "events/near", True, retry_seconds)
+    settings = MqttReactionSettings("near", "events/near", True, retry_seconds)
     return MqttReactions(settings, stage.broker, box, lambda: stage.seconds)
 
 

@@ -55,8 +55,8 @@ def names(stage: DetectorStage) -> list[str]:
 
 
 def workers(stage: DetectorStage) -> dict[str, Any]:
-    found: dict[str, Any] = stage.status.document()["rules"]["workers"]
-    return found
+    workers: dict[str, Any] = stage.status.document()["rules"]["workers"]
+    return workers
 
 
 class Unawaited(ChildProcess):
@@ -155,13 +155,13 @@ def test_settings_switch_to_rest_and_back_and_the_buffers_stay(stage: DetectorSt
     first = dict(stage.live.topics)
     stage.apply({**PLAIN, "state": "inactive"})
     assert all(topic.closed for topic in first.values())
-    assert ([event["edge"] for event in stage.events()], stage.live.followed) == (["start", "stop"], [])
+    assert ([event["edge"] for event in stage.events()], stage.live.announced) == (["start", "stop"], [])
     narrow = {**PLAIN["topics"][0], "buffer": {"seconds": 0.01}}
     stage.apply({**PLAIN, "state": "inactive", "topics": [narrow]})
     asked = stage.now
     stage.now += 7
     stage.detector.apply(read_detector_settings({**PLAIN, "topics": [narrow]}, "config.yaml"), asked)
-    assert stage.live.followed == ["/vehicles/{agent}/pose"]
+    assert stage.live.announced == ["/vehicles/{agent}/pose"]
     assert stage.detector.reached == ("active", asked, asked + 7)
     stage.send("vehicle-00", 0)
     stage.send("vehicle-00", 0)
@@ -328,8 +328,8 @@ def test_a_subscription_asks_for_what_all_publishers_give(
     ],
 )
 def test_a_mismatch_names_both_sides(wanted: QosProfile, offered: QosProfile, expected: str) -> None:
-    found = mismatch(POSE_TYPE, wanted, PublisherOffer("/p", POSE_TYPE, offered))
-    assert found == (f"/p does not fit: {expected}" if expected else "")
+    problem = mismatch(POSE_TYPE, wanted, PublisherOffer("/p", POSE_TYPE, offered))
+    assert problem == (f"/p does not fit: {expected}" if expected else "")
 
 
 def test_another_type_is_a_mismatch() -> None:
@@ -340,7 +340,7 @@ def test_another_type_is_a_mismatch() -> None:
 
 def test_what_publishers_give_is_asked_for_and_a_flash_of_one_is_not_followed(stage: DetectorStage) -> None:
     def quality() -> QosProfile:
-        return stage.live.topics[TOPIC].quality
+        return stage.live.topics[TOPIC].qos
 
     stage.apply(PLAIN)
     stage.send("vehicle-00", 0)
@@ -367,15 +367,15 @@ def test_what_publishers_give_is_asked_for_and_a_flash_of_one_is_not_followed(st
 
 def test_broken_promises_are_counted_on_over_a_new_subscription(stage: DetectorStage) -> None:
     def shown() -> tuple[int, int]:
-        found = stage.status.document()["topics"][TOPIC]
-        return found["missed_deadlines"], found["lost_liveliness"]
+        shown = stage.status.document()["topics"][TOPIC]
+        return shown["missed_deadlines"], shown["lost_liveliness"]
 
     stage.apply({**PLAIN, "topics": [{**PLAIN["topics"][0], "deadline_seconds": 1}]})
-    stage.live.topics[TOPIC].broken = QosViolations(3, 1)
+    stage.live.topics[TOPIC].violations = QosViolations(3, 1)
     stage.pass_seconds(1.1)
     assert shown() == (3, 1)
     stage.apply({**PLAIN, "topics": [{**PLAIN["topics"][0], "deadline_seconds": 2}]})
-    stage.live.topics[TOPIC].broken = QosViolations(1, 0)
+    stage.live.topics[TOPIC].violations = QosViolations(1, 0)
     stage.pass_seconds(1.1)
     assert shown() == (4, 1)
     label = '{topic="/vehicles/{agent}/pose"}'
@@ -388,8 +388,8 @@ def test_a_misfit_is_told_until_it_is_mended(stage: DetectorStage, caplog: pytes
     caplog.set_level("INFO")
 
     def shown() -> tuple[str, dict[str, Any]]:
-        found = stage.status.document()["topics"][TOPIC]
-        return found["problem"], found["incompatible"]
+        shown = stage.status.document()["topics"][TOPIC]
+        return shown["problem"], shown["incompatible"]
 
     stage.apply({**PLAIN, "topics": [{**PLAIN["topics"][0], "durability": "transient_local"}]})
     stage.live.offered[TOPIC] = [PublisherOffer("/player", POSE_TYPE, QosProfile())]
@@ -426,7 +426,7 @@ def test_a_weak_publisher_is_subscribed_to_anew_unless_the_settings_insist(stage
     stage.live.offered[TOPIC] = [PublisherOffer("/player", POSE_TYPE, WEAK)]
     stage.pass_seconds(1.1)
     assert first.closed
-    assert stage.live.topics[TOPIC].quality == WEAK
+    assert stage.live.topics[TOPIC].qos == WEAK
     assert stage.detector.pool.snapshot()[TOPIC]["messages"] == 1, "the buffer stays"
     stage.apply({**PLAIN, "topics": [{**PLAIN["topics"][0], "reliability": "reliable"}]})
     stage.pass_seconds(1.1)

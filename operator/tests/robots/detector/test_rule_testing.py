@@ -42,16 +42,16 @@ Message = tuple[str, int, bytes]
 
 def drive() -> list[Message]:
     """Three vehicles on circles that cross, 20 s at 20 Hz, and a number that pauses from 10 s to 13 s."""
-    found = []
+    messages = []
     for step in range(400):
         moment = BEGIN + step * 50 * MS
         for index, agent in enumerate(AGENTS):
             angle = step / 60 * (index + 1)
             data = pose(80 * math.cos(angle) + 20 * index, 80 * math.sin(angle), stamp=moment)
-            found.append((f"/vehicles/{agent.replace('-', '_')}/pose", moment + index, data))
+            messages.append((f"/vehicles/{agent.replace('-', '_')}/pose", moment + index, data))
         if not 200 <= step < 260:
-            found.append(("/vehicles/vehicle_00/value", moment + 9, number(5 + 3 * math.sin(step / 15))))
-    return found
+            messages.append(("/vehicles/vehicle_00/value", moment + 9, number(5 + 3 * math.sin(step / 15))))
+    return messages
 
 
 def settings(*rules: dict[str, Any]) -> DetectorSettings:
@@ -63,18 +63,18 @@ def no_workers() -> PatientWorkers:
     raise AssertionError("no rule here has a process")
 
 
-def play(found: Sequence[Message], turn_ns: int = 10 * MS, rules: Sequence[dict[str, Any]] = ()) -> ReplayResult:
+def play(messages: Sequence[Message], turn_ns: int = 10 * MS, rules: Sequence[dict[str, Any]] = ()) -> ReplayResult:
     chosen = settings(*(rules or (PROXIMITY, THRESHOLD, ABSENCE)))
 
     wanted = topics_read(chosen, TYPES)
-    return replay(chosen, layouts(), TYPES, [m for m in found if m[0] in wanted], no_workers, turn_ns)
+    return replay(chosen, layouts(), TYPES, [m for m in messages if m[0] in wanted], no_workers, turn_ns)
 
 
 def identities(edges: Sequence[Edge]) -> set[tuple[str, str, str, tuple[str, ...], int]]:
     return {(edge.id, edge.edge, edge.rule, edge.agents, edge.stamp) for edge in edges}
 
 
-def brute_force(found: Sequence[Message]) -> list[tuple[str, tuple[str, str]]]:
+def brute_force(messages: Sequence[Message]) -> list[tuple[str, tuple[str, str]]]:
     """Edges of proximity by comparing all pairs at every pose."""
     places: dict[str, tuple[float, float]] = {}
     near: set[tuple[str, str]] = set()
@@ -99,13 +99,13 @@ def brute_force(found: Sequence[Message]) -> list[tuple[str, tuple[str, str]]]:
 
 def test_the_events_are_those_of_brute_force() -> None:
     result = play(drive(), rules=[PROXIMITY])
-    found = [(edge.edge, edge.agents) for edge in result.edges]
-    assert sorted(found) == sorted(brute_force(drive()))
-    assert len(found) > 6
+    edges = [(edge.edge, edge.agents) for edge in result.edges]
+    assert sorted(edges) == sorted(brute_force(drive()))
+    assert len(edges) > 6
     assert result.messages == 1200
     assert not result.malformed
     assert not result.problems
-    assert not result.unsaid
+    assert not result.incomplete
 
 
 @pytest.mark.parametrize("turn_ns", [1, MS, 60 * MS, 400 * MS])
@@ -115,17 +115,17 @@ def test_however_messages_are_handed_in_the_events_are_the_same(turn_ns: int) ->
     assert identities(play(drive(), turn_ns).edges) == expected
 
 
-def shaken(found: Sequence[Message], seed: int) -> list[Message]:
+def shaken(messages: Sequence[Message], seed: int) -> list[Message]:
     """As a network delivers: in order per topic, with delays of up to 30 ms, less than the time between two poses."""
     source = random.Random(seed)  # noqa: S311
-    moved = [(topic, moment + source.randrange(30 * MS), data) for topic, moment, data in found if "pose" in topic]
+    moved = [(topic, moment + source.randrange(30 * MS), data) for topic, moment, data in messages if "pose" in topic]
     return sorted(moved, key=lambda message: message[1])
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_delays_of_a_network_change_no_pair(seed: int) -> None:
     """Who crosses first may differ by the order of reception; who meets whom, and when to two periods, does not."""
-    plain, moved = (play(found, rules=[PROXIMITY]).edges for found in (drive(), shaken(drive(), seed)))
+    plain, moved = (play(messages, rules=[PROXIMITY]).edges for messages in (drive(), shaken(drive(), seed)))
     assert sorted((e.edge, e.agents) for e in plain) == sorted((e.edge, e.agents) for e in moved)
     by_pair: dict[Any, list[int]] = {}
     for edge in plain:
@@ -135,9 +135,9 @@ def test_delays_of_a_network_change_no_pair(seed: int) -> None:
 
 
 def test_what_cannot_be_read_is_counted() -> None:
-    found = drive()
-    found.insert(100, ("/vehicles/vehicle_00/pose", found[100][1], b"\0\1\0\0short"))
-    assert sum(play(found).malformed.values()) == 1
+    messages = drive()
+    messages.insert(100, ("/vehicles/vehicle_00/pose", messages[100][1], b"\0\1\0\0short"))
+    assert sum(play(messages).malformed.values()) == 1
 
 
 # expectations --------------------------------------------------------------------------------------------------------
@@ -145,19 +145,23 @@ def test_what_cannot_be_read_is_counted() -> None:
 
 def test_scores() -> None:
     pair = ("vehicle-00", "vehicle-01")
-    found = [Event("near", pair, 10 * SECOND, 20 * SECOND), Event("near", pair, 30 * SECOND), Event("high", (), SECOND)]
+    actual = [
+        Event("near", pair, 10 * SECOND, 20 * SECOND),
+        Event("near", pair, 30 * SECOND),
+        Event("high", (), SECOND),
+    ]
     expected = (Event("near", pair, 10 * SECOND + 300 * MS, 20 * SECOND), Event("near", pair, 50 * SECOND))
-    result = score(found, Expectations(expected, tolerance_seconds=0.5, timing_seconds=0.2))
+    result = score(actual, Expectations(expected, tolerance_seconds=0.5, timing_seconds=0.2))
     assert (result.matched, result.precision, result.recall) == (1, 1 / 3, 1 / 2)
     assert result.timing_seconds == pytest.approx(0.3)
     assert result.missing == expected[1:]
-    assert set(result.unexpected) == set(found[1:])
+    assert set(result.unexpected) == set(actual[1:])
     assert [text.partition(" is")[0] for text in result.failures] == [
         "precision 0.333", "recall 0.500", "timing error 0.300 s",
     ]  # fmt: skip
-    good = score(found, Expectations((*expected[:1],), precision=0.3, timing_seconds=0.5))
+    good = score(actual, Expectations((*expected[:1],), precision=0.3, timing_seconds=0.5))
     assert not good.failures
-    lasting = score(found[1:2], Expectations((Event("near", pair, 30 * SECOND, 40 * SECOND),)))
+    lasting = score(actual[1:2], Expectations((Event("near", pair, 30 * SECOND, 40 * SECOND),)))
     assert lasting.timing_seconds == math.inf
     assert not score([], Expectations(())).failures
 
@@ -316,10 +320,10 @@ def test_a_rule_that_fails_makes_the_command_fail(
     assert {edge["rule"] for edge in document["events"]} == {"high"}
 
 
-def write(folder: Path, found: Sequence[Message], types: Mapping[str, str] = TYPES, **definitions: str) -> Path:
+def write(folder: Path, messages: Sequence[Message], types: Mapping[str, str] = TYPES, **definitions: str) -> Path:
     topics = [BagTopic(name, kind, "reliable", "volatile", 10) for name, kind in types.items()]
     with BagWriter(folder, topics, definitions={**DEFINITIONS, **definitions}) as writer:
-        for name, moment, data in found:
+        for name, moment, data in messages:
             writer.add(name, moment, data)
         writer.finish()
     return folder
@@ -364,9 +368,9 @@ def test_bags_with_other_fields_of_a_type_are_named(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     types = {"/vehicles/vehicle_07/value": NUMBER}
-    found = [("/vehicles/vehicle_07/value", BEGIN, number(9))]
-    same = write(tmp_path / "same", found, types, **{NUMBER: "# in metres\nfloat64   data  # a number\n"})
-    other = write(tmp_path / "other", found, types, **{NUMBER: "float64 before\nfloat64 data\n"})
+    messages = [("/vehicles/vehicle_07/value", BEGIN, number(9))]
+    same = write(tmp_path / "same", messages, types, **{NUMBER: "# in metres\nfloat64   data  # a number\n"})
+    other = write(tmp_path / "other", messages, types, **{NUMBER: "float64 before\nfloat64 data\n"})
     path = written(tmp_path / "rules.yaml", {"rules": [THRESHOLD]})
     _, _, err = said(capsys, "rule", "test", path, str(bag), str(same))
     assert "other fields" not in err
@@ -412,7 +416,7 @@ def test_what_is_no_result_is_not_explained(
     change: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     edge = {"id": "ab", "rule": "near", "edge": "start", "stamp": 1, "time": 1}
-    good, wrong = ({"events": [found]} for found in (edge, edge | change))
+    good, wrong = ({"events": [event]} for event in (edge, edge | change))
     assert said(capsys, "rule", "explain", "ab", "--source", written(tmp_path / "good.json", good))[0] == 0
     code, _, err = said(capsys, "rule", "explain", "ab", "--source", written(tmp_path / "wrong.json", wrong))
     assert (code, "events: must be a list of edges" in err) == (2, True)
@@ -426,19 +430,19 @@ def test_topics_that_come_back_after_a_long_pause_are_read_again(
     monkeypatch.setattr(rule_replay, "TURNS_MAX", 10)
     pause, name = 700 * SECOND, "/vehicles/vehicle_00/value"
     moments = [BEGIN, BEGIN + SECOND, *(BEGIN + pause + step * 100 * MS for step in range(20))]
-    found = [(name, moment, number(6 - 3 * (index % 2))) for index, moment in enumerate(moments)]
+    messages = [(name, moment, number(6 - 3 * (index % 2))) for index, moment in enumerate(moments)]
     if not everything:
-        found += [("/vehicles/vehicle_01/pose", BEGIN + step * 500 * MS + 7, pose(0, 0, 1)) for step in range(1450)]
+        messages += [("/vehicles/vehicle_01/pose", BEGIN + step * 500 * MS + 7, pose(0, 0, 1)) for step in range(1450)]
     rules = [THRESHOLD] if everything else [THRESHOLD, PROXIMITY]
-    edges = [edge for edge in play(sorted(found, key=lambda m: m[1]), rules=rules).edges if edge.rule == "high"]
+    edges = [edge for edge in play(sorted(messages, key=lambda m: m[1]), rules=rules).edges if edge.rule == "high"]
     assert [edge.stamp for edge in edges if edge.edge == "start"] == moments[0::2]
 
 
 def test_topics_beyond_the_bound_are_named() -> None:
     types = {f"/vehicles/vehicle_{index}/value": NUMBER for index in range(SUBSCRIPTIONS_MAX + 1)}
     chosen = settings(THRESHOLD)
-    found = [(name, BEGIN, number(1)) for name in types]
-    result = replay(chosen, layouts(), types, found, no_workers)
+    messages = [(name, BEGIN, number(1)) for name in types]
+    result = replay(chosen, layouts(), types, messages, no_workers)
     assert [problem for problem in result.problems if "not read" in problem] == [
         f"/vehicles/vehicle_{SUBSCRIPTIONS_MAX}/value: not read: {SUBSCRIPTIONS_MAX} topics are"
     ]

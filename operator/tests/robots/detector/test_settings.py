@@ -9,7 +9,7 @@ import pytest
 from robotkube.errors import DocumentError
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.robots.detector.core.settings import SettingsContext, read_detector_settings
-from robotkube.robots.reactions.core.settings import OperatorReaction, RecordingReaction, RecordingTopic
+from robotkube.robots.reactions.core.settings import OperatorReactionSettings, RecordingReactionSettings, RecordingTopic
 from robotkube.robots.ros.core.topic_patterns import TopicPattern
 from robotkube.robots.rules.core import Proximity
 
@@ -50,9 +50,9 @@ def test_a_good_document_is_read() -> None:
     near, (operator, recording, *others) = settings.rules[0], settings.reactions
     assert isinstance(near.condition, Proximity)
     assert (near.condition.start_distance_m, near.condition.stop_distance_m, near.agents) == (400, 500, ("a", "b"))
-    assert isinstance(operator, OperatorReaction)
+    assert isinstance(operator, OperatorReactionSettings)
     assert operator.parameters == {"vehicles": "{agents}"}
-    assert isinstance(recording, RecordingReaction)
+    assert isinstance(recording, RecordingReactionSettings)
     assert recording.topics == (RecordingTopic(TopicPattern("/vehicles/vehicle_00/cloud"), "segment", 0, 0),)
     assert recording.after_seconds == 1.5
     assert (settings.topics[0].buffer_seconds, settings.topics[1].depth) == (5, 20)
@@ -105,7 +105,7 @@ def test_a_good_document_is_read() -> None:
         (["reactions", 2, "url"], f"http://{'a' * 64}.org/", "is no host: a name of labels of at most 63 letters"),
         (["reactions", 2, "url"], "http://[:::]/", "reactions[2].url: [:::] is no host"),
         (["reactions", 2, "url"], "http://10.0.0.256/", "reactions[2].url: 10.0.0.256 is no host"),
-        (["rules", 0, "silent"], True, "reactions[0].rule: near is silent and raises no events; take silent away"),
+        (["rules", 0, "silent"], True, "reactions[0].rule: near is silent and gives no events; take silent away"),
         (["reactions", 2, "secret"], "not a key", "reactions[2].secret: must be the name of a key"),
         (["reactions", 3, "topic"], "a/+/b", "reactions[3].topic: must be the full name of an MQTT topic"),
         (["reactions", 4, "plugin"], "shout", "reactions[4].plugin: no installed package offers the reaction shout"),

@@ -88,14 +88,14 @@ def reaction(kind: str, **more: Any) -> dict[str, Any]:
     return {"rule": "a", "kind": kind, **REACTIONS.get(kind, {}), **more}
 
 
-def verdicts(found: dict[str, Any]) -> tuple[bool, bool]:
+def verdicts(settings: dict[str, Any]) -> tuple[bool, bool]:
     """Whether the schema accepts it, and whether the reader does."""
     try:
-        read_detector_settings({"name": "cloud-0/detector", **found}, "config.yaml")
+        read_detector_settings({"name": "cloud-0/detector", **settings}, "config.yaml")
         read = True
     except DocumentError:
         read = False
-    return VALIDATOR.is_valid(found), read
+    return VALIDATOR.is_valid(settings), read
 
 
 @pytest.mark.parametrize("profile", ["event-detector", "earlier/event-detector"])

@@ -72,13 +72,13 @@ def test_a_state_is_named_when_it_is_reached() -> None:
     """Whoever reads beside sees none without its subscriptions."""
     stage = DetectorStage(MemoryTasks())
     stage.apply({**QUIET, "state": "inactive"})
-    follow, named = stage.live.follow, list[str]()
+    announce, named = stage.live.announce, list[str]()
 
-    def following(topics: Sequence[TopicSettings]) -> None:
+    def announcing(topics: Sequence[TopicSettings]) -> None:
         named.append(stage.status.document()["state"])
-        follow(topics)
+        announce(topics)
 
-    stage.live.follow = following  # type: ignore[method-assign]
+    stage.live.announce = announcing  # type: ignore[method-assign]
     for state in ("buffering", "active", "inactive"):
         stage.detector.change_state(state)
         assert stage.status.document()["state"] == state

@@ -13,12 +13,16 @@ import pytest
 
 from robotkube.errors import UnavailableError
 from robotkube.robots.reactions.adapters.delivery_files import DeliveryFile
-from robotkube.robots.reactions.core.settings import MqttReaction, PythonReaction, WebhookReaction
+from robotkube.robots.reactions.core.settings import (
+    MqttReactionSettings,
+    PythonReactionSettings,
+    WebhookReactionSettings,
+)
 from robotkube.robots.reactions.loops.dead_letters import DeadLetterBox
 from robotkube.robots.reactions.loops.deliveries import Deliveries
 from robotkube.robots.reactions.loops.delivery_journal import (
-    KEPT_BYTES_MAX,
-    KEPT_SECONDS_MAX,
+    ENTRY_SECONDS_MAX,
+    JOURNAL_BYTES_MAX,
     LOG_BYTES_MAX,
     UNCLAIMED_SECONDS,
     DeliveryJournal,
@@ -74,9 +78,9 @@ class Life:
         self.journal = DeliveryJournal(self.disk, self.box, lambda: self.now, lambda: self.seconds)
         self.hook = ReactionJournal(self.journal, HOOK, "webhook near host")
 
-    def left(self) -> list[str]:
+    def from_predecessor(self) -> list[str]:
         assert self.journal.turn()
-        return [one.id for one in self.hook.left()]
+        return [one.id for one in self.hook.from_predecessor()]
 
     def kill(self) -> None:
         """What the end of a process does."""
@@ -90,7 +94,7 @@ def ids(*numbers: int) -> list[str]:
 def test_the_next_process_finds_what_was_not_delivered_in_its_order_once(tmp_path: Path) -> None:
     life = Life(tmp_path / "a" / "b")
     assert not life.hook.settled
-    assert life.left() == []
+    assert life.from_predecessor() == []
     assert life.hook.settled
     for number in (3, 1, 2):
         life.hook.add(delivery(number))
@@ -101,18 +105,18 @@ def test_the_next_process_finds_what_was_not_delivered_in_its_order_once(tmp_pat
     life.kill()
     second = Life(tmp_path / "a" / "b")
     assert second.journal.turn()
-    assert second.hook.left() == [delivery(3), delivery(2)], "the same to the letter"
-    assert second.hook.left() == ()
+    assert second.hook.from_predecessor() == [delivery(3), delivery(2)], "the same to the letter"
+    assert second.hook.from_predecessor() == ()
     assert second.journal.document()["replayed"] == 2
     second.kill()
     third = Life(tmp_path / "a" / "b")
-    assert third.left() == ids(3, 2), "until somebody has it"
+    assert third.from_predecessor() == ids(3, 2), "until somebody has it"
     for number in (3, 2):
         third.hook.done(delivery(number))
     third.journal.turn()
     assert (tmp_path / "a" / "b" / FILE).read_bytes() == b"", "nothing is kept of what is over"
     third.kill()
-    assert Life(tmp_path / "a" / "b").left() == []
+    assert Life(tmp_path / "a" / "b").from_predecessor() == []
 
 
 def test_what_is_delivered_at_once_is_never_written(tmp_path: Path) -> None:
@@ -158,12 +162,12 @@ def test_every_history_of_kills_leaves_what_was_kept_and_nothing_else(tmp_path: 
                 if (size := path.stat().st_size) > before:
                     path.write_bytes(path.read_bytes()[: chance.randrange(before, size + 1)])
                 life = Life(folder)
-                found = life.left()
-                assert len(set(found)) == len(found)
-                assert safe <= set(found), seed
-                assert set(found) <= {*ids(*range(1, number + 1))} - over, seed
-                assert found == sorted(found), seed
-                live, safe = found, set(found)
+                left = life.from_predecessor()
+                assert len(set(left)) == len(left)
+                assert safe <= set(left), seed
+                assert set(left) <= {*ids(*range(1, number + 1))} - over, seed
+                assert left == sorted(left), seed
+                live, safe = left, set(left)
         life.kill()
 
 
@@ -184,7 +188,7 @@ def test_a_full_disk_is_said_and_counted_and_got_over(tmp_path: Path) -> None:
     document = life.journal.document()
     assert (document["problem"], document["kept"], document["unkept"]) == ("", 1, 2)
     life.kill()
-    assert Life(tmp_path).left() == ids(2)
+    assert Life(tmp_path).from_predecessor() == ids(2)
 
 
 def test_no_more_waits_on_the_disk_than_is_allowed_and_the_file_is_written_anew(tmp_path: Path) -> None:
@@ -193,7 +197,7 @@ def test_no_more_waits_on_the_disk_than_is_allowed_and_the_file_is_written_anew(
     for number in range(12):
         life.hook.add(delivery(number, size))
     life.journal.turn()
-    kept = KEPT_BYTES_MAX // size
+    kept = JOURNAL_BYTES_MAX // size
     assert (life.journal.document()["kept"], life.journal.unkept) == (kept, 12 - kept)
     assert life.disk.size < LOG_BYTES_MAX
     for number in range(100, 120):
@@ -202,20 +206,20 @@ def test_no_more_waits_on_the_disk_than_is_allowed_and_the_file_is_written_anew(
         life.journal.turn()
         assert (tmp_path / FILE).stat().st_size <= LOG_BYTES_MAX + 2 * size
     life.kill()
-    assert len(Life(tmp_path).left()) == kept
+    assert len(Life(tmp_path).from_predecessor()) == kept
 
 
 def test_what_nobody_asks_for_and_what_is_too_old_becomes_a_dead_letter(tmp_path: Path) -> None:
     life = Life(tmp_path)
     life.journal.turn()
     life.hook.add(delivery(1))
-    life.now += (KEPT_SECONDS_MAX + 1) * SECOND_NS
+    life.now += (ENTRY_SECONDS_MAX + 1) * SECOND_NS
     life.hook.add(delivery(2))
     ReactionJournal(life.journal, OTHER, "mqtt near events").add(delivery(3))
     life.journal.turn()
     life.kill()
     second = Life(tmp_path, life.now)
-    assert second.left() == ids(2)
+    assert second.from_predecessor() == ids(2)
     assert [letter["id"] for letter in second.box.documents()] == ids(1)
     second.seconds = UNCLAIMED_SECONDS + 1
     second.journal.turn()
@@ -224,7 +228,7 @@ def test_what_nobody_asks_for_and_what_is_too_old_becomes_a_dead_letter(tmp_path
     ]
     second.journal.turn()
     second.kill()
-    assert Life(tmp_path, life.now).left() == ids(2)
+    assert Life(tmp_path, life.now).from_predecessor() == ids(2)
 
 
 def test_a_folder_that_another_process_has_is_refused(tmp_path: Path) -> None:
@@ -253,13 +257,14 @@ def test_a_folder_that_cannot_be_is_named_and_tried_again(tmp_path: Path) -> Non
 
 def test_reactions_are_told_apart_by_their_receivers() -> None:
     hooks = [
-        WebhookReaction("near", f"http://host/{path}", retry_seconds=s) for path, s in (("a", 1), ("a", 2), ("b", 1))
+        WebhookReactionSettings("near", f"http://host/{path}", retry_seconds=s)
+        for path, s in (("a", 1), ("a", 2), ("b", 1))
     ]
     assert hooks[0].name == hooks[2].name
     assert hooks[0].key == hooks[1].key
     assert hooks[0].key != hooks[2].key
-    keys = {hooks[0].key, hooks[2].key, MqttReaction("near", "a").key, MqttReaction("far", "a").key}
-    keys |= {PythonReaction("near", "a", {"b": 1}).key, PythonReaction("near", "a", {"b": 2}).key}
+    keys = {hooks[0].key, hooks[2].key, MqttReactionSettings("near", "a").key, MqttReactionSettings("far", "a").key}
+    keys |= {PythonReactionSettings("near", "a", {"b": 1}).key, PythonReactionSettings("near", "a", {"b": 2}).key}
     assert len(keys) == 6
 
 
@@ -348,4 +353,4 @@ def test_who_reacts_does_not_wait_for_a_disk_that_hangs(tmp_path: Path) -> None:
     over.set()
     until(lambda: life.journal.document()["kept"] == 1)
     assert life.journal.stop(5.0)
-    assert Life(tmp_path).left() == ids(199)
+    assert Life(tmp_path).from_predecessor() == ids(199)

@@ -242,10 +242,10 @@ class Held(queue.Queue[Any]):
     taken, going = threading.Event(), threading.Event()
 
     def get(self, block: bool = True, timeout: float | None = None) -> Any:
-        found = super().get(block, timeout)
+        order = super().get(block, timeout)
         self.taken.set()
         assert self.going.wait(WAIT_SECONDS_MAX)
-        return found
+        return order
 
 
 def test_what_is_just_being_taken_up_is_carried_out_before_the_end(

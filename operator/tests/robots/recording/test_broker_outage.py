@@ -119,11 +119,11 @@ class Here:
 
 
 def test_what_came_before_an_event_is_in_its_recording(way: RecordedWay) -> None:
-    (found,) = [one for one in way.reader.recordings() if one["_id"] != RECORDING]
-    (cause,) = found["causes"]
-    assert (found["_id"], cause["rule"]) == (f"{ENCOUNTER}-{cause['event'][:8]}", "near")
+    (document,) = [one for one in way.reader.recordings() if one["_id"] != RECORDING]
+    (cause,) = document["causes"]
+    assert (document["_id"], cause["rule"]) == (f"{ENCOUNTER}-{cause['event'][:8]}", "near")
     assert cause["agents"] == list(AGENTS)
-    stored = list(stored_messages(way.reader, way.segments, found["_id"]))
+    stored = list(stored_messages(way.reader, way.segments, document["_id"]))
     first = cause["started"] - BEFORE_SECONDS * 1_000_000_000
     for topic in (*POSES, CLOUDS):
         missing = lost(way, topic)
@@ -151,12 +151,12 @@ def test_verify_proves_the_checksums_and_names_the_gaps(
     rows = {row["topic"]: row for row in json.loads(out)["topics"]}
     for name in (*POSES, TRANSFORMS):
         assert (rows[name]["missing"], rows[name]["unexplained"]) == (len(lost(way, name)), 0)
-    found = rows[CLOUDS]
+    clouds = rows[CLOUDS]
     missing = len(lost(way, CLOUDS)) - audits(way.reader, RECORDING)[CLOUDS].early
-    assert (found["missing"], found["lost"], found["unexplained"]) == (missing, missing, 0)
+    assert (clouds["missing"], clouds["lost"], clouds["unexplained"]) == (missing, missing, 0)
     assert {(row["mismatches"], row["duplicates"], row["unreadable"]) for row in rows.values()} == {(0, 0, 0)}
-    assert f"{CLOUDS}: {len(found['gaps'])} gaps" in err
-    assert {gap["where"] for gap in found["gaps"]} == {BRIDGE}
+    assert f"{CLOUDS}: {len(clouds['gaps'])} gaps" in err
+    assert {gap["where"] for gap in clouds["gaps"]} == {BRIDGE}
 
 
 def test_everything_about_it_is_shown(
@@ -198,10 +198,10 @@ def test_everything_is_exported_as_it_was_published(
     target = tmp_path / "out"
     assert command(way, monkeypatch, "export", str(target), f"--segments={VOLUME}={way.claim}", "--labels") == 0
     with Reader(target) as reader:
-        found = [(c.topic, c.msgtype, bytes(data)) for c, _, data in reader.messages()]
-    for kind, data in {(kind, data) for _, kind, data in found}:
+        messages = [(c.topic, c.msgtype, bytes(data)) for c, _, data in reader.messages()]
+    for kind, data in {(kind, data) for _, kind, data in messages}:
         STORE.deserialize_cdr(data, kind)
-    digests = sorted((topic, hashlib.sha256(data).hexdigest()) for topic, _, data in found)
+    digests = sorted((topic, hashlib.sha256(data).hexdigest()) for topic, _, data in messages)
     missing = {(topic, stamp) for topic in (*POSES, CLOUDS) for stamp in lost(way, topic)}
     assert digests == sorted(
         (topic, line.sha256)
@@ -225,8 +225,8 @@ def test_a_part_is_exported_as_one_mcap_file(
     assert command(way, monkeypatch, "export", str(target), *words) == 0
     capsys.readouterr()
     with (target / f"{RECORDING}.mcap").open("rb") as file:
-        found = [(channel.topic, message.publish_time) for _, channel, message in make_reader(file).iter_messages()]
-    assert sorted(found) == sorted(
+        messages = [(channel.topic, message.publish_time) for _, channel, message in make_reader(file).iter_messages()]
+    assert sorted(messages) == sorted(
         (topic, line.stamp)
         for topic in (POSES[1], CLOUDS)
         for line in way.ledgers()[topic]

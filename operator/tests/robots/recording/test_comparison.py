@@ -43,36 +43,36 @@ GOOD_STORED = [stored(n) for n in range(90, 211, 10)]
 
 
 def test_equal_is_complete() -> None:
-    verdict = compare_topic("/p", GOOD_LINES, GOOD_STORED, WINDOW)
-    assert verdict.complete
-    assert (verdict.published, verdict.stored) == (11, 11)
+    comparison = compare_topic("/p", GOOD_LINES, GOOD_STORED, WINDOW)
+    assert comparison.complete
+    assert (comparison.published, comparison.stored) == (11, 11)
 
 
 def test_outside_of_the_window_nothing_counts() -> None:
-    verdict = compare_topic("/p", GOOD_LINES, [m for m in GOOD_STORED if 100 <= m.stamp <= 200], WINDOW)
-    assert verdict.complete
+    comparison = compare_topic("/p", GOOD_LINES, [m for m in GOOD_STORED if 100 <= m.stamp <= 200], WINDOW)
+    assert comparison.complete
 
 
 def test_a_lost_message_is_named() -> None:
-    verdict = compare_topic("/p", GOOD_LINES, [m for m in GOOD_STORED if m.stamp != 150], WINDOW)
-    assert verdict.lost == (line(150),)
-    assert not verdict.complete
+    comparison = compare_topic("/p", GOOD_LINES, [m for m in GOOD_STORED if m.stamp != 150], WINDOW)
+    assert comparison.lost == (line(150),)
+    assert not comparison.complete
 
 
 def test_a_doubled_message_is_named() -> None:
-    verdict = compare_topic("/p", GOOD_LINES, [*GOOD_STORED, stored(150), stored(150)], WINDOW)
-    assert verdict.duplicates == (150, 150)
-    assert verdict.lost == ()
+    comparison = compare_topic("/p", GOOD_LINES, [*GOOD_STORED, stored(150), stored(150)], WINDOW)
+    assert comparison.duplicates == (150, 150)
+    assert comparison.lost == ()
 
 
 def test_a_changed_message_is_named_once() -> None:
     changed = [m if m.stamp != 150 else stored(150, "other") for m in GOOD_STORED]
-    verdict = compare_topic("/p", GOOD_LINES, changed, WINDOW)
-    assert (verdict.mismatches, verdict.lost, verdict.unknown) == ((150,), (), ())
+    comparison = compare_topic("/p", GOOD_LINES, changed, WINDOW)
+    assert (comparison.mismatches, comparison.lost, comparison.unknown) == ((150,), (), ())
 
 
 def test_bytes_that_differ_from_what_was_claimed_are_named() -> None:
-    claimed = [m if m.stamp != 150 else replace(m, claimed=digest("x")) for m in GOOD_STORED]
+    claimed = [m if m.stamp != 150 else replace(m, recorded_sha256=digest("x")) for m in GOOD_STORED]
     assert compare_topic("/p", GOOD_LINES, claimed, WINDOW).mismatches == (150,)
 
 
@@ -82,14 +82,14 @@ def test_an_invented_message_is_named() -> None:
 
 def test_an_unreadable_message_is_lost_and_named() -> None:
     broken = [m if m.stamp != 150 else replace(m, sha256="", problem="n/c: away") for m in GOOD_STORED]
-    verdict = compare_topic("/p", GOOD_LINES, broken, WINDOW)
-    assert (verdict.unreadable, verdict.lost) == (("n/c: away",), (line(150),))
+    comparison = compare_topic("/p", GOOD_LINES, broken, WINDOW)
+    assert (comparison.unreadable, comparison.lost) == (("n/c: away",), (line(150),))
 
 
 def test_topics_without_ledger_are_named() -> None:
-    verdict = compare("r", {"/p": GOOD_LINES}, [*GOOD_STORED, replace(stored(1), topic="/q")], WINDOW)
-    assert verdict.complete
-    assert verdict.without_ledger == ("/q",)
+    comparison = compare("r", {"/p": GOOD_LINES}, [*GOOD_STORED, replace(stored(1), topic="/q")], WINDOW)
+    assert comparison.complete
+    assert comparison.without_ledger == ("/q",)
     assert not compare("r", {"/p": GOOD_LINES}, [], WINDOW).complete
     assert not compare("r", {}, GOOD_STORED, WINDOW).complete
 
@@ -111,8 +111,8 @@ def test_buckets_hold_everything_once_and_are_named_by_content(items: list[Recei
     buckets = bucket_documents("r", items)
     assert buckets == bucket_documents("r", list(reversed(items))) or len({m.stamp for m in items}) < len(items)
     assert len({bucket["_id"] for bucket in buckets}) == len(buckets)
-    found = [(b["topic"], s["stamp"], s["sha256"]) for b in buckets for s in b["samples"]]
-    assert sorted(found) == sorted((m.topic, m.stamp, m.sha256) for m in items)
+    samples = [(b["topic"], s["stamp"], s["sha256"]) for b in buckets for s in b["samples"]]
+    assert sorted(samples) == sorted((m.topic, m.stamp, m.sha256) for m in items)
     for bucket in buckets:
         assert bucket["_id"].startswith(f"r/{bucket['topic']}/{bucket['second']}/")
         assert {s["stamp"] // 10**9 for s in bucket["samples"]} == {bucket["second"]}

@@ -34,18 +34,16 @@ class Stage:
         """A new process, which has read nothing yet."""
         self.volume.forget_writers()
         self.reading = Reading()
-        self.ownership = Fencing("edge-0", movable, lambda: self.now)
-        self.ownership.follow(self.reading)
+        self.fencing = Fencing("edge-0", movable, lambda: self.now)
+        self.fencing.follow(self.reading)
         clock = lambda: int(self.now * SECOND_NS)  # noqa: E731
-        place = RecorderPlace(
-            VOLUME, lambda: self.database, lambda: self.volume, clock, lambda: self.now, self.ownership
-        )
+        place = RecorderPlace(VOLUME, lambda: self.database, lambda: self.volume, clock, lambda: self.now, self.fencing)
         self.journal = Journal(RECORDING, place, bounds=BOUNDS)
         self.recorder = Recorder(RECORDING, {"rule": "r"}, self.journal, place)
 
     def read(self, settings: Any) -> None:
         """The API server answers."""
-        self.ownership.told(settings)
+        self.fencing.told(settings)
         self.reading.read_at, self.reading.interrupted_at = self.now, None
 
     def record(self, seconds: float = 1.0) -> None:
@@ -107,13 +105,13 @@ def test_what_was_taken_over_is_discarded_and_counted(settings: Any) -> None:
     stage.cut()
     assert stage.volume.batches, "what waits for long is safe from a kill"
     stage.record(0.1)
-    documents = {name: dict(found) for name, found in stage.database.collections.items()}
+    documents = {name: dict(collection) for name, collection in stage.database.collections.items()}
     stage.read(settings)
-    assert stage.ownership.lost
+    assert stage.fencing.lost
     stage.record()
     assert not stage.end()
     assert stage.stored == [b"1"]
-    assert {name: dict(found) for name, found in stage.database.collections.items()} == documents
+    assert {name: dict(collection) for name, collection in stage.database.collections.items()} == documents
     assert not stage.volume.batches
     assert stage.journal.counts.discarded > 3
     (audit,) = stage.database.collections[AUDITS].values()

@@ -121,12 +121,12 @@ class Site:
         return min(int(audit["window"][1]) for audit in audits)
 
     def ledgers(self) -> dict[str, list[LedgerLine]]:
-        found = {}
+        ledgers = {}
         for name in TOPICS:
             path = self.folder / "ledgers" / f"{name.replace('/', '__')}.jsonl"
             with path.open() as file:
-                found[name] = read_ledger(file, str(path))
-        return found
+                ledgers[name] = read_ledger(file, str(path))
+        return ledgers
 
     def close(self) -> None:
         for process in self.processes:
@@ -160,10 +160,10 @@ def test_sigterm_in_mid_write_leaves_a_complete_recording(site: Site) -> None:
     first = first_stamps(site.reader, RECORDING)
     window = (max(first.values()), site.received_up_to())
     ledgers = {name: lines for name, lines in site.ledgers().items() if not name.endswith("transform")}
-    verdict = verify(site.reader, site.segments, RECORDING, ledgers, window)
-    assert verdict.complete, verdict
-    assert all(topic.stored > 10 for topic in verdict.topics.values())
-    assert set(verdict.without_ledger) <= set(TOPICS)
+    comparison = verify(site.reader, site.segments, RECORDING, ledgers, window)
+    assert comparison.complete, comparison
+    assert all(topic.stored > 10 for topic in comparison.topics.values())
+    assert set(comparison.without_ledger) <= set(TOPICS)
     transforms = [m for m in stored_messages(site.reader, site.segments, RECORDING) if m.topic.endswith("transform")]
     assert {(m.topic, m.sha256) for m in transforms} == {
         (name, lines[0].sha256) for name, lines in site.ledgers().items() if name.endswith("transform")
@@ -193,8 +193,8 @@ def test_a_killed_recorder_leaves_everything_acknowledged_readable(site: Site) -
     publisher.terminate()
     publisher.wait(SECONDS_MAX)
     everything = (0, time.time_ns())
-    verdict = verify(site.reader, site.segments, RECORDING, site.ledgers(), everything)
-    for topic in verdict.topics.values():
+    comparison = verify(site.reader, site.segments, RECORDING, site.ledgers(), everything)
+    for topic in comparison.topics.values():
         assert (topic.duplicates, topic.mismatches, topic.unknown, topic.unreadable) == ((), (), (), ())
     assert kept <= {(m.topic, m.stamp, m.sha256) for m in stored_messages(site.reader, site.segments, RECORDING)}
     assert len(list((site.folder / "claim" / RECORDING).iterdir())) == 2
@@ -242,7 +242,7 @@ def test_a_topic_that_nobody_can_read_does_not_spoil_the_rest(site: Site) -> Non
     publisher.wait(SECONDS_MAX)
     stored = list(stored_messages(site.reader, site.segments, RECORDING))
     assert {message.topic for message in stored} == set(TOPICS)
-    assert all(message.sha256 == message.claimed for message in stored)
+    assert all(message.sha256 == message.recorded_sha256 for message in stored)
 
 
 def test_without_a_node_name_the_process_says_what_to_set(site: Site) -> None:
@@ -260,7 +260,7 @@ def test_readiness_names_what_is_missing(site: Site, database_server: Any) -> No
     database_server.kill()
     port = free_port()
     process = site.record(port)
-    until(lambda: state(port)[0] == 503 and "database or claim has not answered yet: task-1" in state(port)[1])
+    until(lambda: state(port)[0] == 503 and "database or volume claim has not answered yet: task-1" in state(port)[1])
     database_server.start()
     until(lambda: state(port)[0] == 200)
     process.send_signal(signal.SIGTERM)

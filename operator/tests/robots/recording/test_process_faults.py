@@ -68,9 +68,9 @@ class Site:
         reader, segments = PymongoRecordingReader(database), McapSegmentReader({VOLUME: self.claim})
         stored = list(stored_messages(reader, segments, RECORDING))
         for topic in examine(stored, audits(reader, RECORDING), self.ledgers, ALWAYS):
-            assert topic.verdict is not None
+            assert topic.comparison is not None
             assert (topic.duplicates, topic.mismatches, topic.unreadable) == (0, (), ())
-            assert (topic.verdict.mismatches, topic.verdict.unknown) == ((), ())
+            assert (topic.comparison.mismatches, topic.comparison.unknown) == ((), ())
             assert topic.unexplained == 0, topic
         assert not wrong_segments(reader, segments, RECORDING)
         assert len(reader.segments(RECORDING)) == len(list(self.claim.rglob("*.mcap")))
@@ -88,9 +88,9 @@ class Site:
                 summary = reader.get_summary()
                 assert summary is not None
                 assert summary.statistics is not None
-                found = sum(1 for _ in reader.iter_messages())
-                assert found == summary.statistics.message_count
-                count += found
+                messages = sum(1 for _ in reader.iter_messages())
+                assert messages == summary.statistics.message_count
+                count += messages
         return count
 
 

@@ -179,8 +179,14 @@ class History:
 
 def assert_explained(history: History) -> None:
     for topic in history.examined():
-        assert topic.verdict is not None
-        problems = (topic.duplicates, topic.mismatches, topic.unreadable, topic.verdict.mismatches, topic.unexplained)
+        assert topic.comparison is not None
+        problems = (
+            topic.duplicates,
+            topic.mismatches,
+            topic.unreadable,
+            topic.comparison.mismatches,
+            topic.unexplained,
+        )
         assert problems == (0, (), (), (), 0), topic
         if not history.kills and topic.audit is not None:
             assert topic.audit.exact
@@ -233,7 +239,7 @@ def test_a_kill_hides_no_large_message_that_smaller_ones_have_overtaken() -> Non
     assert picture.audit is not None
     assert (picture.stored, picture.unexplained) == (5, 0)
     lost = [BEGIN + number * 20 * MS for number in (2, 4, 6)]
-    assert [one.stamp for one in picture.verdict.lost] == lost
+    assert [one.stamp for one in picture.comparison.lost] == lost
     assert all(any(gap.why == KILLED and gap.covers(stamp) for gap in picture.audit.gaps) for stamp in lost)
     assert min(gap.first for gap in picture.audit.gaps) == lost[0], "what is stored before is not doubted"
 

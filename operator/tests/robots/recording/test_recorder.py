@@ -102,10 +102,10 @@ class Bench:
         return McapSegmentReader({VOLUME: self.root})
 
     def assert_complete(self, seconds: int) -> None:
-        verdict = verify(self.reader, self.segments, RECORDING, self.ledgers, (BEGIN, BEGIN + 10**12))
-        assert verdict.complete, verdict
-        assert verdict.topics[POSES].stored == 100 * seconds
-        assert verdict.topics[CLOUDS].stored == 10 * seconds
+        comparison = verify(self.reader, self.segments, RECORDING, self.ledgers, (BEGIN, BEGIN + 10**12))
+        assert comparison.complete, comparison
+        assert comparison.topics[POSES].stored == 100 * seconds
+        assert comparison.topics[CLOUDS].stored == 10 * seconds
 
 
 def counts(recordings: Recordings) -> RecorderCounts:
@@ -160,8 +160,8 @@ def test_messages_that_come_twice_are_stored_once(bench: Bench) -> None:
         until(lambda: recorder.counts()["documents"] == 20)
     assert recorder.stop(STOP_SECONDS_MAX)
     assert recorder.counts()["duplicates"] == 40
-    verdict = verify(bench.reader, bench.segments, RECORDING, bench.ledgers, (BEGIN, BEGIN + 10**12))
-    assert verdict.complete, verdict
+    comparison = verify(bench.reader, bench.segments, RECORDING, bench.ledgers, (BEGIN, BEGIN + 10**12))
+    assert comparison.complete, comparison
 
 
 def test_a_second_recorder_goes_on_without_storing_anything_again(bench: Bench) -> None:
@@ -203,8 +203,8 @@ def test_different_messages_of_one_stamp_are_both_kept(bench: Bench) -> None:
         recorder.offer(CLOUDS, CLOUD, Sample(BEGIN, BEGIN, data))
         recorder.offer(POSES, POSE, Sample(BEGIN, BEGIN, data))
     assert recorder.stop(STOP_SECONDS_MAX)
-    found = [(m.topic, m.sha256) for m in stored_messages(bench.reader, bench.segments, RECORDING)]
-    assert len(set(found)) == len(found) == 4
+    messages = [(m.topic, m.sha256) for m in stored_messages(bench.reader, bench.segments, RECORDING)]
+    assert len(set(messages)) == len(messages) == 4
 
 
 def test_reception_goes_on_while_the_database_is_away(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:

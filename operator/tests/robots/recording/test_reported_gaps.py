@@ -51,7 +51,7 @@ def test_what_is_told_and_what_the_stamps_show_is_counted_once(missing: set[int]
         if number not in missing:
             audit.receive(number * PERIOD)
     for number in sorted(missing & known):
-        audit.lack(replace(BRIDGE, count=1, first=number * PERIOD, last=number * PERIOD))
+        audit.note_gap(replace(BRIDGE, count=1, first=number * PERIOD, last=number * PERIOD))
     gaps = written(audit)
     assert sum(gap.count or 0 for gap in gaps) == len(missing)
     assert all(any(gap.covers(number * PERIOD) for gap in gaps) for number in missing)
@@ -62,9 +62,9 @@ def test_what_is_told_and_what_the_stamps_show_is_counted_once(missing: set[int]
 def test_gaps_are_bounded() -> None:
     audit = TopicAudit(POSE)
     for number in range(GAPS_MAX + 5):
-        audit.lack(replace(BRIDGE, count=1, first=2 * number, last=2 * number))
-    assert len(audit.lacking) == GAPS_MAX
-    assert audit.lacking[-1] == replace(BRIDGE, count=6, first=2 * (GAPS_MAX - 1), last=2 * (GAPS_MAX + 4))
+        audit.note_gap(replace(BRIDGE, count=1, first=2 * number, last=2 * number))
+    assert len(audit.never_received) == GAPS_MAX
+    assert audit.never_received[-1] == replace(BRIDGE, count=6, first=2 * (GAPS_MAX - 1), last=2 * (GAPS_MAX + 4))
 
 
 @pytest.fixture
@@ -80,7 +80,7 @@ def recorded(database: RecordingDatabase, numbers: range, *told: Gap) -> None:
     recordings.start()
     until(lambda: recordings.ready)
     for gap in told:
-        recordings.lack(gap)
+        recordings.note_gap(gap)
     for number in numbers:
         recordings.offer(POSE, "p", Sample(number * PERIOD, number * PERIOD, b"pose %d" % number))
     assert recordings.stop(5.0)
@@ -102,8 +102,8 @@ def test_a_second_writer_is_told_the_same_again(database: RecordingDatabase) -> 
     recorded(database, range(40, 50), BRIDGE)
     recorded(database, range(53, 60), BRIDGE)
     assert len(database.audits("r")) == 2
-    found = add_up(database.audits("r"))[POSE]
-    assert (found.gaps, found.unexplained(17)) == ((BRIDGE,), 0)
+    audit = add_up(database.audits("r"))[POSE]
+    assert (audit.gaps, audit.unexplained(17)) == ((BRIDGE,), 0)
 
 
 def test_what_bridges_gave_up_is_told_to_recordings(stage: DetectorStage) -> None:

@@ -16,7 +16,7 @@ from robotkube.robots.bags.adapters.writing import BagWriter
 from robotkube.robots.bags.core.playback import BagTopic
 from robotkube.robots.recording.adapters.segments import McapRepair, McapSegmentReader, McapSegments
 from robotkube.robots.recording.core.documents import Received, SegmentPlace
-from robotkube.robots.recording.loops.recovery import repaired
+from robotkube.robots.recording.loops.segment_repair import repair_segments
 from robotkube.robots.ros.adapters.installed_definitions import definition
 from robotkube.testing.recordings import RecordingDatabase
 
@@ -81,8 +81,8 @@ def test_an_unfinished_segment_is_read_record_by_record(
     (path,) = tmp_path.rglob("*.mcap")
     with path.open("rb") as file:
         records = itertools.islice(StreamReader(file, record_size_limit=None).records, 3 + 5)
-        found = [record for record in records if isinstance(record, Message)]
-    assert [record.data for record in found] == [message(n).data for n in range(5)]
+        messages = [record for record in records if isinstance(record, Message)]
+    assert [record.data for record in messages] == [message(n).data for n in range(5)]
 
 
 def test_a_second_writer_of_the_recording_leaves_the_first_ones_files(
@@ -121,7 +121,7 @@ def test_what_cannot_be_read_is_named(tmp_path: Path, open_segments: Callable[..
     place = segments.append([(message(1), CLOUD)])[0]
     reader = McapSegmentReader({"n/c": tmp_path})
     for volume, wrong, size, text in [
-        ("edge-0/recordings", place, 1000, "claim recordings of node edge-0 is not within reach"),
+        ("edge-0/recordings", place, 1000, "volume claim recordings of node edge-0 is not within reach"),
         ("n/c", SegmentPlace("task-1/none.mcap", 0), 1000, "No such file"),
         ("n/c", SegmentPlace("../../etc/passwd", 0), 1000, "leads out of the volume"),
         ("n/c", SegmentPlace(place.segment, place.offset + 1), 900, "there is no message of 900 bytes"),
@@ -143,25 +143,25 @@ def test_a_cut_segment_gets_an_end_behind_its_last_whole_record(
     for n in range(5):
         segments.append([(message(n), CLOUD)])
     repair = McapRepair(tmp_path)
-    assert repair.left(()) == [], "somebody writes it"
+    assert repair.unfinished(()) == [], "somebody writes it"
     (path,) = tmp_path.rglob("*.mcap")
     data = path.read_bytes()
     segments.close()
     path.write_bytes(data[: len(data) - cut])
-    (name,) = repair.left(())
-    found = repair.found(name)
+    (name,) = repair.unfinished(())
+    messages = repair.messages(name)
     closed = repair.finish(name)
     whole = 5 - -(-cut // (1000 + 31))
     assert closed is not None
-    assert len(found) == closed.messages == whole
+    assert len(messages) == closed.messages == whole
     reader = McapSegmentReader({"n/c": tmp_path})
-    for n, one in enumerate(found):
+    for n, one in enumerate(messages):
         assert (one.topic, one.stamp, one.received) == ("/cloud", n, n + 5)
         assert reader.read("n/c", one.place, one.size) == message(n).data
     assert reader.digest("n/c", name) == (closed.sha256, closed.size)
     with path.open("rb") as file:
         assert [m.data for _, _, m in make_reader(file).iter_messages()] == [message(n).data for n in range(whole)]
-    assert repair.left({name}) == []
+    assert repair.unfinished({name}) == []
     again = repair.finish(name)
     assert again is not None
     assert (again.sha256, again.cut) == (closed.sha256, 0)
@@ -174,7 +174,7 @@ def test_a_segment_without_a_whole_message_goes(tmp_path: Path, open_segments: C
     data = path.read_bytes()
     segments.close()
     path.write_bytes(data[:-10])
-    (name,) = McapRepair(tmp_path).left(())
+    (name,) = McapRepair(tmp_path).unfinished(())
     assert McapRepair(tmp_path).finish(name) is None
     assert not path.exists()
 
@@ -183,14 +183,14 @@ def test_a_repair_leaves_what_is_not_its_own(tmp_path: Path, open_segments: Call
     segments = open_segments()
     segments.append([(message(1), CLOUD)])
     segments.close()
-    (segment,) = McapRepair(tmp_path).left(())
+    (segment,) = McapRepair(tmp_path).unfinished(())
     with BagWriter(
         tmp_path / "encounter-1", [BagTopic("/a", CLOUD, "reliable", "volatile", 1)], compressed=True
     ) as bag:
         bag.add("/a", 1, b"data")
         bag.finish()
     bag_file = tmp_path / "encounter-1" / "bag.mcap"
-    assert McapRepair(tmp_path).left(()) == [segment], "an export beside the recordings is none"
+    assert McapRepair(tmp_path).unfinished(()) == [segment], "an export beside the recordings is none"
     renamed = bag_file.rename(tmp_path / "encounter-1" / "5-0001.mcap")
     notes = tmp_path / "encounter-1" / "6-0001.mcap"
     notes.write_text("somebody's notes")
@@ -209,7 +209,7 @@ def test_a_file_that_cannot_be_opened_does_not_hold_up_the_others(
     segments.close()
     (tmp_path / "task-1" / "0-0001.mcap").mkdir()
     store = RecordingDatabase()
-    for writes in repaired(McapRepair(tmp_path), store, "n/c"):
+    for writes in repair_segments(McapRepair(tmp_path), store, "n/c"):
         store.write(writes)
     assert [entry["segment"] for entry in store.index("task-1")] == [place.segment]
     assert [entry["segment"] for entry in store.segments("task-1")] == [place.segment]
@@ -222,7 +222,7 @@ def test_finished_segments_do_not_crowd_out_the_others(
     segments = open_segments(bytes_max=1000)
     names = [segments.append([(message(n), CLOUD)])[0].segment for n in range(4)]
     segments.close()
-    assert McapRepair(tmp_path).left(names[1:]) == names[:1]
+    assert McapRepair(tmp_path).unfinished(names[1:]) == names[:1]
 
 
 def test_a_message_that_no_segment_can_hold_is_named(open_segments: Callable[..., McapSegments]) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from robotkube.robots.detector.wiring import CachedExpressionCheck
+from robotkube.robots.detector.adapters.expression_checks import CachedExpressionCheck
 from robotkube.robots.ros.core.cdr_readers.readers import Layouts
 from robotkube.robots.rules.adapters.child_processes import ChildProcess
 from robotkube.robots.rules.core import RISE, START, STOP, Edge, Rule, RuleAnswer, RuleQuestion
@@ -187,8 +187,8 @@ NAMES, PAIRS = ("charge", "heat", "agent"), ("a.x", "a.agent", "b.x", "b.agent")
     ],
 )  # fmt: skip
 def test_what_an_expression_cannot_know_is_named(expression: str, names: tuple[str, ...], problem: str) -> None:
-    [found] = check_expressions([(expression, names)])
-    assert found.startswith(problem) if problem else not found
+    [actual] = check_expressions([(expression, names)])
+    assert actual.startswith(problem) if problem else not actual
 
 
 def test_a_number_that_is_none_leaves_everything_as_it_was(make_stage: Callable[..., Stage]) -> None:
@@ -233,8 +233,8 @@ def test_agents_that_come_and_go_do_not_end_a_rule() -> None:
 
     class Counting:
         def evaluate(self, arrival: Arrival, window: Window) -> list[Holding]:
-            found = window.topics(POSES)
-            return [Holding((arrival.agent,), True, {"topics": float(len(found)), "v1": float("v1" in found)})]
+            topics = window.topics(POSES)
+            return [Holding((arrival.agent,), True, {"topics": float(len(topics)), "v1": float("v1" in topics)})]
 
     def ask(number: int, at: int) -> dict[str, float]:
         topic = f"/vehicles/v{number}/pose"
@@ -293,8 +293,8 @@ class Pretended:
         self.asked.append(question)
 
     def replies(self) -> Sequence[Reply]:
-        found, self.waiting = self.waiting, []
-        return found
+        waiting, self.waiting = self.waiting, []
+        return waiting
 
     def wait(self, seconds: float) -> None: ...
 
@@ -320,8 +320,8 @@ class Policy:
 
     @property
     def state(self) -> dict[str, Any]:
-        found: dict[str, Any] = self.workers.document()["fast"]
-        return found
+        document: dict[str, Any] = self.workers.document()["fast"]
+        return document
 
 
 def test_questions_wait_within_bounds_and_what_is_dropped_is_counted() -> None:
@@ -381,10 +381,10 @@ def test_what_a_process_said_last_comes_before_its_end() -> None:
     look = process.replies
 
     def replies() -> Sequence[Reply]:
-        found = look()
+        seen = look()
         if not process.failure:
             process.waiting, process.failure = [Reply((), "RuntimeError: no")], "its process ended with exit code 0"
-        return found
+        return seen
 
     process.replies = replies  # type: ignore[method-assign]
     policy.workers.collect()

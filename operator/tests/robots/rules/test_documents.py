@@ -129,15 +129,17 @@ REFUSED = [
 @pytest.mark.parametrize(("rule", "problem"), REFUSED)
 def test_what_is_wrong_is_said_with_key_and_fix(rule: dict[str, Any], problem: str) -> None:
     documents = [rule if known["name"] == rule.get("name", "near") else known for known in GOOD]
-    found = problems_of(*documents, plugins=["closing"])
-    assert [text for text in found if problem in text], found
-    assert all(text.startswith("rules[") for text in found)
+    problems = problems_of(*documents, plugins=["closing"])
+    assert [text for text in problems if problem in text], problems
+    assert all(text.startswith("rules[") for text in problems)
 
 
 def test_all_problems_are_named_at_once() -> None:
-    found = problems_of(changed("near", bad=1, start_distance_m="x"), {"kind": "what"}, changed("near", name="high"), 7)
-    assert len(found) >= 4
-    assert {text.partition(".")[0].partition(":")[0] for text in found} == {"rules[0]", "rules[1]", "rules[3]"}
+    problems = problems_of(
+        changed("near", bad=1, start_distance_m="x"), {"kind": "what"}, changed("near", name="high"), 7
+    )
+    assert len(problems) >= 4
+    assert {text.partition(".")[0].partition(":")[0] for text in problems} == {"rules[0]", "rules[1]", "rules[3]"}
 
 
 @pytest.mark.parametrize("name", ["n" * 201, "two\nlines", "nothing\0"])
@@ -157,14 +159,14 @@ def test_expressions_are_checked_where_the_caller_can() -> None:
         assert {names for _, names in texts} == {("v", "agent")}
         return ["" if ">" in text else f"no sense in {text}" for text, _ in texts]
 
+    from robotkube.foundation.documents.core.reader import Reader
     from robotkube.robots.rules.core import read_rules
-    from robotkube.robots.rules.core.specification.settings_reader import SettingsReader
     from tests.stages.detector.rules import TOPICS, layouts
 
-    problems: list[str] = []
-    item = SettingsReader(changed("formula"), "rules[0]", problems)
+    reader = Reader("rules")
+    item = reader.keys_of(changed("formula"), "rules[0]")
     read_rules([item], TOPICS, layouts(), check=check)
-    assert problems == ["rules[0].until: no sense in v < 1.0"]
+    assert reader.problems == ["rules[0].until: no sense in v < 1.0"]
 
 
 def accepted(documents: list[Any]) -> bool:
@@ -203,11 +205,11 @@ def test_random_rule_files_are_read_or_refused_and_the_schema_refuses_nothing_el
     for seed in range(cases):
         documents = mistaken(random.Random(seed))  # noqa: S311 - the same cases every time
         errors = list(SCHEMA.iter_errors(documents))
-        found = problems_of(*documents)
-        refused += bool(found)
+        problems = problems_of(*documents)
+        refused += bool(problems)
         if errors:
-            assert found, (seed, [error.message for error in errors], documents)
-        if not found:
+            assert problems, (seed, [error.message for error in errors], documents)
+        if not problems:
             RuleStage(*documents).tick(1) if not asks(documents) else None
     assert 0 < refused < cases
 

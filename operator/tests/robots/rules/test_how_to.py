@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
+from robotkube.foundation.documents.core.reader import Reader
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.robots.ros.core.cdr_readers.readers import Layouts
 from robotkube.robots.rules.core import read_rules
-from robotkube.robots.rules.core.specification.settings_reader import SettingsReader
 from tests.stages.detector.rules import DEFINITIONS
 from tests.stages.paths import REPOSITORY
 
@@ -28,11 +28,11 @@ def blocks() -> list[Any]:
 @pytest.mark.parametrize("text", blocks())
 def test_the_rules_can_be_read(text: str) -> None:
     document = read_mapping(text, "how-to")
-    problems: list[str] = []
-    items = SettingsReader(document, "", problems).items("rules", 100)
+    reader = Reader("how-to")
+    items = reader.keys_of(document).mappings("rules", 100)
     types = {topic["name"]: topic["type"] for topic in document["topics"]}
     rules = read_rules(items, types, Layouts(KNOWN.__getitem__), plugins=["closing-speed"])
-    assert problems == []
+    assert reader.problems == []
     assert len(rules) == len(document["rules"])
 
 

@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
+from robotkube.foundation.documents.core.reader import Reader
 from robotkube.robots.rules.core import START, STOP, Edge, Message
 from robotkube.robots.rules.core.specification.areas import Area, read_area
-from robotkube.robots.rules.core.specification.settings_reader import SettingsReader
 from tests.stages.detector.rules import MS, NOW, NUMBERS, POSE, POSES, SECOND, RuleStage, pose, seconds
 from tests.stages.examples import EXAMPLES
 
@@ -23,12 +23,12 @@ Seen = list[tuple[str, tuple[float, float], int]]
 
 def shuffled_poses(chance: random.Random, agents: int, steps: int, width: float) -> Seen:
     """Positions with stamps that go on, sometimes by little, sometimes by more than poses are compared over."""
-    stamp, found = 0, []
+    stamp, messages = 0, []
     for _ in range(steps):
         stamp += chance.choice((0, 1, 10, 100, 100, 300, 1500)) * MS
         name = f"vehicle-{chance.randrange(agents):02d}"
-        found.append((name, (chance.uniform(-width, width), chance.uniform(-width, width)), max(stamp, 0)))
-    return found
+        messages.append((name, (chance.uniform(-width, width), chance.uniform(-width, width)), max(stamp, 0)))
+    return messages
 
 
 def near_by_definition(seen: Seen, start: float, stop: float, stale: float) -> list[tuple[str, tuple[str, ...], int]]:
@@ -73,12 +73,12 @@ def test_proximity_is_what_comparing_all_pairs_gives(cases: int) -> None:
             (agent, at, stamp + number)
             for number, (agent, at, stamp) in enumerate(shuffled_poses(chance, chance.choice((2, 3, 12)), 80, width))
         ]
-        found: list[Edge] = []
+        edges: list[Edge] = []
         for agent, (x, y), stamp in seen:
             name = f"/vehicles/{agent.replace('-', '_')}/pose"
-            found += stage.engine.observe(Message(name, POSE, NOW + stamp, NOW + stamp, pose(x, y)))
+            edges += stage.engine.observe(Message(name, POSE, NOW + stamp, NOW + stamp, pose(x, y)))
         expected = near_by_definition(seen, 8, 11, 1.0)
-        assert sorted((e.edge, e.agents, e.stamp - NOW) for e in found) == sorted(expected), seed
+        assert sorted((e.edge, e.agents, e.stamp - NOW) for e in edges) == sorted(expected), seed
 
 
 def events_by_definition(
@@ -125,9 +125,9 @@ def test_thresholds_with_timing_are_what_the_definition_gives(cases: int) -> Non
         stamps = sorted(chance.sample(range(1, 3000), 60))
         values = [(stamp, chance.choice((1.0, 2.9, 3.5, 4.9, 6.0, 7.0, float("nan")))) for stamp in stamps]
         values.append((3500, float("nan")))
-        found = [edge for stamp, value in values for edge in stage.send("vehicle-00", value, stamp / 1000)]
+        edges = [edge for stamp, value in values for edge in stage.send("vehicle-00", value, stamp / 1000)]
         expected = [(edge, round(stamp / 1000, 3)) for edge, stamp in events_by_definition(values, timing, 5, 3)]
-        assert [(edge, at) for edge, _, at in seconds(found)] == expected, (seed, timing)
+        assert [(edge, at) for edge, _, at in seconds(edges)] == expected, (seed, timing)
 
 
 def test_the_time_gives_the_same_as_the_next_message() -> None:
@@ -151,22 +151,22 @@ def test_absence_is_every_gap_longer_than_the_bound(cases: int) -> None:
         chance = random.Random(seed)  # noqa: S311 - the same cases every time
         stage = RuleStage({"name": "lost", "kind": "absence", "topic": NUMBERS, "seconds": 0.5})
         stamps = sorted(chance.sample(range(0, 9000), chance.randint(2, 40)))
-        found: list[Edge] = []
+        edges: list[Edge] = []
         now = 0
         for stamp in stamps:
             if chance.random() < 0.5:  # the clock is looked at now and then, or not at all
                 for moment in range(now, stamp, 130):
-                    found += stage.tick(moment / 1000)
+                    edges += stage.tick(moment / 1000)
                 now = stamp
-            found += stage.send("vehicle-00", 1, stamp / 1000)
-        found += stage.tick((stamps[-1] + 700) / 1000)
+            edges += stage.send("vehicle-00", 1, stamp / 1000)
+        edges += stage.tick((stamps[-1] + 700) / 1000)
         expected = [
             edge
             for earlier, later in zip(stamps, [*stamps[1:], None], strict=True)
             if later is None or later - earlier > 500
             for edge in [(START, earlier + 500), *([(STOP, later)] if later is not None else [])]
         ]
-        assert [(edge, round(at * 1000)) for edge, _, at in seconds(found)] == expected, seed
+        assert [(edge, round(at * 1000)) for edge, _, at in seconds(edges)] == expected, seed
 
 
 def rates_by_definition(stamps: list[int], end: int, low: float, high: float, window: int) -> list[tuple[str, int]]:
@@ -201,16 +201,16 @@ def test_rates_are_what_counting_gives(cases: int) -> None:
         for _ in range(60):
             stamp += chance.choice((20, 50, 50, 90, 100, 200, 400))
             stamps.append(stamp)
-        found = [edge for stamp in stamps for edge in stage.send("vehicle-00", 1, stamp / 1000)]
-        found += stage.tick((stamps[-1] + 1100) / 1000)
+        edges = [edge for stamp in stamps for edge in stage.send("vehicle-00", 1, stamp / 1000)]
+        edges += stage.tick((stamps[-1] + 1100) / 1000)
         expected = rates_by_definition(stamps, stamps[-1] + 1000, 8, 12, 500)
-        assert [(edge, round(at * 1000)) for edge, _, at in seconds(found)] == expected, seed
+        assert [(edge, round(at * 1000)) for edge, _, at in seconds(edges)] == expected, seed
 
 
 def problems_of_area(*rings: list[list[float]]) -> list[str]:
-    problems: list[str] = []
-    read_area(SettingsReader({"type": "Polygon", "coordinates": list(rings)}, "area", problems))
-    return problems
+    reader = Reader("area")
+    read_area(reader.keys_of({"type": "Polygon", "coordinates": list(rings)}, "area"))
+    return reader.problems
 
 
 def inside_by_winding(ring: list[list[float]], x: int, y: int) -> bool | None:
@@ -237,11 +237,11 @@ def test_areas_hold_what_winding_says(cases: int) -> None:
         crossed = [(b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1]) for a, b, c in [outer[:3]]]
         if flat or not crossed[0]:
             continue
-        found = Area([tuple(tuple((float(x), float(y)) for x, y in ring) for ring in (outer, hole))])
+        area = Area([tuple(tuple((float(x), float(y)) for x, y in ring) for ring in (outer, hole))])
         for _ in range(40):
             x, y = chance.randint(-10, 10), chance.randint(-10, 10)
             out, into = inside_by_winding(outer, x, y), inside_by_winding(hole, x, y)
-            assert found.holds(x, y) == (out is not False and into is not True), (seed, x, y)
+            assert area.contains(x, y) == (out is not False and into is not True), (seed, x, y)
 
 
 def crosses_by_every_pair(ring: list[list[float]]) -> bool:
@@ -301,13 +301,13 @@ def test_sequences_are_what_trying_every_choice_gives(cases: int) -> None:
             level("a", 1), level("b", 2), level("c", 3),
             {"name": "chain", "kind": "combination", "sequence": parts, "within_seconds": 2},
         )  # fmt: skip
-        starts, found, before = [], [], 0.0
+        starts, stops, before = [], [], 0.0
         for step in range(40):
             at = step * 0.7 + chance.choice((0, 0.25))
             value = chance.choice((0.5, 1.5, 2.5, 3.5))
             starts += [(round(at * 1000), n) for n, low in zip("abc", (1, 2, 3), strict=True) if before < low < value]
             before = value
-            found += stage.send("vehicle-00", value, at)
+            stops += stage.send("vehicle-00", value, at)
         expected = chains_by_definition(starts, parts, 2000)
-        got = [round(at * 1000) for edge, _, at in seconds(found) if edge == START]
+        got = [round(at * 1000) for edge, _, at in seconds(stops) if edge == START]
         assert got == expected, (seed, parts)

@@ -36,12 +36,12 @@ RULES: list[dict[str, Any]] = [
 
 def journey(chance: random.Random) -> list[tuple[str, float | tuple[float, ...], float]]:
     """Messages of three agents with pauses of all lengths, each with its own stamp (s), received within 50 ms."""
-    at, found = 0.0, []
+    at, messages = 0.0, []
     for _ in range(120):
         at += chance.choice((0.02, 0.05, 0.05, 0.1, 0.2, 0.4, 0.9, 2.5))
         value = chance.uniform(0, 8) if chance.random() < 0.5 else (chance.uniform(-12, 12), 0.0, 0.0)
-        found.append((f"vehicle-0{chance.randrange(3)}", value, round(at, 3)))
-    return found
+        messages.append((f"vehicle-0{chance.randrange(3)}", value, round(at, 3)))
+    return messages
 
 
 def told(edges: list[Edge]) -> list[tuple[str, ...]]:
@@ -54,17 +54,17 @@ def test_when_the_clock_is_looked_at_does_not_matter(cases: int) -> None:
         chance = random.Random(seed)  # noqa: S311 - the same cases every time
         messages = journey(chance)
         often, never = RuleStage(*RULES), RuleStage(*RULES)
-        found: list[Edge] = []
+        edges: list[Edge] = []
         now = 0.0
         for agent, value, at in messages:
             while now < at:
-                found += often.tick(now)
+                edges += often.tick(now)
                 now += chance.choice((0.02, 0.02, 0.3, 1.0))
-            found += often.send(agent, value, at, at + chance.uniform(0, 0.05))
+            edges += often.send(agent, value, at, at + chance.uniform(0, 0.05))
         seen = [edge for message in messages for edge in never.send(*message)]
         end = messages[-1][2] + 10
         simple = {"near", "yard", "high", "slow", "fast", "lost", "crowd", "few", "close"}
-        one = told([edge for edge in [*found, *often.tick(end)] if edge.rule in simple])
+        one = told([edge for edge in [*edges, *often.tick(end)] if edge.rule in simple])
         other = told([edge for edge in [*seen, *never.tick(end)] if edge.rule in simple])
         assert one == other, seed
 
@@ -74,10 +74,10 @@ def test_every_event_begins_once_and_ends_once(cases: int) -> None:
     for seed in range(cases):
         chance = random.Random(seed)  # noqa: S311 - the same cases every time
         stage, lasting = RuleStage(*RULES), {}
-        found: list[Edge] = []
+        edges: list[Edge] = []
         for agent, value, at in journey(chance):
-            found += [*stage.tick(at), *stage.send(agent, value, at)]
-        for edge in found:
+            edges += [*stage.tick(at), *stage.send(agent, value, at)]
+        for edge in edges:
             key = edge.rule, edge.agents
             if edge.edge == START:
                 assert key not in lasting, seed

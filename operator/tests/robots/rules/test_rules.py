@@ -44,7 +44,7 @@ FENCE: dict[str, Any] = {
 }  # fmt: skip
 
 
-def test_the_edge_carries_the_crossing_pose_and_its_causes() -> None:
+def test_the_edge_carries_the_triggering_pose_and_its_causes() -> None:
     stage = RuleStage(NEAR)
     assert not stage.send("vehicle-01", (0, 0, 0), 0.005, 0.011)
     assert not stage.send("vehicle-00", (300, 300, 0), 0.006, 0.012)
@@ -120,10 +120,10 @@ def test_time_that_begins_anew_is_followed() -> None:
 def test_a_threshold_has_a_start_and_a_stop(above: bool, values: list[float], edges: list[tuple[int, str]]) -> None:
     keys = {"start_above": 0.15, "stop_below": 0.1} if above else {"start_below": 0.15, "stop_above": 0.2}
     stage = RuleStage({key: value for key, value in HIGH.items() if not key.startswith("st")} | keys)
-    found = [(n, edge) for n, value in enumerate(values) for edge in stage.send("vehicle-00", value, n)]
-    assert [(n, edge.edge) for n, edge in found] == edges
-    assert found[0][1].id == found[1][1].id != found[2][1].id
-    assert found[0][1].detail == {"data": values[2]}
+    numbered = [(n, edge) for n, value in enumerate(values) for edge in stage.send("vehicle-00", value, n)]
+    assert [(n, edge.edge) for n, edge in numbered] == edges
+    assert numbered[0][1].id == numbered[1][1].id != numbered[2][1].id
+    assert numbered[0][1].detail == {"data": values[2]}
 
 
 def test_agents_of_a_pattern_have_events_of_their_own_and_a_topic_without_agent_is_the_detectors() -> None:
@@ -138,10 +138,10 @@ def test_agents_of_a_pattern_have_events_of_their_own_and_a_topic_without_agent_
 def test_a_geofence_with_a_hole_and_a_margin() -> None:
     stage = RuleStage({**FENCE, "margin": 1})
     path = [(-5, 5), (1, 5), (3.5, 5), (4.5, 5), (5, 5), (7, 5), (10.5, 5), (11.5, 5)]
-    found = [
+    edges = [
         (step, edge.edge) for step, (x, y) in enumerate(path) for edge in stage.send("vehicle-00", (x, y, 0), step)
     ]
-    assert found == [(1, START), (7, STOP)], "the middle of the hole is 1 m from its edge"
+    assert edges == [(1, START), (7, STOP)], "the middle of the hole is 1 m from its edge"
     outside = RuleStage({**FENCE, "when": "outside"})
     assert outside.send("vehicle-00", (5, 5, 0), 1), "in the hole is outside"
     assert [edge.edge for edge in outside.send("vehicle-00", (4, 5, 0), 2)] == [STOP], "on its edge is inside"
@@ -158,12 +158,12 @@ def test_a_group_has_one_event_while_it_holds_for_enough_of_its_members() -> Non
         ("vehicle-01", 1),
         ("vehicle-00", 1),
     ]
-    found = [
+    edges = [
         (step, *edge[:2])
         for step, (agent, value) in enumerate(sent)
         for edge in seconds(stage.send(agent, value, step))
     ]
-    assert found == [(2, START, tuple(agents)), (5, STOP, tuple(agents))]
+    assert edges == [(2, START, tuple(agents)), (5, STOP, tuple(agents))]
 
 
 @pytest.mark.parametrize("moments", [[], [42.5], [41.15, 60]])
@@ -173,13 +173,13 @@ def test_a_silent_member_leaves_its_group_when_its_time_is_over_whoever_is_heard
     stage = RuleStage({**HIGH, "scope": "group", "agents": agents, "at_least": 2, "expire_seconds": 30})
     sent = [("vehicle-01", 11, 9), ("vehicle-02", 30, 9), ("vehicle-00", 40, 9), ("vehicle-02", 44, 1),
             ("vehicle-01", 50, 9), ("vehicle-02", 70.5, 9)]  # fmt: skip
-    found = []
+    edges = []
     for agent, at, value in sent:
-        found += [edge for moment in moments if moment < at for edge in stage.tick(moment)]
-        found += stage.send(agent, value, at)
+        edges += [edge for moment in moments if moment < at for edge in stage.tick(moment)]
+        edges += stage.send(agent, value, at)
     group = tuple(agents)
     expected = [(START, group, 30.0), (STOP, group, 44.0), (START, group, 50.0), (STOP, group, 70.0)]
-    assert seconds([*found, *stage.tick(90)]) == [*expected, (START, group, 70.5), (STOP, group, 80.0)]
+    assert seconds([*edges, *stage.tick(90)]) == [*expected, (START, group, 70.5), (STOP, group, 80.0)]
 
 
 def test_members_that_fall_silent_leave_in_the_order_of_their_stamps() -> None:
@@ -220,9 +220,9 @@ def test_a_message_that_cannot_be_compared_does_not_hide_what_ended_before_it() 
 
 def test_every_so_often_only_the_first_message_of_a_span_is_looked_at() -> None:
     stage = RuleStage({**HIGH, "every_seconds": 1})
-    found = [(at, edge.edge) for at, value in [(0, 1), (0.5, 9), (1.1, 9), (1.5, 1), (2.3, 1)]
+    edges = [(at, edge.edge) for at, value in [(0, 1), (0.5, 9), (1.1, 9), (1.5, 1), (2.3, 1)]
              for edge in stage.send("vehicle-00", value, at)]  # fmt: skip
-    assert found == [(1.1, START), (2.3, STOP)]
+    assert edges == [(1.1, START), (2.3, STOP)]
 
 
 def test_agents_that_are_expected_are_missed_from_the_begin() -> None:
@@ -235,11 +235,11 @@ def test_agents_that_are_expected_are_missed_from_the_begin() -> None:
 def test_too_fast_and_too_slow() -> None:
     fast = RuleStage({"name": "fast", "kind": "rate", "topic": NUMBERS, "start_above_hz": 15, "stop_below_hz": 11,
                       "window_seconds": 1})  # fmt: skip
-    found = [edge for step in range(20) for edge in fast.send("vehicle-00", 1, step / 10)]
-    assert found == []
-    found = [edge for step in range(40) for edge in fast.send("vehicle-00", 1, 2 + step / 20)]
-    assert [edge.edge for edge in found] == [START]
-    assert found[0].detail["hz"] == 16
+    edges = [edge for step in range(20) for edge in fast.send("vehicle-00", 1, step / 10)]
+    assert edges == []
+    edges = [edge for step in range(40) for edge in fast.send("vehicle-00", 1, 2 + step / 20)]
+    assert [edge.edge for edge in edges] == [START]
+    assert edges[0].detail["hz"] == 16
     assert [edge.edge for edge in fast.tick(5)] == [STOP]
 
 
@@ -286,8 +286,8 @@ def test_a_message_that_changes_two_parts_shows_nothing_in_between() -> None:
         above("some", 3), above("much", 6),
         {"name": "middle", "kind": "combination", "all": ["some", {"not": "much"}]},
     )  # fmt: skip
-    found = [edge for at, value in enumerate((1, 7, 1, 4, 7, 4, 1)) for edge in stage.send("vehicle-00", value, at)]
-    assert [(edge, at) for edge, _, at in seconds(found)] == [(START, 3.0), (STOP, 4.0), (START, 5.0), (STOP, 6.0)]
+    edges = [edge for at, value in enumerate((1, 7, 1, 4, 7, 4, 1)) for edge in stage.send("vehicle-00", value, at)]
+    assert [(edge, at) for edge, _, at in seconds(edges)] == [(START, 3.0), (STOP, 4.0), (START, 5.0), (STOP, 6.0)]
 
 
 def test_combinations_that_share_their_parts_are_built_at_once() -> None:
@@ -326,7 +326,7 @@ def test_adopted_events_end_and_are_not_raised_again() -> None:
     silent = RuleStage({**NEAR, "expire_seconds": 5})
     silent.engine.adopt(edge)
     assert silent.tick(100) == []
-    assert [found.id for found in silent.tick(105.2)] == ["a" * 16], "nobody came back"
+    assert [ended.id for ended in silent.tick(105.2)] == ["a" * 16], "nobody came back"
 
 
 def test_an_adopted_part_counts_for_its_combination() -> None:
@@ -393,8 +393,8 @@ def test_answers_from_elsewhere_become_events() -> None:
         return stage.engine.answer(AnsweredQuestion(asked_for, [RuleAnswer(question.member, verdict)]))
 
     steps = [(RISE, 1), (RISE, 2), (KEEP, 3), (FALL, 4), (RISE, 4.5), (RISE, 5.2)]
-    found = [edge[::2] for verdict, at in steps for edge in seconds(answer(verdict, at))]
-    assert found == [(START, 1.0), (STOP, 4.0), (START, 5.0)]
+    edges = [edge[::2] for verdict, at in steps for edge in seconds(answer(verdict, at))]
+    assert edges == [(START, 1.0), (STOP, 4.0), (START, 5.0)]
     assert [edge[::2] for edge in seconds(stage.tick(16))] == [(STOP, 15.2)], "its process answers no more"
 
 
@@ -442,13 +442,13 @@ def test_task_names_are_object_names() -> None:
 
 def test_the_order_of_two_agents_messages_does_not_change_the_event() -> None:
     """Equal stamps, either first: the same id."""
-    found = []
+    edges = []
     for agents in (("vehicle-00", "vehicle-01"), ("vehicle-01", "vehicle-00")):
         stage = RuleStage(NEAR)
         places = {"vehicle-00": (0, 0, 0), "vehicle-01": (100, 0, 0)}
-        found += [edge.id for agent in agents for edge in stage.send(agent, places[agent], 1)]
-    assert len(found) == 2
-    assert found[0] == found[1]
+        edges += [edge.id for agent in agents for edge in stage.send(agent, places[agent], 1)]
+    assert len(edges) == 2
+    assert edges[0] == edges[1]
 
 
 def test_a_thousand_agents_cost_a_fraction_of_a_core() -> None:

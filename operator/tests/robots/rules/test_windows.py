@@ -89,8 +89,11 @@ def test_the_latest_and_the_one_before(stage: Stage) -> None:
 def test_the_latest_of_every_agent(stage: Stage) -> None:
     stage.pose(100, 1.0)
     stage.pose(300, 3.0, agent="vehicle_01")
-    found = stage.window.latest_per_agent(PATTERN, POSITION[:1])
-    assert {agent: reading.values for agent, reading in found.items()} == {"vehicle-00": (1.0,), "vehicle-01": (3.0,)}
+    readings = stage.window.latest_per_agent(PATTERN, POSITION[:1])
+    assert {agent: reading.values for agent, reading in readings.items()} == {
+        "vehicle-00": (1.0,),
+        "vehicle-01": (3.0,),
+    }
     assert stage.window.topics(PATTERN)["vehicle-01"] == "/vehicles/vehicle_01/pose"
     assert stage.window.topics(POSE) == {"": POSE}
 
@@ -99,10 +102,10 @@ def test_numbers_between_two_messages_are_linear(stage: Stage) -> None:
     stage.pose(100, 1.0, 10.0)
     stage.pose(200, 2.0, 20.0)
     for ms, expected in ((100, (1.0, 10.0)), (125, (1.25, 12.5)), (200, (2.0, 20.0))):
-        found = stage.window.at(POSE, ms * MS, POSITION)
-        assert found
-        assert found.stamp == ms * MS
-        assert found.values == pytest.approx(expected)
+        reading = stage.window.at(POSE, ms * MS, POSITION)
+        assert reading
+        assert reading.stamp == ms * MS
+        assert reading.values == pytest.approx(expected)
 
 
 def test_nothing_is_extrapolated_or_bridged(stage: Stage) -> None:
@@ -116,9 +119,9 @@ def test_nothing_is_extrapolated_or_bridged(stage: Stage) -> None:
 def test_what_is_no_number_comes_from_the_message_before(stage: Stage) -> None:
     stage.battery(100, 2, 0.5, True, "full", [1.0])
     stage.battery(200, 4, 0.25, False, "less", [2.0, 3.0])
-    found = stage.window.at(BATTERY, 150 * MS, ["share", "charging", "name", "cells", "cell"])
-    assert found
-    assert (*found.values[:3], list(found.values[3]), found.values[4]) == (0.375, True, "full", [1.0], 3.0)
+    reading = stage.window.at(BATTERY, 150 * MS, ["share", "charging", "name", "cells", "cell"])
+    assert reading
+    assert (*reading.values[:3], list(reading.values[3]), reading.values[4]) == (0.375, True, "full", [1.0], 3.0)
 
 
 def test_poses_turn_the_shorter_way(stage: Stage) -> None:
@@ -150,12 +153,12 @@ def test_slerp_turns_evenly(one: Quaternion, other: Quaternion, share: float) ->
     """The angle to both ends is in proportion, the length stays 1, and a sign of either end changes no rotation."""
     a, b = (tuple(value / math.hypot(*q) for value in q) for q in (one, other))
     assume(abs(np.dot(a, b)) > 1e-6)
-    found = slerp(a, b, share)
+    turned = slerp(a, b, share)
     whole = angle(a, b)
-    assert math.hypot(*found) == pytest.approx(1)
-    assert angle(a, found) == pytest.approx(whole * share, abs=2e-3)
-    assert angle(found, b) == pytest.approx(whole * (1 - share), abs=2e-3)
-    assert angle(found, slerp(tuple(-value for value in a), b, share)) == pytest.approx(0, abs=1e-3)
+    assert math.hypot(*turned) == pytest.approx(1)
+    assert angle(a, turned) == pytest.approx(whole * share, abs=2e-3)
+    assert angle(turned, b) == pytest.approx(whole * (1 - share), abs=2e-3)
+    assert angle(turned, slerp(tuple(-value for value in a), b, share)) == pytest.approx(0, abs=1e-3)
 
 
 def angle(a: Sequence[float], b: Sequence[float]) -> float:
@@ -167,14 +170,14 @@ def test_ranges_are_columns_that_numpy_reads_in_place(stage: Stage) -> None:
     for ms, share in ((100, 0.5), (200, 0.25), (300, 0.125)):
         stage.battery(ms, ms, share, ms == 200, "n", [share])
     stage.insert(BATTERY, 250, b"no battery")
-    found = stage.window.range(BATTERY, 150 * MS, 300 * MS, ["share", "cell", "charging", "name", "cells"])
-    assert len(found) == 2
-    assert np.frombuffer(found.stamps, np.int64).tolist() == [200 * MS, 300 * MS]
-    assert np.frombuffer(found.received, np.int64).tolist() == [200 * MS + 5, 300 * MS + 5]
-    assert np.frombuffer(found["share"], found["share"].typecode).tolist() == [0.25, 0.125]
-    assert np.frombuffer(found["cell"], np.uint16).tolist() == [200, 300]
-    assert np.frombuffer(found["charging"], np.bool_).tolist() == [True, False]
-    assert (found["name"], [list(cells) for cells in found["cells"]]) == (["n", "n"], [[0.25], [0.125]])
+    columns = stage.window.range(BATTERY, 150 * MS, 300 * MS, ["share", "cell", "charging", "name", "cells"])
+    assert len(columns) == 2
+    assert np.frombuffer(columns.stamps, np.int64).tolist() == [200 * MS, 300 * MS]
+    assert np.frombuffer(columns.received, np.int64).tolist() == [200 * MS + 5, 300 * MS + 5]
+    assert np.frombuffer(columns["share"], columns["share"].typecode).tolist() == [0.25, 0.125]
+    assert np.frombuffer(columns["cell"], np.uint16).tolist() == [200, 300]
+    assert np.frombuffer(columns["charging"], np.bool_).tolist() == [True, False]
+    assert (columns["name"], [list(cells) for cells in columns["cells"]]) == (["n", "n"], [[0.25], [0.125]])
     assert len(stage.window.range("/vehicles/vehicle_09/pose", 0, 1, POSITION)) == 0
 
 
@@ -183,8 +186,8 @@ def test_agents_are_joined_at_one_time(stage: Stage) -> None:
         stage.pose(ms, ms / 100)
         stage.pose(ms + 30, ms / 10, agent="vehicle_01")
     stage.pose(500, 1.0, agent="vehicle_02")
-    found = stage.window.join(["vehicle-00", "vehicle-01", "vehicle-02"], PATTERN, 160 * MS, POSITION[:1])
-    assert {agent: reading.values[0] for agent, reading in found.items()} == pytest.approx(
+    readings = stage.window.join(["vehicle-00", "vehicle-01", "vehicle-02"], PATTERN, 160 * MS, POSITION[:1])
+    assert {agent: reading.values[0] for agent, reading in readings.items()} == pytest.approx(
         {"vehicle-00": 1.6, "vehicle-01": 13.0}
     )
 

@@ -15,7 +15,7 @@ from robotkube.robots.detector.loops.dispatching import Dispatcher
 from robotkube.robots.detector.loops.recording import RecordingReactions
 from robotkube.robots.detector.loops.status import DetectorStatus
 from robotkube.robots.detector.ports import TopicInput
-from robotkube.robots.reactions.core.settings import DeliveryReaction
+from robotkube.robots.reactions.core.settings import DeliveryReactionSettings
 from robotkube.robots.reactions.loops.dead_letters import DeadLetterBox
 from robotkube.robots.reactions.loops.operator import OperatorReactions
 from robotkube.robots.ros.core.qos import IncompatiblePublishers, PublisherOffer, QosProfile, QosViolations
@@ -39,9 +39,9 @@ class MemoryTopic:
 
     matched = 1
 
-    def __init__(self, quality: QosProfile) -> None:
+    def __init__(self, qos: QosProfile) -> None:
         self.lost = 0
-        self.quality, self.incompatible, self.broken = quality, IncompatiblePublishers(), QosViolations()
+        self.qos, self.incompatible, self.violations = qos, IncompatiblePublishers(), QosViolations()
         self.waiting: list[tuple[bytes, int]] = []
         self.closed = False
 
@@ -60,15 +60,15 @@ class MemoryTopics:
         self.topics: dict[str, MemoryTopic] = {}
         self.published: dict[str, list[str]] = {}
         self.offered: dict[str, list[PublisherOffer]] = {}
-        self.followed: list[str] = []
+        self.announced: list[str] = []
 
-    def follow(self, topics: Sequence[TopicSettings]) -> None:
-        self.followed = [topic.pattern.text for topic in topics]
+    def announce(self, topics: Sequence[TopicSettings]) -> None:
+        self.announced = [topic.pattern.text for topic in topics]
 
     def subscribe(
-        self, topic: str, settings: TopicSettings, quality: QosProfile, before: TopicInput | None = None
+        self, topic: str, settings: TopicSettings, qos: QosProfile, before: TopicInput | None = None
     ) -> MemoryTopic:
-        fresh = self.topics[topic] = MemoryTopic(quality)
+        fresh = self.topics[topic] = MemoryTopic(qos)
         if isinstance(before, MemoryTopic):
             fresh.waiting, fresh.lost = before.waiting, before.lost
             before.close()
@@ -157,14 +157,14 @@ class DetectorStage:
         self.status = DetectorStatus(self.detector, lambda: self.now)
 
     def _operator(self, settings: DetectorSettings, box: DeadLetterBox) -> OperatorReactions:
-        found = OperatorReactions(
+        reactions = OperatorReactions(
             settings.name, settings.agent, self.tasks, lambda: self.now, lambda: self.seconds, settings.task, box
         )
-        self.operators.append(found)
-        found.start()
-        return found
+        self.operators.append(reactions)
+        reactions.start()
+        return reactions
 
-    def _reaction(self, settings: DeliveryReaction, box: DeadLetterBox) -> Any:
+    def _reaction(self, settings: DeliveryReactionSettings, box: DeadLetterBox) -> Any:
         return self.reactions.setdefault(settings.name, MemoryReaction(settings.name))
 
     def _recordings(self, plan: Any, buffers: Any) -> Any:
@@ -203,8 +203,8 @@ class DetectorStage:
 
     def events(self) -> list[dict[str, Any]]:
         """As /events."""
-        found: list[dict[str, Any]] = self.detector.events_document()["events"]
-        return found
+        events: list[dict[str, Any]] = self.detector.events_document()["events"]
+        return events
 
     def edges(self) -> list[tuple[str, bool]]:
         """Each edge, and whether its task has been dealt with."""
@@ -233,7 +233,7 @@ class MemoryRecordings:
         self.ends: list[str] = []
         self.gaps: list[Any] = []
 
-    def lack(self, gap: Any) -> None:
+    def note_gap(self, gap: Any) -> None:
         self.gaps.append(gap)
 
     def offer(self, topic: str, type_name: str, sample: Any) -> None:

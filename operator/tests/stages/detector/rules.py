@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from robotkube.errors import DocumentError
+from robotkube.foundation.documents.core.reader import Reader
 from robotkube.robots.ros.core.cdr_readers.readers import Layouts
 from robotkube.robots.rules.core import Edge, Message, Rule, RuleEngine, read_rules
-from robotkube.robots.rules.core.conditions.external import Ask
-from robotkube.robots.rules.core.specification.settings_reader import SettingsReader
+from robotkube.robots.rules.core.conditions.external import AskRule
 
 MS, SECOND = 1_000_000, 1_000_000_000
 NOW = 1_795_250_000 * SECOND
@@ -59,11 +59,10 @@ def read(
     *documents: object, topics: Mapping[str, str] = TOPICS, plugins: Sequence[str] | None = None
 ) -> tuple[Rule, ...]:
     """The rules of these documents; DocumentError with all problems."""
-    problems: list[str] = []
-    items = [SettingsReader(document, f"rules[{index}]", problems) for index, document in enumerate(documents)]
+    reader = Reader("rules")
+    items = [reader.keys_of(document, f"rules[{index}]") for index, document in enumerate(documents)]
     rules = read_rules(items, topics, layouts(), plugins)
-    if problems:
-        raise DocumentError("rules", problems)
+    reader.finish()
     return rules
 
 
@@ -90,7 +89,7 @@ def number(value: float) -> bytes:
 class RuleStage:
     """An engine; times are given in seconds since NOW, and messages are received when they are measured."""
 
-    def __init__(self, *documents: dict[str, Any], ask: Ask | None = None) -> None:
+    def __init__(self, *documents: dict[str, Any], ask: AskRule | None = None) -> None:
         rules = read(*documents)
         self.engine = RuleEngine(rules, layouts(), "cloud-0", ask) if ask else RuleEngine(rules, layouts(), "cloud-0")
 

@@ -45,9 +45,9 @@ def main() -> None:
         time.sleep(0.01)
     database.away = False
     complete = recordings.stop(10.0)
-    found = sorted(sample["stamp"] for bucket in database.buckets("task-1") for sample in bucket["samples"])
+    stamps = sorted(sample["stamp"] for bucket in database.buckets("task-1") for sample in bucket["samples"])
     audits = list(database.audits("task-1"))
-    json.dump({"complete": complete, "found": found, "audits": audits, "counts": recordings.counts()}, sys.stdout)
+    json.dump({"complete": complete, "found": stamps, "audits": audits, "counts": recordings.counts()}, sys.stdout)
 
 
 if __name__ == "__main__":

@@ -80,11 +80,11 @@ class RecordedWay(Setting):
 
     def ledgers(self) -> dict[str, list[LedgerLine]]:
         """Topic -> what its player says that it published."""
-        found = {}
+        ledgers = {}
         for path in self._ledger_files():
             with path.open() as file:
-                found[path.stem.replace("__", "/")] = read_ledger(file, str(path))
-        return found
+                ledgers[path.stem.replace("__", "/")] = read_ledger(file, str(path))
+        return ledgers
 
     def ledger_folders(self) -> list[Path]:
         """One per player."""
@@ -153,10 +153,10 @@ class RecordedWay(Setting):
         )
 
     def _environment(self, agent: str, node: int, name: str) -> dict[str, str]:
-        found = super()._environment(agent, node, name)
+        environment = super()._environment(agent, node, name)
         if name != "event-detector":
-            return found
-        folder = Path(found["ROBOTKUBE_SECRETS"]) / "database"
+            return environment
+        folder = Path(environment["ROBOTKUBE_SECRETS"]) / "database"
         folder.mkdir(exist_ok=True)
         values = {
             **vars(self._account),
@@ -165,7 +165,7 @@ class RecordedWay(Setting):
         }
         for key in ("username", "password", "host", "port", "database", "authenticationDatabase"):
             (folder / key).write_text(str(values[key]))
-        return {**found, "NODE_NAME": "cloud-0", "ROBOTKUBE_RECORDINGS": str(self.claim)}
+        return {**environment, "NODE_NAME": "cloud-0", "ROBOTKUBE_RECORDINGS": str(self.claim)}
 
 
 def answers(address: str) -> bool:
@@ -190,13 +190,13 @@ def place(agent: str, offset: int) -> scene.Place:
 
 def drive(agent: str, seconds: float) -> Iterator[tuple[str, int, bytes]]:
     """Topic, time (ns) and message of a bag, in the order of the times."""
-    found = [(offset, 0) for offset in range(0, int(seconds * SECOND), SECOND // POSE_HZ)]
+    stamps = [(offset, 0) for offset in range(0, int(seconds * SECOND), SECOND // POSE_HZ)]
     if agent == AGENTS[0]:
-        found += [(offset, 1) for offset in range(5_000_000, int(seconds * SECOND), SECOND // CLOUD_HZ)] + [(0, 2)]
+        stamps += [(offset, 1) for offset in range(5_000_000, int(seconds * SECOND), SECOND // CLOUD_HZ)] + [(0, 2)]
     poses, rays = messages.PoseWriter(), scene.ray_directions(POINTS)
     clouds, noise = messages.CloudWriter(FRAME, len(rays)), rays[:, 0] * 0
     base = agent.replace("-", "_")
-    for offset, kind in sorted(found):
+    for offset, kind in sorted(stamps):
         own = place(agent, offset)
         if kind == 0:
             yield POSE.format(agent=base), offset, poses.message(offset, own.x, own.y, own.yaw)

@@ -239,7 +239,7 @@ def _row(agent: str, document: Mapping[str, Any]) -> dict[str, Any]:
 
 def _examined(topic: TopicExamination) -> dict[str, Any]:
     audit = topic.audit
-    verdict = topic.verdict
+    comparison = topic.comparison
     gaps = sorted(audit.gaps, key=lambda gap: (gap.first, gap.last)) if audit else []
     return {
         "topic": topic.topic,
@@ -248,12 +248,12 @@ def _examined(topic: TopicExamination) -> dict[str, Any]:
         "repeated": audit.duplicates if audit else None,
         "stored": topic.stored,
         "missing": topic.missing if audit else None,
-        "published": verdict.published if verdict else None,
-        "lost": len(verdict.lost) if verdict else None,
-        "unknown": len(verdict.unknown) if verdict else None,
+        "published": comparison.published if comparison else None,
+        "lost": len(comparison.lost) if comparison else None,
+        "unknown": len(comparison.unknown) if comparison else None,
         "unexplained": topic.unexplained,
         "duplicates": topic.duplicates,
-        "mismatches": len(set(topic.mismatches) | set(verdict.mismatches if verdict else ())),
+        "mismatches": len(set(topic.mismatches) | set(comparison.mismatches if comparison else ())),
         "unreadable": len(topic.unreadable),
         "gaps": [gap.document() for gap in gaps],
         "gap_count": len(gaps),

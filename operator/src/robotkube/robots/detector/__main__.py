@@ -29,8 +29,10 @@ from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.foundation.runtime.adapters.health_server import HealthServer
 from robotkube.foundation.runtime.config_watch import follow_settings, ownership_of
 from robotkube.foundation.runtime.process import PodSettings, Process, read_text, run
-from robotkube.robots.detector import wiring as parts
+from robotkube.robots.detector import wiring
+from robotkube.robots.detector.adapters.expression_checks import CachedExpressionCheck
 from robotkube.robots.detector.adapters.ros_topics import RosTopics
+from robotkube.robots.detector.adapters.type_definitions import definition
 from robotkube.robots.detector.core.settings import MQTT, STATES, DetectorSettings, read_detector_settings
 from robotkube.robots.detector.loops.detector import EventDetector
 from robotkube.robots.detector.loops.dispatching import Dispatcher
@@ -53,10 +55,10 @@ IDLE_AFTER_SECONDS = 1.0
 LAST_DRAIN_SECONDS_MAX = 0.5
 STORE_SECONDS_MAX = 5.0
 DELIVER_SECONDS_MAX = 1.0
-KEEP_SECONDS_MAX = 0.5
+JOURNAL_SECONDS_MAX = 0.5
 LEAVE_SECONDS_MAX = 1.0
 GRACE_SECONDS = 9.0
-NEWS_MAX = 16
+SETTINGS_QUEUED_MAX = 16
 COMMANDS_MAX = 16
 CONFIG_KEY = "config.yaml"
 
@@ -70,7 +72,7 @@ def body(process: Process) -> None:
     """Start the detector, receive until the process shall end, then store and deliver what was received."""
     _log_through(process)
     pod = PodSettings.from_environment()
-    detector = Room(process, pod)
+    detector = DetectorProcess(process, pod)
     settings = detector.read(read_text(pod.config_file, "the detector's settings"), str(pod.config_file))
     detector.begin(settings)
     process.log(
@@ -85,48 +87,50 @@ def body(process: Process) -> None:
     server.close()
 
 
-class Room:
-    """The detector with its process: connections, pages, watch. `receive` runs on the main thread, the others have
-    theirs."""
+class DetectorProcess:
+    """The detector in its process, with connections, pages and the watch of its settings. `receive` runs on the main
+    thread, the others have theirs."""
 
     def __init__(self, process: Process, pod: PodSettings) -> None:
         self._process = process
         self._pod = pod
-        self._ownership = ownership_of(pod)
+        self._fencing = ownership_of(pod)
         self._node = RosNode("event_detector")
         self._ros = RosTopics(self._node)
         self._broker: Broker | None = None
         self._journal: DeliveryJournal | None = None
         self._name = pod.config_map or ""
-        self._news: deque[tuple[DetectorSettings, int]] = deque(maxlen=NEWS_MAX)
+        self._new_settings: deque[tuple[DetectorSettings, int]] = deque(maxlen=SETTINGS_QUEUED_MAX)
         self._commands: deque[tuple[str, int]] = deque(maxlen=COMMANDS_MAX)
-        self._expressions = parts.CachedExpressionCheck(parts.check_expressions)
-        self._learned: deque[str] = deque()
+        self._expressions = CachedExpressionCheck()
+        self._learned_types: deque[str] = deque()
         self._ready = False
         self.refusal = SettingsRefusal()
-        self._spans = parts.make_spans(os.environ, self._name)
+        self._spans = wiring.make_spans(os.environ, self._name)
         self.layouts = Layouts(self._definition)
         self.detector = self._make()
-        self.status = DetectorStatus(self.detector, time.time_ns, self.refusal, self._unreachable, self._kept)
+        self.status = DetectorStatus(
+            self.detector, time.time_ns, self.refusal, self._unreachable, self._journal_document
+        )
 
     def _make(self) -> EventDetector:
-        raising = Dispatcher(
-            lambda settings, box: parts.make_operator(settings, self._pod, self._ownership, box),
-            lambda settings, box: parts.make_reaction(
-                settings, self._pod, self._ownership, box, self._connection, self._journal_of(box)
+        dispatcher = Dispatcher(
+            lambda settings, box: wiring.make_operator(settings, self._pod, self._fencing, box),
+            lambda settings, box: wiring.make_reaction(
+                settings, self._pod, self._fencing, box, self._connection, self._journal_of(box)
             ),
             time.time_ns,
             self._spans,
         )
         recordings = RecordingReactions(
-            lambda plan, buffers: parts.make_recordings(plan, buffers, self._pod, self._ownership, self._carried)
+            lambda plan, buffers: wiring.make_recordings(plan, buffers, self._pod, self._fencing, self._carried)
         )
         return EventDetector(
             self._source,
             self.layouts,
-            raising,
+            dispatcher,
             recordings,
-            lambda: parts.make_workers(lambda: self.detector.settings, self._definition),
+            lambda: wiring.make_workers(lambda: self.detector.settings, self._definition),
             time.time_ns,
             time.monotonic,
         )
@@ -134,22 +138,24 @@ class Room:
     def read(self, text: str, where: str) -> DetectorSettings:
         """Read settings from a text; DocumentError has all problems."""
         document = read_mapping(text, where, values=False)
-        return read_detector_settings(document, where, parts.knowledge(document, self.layouts, self._expressions))
+        context = wiring.settings_context(document, self.layouts, self._expressions)
+        return read_detector_settings(document, where, context)
 
     def begin(self, settings: DetectorSettings) -> None:
         """Apply the first settings, and fill the buffers when they name a bag."""
         self._name = settings.name
         self.detector.apply(settings)
         if settings.bag:
+            from robotkube.robots.detector.adapters.bag_messages import read_bag
+
             try:
-                filled = self.detector.fill(
-                    parts.read_bag(Path(settings.bag), self._complain, self.detector.topics.asked)
-                )
+                messages = read_bag(Path(settings.bag), self._log_bag_problem, self.detector.topics.is_configured)
+                filled = self.detector.fill(messages)
             except InputError as error:
                 raise InputError(f"{self._pod.config_file}: buffer.bag: {error}") from error
             self._process.log("filled", bag=settings.bag, messages=filled)
 
-    def _complain(self, sentence: str) -> None:
+    def _log_bag_problem(self, sentence: str) -> None:
         self._process.log("bag", problem=sentence)
 
     def serve(self) -> HealthServer:
@@ -161,7 +167,7 @@ class Room:
                 (recordings.failed for recordings in detector.recordings.at_work if recordings.failed), None
             ),
             ready=lambda: status.not_ready() or None,
-            metrics=lambda: status.metrics() + self._ownership.metrics(),
+            metrics=lambda: status.metrics() + self._fencing.metrics(),
             pages={
                 "/input": lambda: json.dumps(detector.input_document()),
                 "/events": lambda: json.dumps(detector.events_document()),
@@ -182,19 +188,19 @@ class Room:
             if CONFIG_KEY in data:
                 self._change(data[CONFIG_KEY])
 
-        return follow_settings(self._process, self._pod.config_map, self._ownership, receive)
+        return follow_settings(self._process, self._pod.config_map, self._fencing, receive)
 
     def receive(self) -> None:
         """Run the detector's turns until the process shall end."""
-        heard = time.monotonic()
+        last_message_at = time.monotonic()
         pause = BUSY_SECONDS
         while not self._process.stopping.is_set():
             # not an event that ends the pause: it costs a tenth of all that receiving 1,500 poses/s does
             time.sleep(pause)
-            self._obey()
+            self._apply_queued()
             now = time.monotonic()
-            heard = now if self._turn() else heard
-            pause = BUSY_SECONDS if now - heard < IDLE_AFTER_SECONDS else IDLE_SECONDS
+            last_message_at = now if self._turn() else last_message_at
+            pause = BUSY_SECONDS if now - last_message_at < IDLE_AFTER_SECONDS else IDLE_SECONDS
             if not self._ready and not self.status.not_ready():
                 self._ready = True
                 gc.freeze()  # what the start has made stays: the collector shall not go through it again and again
@@ -206,19 +212,19 @@ class Room:
         if self._journal is not None:
             self._journal.end()
         stopping = [
-            _beside(partial(self.detector.raising.stop, DELIVER_SECONDS_MAX)),
-            *(_beside(partial(recordings.stop, STORE_SECONDS_MAX)) for recordings in self.detector.recordings.at_work),
+            _on_thread(partial(self.detector.dispatcher.stop, DELIVER_SECONDS_MAX)),
         ]
+        for recordings in self.detector.recordings.at_work:
+            stopping.append(_on_thread(partial(recordings.stop, STORE_SECONDS_MAX)))
         complete = [stopped() for stopped in stopping]
         if self._broker is not None:
             complete.append(self._broker.close(DELIVER_SECONDS_MAX, time.sleep))
         if self._journal is not None:
-            complete.append(self._journal.stop(KEEP_SECONDS_MAX))
+            complete.append(self._journal.stop(JOURNAL_SECONDS_MAX))
         self.detector.stop()
         if self._spans is not None:
             self._spans.close()
-        recordings = len(self.detector.recordings.at_work)
-        self._process.log("stopped", recordings=recordings, complete=all(complete))
+        self._process.log("stopped", recordings=len(self.detector.recordings.at_work), complete=all(complete))
         _leave(self._node)
 
     # on the main thread ----------------------------------------------------------------------------------------------
@@ -226,25 +232,25 @@ class Room:
     def _turn(self) -> int:
         if self._broker is not None:
             self._broker.turn()
-            while self._learned:
-                self.detector.learn(self._learned.popleft())
+            while self._learned_types:
+                self.detector.learn(self._learned_types.popleft())
         return self.detector.turn()
 
-    def _obey(self) -> None:
-        while self._news:
-            self.detector.apply(*self._news.popleft())
+    def _apply_queued(self) -> None:
+        while self._new_settings:
+            self.detector.apply(*self._new_settings.popleft())
             for recordings in self.detector.recordings.leaving():
-                _beside(partial(recordings.stop, STORE_SECONDS_MAX))
-            for reaction in self.detector.raising.leaving():
-                _beside(partial(reaction.stop, DELIVER_SECONDS_MAX))
+                _on_thread(partial(recordings.stop, STORE_SECONDS_MAX))
+            for reaction in self.detector.dispatcher.leaving():
+                _on_thread(partial(reaction.stop, DELIVER_SECONDS_MAX))
         while self._commands:
             self.detector.change_state(*self._commands.popleft())
 
     def _journal_of(self, box: DeadLetterBox) -> DeliveryJournal | None:
         """The journal of deliveries, made for the first reaction that needs it; None when no folder is named."""
-        folder = os.environ.get(parts.JOURNAL_VARIABLE, "")
+        folder = os.environ.get(wiring.JOURNAL_VARIABLE, "")
         if self._journal is None and folder:
-            self._journal = parts.make_journal(folder, self._name, box)
+            self._journal = wiring.make_journal(folder, self._name, box)
         return self._journal
 
     def _source(self, name: str) -> LiveTopics:
@@ -252,8 +258,10 @@ class Room:
 
     def _connection(self) -> Broker:
         if self._broker is None:
-            lack = self.detector.recordings.lack
-            self._broker = parts.make_broker(self._pod, self._name, self._ownership, self._learned.append, lack)
+            note_gap = self.detector.recordings.note_gap
+            self._broker = wiring.make_broker(
+                self._pod, self._name, self._fencing, self._learned_types.append, note_gap
+            )
         return self._broker
 
     # on other threads ------------------------------------------------------------------------------------------------
@@ -271,25 +279,14 @@ class Room:
             self._warn(str(error))
             return
         self.refusal.error = ""
-        self._news.append((settings, asked_at))
+        self._new_settings.append((settings, asked_at))
 
     def _warn(self, sentence: str) -> None:
         """Create a Kubernetes Event about the ConfigMap, where its author sees it."""
-        from robotkube.foundation.documents.core.times import time_text
-        from robotkube.foundation.kubernetes.adapters.http_client import (
-            ApiServer,
-            config_map_warning,
-            event_path,
-            split_name,
-        )
+        from robotkube.robots.detector.adapters.config_map_events import report_refused_settings
 
-        namespace, name = split_name(self._pod.config_map or "")
-        message = f"{sentence}; the settings before go on"
-        component = "event-detector"
-        now = time_text(time.time_ns())
-        event = config_map_warning(namespace, name, "SettingsRefused", message, component, now)
         try:
-            ApiServer.from_environment(os.environ).create(event_path(namespace), event)
+            report_refused_settings(self._pod.config_map or "", sentence, time.time_ns())
         except RobotKubeError as error:
             self._process.log("no Kubernetes Event", error=str(error))
 
@@ -308,9 +305,9 @@ class Room:
         return "" if self._broker is None else self._broker.definitions.get(type_name, "")
 
     def _definition(self, type_name: str) -> str:
-        return parts.definition(type_name, {} if self._broker is None else self._broker.definitions)
+        return definition(type_name, {} if self._broker is None else self._broker.definitions)
 
-    def _kept(self) -> Mapping[str, Any]:
+    def _journal_document(self) -> Mapping[str, Any]:
         return MEMORY_ONLY if self._journal is None else self._journal.document()
 
     def _unreachable(self) -> str:
@@ -328,8 +325,8 @@ def finish(turn: Callable[[], int], seconds: float) -> None:
         time.sleep(BUSY_SECONDS)
 
 
-def _beside(work: Callable[[], bool]) -> Callable[[], bool]:
-    """Do work on a thread of its own; returns a function that waits for its result."""
+def _on_thread(work: Callable[[], bool]) -> Callable[[], bool]:
+    """Start work on a thread of its own; returns a function that waits for its result."""
     answers: list[bool] = []
     thread = threading.Thread(target=lambda: answers.append(work()), name="stop", daemon=True)
     thread.start()

@@ -28,7 +28,7 @@ class TopicInput(Protocol):
         ...
 
     @property
-    def broken(self) -> QosViolations:
+    def violations(self) -> QosViolations:
         """The requested deadlines and leases that connected publishers have not kept."""
         ...
 
@@ -44,12 +44,12 @@ class TopicInput(Protocol):
 class LiveTopics(Protocol):
     """A source of a detector's topics: the ROS graph, or the broker. One thread, nothing blocks."""
 
-    def follow(self, topics: Sequence[TopicSettings]) -> None:
+    def announce(self, topics: Sequence[TopicSettings]) -> None:
         """Announce all topics that may be subscribed to."""
         ...
 
     def subscribe(
-        self, topic: str, settings: TopicSettings, quality: QosProfile, before: TopicInput | None = None
+        self, topic: str, settings: TopicSettings, qos: QosProfile, before: TopicInput | None = None
     ) -> TopicInput:
         """Subscribe to a topic; DocumentError when there is no such message type.
 

@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 import os
-import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robotkube.errors import InputError, RefusalError
+from robotkube.errors import InputError
 from robotkube.foundation.runtime.loops.fencing import Fencing
 from robotkube.foundation.runtime.process import PodSettings, read_secret
 from robotkube.robots.detector.core.settings import DetectorSettings, SettingsContext
-from robotkube.robots.reactions.core.settings import DeliveryReaction, MqttReaction, PythonReaction, WebhookReaction
-from robotkube.robots.reactions.core.task_requests import renewal
+from robotkube.robots.reactions.core.settings import (
+    DeliveryReactionSettings,
+    MqttReactionSettings,
+    PythonReactionSettings,
+    WebhookReactionSettings,
+)
 from robotkube.robots.reactions.loops.operator import OperatorReactions
 from robotkube.robots.recording.core.plans import RecordingPlan
 
 if TYPE_CHECKING:
-    from robotkube.foundation.kubernetes.adapters.http_client import ApiServer
     from robotkube.robots.detector.loops.broker import Broker
     from robotkube.robots.reactions.loops.dead_letters import DeadLetterBox
     from robotkube.robots.reactions.loops.delivery_journal import DeliveryJournal
@@ -29,69 +31,24 @@ if TYPE_CHECKING:
     from robotkube.robots.ros.core.cdr_readers.readers import Layouts
     from robotkube.robots.ros.core.gaps import Gap
     from robotkube.robots.ros.core.ring_buffers import RingBuffer
-    from robotkube.robots.rules.core.specification.expressions import Check, Checked
+    from robotkube.robots.rules.core.specification.expressions import CheckExpressions
     from robotkube.robots.rules.loops.workers import RuleWorkers
 
 RECORDINGS_FOLDER = "/var/lib/robotkube/recordings"
-TASKS = ("robotkube.io", "v1alpha1", "taskdescriptions")
 SESSION_SECONDS = 60
 JOURNAL_VARIABLE = "ROBOTKUBE_REACTIONS"
 SPANS_VARIABLE = "OTEL_EXPORTER_OTLP_TRACES_ENDPOINT"
 
 
-class ApiTasks:
-    """The TaskDescriptions of one namespace over the API server (port OwnTasks). Nothing is written while the process
-    is not sure that its release is still its own: UnavailableError."""
-
-    def __init__(self, api: ApiServer, namespace: str, ownership: Fencing) -> None:
-        self._api = api
-        self._namespace = namespace
-        self._ownership = ownership
-
-    def tasks(self) -> Sequence[Mapping[str, Any]]:
-        """See the port."""
-        task_list = self._api.get(self._path()) or {}
-        return list(task_list.get("items", []))
-
-    def create(self, task: Mapping[str, Any]) -> None:
-        """Create the object; RefusalError carries the server's words."""
-        self._ownership.check()
-        try:
-            self._api.create(self._path(), task)
-        except InputError as error:
-            raise RefusalError("Refused", str(error)) from error
-
-    def renew(self, name: str, now: int) -> bool:
-        """Renew the lease by a patch of the annotation."""
-        self._ownership.check()
-        try:
-            return self._api.patch(self._path(name), renewal(now))
-        except InputError as error:
-            raise RefusalError("Refused", str(error)) from error
-
-    def delete(self, name: str) -> None:
-        """Delete the object."""
-        self._ownership.check()
-        try:
-            self._api.delete(self._path(name))
-        except InputError as error:
-            raise RefusalError("Refused", str(error)) from error
-
-    def _path(self, name: str = "") -> str:
-        from robotkube.foundation.kubernetes.adapters.http_client import custom_path
-
-        group, version, plural = TASKS
-        return custom_path(group, version, self._namespace, plural, name)
-
-
 def make_operator(
-    settings: DetectorSettings, pod: PodSettings, ownership: Fencing, box: DeadLetterBox
+    settings: DetectorSettings, pod: PodSettings, fencing: Fencing, box: DeadLetterBox
 ) -> OperatorReactions:
     """Start the operator reaction, whose tasks are in the namespace of the pod's ConfigMap."""
     from robotkube.foundation.kubernetes.adapters.http_client import ApiServer, split_name
+    from robotkube.robots.detector.adapters.api_tasks import ApiTasks
 
     namespace, _ = split_name(pod.config_map or settings.name)
-    tasks = ApiTasks(ApiServer.from_environment(os.environ), namespace, ownership)
+    tasks = ApiTasks(ApiServer.from_environment(os.environ), namespace, fencing)
     reactions = OperatorReactions(settings.name, namespace, tasks, time.time_ns, time.monotonic, settings.task, box)
     reactions.start()
     return reactions
@@ -109,9 +66,9 @@ def make_journal(folder: str, name: str, box: DeadLetterBox) -> DeliveryJournal:
 
 
 def make_reaction(
-    settings: DeliveryReaction,
+    settings: DeliveryReactionSettings,
     pod: PodSettings,
-    ownership: Fencing,
+    fencing: Fencing,
     box: DeadLetterBox,
     broker: Callable[[], Broker],
     journal: DeliveryJournal | None,
@@ -119,22 +76,22 @@ def make_reaction(
     """Start a reaction that delivers edges."""
     from robotkube.robots.reactions.loops.delivery_journal import ReactionJournal
 
-    kept = ReactionJournal(journal, settings.key, settings.name)
-    if isinstance(settings, MqttReaction):
+    reaction_journal = ReactionJournal(journal, settings.key, settings.name)
+    if isinstance(settings, MqttReactionSettings):
         from robotkube.robots.detector.loops.broker import MqttReactions
 
-        return MqttReactions(settings, broker(), box, time.monotonic, kept)
+        return MqttReactions(settings, broker(), box, time.monotonic, reaction_journal)
     from robotkube.robots.reactions.loops.deliveries import Deliveries
     from robotkube.robots.reactions.loops.fenced_sender import FencedSender
 
-    sender = FencedSender(_sender(settings, pod), ownership)
-    deliveries = Deliveries(settings.name, sender, settings.retry_seconds, box, time.monotonic, kept)
+    sender = FencedSender(_sender(settings, pod), fencing)
+    deliveries = Deliveries(settings.name, sender, settings.retry_seconds, box, time.monotonic, reaction_journal)
     deliveries.start()
     return deliveries
 
 
-def _sender(settings: WebhookReaction | PythonReaction, pod: PodSettings) -> DeliverySender:
-    if isinstance(settings, PythonReaction):
+def _sender(settings: WebhookReactionSettings | PythonReactionSettings, pod: PodSettings) -> DeliverySender:
+    if isinstance(settings, PythonReactionSettings):
         from robotkube.robots.reactions.adapters.child_processes import ProcessSender
 
         return ProcessSender(settings.plugin, settings.settings, settings.timeout_seconds)
@@ -150,7 +107,7 @@ def make_recordings(
     plan: RecordingPlan,
     buffers: Mapping[str, RingBuffer],
     pod: PodSettings,
-    ownership: Fencing,
+    fencing: Fencing,
     carried: Callable[[str], str],
 ) -> Recordings:
     """Start the recordings of a recording reaction. `carried`: the definition of a type that the broker has carried,
@@ -164,10 +121,10 @@ def make_recordings(
     place = RecorderPlace(
         volume=f"{pod.node}/{plan.volume}",
         open_store=lambda: _open_store(pod),
-        open_claim=lambda: _open_claim(root, plan.recording),
+        open_volume_claim=lambda: _open_volume_claim(root, plan.recording),
         clock_ns=time.time_ns,
         monotonic=time.monotonic,
-        ownership=ownership,
+        fencing=fencing,
     )
     recordings = Recordings(plan, place, buffers, carried=carried)
     recordings.start()
@@ -181,7 +138,7 @@ def _open_store(pod: PodSettings) -> RecordingStore:
     return PymongoRecordingStore(connect(read_account(pod.database_folder)))
 
 
-def _open_claim(root: Path, owner: str) -> MountedVolumeClaim:
+def _open_volume_claim(root: Path, owner: str) -> MountedVolumeClaim:
     from robotkube.robots.recording.adapters.volume_claim import MountedVolumeClaim
 
     return MountedVolumeClaim(root, owner, time.time_ns)
@@ -190,31 +147,24 @@ def _open_claim(root: Path, owner: str) -> MountedVolumeClaim:
 def make_broker(
     pod: PodSettings,
     name: str,
-    ownership: Fencing,
+    fencing: Fencing,
     learned: Callable[[str], None],
-    lacking: Callable[[Gap], None],
+    note_gap: Callable[[Gap], None],
 ) -> Broker:
     """The detector's connection to the broker. Its client id is the name of its release, which no bridge has, and of
     the Node that the release names."""
+    from robotkube.robots.detector.adapters.broker_account import read_broker_account
     from robotkube.robots.detector.loops.broker import Broker
-    from robotkube.robots.mqtt.adapters.paho_channel import BrokerAccount, PahoChannel
-
-    def account() -> BrokerAccount:
-        folder = pod.broker_folder
-        port = read_secret(folder, "port")
-        if not port.isdecimal():
-            raise InputError(f"{folder / 'port'}: {port!r} is no port number")
-        words = [read_secret(folder, key) for key in ("host", "username", "password")]
-        return BrokerAccount(words[0], int(port), words[1], words[2])
+    from robotkube.robots.mqtt.adapters.paho_channel import PahoChannel
 
     client = "-".join([name.replace("/", "-"), *([pod.placed_node] if pod.placed_node else [])])
     return Broker(
-        lambda events: PahoChannel(account, client, SESSION_SECONDS, events),
+        lambda events: PahoChannel(lambda: read_broker_account(pod.broker_folder), client, SESSION_SECONDS, events),
         time.time_ns,
         time.monotonic,
         learned,
-        lacking,
-        ownership,
+        note_gap,
+        fencing,
     )
 
 
@@ -236,60 +186,7 @@ def make_spans(environment: Mapping[str, str], name: str) -> Spans | None:
     return OtlpSpans(endpoint, "robotkube-event-detector", name)
 
 
-def installed_definition(type_name: str) -> str:
-    """The definition of an installed type with all it uses; KeyError when it is not installed."""
-    from robotkube.robots.ros.adapters.installed_definitions import definition
-
-    text = definition(type_name, Path(sys.prefix) / "share")
-    if not text:
-        raise KeyError(type_name)
-    return text
-
-
-def definition(type_name: str, carried: Mapping[str, str]) -> str:
-    """The definition of a type: an installed one counts before one that the broker has `carried`; KeyError when it is
-    unknown."""
-    try:
-        return installed_definition(type_name)
-    except KeyError:
-        return carried[type_name]
-
-
-def read_bag(
-    path: Path, complain: Callable[[str], None], wanted: Callable[[str, str], bool]
-) -> Iterator[tuple[str, str, int, bytes]]:
-    """The topic, type, time in ns and bytes of a bag's messages; `wanted`: true for topics and types to be read."""
-    from robotkube.robots.bags.adapters.reading import open_bag
-
-    with open_bag(path, complain) as bag:
-        types = {topic.name: topic.type for topic in bag.topics}
-        for topic, moment, data in bag.messages({name for name, kind in types.items() if wanted(name, kind)}):
-            yield topic, types[topic], moment, data
-
-
-class CachedExpressionCheck:
-    """A check of expressions that remembers results, since a check takes a second."""
-
-    def __init__(self, check: Check) -> None:
-        self._check = check
-        self._known: dict[Checked, str] = {}
-
-    def __call__(self, texts: Sequence[Checked]) -> Sequence[str]:
-        """The problem of each expression, empty when there is none."""
-        known = {text: self._known[text] for text in texts if text in self._known}
-        new = [text for text in dict.fromkeys(texts) if text not in known]
-        self._known = {**known, **(dict(zip(new, self._check(new), strict=True)) if new else {})}
-        return [self._known[text] for text in texts]
-
-
-def check_expressions(texts: Sequence[Checked]) -> Sequence[str]:
-    """The problem of each of these expressions, empty when there is none; by a process of its own."""
-    from robotkube.robots.rules import host
-
-    return host.check_expressions(texts)
-
-
-def knowledge(document: Mapping[str, Any], layouts: Layouts, check: Check = check_expressions) -> SettingsContext:
+def settings_context(document: Mapping[str, Any], layouts: Layouts, check: CheckExpressions) -> SettingsContext:
     """The facts that a document is checked against; only what it needs is imported."""
     kinds = {
         item.get("kind")

@@ -95,11 +95,11 @@ class Segments(Protocol):
 class SegmentRepair(Protocol):
     """Finishes the segments below a volume claim whose writers are gone."""
 
-    def left(self, finished: Collection[str]) -> Sequence[str]:
+    def unfinished(self, finished: Collection[str]) -> Sequence[str]:
         """Paths below the volume claim of files that nobody writes, without those that are known to be finished."""
         ...
 
-    def found(self, segment: str) -> Sequence[SegmentMessage]:
+    def messages(self, segment: str) -> Sequence[SegmentMessage]:
         """The whole messages in the file; none when somebody writes it. OSError when the volume refuses."""
         ...
 

@@ -19,7 +19,7 @@ from robotkube.robots.ros.core.cdr_readers.readers import Layouts
 from robotkube.robots.rules.adapters.child_processes import COMMAND, ChildProcess, serve
 from robotkube.robots.rules.core import FALL, KEEP, RISE, Cause, Cel, Python, Rule, RuleAnswer, RuleQuestion
 from robotkube.robots.rules.core.plugin_api import ENTRY_POINT_GROUP, PluginHost
-from robotkube.robots.rules.core.specification.expressions import Checked
+from robotkube.robots.rules.core.specification.expressions import NamedExpression
 
 CHECK_COMMAND = (*COMMAND, "check")
 
@@ -46,18 +46,18 @@ def start_rule(rule: Rule, types: Mapping[str, str], lookup: Callable[[str], str
     return ChildProcess(job, settings.budget_seconds)
 
 
-def check_expressions(texts: Sequence[Checked]) -> Sequence[str]:
+def check_expressions(expressions: Sequence[NamedExpression]) -> Sequence[str]:
     """The problem of each of these expressions, `""` when there is none; by a process of its own, which takes 1 s."""
     process = BoundedProcess(CHECK_COMMAND)
     try:
-        return [_checked(process, text) for text in texts]
+        return [_problem_from(process, expression) for expression in expressions]
     finally:
         process.close()
 
 
-def _checked(process: BoundedProcess, text: Checked) -> str:
+def _problem_from(process: BoundedProcess, expression: NamedExpression) -> str:
     try:
-        return str(process.call("problem", list(text)))
+        return str(process.call("problem", list(expression)))
     except InputError:  # more time or memory than a check may take
         return "takes too long to be evaluated; make it simpler"
 
@@ -70,7 +70,7 @@ def main() -> None:
         serve(_load)
 
 
-def _problem(checked: Checked) -> str:
+def _problem(checked: NamedExpression) -> str:
     from robotkube.robots.rules.adapters.cel import Expression
 
     text, names = checked

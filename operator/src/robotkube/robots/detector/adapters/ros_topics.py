@@ -32,23 +32,23 @@ class RosTopics:
     def __init__(self, node: RosNode) -> None:
         self._node = node
 
-    def follow(self, topics: Sequence[TopicSettings]) -> None:
+    def announce(self, topics: Sequence[TopicSettings]) -> None:
         """See the port: nothing is to be done, since the graph shows all topics."""
 
     def subscribe(
-        self, topic: str, settings: TopicSettings, quality: QosProfile, before: TopicInput | None = None
+        self, topic: str, settings: TopicSettings, qos: QosProfile, before: TopicInput | None = None
     ) -> RosInput:
         """Subscribe; DocumentError names the topic and what ROS has against it."""
         try:
             subscription = self._node.subscribe(
                 topic,
                 settings.type,
-                quality.reliability,
-                quality.durability,
+                qos.reliability,
+                qos.durability,
                 settings.depth,
-                quality.deadline_ns,
-                quality.liveliness,
-                quality.lease_ns,
+                qos.deadline_ns,
+                qos.liveliness,
+                qos.lease_ns,
             )
         except MessageTypeError as error:
             fix = "install it, or take the topic from the broker (source: mqtt), which carries the definition"
@@ -108,7 +108,7 @@ class RosInput:
         return IncompatiblePublishers(*self._subscription.incompatible)
 
     @property
-    def broken(self) -> QosViolations:
+    def violations(self) -> QosViolations:
         """The violations of publishers' promises that the middleware counted."""
         return QosViolations(self._subscription.missed_deadlines, self._subscription.lost_liveliness)
 

@@ -28,8 +28,8 @@ def freshness(last: Mapping[str, int], now: int, bounds: FreshnessBounds) -> Map
     """
     stale, expired = int(bounds.stale_seconds * 1e9), int(bounds.expire_seconds * 1e9)
     return {
-        agent: EXPIRED if now - heard > expired else STALE if now - heard > stale else FRESH
-        for agent, heard in last.items()
+        agent: EXPIRED if now - last_at > expired else STALE if now - last_at > stale else FRESH
+        for agent, last_at in last.items()
     }
 
 

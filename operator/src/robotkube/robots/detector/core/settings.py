@@ -10,14 +10,14 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from robotkube.errors import DocumentError
 from robotkube.foundation.documents.core.patterns import ROS_TYPE, TASK
+from robotkube.foundation.documents.core.reader import MappingReader, Reader
 from robotkube.foundation.documents.core.yaml_codec import json_problems
 from robotkube.robots.reactions.core.settings import (
-    DeliveryReaction,
-    OperatorReaction,
-    Reaction,
-    RecordingReaction,
+    DeliveryReactionSettings,
+    OperatorReactionSettings,
+    ReactionSettings,
+    RecordingReactionSettings,
     reaction_problems,
     read_reaction,
 )
@@ -32,8 +32,8 @@ from robotkube.robots.ros.core.ring_buffers import (
 )
 from robotkube.robots.ros.core.topic_patterns import UNREADABLE_TOPIC, TopicPattern
 from robotkube.robots.rules.core import RULES_MAX, Always, Rule, read_rules
-from robotkube.robots.rules.core.specification.expressions import Check
-from robotkube.robots.rules.core.specification.settings_reader import SettingsReader
+from robotkube.robots.rules.core.specification.expressions import CheckExpressions
+from robotkube.robots.rules.core.specification.topic_keys import read_topic_pattern
 
 if TYPE_CHECKING:
     from robotkube.robots.ros.core.cdr_readers.readers import Layouts
@@ -96,7 +96,7 @@ class TopicSettings:
         return BufferBounds(self.buffer_seconds, self.buffer_bytes, count)
 
     @property
-    def asked(self) -> RequestedQos:
+    def requested_qos(self) -> RequestedQos:
         """The quality of service that the settings request."""
         return RequestedQos(
             self.reliability,
@@ -115,7 +115,7 @@ class DetectorSettings:
     name: str
     topics: tuple[TopicSettings, ...]
     rules: tuple[Rule, ...] = ()
-    reactions: tuple[Reaction, ...] = ()
+    reactions: tuple[ReactionSettings, ...] = ()
     task: str = ""
     state: str = ACTIVE
     buffer_bytes: int = PROCESS_BYTES_DEFAULT
@@ -132,19 +132,19 @@ class DetectorSettings:
         return {topic.pattern.text: topic.type for topic in self.topics}
 
     @property
-    def recordings(self) -> tuple[RecordingReaction, ...]:
+    def recordings(self) -> tuple[RecordingReactionSettings, ...]:
         """The recording reactions."""
-        return tuple(reaction for reaction in self.reactions if isinstance(reaction, RecordingReaction))
+        return tuple(reaction for reaction in self.reactions if isinstance(reaction, RecordingReactionSettings))
 
     @property
-    def operators(self) -> tuple[OperatorReaction, ...]:
+    def operators(self) -> tuple[OperatorReactionSettings, ...]:
         """The operator reactions."""
-        return tuple(reaction for reaction in self.reactions if isinstance(reaction, OperatorReaction))
+        return tuple(reaction for reaction in self.reactions if isinstance(reaction, OperatorReactionSettings))
 
     @property
-    def deliveries(self) -> tuple[DeliveryReaction, ...]:
+    def deliveries(self) -> tuple[DeliveryReactionSettings, ...]:
         """The reactions that notify a receiver of an event: webhooks, MQTT messages, installed ones."""
-        known = (RecordingReaction, OperatorReaction)
+        known = (RecordingReactionSettings, OperatorReactionSettings)
         return tuple(reaction for reaction in self.reactions if not isinstance(reaction, known))
 
     def is_always(self, rule: str) -> bool:
@@ -160,7 +160,7 @@ class SettingsContext:
     layouts: Layouts | None = None
     rules: Collection[str] | None = None
     reactions: Collection[str] | None = None
-    check: Check | None = field(default=None, compare=False)
+    check: CheckExpressions | None = field(default=None, compare=False)
 
 
 def read_detector_settings(
@@ -170,52 +170,52 @@ def read_detector_settings(
 
     Unknown keys are problems, and numbers that JSON has not, wherever they stand."""
     known = knowledge or SettingsContext()
-    problems: list[str] = []
-    root = SettingsReader(document, "", problems)
+    reader = Reader(where)
+    root = reader.keys_of(document)
     name = root.text("name")
-    topics = tuple(_topic(item) for item in root.items("topics", TOPICS_MAX))
+    topics = tuple(_topic(item) for item in root.mappings("topics", TOPICS_MAX))
     types = {topic.pattern.text: topic.type for topic in topics}
-    rules = root.items("rules", RULES_MAX, required=False)
+    rules = root.mappings("rules", RULES_MAX, required=False)
     memory = root.mapping("buffer", required=False)
     settings = DetectorSettings(
         name=name,
         topics=topics,
         rules=read_rules(rules, types, known.layouts, known.rules, known.check),
-        reactions=tuple(read_reaction(item) for item in root.items("reactions", REACTIONS_MAX, required=False)),
+        reactions=tuple(read_reaction(item) for item in root.mappings("reactions", REACTIONS_MAX, required=False)),
         task=root.text("task", ""),
         state=root.choice("state", STATES, ACTIVE),
-        buffer_bytes=memory.whole("bytes", PROCESS_BYTES_MIN, PROCESS_BYTES_MAX, PROCESS_BYTES_DEFAULT),
+        buffer_bytes=memory.whole_number("bytes", PROCESS_BYTES_MIN, PROCESS_BYTES_MAX, PROCESS_BYTES_DEFAULT),
         bag=memory.text("bag", ""),
     )
     if settings.task and not TASK.fullmatch(settings.task):
         root.problem("task", f"{settings.task!r} must be <namespace>/<name>")
-    memory.done()
-    root.done()
-    problems += _cross_problems(settings, known, _unread(rules, settings.rules))
-    reported_keys = {problem.partition(": ")[0] for problem in problems}
-    problems += [problem for problem in json_problems(document, "") if problem.partition(": ")[0] not in reported_keys]
-    if problems:
-        raise DocumentError(where, problems)
+    memory.refuse_unknown_keys()
+    root.refuse_unknown_keys()
+    reader.problems += _cross_problems(settings, known, _unread(rules, settings.rules))
+    reported_keys = {problem.partition(": ")[0] for problem in reader.problems}
+    numbers = json_problems(document, "")
+    reader.problems += [problem for problem in numbers if problem.partition(": ")[0] not in reported_keys]
+    reader.finish()
     return settings
 
 
-def _topic(item: SettingsReader) -> TopicSettings:
+def _topic(item: MappingReader) -> TopicSettings:
     bounds = item.mapping("buffer", required=False)
     settings = TopicSettings(
-        pattern=item.pattern("name"),
+        pattern=read_topic_pattern(item, "name"),
         type=item.text("type"),
         source=item.choice("source", SOURCES, ROS),
         reliability=_chosen(item, "reliability", RELIABILITIES),
         durability=_chosen(item, "durability", DURABILITIES),
-        depth=item.whole("depth", 1, DEPTH_MAX, DEPTH_DEFAULT),
+        depth=item.whole_number("depth", 1, DEPTH_MAX, DEPTH_DEFAULT),
         deadline_seconds=_given(item, "deadline_seconds"),
         liveliness=_chosen(item, "liveliness", LIVELINESSES),
         liveliness_seconds=_given(item, "liveliness_seconds"),
         stale_seconds=item.number("stale_seconds", SECONDS_MIN, SECONDS_MAX, STALE_SECONDS_DEFAULT),
         expire_seconds=item.number("expire_seconds", 1, SECONDS_MAX, EXPIRE_SECONDS_DEFAULT),
         buffer_seconds=bounds.number("seconds", BUFFER_SECONDS_MIN, BUFFER_SECONDS_MAX, BUFFER_SECONDS_DEFAULT),
-        buffer_bytes=bounds.whole("bytes", 1, BUFFER_BYTES_MAX, BUFFER_BYTES_DEFAULT),
-        buffer_count=bounds.whole("count", 1, COUNT_MAX, COUNT_DEFAULT),
+        buffer_bytes=bounds.whole_number("bytes", 1, BUFFER_BYTES_MAX, BUFFER_BYTES_DEFAULT),
+        buffer_count=bounds.whole_number("count", 1, COUNT_MAX, COUNT_DEFAULT),
         duplicates=bounds.choice("duplicates", (DUPLICATES_DROP, DUPLICATES_KEEP), DUPLICATES_DROP),
         jump=bounds.choice("jump", (JUMP_RESTART, JUMP_KEEP), JUMP_RESTART),
     )
@@ -223,26 +223,26 @@ def _topic(item: SettingsReader) -> TopicSettings:
         item.problem("type", f"{settings.type!r} is not written like geometry_msgs/msg/PoseStamped")
     if settings.expire_seconds < settings.stale_seconds:
         item.problem("expire_seconds", "must not be less than stale_seconds")
-    bounds.done()
-    item.done()
+    bounds.refuse_unknown_keys()
+    item.refuse_unknown_keys()
     return settings
 
 
-def _chosen(item: SettingsReader, key: str, choices: Sequence[str]) -> str | None:
-    return item.choice(key, choices) if item.has(key) else item.anything(key)
+def _chosen(item: MappingReader, key: str, choices: Sequence[str]) -> str | None:
+    return item.choice(key, choices) if item.has(key) else item.value(key)
 
 
-def _given(item: SettingsReader, key: str) -> float | None:
-    return item.number(key, SECONDS_MIN, SECONDS_MAX) if item.has(key) else item.anything(key)
+def _given(item: MappingReader, key: str) -> float | None:
+    return item.number(key, SECONDS_MIN, SECONDS_MAX) if item.has(key) else item.value(key)
 
 
 def _nanoseconds(seconds: float | None) -> int | None:
     return None if seconds is None else int(seconds * 1e9)
 
 
-def _unread(items: Sequence[SettingsReader], rules: Sequence[Rule]) -> Collection[str]:
+def _unread(items: Sequence[MappingReader], rules: Sequence[Rule]) -> Collection[str]:
     """The names of rules that are there, but could not be read."""
-    return {str(item.anything("name")) for item in items} - {rule.name for rule in rules}
+    return {str(item.value("name")) for item in items} - {rule.name for rule in rules}
 
 
 def _cross_problems(settings: DetectorSettings, known: SettingsContext, unread: Collection[str]) -> list[str]:
@@ -256,9 +256,7 @@ def _cross_problems(settings: DetectorSettings, known: SettingsContext, unread: 
     buffers = {topic.pattern.text: topic.buffer_seconds for topic in settings.topics}
     for index, reaction in enumerate(settings.reactions):
         if reaction.rule in silent:
-            problems.append(
-                f"reactions[{index}].rule: {reaction.rule} is silent and raises no events; take silent away"
-            )
+            problems.append(f"reactions[{index}].rule: {reaction.rule} is silent and gives no events; take silent away")
             continue
         named = [*names, reaction.rule] if reaction.rule in unread or not reaction.rule else names
         sentences = reaction_problems(reaction, named, buffers, known.reactions)

@@ -19,6 +19,7 @@ from robotkube.foundation.documents.core.patterns import (
     anchored,
     anchored_or_empty,
 )
+from robotkube.foundation.documents.core.reader import NAME_LENGTH_MAX
 from robotkube.robots.detector.core import settings as settings
 from robotkube.robots.reactions.core import settings as reactions
 from robotkube.robots.ros.core.qos import DURABILITIES, LIVELINESSES, RELIABILITIES
@@ -37,7 +38,6 @@ from robotkube.robots.rules.core.specification.json_schema import (
     rules_schema,
     text,
 )
-from robotkube.robots.rules.core.specification.settings_reader import NAME_LENGTH_MAX
 
 TYPE_PATTERN = anchored(ROS_TYPE)
 NAME_PATTERN = anchored(SUBDOMAIN)

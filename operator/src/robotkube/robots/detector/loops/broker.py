@@ -29,7 +29,7 @@ from robotkube.robots.mqtt.core.message_properties import (
 )
 from robotkube.robots.mqtt.core.properties import content_type, read_properties, user_property
 from robotkube.robots.reactions.core.notifications import CONTENT_TYPE
-from robotkube.robots.reactions.core.settings import MqttReaction
+from robotkube.robots.reactions.core.settings import MqttReactionSettings
 from robotkube.robots.reactions.loops.dead_letters import DeadLetterBox
 from robotkube.robots.reactions.loops.delivery_journal import OPEN_SECONDS_MAX, ReactionJournal
 from robotkube.robots.reactions.ports.deliveries import EdgeDelivery
@@ -65,17 +65,17 @@ class MqttInput:
         self.lost = 0
         self.matched = 0
         self.incompatible = IncompatiblePublishers()
-        self.broken = QosViolations()
+        self.violations = QosViolations()
 
-    def take(self, payload: bytes, type_name: str, received: int) -> bool:
+    def receive(self, payload: bytes, type_name: str, received: int) -> bool:
         """Receive a batch; True when it came for the first time. InputError when it is none, or of another type."""
         if type_name and type_name != self.type:
             raise InputError(f"its messages are {type_name}, not {self.type}; change the topic's type")
-        frame = decode_batch(payload)
+        batch = decode_batch(payload)
         self.matched = 1
-        if not self._seen.fresh(frame.session, frame.sequence):
+        if not self._seen.fresh(batch.session, batch.sequence):
             return False
-        self._waiting.extend((message, received) for message in frame.messages)
+        self._waiting.extend((message, received) for message in batch.messages)
         while len(self._waiting) > self.depth:
             self._waiting.popleft()
             self.lost += 1
@@ -106,8 +106,8 @@ class _Message:
 class Broker:
     """The connection to the broker: topics of the source mqtt (port LiveTopics), and messages of MQTT reactions.
 
-    `make` gives the connection for its events; `learned` gets a type whose definition has come, `lacking` a gap of
-    messages that were given up on their way. Nothing is sent while `ownership` is not sure."""
+    `make` gives the connection for its events; `learned` gets a type whose definition has come, `note_gap` a gap of
+    messages that were given up on their way. Nothing is sent while `fencing` is not sure."""
 
     def __init__(
         self,
@@ -115,16 +115,16 @@ class Broker:
         clock_ns: Callable[[], int],
         monotonic: Callable[[], float],
         learned: Learned,
-        lacking: Callable[[Gap], None],
-        ownership: Fencing | None = None,
+        note_gap: Callable[[Gap], None],
+        fencing: Fencing | None = None,
     ) -> None:
         self._clock_ns = clock_ns
         self._monotonic = monotonic
         self._learned = learned
-        self._lacking = lacking
-        self._ownership = ownership or Fencing()
+        self._note_gap = note_gap
+        self._fencing = fencing or Fencing()
         self._connected_before = False
-        self._followed: Sequence[TopicSettings] = ()
+        self._announced: Sequence[TopicSettings] = ()
         self._filters: tuple[str, ...] = ()
         self._inputs: dict[str, MqttInput] = {}
         self._waiting: deque[_Message] = deque()
@@ -133,7 +133,7 @@ class Broker:
         self.definitions: dict[str, str] = {}
         self.refusals: dict[str, str] = {}
         self.malformed = 0
-        self._complained: set[str] = set()
+        self._reported_topics: set[str] = set()
         self._channel = make(self)
         self._logged_complaint = self._channel.complaint
 
@@ -144,9 +144,9 @@ class Broker:
 
     # port LiveTopics -------------------------------------------------------------------------------------------------
 
-    def follow(self, topics: Sequence[TopicSettings]) -> None:
+    def announce(self, topics: Sequence[TopicSettings]) -> None:
         """See the port: all of them are subscribed to, with agents that are not known yet."""
-        self._followed = tuple(topics)
+        self._announced = tuple(topics)
         before = self._filters
         names = [MQTT_PREFIX + _any_agent(topic.pattern.text) for topic in topics]
         self._filters = tuple(dict.fromkeys([*names, *(types_topic(name) for name in names)]))
@@ -156,7 +156,7 @@ class Broker:
         self._channel.unsubscribe([topic_filter for topic_filter in before if topic_filter not in self._filters])
 
     def subscribe(
-        self, topic: str, settings: TopicSettings, quality: QosProfile, before: TopicInput | None = None
+        self, topic: str, settings: TopicSettings, qos: QosProfile, before: TopicInput | None = None
     ) -> MqttInput:
         """See the port: there is one input for each topic, and it has the messages that came before."""
         topic_input = self._inputs.get(topic)
@@ -175,7 +175,7 @@ class Broker:
 
     # reactions -------------------------------------------------------------------------------------------------------
 
-    def listen(self, sender: MqttReactions) -> None:
+    def add_sender(self, sender: MqttReactions) -> None:
         """Send a reaction's messages from now on; every turn collects them."""
         self._senders = [*(known for known in self._senders if not known.over), sender]
 
@@ -196,11 +196,11 @@ class Broker:
         self._channel.turn(now)
         self._log_complaint()
         for sender in self._senders:
-            sender.hand_over(now)
+            sender.queue_new(now)
         while self._waiting and now - self._waiting[0].begun > self._waiting[0].sender.retry_seconds:
             message = self._waiting.popleft()
             message.sender.give_up(message.delivery, self.unreachable or "the broker has not acknowledged it")
-        while self._waiting and self._ownership.sure:
+        while self._waiting and self._fencing.sure:
             message = self._waiting[0]
             token = self._channel.publish(message.topic, message.body, message.retained, message.properties)
             if token is None:
@@ -219,8 +219,8 @@ class Broker:
         """Deliver what waits within `seconds`, then disconnect; True when nothing is left."""
         end = self._monotonic() + seconds
         for sender in self._senders:
-            sender.hand_over(end)
-        while (self._waiting or self._sent) and not self._is_in_vain and self._monotonic() < end:
+            sender.queue_new(end)
+        while (self._waiting or self._sent) and not self._cannot_deliver and self._monotonic() < end:
             self.turn()
             pause(END_SECONDS_STEP)
         left = [*self._sent.values(), *self._waiting]
@@ -230,8 +230,8 @@ class Broker:
         return not left
 
     @property
-    def _is_in_vain(self) -> bool:
-        return bool(self.unreachable) or self._ownership.lost
+    def _cannot_deliver(self) -> bool:
+        return bool(self.unreachable) or self._fencing.lost
 
     # events of the connection ----------------------------------------------------------------------------------------
 
@@ -239,7 +239,7 @@ class Broker:
         """See the port ChannelEvents."""
         log.info("broker: connected session_kept=%s", session_kept)
         if self._connected_before:
-            self._ownership.doubt()
+            self._fencing.doubt()
         self._connected_before = True
         self.refusals.clear()
         self._channel.subscribe(self._filters)
@@ -280,13 +280,13 @@ class Broker:
                 self._learn(topic.removeprefix(types_topic(MQTT_PREFIX)), type_name, payload)
             elif (topic_input := self._input(topic.removeprefix(MQTT_PREFIX))) is not None:
                 gaps = read_gaps(user[GAPS]) if GAPS in user else ()
-                if topic_input.take(payload, type_name, self._clock_ns()):
+                if topic_input.receive(payload, type_name, self._clock_ns()):
                     for gap in gaps:
-                        self._lacking(gap)
+                        self._note_gap(gap)
         except InputError as error:
             self.malformed += 1
-            if topic not in self._complained and len(self._complained) < TOPICS_MAX:
-                self._complained.add(topic)
+            if topic not in self._reported_topics and len(self._reported_topics) < TOPICS_MAX:
+                self._reported_topics.add(topic)
                 log.warning("topic %s: %s", topic, error)
 
     def _learn(self, name: str, type_name: str, payload: bytes) -> None:
@@ -319,7 +319,7 @@ class Broker:
         self._inputs = {name: topic_input for name, topic_input in self._inputs.items() if topic_input is not closed}
 
     def _settings_of(self, name: str) -> TopicSettings | None:
-        return next((settings for settings in self._followed if settings.pattern.agent(name) is not None), None)
+        return next((settings for settings in self._announced if settings.pattern.agent(name) is not None), None)
 
 
 class MqttReactions:
@@ -327,11 +327,11 @@ class MqttReactions:
 
     def __init__(
         self,
-        settings: MqttReaction,
+        settings: MqttReactionSettings,
         broker: Broker,
         box: DeadLetterBox,
         clock: Callable[[], float],
-        kept: ReactionJournal | None = None,
+        journal: ReactionJournal | None = None,
     ) -> None:
         self.name = settings.name
         self.retry_seconds = settings.retry_seconds
@@ -340,11 +340,11 @@ class MqttReactions:
         self._box = box
         self._clock = clock
         self.delivered = self.retries = self.dead = 0
-        self._kept = kept or ReactionJournal()
+        self._journal = journal or ReactionJournal()
         self._new = deque[EdgeDelivery]()
-        self._waits_until = clock() + OPEN_SECONDS_MAX
+        self._journal_awaited_until = clock() + OPEN_SECONDS_MAX
         self._stopped = False
-        broker.listen(self)
+        broker.add_sender(self)
 
     @property
     def unreachable(self) -> str:
@@ -353,18 +353,18 @@ class MqttReactions:
 
     def react(self, delivery: EdgeDelivery) -> None:
         """See the port."""
-        self._kept.add(delivery)
+        self._journal.add(delivery)
         if len(self._new) < QUEUE_MAX:
             self._new.append(delivery)
-            self.hand_over(self._clock())
+            self.queue_new(self._clock())
         else:
             self.give_up(delivery, f"{QUEUE_MAX} messages wait for the broker already")
 
-    def hand_over(self, now: float) -> None:
+    def queue_new(self, now: float) -> None:
         """Queue new deliveries at the broker's connection, behind those that an earlier process has left."""
-        if not self._kept.settled and now < self._waits_until:
+        if not self._journal.settled and now < self._journal_awaited_until:
             return
-        for delivery in self._kept.left():
+        for delivery in self._journal.from_predecessor():
             self._put(delivery)
         while self._new:
             self._put(self._new.popleft())
@@ -397,11 +397,11 @@ class MqttReactions:
     def deliver(self, delivery: EdgeDelivery) -> None:
         """Record that the broker has a delivery."""
         self.delivered += 1
-        self._kept.done(delivery)
+        self._journal.done(delivery)
 
     def leave(self, delivery: EdgeDelivery, reason: str) -> None:
         """Leave a delivery to the next process when that will find it, else give it up."""
-        if self._kept.outlives(delivery):
+        if self._journal.outlives(delivery):
             log.warning("reaction %s: %s is left to the next process: %s", self.name, delivery.id, reason)
         else:
             self.give_up(delivery, reason)
@@ -410,7 +410,7 @@ class MqttReactions:
         """Make a delivery a dead letter."""
         self.dead += 1
         self._box.add(self.name, delivery.id, reason)
-        self._kept.done(delivery)
+        self._journal.done(delivery)
 
 
 def _any_agent(name: str) -> str:

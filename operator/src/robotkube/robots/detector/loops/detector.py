@@ -58,7 +58,7 @@ class EventDetector:
         self,
         sources: Callable[[str], LiveTopics],
         layouts: Layouts,
-        raising: Dispatcher,
+        dispatcher: Dispatcher,
         recordings: RecordingReactions,
         make_workers: Callable[[], RuleWorkers],
         clock_ns: Callable[[], int],
@@ -69,7 +69,7 @@ class EventDetector:
         self._layouts = layouts
         self.pool = BufferPool(PROCESS_BYTES_DEFAULT)
         self.topics = TopicSubscriptions(sources, layouts, clock_ns, self.pool)
-        self.raising = raising
+        self.dispatcher = dispatcher
         self.recordings = recordings
         recordings.buffers = self.pool.buffers
         self._make_workers = make_workers
@@ -100,7 +100,7 @@ class EventDetector:
         missing = self.topics.missing() if self.state != INACTIVE else ()
         if missing:
             return f"not subscribed yet: {', '.join(missing)}"
-        unreachable = self.raising.unreachable
+        unreachable = self.dispatcher.unreachable
         return unreachable[0] if unreachable else self.recordings.not_ready
 
     def apply(self, settings: DetectorSettings, asked_at: int | None = None) -> None:
@@ -109,16 +109,17 @@ class EventDetector:
         Buffers, running events and unchanged reactions go on."""
         if settings == self.settings:
             return
-        before, self.settings = self.settings, settings
+        before = self.settings
+        self.settings = settings
         self.applied = self._clock_ns()
         self.pool.limit(settings.buffer_bytes)
         moved = settings.state != self.state and (settings.state != before.state or not before.name)
-        was = self._move(settings.state) if moved else self.state
+        former_state = self._move(settings.state) if moved else self.state
         self.topics.adapt(settings)
         self._subscribe()
         # after the subscriptions: reactions import and connect beside, which costs everything else time
         self._apply_reactions(settings)
-        self._renew_rules(before, was)
+        self._apply_rules(before, former_state)
         self._connect(self.topics.topics.values())
         if moved:
             self._moved(asked_at or self.applied)
@@ -132,9 +133,9 @@ class EventDetector:
         if state == self.state:
             return
         asked_at = asked_at or self._clock_ns()
-        was = self._move(state)
+        former_state = self._move(state)
         self._subscribe()
-        self._renew_rules(self.settings, was)
+        self._apply_rules(self.settings, former_state)
         self._connect(self.topics.topics.values())
         self._moved(asked_at)
 
@@ -198,7 +199,7 @@ class EventDetector:
 
     def events_document(self) -> dict[str, Any]:
         """The document of `GET /events`."""
-        return {"started": self.started, "events": self.raising.events_document()}
+        return {"started": self.started, "events": self.dispatcher.events_document()}
 
     # receiving -------------------------------------------------------------------------------------------------------
 
@@ -243,7 +244,7 @@ class EventDetector:
         if last is not None and last.stamp - before.stamp > 1:
             gap = Gap(topic.name, SUBSCRIPTION, PUSHED_OUT, count, before.stamp + 1, last.stamp - 1)
             for recording in topic.recordings:
-                recording.lack(gap)
+                recording.note_gap(gap)
 
     @staticmethod
     def _stamp_of(place: FillTarget, data: bytes, received: int) -> int | None:
@@ -269,8 +270,8 @@ class EventDetector:
             for edge in observe(message):
                 self._dispatch(edge)
         if self.workers is not None:
-            for verdict in self.workers.collect():
-                for edge in self.engine.answer(verdict):
+            for answered in self.workers.collect():
+                for edge in self.engine.answer(answered):
                     self._dispatch(edge)
         now = self._clock_ns()
         due = self.engine.due()
@@ -283,32 +284,33 @@ class EventDetector:
     def _dispatch(self, edge: Edge) -> None:
         self.recordings.react(edge, self._clock_ns())
         if not self.recordings.only(edge.rule):
-            self.raising.react(edge)
+            self.dispatcher.react(edge)
 
     # settings, adoption, subscriptions -------------------------------------------------------------------------------
 
     def _move(self, state: str) -> str:
         """Change to a state and close the subscriptions that it does not need; returns the state before."""
-        was, self.state = self.state, state
-        log.info("state: %s, was %s", state, was)
+        former_state = self.state
+        self.state = state
+        log.info("state: %s, was %s", state, former_state)
         if state == INACTIVE:
             self.topics.close_all()
-        return was
+        return former_state
 
     def _moved(self, asked_at: int) -> None:
         self.reached = ReachedState(self.state, asked_at, self._clock_ns())
 
     def _subscribe(self) -> None:
-        self.topics.follow(self.state == INACTIVE)
+        self.topics.announce(self.state == INACTIVE)
         if self.state != INACTIVE:
             self._connect(self.topics.subscribe_expected())
             self._discover_at = float("-inf")
         self._listen_to_gaps()
 
     def _apply_reactions(self, settings: DetectorSettings) -> None:
-        had_operator = self.raising.operator is not None
-        self.raising.apply(settings)
-        if self.raising.operator is not None and not had_operator:
+        had_operator = self.dispatcher.operator is not None
+        self.dispatcher.apply(settings)
+        if self.dispatcher.operator is not None and not had_operator:
             self._adopted = False
             self._adopt_until = self._monotonic() + ADOPT_SECONDS_MAX
         self.recordings.apply(settings)
@@ -333,7 +335,7 @@ class EventDetector:
     def _receive_gaps(self) -> None:
         for data, _ in () if self._gaps is None else self._gaps.drain(DRAIN_MESSAGES_MAX):
             try:
-                self.recordings.lack(read_gap_text(string_text(data).decode()))
+                self.recordings.note_gap(read_gap_text(string_text(data).decode()))
             except (ValueError, InputError) as error:
                 log.warning("topic %s: %s", GAPS_TOPIC, error)
 
@@ -344,7 +346,7 @@ class EventDetector:
             topic.evaluated = any(pattern.agent(topic.name) is not None for pattern in patterns)
             topic.recordings = self.recordings.of(topic.name)
 
-    def _renew_rules(self, before: DetectorSettings, was: str) -> None:
+    def _apply_rules(self, before: DetectorSettings, former_state: str) -> None:
         """Apply the settings' rules. Events of unchanged ones go on; those of another chain, or of an inactive
         detector, end."""
         now = self._clock_ns()
@@ -357,10 +359,8 @@ class EventDetector:
         if settings.task != before.task or settings.types != before.types:
             self._replace((), now)
         if self.workers is not None:
-            if was == ACTIVE and self.state != ACTIVE:
-                self.workers.apply(
-                    ()
-                )  # their state ends with the events; new processes are loaded by the time it matters
+            if former_state == ACTIVE and self.state != ACTIVE:
+                self.workers.apply(())  # their state ends with the events; new processes are loaded by the time needed
             self.workers.apply(settings.rules)
         self._replace(settings.rules if self.state == ACTIVE else (), now)
 
@@ -380,7 +380,7 @@ class EventDetector:
     def _adopt(self, now: float) -> None:
         """Take over the events that last according to the API server; without its answer evaluation begins after a
         while."""
-        operator = self.raising.operator
+        operator = self.dispatcher.operator
         if operator is None or operator.adopted is None:
             if self._adopt_until is not None and now >= self._adopt_until:
                 self._adopt_until = None

@@ -1,4 +1,4 @@
-"""The dispatcher of edges: it keeps each for `/events`, passes it to every reaction to its rule, and logs it."""
+"""The dispatcher of edges: it records each for `/events`, passes it to every reaction to its rule, and logs it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 from robotkube.robots.detector.core.settings import DetectorSettings
 from robotkube.robots.reactions.core.notifications import delivery_id, notification
-from robotkube.robots.reactions.core.settings import DeliveryReaction
+from robotkube.robots.reactions.core.settings import DeliveryReactionSettings
 from robotkube.robots.reactions.loops.dead_letters import DeadLetterBox
 from robotkube.robots.reactions.loops.operator import EventRecord, OperatorReactions
 from robotkube.robots.reactions.ports.deliveries import EdgeDelivery, RunningReaction, Spans
@@ -19,7 +19,7 @@ EVENTS_MAX = 1000
 
 log = logging.getLogger(__name__)
 
-MakeReaction = Callable[[DeliveryReaction, DeadLetterBox], RunningReaction]
+MakeReaction = Callable[[DeliveryReactionSettings, DeadLetterBox], RunningReaction]
 """A function that gives a started reaction."""
 
 
@@ -39,12 +39,12 @@ class Dispatcher:
         self._spans = spans
         self._settings = DetectorSettings("", ())
         self._reasons: Mapping[str, str] = {}
-        self._reactions: list[tuple[DeliveryReaction, RunningReaction]] = []
+        self._reactions: list[tuple[DeliveryReactionSettings, RunningReaction]] = []
         self._leaving: list[RunningReaction] = []
         self._records: deque[EventRecord] = deque(maxlen=EVENTS_MAX)
         self.box = DeadLetterBox(clock_ns)
         self.operator: OperatorReactions | None = None
-        self.raised = 0
+        self.dispatched = 0
 
     @property
     def unreachable(self) -> list[str]:
@@ -62,26 +62,28 @@ class Dispatcher:
             self.operator.parent = settings.task
         elif settings.operators:
             self.operator = self._make_operator(settings, self.box)
-        before, self._reactions = self._reactions, []
+        before = self._reactions
+        self._reactions = []
         for wanted in settings.deliveries:
             if all(wanted != known for known, _ in self._reactions):
-                kept = next((reaction for known, reaction in before if known == wanted), None)
-                self._reactions.append((wanted, kept or self._make_reaction(wanted, self.box)))
+                running = next((reaction for known, reaction in before if known == wanted), None)
+                self._reactions.append((wanted, running or self._make_reaction(wanted, self.box)))
         at_work = [reaction for _, reaction in self._reactions]
         self._leaving += [reaction for _, reaction in before if reaction not in at_work]
 
     def leaving(self) -> list[RunningReaction]:
         """The reactions that the settings do not ask for any more, once each; the caller stops them."""
-        leaving, self._leaving = self._leaving, []
+        leaving = self._leaving
+        self._leaving = []
         return leaving
 
     def react(self, edge: Edge) -> None:
         """Dispatch an edge to every reaction to its rule; never blocks."""
         record = EventRecord(edge)
         self._records.append(record)
-        self.raised += 1
+        self.dispatched += 1
         log.info(
-            "event %s: %s raised rule=%s agents=%s distance_m=%s stamp=%d time=%d",
+            "event %s: %s dispatched rule=%s agents=%s distance_m=%s stamp=%d time=%d",
             edge.id, edge.edge, edge.rule, ",".join(edge.agents), edge.distance_m, edge.stamp, edge.time,
         )  # fmt: skip
         why = self._reasons.get(edge.rule, "")
@@ -114,8 +116,8 @@ class Dispatcher:
             reaction.name: {**reaction.counts(), "unreachable": reaction.unreachable} for _, reaction in self._reactions
         }
         if self.operator is not None:
-            away = "" if self.operator.reachable else "the API server does not answer"
-            document["operator"] = {**self.operator.counts(), "unreachable": away}
+            unreachable = "" if self.operator.reachable else "the API server does not answer"
+            document["operator"] = {**self.operator.counts(), "unreachable": unreachable}
         return document
 
     def _deliver(self, edge: Edge, why: str) -> None:

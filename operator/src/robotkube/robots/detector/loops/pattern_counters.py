@@ -12,7 +12,7 @@ COUNTED = ("received", "malformed", "lost", "incompatible", "missed_deadlines", 
 BUFFERED = ("late", "duplicates", "jumps")
 EVICTED = ("evicted_seconds", "evicted_bytes", "evicted_count", "evicted_process")
 
-Part = InputCounter | RingBuffer
+CounterSource = InputCounter | RingBuffer
 
 
 class PatternCounters:
@@ -22,31 +22,31 @@ class PatternCounters:
     and the receiving thread needs it only to forget a topic or to change the patterns.
     """
 
-    def __init__(self, parts: Callable[[], Iterable[tuple[str, Part]]]) -> None:
-        """`parts` gives the counters and buffers that are there now, each with its pattern."""
-        self._parts = parts
+    def __init__(self, sources: Callable[[], Iterable[tuple[str, CounterSource]]]) -> None:
+        """`sources` gives the counters and buffers that are there now, each with its pattern."""
+        self._sources = sources
         self._lock = threading.Lock()
-        self._gone: dict[str, dict[str, int]] = {}
+        self._forgotten: dict[str, dict[str, int]] = {}
 
-    def forget(self, pattern: str, part: Part, remove: Callable[[], object]) -> None:
+    def forget(self, pattern: str, source: CounterSource, remove: Callable[[], object]) -> None:
         """Keep the numbers of a counter or buffer that `remove` removes."""
         with self._lock:
-            if pattern in self._gone:
-                _add(self._gone[pattern], part)
+            if pattern in self._forgotten:
+                _add(self._forgotten[pattern], source)
             remove()
 
     def adapt(self, patterns: Iterable[str]) -> None:
         """Change the patterns; the numbers of those that are not among them are dropped."""
         with self._lock:
-            self._gone = {pattern: self._gone.get(pattern) or _nothing() for pattern in patterns}
+            self._forgotten = {pattern: self._forgotten.get(pattern) or _nothing() for pattern in patterns}
 
     def read(self) -> Mapping[str, Mapping[str, int]]:
         """The sums of every pattern of the settings; any thread."""
         with self._lock:
-            sums_by_pattern = {pattern: dict(sums) for pattern, sums in self._gone.items()}
-            for pattern, part in self._parts():
+            sums_by_pattern = {pattern: dict(sums) for pattern, sums in self._forgotten.items()}
+            for pattern, source in self._sources():
                 if pattern in sums_by_pattern:
-                    _add(sums_by_pattern[pattern], part)
+                    _add(sums_by_pattern[pattern], source)
         return sums_by_pattern
 
 
@@ -54,8 +54,8 @@ def _nothing() -> dict[str, int]:
     return dict.fromkeys((*COUNTED, *BUFFERED, "evicted"), 0)
 
 
-def _add(sums: dict[str, int], part: Part) -> None:
-    if isinstance(part, RingBuffer):
-        sums["evicted"] += sum(getattr(part, name) for name in EVICTED)
-    for name in BUFFERED if isinstance(part, RingBuffer) else COUNTED:
-        sums[name] += getattr(part, name)
+def _add(sums: dict[str, int], source: CounterSource) -> None:
+    if isinstance(source, RingBuffer):
+        sums["evicted"] += sum(getattr(source, name) for name in EVICTED)
+    for name in BUFFERED if isinstance(source, RingBuffer) else COUNTED:
+        sums[name] += getattr(source, name)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 from robotkube.robots.detector.core.settings import DetectorSettings
-from robotkube.robots.reactions.core.settings import RecordingReaction
+from robotkube.robots.reactions.core.settings import RecordingReactionSettings
 from robotkube.robots.recording.core.plans import RecordedTopic, RecordingPlan
 from robotkube.robots.rules.core import START, Edge
 
@@ -43,24 +43,26 @@ class RecordingReactions:
     def not_ready(self) -> str:
         """The reason why recordings are not ready, in words; empty when they are."""
         waiting = [recordings.plan.recording for recordings in self.at_work if not recordings.ready]
-        return f"database or claim has not answered yet: {', '.join(waiting)}" if waiting else ""
+        return f"database or volume claim has not answered yet: {', '.join(waiting)}" if waiting else ""
 
     def apply(self, settings: DetectorSettings) -> None:
         """Apply new settings; recordings whose plan is unchanged go on."""
         plans = {reaction.recording: recording_plan(reaction, settings) for reaction in settings.recordings}
-        before, self._at_work = self._at_work, {}
+        before = self._at_work
+        self._at_work = {}
         self._leaving += [recordings for name, recordings in before.items() if plans.get(name) != recordings.plan]
         for name, plan in plans.items():
             known = before.get(name)
             same = known is not None and known.plan == plan
             self._at_work[name] = known if known is not None and same else self._make(plan, self.buffers)
-        others = {other.rule for other in settings.reactions if not isinstance(other, RecordingReaction)}
+        others = {other.rule for other in settings.reactions if not isinstance(other, RecordingReactionSettings)}
         recorded = {reaction.rule for reaction in settings.recordings} | {rule.name for rule in settings.rules}
         self._silent = frozenset(rule for rule in recorded - others if settings.is_always(rule))
 
     def leaving(self) -> list[Recordings]:
         """The recordings that are not asked for any more, once each; the caller stops them."""
-        leaving, self._leaving = self._leaving, []
+        leaving = self._leaving
+        self._leaving = []
         return leaving
 
     def of(self, topic: str) -> list[Recordings]:
@@ -77,10 +79,10 @@ class RecordingReactions:
             if recordings.plan.rule == edge.rule:
                 recordings.trigger(edge, now) if edge.edge == START else recordings.end(edge, now)
 
-    def lack(self, gap: Gap) -> None:
+    def note_gap(self, gap: Gap) -> None:
         """Report a gap of messages that were given up on their way here."""
         for recordings in self.at_work:
-            recordings.lack(gap)
+            recordings.note_gap(gap)
 
     def tick(self, now: int) -> None:
         """Close the recordings' windows that are over at `now` (ns)."""
@@ -88,7 +90,7 @@ class RecordingReactions:
             recordings.tick(now)
 
 
-def recording_plan(reaction: RecordingReaction, settings: DetectorSettings) -> RecordingPlan:
+def recording_plan(reaction: RecordingReactionSettings, settings: DetectorSettings) -> RecordingPlan:
     """The plan of a recording reaction, with the settings of its topics."""
     by_name = {topic.pattern: topic for topic in settings.topics}
     topics = tuple(

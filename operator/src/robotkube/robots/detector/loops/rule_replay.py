@@ -51,7 +51,7 @@ class BagInput:
     closed: bool = False
     matched: int = 1
     incompatible: IncompatiblePublishers = field(default_factory=IncompatiblePublishers)
-    broken: QosViolations = field(default_factory=QosViolations)
+    violations: QosViolations = field(default_factory=QosViolations)
 
     def drain(self, messages_max: int) -> Sequence[tuple[bytes, int]]:
         """See the port."""
@@ -73,11 +73,11 @@ class BagTopics:
         self._types = types
         self.inputs: dict[str, BagInput] = {}
 
-    def follow(self, topics: Sequence[TopicSettings]) -> None:
+    def announce(self, topics: Sequence[TopicSettings]) -> None:
         """See the port."""
 
     def subscribe(
-        self, topic: str, settings: TopicSettings, quality: QosProfile, before: TopicInput | None = None
+        self, topic: str, settings: TopicSettings, qos: QosProfile, before: TopicInput | None = None
     ) -> BagInput:
         """See the port."""
         topic_input = self.inputs.setdefault(topic, BagInput())
@@ -104,7 +104,7 @@ class PatientWorkers(RuleWorkers):
     _settling = False
 
     def collect(self) -> list[AnsweredQuestion]:
-        """The verdicts on all questions so far."""
+        """The answers to all questions so far."""
         if self._settling:
             return super().collect()
         self._settling = True
@@ -124,7 +124,7 @@ class _EdgeCollector(Dispatcher):
     def react(self, edge: Edge) -> None:
         """Collect an edge; InputError beyond EDGES_MAX."""
         if len(self.edges) >= EDGES_MAX:
-            raise InputError(f"the rules raise more than {EDGES_MAX} edges; give them cooldown_seconds or hysteresis")
+            raise InputError(f"the rules give more than {EDGES_MAX} edges; give them cooldown_seconds or hysteresis")
         self.edges.append(edge)
 
 
@@ -136,8 +136,8 @@ def _refuse(*_: object) -> NoReturn:
 class ReplayResult:
     """The result of a replay. `first`, `last`: times of the bags in ns, 0 without a message; `begin`: `first` on the
     clock of the messages' stamps; `messages`: number of messages of topics that rules read; `malformed`: topic ->
-    messages that are none of their type; `unsaid`: rules that could not read all messages, and why; `problems`: other
-    remarks on the result."""
+    messages that are none of their type; `incomplete`: rules that could not read all messages, and why; `problems`:
+    other remarks on the result."""
 
     edges: list[Edge] = field(default_factory=list)
     messages: int = 0
@@ -145,7 +145,7 @@ class ReplayResult:
     begin: int = 0
     last: int = 0
     malformed: dict[str, int] = field(default_factory=dict)
-    unsaid: list[str] = field(default_factory=list)
+    incomplete: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
 
 
@@ -167,15 +167,15 @@ class _Clock:
     seen: dict[str, int] = field(default_factory=dict)
     _least: int | None = None
 
-    def observe(self, topic: TopicSubscription | None, name: str, data: bytes, moment: int) -> None:
+    def observe(self, topic: TopicSubscription | None, name: str, data: bytes, time: int) -> None:
         """Compare one of a topic's first messages with its time in the bag."""
         self.seen[name] = self.seen.get(name, 0) + 1
         try:
             stamp = topic.stamp(data) if topic is not None and topic.stamp is not None else 0
         except ValueError:
             return
-        if stamp and (self._least is None or abs(moment - stamp) < abs(self._least)):
-            self._least = moment - stamp
+        if stamp and (self._least is None or abs(time - stamp) < abs(self._least)):
+            self._least = time - stamp
 
     @property
     def lag(self) -> int:
@@ -211,35 +211,35 @@ def replay(
         return now
 
     source = BagTopics(types)
-    listening = _EdgeCollector(clock_ns)
+    collector = _EdgeCollector(clock_ns)
     detector = EventDetector(
-        lambda _: source, layouts, listening, RecordingReactions(_refuse), make_workers, clock_ns, lambda: now / 1e9
+        lambda _: source, layouts, collector, RecordingReactions(_refuse), make_workers, clock_ns, lambda: now / 1e9
     )
     try:
-        for name, moment, data in messages:
+        for name, time, data in messages:
             if not result.messages:
-                result.first = now = begin = moment
+                result.first = now = begin = time
                 detector.apply(replace(settings, reactions=(), task="", bag="", state=ACTIVE))
                 detector.turn()  # subscribes to what patterns find
-            elif moment > begin + turn_ns:
+            elif time > begin + turn_ns:
                 _turns(detector, source)
-                for before in PAUSE_TURNS_NS if moment - now > PAUSE_NS else ():
-                    now = moment - before
+                for before in PAUSE_TURNS_NS if time - now > PAUSE_NS else ():
+                    now = time - before
                     detector.turn()
-                begin = moment
+                begin = time
             result.messages += 1
-            now = result.last = max(now, moment)
+            now = result.last = max(now, time)
             topic_input = source.inputs.get(name)
             if topic_input is not None:
-                topic_input.waiting.append((data, moment))
+                topic_input.waiting.append((data, time))
             if clock.seen.get(name, 0) < CLOCK_MESSAGES:
-                clock.observe(detector.topics.topics.get(name), name, data, moment)
+                clock.observe(detector.topics.topics.get(name), name, data, time)
         if result.messages:
             _turns(detector, source)
             _turns(detector, source)  # what processes answered to the last messages
-        result.edges = sorted(listening.edges, key=lambda edge: edge.stamp)
+        result.edges = sorted(collector.edges, key=lambda edge: edge.stamp)
         result.malformed = {n: c.malformed for n, c in detector.topics.counters().items() if c.malformed}
-        result.unsaid = list(_incomplete_rules(detector))
+        result.incomplete = list(_incomplete_rules(detector))
         result.begin = result.first - clock.lag
         result.problems = list(clock.problems(result.begin))
         result.problems += [

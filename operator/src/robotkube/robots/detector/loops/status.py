@@ -32,16 +32,16 @@ METRICS: Mapping[str, tuple[str, str, str]] = {
     "incompatible_total": ("counter", "topic", "Publishers that the middleware refused because of their quality."),
     "missed_deadlines_total": ("counter", "topic", "Deadlines asked for that passed without a message."),
     "lost_liveliness_total": ("counter", "topic", "Publishers that gave no sign of life for as long as their lease."),
-    "received_total": ("counter", "topic", "Messages taken."),
+    "received_total": ("counter", "topic", "Messages received."),
     "malformed_total": ("counter", "topic", "Messages whose stamp could not be read."),
-    "lost_total": ("counter", "topic", "Messages that were pushed out before they were taken."),
+    "lost_total": ("counter", "topic", "Messages that were pushed out before they were received."),
     "buffer_messages": ("gauge", "topic", "Messages in the ring buffers."),
     "buffer_bytes": ("gauge", "topic", "Bytes in the ring buffers."),
     "late_total": ("counter", "topic", "Messages older than the window, or wrongly newer."),
     "duplicates_total": ("counter", "topic", "Messages that were there already."),
     "jumps_total": ("counter", "topic", "Jumps of a topic's time."),
     "evicted_total": ("counter", "topic", "Messages that left a buffer because of a bound."),
-    "events_total": ("counter", "", "Edges that were raised."),
+    "events_total": ("counter", "", "Edges that were dispatched."),
     "active_events": ("gauge", "rule", "Events that last."),
     "unreadable_total": ("counter", "", "Messages whose fields a rule could not read."),
     "late_for_rules_total": ("counter", "", "Messages older than the last one that was evaluated."),
@@ -68,14 +68,14 @@ class SettingsRefusal:
 
 @dataclass
 class DetectorStatus:
-    """The pages of one detector. `unreachable`: the reason why it waits for something else, such as the broker. `kept`:
-    the state of the reactions' journal."""
+    """The pages of one detector. `unreachable`: the reason why it waits for something else, such as the broker;
+    `journal`: the document of the delivery journal."""
 
     detector: EventDetector
     clock_ns: Callable[[], int]
     refusal: SettingsRefusal = field(default_factory=SettingsRefusal)
     unreachable: Callable[[], str] = str
-    kept: Callable[[], Mapping[str, Any]] = lambda: MEMORY_ONLY
+    journal: Callable[[], Mapping[str, Any]] = lambda: MEMORY_ONLY
 
     def not_ready(self) -> str:
         """The reason why it is not ready, in words; empty when it is."""
@@ -107,9 +107,9 @@ class DetectorStatus:
                 "problems": [{"rule": r, "topic": t, "problem": text} for (r, t), text in problems],
                 "workers": {} if workers is None else workers.document(),
             },
-            "reactions": detector.raising.document(),
-            "reactions_journal": dict(self.kept()),
-            "dead_letters": detector.raising.box.documents(),
+            "reactions": detector.dispatcher.document(),
+            "reactions_journal": dict(self.journal()),
+            "dead_letters": detector.dispatcher.box.documents(),
             "recordings": {
                 recordings.plan.recording: recordings.counts() for recordings in detector.recordings.at_work
             },
@@ -134,7 +134,7 @@ class DetectorStatus:
         yield from (("info", state, int(state == detector.reached.state)) for state in STATES)
         yield "ready", "", int(not self.not_ready())
         yield "settings_refused", "", int(bool(self.refusal.error))
-        yield "events_total", "", detector.raising.raised
+        yield "events_total", "", detector.dispatcher.dispatched
         yield "unreadable_total", "", sum(detector.engine.counts.malformed.copy().values())
         yield "late_for_rules_total", "", detector.engine.counts.late
         for pattern, sums in self._topics().items():
@@ -145,10 +145,10 @@ class DetectorStatus:
         for rule, worker in workers.items():
             yield "rule_suspended", rule, int(worker["state"] == "suspended")
             yield "rule_dropped_total", rule, worker["dropped"]
-        kept = self.kept()
-        yield "reaction_journal_entries", "", kept["kept"]
-        yield "reaction_journal_unkept_total", "", kept["unkept"]
-        for reaction, counts in detector.raising.document().items():
+        journal = self.journal()
+        yield "reaction_journal_entries", "", journal["kept"]
+        yield "reaction_journal_unkept_total", "", journal["unkept"]
+        for reaction, counts in detector.dispatcher.document().items():
             yield "reaction_waiting", reaction, counts["waiting"]
             yield from ((f"reaction_{key}_total", reaction, counts[key]) for key in ("delivered", "retries", "dead"))
 
@@ -157,13 +157,13 @@ class DetectorStatus:
         topics = self.detector.topics
         sums = {
             pattern: dict.fromkeys(TOPIC_GAUGES, 0) | {f"{name}_total": value for name, value in counted.items()}
-            for pattern, counted in topics.totals.read().items()
+            for pattern, counted in topics.pattern_counters.read().items()
         }
         for topic in topics.document().values():
             values = (1, topic["matched"], int(topic["stale"]), int(bool(topic["problem"])))
             for key, value in zip(TOPIC_GAUGES, values, strict=False) if topic["pattern"] in sums else ():
                 sums[topic["pattern"]][key] += value
-        for pattern, buffer in topics.held():
+        for pattern, buffer in topics.buffers_by_pattern():
             if pattern in sums:
                 sums[pattern]["buffer_messages"] += len(buffer)
                 sums[pattern]["buffer_bytes"] += buffer.bytes

@@ -38,7 +38,7 @@ class TopicSubscription:
     input: TopicInput
     counter: InputCounter
     buffer: RingBuffer
-    quality: QosProfile
+    qos: QosProfile
     stamp: Stamp | None
     since: int
     offers: tuple[PublisherOffer, ...] = ()
@@ -50,19 +50,19 @@ class TopicSubscription:
     recordings: list[Recordings] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self._go_on_counting()
+        self._continue_counting()
 
     @property
-    def heard(self) -> int:
+    def last_message_at(self) -> int:
         """The time of the last message, or else of the subscription; ns."""
         return max(self.counter.newest, self.since)
 
-    def take_over(self, fresh: TopicInput, quality: QosProfile) -> None:
+    def replace_input(self, fresh: TopicInput, qos: QosProfile) -> None:
         """Replace the subscription by another one, and go on counting."""
         self.count()
         self.input = fresh
-        self.quality = quality
-        self._go_on_counting()
+        self.qos = qos
+        self._continue_counting()
 
     def count(self) -> None:
         """Add the counters of the subscription; they only grow."""
@@ -81,7 +81,7 @@ class TopicSubscription:
         self.count()
         self.input.close()
 
-    def _go_on_counting(self) -> None:
+    def _continue_counting(self) -> None:
         before = self.counter
         counted = self._counts_of_input(self.input.incompatible)
         self.counted_before = _Counted(
@@ -92,7 +92,7 @@ class TopicSubscription:
         )
 
     def _counts_of_input(self, refused: IncompatiblePublishers) -> _Counted:
-        return _Counted(self.input.lost, refused.publishers, *self.input.broken)
+        return _Counted(self.input.lost, refused.publishers, *self.input.violations)
 
 
 def of_type(topic: TopicSubscription, offers: Iterable[PublisherOffer]) -> list[PublisherOffer]:
@@ -100,16 +100,16 @@ def of_type(topic: TopicSubscription, offers: Iterable[PublisherOffer]) -> list[
     return [offer for offer in offers if offer.type == topic.settings.type]
 
 
-def problem_of(topic: TopicSubscription, quality: QosProfile) -> str:
+def problem_of(topic: TopicSubscription, qos: QosProfile) -> str:
     """The publishers that would not match a subscription of that QoS profile, and why; empty when all do."""
-    problems = (mismatch(topic.settings.type, quality, offer) for offer in topic.offers)
+    problems = (mismatch(topic.settings.type, qos, offer) for offer in topic.offers)
     return "; ".join(text for text in problems if text)
 
 
-def how_fresh(topic: TopicSubscription, heard: int, now: int) -> str:
+def topic_freshness(topic: TopicSubscription, last_message_at: int, now: int) -> str:
     """The freshness of a topic by the time of its last message (ns), within the topic's bounds."""
     bounds = FreshnessBounds(topic.settings.stale_seconds, topic.settings.expire_seconds)
-    return freshness({topic.name: heard}, now, bounds)[topic.name]
+    return freshness({topic.name: last_message_at}, now, bounds)[topic.name]
 
 
 def topic_document(topic: TopicSubscription, now: int) -> dict[str, Any]:
@@ -121,13 +121,13 @@ def topic_document(topic: TopicSubscription, now: int) -> dict[str, Any]:
         "type": topic.settings.type,
         "source": topic.settings.source,
         "matched": topic.matched,
-        "asked": topic.quality.text(),
+        "asked": topic.qos.text(),
         "offered": [{"node": offer.node, "quality": offer.qos_profile.text()} for offer in topic.offers],
         "problem": topic.problem,
         "incompatible": {"count": counter.incompatible, "policy": topic.incompatible.policy},
         "missed_deadlines": counter.missed_deadlines,
         "lost_liveliness": counter.lost_liveliness,
-        "stale": not topic.settings.latched and how_fresh(topic, topic.heard, now) != FRESH,
+        "stale": not topic.settings.latched and topic_freshness(topic, topic.last_message_at, now) != FRESH,
         "received": counter.received,
         "malformed": counter.malformed,
         "lost": counter.lost,

@@ -18,10 +18,10 @@ from robotkube.robots.detector.loops.pattern_counters import PatternCounters
 from robotkube.robots.detector.loops.subscription import (
     Stamp,
     TopicSubscription,
-    how_fresh,
     of_type,
     problem_of,
     topic_document,
+    topic_freshness,
 )
 from robotkube.robots.mqtt.core.message_properties import GAPS_DEPTH, GAPS_TOPIC, GAPS_TYPE
 from robotkube.robots.ros.core.cdr_readers.readers import Layouts
@@ -67,7 +67,7 @@ class TopicSubscriptions:
         self._settings = DetectorSettings("", ())
         self._inspected = 0
         self._buffered: dict[str, TopicSettings] = {}
-        self.totals = PatternCounters(self._parts)
+        self.pattern_counters = PatternCounters(self._counter_sources)
 
     def counters(self) -> Mapping[str, InputCounter]:
         """Topic -> its counter, also of topics that are not subscribed to any more."""
@@ -79,7 +79,7 @@ class TopicSubscriptions:
         Its subscription is made anew only when another one is requested. Topics that are not requested any more are
         given up."""
         self._settings = settings
-        self.totals.adapt(topic.pattern.text for topic in settings.topics)
+        self.pattern_counters.adapt(topic.pattern.text for topic in settings.topics)
         self.problems.clear()
         for name, before in list(self._buffered.items()):
             chosen = self._chosen(name, before.type, before)
@@ -92,11 +92,11 @@ class TopicSubscriptions:
                 if topic is not None:
                     self._change(topic, chosen)
 
-    def follow(self, resting: bool = False) -> None:
+    def announce(self, inactive: bool = False) -> None:
         """Announce to the sources the topics that may be subscribed to; none while the detector is inactive."""
         for source in sorted({topic.source for topic in self._settings.topics}):
-            wanted = [topic for topic in self._settings.topics if topic.source == source and not resting]
-            self._source(source).follow(wanted)
+            wanted = [topic for topic in self._settings.topics if topic.source == source and not inactive]
+            self._source(source).announce(wanted)
 
     def close_all(self) -> None:
         """End every subscription; buffers and counters stay."""
@@ -108,7 +108,7 @@ class TopicSubscriptions:
         """Subscribe to the topics that are known before they have a publisher; returns the new subscriptions."""
         return self._subscribe(self._expected())
 
-    def asked(self, name: str, type_name: str) -> bool:
+    def is_configured(self, name: str, type_name: str) -> bool:
         """True when the settings ask for a topic of this name and type."""
         return self._chosen(name, type_name) is not None
 
@@ -150,12 +150,15 @@ class TopicSubscriptions:
         A latched topic, whose publishers send once, is forgotten when all topics of its agent have been silent."""
         now = self._clock_ns()
         expected = {name for name, _ in self._expected()}
-        heard: dict[str, int] = {}
+        last_by_agent: dict[str, int] = {}
         for topic in self.topics.values():
-            heard[topic.agent] = max(heard.get(topic.agent, 0), topic.heard)
+            last_by_agent[topic.agent] = max(last_by_agent.get(topic.agent, 0), topic.last_message_at)
         discovered = [topic for topic in self.topics.values() if topic.name not in expected]
-        last = {topic.name: heard[topic.agent] if topic.settings.latched else topic.heard for topic in discovered}
-        gone = [topic for topic in discovered if how_fresh(topic, last[topic.name], now) == EXPIRED]
+        last = {
+            topic.name: last_by_agent[topic.agent] if topic.settings.latched else topic.last_message_at
+            for topic in discovered
+        }
+        gone = [topic for topic in discovered if topic_freshness(topic, last[topic.name], now) == EXPIRED]
         for topic in gone:
             log.info("topic %s: silent for %.0f s; forgotten", topic.name, topic.settings.expire_seconds)
             self._forget(topic.name)
@@ -173,7 +176,7 @@ class TopicSubscriptions:
             self.pool.remove(name)
 
         if name in self._buffered:
-            self.totals.forget(self._buffered[name].pattern.text, self.pool.buffers[name], remove)
+            self.pattern_counters.forget(self._buffered[name].pattern.text, self.pool.buffers[name], remove)
 
     def _chosen(self, name: str, type_name: str, before: TopicSettings | None = None) -> TopicSettings | None:
         """The settings of a topic; its own name goes before a pattern, and its settings `before` go before
@@ -194,22 +197,24 @@ class TopicSubscriptions:
         if settings.source != before.source:
             topic.close()
             del self.topics[topic.name]  # to be subscribed to at its new source
-        elif (settings.asked, settings.depth) != (before.asked, before.depth):
+        elif (settings.requested_qos, settings.depth) != (before.requested_qos, before.depth):
             source = self._source(settings.source)
-            self._subscribe_anew(topic, matching_profile(settings.asked, of_type(topic, source.offers(topic.name))))
+            self._subscribe_anew(
+                topic, matching_profile(settings.requested_qos, of_type(topic, source.offers(topic.name)))
+            )
 
     def _subscribe_anew(
-        self, topic: TopicSubscription, quality: QosProfile, offers: tuple[PublisherOffer, ...] = ()
+        self, topic: TopicSubscription, qos: QosProfile, offers: tuple[PublisherOffer, ...] = ()
     ) -> None:
         source = self._source(topic.settings.source)
         refused = topic.counter.incompatible
-        former = topic.quality
-        fresh = source.subscribe(topic.name, topic.settings, quality, topic.input)
-        topic.take_over(fresh, quality)
+        former = topic.qos
+        fresh = source.subscribe(topic.name, topic.settings, qos, topic.input)
+        topic.replace_input(fresh, qos)
         self._report_refusals(topic, refused, former)
         topic.offers = offers
         topic.problem = ""
-        log.info("topic %s: subscribed anew as %s", topic.name, quality.text())
+        log.info("topic %s: subscribed anew as %s", topic.name, qos.text())
 
     def _expected(self) -> Iterator[tuple[str, TopicSettings]]:
         for settings in self._settings.topics:
@@ -242,11 +247,11 @@ class TopicSubscriptions:
 
     def _open(self, name: str, settings: TopicSettings) -> TopicSubscription | None:
         source = self._source(settings.source)
-        quality = matching_profile(
-            settings.asked, [offer for offer in source.offers(name) if offer.type == settings.type]
+        qos = matching_profile(
+            settings.requested_qos, [offer for offer in source.offers(name) if offer.type == settings.type]
         )
         try:
-            subscription = source.subscribe(name, settings, quality)
+            subscription = source.subscribe(name, settings, qos)
         except DocumentError as error:
             if self.problems.get(name) != str(error):
                 log.error("%s", error)
@@ -257,7 +262,7 @@ class TopicSubscriptions:
         counter = self._counter(name, settings)
         agent = settings.pattern.agent(name) or self._settings.agent
         stamp = self._stamp(settings.type)
-        return TopicSubscription(name, agent, settings, subscription, counter, buffer, quality, stamp, self._clock_ns())
+        return TopicSubscription(name, agent, settings, subscription, counter, buffer, qos, stamp, self._clock_ns())
 
     def _buffer(self, name: str, settings: TopicSettings) -> RingBuffer:
         """The topic's buffer, within the bounds of these settings; a new one when its messages are of another type."""
@@ -276,17 +281,17 @@ class TopicSubscriptions:
             gone = next((known for known in self._counters if known not in self.topics), "")
             if gone:
                 counter = self._counters[gone]
-                self.totals.forget(counter.pattern, counter, partial(self._counters.pop, gone))
+                self.pattern_counters.forget(counter.pattern, counter, partial(self._counters.pop, gone))
         counter = self._counters.setdefault(name, InputCounter(settings.type, pattern))
         counter.type = settings.type
         counter.pattern = pattern
         return counter
 
-    def _parts(self) -> Iterator[tuple[str, InputCounter | RingBuffer]]:
+    def _counter_sources(self) -> Iterator[tuple[str, InputCounter | RingBuffer]]:
         yield from ((counter.pattern, counter) for counter in list(self._counters.values()))
-        yield from self.held()
+        yield from self.buffers_by_pattern()
 
-    def held(self) -> Iterator[tuple[str, RingBuffer]]:
+    def buffers_by_pattern(self) -> Iterator[tuple[str, RingBuffer]]:
         """The pattern and buffer of every topic that has one, also while the detector is inactive; any thread."""
         for name, settings in list(self._buffered.items()):
             buffer = self.pool.buffers.get(name)
@@ -321,30 +326,30 @@ class TopicSubscriptions:
         topic.count()
         offers = tuple(self._source(topic.settings.source).offers(topic.name))
         topic.offers = offers
-        self._report_refusals(topic, refused, topic.quality)
+        self._report_refusals(topic, refused, topic.qos)
         fitting = of_type(topic, offers)
-        quality = matching_profile(topic.settings.asked, fitting)
-        renewed = bool(fitting) and quality != topic.quality
+        qos = matching_profile(topic.settings.requested_qos, fitting)
+        renewed = bool(fitting) and qos != topic.qos
         if renewed and known and offers != known:
-            renewed = len(problem_of(topic, quality)) < len(problem_of(topic, topic.quality))
+            renewed = len(problem_of(topic, qos)) < len(problem_of(topic, topic.qos))
         if renewed:
-            self._subscribe_anew(topic, quality, offers)
+            self._subscribe_anew(topic, qos, offers)
         self._report(topic)
         return renewed
 
     @staticmethod
     def _report(topic: TopicSubscription) -> None:
         """Log the publishers that do not match, and when all match again."""
-        problem = problem_of(topic, topic.quality)
+        problem = problem_of(topic, topic.qos)
         if problem and problem != topic.problem:
             log.warning("topic %s: %s", topic.name, problem)
         elif topic.problem and not problem:
-            log.info("topic %s: every publisher fits: asked %s", topic.name, topic.quality.text())
+            log.info("topic %s: every publisher fits: asked %s", topic.name, topic.qos.text())
         topic.problem = problem
 
     @staticmethod
-    def _report_refusals(topic: TopicSubscription, refused: int, quality: QosProfile) -> None:
-        """Log the publishers that the middleware has refused on its own account; `quality`: the profile at that
+    def _report_refusals(topic: TopicSubscription, refused: int, qos: QosProfile) -> None:
+        """Log the publishers that the middleware has refused on its own account; `qos`: the profile at that
         time."""
         if topic.counter.incompatible > refused:
             text = "topic %s: the middleware has refused publishers because of %s (%d so far): asked %s, offered %s"
@@ -353,7 +358,7 @@ class TopicSubscriptions:
             )
             count = topic.counter.incompatible
             policy = topic.incompatible.policy
-            log.warning(text, topic.name, policy, count, quality.text(), offered)
+            log.warning(text, topic.name, policy, count, qos.text(), offered)
 
     def document(self) -> dict[str, Any]:
         """Every subscription as JSON values, for `/status`."""

@@ -1,4 +1,4 @@
-"""Deliveries to a reaction of an installed package (port Sender), in a process of its own, by one line each way.
+"""Deliveries to a reaction of an installed package (port DeliverySender), in a process of its own, a line each way.
 
 down  {"plugin": ..., "settings": ...}    once, then the document of each edge
 up    {}                                  done;  {"again": why}: try again;  {"never": why}: give it up
@@ -25,7 +25,7 @@ COMMAND = (sys.executable, "-m", "robotkube.robots.reactions.host")
 START_SECONDS_MAX = 30.0
 END_SECONDS_MAX = 2.0
 LINE_BYTES_MAX = 64 * 1024
-WORDS_MAX = 500
+ERROR_CHARACTERS_MAX = 500
 
 
 def installed_reactions() -> Sequence[str]:
@@ -113,24 +113,24 @@ def serve(load: Callable[[str, Mapping[str, Any]], Callable[[Mapping[str, Any]],
     try:
         react = load(job["plugin"], job["settings"])
     except Exception as error:
-        _say(answers, {"again": f"cannot be loaded: {_words(error)}"})
+        _write_answer(answers, {"again": f"cannot be loaded: {_described(error)}"})
         return
-    _say(answers, {})
+    _write_answer(answers, {})
     while line := lines.readline():
         try:
             react(json.loads(line))
         except ValueError as error:
-            _say(answers, {"never": _words(error)})
+            _write_answer(answers, {"never": _described(error)})
         except Exception as error:
-            _say(answers, {"again": _words(error)})
+            _write_answer(answers, {"again": _described(error)})
         else:
-            _say(answers, {})
+            _write_answer(answers, {})
 
 
-def _say(stream: IO[bytes], answer: Mapping[str, str]) -> None:
+def _write_answer(stream: IO[bytes], answer: Mapping[str, str]) -> None:
     stream.write(json.dumps(answer).encode() + b"\n")
     stream.flush()
 
 
-def _words(error: Exception) -> str:
-    return f"{type(error).__name__}: {error}"[:WORDS_MAX]
+def _described(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}"[:ERROR_CHARACTERS_MAX]

@@ -33,7 +33,7 @@ class DeliveryFile:
         """See the port."""
         self._folder.mkdir(parents=True, exist_ok=True)
         if self._lock < 0:
-            self._lock = self._locked()
+            self._lock = self._lock_folder()
         self._path.with_suffix(".part").unlink(missing_ok=True)
         self._append_to()
         with self._path.open("rb") as file:
@@ -42,7 +42,9 @@ class DeliveryFile:
     def write(self, added: Sequence[JournalEntry], removed: Sequence[tuple[str, str]]) -> None:
         """See the port."""
         self._require_file()
-        lines = [_gone(reaction, identity) for reaction, identity in removed] + [_line(entry) for entry in added]
+        lines = [_removal_line(reaction, identity) for reaction, identity in removed] + [
+            _line(entry) for entry in added
+        ]
         self.size += _write(self._file, b"\n" + b"".join(lines))
         if added:
             os.fdatasync(self._file)
@@ -74,7 +76,7 @@ class DeliveryFile:
                 os.close(number)
         self._lock = self._file = -1
 
-    def _locked(self) -> int:
+    def _lock_folder(self) -> int:
         """Open and lock the folder; returns its descriptor."""
         descriptor = os.open(self._folder, os.O_RDONLY | os.O_CLOEXEC)
         try:
@@ -122,7 +124,7 @@ def _line(entry: JournalEntry) -> bytes:
     return json.dumps(document).encode() + b"\n"
 
 
-def _gone(reaction: str, identity: str) -> bytes:
+def _removal_line(reaction: str, identity: str) -> bytes:
     return json.dumps({"gone": [reaction, identity]}).encode() + b"\n"
 
 

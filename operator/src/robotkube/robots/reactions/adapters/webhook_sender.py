@@ -1,4 +1,4 @@
-"""Deliveries as signed HTTP requests (port Sender), on the standard library's client.
+"""Deliveries as signed HTTP requests (port DeliverySender), on the standard library's client.
 
 POST <url>
 Content-Type: application/json

@@ -7,13 +7,15 @@ from typing import Any
 
 from robotkube.foundation.documents.core.times import time_ns, time_text
 from robotkube.foundation.kubernetes.core.annotations import AGENTS_ANNOTATION, RENEWED_ANNOTATION
-from robotkube.robots.reactions.core.settings import OperatorReaction
+from robotkube.robots.reactions.core.settings import OperatorReactionSettings
 from robotkube.robots.rules.core import START, Edge, task_name
 
 AGENTS = "{agents}"
 
 
-def demand(requester: str, reaction: OperatorReaction, edge: Edge, reason: str, parent: str = "") -> dict[str, Any]:
+def event_task(
+    requester: str, reaction: OperatorReactionSettings, edge: Edge, reason: str, parent: str = ""
+) -> dict[str, Any]:
     """The TaskDescription of a start edge (docs/reference/contracts.md); the same edge always gives the same object.
 
     `reason` is the rule's, `parent` the task that launched the detector."""

@@ -2,7 +2,7 @@
 
 operator           a TaskDescription while an event lasts
 deliveries         signed webhooks, installed reactions: a queue, a thread, retries
-fenced_sender      a sender that is silent while its release may be another's
+fenced_sender      a sender that sends nothing while the release is fenced
 delivery_journal   deliveries that wait, on the disk
 dead_letters       deliveries that were given up
 """

@@ -9,7 +9,7 @@ from typing import Any
 
 from robotkube.robots.reactions.ports.deliveries import DeadLetter
 
-KEPT_MAX = 100
+DEAD_LETTERS_MAX = 100
 
 log = logging.getLogger(__name__)
 
@@ -19,13 +19,13 @@ class DeadLetterBox:
 
     def __init__(self, clock_ns: Callable[[], int]) -> None:
         self._clock_ns = clock_ns
-        self._kept: deque[DeadLetter] = deque(maxlen=KEPT_MAX)
+        self._letters: deque[DeadLetter] = deque(maxlen=DEAD_LETTERS_MAX)
 
     def add(self, reaction: str, identity: str, reason: str) -> None:
         """Add an edge that a reaction gives up, and log it."""
-        self._kept.append(DeadLetter(reaction, identity, self._clock_ns(), reason))
+        self._letters.append(DeadLetter(reaction, identity, self._clock_ns(), reason))
         log.error("reaction %s: %s given up: %s", reaction, identity, reason)
 
     def documents(self) -> list[dict[str, Any]]:
         """The last dead letters, oldest first, as JSON values."""
-        return [letter.document() for letter in list(self._kept)]
+        return [letter.document() for letter in list(self._letters)]

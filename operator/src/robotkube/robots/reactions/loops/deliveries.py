@@ -1,8 +1,8 @@
 """Deliveries of one reaction: a bounded queue, a thread of its own, and retries in order.
 
-What the receiver does not take for `retry_seconds`, refuses, or what does not fit into the queue is a dead letter. The
-order of edges is kept, so that nobody hears of an event's end before its begin: one that is tried again holds up those
-behind it. What an earlier process has left comes first.
+What the receiver does not accept for `retry_seconds`, refuses, or what does not fit into the queue is a dead letter.
+The order of edges is kept, so that nobody is notified of an event's end before its begin: one that is tried again holds
+up those behind it. What an earlier process has left comes first.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ WAIT_SECONDS = 0.5
 RETRY_SECONDS_FIRST, RETRY_SECONDS_LONGEST = 0.2, 10.0
 ENDED = "the detector ended"
 PROBE_SECONDS = 5.0
-"""A receiver to which nothing has been said for so long is asked for: it may be gone, or back."""
+"""A receiver to which nothing was sent for so long is probed: it may be gone, or back."""
 
 log = logging.getLogger(__name__)
 
 
 class Deliveries:
-    """Port Reaction over a sender."""
+    """The deliveries of one reaction by a sender (port RunningReaction)."""
 
     def __init__(
         self,
@@ -41,26 +41,32 @@ class Deliveries:
         retry_seconds: float,
         box: DeadLetterBox,
         monotonic: Callable[[], float],
-        kept: ReactionJournal | None = None,
+        journal: ReactionJournal | None = None,
         jitter: Random = random.random,
     ) -> None:
-        self.name, self._sender, self._retry_seconds = name, sender, retry_seconds
-        self._box, self._monotonic, self._jitter = box, monotonic, jitter
-        self._queue: queue.Queue[EdgeDelivery | None] = queue.Queue(QUEUE_MAX)  # None: look whether the end has come
-        self._kept, self._earlier = kept or ReactionJournal(), deque[EdgeDelivery]()
-        self._ending, self._deadline = threading.Event(), float("inf")
-        self._delivered = self._retries = self._dead = self._busy = self._left = 0
-        self._heard_at = float("-inf")
+        self.name = name
+        self._sender = sender
+        self._retry_seconds = retry_seconds
+        self._box = box
+        self._monotonic = monotonic
+        self._jitter = jitter
+        self._queue: queue.Queue[EdgeDelivery | None] = queue.Queue(QUEUE_MAX)  # None: check whether the end has come
+        self._journal = journal or ReactionJournal()
+        self._earlier = deque[EdgeDelivery]()
+        self._ending = threading.Event()
+        self._deadline = float("inf")
+        self._delivered = self._retries = self._dead = self._in_progress = self._undelivered = 0
+        self._contacted_at = float("-inf")
         self.unreachable = f"{name}: not tried yet"
         self._thread = threading.Thread(target=self._run, name=f"deliveries {name}", daemon=True)
 
     def start(self) -> None:
-        """Begin on a thread of its own."""
+        """Start the thread that delivers."""
         self._thread.start()
 
     def react(self, delivery: EdgeDelivery) -> None:
         """See the port."""
-        self._kept.add(delivery)
+        self._journal.add(delivery)
         try:
             self._queue.put_nowait(delivery)
         except queue.Full:
@@ -68,41 +74,41 @@ class Deliveries:
 
     def counts(self) -> Mapping[str, int]:
         """See the port."""
-        waiting = self._queue.qsize() + len(self._earlier) + self._busy
+        waiting = self._queue.qsize() + len(self._earlier) + self._in_progress
         return {"delivered": self._delivered, "retries": self._retries, "dead": self._dead, "waiting": waiting}
 
     def stop(self, seconds: float) -> bool:
         """See the port."""
-        dead = self._dead
+        dead_before = self._dead
         self._deadline = self._monotonic() + seconds
         self._ending.set()
         with contextlib.suppress(queue.Full):
             self._queue.put_nowait(None)
         self._thread.join(seconds)
         while self._earlier:
-            self._leave(self._earlier.popleft(), ENDED)
+            self._leave_to_successor(self._earlier.popleft(), ENDED)
         while True:
             try:
                 if delivery := self._queue.get_nowait():
-                    self._leave(delivery, ENDED)
+                    self._leave_to_successor(delivery, ENDED)
             except queue.Empty:
-                return self._dead == dead and not (self._left or self._thread.is_alive())
+                return self._dead == dead_before and not (self._undelivered or self._thread.is_alive())
 
     def _run(self) -> None:
-        self._kept.wait(OPEN_SECONDS_MAX)
-        self._reach()
+        self._journal.wait(OPEN_SECONDS_MAX)
+        self._await_receiver()
         while (delivery := self._next()) is not None:
-            self._busy = 1
+            self._in_progress = 1
             self._deliver(delivery)
-            self._heard_at = self._monotonic()
-            self._busy = 0
+            self._contacted_at = self._monotonic()
+            self._in_progress = 0
         self._sender.close()
 
     def _next(self) -> EdgeDelivery | None:
-        """The next one; None when the time to end has come."""
+        """The next delivery; None when the time to end has come."""
         while True:
             over = self._ending.is_set()
-            self._earlier.extend(self._kept.left())
+            self._earlier.extend(self._journal.from_predecessor())
             if over and self._monotonic() >= self._deadline:
                 return None
             if self._earlier:
@@ -113,32 +119,33 @@ class Deliveries:
             except queue.Empty:
                 if over:
                     return None
-            if self._monotonic() - self._heard_at >= PROBE_SECONDS:
+            if self._monotonic() - self._contacted_at >= PROBE_SECONDS:
                 self._probe()
 
-    def _reach(self) -> None:
-        """Find the receiver before there is something to say; who waits for it meanwhile is not held up."""
+    def _await_receiver(self) -> None:
+        """Probe the receiver until it answers or there is something to deliver; /readyz waits for it."""
         attempts = 0
         while not (self._ending.is_set() or self._earlier) and self._queue.empty():
-            self._earlier.extend(self._kept.left())
+            self._earlier.extend(self._journal.from_predecessor())
             if self._probe():
                 return
             self._ending.wait(backoff(attempts, RETRY_SECONDS_FIRST, RETRY_SECONDS_LONGEST, self._jitter))
             attempts += 1
 
     def _probe(self) -> bool:
-        """Note whether the receiver is within reach."""
+        """Probe the receiver once; True when it is within reach."""
         try:
             self._sender.probe()
         except RobotKubeError as error:
             self.unreachable = f"{self.name}: {error}"
         else:
             self.unreachable = ""
-        self._heard_at = self._monotonic()
+        self._contacted_at = self._monotonic()
         return not self.unreachable
 
     def _deliver(self, delivery: EdgeDelivery) -> None:
-        began, attempts = self._monotonic(), 0
+        began = self._monotonic()
+        attempts = 0
         while True:
             try:
                 self._sender.send(delivery)
@@ -152,7 +159,7 @@ class Deliveries:
                     self._give_up(delivery, str(error))
                     return
                 if now + pause > self._deadline:
-                    self._leave(delivery, str(error))
+                    self._leave_to_successor(delivery, str(error))
                     return
                 self._retries += 1
                 log.warning("reaction %s: %s: %s; trying again in %.1f s", self.name, delivery.id, error, pause)
@@ -160,19 +167,19 @@ class Deliveries:
                 attempts += 1
             else:
                 self._delivered += 1
-                self._kept.done(delivery)
+                self._journal.done(delivery)
                 self.unreachable = ""
                 return
 
     def _pause(self, seconds: float) -> None:
-        """Wait; the detector's end cuts it short once."""
+        """Wait so long; the detector's end cuts it short once."""
         ending = self._ending
         (threading.Event() if ending.is_set() else ending).wait(seconds)
 
-    def _leave(self, delivery: EdgeDelivery, reason: str) -> None:
-        """The time is over: to the next process, when that will find it."""
-        self._left += 1
-        if self._kept.outlives(delivery):
+    def _leave_to_successor(self, delivery: EdgeDelivery, reason: str) -> None:
+        """Leave a delivery to the next process when that will find it, else give it up."""
+        self._undelivered += 1
+        if self._journal.outlives(delivery):
             log.warning("reaction %s: %s is left to the next process: %s", self.name, delivery.id, reason)
         else:
             self._give_up(delivery, reason)
@@ -180,4 +187,4 @@ class Deliveries:
     def _give_up(self, delivery: EdgeDelivery, reason: str) -> None:
         self._box.add(self.name, delivery.id, reason)
         self._dead += 1
-        self._kept.done(delivery)
+        self._journal.done(delivery)

@@ -1,4 +1,4 @@
-"""A sender that is fenced: it sends only while its release is its own."""
+"""A sender that sends nothing while the release is fenced."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ if TYPE_CHECKING:
 
 
 class FencedSender:
-    """A sender (port Sender) that sends nothing while the process is not sure that its release is still its own."""
+    """A sender (port DeliverySender) that sends nothing while the process is not sure that its release is its own."""
 
-    def __init__(self, sender: DeliverySender, ownership: Fencing) -> None:
+    def __init__(self, sender: DeliverySender, fencing: Fencing) -> None:
         self._sender = sender
-        self._ownership = ownership
+        self._fencing = fencing
 
     def probe(self) -> None:
         """See the port."""
@@ -23,7 +23,7 @@ class FencedSender:
 
     def send(self, delivery: EdgeDelivery) -> None:
         """See the port."""
-        self._ownership.check()
+        self._fencing.check()
         self._sender.send(delivery)
 
     def close(self) -> None:

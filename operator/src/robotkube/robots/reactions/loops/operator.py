@@ -1,11 +1,12 @@
 """The operator reaction: a TaskDescription while an event lasts. The API server never holds reception up.
 
 One thread works through a bounded queue. At first it lists the detector's own tasks: their events are taken over
-(`adopted`), so that a detector that was restarted withdraws what its predecessor asked for. An event that was raised
-anew before that list was had (the API server was away) goes on with the task that is there for its rule and agents. A
-task of another chain, which another task launched this detector for, is withdrawn. A withdrawal that was given up (the
-API server was away for too long, too much waited) is owed: its lease is not renewed, and it is tried again. The leases
-of its tasks are renewed by the same thread every third of their time, also while a call is tried again.
+(`adopted`), so that a detector that was restarted withdraws what its predecessor asked for. An event that was
+dispatched anew before that list was read (the API server was away) goes on with the task that is there for its rule
+and agents. A task of another chain, which another task launched this detector for, is withdrawn. A withdrawal that was
+given up (the API server was away for too long, too much waited) stays pending: its lease is not renewed, and it is
+tried again. The leases of its tasks are renewed by the same thread every third of their time, also while a call is
+tried again.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ from typing import TYPE_CHECKING, Any
 from robotkube.backoffs import Random, backoff
 from robotkube.errors import RefusalError, RobotKubeError, UnavailableError
 from robotkube.robots.reactions.core.notifications import delivery_id
-from robotkube.robots.reactions.core.settings import OperatorReaction
-from robotkube.robots.reactions.core.task_requests import demand, event_of, lease_seconds, parent_of
+from robotkube.robots.reactions.core.settings import OperatorReactionSettings
+from robotkube.robots.reactions.core.task_requests import event_of, event_task, lease_seconds, parent_of
 from robotkube.robots.reactions.loops.dead_letters import DeadLetterBox
 from robotkube.robots.rules.core import START, Edge, task_name
 from robotkube.robots.rules.core.event_documents import edge_document
@@ -31,12 +32,12 @@ from robotkube.robots.rules.core.event_documents import edge_document
 if TYPE_CHECKING:
     from robotkube.robots.reactions.ports.tasks import OwnTasks
 
-QUEUE_MAX, OWED_MAX = 256, 1000
+QUEUE_MAX, WITHDRAWALS_MAX = 256, 1000
 RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX = 0.2, 5.0
 TRY_SECONDS_MAX = 3600.0
 WAIT_SECONDS, DRAIN_SECONDS = 0.5, 0.02
-LOOK_SECONDS = 10.0
-"""An API server of which nothing has been asked for so long is asked for the tasks."""
+PROBE_SECONDS = 10.0
+"""An API server to which no call was made for so long is asked for the tasks."""
 NAME = "operator"
 RENEWED_SHARE = 1 / 3  # of a lease
 
@@ -45,7 +46,7 @@ log = logging.getLogger(__name__)
 
 @dataclass
 class EventRecord:
-    """One edge and what came of it: the task (`<namespace>/<name>`), when the API server acknowledged, or the error."""
+    """One edge and its outcome: the task (`<namespace>/<name>`), when the API server acknowledged, or the error."""
 
     edge: Edge
     task: str | None = None
@@ -60,7 +61,7 @@ class EventRecord:
 @dataclass(frozen=True)
 class _Order:
     record: EventRecord
-    reaction: OperatorReaction | None
+    reaction: OperatorReactionSettings | None
     reason: str
     parent: str
 
@@ -74,7 +75,7 @@ class _Lease:
 
 
 class OperatorReactions:
-    """Creates and deletes the tasks of one detector (`requester`: `<namespace>/<release>`), and renews their leases.
+    """The tasks of one detector (`requester`: `<namespace>/<release>`): created, deleted, and their leases renewed.
 
     `parent`: the task that launched the detector; it may be set anew."""
 
@@ -90,15 +91,20 @@ class OperatorReactions:
         jitter: Random = random.random,
     ) -> None:
         self._jitter = jitter
-        self._requester, self._namespace, self._tasks, self.parent = requester, namespace, tasks, parent
-        self._clock_ns, self._monotonic, self._box = clock_ns, monotonic, box or DeadLetterBox(clock_ns)
-        self._done = self._retries = self._dead = 0
-        self._found: dict[tuple[str, tuple[str, ...]], str] = {}
-        self._orders: queue.Queue[_Order | None] = queue.Queue(QUEUE_MAX)  # None: look whether the end has come
+        self._requester = requester
+        self._namespace = namespace
+        self._tasks = tasks
+        self.parent = parent
+        self._clock_ns = clock_ns
+        self._monotonic = monotonic
+        self._box = box or DeadLetterBox(clock_ns)
+        self._delivered = self._retries = self._dead = 0
+        self._adopted_tasks: dict[tuple[str, tuple[str, ...]], str] = {}
+        self._orders: queue.Queue[_Order | None] = queue.Queue(QUEUE_MAX)  # None: check whether the end has come
         self._stopping = threading.Event()
         self._names: dict[str, str] = {}
         self._withdrawn: set[str] = set()
-        self._owed: dict[str, Edge] = {}
+        self._pending_withdrawals: dict[str, Edge] = {}
         self._leases: dict[str, _Lease] = {}
         self._adopted_parent = parent
         self.adopted: list[Edge] | None = None
@@ -107,7 +113,7 @@ class OperatorReactions:
         self._thread = threading.Thread(target=self._run, name="operator-reactions", daemon=True)
 
     def start(self) -> None:
-        """Begin with the adoption."""
+        """Start the thread, which takes over the tasks of a predecessor first."""
         self._thread.start()
 
     def stop(self, seconds: float) -> None:
@@ -122,19 +128,19 @@ class OperatorReactions:
         self._thread.join(max(0.0, end - self._monotonic()))
 
     def counts(self) -> Mapping[str, int]:
-        """`delivered`, `retries`, `dead` only grow; `waiting`: edges that are not carried out yet."""
+        """The counters: `delivered`, `retries`, `dead` only grow; `waiting`: edges that are not carried out yet."""
         waiting = self._orders.unfinished_tasks
-        return {"delivered": self._done, "retries": self._retries, "dead": self._dead, "waiting": waiting}
+        return {"delivered": self._delivered, "retries": self._retries, "dead": self._dead, "waiting": waiting}
 
-    def react(self, record: EventRecord, reaction: OperatorReaction | None, reason: str) -> None:
-        """Have the task of an edge made or withdrawn; never blocks. `reaction` may be None for a stop edge."""
+    def react(self, record: EventRecord, reaction: OperatorReactionSettings | None, reason: str) -> None:
+        """Queue an edge, whose task is made or withdrawn; never blocks. `reaction` may be None for a stop edge."""
         if record.edge.edge != START:
             self._withdrawn.add(record.edge.id)
         try:
             self._orders.put_nowait(_Order(record, reaction, reason, self.parent))
         except queue.Full:
             self._give_up(record, f"{QUEUE_MAX} reactions wait for the API server; this one was dropped")
-            self._owe(record.edge)
+            self._retry_withdrawal(record.edge)
 
     def _run(self) -> None:
         self._adopt()
@@ -144,39 +150,39 @@ class OperatorReactions:
                     self._carry_out(order)
                     self._orders.task_done()
             self._renew_leases()
-            self._look_again()
-            self._withdraw_owed()
+            self._probe()
+            self._withdraw_pending()
 
-    def _look_again(self) -> None:
-        """An API server that nothing has been asked of for a while may be gone, or back."""
-        if self._monotonic() - self._asked_at < LOOK_SECONDS:
+    def _probe(self) -> None:
+        """Call the API server when it was not called for a while: it may be gone, or back."""
+        if self._monotonic() - self._asked_at < PROBE_SECONDS:
             return
         try:
             self._tasks.tasks()
         except RobotKubeError as error:
-            self._heard(error)
+            self._note_answer(error)
         else:
-            self._heard(None)
+            self._note_answer(None)
 
-    def _withdraw_owed(self) -> None:
-        """What was given up, once everything else is done, so that no start of such an event comes after it."""
-        for identity, edge in list(self._owed.items()):
+    def _withdraw_pending(self) -> None:
+        """Withdraw what was given up, once everything else is done, so that no start of such an event follows."""
+        for identity, edge in list(self._pending_withdrawals.items()):
             if not self.reachable or self._orders.qsize() or self._stopping.is_set():
                 return
             name = self._names.get(identity) or task_name(edge)
             try:
                 if name not in [other for key, other in self._names.items() if key != identity]:
                     self._withdraw_task(edge, name)
-                self._heard(None)
+                self._note_answer(None)
             except RobotKubeError as error:
-                self._heard(error)
+                self._note_answer(error)
                 if isinstance(error, UnavailableError):
                     continue
                 log.error("task %s/%s: cannot be withdrawn: %s", self._namespace, name, error)
-            del self._owed[identity]
+            del self._pending_withdrawals[identity]
 
-    def _heard(self, error: RobotKubeError | None) -> None:
-        """Note what a call has said of the API server: one that refuses is there."""
+    def _note_answer(self, error: RobotKubeError | None) -> None:
+        """Note the outcome of a call to the API server: one that refuses is there."""
         self.reachable = not isinstance(error, UnavailableError)
         self._asked_at = self._monotonic()
 
@@ -184,8 +190,8 @@ class OperatorReactions:
         attempts = 0
         while not self._stopping.is_set():
             try:
-                found = [(task, edge) for task in self._tasks.tasks() if (edge := event_of(task, self._requester))]
-                for task, _ in found:
+                own_tasks = [(task, edge) for task in self._tasks.tasks() if (edge := event_of(task, self._requester))]
+                for task, _ in own_tasks:
                     if parent_of(task) != self.parent:
                         self._withdraw(task["metadata"]["name"])
             except RobotKubeError as error:
@@ -195,9 +201,9 @@ class OperatorReactions:
                 attempts += 1
                 continue
             self._adopted_parent = self.parent
-            taken_over = self._taken_over(found)
-            self._heard(None)
-            self.adopted = taken_over
+            adopted = self._take_over(own_tasks)
+            self._note_answer(None)
+            self.adopted = adopted
             return
 
     def _withdraw(self, name: str) -> None:
@@ -208,14 +214,14 @@ class OperatorReactions:
         except RefusalError as error:
             log.error("task %s/%s: of another chain, cannot be withdrawn: %s", self._namespace, name, error)
 
-    def _taken_over(self, found: Sequence[tuple[Mapping[str, Any], Edge]]) -> list[Edge]:
+    def _take_over(self, own_tasks: Sequence[tuple[Mapping[str, Any], Edge]]) -> list[Edge]:
         """The events of this chain's tasks, the oldest first; their leases are renewed at once."""
         edges = []
-        for task, edge in found:
+        for task, edge in own_tasks:
             if parent_of(task) == self.parent:
                 self._names[edge.id] = task["metadata"]["name"]
                 self._keep_lease(task["metadata"]["name"], lease_seconds(task), self._monotonic())
-                self._found[edge.rule, edge.agents] = task["metadata"]["name"]
+                self._adopted_tasks[edge.rule, edge.agents] = task["metadata"]["name"]
                 edges.append(edge)
         return sorted(edges, key=lambda edge: edge.time)
 
@@ -226,35 +232,37 @@ class OperatorReactions:
     def _renew_leases(self) -> None:
         """Renew what is due; a task that somebody deleted is left alone."""
         now = self._monotonic()
-        owed = {self._names.get(identity) for identity in list(self._owed)}
+        withdrawn = {self._names.get(identity) for identity in list(self._pending_withdrawals)}
         for name, lease in list(self._leases.items()):
-            if lease.due > now or self._stopping.is_set() or name in owed:
+            if lease.due > now or self._stopping.is_set() or name in withdrawn:
                 continue
             try:
                 if not self._tasks.renew(name, self._clock_ns()):
                     del self._leases[name]
                     continue
                 lease.due = now + lease.seconds * RENEWED_SHARE
-                self._heard(None)
+                self._note_answer(None)
             except RobotKubeError as error:
-                self._heard(error)
+                self._note_answer(error)
                 log.warning("task %s/%s: its lease was not renewed: %s", self._namespace, name, error)
                 lease.due = now + min(RETRY_SECONDS_MAX, lease.seconds * RENEWED_SHARE)
 
     def _carry_out(self, order: _Order) -> None:
-        record, began, attempts = order.record, self._monotonic(), 0
+        record = order.record
+        began = self._monotonic()
+        attempts = 0
         while not self._stopping.is_set():
             try:
                 self._attempt(order)
-                self._done += 1
-                self._heard(None)
+                self._delivered += 1
+                self._note_answer(None)
                 return
             except UnavailableError as error:
-                self._heard(error)
+                self._note_answer(error)
                 record.error = str(error)
                 if self._monotonic() - began > TRY_SECONDS_MAX:
                     self._give_up(record, f"given up after {TRY_SECONDS_MAX:.0f} s: {error}")
-                    self._owe(record.edge)
+                    self._retry_withdrawal(record.edge)
                     return
                 pause = backoff(attempts, RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX, self._jitter)
                 log.warning("event %s: %s; trying again in %.1f s", record.edge.id, error, pause)
@@ -266,10 +274,10 @@ class OperatorReactions:
                 self._give_up(record, str(error))
                 return
 
-    def _owe(self, edge: Edge) -> None:
-        """Remember a withdrawal that was given up: the task would be there, and its lease renewed, for ever."""
-        if edge.edge != START and len(self._owed) < OWED_MAX:
-            self._owed[edge.id] = edge
+    def _retry_withdrawal(self, edge: Edge) -> None:
+        """Remember a withdrawal that was given up: else the task would be there, and its lease renewed, for ever."""
+        if edge.edge != START and len(self._pending_withdrawals) < WITHDRAWALS_MAX:
+            self._pending_withdrawals[edge.id] = edge
 
     def _give_up(self, record: EventRecord, reason: str) -> None:
         record.error = reason
@@ -277,7 +285,8 @@ class OperatorReactions:
         self._dead += 1
 
     def _attempt(self, order: _Order) -> None:
-        record, edge = order.record, order.record.edge
+        record = order.record
+        edge = record.edge
         if edge.edge != START:
             name = self._names.get(edge.id) or task_name(edge)
             self._withdraw_task(edge, name)
@@ -286,19 +295,21 @@ class OperatorReactions:
         else:
             assert order.reaction is not None
             name = self._create_task(order, order.reaction)
-        record.task, record.done, record.error = f"{self._namespace}/{name}", self._clock_ns(), None
+        record.task = f"{self._namespace}/{name}"
+        record.done = self._clock_ns()
+        record.error = None
         log.info(
             "event %s: %s rule=%s agents=%s task=%s stamp=%d time=%d done=%d",
             edge.id, edge.edge, edge.rule, ",".join(edge.agents), record.task, edge.stamp, edge.time, record.done,
         )  # fmt: skip
 
-    def _create_task(self, order: _Order, reaction: OperatorReaction) -> str:
+    def _create_task(self, order: _Order, reaction: OperatorReactionSettings) -> str:
         """Make the task of a start edge, or go on with the one that a predecessor made for the same agents."""
         edge = order.record.edge
-        name = self._found.get((edge.rule, edge.agents), "")
+        name = self._adopted_tasks.get((edge.rule, edge.agents), "")
         if not name or order.parent != self._adopted_parent:
             name = task_name(edge)
-            self._tasks.create(demand(self._requester, reaction, edge, order.reason, order.parent))
+            self._tasks.create(event_task(self._requester, reaction, edge, order.reason, order.parent))
             self._keep_lease(name, reaction.lease_seconds, self._monotonic() + _share(reaction.lease_seconds))
         self._names[edge.id] = name
         return name
@@ -307,7 +318,7 @@ class OperatorReactions:
         self._leases.pop(name, None)
         self._tasks.delete(name)
         self._names.pop(edge.id, None)
-        self._found.pop((edge.rule, edge.agents), None)
+        self._adopted_tasks.pop((edge.rule, edge.agents), None)
         self._withdrawn.discard(edge.id)
 
 

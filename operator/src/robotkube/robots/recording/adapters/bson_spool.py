@@ -98,7 +98,7 @@ class BsonSpool:
             os.close(folder)
 
     def _serves(self) -> bool:
-        """Whether the volume accepts a file, or says that it is full."""
+        """True when the volume accepts a file, or says that it is full."""
         probe = self._unfinished()
         try:
             with probe.open("wb") as file:

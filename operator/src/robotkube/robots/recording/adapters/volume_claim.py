@@ -15,7 +15,7 @@ class MountedVolumeClaim:
 
     def __init__(self, root: Path, owner: str, clock_ns: Callable[[], int]) -> None:
         if not os.access(root, os.W_OK):
-            raise PermissionError(f"{root} is no folder that can be written; is the claim mounted there?")
+            raise PermissionError(f"{root} is no folder that can be written; is the volume claim mounted there?")
         self._root = root
         self._owner = owner
         self._clock_ns = clock_ns

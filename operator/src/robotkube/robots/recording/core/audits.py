@@ -42,9 +42,9 @@ class TopicAudit:
 
     `received = stored + early + duplicates + dropped + waiting`; `stored` counts what was added to the journal, which
     keeps order: once the database has this audit it has these messages, too, or the journal's own audit says why not.
-    `gaps`: what was received and given up; `lacking`: what was never received, as somebody knows. `changed`: there is
-    one that nobody has written down yet. `unsettled`: of a topic whose messages go two ways, large and small ones, the
-    first stamp that may not have been added yet; None where all go one way, in order.
+    `gaps`: what was received and given up; `never_received`: what did not arrive, as somebody knows. `changed`: there
+    is a gap that is not written yet. `unsettled`: of a topic whose messages take two paths, large and small ones, the
+    first stamp that may not have been added yet; None where all take one path, in order.
     """
 
     topic: str
@@ -55,7 +55,7 @@ class TopicAudit:
     first: int | None = None
     last: int | None = None
     gaps: list[Gap] = field(default_factory=list)
-    lacking: list[Gap] = field(default_factory=list)
+    never_received: list[Gap] = field(default_factory=list)
     changed: bool = False
     unsettled: int | None = None
     _spaces: list[_Space] = field(default_factory=list)
@@ -81,18 +81,18 @@ class TopicAudit:
         if len(self._stamps) > STAMPS_KEPT_MAX:
             self._settle_older()
 
-    def unsettle(self, stamp: int, due: bool) -> None:
+    def mark_unsettled(self, stamp: int, due: bool) -> None:
         """Note that messages from this stamp on may not be in the journal yet. A later stamp than before is written
         only with everything else (`due`)."""
         if due or self.unsettled is None or stamp < self.unsettled:
             self.unsettled = stamp
             self.changed = True
 
-    def leave_out(self) -> None:
+    def count_early(self) -> None:
         """Count a received message that came before the begin."""
         self.early += 1
 
-    def repeat(self) -> None:
+    def count_duplicate(self) -> None:
         """Count a received message that is stored already."""
         self.duplicates += 1
 
@@ -112,12 +112,12 @@ class TopicAudit:
             self.gaps[-1] = _joined(last, gap)
         self._joinable = self.changed = True
 
-    def lack(self, gap: Gap) -> None:
+    def note_gap(self, gap: Gap) -> None:
         """Note a gap of messages that were never received here. Beyond GAPS_MAX all are one."""
-        if len(self.lacking) >= GAPS_MAX:
-            self.lacking[-1] = _joined(self.lacking[-1], gap)
+        if len(self.never_received) >= GAPS_MAX:
+            self.never_received[-1] = _joined(self.never_received[-1], gap)
         else:
-            self.lacking.append(gap)
+            self.never_received.append(gap)
         self.changed = True
 
     def document(self, holes_within: Sequence[Interval] | None = None) -> dict[str, Any]:
@@ -126,7 +126,7 @@ class TopicAudit:
         spaces = list(self._spaces)
         if holes_within is not None:
             spaces += _spaces_of(self._stamps, holes_within)
-        gaps = self.gaps + self.lacking + self._unreported(spaces)
+        gaps = self.gaps + self.never_received + self._unreported(spaces)
         return {
             "topic": self.topic,
             "window": None if self.first is None else [self.first, self.last],
@@ -148,11 +148,11 @@ class TopicAudit:
 
     def _unreported(self, spaces: Iterable[_Space]) -> list[Gap]:
         """A gap for each space in which more is missing than somebody has reported."""
-        left = [gap.count or 0 for gap in self.lacking]
+        left = [gap.count or 0 for gap in self.never_received]
         gaps = []
         for space in spaces:
             count = space.count
-            for number, gap in enumerate(self.lacking):
+            for number, gap in enumerate(self.never_received):
                 if gap.first < space.later and gap.last > space.earlier:
                     reported = min(count, left[number])
                     count -= reported
@@ -245,8 +245,8 @@ def interruptions(
 
     A writer stores in the order of its stamps, and says what it drops in its next audit: what it lost without a word
     comes after the last stamp that is stored, as far as its last audit had seen any. What is stored beyond that may be
-    of a later writer who was killed before its first audit, and says nothing of this one. Where messages go two ways,
-    one may be ahead of the other: what is lost comes after what the last audit knew to be settled."""
+    of a later writer who was killed before its first audit, and says nothing of this one. Where messages take two
+    paths, one may be ahead of the other: what is lost comes after what the last audit knew to be settled."""
     losses: list[Interruption] = []
     later: dict[str, int] = {}
     for audit in sorted(audits, key=lambda audit: int(audit["life"]), reverse=True):
@@ -293,7 +293,7 @@ class AuditSum:
 
     @property
     def exact(self) -> bool:
-        """Whether every number is known."""
+        """True when every number is known."""
         return not self.open and all(gap.count is not None for gap in self.gaps)
 
     def unexplained(self, present: int) -> int:

@@ -123,19 +123,19 @@ def _content(samples: Iterable[tuple[int, str]]) -> str:
 
 
 def bucket_is_whole(bucket: Mapping[str, Any]) -> bool:
-    """Whether a bucket has the stamps and digests that its `_id` was made of."""
+    """True when a bucket has the stamps and digests that its `_id` was made of."""
     content = _content((sample["stamp"], sample["sha256"]) for sample in bucket["samples"])
     return bool(bucket["_id"].rpartition("/")[2] == content)
 
 
 def entry_is_whole(entry: Mapping[str, Any]) -> bool:
-    """Whether an index entry has the stamp that its `_id` was made of."""
+    """True when an index entry has the stamp that its `_id` was made of."""
     place = f"{entry['recording']}/{entry['topic']}/{entry['stamp']}"
     return entry["_id"] in (place, f"{place}/{entry['sha256'][:16]}")
 
 
 def index_document(recording: str, message: SegmentMessage, volume: str, distinct: bool = False) -> dict[str, Any]:
-    """The index entry of a large message whose segment is synchronised. `volume`: `<node>/<claim>`.
+    """The index entry of a large message whose segment is synchronised. `volume`: `<node>/<volume claim>`.
 
     `stored` is null until the entry's own acknowledgement is known: a second write sets it to that time.
     `distinct`: another message of the topic has the same stamp, so the digest belongs into `_id`.
@@ -156,7 +156,7 @@ def index_document(recording: str, message: SegmentMessage, volume: str, distinc
     }
 
 
-def taken_up(document: Mapping[str, Any]) -> dict[str, Any]:
+def resumed_fields(document: Mapping[str, Any]) -> dict[str, Any]:
     """The fields that a writer sets in the recording's document that an earlier one has made: it is open again, and has
     the topics of both. ROS names hold no dots."""
     topics = {f"topics.{name}": topic for name, topic in (document.get("topics") or {}).items()}
@@ -187,7 +187,7 @@ class Duplicates:
         self.dropped = 0
 
     def fresh(self, topic: str, stamp: int) -> bool:
-        """Whether no message of the topic has this stamp, so that nobody needs its digest to know that it is new."""
+        """True when no message of the topic has this stamp, so that nobody needs its digest to know that it is new."""
         return stamp not in self._topics.get(topic, ())
 
     def admit(self, topic: str, stamp: int, sha256: str) -> bool:
@@ -204,7 +204,7 @@ class Duplicates:
         return True
 
     def shares_stamp(self, topic: str, stamp: int) -> bool:
-        """Whether different messages of the topic have this stamp."""
+        """True when different messages of the topic have this stamp."""
         return len(self._topics.get(topic, {}).get(stamp, ())) > 1
 
 
@@ -219,7 +219,8 @@ class LedgerLine:
 
 @dataclass(frozen=True)
 class StoredMessage:
-    """One message in storage: `sha256` computed from the stored bytes now, `claimed` what was written beside it.
+    """One message in storage: `sha256` computed from the stored bytes now, `recorded_sha256` the digest written beside
+    it.
 
     `sha256` is empty when the bytes could not be read; `problem` says why.
     """
@@ -227,7 +228,7 @@ class StoredMessage:
     topic: str
     stamp: int
     sha256: str
-    claimed: str
+    recorded_sha256: str
     size: int
     problem: str = ""
 
@@ -253,7 +254,7 @@ class TopicComparison:
 
     @property
     def complete(self) -> bool:
-        """Whether nothing is lost, doubled, changed, invented or unreadable."""
+        """True when nothing is lost, doubled, changed, invented or unreadable."""
         return not (self.lost or self.duplicates or self.mismatches or self.unknown or self.unreadable)
 
 
@@ -271,7 +272,7 @@ class LedgerComparison:
 
     @property
     def complete(self) -> bool:
-        """Whether every topic is complete and at least one was compared."""
+        """True when every topic is complete and at least one was compared."""
         return bool(self.topics) and all(topic.complete for topic in self.topics.values())
 
 
@@ -289,7 +290,7 @@ def compare_topic(
     expected = Counter((line.stamp, line.sha256) for line in lines)
     stamps = {line.stamp for line in lines}
     changed = [m for m in readable if m.stamp in stamps and (m.stamp, m.sha256) not in expected]
-    changed += [m for m in readable if m.sha256 != m.claimed and m not in changed]
+    changed += [m for m in readable if m.sha256 != m.recorded_sha256 and m not in changed]
     present = Counter(message.stamp for message in readable)
     published = Counter(line.stamp for line in lines)
     return TopicComparison(
@@ -329,7 +330,7 @@ def compare(
             by_topic[message.topic].append(message)
         else:
             without.add(message.topic)
-    verdicts = {
+    comparisons = {
         topic: compare_topic(topic, ledgers[topic], messages, window) for topic, messages in sorted(by_topic.items())
     }
-    return LedgerComparison(recording, window, verdicts, tuple(sorted(without)))
+    return LedgerComparison(recording, window, comparisons, tuple(sorted(without)))

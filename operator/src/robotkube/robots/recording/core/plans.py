@@ -122,7 +122,7 @@ class Windows:
 
     @property
     def running(self) -> bool:
-        """Whether a cause has not ended."""
+        """True when a cause has not ended."""
         return any(cause.stopped is None for cause in self.causes.values())
 
     @property
@@ -133,16 +133,16 @@ class Windows:
     def begin(self, trigger: Trigger) -> None:
         """Add a cause."""
         self.causes[trigger.id] = RecordingCause(trigger)
-        self._renew()
+        self._update_intervals()
 
     def end(self, event: str, stamp: int) -> None:
         """End a cause at `stamp`; not before it began."""
         cause = self.causes[event]
         cause.stopped = max(stamp, cause.trigger.stamp)
-        self._renew()
+        self._update_intervals()
 
-    def joins(self, trigger: Trigger) -> bool:
-        """Whether the window of a new event overlaps or touches this recording's in any topic."""
+    def overlaps(self, trigger: Trigger) -> bool:
+        """True when the window of a new event overlaps or touches this recording's in any topic."""
         return len(self.causes) < CAUSES_MAX and any(
             topic.window(trigger.stamp, None)[0] <= last + 1
             for topic in self._topics
@@ -153,11 +153,11 @@ class Windows:
         """What is kept of a topic, oldest first; intervals neither overlap nor touch."""
         return self._intervals.get(topic.pattern.text, ())
 
-    def keeps(self, topic: RecordedTopic, stamp: int) -> bool:
-        """Whether a message of this stamp belongs to the recording."""
+    def contains(self, topic: RecordedTopic, stamp: int) -> bool:
+        """True when a message of this stamp belongs to the recording."""
         return topic.latched or any(first <= stamp <= last for first, last in self.intervals(topic))
 
-    def _renew(self) -> None:
+    def _update_intervals(self) -> None:
         for topic in self._topics:
             windows = sorted(topic.window(cause.trigger.stamp, cause.stopped) for cause in self.causes.values())
             self._intervals[topic.pattern.text] = tuple(_joined(windows))

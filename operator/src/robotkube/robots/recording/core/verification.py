@@ -19,7 +19,7 @@ Window = tuple[int, int]
 
 @dataclass(frozen=True)
 class TopicExamination:
-    """The examination of one topic. `audit` is None when nobody kept one, `verdict` when there is no ledger; `stored`
+    """The examination of one topic. `audit` is None when there is none, `comparison` when there is no ledger; `stored`
     counts different messages, `duplicates` further copies; `mismatches` are stamps whose bytes are not those that were
     stored."""
 
@@ -29,13 +29,13 @@ class TopicExamination:
     mismatches: tuple[int, ...]
     unreadable: tuple[str, ...]
     audit: AuditSum | None = None
-    verdict: TopicComparison | None = None
+    comparison: TopicComparison | None = None
 
     @property
     def unexplained(self) -> int:
         """Messages that are missing although no gap says so: by the audit's numbers, or by the ledger's stamps."""
         gaps = self.audit.gaps if self.audit else ()
-        lost = self.verdict.lost if self.verdict else ()
+        lost = self.comparison.lost if self.comparison else ()
         by_ledger = sum(not any(gap.covers(line.stamp) for gap in gaps) for line in lost)
         return max(by_ledger, self.audit.unexplained(self.stored) if self.audit else 0)
 
@@ -48,23 +48,23 @@ class TopicExamination:
     def problems(self) -> list[str]:
         """The problems in words; empty when there are none."""
         gaps = self.audit.gaps if self.audit else ()
-        verdict = self.verdict
+        comparison = self.comparison
         counts = [
             (len(self.mismatches), "with other bytes than were stored"),
             (self.duplicates, "stored twice"),
             (len(self.unreadable), "unreadable"),
             (len(gaps), "gaps"),
             (self.unexplained, "missing without explanation"),
-            (len(verdict.lost) if verdict else 0, "of the ledger not stored"),
-            (len(verdict.mismatches) if verdict else 0, "with other bytes than the ledger says"),
-            (len(verdict.unknown) if verdict else 0, "that no ledger has"),
+            (len(comparison.lost) if comparison else 0, "of the ledger not stored"),
+            (len(comparison.mismatches) if comparison else 0, "with other bytes than the ledger says"),
+            (len(comparison.unknown) if comparison else 0, "that no ledger has"),
         ]
         unaudited = ["no audit says what was received"] if self.stored and self.audit is None else []
         return [f"{count} {text}" for count, text in counts if count] + unaudited
 
     @property
     def complete(self) -> bool:
-        """Whether everything that was there to record is stored as it was."""
+        """True when everything that was there to record is stored as it was."""
         return not self.problems
 
 
@@ -92,13 +92,13 @@ def _examine(
     ledger: Sequence[LedgerLine] | None,
     window: Window,
 ) -> TopicExamination:
-    copies = Counter((message.stamp, message.claimed) for message in messages)
+    copies = Counter((message.stamp, message.recorded_sha256) for message in messages)
     return TopicExamination(
         topic=topic,
         stored=len(copies),
         duplicates=len(messages) - len(copies),
-        mismatches=tuple(m.stamp for m in messages if not m.problem and m.sha256 != m.claimed),
+        mismatches=tuple(m.stamp for m in messages if not m.problem and m.sha256 != m.recorded_sha256),
         unreadable=tuple(m.problem for m in messages if m.problem),
         audit=audit,
-        verdict=None if ledger is None else compare_topic(topic, ledger, messages, window),
+        comparison=None if ledger is None else compare_topic(topic, ledger, messages, window),
     )

@@ -21,14 +21,14 @@ SPOOL_BYTES_MAX = 1024 * 1024 * 1024
 class RecorderPlace:
     """The destination of a recorder. The openers are called on threads of the recording, so that importing and
     connecting do not delay the subscriptions; `volume` is `<node>/<volume claim>`. While the release is fenced
-    (`ownership` is not sure), nothing is written to the database."""
+    (`fencing` is not sure), nothing is written to the database."""
 
     volume: str
     open_store: Callable[[], RecordingStore]
-    open_claim: Callable[[], MountedVolumeClaim]
+    open_volume_claim: Callable[[], MountedVolumeClaim]
     clock_ns: Callable[[], int]
     monotonic: Callable[[], float]
-    ownership: Fencing = field(default_factory=Fencing)
+    fencing: Fencing = field(default_factory=Fencing)
 
 
 @dataclass(frozen=True)

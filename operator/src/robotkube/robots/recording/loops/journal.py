@@ -1,12 +1,12 @@
 """The writes of all recordings of a reaction, on their way to the database, in order.
 
-While the database is away they wait in memory; every SPOOL_SECONDS, or beyond a bound, they go to the spool on the
-claim. When it is back the spool is brought in first, oldest file first. A full disk, a full spool or a volume that
-refuses costs the oldest messages, which an audit of the journal's own names; documents that carry no message (audits,
-ends) are never dropped.
+While the database is unreachable they wait in memory; every SPOOL_SECONDS, or beyond a bound, they go to the spool on
+the volume claim. When it is back the spool is written first, oldest file first. A full disk, a full spool or a volume
+that refuses costs the oldest messages, which an audit of the journal's own names; documents that carry no message
+(audits, ends) are never dropped.
 
-While it is not sure that the release is still its own, the database counts as away. When somebody else has taken it
-over, what was not written since then is discarded: the other one records, and tells.
+While the release is fenced, the database counts as unreachable. When another process has taken the release over, what
+was not written since then is discarded: the other one records, and its audits say so.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from robotkube.robots.recording.core.audits import MEMORY, SPOOL, TopicAudit
 from robotkube.robots.recording.core.documents import AUDITS, INDEX, Write, messages_of
 from robotkube.robots.recording.loops.counters import JournalCounts
 from robotkube.robots.recording.loops.destinations import ROUND_SECONDS, RecorderPlace, RecordingBounds
-from robotkube.robots.recording.loops.recovery import repaired
+from robotkube.robots.recording.loops.segment_repair import repair_segments
 from robotkube.robots.recording.ports import NO_SPACE
 
 if TYPE_CHECKING:
@@ -41,6 +41,9 @@ REFUSED, DISK_FULL, SPOOL_FULL, NO_SPOOL = (
 
 log = logging.getLogger(__name__)
 
+_Audits = dict[tuple[str, str], TopicAudit]
+"""Recording and topic -> audit."""
+
 
 class Listener(Protocol):
     """A recording whose writes go through the journal. Its methods are called by the journal's thread."""
@@ -52,54 +55,60 @@ class Listener(Protocol):
         ...
 
     def acknowledged(self, write: Write, now: int) -> None:
-        """The database has these new messages since `now`, ns."""
+        """Note that the database has these new messages since `now`, ns."""
         ...
 
 
 class Journal:
-    """`start`, any number of `add` from any thread, `stop`; then it is used up."""
+    """The queue of writes to one database, with a thread of its own. `start`, any number of `add` from any thread,
+    `stop`; then it is used up."""
 
     def __init__(
         self, name: str, place: RecorderPlace, bounds: RecordingBounds, jitter: Random = random.random
     ) -> None:
-        self._name, self._place, self._bounds, self._jitter = name, place, bounds, jitter
+        self._name = name
+        self._place = place
+        self._bounds = bounds
+        self._jitter = jitter
         self.counts = JournalCounts()
         self.store: RecordingStore | None = None
-        self.claim: MountedVolumeClaim | None = None
+        self.volume_claim: MountedVolumeClaim | None = None
         self.failed = ""
         self.life = place.clock_ns()
         self._spool: Spool | None = None
-        self._away_since = float("inf")
-        self._kept: Write | None = None
-        self._spooled, self._repaired, self._ready, self._make_room = True, False, False, False
+        self._unreachable_since = float("inf")
+        self._last_durable: Write | None = None
+        self._spooled = True
+        self._repaired = self._ready = self._space_requested = False
         self._waiting: deque[Write] = deque()
-        self._waiting_bytes = self._busy = 0
+        self._waiting_bytes = 0
         self._lock = threading.Lock()
-        self._wake, self._settled = threading.Event(), threading.Event()
+        self._wake = threading.Event()
         self._deadline: float | None = None
-        self._failures, self._retry_at = 0, float("-inf")
+        self._failures = 0
+        self._retry_at = float("-inf")
         self._last_problem = ""
-        self._audits: dict[tuple[str, str], TopicAudit] = {}
-        self._urgent: dict[tuple[str, str], TopicAudit] = {}
-        self._told = 0
-        self._doubtful: dict[str, int] = {}  # what was spooled since the release was known to be our own, and its size
+        self._audits: _Audits = {}
+        self._urgent: _Audits = {}
+        self._urgent_number = 0
+        self._unconfirmed: dict[str, int] = {}  # batch -> its writes, spooled since the release was known to be ours
         self._listeners: dict[str, Listener] = {}
-        self._newcomers: deque[Listener] = deque()
+        self._to_introduce: deque[Listener] = deque()
         self._thread = threading.Thread(target=self._run, name=f"journal-{name}", daemon=True)
 
     @property
     def ready(self) -> bool:
-        """Whether claim and database have answered, and what an earlier process left is brought in."""
+        """True when volume claim and database have answered, and what an earlier process left is written."""
         return self._ready
 
     @property
     def waiting(self) -> int:
-        """Writes that the database has not acknowledged and the spool has not taken."""
+        """The number of writes that neither database nor spool has."""
         return len(self._waiting)
 
     @property
     def complete(self) -> bool:
-        """Whether the database has everything that was added."""
+        """True when the database has everything that was added."""
         return not (self._waiting or self._spooled or self.counts.discarded or self.failed)
 
     @property
@@ -107,41 +116,41 @@ class Journal:
         return bool(self._waiting or (self._spooled and self.counts.spooled))
 
     def start(self) -> None:
-        """Begin; connecting goes on beside."""
+        """Start the journal's thread, which connects."""
         self._thread.start()
 
-    def listen(self, listener: Listener) -> None:
-        """Introduce a recording to the database, and tell it what is acknowledged."""
+    def add_listener(self, listener: Listener) -> None:
+        """Introduce a recording to the database, and notify it of what is acknowledged."""
         self._listeners[listener.recording] = listener
-        self._newcomers.append(listener)
+        self._to_introduce.append(listener)
         self._wake.set()
 
-    def forget(self, listener: Listener) -> None:
-        """The recording needs to know nothing any more."""
+    def remove_listener(self, listener: Listener) -> None:
+        """Notify a recording no more."""
         if self._listeners.get(listener.recording) is listener:
             del self._listeners[listener.recording]
 
-    def add(self, writes: Iterable[Write], keep: bool = False) -> None:
-        """Take writes in; never blocks. `keep`: they must be found after a kill, too, so they go to the spool at once
-        when the database is away."""
+    def add(self, writes: Iterable[Write], durable: bool = False) -> None:
+        """Queue writes; never blocks. `durable`: they must be found after a kill, too, so they go to the spool at once
+        when the database is unreachable."""
         with self._lock:
             for write in writes:
                 self._waiting.append(write)
                 self._waiting_bytes += write.size
-                self._kept = write if keep else self._kept
+                self._last_durable = write if durable else self._last_durable
         self._wake.set()
 
     def dropped(self, recording: str) -> int:
-        """Messages of the recording that the journal has given up."""
+        """The number of messages of the recording that the journal has given up."""
         return sum(audit.dropped for (name, _), audit in list(self._audits.items()) if name == recording)
 
     def audits(self, recording: str) -> list[TopicAudit]:
-        """What the journal has given up, by topic."""
+        """The audits of what the journal has given up of a recording, one per topic."""
         return [audit for (name, _), audit in list(self._audits.items()) if name == recording]
 
-    def make_room(self) -> None:
-        """The disk is full: the oldest file of the spool is to go."""
-        self._make_room = True
+    def free_space(self) -> None:
+        """Request space on a full disk: the oldest file of the spool is given up."""
+        self._space_requested = True
         self._wake.set()
 
     def stop(self, seconds: float) -> bool:
@@ -162,7 +171,7 @@ class Journal:
                 self._wake.wait(ROUND_SECONDS)
                 self._wake.clear()
             self.finish(self._deadline)
-        except Exception as error:  # an error of ours: the process must not go on as if it recorded
+        except Exception as error:  # an error of our own: the process must not go on as if it recorded
             self.failed = f"recording {self._name}: {type(error).__name__}: {error}"
             log.exception("%s", self.failed)
         finally:
@@ -172,76 +181,79 @@ class Journal:
     def finish(self, deadline: float) -> None:
         """Write what waits until `deadline`, and spool the rest."""
         self.turn()
-        while self._unwritten and not self._place.ownership.lost and self._place.monotonic() < deadline - 1.0:
+        while self._unwritten and not self._place.fencing.lost and self._place.monotonic() < deadline - 1.0:
             self._retry_at = float("-inf")
             self.turn()
             if self._unwritten:
                 self._wake.wait(RETRY_SECONDS_FIRST)
-        if self._place.ownership.lost:
+        if self._place.fencing.lost:
             self._discard()
         self._spool_waiting()
         if self._waiting:
             log.error("recording %s: %d writes are lost: neither database nor volume", self._name, len(self._waiting))
 
     def _discard(self) -> None:
-        """Somebody else records meanwhile: what nobody was to be told since then is not told later either."""
+        """Discard what was added since the release became another process's, which records it."""
         with self._lock:
             self.counts.discarded += len(self._waiting)
             self._waiting.clear()
             self._waiting_bytes = 0
         self._urgent.clear()
         try:
-            while self._doubtful and self._spool is not None:
-                batch, writes = self._doubtful.popitem()
+            while self._unconfirmed and self._spool is not None:
+                batch, writes = self._unconfirmed.popitem()
                 self._spool.remove(batch)
                 self.counts.discarded += writes
         except OSError as error:
-            self._problem(f"spool on {self._place.volume}: {error}")
+            self._log_problem(f"spool on {self._place.volume}: {error}")
         log.warning("recording %s: taken over, %d writes are left out", self._name, self.counts.discarded)
 
     def turn(self) -> None:
         """Do what can be done now."""
         try:
-            if self.claim is None:
-                claim = self._place.open_claim()
-                self._spool, self.claim = claim.spool(), claim
-            if self._make_room:
-                self._make_room = False
+            if self.volume_claim is None:
+                volume_claim = self._place.open_volume_claim()
+                self._spool = volume_claim.spool()
+                self.volume_claim = volume_claim
+            if self._space_requested:
+                self._space_requested = False
                 self._drop_oldest(DISK_FULL)
         except OSError as error:
-            self._problem(f"claim {self._place.volume}: {error}")
+            self._log_problem(f"volume claim {self._place.volume}: {error}")
         if self._place.monotonic() >= self._retry_at:
-            self._try()
+            self._use_database()
         self._bound_waiting()
 
-    def _try(self) -> None:
-        """Everything that needs the database."""
+    def _use_database(self) -> None:
+        """Do everything that needs the database, unless it is unreachable or the release is fenced."""
         try:
             if self.store is None:
                 self._open_store()
-            if not self._place.ownership.sure:
-                self._away_since = min(self._away_since, self._place.monotonic())
+            if not self._place.fencing.sure:
+                self._unreachable_since = min(self._unreachable_since, self._place.monotonic())
                 return
-            self._doubtful.clear()
+            self._unconfirmed.clear()
             if self.store is not None:
                 self._write_urgent(self.store)
-                self._bring_in(self.store)
+                self._recover(self.store)
                 self._introduce(self.store)
-                while self._waiting and self._place.ownership.sure:
+                while self._waiting and self._place.fencing.sure:
                     self._write_part(self.store)
-                self._ready = self._repaired and not self._newcomers
+                self._ready = self._repaired and not self._to_introduce
         except UnavailableError as error:
             self.counts.retries += 1
             pause = backoff(self._failures, RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX, self._jitter)
-            self._failures, self._retry_at = self._failures + 1, self._place.monotonic() + pause
-            self._away_since = min(self._away_since, self._place.monotonic())
-            self._place.ownership.doubt()
-            self._problem(str(error))
+            self._failures += 1
+            self._retry_at = self._place.monotonic() + pause
+            self._unreachable_since = min(self._unreachable_since, self._place.monotonic())
+            self._place.fencing.doubt()
+            self._log_problem(str(error))
         except OSError as error:
-            self._problem(f"claim {self._place.volume}: {error}")
+            self._log_problem(f"volume claim {self._place.volume}: {error}")
         else:
-            self._failures, self._last_problem = 0, ""
-            self._away_since = float("inf")
+            self._failures = 0
+            self._last_problem = ""
+            self._unreachable_since = float("inf")
 
     def _open_store(self) -> None:
         store = self._place.open_store()
@@ -253,14 +265,14 @@ class Journal:
         self.store = store
         log.info("recording %s: database reached", self._name)
 
-    def _bring_in(self, store: RecordingStore) -> None:
-        """What earlier processes left: their spool, then segments that nobody finished."""
-        if self._spool is None or self.claim is None:
+    def _recover(self, store: RecordingStore) -> None:
+        """Write what earlier processes left: their spool, then the messages of segments that nobody finished."""
+        if self._spool is None or self.volume_claim is None:
             return
         if self._spooled:
-            self._drain(store, self._spool)
+            self._drain_spool(store, self._spool)
         if not self._repaired:
-            for writes in repaired(self.claim.repairs(), store, self._place.volume):
+            for writes in repair_segments(self.volume_claim.repairs(), store, self._place.volume):
                 self._write(store, writes)
                 self.counts.repaired += sum(write.collection == INDEX for write in writes)
             self._repaired = True
@@ -268,12 +280,12 @@ class Journal:
     def _introduce(self, store: RecordingStore) -> None:
         if not self._repaired:
             return
-        while self._newcomers:
-            self._newcomers[0].introduce(store)
-            self._newcomers.popleft()
+        while self._to_introduce:
+            self._to_introduce[0].introduce(store)
+            self._to_introduce.popleft()
 
-    def _drain(self, store: RecordingStore, spool: Spool) -> None:
-        for batch in (found.name for found in spool.batches()):
+    def _drain_spool(self, store: RecordingStore, spool: Spool) -> None:
+        for batch in [batch.name for batch in spool.batches()]:
             try:
                 writes = spool.read(batch)
             except InputError as error:
@@ -281,14 +293,14 @@ class Journal:
                 continue
             self._write(store, writes)
             spool.remove(batch)
-            log.info("recording %s: brought in the spooled %s", self._name, batch)
+            log.info("recording %s: wrote the spooled %s", self._name, batch)
         self._spooled = False
 
     def _write_urgent(self, store: RecordingStore) -> None:
-        """What is missing, before what comes after it."""
+        """Write the audits of what is missing, before what comes after it."""
         if self._urgent:
-            self._write(store, self._audit_writes(self._urgent, f"{self._told}"))
-            self._urgent_told()
+            self._write(store, self._audit_writes(self._urgent, f"{self._urgent_number}"))
+            self._count_urgent()
 
     def _write_part(self, store: RecordingStore) -> None:
         with self._lock:
@@ -308,18 +320,18 @@ class Journal:
             self._acknowledge(writes)
 
     def _write_singly(self, store: RecordingStore, writes: Sequence[Write]) -> None:
-        """Somewhere is a document that the database can never take: it is given up, and the others are not."""
+        """Write one by one, and give up the documents that the database can never accept."""
         for write in writes:
             try:
                 store.write([write])
             except DocumentError as error:
                 log.error("recording %s: %s %s: %s", self._name, write.collection, write.id, error)
-                self._lose([write], MEMORY, REFUSED, self._urgent)
+                self._audit_lost([write], MEMORY, REFUSED, self._urgent)
             else:
                 self._acknowledge([write])
 
     def _acknowledge(self, writes: Sequence[Write]) -> None:
-        """Index entries are stored now: say so in the entries, by the next write."""
+        """Note acknowledged writes: in their index entries, by the next write, and at their listeners."""
         now = self._place.clock_ns()
         self.counts.acknowledged += len(writes)
         for write in writes:
@@ -334,32 +346,34 @@ class Journal:
     # bounds ----------------------------------------------------------------------------------------------------------
 
     def _bound_waiting(self) -> None:
-        away = self._place.monotonic() - self._away_since
-        if self._waiting_bytes > self._bounds.waiting_bytes or away > SPOOL_SECONDS or (away >= 0 and self._keeps()):
+        unreachable = self._place.monotonic() - self._unreachable_since
+        urgent = unreachable > SPOOL_SECONDS or (unreachable >= 0 and self._durable_waits())
+        if urgent or self._waiting_bytes > self._bounds.waiting_bytes:
             self._spool_waiting()
         if self._waiting_bytes > 2 * self._bounds.waiting_bytes:
             self._drop_waiting()
 
-    def _keeps(self) -> bool:
-        """Whether writes to be kept still wait."""
+    def _durable_waits(self) -> bool:
+        """True when durable writes still wait."""
         with self._lock:
-            return any(write is self._kept for write in self._waiting)
+            return any(write is self._last_durable for write in self._waiting)
 
     def _spool_waiting(self) -> None:
-        """Everything that waits becomes one file of the spool; on a full disk the oldest files give way."""
+        """Write everything that waits to one file of the spool; on a full disk the oldest files are given up."""
         with self._lock:
             writes = list(self._waiting)
         if not writes or self._spool is None:
             return
         try:
-            while not (batch := self._put(self._spool, writes)):
+            while not (batch := self._put_batch(self._spool, writes)):
                 pass
         except OSError as error:
-            self._problem(f"spool on {self._place.volume}: {error}")
+            self._log_problem(f"spool on {self._place.volume}: {error}")
             return
-        self._spooled, self._away_since = True, self._place.monotonic()
-        self._urgent_told()
-        self._doubtful[batch] = len(writes)
+        self._spooled = True
+        self._unreachable_since = self._place.monotonic()
+        self._count_urgent()
+        self._unconfirmed[batch] = len(writes)
         self.counts.spooled += len(writes)
         log.warning("recording %s: %d writes are in the spool", self._name, len(writes))
         with self._lock:
@@ -369,12 +383,12 @@ class Journal:
         try:
             self._bound_spool(self._spool)
         except OSError as error:
-            self._problem(f"spool on {self._place.volume}: {error}")
+            self._log_problem(f"spool on {self._place.volume}: {error}")
 
-    def _put(self, spool: Spool, writes: Sequence[Write]) -> str:
-        """The batch that has them; empty: room was made, to try again. OSError when there is none to make."""
+    def _put_batch(self, spool: Spool, writes: Sequence[Write]) -> str:
+        """Spool writes; the batch's name, empty when space was freed to try again. OSError when none can be freed."""
         try:
-            return spool.put([*self._audit_writes(self._urgent, f"{self._told}"), *writes])
+            return spool.put([*self._audit_writes(self._urgent, f"{self._urgent_number}"), *writes])
         except OSError as error:
             if error.errno in NO_SPACE and self._drop_oldest(DISK_FULL):
                 return ""
@@ -388,7 +402,7 @@ class Journal:
     def _drop_oldest(self, why: str) -> bool:
         """Give up the messages of the oldest file of the spool; False when no file has any.
 
-        What is missing is written down in the file's place, so that it is told before what came later."""
+        Its audits take the file's place, so that they are written before what came later."""
         spool = self._spool
         name = next((batch.name for batch in spool.batches() if not batch.given_up), "") if spool else ""
         if not spool or not name:
@@ -398,38 +412,43 @@ class Journal:
         except InputError as error:
             log.error("recording %s: nobody knows what was in the spooled %s: %s", self._name, name, error)
             writes = ()
-        before, dropped = copy.deepcopy(self._audits), self.counts.dropped
-        lost: dict[tuple[str, str], TopicAudit] = {}
-        self._lose(writes, SPOOL, f"{why}: {name}", lost)
+        audits_before = copy.deepcopy(self._audits)
+        dropped_before = self.counts.dropped
+        lost: _Audits = {}
+        self._audit_lost(writes, SPOOL, f"{why}: {name}", lost)
         audits = self._audit_writes(lost, name)
         try:
             spool.give_up(name, [*audits, *(write for write in writes if not messages_of(write)[1])])
         except OSError:
-            self._audits, self.counts.dropped = before, dropped
+            self._audits = audits_before
+            self.counts.dropped = dropped_before
             raise
-        self._doubtful.pop(name, None)
+        self._unconfirmed.pop(name, None)
         log.error("recording %s: gave up the oldest of the spool, %s: %s", self._name, name, why)
         return True
 
     def _drop_waiting(self) -> None:
-        """Neither database nor volume: give up the oldest messages, and audits that later ones replace."""
+        """Give up the oldest messages, and audits that later ones replace: there is neither database nor volume."""
         with self._lock:
             latest = {(write.id, write.update): number for number, write in enumerate(self._waiting)}
             excess = self._waiting_bytes - 2 * self._bounds.waiting_bytes
-            lost, kept = [], []
+            lost: list[Write] = []
+            remaining: list[Write] = []
             for number, write in enumerate(self._waiting):
                 replaced = write.collection == AUDITS and latest[write.id, write.update] != number
                 if excess > 0 and (replaced or messages_of(write)[1]):
                     excess -= write.size
                     lost.append(write)
                 else:
-                    kept.append(write)
-            self._waiting = deque(kept)
-            self._waiting_bytes = sum(write.size for write in kept)
-        self._lose(lost, MEMORY, NO_SPOOL, self._urgent)
+                    remaining.append(write)
+            self._waiting = deque(remaining)
+            self._waiting_bytes = sum(write.size for write in remaining)
+        self._audit_lost(lost, MEMORY, NO_SPOOL, self._urgent)
 
-    def _lose(self, writes: Sequence[Write], where: str, why: str, audits: dict[tuple[str, str], TopicAudit]) -> None:
-        """Messages that are given up go into `audits` and into the journal's own."""
+    def _audit_lost(
+        self, writes: Sequence[Write], where: str, why: str, audits: dict[tuple[str, str], TopicAudit]
+    ) -> None:
+        """Note the messages of writes that are given up in `audits` and in the journal's own."""
         for write in writes:
             topic, stamps = messages_of(write)
             if not stamps:
@@ -442,21 +461,21 @@ class Journal:
             self.counts.dropped += len(stamps)
 
     def _audit_writes(self, audits: Mapping[tuple[str, str], TopicAudit], event: str) -> list[Write]:
-        """Audits of one event, as they are now: they may have been written before, and have grown since."""
-        found = []
+        """The writes of one event's audits as they are now; they may have been written before, and have grown since."""
+        writes = []
         for (recording, topic), audit in sorted(audits.items()):
             name = f"{recording}{topic}/{self.life}-{event}"
             document: dict[str, Any] = {**audit.document(), "closed": True, "written": self._place.clock_ns()}
             whole = {"recording": recording, "volume": self._place.volume, "life": self.life, **document}
-            found.append(Write(AUDITS, name, whole, size=AUDIT_BYTES))
-            found.append(Write(AUDITS, name, document, update=True, size=AUDIT_BYTES))
-        return found
+            writes.append(Write(AUDITS, name, whole, size=AUDIT_BYTES))
+            writes.append(Write(AUDITS, name, document, update=True, size=AUDIT_BYTES))
+        return writes
 
-    def _urgent_told(self) -> None:
+    def _count_urgent(self) -> None:
         self._urgent.clear()
-        self._told += 1
+        self._urgent_number += 1
 
-    def _problem(self, text: str) -> None:
+    def _log_problem(self, text: str) -> None:
         if text != self._last_problem:
             log.warning("recording %s: %s; trying again", self._name, text)
         self._last_problem = text

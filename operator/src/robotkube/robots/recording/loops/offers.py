@@ -10,7 +10,7 @@ from operator import attrgetter
 from typing import Any
 
 from robotkube.robots.recording.core.documents import DOCUMENT_BYTES_MAX, SEGMENT, Received, SegmentPlace
-from robotkube.robots.recording.loops.audit_keeping import Arrival
+from robotkube.robots.recording.loops.recording_audits import Arrival
 from robotkube.robots.recording.ports import Segments
 
 arrival: Callable[[Offer], Arrival] = attrgetter("topic", "stamp")
@@ -30,7 +30,7 @@ class Offer:
 
     @property
     def large(self) -> bool:
-        """Whether it belongs into a segment."""
+        """True when it belongs into a segment."""
         return self.storage == SEGMENT or len(self.data) > DOCUMENT_BYTES_MAX
 
 

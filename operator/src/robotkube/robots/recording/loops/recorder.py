@@ -31,10 +31,9 @@ from robotkube.robots.recording.core.documents import (
     Write,
     bucket_documents,
     messages_of,
-    taken_up,
+    resumed_fields,
 )
 from robotkube.robots.recording.core.plans import FOREVER
-from robotkube.robots.recording.loops.audit_keeping import RecordingAudits
 from robotkube.robots.recording.loops.counters import RecorderCounts
 from robotkube.robots.recording.loops.destinations import BOUNDS, ROUND_SECONDS, RecorderPlace, RecordingBounds
 from robotkube.robots.recording.loops.journal import Journal
@@ -46,7 +45,8 @@ from robotkube.robots.recording.loops.offers import (
     arrival,
     digest_of,
 )
-from robotkube.robots.recording.loops.recovery import index_write, segment_begun, segment_ended
+from robotkube.robots.recording.loops.recording_audits import RecordingAudits
+from robotkube.robots.recording.loops.segment_repair import index_write, segment_begun, segment_ended
 from robotkube.robots.recording.ports import NO_SPACE, RecordingStore, Segments
 from robotkube.robots.ros.core.gaps import Gap, Interval
 
@@ -83,7 +83,7 @@ class Recorder:
         self._journal = journal
         self._place = place
         self._bounds = bounds
-        self._books = RecordingAudits(recording, journal, place, intervals)
+        self._audits = RecordingAudits(recording, journal, place, intervals)
         self._silent = set(streams)
         self._begin_stamp = 0
         self._first_large_at: float | None = None
@@ -98,12 +98,12 @@ class Recorder:
         self._begun = self._known = False
         self._lock = threading.Lock()
         self._prior: PriorContents | None = None
-        self._waits_until = place.monotonic() + KNOWN_SECONDS_MAX
+        self._prior_awaited_until = place.monotonic() + KNOWN_SECONDS_MAX
         self._volume_problem = self.failed = ""
         self._hashing = ThreadPoolExecutor(1, thread_name_prefix=f"hash-{recording}")
         self._writing = ThreadPoolExecutor(1, thread_name_prefix=f"write-{recording}")
         self._thread = threading.Thread(target=self._run, name=f"recorder-{recording}", daemon=True)
-        journal.listen(self)
+        journal.add_listener(self)
 
     def start(self) -> None:
         """Begin to store."""
@@ -117,12 +117,12 @@ class Recorder:
             self._begin_stamp = max(self._begin_stamp, stamp)
         elif storage == SEGMENT and self._is_early(stamp):
             self.counts.early += 1
-            self._books.receive(topic, stamp, lambda audit: audit.leave_out())
+            self._audits.receive(topic, stamp, lambda audit: audit.count_early())
             return
         if self._offered_bytes - self._settled_bytes > self._bounds.queue_bytes:
             self.counts.dropped += 1
             why = self._volume_problem or "storing is too slow"
-            self._books.receive(topic, stamp, lambda audit: audit.drop(QUEUE, why, stamp))
+            self._audits.receive(topic, stamp, lambda audit: audit.drop(QUEUE, why, stamp))
             return
         self._queue.append(Offer(topic, type_name, storage, stamp, received, data))
         self._offered_bytes += len(data)
@@ -138,13 +138,13 @@ class Recorder:
             if self._begun:
                 self._journal.add([Write(RECORDINGS, self.recording, fields, update=True, size=1000)])
 
-    def lack(self, gap: Gap) -> None:
+    def note_gap(self, gap: Gap) -> None:
         """Note a gap: messages that nobody can offer any more."""
-        self._books.note(gap.topic, lambda audit: audit.lack(gap))
+        self._audits.note(gap.topic, lambda audit: audit.note_gap(gap))
 
-    def hear(self, gap: Gap) -> None:
+    def note_reported_gap(self, gap: Gap) -> None:
         """Note a gap that somebody on the way reports; what was before the recording does not count."""
-        self._books.hear(gap)
+        self._audits.note_reported_gap(gap)
 
     def stop(self, seconds: float) -> bool:
         """Store what was offered and end the recording, within `seconds`; True when the journal has everything."""
@@ -158,11 +158,11 @@ class Recorder:
     @property
     def life(self) -> int:
         """The time at which this recorder began, ns; it distinguishes its audits from those of earlier ones."""
-        return self._books.life
+        return self._audits.life
 
     @property
     def stopped(self) -> bool:
-        """Whether the recording has ended."""
+        """True when the recording has ended."""
         return not self._thread.is_alive()
 
     def end(self) -> None:
@@ -172,7 +172,7 @@ class Recorder:
 
     def audits(self) -> list[dict[str, Any]]:
         """The audit of every topic so far, without holes."""
-        return self._books.documents()
+        return self._audits.documents()
 
     def _is_early(self, stamp: int) -> bool:
         if self._silent:
@@ -210,7 +210,7 @@ class Recorder:
                 self._wake.clear()
             self._await_prior()
             self.finish()
-        except Exception as error:  # an error of ours: the process must not go on as if it recorded
+        except Exception as error:  # an error of our own: the process must not go on as if it recorded
             self.failed = f"recording {self.recording}: {type(error).__name__}: {error}"
             log.exception("%s", self.failed)
         finally:
@@ -232,10 +232,10 @@ class Recorder:
         self._end_large(self._begin_large())
         self._give_up()
         self._close_segment()
-        if not self._begun and not self._books:
+        if not self._begun and not self._audits:
             return
         self._begin()
-        self._books.close()
+        self._audits.close()
         numbers = self.counts.numbers(self._journal.dropped(self.recording))
         fields = {"ended": self._place.clock_ns(), "counts": numbers}
         self._journal.add([Write(RECORDINGS, self.recording, fields, update=True, size=200)])
@@ -248,7 +248,7 @@ class Recorder:
 
     def _drop(self, offer: Offer, why: str) -> None:
         self.counts.dropped += 1
-        self._books.note(offer.topic, lambda audit: audit.drop(VOLUME, why, offer.stamp))
+        self._audits.note(offer.topic, lambda audit: audit.drop(VOLUME, why, offer.stamp))
 
     def _close_segment(self) -> None:
         if self._segments is None:
@@ -272,9 +272,9 @@ class Recorder:
         if not self._may_dequeue():
             return
         small = self._dequeue()
-        if self._books:
+        if self._audits:
             self._begin()
-        self._books.tell_changes(map(arrival, small), [arrival(large.offer) for large in self._large])
+        self._audits.write_changes(map(arrival, small), [arrival(large.offer) for large in self._large])
         large = self._begin_large()
         self._store_small(small)  # beside the writing of the large ones
         self._end_large(large)
@@ -283,7 +283,7 @@ class Recorder:
         # what an earlier recorder of this recording stored must be known before anything is stored again;
         # when the database stays away for long, storing goes on: identifiers keep most duplicates out
         waiting = self._offered_bytes - self._settled_bytes
-        late = waiting > self._bounds.waiting_bytes or self._place.monotonic() > self._waits_until
+        late = waiting > self._bounds.waiting_bytes or self._place.monotonic() > self._prior_awaited_until
         return self._known or late or self._ending.is_set()
 
     def _resume(self, prior: PriorContents) -> None:
@@ -296,7 +296,7 @@ class Recorder:
         self._known = True
         if not prior.audits and not stamps:
             return
-        self._books.take_up(prior.audits, stamps)
+        self._audits.resume(prior.audits, stamps)
         self._begin()
 
     def _dequeue(self) -> list[Offer]:
@@ -306,7 +306,7 @@ class Recorder:
         while self._queue and batch_bytes < BATCH_BYTES_MAX:
             offer = self._queue.popleft()
             batch_bytes += len(offer.data)
-            self._books.receive(offer.topic, offer.stamp)
+            self._audits.receive(offer.topic, offer.stamp)
             if offer.large:
                 self._large.append(LargeMessage(offer, self._hashing.submit(digest_of, offer.data)))
             else:
@@ -321,7 +321,7 @@ class Recorder:
             if self._duplicates.admit(offer.topic, offer.stamp, digest):
                 messages.append(Received(offer.topic, offer.stamp, offer.received, digest, offer.data))
             else:
-                self._doubled(offer.topic)
+                self._count_duplicate(offer.topic)
         if not messages:
             return
         self._begin()
@@ -331,14 +331,14 @@ class Recorder:
         self.counts.documents += len(messages)
         self._add_messages(writes, [message.topic for message in messages])
 
-    def _doubled(self, topic: str) -> None:
+    def _count_duplicate(self, topic: str) -> None:
         self.counts.duplicates += 1
-        self._books.note(topic, lambda audit: audit.repeat())
+        self._audits.note(topic, lambda audit: audit.count_duplicate())
 
     def _add_messages(self, writes: Sequence[Write], topics: Sequence[str]) -> None:
         """Add writes that carry one message of each of `topics` to the journal."""
         self._journal.add(writes)
-        self._books.store(topics)
+        self._audits.store(topics)
 
     def _begin_large(self) -> PendingAppend | None:
         """Begin to write the messages that the volume has not stored yet."""
@@ -348,7 +348,7 @@ class Recorder:
             if self._segments is None:
                 self._segments = self._open_segments()
         except OSError as error:
-            self._refused(error)
+            self._note_refusal(error)
             return None
         chosen = self._without_duplicates()
         return PendingAppend(self._segments, chosen, self._writing.submit(self._append, self._segments, chosen))
@@ -359,7 +359,7 @@ class Recorder:
         try:
             places = begun.places.result()
         except OSError as error:
-            self._refused(error)
+            self._note_refusal(error)
             return
         self._volume_problem = ""
         self._add_index(begun.chosen, places)
@@ -367,17 +367,17 @@ class Recorder:
         self._settle(begun.segments)
 
     def _open_segments(self) -> Segments:
-        if self._journal.claim is None:
-            raise OSError(f"claim {self._place.volume} has not answered yet")
-        return self._journal.claim.segments(self.recording)
+        if self._journal.volume_claim is None:
+            raise OSError(f"volume claim {self._place.volume} has not answered yet")
+        return self._journal.volume_claim.segments(self.recording)
 
-    def _refused(self, error: OSError) -> None:
+    def _note_refusal(self, error: OSError) -> None:
         text = f"volume {self._place.volume}: {error}"
         if text != self._volume_problem:
             log.warning("recording %s: %s; trying again", self.recording, text)
         self._volume_problem = text
         if error.errno in NO_SPACE:
-            self._journal.make_room()
+            self._journal.free_space()
 
     def _without_duplicates(self) -> list[LargeMessage]:
         """Large messages that are not stored yet. Only those of equal stamps are compared by their digests, which takes
@@ -391,7 +391,7 @@ class Recorder:
                     self._admit(seen[key])
                 if not self._admit(large):
                     self._settled_bytes += len(large.offer.data)
-                    self._doubled(large.offer.topic)
+                    self._count_duplicate(large.offer.topic)
                     continue
             seen[key] = large
             chosen.append(large)
@@ -420,7 +420,7 @@ class Recorder:
                 self._drop(large.offer, str(error))
                 places.append(None)
             except OSError as error:
-                self._refused(error)
+                self._note_refusal(error)
                 break
         return places
 
@@ -450,7 +450,7 @@ class Recorder:
         try:
             segments.settle(SETTLED_BYTES_PER_ROUND)
         except OSError as error:
-            self._refused(error)
+            self._note_refusal(error)
 
     def _begin(self) -> None:
         """Make the recording's document, or open the one that is there again."""
@@ -460,7 +460,9 @@ class Recorder:
         with self._lock:  # no update may come before the document
             self._begun = True
             document = {"recording": self.recording, **self._document, "started": self.life}
+            begun = {**document, "volumes": [volume], "ended": None}
+            added = {"volumes": volume}
             self._journal.add([
-                Write(RECORDINGS, self.recording, {**document, "volumes": [volume], "ended": None}, size=1000),
-                Write(RECORDINGS, self.recording, taken_up(document), update=True, size=1000, add={"volumes": volume}),
+                Write(RECORDINGS, self.recording, begun, size=1000),
+                Write(RECORDINGS, self.recording, resumed_fields(document), update=True, size=1000, add=added),
             ])  # fmt: skip

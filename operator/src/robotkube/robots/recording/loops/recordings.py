@@ -29,15 +29,15 @@ log = logging.getLogger(__name__)
 
 
 @dataclass
-class _Open:
+class _OpenRecording:
     """An open recording; without `windows` it receives all messages. `until`: when it closes, ns."""
 
     recorder: Recorder
     windows: Windows | None = None
     until: int = FOREVER
 
-    def keeps(self, topic: RecordedTopic, stamp: int) -> bool:
-        return self.windows is None or self.windows.keeps(topic, stamp)
+    def contains(self, topic: RecordedTopic, stamp: int) -> bool:
+        return self.windows is None or self.windows.contains(topic, stamp)
 
 
 class Recordings:
@@ -59,7 +59,7 @@ class Recordings:
         self._buffers = buffers
         self._bounds = bounds
         self._journal = Journal(plan.recording, place, bounds)
-        self._open: list[_Open] = []
+        self._open_recordings: list[_OpenRecording] = []
         self._ending: list[Recorder] = []
         self._planned: dict[str, RecordedTopic | None] = {}
         self._ended: dict[str, int] = {}
@@ -67,12 +67,12 @@ class Recordings:
 
     @property
     def ready(self) -> bool:
-        """Whether claim and database have answered."""
+        """True when volume claim and database have answered."""
         return self._journal.ready
 
     @property
     def failed(self) -> str:
-        """An error of ours in words; empty when there was none."""
+        """An error of our own, in words; empty when there was none."""
         parts: list[Recorder | Journal] = [self._journal, *self.recorders]
         return next((part.failed for part in parts if part.failed), "")
 
@@ -84,7 +84,7 @@ class Recordings:
     @property
     def recorders(self) -> list[Recorder]:
         """The recordings that are open or ending."""
-        return [*(opened.recorder for opened in self._open), *self._ending]
+        return [*(opened.recorder for opened in self._open_recordings), *self._ending]
 
     def counts(self) -> dict[str, int]:
         """Counters of messages and writes of all recordings since the start; numbers only grow."""
@@ -113,42 +113,48 @@ class Recordings:
         if self.plan.always:
             document = self._document(self.plan.trace, self.plan.provenance)
             recorder = Recorder(
-                self.plan.recording, document, self._journal, self._place, self.plan.streams, self._whole, self._bounds
+                self.plan.recording,
+                document,
+                self._journal,
+                self._place,
+                self.plan.streams,
+                self._whole_time,
+                self._bounds,
             )
-            self._begin(_Open(recorder))
+            self._begin(_OpenRecording(recorder))
 
     def offer(self, topic: str, type_name: str, sample: Sample) -> None:
         """Give a message to the open recordings it belongs to; never blocks."""
-        if not self._open:
+        if not self._open_recordings:
             return
         planned = self._topic(topic)
         if planned is None:
             return
-        for opened in self._open:
-            if opened.keeps(planned, sample.stamp):
+        for opened in self._open_recordings:
+            if opened.contains(planned, sample.stamp):
                 opened.recorder.offer(topic, type_name, planned.storage, sample.stamp, sample.received, sample.data)
 
-    def lack(self, gap: Gap) -> None:
+    def note_gap(self, gap: Gap) -> None:
         """Note a gap, messages that were given up before they came here, in each open recording whose window has it."""
         planned = self._topic(gap.topic)
         if planned is None:
             return
-        for opened in self._open:
+        for opened in self._open_recordings:
             if opened.windows is None:
-                opened.recorder.hear(gap)
+                opened.recorder.note_reported_gap(gap)
                 continue
             for part in _within(gap, opened.windows.intervals(planned)):
-                opened.recorder.lack(part)
+                opened.recorder.note_gap(part)
 
     def trigger(self, edge: Trigger, now: int) -> None:
         """Record an event of the plan's rule that began, in a new recording or in the open one whose windows it
         overlaps; once more for the same event changes nothing."""
-        windows = [opened.windows for opened in self._open if opened.windows]
-        if self.plan.always or any(edge.id in known.causes for known in windows):
+        windowed = [opened for opened in self._open_recordings if opened.windows]
+        if self.plan.always or any(edge.id in opened.windows.causes for opened in windowed if opened.windows):
             return
-        joined = next((opened for opened in self._open if opened.windows and opened.windows.joins(edge)), None)
+        joined = next((opened for opened in windowed if opened.windows and opened.windows.overlaps(edge)), None)
         fresh = joined is None
-        opened = joined or self._make(edge)
+        opened = joined or self._new_recording(edge)
         assert opened.windows is not None
         before = {topic: opened.windows.intervals(topic) for topic in self.plan.topics}
         opened.windows.begin(edge)
@@ -161,7 +167,7 @@ class Recordings:
 
     def end(self, edge: Trigger, now: int) -> None:
         """End an event; its recording closes when the time to record after it is over."""
-        for opened in self._open:
+        for opened in self._open_recordings:
             if opened.windows is None or edge.id not in opened.windows.causes:
                 continue
             opened.windows.end(edge.id, edge.stamp)
@@ -172,14 +178,14 @@ class Recordings:
 
     def tick(self, now: int) -> None:
         """Close the recordings whose time is over."""
-        for over in [opened for opened in self._open if opened.until <= now]:
+        for over in [opened for opened in self._open_recordings if opened.until <= now]:
             with self._lock:
-                self._open.remove(over)
+                self._open_recordings.remove(over)
                 self._ending.append(over.recorder)
-            self._define(over.recorder)
+            self._update_definitions(over.recorder)
             over.recorder.end()
         for recorder in [recorder for recorder in self._ending if recorder.stopped]:
-            self._journal.forget(recorder)
+            self._journal.remove_listener(recorder)
             with self._lock:
                 self._ending.remove(recorder)
                 _add(self._ended, recorder)
@@ -191,7 +197,7 @@ class Recordings:
         deadline = self._place.monotonic() + seconds
         recorders = self.recorders
         for recorder in recorders:
-            self._define(recorder)
+            self._update_definitions(recorder)
             recorder.end()
         stopped = [recorder.stop(max(0.1, deadline - self._place.monotonic())) for recorder in recorders]
         return self._journal.stop(max(0.1, deadline - self._place.monotonic())) and all(stopped)
@@ -201,12 +207,12 @@ class Recordings:
             self._planned[name] = self.plan.topic(name)
         return self._planned[name]
 
-    def _whole(self, name: str) -> Sequence[Interval]:
+    def _whole_time(self, name: str) -> Sequence[Interval]:
         """The intervals in which holes are looked for when there are no windows."""
         topic = self._topic(name)
         return () if topic is None or topic.latched else ((0, FOREVER),)
 
-    def _make(self, edge: Trigger) -> _Open:
+    def _new_recording(self, edge: Trigger) -> _OpenRecording:
         windows = Windows(self.plan.topics)
 
         def spans(name: str) -> Sequence[Interval]:
@@ -216,7 +222,7 @@ class Recordings:
         provenance = {"rule": edge.rule, "event": edge.id, "trace": edge.trace, **self.plan.provenance}
         document = self._document(self.plan.trace or edge.trace, provenance)
         name = self.plan.name(edge)
-        return _Open(
+        return _OpenRecording(
             Recorder(name, document, self._journal, self._place, intervals=spans, bounds=self._bounds), windows
         )
 
@@ -225,7 +231,7 @@ class Recordings:
         whole = {"rule": self.plan.rule, "trace": trace, "provenance": dict(provenance), "topics": topics}
         return {**whole, **self._definitions()}
 
-    def _define(self, recorder: Recorder) -> None:
+    def _update_definitions(self, recorder: Recorder) -> None:
         """Add definitions that may have come later than the recording's begin."""
         if definitions := self._definitions():
             recorder.update(definitions)
@@ -238,16 +244,16 @@ class Recordings:
                 definitions[name] = text
         return {"definitions": definitions} if definitions else {}
 
-    def _begin(self, opened: _Open) -> None:
-        self._open.append(opened)
+    def _begin(self, opened: _OpenRecording) -> None:
+        self._open_recordings.append(opened)
         opened.recorder.start()
 
-    def _update_causes(self, opened: _Open) -> None:
+    def _update_causes(self, opened: _OpenRecording) -> None:
         assert opened.windows is not None
         opened.recorder.update({"causes": [cause.document() for cause in opened.windows.causes.values()]})
 
     def _offer_buffered(
-        self, opened: _Open, edge: Trigger, before: Mapping[RecordedTopic, Sequence[Interval]], fresh: bool
+        self, opened: _OpenRecording, edge: Trigger, before: Mapping[RecordedTopic, Sequence[Interval]], fresh: bool
     ) -> None:
         """Offer the buffered messages in the event's window that are not offered yet; note what the buffer has lost."""
         for name, buffer in list(self._buffers.items()):
@@ -270,7 +276,7 @@ class Recordings:
     ) -> None:
         left = buffer.evicted_seconds + buffer.evicted_bytes + buffer.evicted_count + buffer.evicted_process
         if samples and samples[0].stamp > first and left + buffer.cleared:
-            recorder.lack(Gap(name, BUFFER, EVICTED, None, first, samples[0].stamp - 1))
+            recorder.note_gap(Gap(name, BUFFER, EVICTED, None, first, samples[0].stamp - 1))
 
 
 def _within(gap: Gap, spans: Sequence[Interval]) -> Iterator[Gap]:

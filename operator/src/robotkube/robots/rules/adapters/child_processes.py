@@ -32,7 +32,7 @@ DATA_BYTES_MAX = 768 * 1024 * 1024
 BATCH_MAX = 200
 START_CPU_SECONDS_MAX = 20.0
 END_SECONDS_MAX = 2.0
-ERROR_LETTERS_MAX = 500
+ERROR_CHARACTERS_MAX = 500
 READY = "ready"
 
 _LENGTH = struct.Struct("<I")
@@ -55,7 +55,7 @@ class ChildProcess:
         self._questions: deque[RuleQuestion] = deque()
         self._asked = threading.Semaphore(0)
         self._replies: deque[Reply] = deque()
-        self._news = threading.Event()
+        self._reply_arrived = threading.Event()
         self._stopped = False
         self.ready = False
         self.failure = ""
@@ -70,12 +70,12 @@ class ChildProcess:
 
     def replies(self) -> Sequence[Reply]:
         """See the port."""
-        self._news.clear()
+        self._reply_arrived.clear()
         return [self._replies.popleft() for _ in range(len(self._replies))]
 
     def wait(self, seconds: float) -> None:
         """See the port."""
-        self._news.wait(seconds)
+        self._reply_arrived.wait(seconds)
 
     def stop(self) -> None:
         """See the port."""
@@ -109,7 +109,7 @@ class ChildProcess:
         except (ValueError, KeyError, TypeError, IndexError) as error:
             self._fail(f"its process said what is no reply: {error}")
         else:
-            self._fail(self._end_in_words())
+            self._fail(self._exit_reason())
         finally:
             _close(stream)
 
@@ -117,16 +117,16 @@ class ChildProcess:
         if frame == READY:
             self.ready = True
         elif isinstance(frame, dict):
-            self._fail(str(frame["failure"])[:ERROR_LETTERS_MAX])
+            self._fail(str(frame["failure"])[:ERROR_CHARACTERS_MAX])
         else:
             self._replies.extend(_reply(entry) for entry in frame)
-        self._news.set()
+        self._reply_arrived.set()
 
     def _fail(self, text: str) -> None:
         self.failure = self.failure or text
-        self._news.set()
+        self._reply_arrived.set()
 
-    def _end_in_words(self) -> str:
+    def _exit_reason(self) -> str:
         code = self._process.wait()
         if code == -signal.SIGPROF:
             if not self.ready:
@@ -176,10 +176,10 @@ def serve(load: Callable[[Mapping[str, Any]], Callable[[RuleQuestion], Sequence[
     try:
         answer = load(job)
     except Exception as error:
-        _say(answers, {"failure": f"it cannot be loaded: {_words(error)}"})
+        _send(answers, {"failure": f"it cannot be loaded: {_described(error)}"})
         return
     signal.setitimer(signal.ITIMER_PROF, 0)
-    _say(answers, READY)
+    _send(answers, READY)
     while (frame := read_frame(questions)) is not None:
         batch = [RuleQuestion(*entry) for entry in marshal.loads(frame)]  # noqa: S302  the parent's
         if not _reply_to(batch, answer, answers, job["budget_seconds"]):
@@ -200,7 +200,7 @@ def _reply_to(
         try:
             replies.append(json.dumps(answer(question)))
         except Exception as error:
-            replies.append(json.dumps(_words(error)))
+            replies.append(json.dumps(_described(error)))
             failed = True
         signal.setitimer(signal.ITIMER_PROF, 0)
         if failed:
@@ -216,12 +216,12 @@ def _own_streams() -> tuple[IO[bytes], IO[bytes]]:
     return questions, answers
 
 
-def _say(stream: IO[bytes], value: Any) -> None:
+def _send(stream: IO[bytes], value: Any) -> None:
     write_frame(stream, json.dumps(value).encode())
 
 
-def _words(error: Exception) -> str:
-    return f"{type(error).__name__}: {error}"[:ERROR_LETTERS_MAX]
+def _described(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}"[:ERROR_CHARACTERS_MAX]
 
 
 def write_frame(stream: IO[bytes], body: bytes) -> None:

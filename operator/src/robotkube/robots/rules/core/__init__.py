@@ -4,7 +4,7 @@ specification   documents -> rules, every problem at once, and the same as JSON 
 conditions      for whom a rule holds, kind by kind
 engine          messages, time, answers -> edges
 evaluators      one rule at work: its condition and its events
-event_tracking  findings -> events (sustained, interval, cooldown)
+event_tracking  changes -> events (sustained, interval, cooldown)
 events          an event's two edges, and event_documents their JSON
 windows, plugin_api   the interface of rules of installed packages
 """

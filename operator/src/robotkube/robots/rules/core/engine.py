@@ -13,7 +13,7 @@ from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 from robotkube.robots.rules.core.conditions.combinations import CombinationCondition
-from robotkube.robots.rules.core.conditions.external import AnsweredQuestion, Ask, RuleQuestion
+from robotkube.robots.rules.core.conditions.external import AnsweredQuestion, AskRule, RuleQuestion
 from robotkube.robots.rules.core.conditions.levels import earliest
 from robotkube.robots.rules.core.evaluators import Evaluator
 from robotkube.robots.rules.core.events import STOP, Edge
@@ -28,7 +28,7 @@ JUMP_COUNT = 2
 TOPICS_MAX = 20_000
 PROBLEMS_MAX = 1000
 
-Pick = Callable[[tuple[Any, ...]], tuple[Any, ...]]
+SelectValues = Callable[[tuple[Any, ...]], tuple[Any, ...]]
 
 _new = tuple.__new__
 
@@ -41,7 +41,7 @@ class _Route:
     agent: str
     type: str
     reader: FieldReader | None
-    evaluators: list[tuple[Evaluator, Pick | None]]
+    evaluators: list[tuple[Evaluator, SelectValues | None]]
     stamp: int = -(1 << 63)
     behind: int = 0
 
@@ -66,14 +66,14 @@ class RuleEngine:
     `ask` gets the questions of rules that are evaluated elsewhere; it must not block. Their answers go to `answer`.
     """
 
-    def __init__(self, rules: Sequence[Rule], layouts: Layouts, own_agent: str, ask: Ask = _refuse) -> None:
+    def __init__(self, rules: Sequence[Rule], layouts: Layouts, own_agent: str, ask: AskRule = _refuse) -> None:
         self._layouts = layouts
         self._agent = own_agent
         self._ask = ask
         self._evaluators: dict[str, Evaluator] = {}
         self._combinations: list[Evaluator] = []
         self._routes: dict[str, _Route] = {}
-        self._unfollowed: list[tuple[Evaluator, Edge]] = []
+        self._unpropagated: list[tuple[Evaluator, Edge]] = []
         self._beginning = True
         self.counts = EngineCounts()
         self.problems: dict[tuple[str, str], str] = {}
@@ -91,7 +91,7 @@ class RuleEngine:
             edge
             for evaluator in list(self._evaluators.values())
             if not evaluator.rule.silent
-            for edge in evaluator.occurrences.active
+            for edge in evaluator.events.active
         )
 
     @property
@@ -120,10 +120,10 @@ class RuleEngine:
         edges = self._evaluated(route, message)
         return begun + self._propagated(edges) if edges else begun
 
-    def answer(self, verdict: AnsweredQuestion) -> list[Edge]:
+    def answer(self, answered: AnsweredQuestion) -> list[Edge]:
         """The edges that answers from elsewhere cause; those of rules that are gone cause none."""
-        evaluator = self._evaluators.get(verdict.question.rule)
-        return [] if evaluator is None else self._propagated(evaluator.answer(verdict))
+        evaluator = self._evaluators.get(answered.question.rule)
+        return [] if evaluator is None else self._propagated(evaluator.answer(answered))
 
     def tick(self, now: int) -> list[Edge]:
         """The edges that the time alone causes, up to `now` on this machine's clock (ns since 1970)."""
@@ -151,14 +151,14 @@ class RuleEngine:
     def replace(self, rules: Sequence[Rule], now: int) -> tuple[list[Edge], list[Edge]]:
         """Replace the rules; returns the start edges of the events that go on, and the stop edges of those that end at
         `now`. Unchanged rules keep their state, and a changed one takes over the events that it can have."""
-        before = {name: evaluator.occurrences.active for name, evaluator in self._evaluators.items()}
+        before = {name: evaluator.events.active for name, evaluator in self._evaluators.items()}
         silent = {rule.name for rule in self.rules if rule.silent}
         self._build(rules)
         kept = set()
         for name, edges in before.items():
             evaluator = self._evaluators.get(name)
             for edge in edges:
-                if evaluator is not None and (edge in evaluator.occurrences.active or self.adopt(edge)):
+                if evaluator is not None and (edge in evaluator.events.active or self.adopt(edge)):
                     kept.add(edge.id)
         known = [edge for name in before if name not in silent for edge in before[name]]
         gone = [edge for edge in known if edge.id not in kept]
@@ -169,7 +169,8 @@ class RuleEngine:
 
     def _build(self, rules: Sequence[Rule]) -> None:
         by_name = {rule.name: rule for rule in rules}
-        before, self._evaluators = self._evaluators, {}
+        before = self._evaluators
+        self._evaluators = {}
         for rule in _parts_first(rules, by_name):
             known = before.get(rule.name)
             if known is not None and known.rule == rule and self._same_parts(rule, before):
@@ -182,7 +183,7 @@ class RuleEngine:
             for evaluator in self._evaluators.values()
             if isinstance(evaluator.condition, CombinationCondition)
         ]
-        self._unfollowed = []
+        self._unpropagated = []
         for evaluator in self._evaluators.values():
             self._queue_active_events(evaluator, [other for other in new if other in self._combinations])
         self._routes.clear()
@@ -197,14 +198,15 @@ class RuleEngine:
         """Queue the events that last already for combinations that follow them, until all of them are known."""
         for other in combinations:
             if isinstance(other.condition, CombinationCondition) and evaluator.rule.name in other.condition.names:
-                self._unfollowed += [(other, edge) for edge in evaluator.occurrences.active]
+                self._unpropagated += [(other, edge) for edge in evaluator.events.active]
         self._beginning = True
 
     def _begin(self, stamp: int, received: int) -> list[Edge]:
         self._beginning = False
-        unfollowed, self._unfollowed = dict.fromkeys(self._unfollowed), []
+        unpropagated = dict.fromkeys(self._unpropagated)
+        self._unpropagated = []
         edges: list[Edge] = []
-        for evaluator, edge in unfollowed:
+        for evaluator, edge in unpropagated:
             edges += evaluator.follow([edge])
         for evaluator in self._evaluators.values():
             edges += evaluator.begin(stamp, received)
@@ -217,7 +219,7 @@ class RuleEngine:
         if len(self._routes) >= TOPICS_MAX:
             self._routes.clear()
         agent = ""
-        takers = []
+        interested = []
         for evaluator in self._evaluators.values():
             agents = [pattern.agent(message.topic) for pattern in evaluator.rule.topics]
             fits = next((named for named in agents if named is not None), None)
@@ -226,10 +228,10 @@ class RuleEngine:
             agent = fits or self._agent
             wanted = not evaluator.rule.agents or agent in evaluator.rule.agents
             if wanted and self._readable(evaluator.rule, message):
-                takers.append(evaluator)
-        together = tuple(dict.fromkeys(path for evaluator in takers for path in paths(evaluator.rule)))
+                interested.append(evaluator)
+        together = tuple(dict.fromkeys(path for evaluator in interested for path in paths(evaluator.rule)))
         reader = self._layouts.reader(message.type, together) if together else None
-        evaluators = [(evaluator, _pick(together, paths(evaluator.rule))) for evaluator in takers]
+        evaluators = [(evaluator, _selection(together, paths(evaluator.rule))) for evaluator in interested]
         route = self._routes[message.topic] = _Route(agent, message.type, reader, evaluators)
         return route
 
@@ -267,12 +269,12 @@ class RuleEngine:
                 values = None
                 self._malformed(topic)
         edges: list[Edge] = []
-        for evaluator, pick in route.evaluators:
-            if pick is not None and values is None:
+        for evaluator, select in route.evaluators:
+            if select is not None and values is None:
                 continue
-            picked = () if pick is None or values is None else pick(values)
+            selected = () if select is None or values is None else select(values)
             # a named tuple without its own constructor, which is a Python function and takes three times as long
-            reading = _new(MessageValues, (topic, route.agent, stamp, received, picked, type_name, data))
+            reading = _new(MessageValues, (topic, route.agent, stamp, received, selected, type_name, data))
             try:
                 evaluator.observe(reading, edges)
             except ValueError as error:
@@ -296,7 +298,7 @@ class RuleEngine:
         return [edge for edge in edges if not self._evaluators[edge.rule].rule.silent]
 
 
-def _pick(together: Sequence[str], wanted: Sequence[str]) -> Pick | None:
+def _selection(together: Sequence[str], wanted: Sequence[str]) -> SelectValues | None:
     if not wanted:
         return None
     if tuple(wanted) == tuple(together):

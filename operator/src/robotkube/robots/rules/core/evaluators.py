@@ -5,7 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 
 from robotkube.robots.rules.core.conditions.combinations import CombinationCondition
-from robotkube.robots.rules.core.conditions.external import AnsweredQuestion, Ask, ExpressionCondition, PluginCondition
+from robotkube.robots.rules.core.conditions.external import (
+    AnsweredQuestion,
+    AskRule,
+    ExpressionCondition,
+    PluginCondition,
+)
 from robotkube.robots.rules.core.conditions.levels import (
     GRACE_NS,
     GeofenceCondition,
@@ -46,7 +51,7 @@ class AlwaysCondition(RuleCondition):
         return []
 
 
-def condition_of(rule: Rule, rules: Mapping[str, Rule], ask: Ask) -> RuleCondition:
+def condition_of(rule: Rule, rules: Mapping[str, Rule], ask: AskRule) -> RuleCondition:
     """A new condition of a rule, in its first state."""
     match rule.condition:
         case Proximity() as settings:
@@ -72,17 +77,17 @@ def condition_of(rule: Rule, rules: Mapping[str, Rule], ask: Ask) -> RuleConditi
 class Evaluator:
     """A rule with its state. `agent`: the agent to which the detector belongs."""
 
-    def __init__(self, rule: Rule, rules: Mapping[str, Rule], agent: str, ask: Ask) -> None:
+    def __init__(self, rule: Rule, rules: Mapping[str, Rule], agent: str, ask: AskRule) -> None:
         self.rule = rule
         self._agent = agent
         self.condition = condition_of(rule, rules, ask)
-        self.occurrences = EventTracker(rule)
+        self.events = EventTracker(rule)
         self.ignored = 0
-        self._asked = isinstance(rule.condition, (Cel, Python))
+        self._is_external = isinstance(rule.condition, (Cel, Python))
         self._expire_ns = int(rule.timing.expire * 1e9)
         self._every_ns = int(rule.timing.every * 1e9)
         self._silence_ns = self._expire_ns or NEVER_NS
-        self._only = frozenset(rule.agents)
+        self._listed_agents = frozenset(rule.agents)
         self._seen: dict[str, tuple[int, int]] = {}
         self._slots: dict[str, int] = {}
         self._silences = Timers(self._silent_at)
@@ -99,7 +104,7 @@ class Evaluator:
             self.condition.begin(stamp, received)
         if isinstance(self.condition, CombinationCondition):
             return self._apply(self.condition.begin(stamp, received))
-        if isinstance(self.condition, AlwaysCondition) and not self.occurrences.active:
+        if isinstance(self.condition, AlwaysCondition) and not self.events.active:
             return self._apply([MemberChange((self._agent,), RISE, stamp, received)])
         return []
 
@@ -108,45 +113,45 @@ class Evaluator:
 
         Edges that its arrival alone causes are added before."""
         _, agent, stamp, received, _, _, _ = reading
-        if self._only and agent not in self._only:
+        if self._listed_agents and agent not in self._listed_agents:
             return
-        if self._asked:
+        if self._is_external:
             self._ask(reading)
             return
         if self._ends is not None:
-            edges += self._pass(stamp - 1, received)
+            edges += self._expire_silent(stamp - 1, received)
         last = self._seen.get(agent)
         if last is None or stamp - last[0] > self._silence_ns or received < last[1] or agent in self.condition.paired:
-            edges += self._hear(agent, stamp, received)
+            edges += self._note_message(agent, stamp, received)
             if agent not in self._seen:
                 return
         else:  # heard of lately and alone: nothing can have expired, and the timer of its silence is set
             self._seen[agent] = stamp, received
         if self._every_ns and self._repeated(agent, stamp):
             return
-        findings = self.condition.observe(reading)
-        if findings:
-            edges += self._apply(findings)
-        if self.occurrences.pending:
+        changes = self.condition.observe(reading)
+        if changes:
+            edges += self._apply(changes)
+        if self.events.pending:
             edges += self._mature(agent, stamp, received)
 
-    def answer(self, verdict: AnsweredQuestion) -> list[Edge]:
+    def answer(self, answered: AnsweredQuestion) -> list[Edge]:
         """The edges that the answers to a question cause."""
-        question = verdict.question
+        question = answered.question
         edges: list[Edge] = []
-        agents = {*question.member, *(agent for answer in verdict.answers for agent in answer.member)}
-        edges += self._pass(question.stamp - 1, question.received)
+        agents = {*question.member, *(agent for answer in answered.answers for agent in answer.member)}
+        edges += self._expire_silent(question.stamp - 1, question.received)
         for agent in sorted(agents):
-            edges += self._hear(agent, question.stamp, question.received)
-        for answer in verdict.answers:
+            edges += self._note_message(agent, question.stamp, question.received)
+        for answer in answered.answers:
             member = tuple(sorted(answer.member))
             holding = self.condition.holding
             if answer.verdict == KEEP or (answer.verdict == RISE) == (member in holding):
                 continue
-            finding = MemberChange(
+            change = MemberChange(
                 member, answer.verdict, question.stamp, question.received, answer.detail, answer.causes
             )
-            edges += self._apply([finding])
+            edges += self._apply([change])
         for agent in sorted(agents):
             edges += self._mature(agent, question.stamp, question.received)
         return edges
@@ -163,29 +168,29 @@ class Evaluator:
         """The edges that the time alone causes, up to `now` on this machine's clock."""
         edges: list[Edge] = []
         for agent in self._unseen - self._seen.keys():
-            edges += self._hear(agent, now, now)
+            edges += self._note_message(agent, now, now)
         self._unseen.clear()
         for (agent,) in list(self._silences.passed(now)):
             end = self._end((agent,))
-            edges += self._pass(end, now) if end is not None and self._ends is not None else []
+            edges += self._expire_silent(end, now) if end is not None and self._ends is not None else []
             edges += self._expire(agent, now) if agent in self._seen else []
         edges += self._apply(self.condition.elapse(now))
-        beginning = self.occurrences.beginning(now) if self._ends is not None else None
-        edges += self._pass(beginning, now) if beginning is not None else []
-        return edges + self.occurrences.elapse(now)
+        beginning = self.events.beginning(now) if self._ends is not None else None
+        edges += self._expire_silent(beginning, now) if beginning is not None else []
+        return edges + self.events.elapse(now)
 
     def due(self) -> int | None:
         """The next moment at which `elapse` may give edges; None without one."""
         if self._unseen:
             return 0
-        return earliest((self._silences.due(), self.condition.due(), self.occurrences.due()))
+        return earliest((self._silences.due(), self.condition.due(), self.events.due()))
 
     def adopt(self, edge: Edge) -> bool:
         """Take over an event that began earlier; False when the rule cannot have it or has it already."""
-        agents = self.occurrences.adopt(edge)
+        agents = self.events.adopt(edge)
         if agents is None:
             return False
-        if not self.occurrences.provisional:
+        if not self.events.provisional:
             self.condition.mark(agents, True)
             self._unseen |= set(agents) if self._expire_ns else set()
         return True
@@ -195,16 +200,16 @@ class Evaluator:
         self._seen.pop(agent, None)
         self._slots.pop(agent, None)
         self.condition.forget(agent)
-        self.occurrences.restart(agent, stamp)
+        self.events.restart(agent, stamp)
 
     def _ask(self, reading: MessageValues) -> None:
         repeated = bool(self._every_ns) and self._repeated(reading.agent, reading.stamp)
         if isinstance(self.condition, PluginCondition):
-            self.condition.show(reading, not repeated)
+            self.condition.send(reading, not repeated)
         elif not repeated:
             self.condition.observe(reading)
 
-    def _hear(self, agent: str, stamp: int, received: int) -> list[Edge]:
+    def _note_message(self, agent: str, stamp: int, received: int) -> list[Edge]:
         """Record a message of an agent; the edges that end its events when it was silent for too long before."""
         edges: list[Edge] = []
         if self._expire_ns:
@@ -221,7 +226,7 @@ class Evaluator:
             self._ends.watch((agent,), stamp + self._expire_ns)
         return edges
 
-    def _pass(self, stamp: int, received: int) -> list[Edge]:
+    def _expire_silent(self, stamp: int, received: int) -> list[Edge]:
         """The edges of agents of a group whose silence was too long up to `stamp`.
 
         A group has one time: such an agent leaves it before anything later counts, in the order of stamps, whichever
@@ -257,18 +262,18 @@ class Evaluator:
         self._slots[agent] = slot
         return repeated
 
-    def _apply(self, findings: Iterable[MemberChange]) -> list[Edge]:
+    def _apply(self, changes: Iterable[MemberChange]) -> list[Edge]:
         edges: list[Edge] = []
-        for finding in findings:
-            self.condition.mark(finding.member, finding.verdict == RISE)
-            edges += self.occurrences.take(finding)
+        for change in changes:
+            self.condition.mark(change.member, change.verdict == RISE)
+            edges += self.events.apply(change)
         return edges
 
     def _mature(self, agent: str, stamp: int, received: int) -> list[Edge]:
         """The start edges of what has held for long enough for all of its agents."""
         edges: list[Edge] = []
-        for agents in self.occurrences.waiting(agent):
-            edges += self.occurrences.mature(agents, self._progress(agents, stamp), received)
+        for agents in self.events.waiting(agent):
+            edges += self.events.mature(agents, self._progress(agents, stamp), received)
         return edges
 
     def _progress(self, agents: Agents, stamp: int) -> int:

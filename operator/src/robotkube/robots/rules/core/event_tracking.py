@@ -1,4 +1,4 @@
-"""The events of a rule from its findings: sustained time, minimum interval, cooldown, groups and adoption."""
+"""The events of a rule from its changes: sustained time, minimum interval, cooldown, groups and adoption."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class _State:
 
 
 class EventTracker:
-    """The events of one rule, from findings to edges. `pending`: the agents for whom it holds, but is no event yet."""
+    """The events of one rule, from changes to edges. `pending`: the agents for whom it holds, but is no event yet."""
 
     def __init__(self, rule: Rule) -> None:
         self.rule = rule
@@ -71,19 +71,19 @@ class EventTracker:
             self._adopted[agents] = None
         return agents
 
-    def take(self, finding: MemberChange) -> list[Edge]:
-        """The edges that a finding causes for its member's event, or for the group's."""
+    def apply(self, change: MemberChange) -> list[Edge]:
+        """The edges that a change causes for its member's event, or for the group's."""
         if self.rule.scope != GROUP:
-            return self._change(finding.member, finding)
+            return self._change(change.member, change)
         before = len(self._members) >= self.rule.at_least
-        if finding.verdict == RISE:
-            self._members.add(finding.member)
+        if change.verdict == RISE:
+            self._members.add(change.member)
         else:
-            self._members.discard(finding.member)
+            self._members.discard(change.member)
         holds = len(self._members) >= self.rule.at_least
         if holds == before:
             return []
-        return self._change(self._group, finding._replace(verdict=RISE if holds else FALL))
+        return self._change(self._group, change._replace(verdict=RISE if holds else FALL))
 
     def mature(self, agents: Agents, stamp: int, received: int) -> list[Edge]:
         """The start of an event whose time has come at `stamp`, the agents' common progress."""
@@ -140,40 +140,40 @@ class EventTracker:
         known = not self.rule.agents or set(agents) <= set(self.rule.agents)
         return known and len(agents) == (2 if self.rule.scope == PAIR else 1)
 
-    def _change(self, agents: Agents, finding: MemberChange) -> list[Edge]:
+    def _change(self, agents: Agents, change: MemberChange) -> list[Edge]:
         state = self._states.get(agents)
         if state is None:
             state = self._states[agents] = self._idle.pop(agents, _State())
-        stamp = max(state.stamp, finding.stamp)
-        finding = finding._replace(stamp=stamp)
+        stamp = max(state.stamp, change.stamp)
+        change = change._replace(stamp=stamp)
         self._adopted.pop(agents, None)
-        if finding.verdict != RISE:
-            return self._cease(agents, state, finding)
+        if change.verdict != RISE:
+            return self._cease(agents, state, change)
         state.stamp = stamp
         if state.since is None:
-            state.since = finding
+            state.since = change
         if state.active is not None:
             return []
         beginning = self._beginning(state)
         if beginning <= stamp:
-            return [self._start(agents, state, beginning, finding.received)]
+            return [self._start(agents, state, beginning, change.received)]
         self.pending.add(agents)
-        self._timers.watch(agents, finding.received + beginning - stamp + GRACE_NS)
+        self._timers.watch(agents, change.received + beginning - stamp + GRACE_NS)
         return []
 
-    def _cease(self, agents: Agents, state: _State, finding: MemberChange) -> list[Edge]:
-        edges = self.mature(agents, finding.stamp - 1, finding.received)
+    def _cease(self, agents: Agents, state: _State, change: MemberChange) -> list[Edge]:
+        edges = self.mature(agents, change.stamp - 1, change.received)
         self.pending.discard(agents)
         if state.active is not None:
-            distance = finding.detail.get("distance_m")
-            causes = finding.causes
-            detail = finding.detail
-            edge = replace(state.active, edge=STOP, time=finding.received, stamp=finding.stamp)
+            distance = change.detail.get("distance_m")
+            causes = change.causes
+            detail = change.detail
+            edge = replace(state.active, edge=STOP, time=change.received, stamp=change.stamp)
             edges.append(replace(edge, distance_m=distance, causes=causes, detail=detail))
-            state.stopped = finding.stamp
+            state.stopped = change.stamp
         state.since = None
         state.active = None
-        state.stamp = finding.stamp
+        state.stamp = change.stamp
         self._states.pop(agents, None)
         if state.started is not None:
             self._idle[agents] = state

@@ -1,4 +1,4 @@
-"""Messages as rules read them, and the findings of conditions."""
+"""Messages as rules read them, and the changes of conditions."""
 
 from __future__ import annotations
 

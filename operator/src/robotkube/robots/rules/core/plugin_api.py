@@ -80,7 +80,7 @@ class PluginHost:
         buffer = self._buffers.get(question.topic)
         if buffer is None:
             if len(self._buffers) >= BUFFERS_MAX:
-                del self._buffers[min(self._buffers, key=self._heard)]
+                del self._buffers[min(self._buffers, key=self._last_received)]
             buffer = self._buffers[question.topic] = RingBuffer(self._bounds)
         buffer.insert(Sample(question.stamp, question.received, question.data))
         if not question.evaluate:
@@ -91,7 +91,7 @@ class PluginHost:
             raise ValueError(f"it gave {len(answers)} answers to one message; at most {ANSWERS_MAX}")
         return answers
 
-    def _heard(self, topic: str) -> int:
+    def _last_received(self, topic: str) -> int:
         newest = self._buffers[topic].latest()
         return newest.received if newest else 0
 

@@ -21,7 +21,7 @@ START_SECONDS_MAX = 30.0
 STUCK_SECONDS_MIN = 5.0
 STUCK_BUDGETS = 20.0
 RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX = 1.0, 60.0
-WELL_SECONDS = 60.0
+HEALTHY_SECONDS = 60.0
 SETTLE_SECONDS_MAX = 60.0
 WAIT_SECONDS = 0.2
 QUESTION_BYTES = 200
@@ -39,7 +39,7 @@ class _Worker:
     process: RuleProcess | None = None
     waiting: deque[RuleQuestion] = field(default_factory=deque)
     bytes: int = 0
-    moved_at: float = 0.0
+    progress_at: float = 0.0
     started_at: float = 0.0
     resume_at: float = 0.0
     failures: int = 0
@@ -76,7 +76,7 @@ class RuleWorkers:
         self._monotonic = monotonic
         self._lossless = lossless
         self._workers: dict[str, _Worker] = {}
-        self._verdicts: list[AnsweredQuestion] = []
+        self._answered: list[AnsweredQuestion] = []
 
     def apply(self, rules: Sequence[Rule]) -> None:
         """Apply these rules; the processes of unchanged ones go on."""
@@ -106,28 +106,29 @@ class RuleWorkers:
             worker.dropped += 1
             return
         if not worker.waiting:
-            worker.moved_at = self._monotonic()
+            worker.progress_at = self._monotonic()
         worker.waiting.append(question)
         worker.bytes += size
         worker.process.ask(question)
 
     def collect(self) -> list[AnsweredQuestion]:
-        """The verdicts that have come; failed rules are suspended here, and those whose pause is over are started."""
+        """The questions answered since the last call. Failed rules are suspended here, and restarted after a pause."""
         now = self._monotonic()
         for worker in self._workers.values():
             self._supervise(worker, now)
-        verdicts, self._verdicts = self._verdicts, []
-        return verdicts
+        answered = self._answered
+        self._answered = []
+        return answered
 
     def settle(self, seconds_max: float = SETTLE_SECONDS_MAX) -> list[AnsweredQuestion]:
-        """Wait until every question is answered; returns the verdicts, without those of suspended rules."""
+        """Wait until every question is answered; returns the answered ones, without those of suspended rules."""
         end = self._monotonic() + seconds_max
-        verdicts = self.collect()
+        answered = self.collect()
         for worker in self._workers.values():
             while worker.waiting and worker.process is not None and self._monotonic() < end:
                 worker.process.wait(WAIT_SECONDS)
                 self._supervise(worker, self._monotonic())
-        return verdicts + self.collect()
+        return answered + self.collect()
 
     def document(self) -> dict[str, Any]:
         """Each rule's state and counters as JSON values, for `/status`."""
@@ -170,7 +171,7 @@ class RuleWorkers:
         problem = error or failure or self._stuck(worker, worker.process, now)
         if problem:
             self._suspend(worker, problem, now)
-        elif worker.failures and worker.process.ready and now - worker.started_at > WELL_SECONDS:
+        elif worker.failures and worker.process.ready and now - worker.started_at > HEALTHY_SECONDS:
             worker.failures = 0
             worker.problem = ""
 
@@ -179,27 +180,27 @@ class RuleWorkers:
         for reply in process.replies():
             question = worker.waiting.popleft()
             worker.bytes -= QUESTION_BYTES + len(question.data)
-            worker.moved_at = now
+            worker.progress_at = now
             if reply.error:
                 worker.dropped += 1
                 return reply.error
             worker.answered += 1
             if question.evaluate:
-                self._verdicts.append(AnsweredQuestion(question, reply.answers))
+                self._answered.append(AnsweredQuestion(question, reply.answers))
         return ""
 
     def _stuck(self, worker: _Worker, process: RuleProcess, now: float) -> str:
         if not process.ready:
             late = now - worker.started_at > START_SECONDS_MAX
-            worker.moved_at = now
+            worker.progress_at = now
             return f"it has not started within {START_SECONDS_MAX:g} s" if late else ""
-        if worker.waiting and now - worker.moved_at > worker.stuck_seconds:
+        if worker.waiting and now - worker.progress_at > worker.stuck_seconds:
             return f"it has not answered for {worker.stuck_seconds:g} s"
         return ""
 
     def _begin(self, worker: _Worker) -> None:
         worker.process = self._start(worker.rule)
-        worker.started_at = worker.moved_at = self._monotonic()
+        worker.started_at = worker.progress_at = self._monotonic()
 
     def _suspend(self, worker: _Worker, problem: str, now: float) -> None:
         self._end(worker)

@@ -1,4 +1,4 @@
-"""Reading single messages and whole files back from the mounted claims of several volumes."""
+"""Reading single messages and whole files back from several mounted volume claims."""
 
 from __future__ import annotations
 
@@ -46,8 +46,8 @@ class McapSegmentReader:
     def _path(self, volume: str, segment: str, where: str) -> Path:
         root = self._roots.get(volume)
         if root is None:
-            node, _, claim = volume.partition("/")
-            raise UnavailableError(f"{where}: claim {claim} of node {node} is not within reach")
+            node, _, name = volume.partition("/")
+            raise UnavailableError(f"{where}: volume claim {name} of node {node} is not within reach")
         path = (root / segment).resolve()
         if not path.is_relative_to(root.resolve()):
             raise UnavailableError(f"{where}: leads out of the volume")

@@ -32,13 +32,13 @@ class McapRepair:
     def __init__(self, root: Path) -> None:
         self._root = root
 
-    def left(self, finished: Collection[str]) -> Sequence[str]:
+    def unfinished(self, finished: Collection[str]) -> Sequence[str]:
         """Unfinished files in the order of their names; at most FILES_MAX, the others are for the next start."""
         ours = (path for path in self._root.glob("*/*.mcap") if _OURS.fullmatch(path.name))
         names = sorted({str(path.relative_to(self._root)) for path in ours} - set(finished))
         return [name for name in names[:FILES_MAX] if not _busy(self._root / name)]
 
-    def found(self, segment: str) -> Sequence[SegmentMessage]:
+    def messages(self, segment: str) -> Sequence[SegmentMessage]:
         """The whole messages in the file."""
         with _locked(self._root / segment) as file:
             return _scan(segment, file).messages if file else ()
@@ -148,7 +148,7 @@ class _Scan:
 
 
 def _ended(file: BufferedRandom) -> bool:
-    """Whether the file has the magic of its end."""
+    """True when the file has the magic of its end."""
     if os.fstat(file.fileno()).st_size < 2 * len(MAGIC):
         return False
     file.seek(-len(MAGIC), os.SEEK_END)
@@ -156,7 +156,7 @@ def _ended(file: BufferedRandom) -> bool:
 
 
 def _busy(path: Path) -> bool:
-    """Whether somebody writes it; of a file that cannot be opened the repair itself has to say why."""
+    """True when somebody writes it; of a file that cannot be opened the repair itself has to say why."""
     try:
         with _locked(path) as file:
             return file is None

@@ -223,7 +223,7 @@ def _write_parts(descriptor: int, parts: list[bytes]) -> int:
 
 
 def _shortened(file: _File) -> bool:
-    """Cut the file back to what was safe before; whether that succeeded, and it may be gone on with.
+    """Cut the file back to what was safe before; True when that succeeded, and it may be gone on with.
 
     After a failed synchronisation nobody knows what the disk has: the file is left."""
     with suppress(OSError):

@@ -44,7 +44,7 @@ class CombinationCondition(RuleCondition):
         return ()
 
     def begin(self, stamp: int, received: int) -> Sequence[MemberChange]:
-        """The findings before the first event: parts that must not hold do not."""
+        """The changes before the first event: parts that must not hold do not."""
         if self._settings.mode == SEQUENCE:
             return ()
         listed = [()] if self._rule.scope == GROUP else self._listed()
@@ -63,21 +63,21 @@ class CombinationCondition(RuleCondition):
         return [list(together) for _, together in groupby(ordered, key=_stamp)]
 
     def follow(self, edges: Sequence[Edge]) -> list[MemberChange]:
-        """The findings that edges of one moment cause."""
+        """The changes that edges of one moment cause."""
         for edge in edges:
             if edge.edge == START:
                 self._active[edge.rule][edge.agents] = edge
             else:
                 self._active[edge.rule].pop(edge.agents, None)
         if self._settings.mode == SEQUENCE:
-            return [finding for edge in edges for finding in self._sequence(edge)]
+            return [change for edge in edges for change in self._sequence(edge)]
         last = {member: edge for edge in edges for member in self._concerned(edge)}
-        findings = []
+        changes = []
         for member, edge in last.items():
             holds = self._holds(member)
             if holds != (member in self.holding):
-                findings.append(self._finding(member, RISE if holds else FALL, edge))
-        return findings
+                changes.append(self._member_change(member, RISE if holds else FALL, edge))
+        return changes
 
     def _holds(self, member: Member) -> bool:
         truths = (self._part_holds(part, member) for part in self._settings.parts)
@@ -125,13 +125,13 @@ class CombinationCondition(RuleCondition):
             if edge.rule == parts[-1].rule:
                 for member in [member for member in self.holding if self._about(edge.rule, edge.agents, member)]:
                     if not self._part_holds(parts[-1], member):
-                        yield self._finding(member, FALL, edge)
+                        yield self._member_change(member, FALL, edge)
             return
         if edge.rule == parts[-1].rule:
             members = [()] if self._rule.scope == GROUP else list(self._members(edge.agents))
             for member in members:
                 if member not in self.holding and self._complete(member, edge.stamp):
-                    yield self._finding(member, RISE, edge)
+                    yield self._member_change(member, RISE, edge)
         for part, starts in zip(parts, self._starts, strict=True):
             if part.rule == edge.rule:
                 starts.append((edge.stamp, edge.agents))
@@ -148,7 +148,7 @@ class CombinationCondition(RuleCondition):
             bound = max(earlier)
         return stamp - bound <= int(self._settings.within_seconds * 1e9)
 
-    def _finding(self, member: Member, verdict: int, edge: Edge) -> MemberChange:
+    def _member_change(self, member: Member, verdict: int, edge: Edge) -> MemberChange:
         causes: list[Cause] = list(edge.causes)
         for part in self._settings.parts:
             for agents, active in self._active[part.rule].items():

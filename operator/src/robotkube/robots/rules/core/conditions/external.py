@@ -1,6 +1,6 @@
 """Conditions that are evaluated in processes of their own: expressions, and rules of installed packages.
 
-A condition of this kind sends a question and gives no finding; answers come later, in the order of the questions.
+A condition of this kind sends a question and gives no change; answers come later, in the order of the questions.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class AnsweredQuestion(NamedTuple):
 SERIES_MAX = 10_000
 """The most values of a series that an expression gets."""
 
-Ask = Callable[[RuleQuestion], None]
+AskRule = Callable[[RuleQuestion], None]
 
 
 def _plain(value: Any) -> Any:
@@ -63,7 +63,7 @@ def _plain(value: Any) -> Any:
 class ExpressionCondition(RuleCondition):
     """A condition by an expression over the fields of one message, or over the latest ones of each two agents."""
 
-    def __init__(self, rule: Rule, settings: Cel, ask: Ask) -> None:
+    def __init__(self, rule: Rule, settings: Cel, ask: AskRule) -> None:
         super().__init__()
         self._rule = rule
         self._settings = settings
@@ -76,7 +76,7 @@ class ExpressionCondition(RuleCondition):
         """Send a question for each member that the message concerns."""
         if self._rule.scope != PAIR:
             values = {**self._named(reading), "agent": reading.agent}
-            self._put((reading.agent,), reading, values)
+            self._ask_about((reading.agent,), reading, values)
             return ()
         self._latest[reading.agent] = reading
         for other, latest in self._latest.items():
@@ -84,7 +84,7 @@ class ExpressionCondition(RuleCondition):
                 member = pair(reading.agent, other)
                 a, b = (self._latest[agent] for agent in member)
                 values = {"a": {**self._named(a), "agent": a.agent}, "b": {**self._named(b), "agent": b.agent}}
-                self._put(member, reading, values)
+                self._ask_about(member, reading, values)
         return ()
 
     def forget(self, agent: str) -> None:
@@ -94,24 +94,24 @@ class ExpressionCondition(RuleCondition):
     def _named(self, reading: MessageValues) -> dict[str, Any]:
         return {name: _plain(value) for name, value in zip(self._names, reading.values, strict=True)}
 
-    def _put(self, member: Member, reading: MessageValues, values: Mapping[str, Any]) -> None:
+    def _ask_about(self, member: Member, reading: MessageValues, values: Mapping[str, Any]) -> None:
         self._ask(RuleQuestion(self._rule.name, member, reading.topic, reading.stamp, reading.received, values))
 
 
 class PluginCondition(RuleCondition):
     """A condition by a rule of an installed package, which gets every message of its topics."""
 
-    def __init__(self, rule: Rule, ask: Ask) -> None:
+    def __init__(self, rule: Rule, ask: AskRule) -> None:
         super().__init__()
         self._rule = rule
         self._ask = ask
 
     def observe(self, reading: MessageValues) -> Sequence[MemberChange]:
         """Send the message as a question."""
-        self.show(reading, evaluate=True)
+        self.send(reading, evaluate=True)
         return ()
 
-    def show(self, reading: MessageValues, evaluate: bool) -> None:
+    def send(self, reading: MessageValues, evaluate: bool) -> None:
         """Send the message; without `evaluate` it only enters the rule's window."""
         topic, agent, stamp, received, _, type_name, data = reading
         member = (agent,)

@@ -1,7 +1,7 @@
-"""The base of conditions, and conditions on one number or position: they give a finding when they begin or cease to
+"""The base of conditions, and conditions on one number or position: they give a change when they begin or cease to
 hold.
 
-Findings are changes only: `holding` has the members for whom it holds; the caller marks them.
+Changes are changes only: `holding` has the members for whom it holds; the caller marks them.
 """
 
 from __future__ import annotations
@@ -73,22 +73,22 @@ class RuleCondition:
         self.paired: dict[str, dict[str, None]] = {}
 
     def observe(self, reading: MessageValues) -> Sequence[MemberChange]:
-        """The findings of a message; ValueError when its fields are not what the condition compares."""
+        """The changes of a message; ValueError when its fields are not what the condition compares."""
         raise NotImplementedError
 
     def elapse(self, now: int) -> Sequence[MemberChange]:
-        """The findings that the time alone causes, up to `now` on this machine's clock."""
+        """The changes that the time alone causes, up to `now` on this machine's clock."""
         return ()
 
     def due(self) -> int | None:
-        """The next moment at which `elapse` may give findings; None without one."""
+        """The next moment at which `elapse` may give changes; None without one."""
         return None
 
     def forget(self, agent: str) -> None:
         """Forget an agent that has fallen silent or whose time has begun anew."""
 
     def mark(self, member: Member, holds: bool) -> None:
-        """Record that the condition holds for a member, or does not, by a finding or an event that began earlier."""
+        """Record that the condition holds for a member, or does not, by a change or an event that began earlier."""
         if holds:
             self.holding.add(member)
         else:
@@ -154,7 +154,7 @@ class GeofenceCondition(RuleCondition):
             raise ValueError(f"{self._settings.x} and {self._settings.y} are no numbers")
         member = (reading.agent,)
         begun = member in self.holding
-        verdict = RISE if self._area.holds(x, y) == self._settings.inside else FALL
+        verdict = RISE if self._area.contains(x, y) == self._settings.inside else FALL
         if (verdict == RISE) == begun:
             return ()
         if verdict == FALL and self._settings.margin and self._area.distance(x, y) <= self._settings.margin:

@@ -40,7 +40,7 @@ class ProximityCondition(RuleCondition):
     near.
 
     Whoever is nearer than the start distance stands in one of the nine cells around; whoever was near is compared
-    until he is farther than the stop distance, wherever he stands. The stamp of a finding is the later of the two.
+    until he is farther than the stop distance, wherever he stands. The stamp of a change is the later of the two.
     Each cell knows who stands around it: agents send much more often than they change their cell.
     """
 
@@ -57,15 +57,15 @@ class ProximityCondition(RuleCondition):
     def observe(self, reading: MessageValues) -> Sequence[MemberChange]:
         """See the base; the values are x, y and z in metres."""
         place = self._put(reading)
-        findings: list[MemberChange] = []
+        changes: list[MemberChange] = []
         if len(place.around) > 1:
-            findings = [self._finding(reading, place, other, RISE) for other in self._near(place)]
+            changes = [self._member_change(reading, place, other, RISE) for other in self._near(place)]
         if self.paired:
             for agent in self.partners(place.agent):
                 known = self._places.get(agent)
                 if known is not None and self._comparable(place, known) and _squared(place, known) > self._stop_squared:
-                    findings.append(self._finding(reading, place, known, FALL))
-        return findings
+                    changes.append(self._member_change(reading, place, known, FALL))
+        return changes
 
     def forget(self, agent: str) -> None:
         """See the base."""
@@ -125,7 +125,7 @@ class ProximityCondition(RuleCondition):
     def _comparable(self, place: _Place, other: _Place) -> bool:
         return abs(place.stamp - other.stamp) <= self._stale_ns
 
-    def _finding(self, reading: MessageValues, mine: _Place, theirs: _Place, verdict: int) -> MemberChange:
+    def _member_change(self, reading: MessageValues, mine: _Place, theirs: _Place, verdict: int) -> MemberChange:
         distance = math.sqrt(_squared(mine, theirs))
         causes = (self._cause(mine), self._cause(theirs))
         stamp = max(mine.stamp, theirs.stamp)

@@ -47,28 +47,28 @@ class RateCondition(RuleCondition):
         known = self._arrivals.get(member)
         if known is None:
             known = self._arrivals[member] = _Arrivals(reading.stamp, reading.topic)
-        findings = list(self._leaving(member, known, reading.stamp - 1, reading.received))
+        changes = list(self._leaving(member, known, reading.stamp - 1, reading.received))
         while known.stamps and known.stamps[0] + self._window_ns <= reading.stamp:
             known.stamps.popleft()  # leaves at the very moment at which this one comes: one change
         known.stamps.append(reading.stamp)
         known.last = reading.stamp
         known.received = reading.received
-        findings += self._judged(member, known, reading.stamp, reading.received)
+        changes += self._judged(member, known, reading.stamp, reading.received)
         moment = self._deadline(member)
         if moment is not None:
             self._timers.watch(member, moment)
-        return findings
+        return changes
 
     def elapse(self, now: int) -> Sequence[MemberChange]:
         """See the base."""
-        findings: list[MemberChange] = []
+        changes: list[MemberChange] = []
         for member in list(self._timers.passed(now)):
             known = self._arrivals[member]
-            findings += self._leaving(member, known, known.last + now - known.received - GRACE_NS, now)
+            changes += self._leaving(member, known, known.last + now - known.received - GRACE_NS, now)
             moment = self._deadline(member)
             if moment is not None:
                 self._timers.watch(member, max(moment, now + 1))
-        return findings
+        return changes
 
     def due(self) -> int | None:
         """See the base."""
@@ -79,7 +79,7 @@ class RateCondition(RuleCondition):
         self._arrivals.pop((agent,), None)
 
     def _leaving(self, member: Member, known: _Arrivals, stamp: int, received: int) -> Iterator[MemberChange]:
-        """The findings while messages leave the window, up to `stamp`."""
+        """The changes while messages leave the window, up to `stamp`."""
         while known.stamps and known.stamps[0] + self._window_ns <= stamp:
             moment = known.stamps.popleft() + self._window_ns
             while known.stamps and known.stamps[0] + self._window_ns == moment:
@@ -125,19 +125,19 @@ class AbsenceCondition(RuleCondition):
     def observe(self, reading: MessageValues) -> Sequence[MemberChange]:
         """See the base."""
         member = (reading.agent,)
-        findings = []
+        changes = []
         last = self._last.get(member)
         if last is not None and member not in self.holding and reading.stamp - last[0] > self._bound_ns:
-            findings.append(self._finding(member, RISE, last[0] + self._bound_ns, reading.received))
-        if findings or member in self.holding:
-            findings.append(self._finding(member, FALL, reading.stamp, reading.received))
+            changes.append(self._member_change(member, RISE, last[0] + self._bound_ns, reading.received))
+        if changes or member in self.holding:
+            changes.append(self._member_change(member, FALL, reading.stamp, reading.received))
         self._wait(member, reading.stamp, reading.received)
-        return findings
+        return changes
 
     def elapse(self, now: int) -> Sequence[MemberChange]:
         """See the base."""
         return [
-            self._finding(member, RISE, self._last[member][0] + self._bound_ns, now)
+            self._member_change(member, RISE, self._last[member][0] + self._bound_ns, now)
             for member in self._timers.passed(now)
         ]
 
@@ -157,7 +157,7 @@ class AbsenceCondition(RuleCondition):
         last = self._last.get(member)
         return None if last is None or member in self.holding else last[1] + self._bound_ns + GRACE_NS
 
-    def _finding(self, member: Member, verdict: int, stamp: int, received: int) -> MemberChange:
+    def _member_change(self, member: Member, verdict: int, stamp: int, received: int) -> MemberChange:
         last = self._last.get(member, (stamp, received))[0]
         cause = Cause(self._topic.topic(member[0]), last, {})
         return MemberChange(member, verdict, stamp, received, {"silent_seconds": (stamp - last) / 1e9}, (cause,))

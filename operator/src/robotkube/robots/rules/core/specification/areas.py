@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
-from robotkube.robots.rules.core.specification.settings_reader import SettingsReader
+from robotkube.foundation.documents.core.reader import MappingReader
 from robotkube.robots.rules.core.specification.specifications import Point, Ring
 
 CORNERS_MAX = 1000
@@ -17,18 +17,18 @@ ROUNDING = 1e-9
 """The relative error of a product: corners so near a straight line are on it."""
 
 Polygon = tuple[Ring, ...]
-Edge = tuple[Point, Point]
+RingSegment = tuple[Point, Point]
 
 
 class AreaError(ValueError):
     """A fault in coordinates, as the end of a sentence that begins with the key."""
 
 
-def read_area(item: SettingsReader) -> tuple[Polygon, ...]:
+def read_area(item: MappingReader) -> tuple[Polygon, ...]:
     """Read `{type: Polygon | MultiPolygon, coordinates: ...}`; problems go to the reader's list."""
     kind = item.choice("type", ("Polygon", "MultiPolygon"))
-    coordinates = item.anything("coordinates")
-    item.done()
+    coordinates = item.value("coordinates")
+    item.refuse_unknown_keys()
     try:
         polygons = tuple(_polygon(entry) for entry in _list(coordinates if kind == "MultiPolygon" else [coordinates]))
         corners = sum(len(ring) for polygon in polygons for ring in polygon)
@@ -59,27 +59,27 @@ def _ring(value: Any) -> Ring:
     if crossing := _crossing(tuple(points)):
         (start, _), (other, _) = crossing
         raise AreaError(
-            f"must hold rings that do not cross themselves; the edge from {_words(start)} crosses that from "
-            f"{_words(other)}: list the corners in the order in which one walks around"
+            f"must hold rings that do not cross themselves; the edge from {_point_text(start)} crosses that from "
+            f"{_point_text(other)}: list the corners in the order in which one walks around"
         )
     return tuple(points)
 
 
-def _words(point: Point) -> str:
+def _point_text(point: Point) -> str:
     return f"[{point[0]:g}, {point[1]:g}]"
 
 
-def _crossing(ring: Ring) -> tuple[Edge, Edge] | None:
+def _crossing(ring: Ring) -> tuple[RingSegment, RingSegment] | None:
     """Two edges that go through each other; edges that only touch do not. Only those that overlap in x are compared."""
-    ordered = sorted(_edges(ring), key=lambda edge: min(edge[0][0], edge[1][0]))
-    open_edges: list[Edge] = []
-    for edge in ordered:
-        left = min(edge[0][0], edge[1][0])
-        open_edges = [other for other in open_edges if max(other[0][0], other[1][0]) > left]
-        for other in open_edges:
-            if _cross(*edge, *other):
-                return other, edge
-        open_edges.append(edge)
+    ordered = sorted(_segments(ring), key=lambda segment: min(segment[0][0], segment[1][0]))
+    open_segments: list[RingSegment] = []
+    for segment in ordered:
+        left = min(segment[0][0], segment[1][0])
+        open_segments = [other for other in open_segments if max(other[0][0], other[1][0]) > left]
+        for other in open_segments:
+            if _cross(*segment, *other):
+                return other, segment
+        open_segments.append(segment)
     return None
 
 
@@ -89,7 +89,8 @@ def _cross(a: Point, b: Point, c: Point, d: Point) -> bool:
 
 def _turn(a: Point, b: Point, c: Point) -> int:
     """The turn at `b`: 1 to the left, -1 to the right, 0 straight on."""
-    left, right = (b[0] - a[0]) * (c[1] - a[1]), (b[1] - a[1]) * (c[0] - a[0])
+    left = (b[0] - a[0]) * (c[1] - a[1])
+    right = (b[1] - a[1]) * (c[0] - a[0])
     close = abs(left - right) <= ROUNDING * (abs(left) + abs(right))
     return 0 if close else 1 if left > right else -1
 
@@ -114,9 +115,9 @@ class Area:
 
     def __init__(self, polygons: Sequence[Polygon]) -> None:
         self._polygons = [(polygon, _box(polygon[0])) for polygon in polygons]
-        self._edges = [edge for polygon in polygons for ring in polygon for edge in _edges(ring)]
+        self._segments = [segment for polygon in polygons for ring in polygon for segment in _segments(ring)]
 
-    def holds(self, x: float, y: float) -> bool:
+    def contains(self, x: float, y: float) -> bool:
         """True when the point lies within."""
         return any(
             left <= x <= right and low <= y <= high and _within(polygon, x, y)
@@ -125,15 +126,16 @@ class Area:
 
     def distance(self, x: float, y: float) -> float:
         """The distance to the nearest point of any ring, in the coordinates' unit."""
-        return min(_to_edge(x, y, *start, *end) for start, end in self._edges)
+        return min(_to_edge(x, y, *start, *end) for start, end in self._segments)
 
 
-def _edges(ring: Ring) -> Sequence[Edge]:
+def _segments(ring: Ring) -> Sequence[RingSegment]:
     return list(zip(ring, (*ring[1:], ring[0]), strict=True))
 
 
 def _box(ring: Ring) -> tuple[float, float, float, float]:
-    xs, ys = [x for x, _ in ring], [y for _, y in ring]
+    xs = [x for x, _ in ring]
+    ys = [y for _, y in ring]
     return min(xs), min(ys), max(xs), max(ys)
 
 

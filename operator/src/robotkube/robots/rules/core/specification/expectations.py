@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
-from robotkube.errors import DocumentError
+from robotkube.foundation.documents.core.reader import MappingReader, Reader
 from robotkube.robots.rules.core import START, Edge
-from robotkube.robots.rules.core.specification.settings_reader import SettingsReader
 
 EVENTS_MAX = 10_000
 TOLERANCE_SECONDS_DEFAULT = 1.0
@@ -69,35 +68,34 @@ def events(edges: Sequence[Edge]) -> list[Event]:
 
 def read_expectations(document: Mapping[str, Any], where: str, begin: int) -> Expectations:
     """Read the document; `begin`: of the bags, ns. DocumentError names every problem."""
-    problems: list[str] = []
-    root = SettingsReader(document, "", problems)
+    reader = Reader(where)
+    root = reader.keys_of(document)
     tolerance = root.number("tolerance_seconds", 0, SECONDS_MAX, TOLERANCE_SECONDS_DEFAULT)
     expectations = Expectations(
-        events=tuple(_event(item, begin) for item in root.items("events", EVENTS_MAX, required=False)),
+        events=tuple(_event(item, begin) for item in root.mappings("events", EVENTS_MAX, required=False)),
         tolerance_seconds=tolerance,
         precision=root.number("precision", 0, 1, 1.0),
         recall=root.number("recall", 0, 1, 1.0),
         timing_seconds=root.number("timing_seconds", 0, SECONDS_MAX, tolerance),
     )
-    root.done()
-    if problems:
-        raise DocumentError(where, problems)
+    root.refuse_unknown_keys()
+    reader.finish()
     return expectations
 
 
-def _event(item: SettingsReader, begin: int) -> Event:
+def _event(item: MappingReader, begin: int) -> Event:
     rule = item.text("rule")
     agents = item.texts("agents", 0)
     start = _moment(item, "start", begin)
     stop = _moment(item, "stop", begin) if item.has("stop") else None
     if stop is not None and stop < start:
         item.problem("stop", "must not be before start")
-    item.done()
+    item.refuse_unknown_keys()
     return Event(rule, tuple(sorted(agents)), start, stop)
 
 
-def _moment(item: SettingsReader, key: str, begin: int) -> int:
-    value = item.anything(key)
+def _moment(item: MappingReader, key: str, begin: int) -> int:
+    value = item.value(key)
     if isinstance(value, (int, float)) and not isinstance(value, bool) and -SECONDS_MAX <= value <= SECONDS_MAX:
         return begin + round(value * NANOSECONDS)
     if isinstance(value, str):
@@ -119,8 +117,8 @@ def score(actual: Sequence[Event], expected: Expectations) -> Score:
     stops = [(actual[f].stop, expected.events[e].stop) for f, e in pairs]
     errors += [math.inf if a is None else abs(a - b) / NANOSECONDS for a, b in stops if b is not None]
     matched = len(pairs)
-    taken = {f for f, _ in pairs}
-    met = {e for _, e in pairs}
+    paired_actual = {of_actual for of_actual, _ in pairs}
+    paired_expected = {of_expected for _, of_expected in pairs}
     precision = matched / len(actual) if actual else 1.0
     recall = matched / len(expected.events) if expected.events else 1.0
     timing = max(errors, default=0.0)
@@ -130,8 +128,8 @@ def score(actual: Sequence[Event], expected: Expectations) -> Score:
         recall=recall,
         timing_seconds=timing,
         timing_mean_seconds=sum(errors) / len(errors) if errors else 0.0,
-        missing=tuple(event for index, event in enumerate(expected.events) if index not in met),
-        unexpected=tuple(event for index, event in enumerate(actual) if index not in taken),
+        missing=tuple(event for index, event in enumerate(expected.events) if index not in paired_expected),
+        unexpected=tuple(event for index, event in enumerate(actual) if index not in paired_actual),
         failures=tuple(_failures(precision, recall, timing, expected)),
     )
 
@@ -142,19 +140,19 @@ def _pairs(actual: Sequence[Event], expected: Expectations) -> list[tuple[int, i
         by_key.setdefault((event.rule, tuple(sorted(event.agents))), []).append(index)
     tolerance = expected.tolerance_seconds * NANOSECONDS
     near = [
-        (abs(actual[f].start - event.start), f, e)
-        for e, event in enumerate(expected.events)
-        for f in by_key.get((event.rule, event.agents), ())
-        if abs(actual[f].start - event.start) <= tolerance
+        (abs(actual[of_actual].start - event.start), of_actual, of_expected)
+        for of_expected, event in enumerate(expected.events)
+        for of_actual in by_key.get((event.rule, event.agents), ())
+        if abs(actual[of_actual].start - event.start) <= tolerance
     ]
     pairs: list[tuple[int, int]] = []
-    taken: set[int] = set()
-    met: set[int] = set()
-    for _, f, e in sorted(near):
-        if f not in taken and e not in met:
-            pairs.append((f, e))
-            taken.add(f)
-            met.add(e)
+    paired_actual: set[int] = set()
+    paired_expected: set[int] = set()
+    for _, of_actual, of_expected in sorted(near):
+        if of_actual not in paired_actual and of_expected not in paired_expected:
+            pairs.append((of_actual, of_expected))
+            paired_actual.add(of_actual)
+            paired_expected.add(of_expected)
     return pairs
 
 

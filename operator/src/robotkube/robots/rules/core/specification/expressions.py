@@ -6,13 +6,13 @@ from collections.abc import Callable, Sequence
 
 from robotkube.robots.rules.core.specification.specifications import PAIR, Cel
 
-Checked = tuple[str, tuple[str, ...]]
+NamedExpression = tuple[str, tuple[str, ...]]
 """An expression and the names that it may use; of a pair `a.x` and `b.x`."""
-Check = Callable[[Sequence[Checked]], Sequence[str]]
+CheckExpressions = Callable[[Sequence[NamedExpression]], Sequence[str]]
 """A function that gives the problem of each expression, empty when there is none."""
 
 
-def names_of(settings: Cel, scope: str) -> tuple[str, ...]:
+def usable_names(settings: Cel, scope: str) -> tuple[str, ...]:
     """The names that the expressions of a rule may use."""
     names = (*settings.fields, "agent")
     return tuple(f"{member}.{name}" for member in "ab" for name in names) if scope == PAIR else names

@@ -123,7 +123,7 @@ class Always(NamedTuple):
     """A rule that holds from the first moment on."""
 
 
-Condition = Proximity | Geofence | Threshold | Rate | Absence | Combination | Cel | Python | Always
+ConditionSettings = Proximity | Geofence | Threshold | Rate | Absence | Combination | Cel | Python | Always
 
 
 class Timing(NamedTuple):
@@ -146,7 +146,7 @@ class Rule(NamedTuple):
     there for combinations. Of scope `group` it has one event, while it holds for at least `at_least` members."""
 
     name: str
-    condition: Condition
+    condition: ConditionSettings
     scope: str = AGENT
     agents: tuple[str, ...] = ()
     at_least: int = 1

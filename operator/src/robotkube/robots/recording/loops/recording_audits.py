@@ -1,4 +1,4 @@
-"""The audits of one recording while it is written: kept by several threads, written to the journal."""
+"""The audits of one recording while it is written: updated by several threads, written to the journal."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ class RecordingAudits:
         self._due_at = place.monotonic() + AUDIT_SECONDS
         self._interrupted: dict[str, int] = {}
         self._open_before: dict[str, list[str]] = {}
-        self._since: int | None = None
+        self._killed_since: int | None = None
         self._begun_at: dict[str, int] = {}
-        self._ways: tuple[set[str], set[str]] = (set(), set())
-        self._heard: dict[str, list[Gap]] = {}
+        self._paths: tuple[set[str], set[str]] = (set(), set())
+        self._reported: dict[str, list[Gap]] = {}
         self._known_before: set[str] = set()
 
     def __bool__(self) -> bool:
-        """Whether there is an audit to write."""
+        """True when there is an audit to write."""
         return bool(self._audits)
 
     def documents(self) -> list[dict[str, Any]]:
@@ -58,27 +58,27 @@ class RecordingAudits:
     def receive(self, topic: str, stamp: int, note: Callable[[TopicAudit], None] | None = None) -> None:
         """Count a received message; `note` adds to its audit what became of it at once."""
         with self._lock:
-            self._lack_before(topic, stamp)
+            self._note_gap_before(topic, stamp)
             audit = self._of(topic)
             audit.receive(stamp)
-            for gap in self._heard.pop(topic, ()):
-                self._hear(audit, gap)
+            for gap in self._reported.pop(topic, ()):
+                self._note_reported(audit, gap)
             since = self._interrupted.get(topic)
             if since is not None and stamp >= since:
                 del self._interrupted[topic]
-                self._lack(topic, since, stamp)
+                self._note_interruption(topic, since, stamp)
             if note is not None:
                 note(audit)
 
-    def hear(self, gap: Gap) -> None:
+    def note_reported_gap(self, gap: Gap) -> None:
         """Note a gap that somebody on the way reports: it counts from the first message of the topic on, which may
         still come. Nothing begins by it."""
         with self._lock:
             audit = self._audits.get(gap.topic)
             if audit is not None and audit.first is not None:
-                self._hear(audit, gap)
-            elif len(heard := self._heard.setdefault(gap.topic, [])) < GAPS_MAX:
-                heard.append(gap)
+                self._note_reported(audit, gap)
+            elif len(reported := self._reported.setdefault(gap.topic, [])) < GAPS_MAX:
+                reported.append(gap)
 
     def note(self, topic: str, note: Callable[[TopicAudit], None]) -> None:
         """Add to a topic's audit what became of a received message."""
@@ -91,8 +91,8 @@ class RecordingAudits:
             for topic in topics:
                 self._of(topic).store(1)
 
-    def take_up(self, audits: Sequence[Mapping[str, Any]], stamps: Mapping[str, Sequence[int]]) -> None:
-        """Go on after earlier writers, of whom these audits and stored stamps are left.
+    def resume(self, audits: Sequence[Mapping[str, Any]], stamps: Mapping[str, Sequence[int]]) -> None:
+        """Resume after earlier writers, of whom these audits and stored stamps are left.
 
         Some may be of this writer itself, when the database has them by way of the spool."""
         earlier = [audit for audit in audits if audit["life"] != self.life]
@@ -108,28 +108,27 @@ class RecordingAudits:
                 self._interrupt(interruption)
             if killed:
                 windows = [audit["window"][0] for audit in earlier if audit["window"]]
-                self._since = min([*windows, *(min(known) for known in stamps.values())])
+                self._killed_since = min([*windows, *(min(known) for known in stamps.values())])
                 self._known_before = {audit["topic"] for audit in earlier} | {lost.topic for lost in killed}
                 for topic, begun in list(self._audits.items()):
                     if begun.first is not None:
-                        self._lack_before(topic, begun.first)
+                        self._note_gap_before(topic, begun.first)
 
-    def tell_changes(self, small: Iterable[Arrival] = (), large: Iterable[Arrival] = ()) -> bool:
-        """Write audits with new gaps at once, all of them now and then; whether there were any. `small`, `large`: what
-        is not stored yet and goes to the journal, or to a segment first: that there is a topic, what was dropped and
-        what may be overtaken is written before messages are stored.
+    def write_changes(self, small: Iterable[Arrival] = (), large: Iterable[Arrival] = ()) -> bool:
+        """Write audits with new gaps at once, all of them now and then; True when there were any.
 
-        The first audit of a topic is spooled although the database is away: without it nobody knew what a kill has
-        cost."""
+        `small`, `large`: what is not stored yet and goes to the journal, or to a segment first: that there is a topic,
+        what was dropped and what may be overtaken is written before messages are stored. The first audit of a topic is
+        durable: without it nobody knew what a kill has cost while the database was unreachable."""
         now = self._place.monotonic()
         due = now >= self._due_at
         self._due_at = now + AUDIT_SECONDS if due else self._due_at
         with self._lock:
-            self._unsettle(small, large, due)
+            self._note_unsettled(small, large, due)
             new = self._audits.keys() - self._written
             changed = new | {name for name, audit in self._audits.items() if due or audit.changed}
         if changed:
-            self._write(changed, keep=bool(new))
+            self._write(changed, durable=bool(new))
         return bool(changed)
 
     def close(self) -> None:
@@ -137,7 +136,7 @@ class RecordingAudits:
         now = self._place.clock_ns()
         with self._lock:
             for topic, since in self._interrupted.items():
-                self._lack(topic, since, max(now, since) + 1)
+                self._note_interruption(topic, since, max(now, since) + 1)
             for topic in self._open_before:
                 self._of(topic)
             self._interrupted.clear()
@@ -149,22 +148,22 @@ class RecordingAudits:
             audit = self._audits[topic] = TopicAudit(topic)
         return audit
 
-    def _unsettle(self, small: Iterable[Arrival], large: Iterable[Arrival], due: bool) -> None:
-        """Note from which stamp on messages of two ways may overtake each other on their way to storage."""
+    def _note_unsettled(self, small: Iterable[Arrival], large: Iterable[Arrival], due: bool) -> None:
+        """Note from which stamp on messages of two paths, small and large ones, may overtake each other."""
         first: dict[str, int] = {}
-        for topics, arrivals in zip(self._ways, (small, large), strict=True):
+        for topics, arrivals in zip(self._paths, (small, large), strict=True):
             for topic, stamp in arrivals:
                 topics.add(topic)
                 first[topic] = min(first.get(topic, stamp), stamp)
-        for topic in set.intersection(*self._ways):
+        for topic in set.intersection(*self._paths):
             audit = self._of(topic)
-            audit.unsettle(first.get(topic, (audit.last or 0) + 1), due)
+            audit.mark_unsettled(first.get(topic, (audit.last or 0) + 1), due)
 
-    def _hear(self, audit: TopicAudit, gap: Gap) -> None:
+    def _note_reported(self, audit: TopicAudit, gap: Gap) -> None:
         """Note a gap unless it was over before the recording had anything of the topic."""
         firsts = [first for first in (audit.first, self._begun_at.get(gap.topic)) if first is not None]
         if gap.last >= min(firsts):
-            audit.lack(gap)
+            audit.note_gap(gap)
 
     def _interrupt(self, interruption: Interruption) -> None:
         topic = interruption.topic
@@ -174,19 +173,19 @@ class RecordingAudits:
         if until is None:
             self._interrupted[topic] = interruption.since
         else:
-            self._lack(topic, interruption.since, until)
+            self._note_interruption(topic, interruption.since, until)
 
-    def _lack_before(self, topic: str, first: int) -> None:
+    def _note_gap_before(self, topic: str, first: int) -> None:
         """Note a gap before the `first` stamp of a topic of which a killed writer may have left nothing at all."""
-        if self._since is not None and topic not in self._known_before:
+        if self._killed_since is not None and topic not in self._known_before:
             self._known_before.add(topic)
-            self._lack(topic, self._since, first)
+            self._note_interruption(topic, self._killed_since, first)
 
-    def _lack(self, topic: str, since: int, until: int) -> None:
+    def _note_interruption(self, topic: str, since: int, until: int) -> None:
         if until > since:
-            self._of(topic).lack(Gap(topic, RECORDER, KILLED, None, since, until - 1))
+            self._of(topic).note_gap(Gap(topic, RECORDER, KILLED, None, since, until - 1))
 
-    def _write(self, topics: Iterable[str], closed: bool = False, keep: bool = False) -> None:
+    def _write(self, topics: Iterable[str], closed: bool = False, durable: bool = False) -> None:
         now = self._place.clock_ns()
         writes: list[Write] = []
         with self._lock:
@@ -202,7 +201,7 @@ class RecordingAudits:
                 if topic not in self._interrupted:
                     names = self._open_before.pop(topic, ())
                     writes += [Write(AUDITS, name, {"closed": True}, update=True, size=100) for name in names]
-        self._journal.add(writes, keep)
+        self._journal.add(writes, durable)
 
     def _audit_write(self, topic: str, document: dict[str, Any]) -> Write:
         name = f"{self._recording}{topic}/{self.life}"

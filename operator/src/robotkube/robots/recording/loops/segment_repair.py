@@ -25,18 +25,18 @@ SEGMENT_WRITE_BYTES = INDEX_WRITE_BYTES = 500
 log = logging.getLogger(__name__)
 
 
-def repaired(repair: SegmentRepair, store: RecordingStore, volume: str) -> Iterator[Sequence[Write]]:
+def repair_segments(repair: SegmentRepair, store: RecordingStore, volume: str) -> Iterator[Sequence[Write]]:
     """Repair unfinished segments; the writes that index their messages and note their ends, file by file.
 
     Each must be done before the next is asked for: a file gets its end when all of it is indexed, not before. A file
     that the volume does not let us repair is left for the next start."""
     known: dict[str, Duplicates] = {}
-    for name in repair.left(store.finished(volume)):
+    for name in repair.unfinished(store.finished(volume)):
         recording = name.partition("/")[0]
         if recording not in known:
             known[recording] = _known(store, recording)
         try:
-            messages = repair.found(name)
+            messages = repair.messages(name)
             new = [m for m in messages if known[recording].admit(m.topic, m.stamp, m.sha256)]
             yield [index_write(recording, message, volume, known[recording]) for message in new]
             closed = repair.finish(name)
