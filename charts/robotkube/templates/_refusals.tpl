@@ -4,7 +4,7 @@
 {{- $problems := list }}
 {{- $roles := list "cloud" "edge" "roadside" "vehicle" }}
 {{- $taken := list .Release.Namespace .Values.argocd.namespace "default" "kube-system" "kube-public" "kube-node-lease" }}
-{{- if .Values.suites.enabled }}{{ range $i := until (int .Values.suites.pool) }}{{ $taken = append $taken (include "robotkube.room" $i) }}{{ end }}{{ end }}
+{{- if .Values.suites.enabled }}{{ range $i := until (int .Values.suites.pool) }}{{ $taken = append $taken (include "robotkube.testNamespace" $i) }}{{ end }}{{ end }}
 {{- $seen := list }}
 {{- range $i, $agent := .Values.agents }}
 {{- $at := printf "agents[%d] %q" $i $agent.name }}

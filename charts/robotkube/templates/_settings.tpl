@@ -152,7 +152,7 @@ log_level: {{ .Values.logLevel }}
 forge:
   url: {{ include "robotkube.forgeUrl" . }}
   credentials: /var/run/secrets/robotkube/forge
-registry:
+oci_registry:
   {{- range list "staging" "verified" }}
   {{ . }}: {{ include "robotkube.packages" (dict "root" $ "organisation" .) }}
   {{- end }}
@@ -160,9 +160,9 @@ registry:
 token: /var/run/secrets/robotkube/suite-runner/token
 platform_namespace: {{ .Release.Namespace }}
 agent: {{ include "robotkube.suitesAgent" . }}
-rooms:
+test_namespaces:
 {{- range $i := until (int .Values.suites.pool) }}
-- {namespace: {{ include "robotkube.room" $i }}, domain_id: {{ add 90 $i }}}
+- {namespace: {{ include "robotkube.testNamespace" $i }}, domain_id: {{ add 90 $i }}}
 {{- end }}
 images:
   observer: {{ .Values.images.ros }}

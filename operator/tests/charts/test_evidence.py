@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ pytestmark = pytest.mark.toolchain
 
 PLATFORM = CHARTS / "robotkube"
 PROFILE = Path(__file__).parent / "profiles" / "official.yaml"
-ROOMS = ("robotkube-suite-0", "robotkube-suite-1")
+TEST_NAMESPACES = ("robotkube-suite-0", "robotkube-suite-1")
 GATE_KEYS = {"official": "gate-key", "embedded": "kept-gate-key"}
 
 Object = dict[str, Any]
@@ -106,15 +107,15 @@ def test_a_second_trusted_key_restarts_who_reads_it(helm: Any, embedded: Any) ->
         assert old["spec"] == new["spec"]
 
 
-def test_the_suite_runner_may_do_its_work_in_its_rooms_and_nothing_elsewhere(platform: Any) -> None:
+def test_the_suite_runner_may_do_its_work_in_its_namespaces_and_nothing_elsewhere(platform: Any) -> None:
     bound = [
         (binding["metadata"].get("namespace"), binding["roleRef"]["name"])
         for binding in platform.of_kind("RoleBinding", "ClusterRoleBinding")
         if any(s["name"] == "suite-runner" for s in binding["subjects"])
     ]
-    assert bound == [(room, "suite-runner") for room in ROOMS]
-    for room in ROOMS:
-        rules = platform.one("Role", "suite-runner", room)["rules"]
+    assert bound == [(namespace, "suite-runner") for namespace in TEST_NAMESPACES]
+    for namespace in TEST_NAMESPACES:
+        rules = platform.one("Role", "suite-runner", namespace)["rules"]
         granted = {resource: set(rule["verbs"]) for rule in rules for resource in rule["resources"]}
         assert set(granted) == {"deployments", "configmaps", "pods", "pods/log", "secrets", "events"}
         assert granted["secrets"] == {"create", "delete"}
@@ -122,11 +123,11 @@ def test_the_suite_runner_may_do_its_work_in_its_rooms_and_nothing_elsewhere(pla
         assert granted["events"] == {"list"}
 
 
-def test_a_room_takes_restricted_pods_and_holds_no_secret(platform: Any) -> None:
-    for room in ROOMS:
-        labels = platform.one("Namespace", room)["metadata"]["labels"]
+def test_a_test_namespace_takes_restricted_pods_and_holds_no_secret(platform: Any) -> None:
+    for namespace in TEST_NAMESPACES:
+        labels = platform.one("Namespace", namespace)["metadata"]["labels"]
         assert labels["pod-security.kubernetes.io/enforce"] == "restricted"
-        there = [o for o in platform.objects if o["metadata"].get("namespace") == room]
+        there = [o for o in platform.objects if o["metadata"].get("namespace") == namespace]
         assert sorted({o["kind"] for o in there}) == [
             "LimitRange",
             "PersistentVolumeClaim",
@@ -150,11 +151,41 @@ def test_the_suite_runner_gets_a_token_of_the_cluster_and_no_key(platform: Any) 
     assert mounted == {"forge-account-suite-runner", "suite-runner-token"}
 
 
-def test_rooms_have_a_ros_domain_each(helm: Any) -> None:
+def test_test_namespaces_have_a_ros_domain_each(helm: Any) -> None:
     rendered = helm.template(PLATFORM, PROFILE, suites={"pool": 3})
     settings = yaml.safe_load(rendered.one("ConfigMap", "suite-runner")["data"]["config.yaml"])
-    assert settings["rooms"] == [{"namespace": f"robotkube-suite-{i}", "domain_id": 90 + i} for i in range(3)]
+    assert settings["test_namespaces"] == [{"namespace": f"robotkube-suite-{i}", "domain_id": 90 + i} for i in range(3)]
     assert settings["agent"] == "cloud-0"
+
+
+def limits(rendered: Any) -> tuple[str, str, str]:
+    """CPU and memory that a test namespace's pods may request together, and memory that one container may have."""
+    hard = rendered.one("ResourceQuota", "test-namespace", TEST_NAMESPACES[0])["spec"]["hard"]
+    [limit] = rendered.one("LimitRange", "test-namespace", TEST_NAMESPACES[0])["spec"]["limits"]
+    return hard["requests.cpu"], hard["requests.memory"], limit["max"]["memory"]
+
+
+def test_the_former_name_of_the_limits_counts_with_a_warning(helm: Any, platform: Any, tmp_path: Path) -> None:
+    assert limits(platform) == ("1", "4Gi", "4Gi")
+    assert limits(helm.template(PLATFORM, PROFILE, suites={"testNamespace": {"cpu": "3"}})) == ("3", "4Gi", "4Gi")
+    former = {"suites": {"room": {"cpu": "2", "memory": "8Gi"}}}
+    assert limits(helm.template(PLATFORM, PROFILE, **former)) == ("2", "8Gi", "8Gi")
+    assert "WARNING: the value suites.room has another name, suites.testNamespace" in notes(helm, former, tmp_path)
+    assert "WARNING" not in notes(helm, {"suites": {"testNamespace": {"cpu": "2"}}}, tmp_path)
+
+
+def notes(helm: Any, values: dict[str, Any], folder: Path) -> str:
+    """What helm prints after an installation with these values: NOTES.txt as a template of a copy of the chart."""
+    chart = folder / "robotkube"
+    shutil.copytree(PLATFORM, chart, dirs_exist_ok=True)
+    text = (PLATFORM / "templates" / "NOTES.txt").read_text()
+    (chart / "templates" / "notes.yaml").write_text(
+        '{{- define "notes" }}' + text + '{{ end }}\nnotes: {{ include "notes" . | toJson }}\n'
+    )
+    options = ("--show-only", "templates/notes.yaml", "-f", str(PROFILE), "-f", str(helm.values(values)))
+    done = helm.run("template", "robotkube", str(chart), *options)
+    assert done.returncode == 0, done.stderr
+    return str(yaml.safe_load(done.stdout)["notes"])
 
 
 def test_suites_start_a_database_of_the_platforms_kind_or_none(helm: Any, embedded: Any) -> None:

@@ -164,6 +164,10 @@ def test_platform_says_all_problems_at_once(helm: Any) -> None:
         ({"recordings": {"size": "much"}}, "at '/recordings/size': 'much' does not match pattern"),
         ({"suites": {"pool": 0}}, "at '/suites/pool': minimum"),
         ({"suites": {"pool": 13}}, "at '/suites/pool': maximum"),
+        (
+            {"suites": {"testNamespace": {"cpu": "much"}}},
+            "at '/suites/testNamespace/cpu': 'much' does not match pattern",
+        ),
         ({"suites": {"room": {"cpu": "much"}}}, "at '/suites/room/cpu': 'much' does not match pattern"),
         ({"evidence": {"trustedKeys": {"My Key": "x"}}}, "'My Key' does not match pattern"),
         ({"platform": {"tolerations": [{"kee": "x"}]}}, "at '/platform/tolerations/0': additional properties 'kee'"),

@@ -192,12 +192,12 @@ def test_the_bootstrap_may_only_get_and_patch_named_objects(platform: Any) -> No
 
 def test_no_right_reaches_pods_for_writing_or_secrets_for_listing(platform: Any) -> None:
     for role in platform.of_kind("Role", "ClusterRole"):
-        in_a_room = role["metadata"].get("namespace", "").startswith("robotkube-suite-")
+        in_test_namespace = role["metadata"].get("namespace", "").startswith("robotkube-suite-")
         for rule in role["rules"]:
             assert "*" not in [*rule["verbs"], *rule["resources"], *rule["apiGroups"]]
-            if "pods" in rule["resources"] and not in_a_room:
+            if "pods" in rule["resources"] and not in_test_namespace:
                 assert not WRITE_VERBS & set(rule["verbs"])
-            if "secrets" in rule["resources"] and in_a_room:
+            if "secrets" in rule["resources"] and in_test_namespace:
                 assert rule["verbs"] == ["create", "delete"]
             elif "secrets" in rule["resources"]:
                 assert rule["resourceNames"] == ["argocd-secret"]

@@ -1,8 +1,7 @@
-"""The process `python3 -m robotkube.setup.bootstrap`: accounts, repositories, Argo CD's wiring, after install
-and upgrade.
+"""The process that sets the platform up after install and upgrade: accounts, repositories, Argo CD's wiring.
 
-Settings: docs/reference/settings.md. Exit code 0 when everything is as it shall be, 2 when settings or answers are
-wrong, 3 when forge, database or Argo CD did not answer within the stated time.
+Started by `robotkube-bootstrap`. Settings: docs/reference/settings.md. Exit code 0 when everything is as it
+shall be, 2 when settings or answers are wrong, 3 when forge, database or Argo CD did not answer within the stated time.
 """
 
 from __future__ import annotations
@@ -216,7 +215,7 @@ def _webhook(reader: Reader, value: Any, path: str) -> Webhook:
 
 
 def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
-    """Run all parts one after the other, within one bound."""
+    """All parts of the set-up, one after the other, within one bound."""
     configuration = files.read_settings(files.settings_path(environment), read_configuration)
     files.send_logs(process, configuration.log_level)
 

@@ -125,7 +125,7 @@ class MemoryTestNamespace:
         command: Sequence[str],
         files: Mapping[str, bytes],
         seconds: float,
-        claims: bool = False,
+        volume_claim: bool = False,
         accounts: bool = False,
     ) -> PodRun:
         """The next of `runs`, else one that ended well and said nothing."""
@@ -278,9 +278,9 @@ class MemoryExecutor:
     go: threading.Event = field(default_factory=threading.Event)
     executed: list[tuple[str, str]] = field(default_factory=list)
 
-    def execute(self, request: SuiteRequest, room: str) -> SuiteResult:
+    def execute(self, request: SuiteRequest, namespace: str) -> SuiteResult:
         """The result that a test decides."""
-        self.executed.append((request.rule.name, room))
+        self.executed.append((request.rule.name, namespace))
         if not self.go.wait(10):
             raise UnavailableError("the test did not let it go on")
         return self.result(request)

@@ -44,7 +44,7 @@ SCHEMA = {
     },
     "default": {"image": "x", "bridge": {"out": [1]}},
 }
-PROVED = {"evidence": SUMMARY, "policy": "sha256:" + "7" * 64, "assured": True, "doubt": ""}
+PROVED = {"evidence": SUMMARY, "policy": "sha256:" + "7" * 64, "assured": True, "evidence_problem": ""}
 CATALOGUE = Catalogue(
     applications={"recording": Application("recording", "Records", (), PARAMETERS, ())},
     charts={
@@ -339,8 +339,8 @@ def with_version(**changes: Any) -> Catalogue:
 
 
 def test_a_chart_without_valid_evidence_is_refused_with_the_doubt() -> None:
-    doubt = "suite install: there is no evidence; a missing suite is not a passed one"
-    assert f"no valid evidence: {doubt}" in judged(with_version(assured=False, doubt=doubt))
+    problem = "suite install: there is no evidence; a missing suite is not a passed one"
+    assert f"no valid evidence: {problem}" in judged(with_version(assured=False, evidence_problem=problem))
     assert "state staged is not allowed (release policy: assurance verified)" in judged(with_version(state="staged"))
 
 

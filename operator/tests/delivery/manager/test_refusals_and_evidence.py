@@ -115,7 +115,7 @@ def test_every_commit_names_the_evidence_of_its_charts(stage: Stage) -> None:
     body = stage.forge.bodies[2]
     assert "Assurance of the release policy: **verified**." in body
     assert "- event-detector 0.2.1: passed static, images, install under policy" in body
-    assert "  - guarantees: stop-time at most 10 s (claimed)" in body
+    assert "  - guarantees: stop-time at most 10 s (declared)" in body
     assert f"summary `{message.evidence[0]}`" in body
     assert stage.tasks.condition(key, "Committed") == ("True", "Merged")
 
@@ -142,7 +142,7 @@ def test_a_guarantee_that_must_be_verified_is_not_met_yet(stage: Stage) -> None:
     stage.go(wake=CATALOGUE)
     assert stage.tasks.condition(key, "Accepted") == ("False", "GuaranteeNotMet")
     message = stage.tasks.objects[key]["status"]["conditions"][0]["message"]
-    assert "stop-time at most 10 s (claimed)" in message
+    assert "stop-time at most 10 s (declared)" in message
     assert stage.tasks.told == [(key, "GuaranteeNotMet", message)]
     del wanted["verified"]
     stage.catalogue.push({path: yaml.safe_dump(application)})

@@ -84,7 +84,7 @@ class Aged:
         }
 
     def _claims(self) -> dict[str, str]:
-        """But for those of rooms: what is in them is thrown away, and a volume is given with the first use."""
+        """But for those of test namespaces: what is in them is thrown away, and a volume comes with the first use."""
         items = self.platform.get("persistentvolumeclaims", "-A")["items"]
         found = {f"{i['metadata']['namespace']}/{i['metadata']['name']}": i["spec"].get("volumeName") for i in items}
         return {name: str(volume) for name, volume in found.items() if not name.startswith(ROOMS)}

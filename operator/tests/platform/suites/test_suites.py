@@ -294,13 +294,13 @@ def test_kubectl_says_the_same(platform: Platform, question: str, expected: str)
 
 
 def test_no_account_of_a_test_namespace_may_do_more_than_read_configuration(platform: Platform) -> None:
-    for room in suite_namespaces.pool(platform):
-        for account in platform.get("-n", room, "serviceaccounts")["items"]:
+    for namespace in suite_namespaces.pool(platform):
+        for account in platform.get("-n", namespace, "serviceaccounts")["items"]:
             if account["metadata"]["name"] != "default":
                 assert account.get("automountServiceAccountToken") is False, account["metadata"]["name"]
-        for binding in platform.get("-n", room, "rolebindings")["items"]:
+        for binding in platform.get("-n", namespace, "rolebindings")["items"]:
             names = {subject["name"] for subject in binding["subjects"]}
-            role = platform.get("-n", room, f"role/{binding['roleRef']['name']}")
+            role = platform.get("-n", namespace, f"role/{binding['roleRef']['name']}")
             if names != {"suite-runner"}:
                 assert role["rules"] == [
                     {"apiGroups": [""], "resources": ["configmaps"], "verbs": ["get", "list", "watch"]}

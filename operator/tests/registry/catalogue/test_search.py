@@ -77,7 +77,7 @@ def test_what_a_guarantee_is_worth(bound: str, number: float, unit: str, verifie
         GuaranteeRequirement("stop", bound, number, unit, verified), [Guarantee("stop", "atMost", 3, "s")]
     )
     assert (text in found) if text else found == ""
-    assert "(claimed)" in found or not text
+    assert "(declared)" in found or not text
 
 
 def test_find() -> None:
@@ -86,7 +86,7 @@ def test_find() -> None:
         ("chart", "0.2.1"),
     ]
     assert [e["kind"] for e in find(ENTRIES, "mqtt-bridge@0.1.1")] == ["chart"]
-    assert find(ENTRIES, "mqtt-bridge@0.1.1")[0]["guarantees"][0]["standing"] == "claimed"
+    assert find(ENTRIES, "mqtt-bridge@0.1.1")[0]["guarantees"][0]["status"] == "declared"
     with pytest.raises(RefusalError, match=r"versions of mqtt-bridge: 0\.1\.1, 0\.2\.1"):
         find(ENTRIES, "mqtt-bridge@9.0.0")
     with pytest.raises(RefusalError, match="there are bag-player, "):
@@ -117,7 +117,7 @@ def test_the_managers_page_says_the_same() -> None:
     assert json.loads(json.dumps(page)) == page
     assert (page["commit"], page["assurance"]) == ("a" * 40, "verified")
     assert page["entries"] == entry_documents(versions())
-    assert [e["doubt"] for e in page["entries"]] == ["its evidence was not assessed"] * 3
+    assert [e["evidence_problem"] for e in page["entries"]] == ["its evidence was not assessed"] * 3
 
 
 def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
@@ -130,7 +130,7 @@ def test_the_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) ->
     sources = ("--registry", str(REGISTRY))
     assert "stop-time<=10s" in run(capsys, "search", "--provides", "recording", *sources)[1]
     shown: dict[str, Any] = read_mapping(run(capsys, "show", "event-detector", *sources)[1], "shown")
-    assert shown["guarantees"][0]["standing"] == "claimed"
+    assert shown["guarantees"][0]["status"] == "declared"
     assert (
         json.loads(run(capsys, "graph", "mqtt-bridge", "--output", "json", *sources)[1])["versions"][0]["chart"]
         == "mqtt-bridge"
@@ -148,11 +148,11 @@ def test_every_search_has_every_form(capsys: pytest.CaptureFixture[str], criteri
     code, out, _ = run(capsys, "search", *criteria, "--registry", str(REGISTRY), "--output", form)
     assert code == 0
     if form == "table":
-        assert "CLAIMED" in out.splitlines()[0]
+        assert "DECLARED" in out.splitlines()[0]
         assert "mqtt-bridge" in out
     else:
         found = {entry["name"]: entry for entry in read_mapping(out, "found")["entries"]}
-        assert {guarantee["standing"] for guarantee in found["mqtt-bridge"]["guarantees"]} == {"claimed"}
+        assert {guarantee["status"] for guarantee in found["mqtt-bridge"]["guarantees"]} == {"declared"}
 
 
 def test_validate_on_the_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -68,12 +68,12 @@ def trusted(tmp_path: Path, key: KeyFile) -> TrustedKeys:
     return trusting(tmp_path / "keys", key)
 
 
-def doubt(trusted: TrustedKeys, files: Mapping[str, str]) -> str:
-    """Why `app` is in doubt; empty when it is assured."""
+def evidence_problem(trusted: TrustedKeys, files: Mapping[str, str]) -> str:
+    """Why the evidence of `app` does not hold; empty when it is assured."""
     found = EvidenceReader(trusted).read(files).version("app", "0.1.0")
     assert found
-    assert found.assured is (found.doubt == "")
-    return found.doubt
+    assert found.assured is (found.evidence_problem == "")
+    return found.evidence_problem
 
 
 def test_a_published_version_is_assured_and_selected(key: KeyFile, trusted: TrustedKeys) -> None:
@@ -97,7 +97,7 @@ def test_an_entry_edited_to_verified_is_not_selected(key: KeyFile, trusted: Trus
 def test_evidence_of_another_build_of_the_version_does_not_count(key: KeyFile, trusted: TrustedKeys) -> None:
     other = artefact(content="one byte more")
     moved = {path.replace(APP.folder, other.folder): text for path, text in published(key, APP).items()}
-    text = doubt(trusted, catalogue(moved, entry(other, evidence=sha256(b"x"))))
+    text = evidence_problem(trusted, catalogue(moved, entry(other, evidence=sha256(b"x"))))
     assert f"suite static: the evidence is about another digest ({APP.digest}, not {other.digest})" in text
 
 
@@ -122,26 +122,26 @@ def test_what_people_change_beside_the_evidence_is_in_doubt(
     key: KeyFile, trusted: TrustedKeys, path: str, before: str, after: str
 ) -> None:
     files = catalogue(published(key, APP, schema='{"maximum": 3}'))
-    assert doubt(trusted, files) == ""
+    assert evidence_problem(trusted, files) == ""
     reader = EvidenceReader(trusted)
     reader.read(files)
     assert files[path].count(before) == 1
     edited = {**files, path: files[path].replace(before, after)}
     found = reader.read(edited).version("app", "0.1.0")
     assert found
-    assert f"{path} is not what was verified" in found.doubt
-    assert doubt(trusted, edited) == found.doubt
+    assert f"{path} is not what was verified" in found.evidence_problem
+    assert evidence_problem(trusted, edited) == found.evidence_problem
 
 
 def test_without_its_values_schema_a_version_is_in_doubt(key: KeyFile, trusted: TrustedKeys) -> None:
     files = catalogue(published(key, APP, schema="{}"))
     del files[SCHEMA]
-    assert f"{SCHEMA} is not what was verified (missing, not sha256:" in doubt(trusted, files)
+    assert f"{SCHEMA} is not what was verified (missing, not sha256:" in evidence_problem(trusted, files)
 
 
 def test_evidence_by_another_key_does_not_count(tmp_path: Path, trusted: TrustedKeys) -> None:
     stranger = signing_key(tmp_path / "stranger")
-    text = doubt(trusted, catalogue(published(stranger, APP)))
+    text = evidence_problem(trusted, catalogue(published(stranger, APP)))
     assert f"summary: it is signed with key '{stranger.key_id}', which is not trusted here" in text
 
 
@@ -150,32 +150,34 @@ def test_a_missing_suite_and_an_edited_envelope_are_named(key: KeyFile, trusted:
     del files[f"{APP.folder}/images.json"]
     path = f"{APP.folder}/install.json"
     files[path] = files[path].replace('"payload":"ey', '"payload":"eX')
-    text = doubt(trusted, files)
+    text = evidence_problem(trusted, files)
     assert "suite images: there is no evidence" in text
     assert f"suite install: its signature by key {key.key_id} does not fit" in text
 
 
 def test_a_changed_policy_makes_evidence_doubtful(key: KeyFile, trusted: TrustedKeys) -> None:
     changed = POLICY_TEXT.replace("seconds: 240", "seconds: 300")
-    assert "made under another policy" in doubt(trusted, catalogue(published(key, APP), policy=changed))
+    assert "made under another policy" in evidence_problem(trusted, catalogue(published(key, APP), policy=changed))
 
 
 def test_evidence_is_needed_for_every_platform_of_the_fleet(key: KeyFile, trusted: TrustedKeys) -> None:
     reader = EvidenceReader(trusted, ("linux/amd64", "linux/arm64"))
     found = reader.read(catalogue(published(key, APP))).version("app", "0.1.0")
     assert found
-    assert "suite static: the evidence is for platform linux/amd64, not linux/arm64" in found.doubt
+    assert "suite static: the evidence is for platform linux/amd64, not linux/arm64" in found.evidence_problem
 
 
 def test_without_a_policy_nothing_is_assured(key: KeyFile, trusted: TrustedKeys) -> None:
     files = catalogue(published(key, APP))
     del files["policies/verification.yaml"]
-    assert doubt(trusted, files) == "the catalogue has no policies/verification.yaml to assess its evidence by"
+    assert (
+        evidence_problem(trusted, files) == "the catalogue has no policies/verification.yaml to assess its evidence by"
+    )
 
 
 def test_files_that_nobody_asks_for_change_nothing(key: KeyFile, trusted: TrustedKeys) -> None:
     strange = {f"{APP.folder}/older.json": "{", f"{APP.folder}/static.json.bak": "", "evidence/README": "words"}
-    assert doubt(trusted, catalogue(published(key, APP), strange)) == ""
+    assert evidence_problem(trusted, catalogue(published(key, APP), strange)) == ""
 
 
 def test_a_second_key_keeps_old_evidence_and_removing_the_old_key_makes_it_doubtful(
@@ -195,7 +197,7 @@ def test_a_second_key_keeps_old_evidence_and_removing_the_old_key_makes_it_doubt
     assert assured() == [True, True]
     trusting(tmp_path / "keys", second)
     assert assured() == [False, True]
-    assert f"key '{key.key_id}', which is not trusted here" in found.catalogue.charts["app"][0].doubt
+    assert f"key '{key.key_id}', which is not trusted here" in found.catalogue.charts["app"][0].evidence_problem
 
 
 def test_what_was_verified_is_not_verified_again(key: KeyFile, trusted: TrustedKeys) -> None:
@@ -267,6 +269,6 @@ def test_a_summary_signed_for_other_envelopes_does_not_count(key: KeyFile, trust
     again.sign(artefact(content="other"))
     files[f"{APP.folder}/static.json"] = again.envelopes["static"].decode()
     assert sha256(summary) in files["charts/app/0.1.0.yaml"]
-    text = doubt(trusted, files)
+    text = evidence_problem(trusted, files)
     assert "suite static: the evidence is about another digest" in text
     assert "summary: it lists another envelope of suite static" in text

@@ -37,7 +37,7 @@ def chart(template: str, **files: str) -> dict[str, bytes]:
 
 
 def rendered(helm: HelmProgram, expression: str, values: Mapping[str, Any] | None = None) -> str:
-    [item] = helm.render(chart(CONFIG_MAP % expression), values or {}, "one", "room")
+    [item] = helm.render(chart(CONFIG_MAP % expression), values or {}, "one", "suite")
     return str(item["data"]["a"])
 
 
@@ -53,7 +53,7 @@ def test_a_chart_of_the_platform_is_rendered(helm: HelmProgram) -> None:
 
 def test_values_release_and_namespace_arrive(helm: HelmProgram) -> None:
     assert rendered(helm, ".Values.a.b", {"a": {"b": "{{ no template }}"}}) == "{{ no template }}"
-    assert rendered(helm, "printf `%s/%s` .Release.Namespace .Release.Name") == "room/one"
+    assert rendered(helm, "printf `%s/%s` .Release.Namespace .Release.Name") == "suite/one"
 
 
 def test_nothing_of_the_machine_is_seen(helm: HelmProgram) -> None:
@@ -78,13 +78,13 @@ def test_nothing_of_the_machine_is_seen(helm: HelmProgram) -> None:
 )
 def test_schemas_that_lead_elsewhere_are_refused(helm: HelmProgram, schema: str, words: str) -> None:
     with pytest.raises(InputError, match=words):
-        helm.render(chart("", values__schema__json=schema), {}, "one", "room")
+        helm.render(chart("", values__schema__json=schema), {}, "one", "suite")
 
 
 @pytest.mark.parametrize("path", ["../x", "/etc/x", "templates/../../x", ""])
 def test_paths_that_lead_elsewhere_are_refused(helm: HelmProgram, path: str) -> None:
     with pytest.raises(InputError, match="not a path inside a chart"):
-        helm.render({"Chart.yaml": CHART, path: b""}, {}, "one", "room")
+        helm.render({"Chart.yaml": CHART, path: b""}, {}, "one", "suite")
 
 
 @pytest.mark.parametrize(
@@ -103,18 +103,18 @@ def test_templates_without_measure(
 ) -> None:
     monkeypatch.setattr(helm_program, "SECONDS_MAX", 5)
     with pytest.raises(InputError, match=words):
-        helm.render(chart(template), {}, "one", "room")
+        helm.render(chart(template), {}, "one", "suite")
 
 
 def test_too_many_files(helm: HelmProgram) -> None:
     with pytest.raises(InputError, match="more than 1000 files"):
-        helm.render({"Chart.yaml": CHART, **{str(number): b"" for number in range(1001)}}, {}, "one", "room")
+        helm.render({"Chart.yaml": CHART, **{str(number): b"" for number in range(1001)}}, {}, "one", "suite")
 
 
 def test_a_missing_program_is_not_the_charts_fault(tmp_path: Path) -> None:
     files = chart("")
     with pytest.raises(UnavailableError, match="nowhere"):
-        HelmProgram("/nowhere/helm", tmp_path).render(files, {}, "one", "room")
+        HelmProgram("/nowhere/helm", tmp_path).render(files, {}, "one", "suite")
 
 
 def confined(*command: str) -> subprocess.CompletedProcess[str]:

@@ -71,7 +71,7 @@ def test_a_chart_comes_back_by_its_digest(registry: OciRegistry, staging: str) -
     assert registry.list(staging) == (TAG,)
     assert registry.manifest(staging, packed.digest) == packed.manifest
     assert registry.blob(staging, sha256(packed.config), 1000) == packed.config
-    with pytest.raises(InputError, match="is longer than 10 bytes; it is not taken"):
+    with pytest.raises(InputError, match="is longer than 10 bytes; it is not read"):
         registry.blob(staging, sha256(packed.config), 10)
 
 

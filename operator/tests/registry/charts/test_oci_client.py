@@ -145,7 +145,7 @@ def test_other_bytes_than_the_digest_are_not_taken(fake: FakeRegistry, registry:
 @pytest.mark.parametrize("kind", ["manifests", "blobs"])
 def test_an_answer_without_end_is_cut_off(fake: FakeRegistry, registry: OciRegistry, kind: str) -> None:
     fake.endless = f"{STAGING}/{kind}/{CHART.digest if kind == 'manifests' else sha256(CHART.archive)}"
-    with pytest.raises(InputError, match=r"is longer than \d+ bytes; it is not taken"):
+    with pytest.raises(InputError, match=r"is longer than \d+ bytes; it is not read"):
         registry.pull_chart(STAGING, CHART.digest)
 
 

@@ -142,5 +142,5 @@ def test_random_envelopes_are_refused_in_words_and_make_only_their_own_version_d
         assert app
         assert beside
         assert (app.assured, beside.assured, found.problems) == (False, True, ()), number
-        assert suite in app.doubt
+        assert suite in app.evidence_problem
         assert time.thread_time() - began < SECONDS_MAX, f"case {number}: {data[:100]!r}"

@@ -64,7 +64,7 @@ def problems(found: Found, about: Artefact = APP, status_evidence: str = SUMMARY
 
 def test_complete_evidence_assures_and_names_the_summary() -> None:
     assessment = assess(APP, POLICY, SUMMARY, evidence(), LISTING)
-    assert (assessment.assured, assessment.evidence, assessment.doubt) == (True, SUMMARY, "")
+    assert (assessment.assured, assessment.evidence, assessment.explanation) == (True, SUMMARY, "")
 
 
 @pytest.mark.parametrize(
@@ -78,7 +78,7 @@ def test_complete_evidence_assures_and_names_the_summary() -> None:
 def test_what_was_changed_beside_the_evidence_is_in_doubt(listing: Listing, words: str) -> None:
     assessment = assess(APP, POLICY, SUMMARY, evidence(), listing)
     assert not assessment.assured
-    assert words in assessment.doubt
+    assert words in assessment.explanation
 
 
 def test_a_summary_that_says_nothing_of_the_entry_proves_nothing_of_it() -> None:

@@ -178,13 +178,13 @@ def test_a_suite_that_does_not_end_is_unfinished_after_its_time(world: World) ->
 
 
 def test_while_suites_run_the_comment_says_so(world: World) -> None:
-    world.runner.progress["install"] = SuiteProgress("queued", reason="all rooms are taken")
+    world.runner.progress["install"] = SuiteProgress("queued", reason="all test namespaces are in use")
     number = world.submit(chart())
     world.gate.round()
     text = world.text(number)
     assert "## Checking: relay 0.1.0" in text
     assert "3 of 4 suites passed so far." in text
-    assert "| install 1 | queued |  | all rooms are taken |" in text
+    assert "| install 1 | queued |  | all test namespaces are in use |" in text
     del world.runner.progress["install"]
     world.settle(number)
     assert world.merged(number)
@@ -465,7 +465,7 @@ def test_a_submission_that_breaks_its_checks_holds_up_no_other(world: World) -> 
     world.settle(good)
     world.gate.round()
     assert world.merged(good)
-    assert "It waits: a mistake in the gate; somebody who runs the platform has to look" in world.text(bad)
+    assert "It waits: a mistake in the gate; somebody who runs the platform has to examine" in world.text(bad)
     assert world.gate.statistics.verdicts["failed"] == 1
     world.registry.pull_chart = pull  # type: ignore[method-assign]
     world.settle(bad)

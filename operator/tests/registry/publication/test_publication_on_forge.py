@@ -304,7 +304,7 @@ def kill_at(publication: PublicationLoop, point: str) -> None:
     elif method == "push_main":
         publication._main = _Killing(publication._main, "push_main", int(call))
     else:
-        verifying._registry = _Killing(verifying._registry, method, int(call))
+        verifying._oci_registry = _Killing(verifying._oci_registry, method, int(call))
 
 
 def test_the_public_key_is_in_the_catalogue(publishing: Publishing) -> None:

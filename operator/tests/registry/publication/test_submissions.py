@@ -127,7 +127,7 @@ def test_an_entry_that_somebody_changed_on_main_can_be_restored() -> None:
 
 def test_what_was_withdrawn_stays_so() -> None:
     found = submitted({PATH: entry(PACKED, SPEC)}, published(PACKED, SPEC, "withdrawn"))
-    assert "relay 0.1.0 was withdrawn; a person has to take the withdrawal back first" in found.problems[0]
+    assert "relay 0.1.0 was withdrawn; a person has to revert the withdrawal first" in found.problems[0]
 
 
 def test_evidence_must_belong_to_the_submission() -> None:

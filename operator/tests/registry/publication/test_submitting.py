@@ -8,10 +8,10 @@ import pytest
 from robotkube.errors import DocumentError, InputError, UnavailableError
 from robotkube.registry.evidence.core.statements import Check
 from robotkube.registry.publication.loops.submitting import (
-    AWAY_SECONDS_MAX,
     PLANNED,
     PUBLISHED,
     REFUSED,
+    UNAVAILABLE_SECONDS_MAX,
     UNCHANGED,
     SubmissionOutcome,
     Submitting,
@@ -161,7 +161,7 @@ def test_a_forge_that_is_away_for_a_moment_is_waited_for(publisher: Publisher) -
     publisher.world.catalogue.away = True
 
     def back() -> None:
-        publisher.world.catalogue.away = publisher.now < AWAY_SECONDS_MAX / 2
+        publisher.world.catalogue.away = publisher.now < UNAVAILABLE_SECONDS_MAX / 2
 
     publisher.while_waiting = back
     assert publisher.submit(SubmittedSources((source(),))).verdict == PUBLISHED
@@ -193,8 +193,8 @@ def test_what_is_published_can_be_submitted_again(publisher: Publisher) -> None:
     assert len(publisher.world.runner.runs) == len(SUITES)
 
 
-def test_an_entry_that_somebody_merged_by_hand_is_told(publisher: Publisher) -> None:
+def test_an_entry_that_somebody_merged_by_hand_is_reported(publisher: Publisher) -> None:
     one = source()
     publisher.world.catalogue.push({one.submitted.path: one.entry})
-    with pytest.raises(InputError, match="main has this as staged already, by somebody's hand"):
+    with pytest.raises(InputError, match="main has this as staged already, by somebody else"):
         publisher.submit(SubmittedSources((one,)))

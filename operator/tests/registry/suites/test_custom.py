@@ -16,11 +16,11 @@ from robotkube.testing.suites import DIGEST, MemoryTestNamespace, make_subject
 IMAGE = "forge.example/team/suite@sha256:" + "0" * 64
 
 
-def run(room: MemoryTestNamespace, **more: Any) -> list[Check]:
+def run(test_namespace: MemoryTestNamespace, **more: Any) -> list[Check]:
     rule = SuiteRule("politeness", "3", 60, image=IMAGE, command=("look",), **more)
     suite = CustomSuite(rule, Jinja2Templates().render, lambda: 7)
-    assert (suite.name, suite.version, suite.needs_room) == ("politeness", "3", True)
-    return list(suite.run(make_subject(), room))
+    assert (suite.name, suite.version, suite.needs_namespace) == ("politeness", "3", True)
+    return list(suite.run(make_subject(), test_namespace))
 
 
 def said(*checks: dict[str, Any]) -> PodRun:
@@ -28,32 +28,34 @@ def said(*checks: dict[str, Any]) -> PodRun:
 
 
 def test_the_image_gets_request_and_chart_and_its_last_line_counts() -> None:
-    room = MemoryTestNamespace(
+    test_namespace = MemoryTestNamespace(
         runs=[said({"name": "greets", "passed": True}, {"name": "thanks", "passed": False, "found": "f"})]
     )
-    assert run(room) == [Check("greets", True), Check("thanks", False, "f")]
-    [(kind, pod)] = room.calls
+    assert run(test_namespace) == [Check("greets", True), Check("thanks", False, "f")]
+    [(kind, pod)] = test_namespace.calls
     assert (kind, pod["name"], pod["image"], pod["command"]) == ("run_pod", "politeness", IMAGE, ("look",))
     assert pod["files"]["chart.tgz"] == b"tgz"
     request = json.loads(pod["files"]["request.json"])
     assert (request["chart"], request["version"], request["digest"]) == ("greeter", "0.2.0", DIGEST)
     assert request["sets"][0] == {"name": "one", "values": {"placement": {"agent": "cloud-0"}, "word": "hello"}}
-    assert request["room"] == {"namespace": "robotkube-suite-0", "agent": "cloud-0", "domain_id": 90}
+    place = {"namespace": "robotkube-suite-0", "agent": "cloud-0", "domain_id": 90}
+    assert request["test_namespace"] == place
+    assert request["room"] == place, "the former name, which published images read"
     assert request["release"] == ""
 
 
 def test_the_chart_is_installed_before_when_the_rule_says_so() -> None:
-    room = MemoryTestNamespace(runs=[said({"name": "greets", "passed": True})])
-    assert run(room, installs=True) == [Check("greets", True)]
-    assert [name for name, _ in room.calls] == ["apply", "run_pod"]
-    assert json.loads(room.calls[1][1]["files"]["request.json"])["release"] == "greeter"
+    test_namespace = MemoryTestNamespace(runs=[said({"name": "greets", "passed": True})])
+    assert run(test_namespace, installs=True) == [Check("greets", True)]
+    assert [name for name, _ in test_namespace.calls] == ["apply", "run_pod"]
+    assert json.loads(test_namespace.calls[1][1]["files"]["request.json"])["release"] == "greeter"
 
 
 def test_a_chart_that_does_not_get_ready_fails_before_the_image_runs() -> None:
-    room = MemoryTestNamespace(readiness=["no pod"])
-    [check] = run(room, installs=True)
+    test_namespace = MemoryTestNamespace(readiness=["no pod"])
+    [check] = run(test_namespace, installs=True)
     assert (check.passed, check.found) == (False, "no pod")
-    assert [name for name, _ in room.calls] == ["apply"]
+    assert [name for name, _ in test_namespace.calls] == ["apply"]
 
 
 def test_lines_of_stderr_may_follow() -> None:

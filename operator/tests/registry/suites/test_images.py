@@ -138,7 +138,7 @@ def test_an_image_that_is_not_there(registry: MemoryRegistry) -> None:
     ("text", "found"),
     [
         (f"{HOST}/{REPOSITORY}:0.1.0", "is not named by its digest"),
-        (f"docker.io/library/python@sha256:{'0' * 64}", f"is not in the platform's registry {HOST}"),
+        (f"docker.io/library/python@sha256:{'0' * 64}", f"is not in the platform's OCI registry {HOST}"),
         ("", "is not named by its digest"),
     ],
 )

@@ -1,4 +1,4 @@
-"""The install suite in a room in memory: every verdict with its words."""
+"""The install suite in a test namespace in memory: every verdict with its words."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -15,9 +15,9 @@ from robotkube.testing.suites import ENTRY, MemoryTestNamespace, deployment, mak
 ORDERLY = PodEnd("greeter-1", 1.0, 3.0, {"main": 0})
 
 
-def judge(room: MemoryTestNamespace, subject: Subject | None = None) -> dict[str, Check]:
+def judge(test_namespace: MemoryTestNamespace, subject: Subject | None = None) -> dict[str, Check]:
     suite = InstallSuite(Jinja2Templates().render, lambda: 7)
-    return {check.name: check for check in suite.run(subject or make_subject(), room)}
+    return {check.name: check for check in suite.run(subject or make_subject(), test_namespace)}
 
 
 def verdicts(checks: Mapping[str, Check]) -> dict[str, bool]:
@@ -30,8 +30,8 @@ def with_set(**more: Any) -> Mapping[str, Any]:
 
 
 def test_a_chart_that_does_everything_right() -> None:
-    room = MemoryTestNamespace(ends=[[ORDERLY]])
-    checks = judge(room)
+    test_namespace = MemoryTestNamespace(ends=[[ORDERLY]])
+    checks = judge(test_namespace)
     assert verdicts(checks) == {
         "installs": True,
         "becomes-ready": True,
@@ -41,7 +41,7 @@ def test_a_chart_that_does_everything_right() -> None:
     }
     assert "nothing to upgrade from" in checks["upgrades"].found
     assert checks["stops-within-its-grace"].found == "pod greeter-1 ended after 1 s of the 3 s it may take"
-    assert room.objects == {}
+    assert test_namespace.objects == {}
 
 
 def test_the_first_set_with_its_templates_filled_and_what_it_needs() -> None:
@@ -56,14 +56,19 @@ def test_the_first_set_with_its_templates_filled_and_what_it_needs() -> None:
         return [found]
 
     entry = with_set(prepare={"image": "ros", "command": ["make", 1]}, configMaps={"run": {"start": "{{ start_ns }}"}})
-    room = MemoryTestNamespace()
-    checks = judge(room, make_subject(render, entry, images={"ros": "r@sha256:1"}))
+    test_namespace = MemoryTestNamespace()
+    checks = judge(test_namespace, make_subject(render, entry, images={"ros": "r@sha256:1"}))
     assert verdicts(checks)["becomes-ready"]
     assert seen == [({"placement": {"agent": "cloud-0"}}, "greeter")]
-    assert [name for name, _ in room.calls] == [
+    assert [name for name, _ in test_namespace.calls] == [
         "provide", "start_broker", "start_database", "run_pod", "apply", "delete",
     ]  # fmt: skip
-    assert room.calls[3][1] == {"name": "prepare", "image": "r@sha256:1", "command": ("make", "1"), "files": {}}
+    assert test_namespace.calls[3][1] == {
+        "name": "prepare",
+        "image": "r@sha256:1",
+        "command": ("make", "1"),
+        "files": {},
+    }
 
 
 @pytest.mark.parametrize(
@@ -131,10 +136,10 @@ def config_map(name: str) -> dict[str, Any]:
 
 
 def test_an_upgrade_applies_the_new_over_the_old_and_deletes_what_is_no_more() -> None:
-    room = MemoryTestNamespace()
-    checks = judge(room, make_subject(replaced=old()))
+    test_namespace = MemoryTestNamespace()
+    checks = judge(test_namespace, make_subject(replaced=old()))
     assert checks["upgrades"] == Check("upgrades", True, "from 0.1.0")
-    assert [call for call in room.calls if call[0] in ("apply", "delete")] == [
+    assert [call for call in test_namespace.calls if call[0] in ("apply", "delete")] == [
         ("apply", ["greeter"]),
         ("delete", ["greeter"]),
         ("apply", ["greeter", "old"]),
@@ -169,6 +174,6 @@ def test_an_upgrade_that_the_api_server_refuses() -> None:
     assert "selectors" in checks["upgrades"].fix
 
 
-def test_it_needs_a_room() -> None:
-    with pytest.raises(InputError, match="needs a room"):
+def test_it_needs_a_test_namespace() -> None:
+    with pytest.raises(InputError, match="needs a test namespace"):
         InstallSuite(Jinja2Templates().render, lambda: 7).run(make_subject(), None)

@@ -18,7 +18,7 @@ from robotkube.registry.suites.loops.interface_observer import ObserverTimeouts
 from robotkube.registry.suites.ports.suites import Subject
 from tests.stages.paths import REPOSITORY
 from tests.stages.recording.database_server import DatabaseServer
-from tests.stages.registry.local_namespace import LocalRoom, deployment
+from tests.stages.registry.local_namespace import LocalTestNamespace, deployment
 
 pytestmark = pytest.mark.toolchain
 
@@ -27,33 +27,33 @@ CHART = REPOSITORY / "charts" / "apps" / "event-detector"
 
 
 @pytest.fixture
-def room(database_server: DatabaseServer, tmp_path: Path) -> Iterator[LocalRoom]:
-    made = LocalRoom(tmp_path / "room", database_server)
+def namespace(database_server: DatabaseServer, tmp_path: Path) -> Iterator[LocalTestNamespace]:
+    made = LocalTestNamespace(tmp_path / "suite", database_server)
     yield made
     made.close()
 
 
 def objects(values: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
-    settings = {"name": f"room/{name}", **values["detector"]}
+    settings = {"name": f"suite/{name}", **values["detector"]}
     command = ["robotkube-event-detector"]
     return deployment(name, command, {"config.yaml": yaml.safe_dump(settings)}, "database-account")
 
 
-def checks_of(entry: Mapping[str, Any], room: LocalRoom, bounds: ObserverTimeouts = WHOLE) -> list[Check]:
+def checks_of(entry: Mapping[str, Any], namespace: LocalTestNamespace, bounds: ObserverTimeouts = WHOLE) -> list[Check]:
     artefact = Artefact("event-detector", "0.2.1", "sha256:" + "0" * 64, "linux/amd64")
     files = {"values.yaml": (CHART / "values.yaml").read_bytes()}
     subject = Subject(artefact, entry, files, b"", {"ros": "ros@sha256:0"}, objects)
     render = Jinja2Templates().render
     suite = InterfaceSuite("observer", render, time.time_ns, lambda: secrets.token_hex(8), bounds)
-    return list(suite.run(subject, room))
+    return list(suite.run(subject, namespace))
 
 
 def entry() -> dict[str, Any]:
     return dict(yaml.safe_load((REPOSITORY / "registry/charts/event-detector/0.2.1.yaml").read_text()))
 
 
-def test_every_watched_topic_is_recorded(room: LocalRoom) -> None:
-    checks = checks_of(entry(), room)
+def test_every_watched_topic_is_recorded(namespace: LocalTestNamespace) -> None:
+    checks = checks_of(entry(), namespace)
     assert [f"{c.name}: {c.found}" for c in checks if not c.passed] == []
     names = {check.name for check in checks}
     assert "set named: ros in /vehicles/suite_a/pointcloud leads to an output" in names
@@ -61,12 +61,12 @@ def test_every_watched_topic_is_recorded(room: LocalRoom) -> None:
     assert "set patterns: database out segments_index" in names
 
 
-def test_a_collection_that_is_not_declared_is_found(room: LocalRoom) -> None:
+def test_a_collection_that_is_not_declared_is_found(namespace: LocalTestNamespace) -> None:
     other = entry()
     del other["spec"]["suites"]["sets"][1:]
     recorded = next(found for found in other["spec"]["interfaces"] if found["name"] == "recorded")
     recorded["forEach"] = {"collection": ["samples", "no_such"]}
-    failed = [check.name for check in checks_of(other, room, SHORT) if not check.passed]
+    failed = [check.name for check in checks_of(other, namespace, SHORT) if not check.passed]
     # what goes to segments leads to nothing that is declared: not even to the recording's own document
     assert failed == [
         "set named: database out no_such: declared but absent",

@@ -30,7 +30,7 @@ from robotkube.registry.suites.loops.interface import InterfaceSuite
 from robotkube.registry.suites.loops.interface_observer import InterfaceObserver, ObserverPorts, ObserverTimeouts
 from robotkube.registry.suites.ports.suites import Subject
 from tests.stages.paths import REPOSITORY
-from tests.stages.registry.local_namespace import SOURCE, LocalRoom, deployment
+from tests.stages.registry.local_namespace import SOURCE, LocalTestNamespace, deployment
 from tests.stages.registry.wrong_interfaces import LIBRARY, MISTAKES, wrong_chart
 from tests.stages.ros.ros_domains import domain as ros_domain
 
@@ -42,8 +42,8 @@ Render = Callable[[Mapping[str, Any], str], list[dict[str, Any]]]
 
 
 @pytest.fixture
-def room(tmp_path: Path) -> Iterator[LocalRoom]:
-    made = LocalRoom(tmp_path)
+def namespace(tmp_path: Path) -> Iterator[LocalTestNamespace]:
+    made = LocalTestNamespace(tmp_path)
     yield made
     made.close()
 
@@ -86,19 +86,19 @@ def said(checks: list[Check]) -> str:
     return "\n".join(f"{check.name}: {check.found} -> {check.fix}" for check in checks)
 
 
-def test_the_bridge_is_what_its_entry_declares(room: LocalRoom) -> None:
+def test_the_bridge_is_what_its_entry_declares(namespace: LocalTestNamespace) -> None:
     chart = REPOSITORY / "charts" / "apps" / "mqtt-bridge"
     entry = yaml.safe_load((REPOSITORY / "registry/charts/mqtt-bridge/0.2.1.yaml").read_text())
-    checks = list(suite().run(subject(chart, entry, bridge_objects), room))
+    checks = list(suite().run(subject(chart, entry, bridge_objects), namespace))
     assert said([check for check in checks if not check.passed]) == ""
     names = {check.name for check in checks}
     assert "set vehicle: ros in /vehicles/suite_a/transform leads to an output" in names
     assert "set cloud: mqtt in mqtt/vehicles/suite_b/pointcloud leads to an output" in names
     assert {f"set {name}: no undeclared topics" for name in ("vehicle", "cloud")} <= names
-    assert (room.leftovers(), room.deleted) == ([], ["mqtt-bridge", "mqtt-bridge"])
+    assert (namespace.leftovers(), namespace.deleted) == ([], ["mqtt-bridge", "mqtt-bridge"])
 
 
-def test_a_bridge_with_another_entry_is_refused(room: LocalRoom) -> None:
+def test_a_bridge_with_another_entry_is_refused(namespace: LocalTestNamespace) -> None:
     """Qualities, the type inside the frames, a topic that is not declared, at the broker."""
     chart = REPOSITORY / "charts" / "apps" / "mqtt-bridge"
     entry = yaml.safe_load((REPOSITORY / "registry/charts/mqtt-bridge/0.2.1.yaml").read_text())
@@ -106,7 +106,7 @@ def test_a_bridge_with_another_entry_is_refused(room: LocalRoom) -> None:
     interfaces["mqtt-out"] |= {"type": "nav_msgs/msg/Odometry", "qos": {"qos": 0, "retain": True}}
     interfaces["mqtt-in"] |= {"topic": "other{{ topic.name }}", "qos": {"qos": 2, "retain": False}}
     entry["spec"]["suites"]["sets"].pop()
-    failed = [check for check in suite(SHORT).run(subject(chart, entry, bridge_objects), room) if not check.passed]
+    failed = [check for check in suite(SHORT).run(subject(chart, entry, bridge_objects), namespace) if not check.passed]
     text = said(failed)
     pose, route = "mqtt/vehicles/suite_a/pose", "mqtt/vehicles/suite_a/route"
     for part in (
@@ -126,14 +126,14 @@ def player_objects(values: Mapping[str, Any], name: str) -> list[dict[str, Any]]
     return deployment(name, command, {"config.yaml": yaml.safe_dump(values["player"])})
 
 
-def test_the_player_opens_the_topics_of_a_bag_of_its_own_image(room: LocalRoom) -> None:
+def test_the_player_opens_the_topics_of_a_bag_of_its_own_image(namespace: LocalTestNamespace) -> None:
     chart = REPOSITORY / "charts" / "apps" / "bag-player"
     entry = yaml.safe_load((REPOSITORY / "registry/charts/bag-player/0.1.1.yaml").read_text())
-    checks = list(suite().run(subject(chart, entry, player_objects), room))
+    checks = list(suite().run(subject(chart, entry, player_objects), namespace))
     assert said([check for check in checks if not check.passed]) == ""
     names = {check.name for check in checks}
     assert "set second: ros out /vehicles/suite_b/lidar_center/transform" in names
-    ledgers = sorted(path.parent.name for path in room.folder.glob("scratch/ledger/*/*pose.jsonl"))
+    ledgers = sorted(path.parent.name for path in namespace.folder.glob("scratch/ledger/*/*pose.jsonl"))
     assert ledgers == ["suite-first", "suite-second"], "the ordered runs were not played"
 
 
@@ -148,7 +148,9 @@ OLDER: dict[str, dict[str, Any]] = {"object-detection": {"method": "size"}, "obj
     ("place", "version"), [("apps", "0.2.1"), pytest.param("earlier", "0.1.1", marks=pytest.mark.thorough)]
 )
 @pytest.mark.parametrize("name", PERCEPTION)
-def test_perception_is_what_its_entry_declares(room: LocalRoom, name: str, place: str, version: str) -> None:
+def test_perception_is_what_its_entry_declares(
+    namespace: LocalTestNamespace, name: str, place: str, version: str
+) -> None:
     chart = REPOSITORY / "charts" / place / name
     entry = yaml.safe_load((REPOSITORY / f"registry/charts/{name}/{version}.yaml").read_text())
     defaults = yaml.safe_load((chart / "values.yaml").read_text())
@@ -158,11 +160,11 @@ def test_perception_is_what_its_entry_declares(room: LocalRoom, name: str, place
         command = [f"robotkube-{name}"]
         return deployment(release, command, {"config.yaml": yaml.safe_dump(settings)})
 
-    checks = list(suite().run(subject(chart, entry, objects), room))
+    checks = list(suite().run(subject(chart, entry, objects), namespace))
     assert said([check for check in checks if not check.passed]) == ""
     source = "lidar_center/pointcloud" if name == "object-detection" else "objects"
     assert f"set second: ros in /vehicles/suite_b/{source} leads to an output" in {check.name for check in checks}
-    assert room.leftovers() == []
+    assert namespace.leftovers() == []
 
 
 @pytest.fixture
@@ -173,24 +175,24 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "source"
 
 
-def test_what_registry_new_writes_passes(room: LocalRoom, folder: Path) -> None:
+def test_what_registry_new_writes_passes(namespace: LocalTestNamespace, folder: Path) -> None:
     new_application("relay", "relay/text", folder / "charts", folder / "registry")
     chart = folder / "charts" / "relay"
     entry = yaml.safe_load((folder / "registry/charts/relay/0.1.0.yaml").read_text())
-    checks = list(suite().run(subject(chart, entry, relay(chart)), room))
+    checks = list(suite().run(subject(chart, entry, relay(chart)), namespace))
     assert said([check for check in checks if not check.passed]) == ""
     assert len(checks) > 8
 
 
 @pytest.mark.parametrize("name", [*IN_EVERY_RUN, *(pytest.param(name, marks=pytest.mark.thorough) for name in ALSO)])
-def test_each_mistake_fails_with_words_that_say_it(room: LocalRoom, folder: Path, name: str) -> None:
+def test_each_mistake_fails_with_words_that_say_it(namespace: LocalTestNamespace, folder: Path, name: str) -> None:
     mistake = MISTAKES[name]
     chart, path = wrong_chart(name, folder)
     read_chart_version(path.read_text(), f"charts/{name}/{path.name}", published=False)
     entry = yaml.safe_load(path.read_text())
     if mistake.per_set:
         del entry["spec"]["suites"]["sets"][1:]  # the others say the same, in ten seconds more
-    failed = [check for check in suite(SHORT).run(subject(chart, entry, relay(chart)), room) if not check.passed]
+    failed = [check for check in suite(SHORT).run(subject(chart, entry, relay(chart)), namespace) if not check.passed]
     wanted = f"set first: {mistake.check}" if mistake.per_set else mistake.check
     [check] = [check for check in failed if check.name == wanted] or pytest.fail(said(failed))
     assert mistake.found in check.found
@@ -198,28 +200,28 @@ def test_each_mistake_fails_with_words_that_say_it(room: LocalRoom, folder: Path
     assert not mistake.alone or len(failed) == 1, said(failed)
 
 
-def test_a_chart_that_never_gets_ready_is_said_so(room: LocalRoom, folder: Path) -> None:
+def test_a_chart_that_never_gets_ready_is_said_so(namespace: LocalTestNamespace, folder: Path) -> None:
     new_application("relay", "relay/text", folder / "charts", folder / "registry")
     chart = folder / "charts" / "relay"
     (chart / "files" / "node.py").write_text(f"print('no settings', {HEALTH_PORT!r})\n")
     entry = yaml.safe_load((folder / "registry/charts/relay/0.1.0.yaml").read_text())
-    failed = [check for check in suite(SHORT).run(subject(chart, entry, relay(chart)), room) if not check.passed]
+    failed = [check for check in suite(SHORT).run(subject(chart, entry, relay(chart)), namespace) if not check.passed]
     assert [check.name for check in failed] == ["set first: runs", "set second: runs"]
     assert "was not ready: no settings" in failed[0].found
-    assert room.leftovers() == []
+    assert namespace.leftovers() == []
 
 
-def test_a_type_that_is_not_installed_is_said_so(room: LocalRoom, folder: Path) -> None:
+def test_a_type_that_is_not_installed_is_said_so(namespace: LocalTestNamespace, folder: Path) -> None:
     new_application("relay", "relay/text", folder / "charts", folder / "registry")
     chart = folder / "charts" / "relay"
     text = (folder / "registry/charts/relay/0.1.0.yaml").read_text()
     entry = yaml.safe_load(text.replace("std_msgs/msg/String", "nowhere_msgs/msg/Thing"))
     del entry["spec"]["suites"]["sets"][1:]
-    (check,) = (c for c in suite(SHORT).run(subject(chart, entry, relay(chart)), room) if not c.passed)
+    (check,) = (c for c in suite(SHORT).run(subject(chart, entry, relay(chart)), namespace) if not c.passed)
     assert check.name == "set first: runs"
-    assert "the observer could not look at the chart: exit code 2" in check.found
+    assert "the observer could not observe the chart: exit code 2" in check.found
     assert "message package nowhere_msgs is not installed in this image" in check.found
-    assert room.leftovers() == []
+    assert namespace.leftovers() == []
 
 
 def test_an_observer_that_shall_end_makes_no_more_messages() -> None:
@@ -251,7 +253,7 @@ def test_the_observer_ends_on_sigterm_with_what_it_saw(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "robotkube.registry.suites.observer"]
     process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stderr is not None
-    assert '"looking"' in process.stderr.readline()
+    assert '"observing"' in process.stderr.readline()
     process.send_signal(signal.SIGTERM)
     output, errors = process.communicate(timeout=10)
     assert process.returncode == 0, errors

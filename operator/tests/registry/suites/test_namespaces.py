@@ -1,4 +1,4 @@
-"""Rooms on a namespace in memory: placing, starting, ending, helpers, emptying; time is the test's own."""
+"""Test namespaces on a namespace in memory: placing, starting, ending, helpers, emptying; time is the test's own."""
 
 import base64
 from collections.abc import Callable, Mapping
@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from robotkube.errors import InputError, UnavailableError
-from robotkube.registry.suites.core.test_objects import HELPER, OBJECTS_MAX, password_line
+from robotkube.registry.suites.core.namespace_contents import HELPER, OBJECTS_MAX, password_line
+from robotkube.registry.suites.loops.cluster_namespace import ClusterTestNamespace, SuiteNamespaceSettings
 from robotkube.registry.suites.loops.namespace_cleanup import ClusterNamespaceCleaner
-from robotkube.registry.suites.loops.test_namespace import ClusterTestNamespace, SuiteNamespaceSettings
 from robotkube.registry.suites.ports.suites import Object, SuiteAccount
 from robotkube.testing.suites import ENDED, RUNNING, MemoryNamespaceObjects, deployment
 
@@ -25,7 +25,7 @@ MOSQUITTO = (
 
 
 class Clock:
-    """Time that goes on by sleeping, and by `step` whenever somebody looks."""
+    """Time that goes on by sleeping, and by `step` whenever somebody asks."""
 
     def __init__(self) -> None:
         self.now = self.step = 0.0
@@ -38,7 +38,7 @@ class Clock:
         self.now += seconds
 
 
-def make_room(
+def make_namespace(
     api: MemoryNamespaceObjects,
     seconds: float = 100.0,
     settings: SuiteNamespaceSettings = SETTINGS,
@@ -56,7 +56,7 @@ def terminated(code: int, log: str = "", **more: Any) -> Mapping[str, Any]:
 def test_a_charts_objects_are_changed_by_namespace_domain_and_label_only() -> None:
     api = MemoryNamespaceObjects()
     item = deployment(initContainers=[{"name": "first", "env": [{"name": "ROS_DOMAIN_ID", "value": "0"}]}])
-    make_room(api)[0].apply([item, CONFIG_MAP])
+    make_namespace(api)[0].apply([item, CONFIG_MAP])
     found = api.objects["Deployment", "greeter"]
     assert found["metadata"] == {
         "name": "greeter",
@@ -75,17 +75,20 @@ def test_a_charts_objects_are_changed_by_namespace_domain_and_label_only() -> No
 @pytest.mark.parametrize(
     ("pod", "words"),
     [
-        ({"nodeSelector": {"robotkube.io/agent": "vehicle-00"}}, "would not run on the room's node, that of cloud-0"),
-        ({"nodeSelector": {}}, "would not run on the room's node"),
-        ({"nodeSelector": None}, "would not run on the room's node"),
-        ({"nodeName": "vehicle-00"}, "would not run on the room's node"),
+        (
+            {"nodeSelector": {"robotkube.io/agent": "vehicle-00"}},
+            "would not run on the test namespace's node, that of cloud-0",
+        ),
+        ({"nodeSelector": {}}, "would not run on the test namespace's node"),
+        ({"nodeSelector": None}, "would not run on the test namespace's node"),
+        ({"nodeName": "vehicle-00"}, "would not run on the test namespace's node"),
         ({"priorityClassName": "system-node-critical"}, "it pushes others off the node"),
     ],
 )
 def test_what_is_under_test_runs_on_the_rooms_node_and_nowhere_else(pod: dict[str, Any], words: str) -> None:
     api = MemoryNamespaceObjects()
     with pytest.raises(InputError, match=words):
-        make_room(api)[0].apply([CONFIG_MAP, deployment(**pod)])
+        make_namespace(api)[0].apply([CONFIG_MAP, deployment(**pod)])
     assert api.objects == {}
 
 
@@ -101,7 +104,7 @@ def held_pods() -> dict[str, Any]:
         ({"apiVersion": "v1", "kind": "Secret", "metadata": {"name": "a"}}, "may hold Deployment"),
         ({"apiVersion": "v1", "kind": "Pod", "metadata": {"name": "a"}}, "may hold Deployment"),
         ({**CONFIG_MAP, "apiVersion": "apps/v1"}, "may hold Deployment"),
-        ({**CONFIG_MAP, "metadata": {"name": "suite-scratch-used"}}, "is for the room"),
+        ({**CONFIG_MAP, "metadata": {"name": "suite-scratch-used"}}, "is for the test namespace"),
         ({**CONFIG_MAP, "metadata": {"name": "../../secrets"}}, "not a name"),
         ({**CONFIG_MAP, "metadata": {"name": "a", "namespace": "robotkube"}}, "leave it out"),
         ({**CONFIG_MAP, "metadata": {"name": "a", "finalizers": ["example.com/never"]}}, "finalizers: leave them out"),
@@ -113,32 +116,32 @@ def held_pods() -> dict[str, Any]:
 def test_what_a_room_does_not_take(item: dict[str, Any], words: str) -> None:
     api = MemoryNamespaceObjects()
     with pytest.raises(InputError, match=words):
-        make_room(api)[0].apply([CONFIG_MAP, item])
+        make_namespace(api)[0].apply([CONFIG_MAP, item])
     assert api.objects == {}, "nothing is made before everything can be"
     with pytest.raises(InputError, match=f"may have {OBJECTS_MAX}"):
-        make_room(api)[0].apply([CONFIG_MAP] * (OBJECTS_MAX + 1))
+        make_namespace(api)[0].apply([CONFIG_MAP] * (OBJECTS_MAX + 1))
     with pytest.raises(InputError, match="not a name"):
-        make_room(api)[0].provide({"suite-scratch-used": {}})
+        make_namespace(api)[0].provide({"suite-scratch-used": {}})
 
 
 def test_ready_and_gone() -> None:
     api = MemoryNamespaceObjects()
-    room, _ = make_room(api)
-    room.apply([deployment()])
-    assert room.wait_ready("Deployment", "greeter", 10) == ""
-    assert room.leftovers() == ["Deployment greeter", "Pod greeter-1"]
-    [end] = room.delete([deployment()], 10)
+    test_namespace, _ = make_namespace(api)
+    test_namespace.apply([deployment()])
+    assert test_namespace.wait_ready("Deployment", "greeter", 10) == ""
+    assert test_namespace.leftovers() == ["Deployment greeter", "Pod greeter-1"]
+    [end] = test_namespace.delete([deployment()], 10)
     assert (end.gone, end.exit_codes, end.seconds, end.grace_seconds) == (True, {"main": 0}, 1.0, 3.0)
-    assert room.leftovers() == []
+    assert test_namespace.leftovers() == []
 
 
 def test_a_pod_that_stays_when_its_deployment_is_gone() -> None:
-    room, clock = make_room(MemoryNamespaceObjects(finish=lambda pod: None))
-    room.apply([deployment()])
+    test_namespace, clock = make_namespace(MemoryNamespaceObjects(finish=lambda pod: None))
+    test_namespace.apply([deployment()])
     clock.step = 0.5  # watches in memory take no time
-    [end] = room.delete([deployment()], 10)
+    [end] = test_namespace.delete([deployment()], 10)
     assert not end.gone
-    assert room.leftovers() == ["Pod greeter-1"]
+    assert test_namespace.leftovers() == ["Pod greeter-1"]
 
 
 def never_ready(pod: Object) -> Mapping[str, Any]:
@@ -152,9 +155,9 @@ def test_what_is_said_of_a_pod_that_never_gets_ready() -> None:
     event = {"type": "Warning", "reason": "BackOff", "message": "Back-off restarting"}
     api = MemoryNamespaceObjects(start=never_ready, said=[event, {"type": "Normal", "reason": "Pulled"}])
     api.texts["greeter-1"] = "starting\nno greeting given\n"
-    room, clock = make_room(api)
-    room.apply([deployment()])
-    words = room.wait_ready("Deployment", "greeter", 5)
+    test_namespace, clock = make_namespace(api)
+    test_namespace.apply([deployment()])
+    words = test_namespace.wait_ready("Deployment", "greeter", 5)
     assert clock.now == pytest.approx(5, abs=1)
     assert words.splitlines() == [
         "Deployment greeter was not ready after 5 s",
@@ -169,26 +172,26 @@ def test_what_is_said_of_a_pod_that_never_gets_ready() -> None:
 
 def test_what_is_said_when_no_pod_may_be_made() -> None:
     api = MemoryNamespaceObjects()
-    room, _ = make_room(api)
-    room.apply([deployment()])
+    test_namespace, _ = make_namespace(api)
+    test_namespace.apply([deployment()])
     refused = 'pods "greeter-1" is forbidden: violates PodSecurity "restricted:latest": privileged'
     condition = {"type": "ReplicaFailure", "status": "True", "reason": "FailedCreate", "message": refused}
     api.objects["Deployment", "greeter"]["status"] = {"conditions": [condition]}
     del api.objects["Pod", "greeter-1"]
-    assert f"Deployment greeter: FailedCreate: {refused}" in room.wait_ready("Deployment", "greeter", 1)
-    assert "is not there" in room.wait_ready("Deployment", "other", 1)
+    assert f"Deployment greeter: FailedCreate: {refused}" in test_namespace.wait_ready("Deployment", "greeter", 1)
+    assert "is not there" in test_namespace.wait_ready("Deployment", "other", 1)
 
 
 def test_a_helper_pod_runs_to_its_end() -> None:
     api = MemoryNamespaceObjects(start=lambda pod: terminated(3))
     api.texts["suite-look-1"] = "seen\n"
-    room, _ = make_room(api)
-    run = room.run_pod("look", "image@x", ["look"], {"a.json": b"{}"}, 30, claims=True, accounts=True)
+    test_namespace, _ = make_namespace(api)
+    run = test_namespace.run_pod("look", "image@x", ["look"], {"a.json": b"{}"}, 30, volume_claim=True, accounts=True)
     assert (run.log, run.exit_code, run.succeeded) == ("seen\n", 3, False)
     assert api.created == ["ConfigMap suite-look-1", "Pod suite-look-1"]
     assert ("ConfigMap", "suite-scratch-used") in api.objects
     assert api.objects["ConfigMap", "suite-look-1"]["binaryData"] == {"a.json": "e30="}
-    assert room.leftovers() == []
+    assert test_namespace.leftovers() == []
 
 
 def test_the_helper_pod_is_restricted_and_has_no_token() -> None:
@@ -198,7 +201,7 @@ def test_the_helper_pod_is_restricted_and_has_no_token() -> None:
         seen.append(pod)
         return terminated(0)
 
-    make_room(MemoryNamespaceObjects(start=start))[0].run_pod("look", "i@x", [], {}, 30)
+    make_namespace(MemoryNamespaceObjects(start=start))[0].run_pod("look", "i@x", [], {}, 30)
     [pod] = seen
     spec, [container] = pod["spec"], pod["spec"]["containers"]
     assert (spec["automountServiceAccountToken"], spec["restartPolicy"]) == (False, "Never")
@@ -212,34 +215,34 @@ def test_the_helper_pod_is_restricted_and_has_no_token() -> None:
 
 
 def test_a_helper_pod_that_does_not_end() -> None:
-    room, clock = make_room(MemoryNamespaceObjects())
-    run = room.run_pod("look", "i@x", [], {}, 8)
+    test_namespace, clock = make_namespace(MemoryNamespaceObjects())
+    run = test_namespace.run_pod("look", "i@x", [], {}, 8)
     assert (run.exit_code, run.succeeded) == (None, False)
-    assert "did not end in its time" in run.found
+    assert "did not end in its time" in run.problem
     assert clock.now == pytest.approx(8, abs=1)
 
 
 def test_files_beyond_the_bound_are_refused() -> None:
     with pytest.raises(InputError, match="a pod takes at most"):
-        make_room(MemoryNamespaceObjects())[0].run_pod("look", "i@x", [], {"chart.tgz": bytes(1_000_000)}, 8)
+        make_namespace(MemoryNamespaceObjects())[0].run_pod("look", "i@x", [], {"chart.tgz": bytes(1_000_000)}, 8)
 
 
 def test_the_time_of_the_whole_run_ends_every_wait() -> None:
-    room, clock = make_room(MemoryNamespaceObjects(start=never_ready), seconds=4)
-    room.apply([deployment()])
+    test_namespace, clock = make_namespace(MemoryNamespaceObjects(start=never_ready), seconds=4)
+    test_namespace.apply([deployment()])
     with pytest.raises(UnavailableError, match="time of the whole run is over"):
-        room.wait_ready("Deployment", "greeter", 60)
+        test_namespace.wait_ready("Deployment", "greeter", 60)
     assert clock.now < 6
-    assert room.seconds_left == 0
+    assert test_namespace.seconds_left == 0
 
 
 def test_a_broker_with_an_account_of_its_own() -> None:
     api = MemoryNamespaceObjects()
     api.texts["suite-broker"] = "mosquitto running"
-    room, _ = make_room(api)
-    assert room.broker_log() == ""
-    account = room.start_broker()
-    assert room.start_broker() == account
+    test_namespace, _ = make_namespace(api)
+    assert test_namespace.broker_log() == ""
+    account = test_namespace.start_broker()
+    assert test_namespace.start_broker() == account
     assert (account.host, account.port) == ("10.0.0.9", 1883)
     assert api.secrets["broker-account"] == {
         "username": "suite", "password": account.password, "host": "10.0.0.9", "port": "1883",
@@ -248,12 +251,12 @@ def test_a_broker_with_an_account_of_its_own() -> None:
     assert line.startswith("suite:$7$101$")
     assert account.password not in line
     assert "log_type all" in api.secrets["suite-broker"]["mosquitto.conf"]
-    assert room.broker_log() == "mosquitto running"
+    assert test_namespace.broker_log() == "mosquitto running"
     api.texts["suite-broker"] += "\nReceived PUBLISH"
-    assert room.broker_log() == "mosquitto running\nReceived PUBLISH"
+    assert test_namespace.broker_log() == "mosquitto running\nReceived PUBLISH"
     api.texts["suite-broker"] = "\nReceived PUBLISH" * 100
     with pytest.raises(InputError, match="wrote more than 4 MiB about what the chart does"):
-        room.broker_log()
+        test_namespace.broker_log()
 
 
 def test_the_password_line_is_mosquittos() -> None:
@@ -264,9 +267,11 @@ def test_the_password_line_is_mosquittos() -> None:
 
 def test_a_database_with_an_account_of_its_own() -> None:
     api, made = MemoryNamespaceObjects(), []
-    room, _ = make_room(api, account=lambda administrator, account: made.append((administrator, account)))
-    account = room.start_database()
-    assert room.start_database() == account
+    test_namespace, _ = make_namespace(
+        api, account=lambda administrator, account: made.append((administrator, account))
+    )
+    account = test_namespace.start_database()
+    assert test_namespace.start_database() == account
     [(administrator, given)] = made
     assert given == account
     assert (administrator.username, administrator.host) == ("administrator", "10.0.0.9")
@@ -281,12 +286,12 @@ def test_a_database_with_an_account_of_its_own() -> None:
 def test_no_database_where_the_platform_has_none() -> None:
     settings = SuiteNamespaceSettings("robotkube-suite-0", 91, "cloud-0", "ros@x", "mosquitto@x")
     with pytest.raises(InputError, match="no image of one"):
-        make_room(MemoryNamespaceObjects(), settings=settings)[0].start_database()
+        make_namespace(MemoryNamespaceObjects(), settings=settings)[0].start_database()
 
 
 def test_a_helper_that_does_not_start_makes_the_run_unfinished() -> None:
     with pytest.raises(UnavailableError, match="Pod suite-broker was not ready"):
-        make_room(MemoryNamespaceObjects(start=never_ready), seconds=500)[0].start_broker()
+        make_namespace(MemoryNamespaceObjects(start=never_ready), seconds=500)[0].start_broker()
 
 
 def make_keeper(api: MemoryNamespaceObjects) -> tuple[ClusterNamespaceCleaner, Clock]:
@@ -297,10 +302,10 @@ def make_keeper(api: MemoryNamespaceObjects) -> tuple[ClusterNamespaceCleaner, C
 def test_emptying_takes_everything_but_what_kubernetes_puts_there() -> None:
     api = MemoryNamespaceObjects()
     api.objects["ConfigMap", "kube-root-ca.crt"] = {"metadata": {"name": "kube-root-ca.crt"}}
-    room, _ = make_room(api)
-    room.provide({"simulation": {"start": "1"}})
-    room.apply([deployment(), CONFIG_MAP])
-    room.start_broker()
+    test_namespace, _ = make_namespace(api)
+    test_namespace.provide({"simulation": {"start": "1"}})
+    test_namespace.apply([deployment(), CONFIG_MAP])
+    test_namespace.start_broker()
     keeper, _ = make_keeper(api)
     keeper.empty(30)
     assert list(api.objects) == [("ConfigMap", "kube-root-ca.crt")]
@@ -314,7 +319,7 @@ def test_a_used_claim_is_cleaned_and_one_that_was_not_used_is_left_alone() -> No
     keeper.empty(30)
     assert api.created == []
     claim = [{"name": "s", "persistentVolumeClaim": {"claimName": "scratch"}}]
-    make_room(api)[0].apply([deployment(volumes=claim)])
+    make_namespace(api)[0].apply([deployment(volumes=claim)])
     keeper.empty(30)
     assert api.created[-1] == "Pod suite-clean"
     assert api.objects == {}
@@ -324,7 +329,7 @@ def clean_status(code: int) -> list[dict[str, Any]]:
     return [{"name": "suite-clean", "state": {"terminated": {"exitCode": code}}}]
 
 
-def test_a_claim_that_cannot_be_cleaned_keeps_the_room_from_use() -> None:
+def test_a_claim_that_cannot_be_cleaned_keeps_the_namespace_from_use() -> None:
     api = MemoryNamespaceObjects(start=lambda pod: {"phase": "Failed", "containerStatuses": clean_status(1)})
     api.objects["ConfigMap", "suite-scratch-used"] = {"metadata": {"name": "suite-scratch-used"}}
     with pytest.raises(UnavailableError, match="could not be emptied"):
@@ -334,7 +339,7 @@ def test_a_claim_that_cannot_be_cleaned_keeps_the_room_from_use() -> None:
         make_keeper(api)[0].empty(30)
 
 
-def test_a_room_that_does_not_get_empty() -> None:
+def test_a_namespace_that_does_not_get_empty() -> None:
     api = MemoryNamespaceObjects(finish=lambda pod: None)
     api.objects["Pod", "stuck"] = {"metadata": {"name": "stuck"}, "status": RUNNING}
     keeper, clock = make_keeper(api)

@@ -1,4 +1,4 @@
-"""Rooms on a real API server, with the account and the rights that the chart of the platform gives: what charts and
+"""Test namespaces on a real API server, with the account and rights that the platform's chart gives: what charts and
 helpers are is accepted there (Pod Security restricted), and outside the pool nothing is possible. There is no kubelet:
 a thread of the test does what kubelets and controllers do to pods."""
 
@@ -19,8 +19,8 @@ import yaml
 from robotkube.errors import InputError, UnavailableError
 from robotkube.foundation.kubernetes.adapters.client import api_client, call
 from robotkube.registry.suites.adapters.namespace_objects import KubernetesNamespaceObjects
+from robotkube.registry.suites.loops.cluster_namespace import ClusterTestNamespace, SuiteNamespaceSettings
 from robotkube.registry.suites.loops.namespace_cleanup import ClusterNamespaceCleaner
-from robotkube.registry.suites.loops.test_namespace import ClusterTestNamespace, SuiteNamespaceSettings
 from robotkube.registry.suites.ports.suites import SuiteAccount
 from robotkube.testing.suites import deployment
 from tests.stages.kubernetes.api_calls import Api
@@ -31,7 +31,7 @@ from tests.stages.waiting import until
 
 pytestmark = pytest.mark.toolchain
 
-ROOM, OTHER = "robotkube-suite-0", "robotkube-suite-1"
+NAMESPACE, OTHER = "robotkube-suite-0", "robotkube-suite-1"
 KINDS = ("Namespace", "Role", "RoleBinding", "ServiceAccount", "LimitRange")
 PATHS = {
     "Namespace": "/api/v1/namespaces",
@@ -41,7 +41,7 @@ PATHS = {
     "RoleBinding": "/apis/rbac.authorization.k8s.io/v1/namespaces/{}/rolebindings",
 }
 SETTINGS = SuiteNamespaceSettings(
-    ROOM, 90, "cloud-0", "ros:1", "mosquitto:1", "ferretdb", "ferretdb:1", ("--handler=sqlite",)
+    NAMESPACE, 90, "cloud-0", "ros:1", "mosquitto:1", "ferretdb", "ferretdb:1", ("--handler=sqlite",)
 )
 GREETER = deployment(
     securityContext={"runAsNonRoot": True, "runAsUser": 10001, "seccompProfile": {"type": "RuntimeDefault"}}
@@ -97,25 +97,25 @@ def runner(pool: ApiServerProcess, api: Api, tmp_path: Path) -> Iterator[Api]:
 
 @pytest.fixture
 def objects(runner: Api) -> KubernetesNamespaceObjects:
-    return KubernetesNamespaceObjects(functools.partial(call, runner.client), ROOM)
+    return KubernetesNamespaceObjects(functools.partial(call, runner.client), NAMESPACE)
 
 
-class SuiteNamespace:
-    """A room whose accounts in databases are noted instead of made, and its keeper."""
+class Stage:
+    """A test namespace whose accounts in databases are noted instead of made, and its cleaner."""
 
     def __init__(self, objects: KubernetesNamespaceObjects, seconds: float = 60.0) -> None:
         self.accounts: list[SuiteAccount] = []
-        self.room = ClusterTestNamespace(
+        self.namespace = ClusterTestNamespace(
             objects, SETTINGS, seconds, lambda administrator, account: self.accounts.append(account)
         )
-        self.keeper = ClusterNamespaceCleaner(objects, SETTINGS)
+        self.cleaner = ClusterNamespaceCleaner(objects, SETTINGS)
 
 
 PodStatus = Callable[[Mapping[str, Any]], Mapping[str, Any] | None]
 
 
 class Kubelet:
-    """Gives every new pod of the room the status that `status(pod)` says."""
+    """Gives every new pod of the test namespace the status that `status(pod)` says."""
 
     def __init__(self, api: Api, status: PodStatus) -> None:
         self._api, self._status, self._stopping = api, status, threading.Event()
@@ -130,7 +130,7 @@ class Kubelet:
         self._thread.join(10)
 
     def _run(self) -> None:
-        path = f"/api/v1/namespaces/{ROOM}/pods"
+        path = f"/api/v1/namespaces/{NAMESPACE}/pods"
         while not self._stopping.wait(0.05):
             for pod in json.loads(call(self._api.client, "GET", path).data)["items"]:
                 status = self._status(pod)
@@ -151,13 +151,13 @@ def cleaned(pod: Mapping[str, Any]) -> dict[str, Any] | None:
 
 
 @pytest.fixture
-def room(objects: KubernetesNamespaceObjects, api: Api) -> Iterator[SuiteNamespace]:
-    found = SuiteNamespace(objects)
+def stage(objects: KubernetesNamespaceObjects, api: Api) -> Iterator[Stage]:
+    stage = Stage(objects)
     with Kubelet(api, cleaned):
-        found.keeper.empty(20)
-        yield found
-        found.keeper.empty(20)
-    assert found.room.leftovers() == []
+        stage.cleaner.empty(20)
+        yield stage
+        stage.cleaner.empty(20)
+    assert stage.namespace.leftovers() == []
 
 
 def ready(pod: Mapping[str, Any]) -> dict[str, Any]:
@@ -169,12 +169,10 @@ def ready(pod: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def test_a_charts_objects_are_made_replaced_and_deleted(
-    room: SuiteNamespace, objects: KubernetesNamespaceObjects
-) -> None:
-    room.room.apply([GREETER, config_map(a="1", b="2")])
-    assert room.room.leftovers() == ["ConfigMap greeter", "Deployment greeter"]
-    room.room.apply([GREETER, config_map(a="3")])
+def test_a_charts_objects_are_made_replaced_and_deleted(stage: Stage, objects: KubernetesNamespaceObjects) -> None:
+    stage.namespace.apply([GREETER, config_map(a="1", b="2")])
+    assert stage.namespace.leftovers() == ["ConfigMap greeter", "Deployment greeter"]
+    stage.namespace.apply([GREETER, config_map(a="3")])
     found = objects.get("ConfigMap", "greeter")
     assert found is not None
     assert found["data"] == {"a": "3"}, "what the new version has not is gone"
@@ -182,43 +180,43 @@ def test_a_charts_objects_are_made_replaced_and_deleted(
     assert applied is not None
     [container] = applied["spec"]["template"]["spec"]["containers"]
     assert container["env"] == [{"name": "ROS_DOMAIN_ID", "value": "90"}]
-    assert room.room.delete([GREETER, config_map()], 5) == []
-    assert room.room.leftovers() == []
+    assert stage.namespace.delete([GREETER, config_map()], 5) == []
+    assert stage.namespace.leftovers() == []
 
 
-def test_what_the_api_server_refuses_is_said_in_its_words(room: SuiteNamespace) -> None:
+def test_what_the_api_server_refuses_is_said_in_its_words(stage: Stage) -> None:
     wrong = {**GREETER, "spec": {**GREETER["spec"], "selector": {"matchLabels": {"app": "other"}}}}
     with pytest.raises(InputError, match="selector"):
-        room.room.apply([wrong])
+        stage.namespace.apply([wrong])
     unknown = {**GREETER, "spec": {**GREETER["spec"], "replica": 2}}
     with pytest.raises((InputError, UnavailableError), match="replica"):
-        room.room.apply([unknown])
+        stage.namespace.apply([unknown])
 
 
-def test_a_helper_pod_is_let_in_and_its_end_is_seen(room: SuiteNamespace, api: Api) -> None:
+def test_a_helper_pod_is_let_in_and_its_end_is_seen(stage: Stage, api: Api) -> None:
     with Kubelet(api, lambda pod: ended(pod, 3)):
         files = {"a.json": b"{}", "chart.tgz": b"\x1f\x8b\x00"}
-        run = room.room.run_pod("look", "ros:1", ["look"], files, 20, claims=True, accounts=True)
-    assert (run.exit_code, run.found) == (3, "")
+        run = stage.namespace.run_pod("look", "ros:1", ["look"], files, 20, volume_claim=True, accounts=True)
+    assert (run.exit_code, run.problem) == (3, "")
 
 
-def test_a_helper_pod_that_never_starts(room: SuiteNamespace) -> None:
-    run = room.room.run_pod("look", "ros:1", [], {}, 1)
+def test_a_helper_pod_that_never_starts(stage: Stage) -> None:
+    run = stage.namespace.run_pod("look", "ros:1", [], {}, 1)
     assert run.exit_code is None
-    assert "it did not end in its time" in run.found
-    assert "Pending" in run.found
+    assert "it did not end in its time" in run.problem
+    assert "Pending" in run.problem
 
 
-def test_broker_and_database_are_let_in(room: SuiteNamespace, api: Api) -> None:
+def test_broker_and_database_are_let_in(stage: Stage, api: Api) -> None:
     with Kubelet(api, ready):
-        broker, database = room.room.start_broker(), room.room.start_database()
+        broker, database = stage.namespace.start_broker(), stage.namespace.start_database()
     assert (broker.host, broker.port, database.host) == ("10.0.0.9", 1883, "10.0.0.9")
-    assert room.accounts == [database]
+    assert stage.accounts == [database]
     for name, key in (("broker-account", "host"), ("database-account", "authenticationDatabase")):
-        found = json.loads(call(api.client, "GET", f"/api/v1/namespaces/{ROOM}/secrets/{name}").data)
+        found = json.loads(call(api.client, "GET", f"/api/v1/namespaces/{NAMESPACE}/secrets/{name}").data)
         assert key in found["data"]
-    room.keeper.empty(20)
-    assert json.loads(call(api.client, "GET", f"/api/v1/namespaces/{ROOM}/secrets").data)["items"] == []
+    stage.cleaner.empty(20)
+    assert json.loads(call(api.client, "GET", f"/api/v1/namespaces/{NAMESPACE}/secrets").data)["items"] == []
 
 
 def pod_on_a_node(name: str) -> dict[str, Any]:
@@ -228,14 +226,14 @@ def pod_on_a_node(name: str) -> dict[str, Any]:
     return {"apiVersion": "v1", "kind": "Pod", "metadata": {"name": name, "labels": labels}, "spec": spec}
 
 
-def test_how_a_pod_ended_is_seen_until_it_is_gone(room: SuiteNamespace, api: Api) -> None:
-    room.room.apply([GREETER])
-    path = f"/api/v1/namespaces/{ROOM}/pods"
+def test_how_a_pod_ended_is_seen_until_it_is_gone(stage: Stage, api: Api) -> None:
+    stage.namespace.apply([GREETER])
+    path = f"/api/v1/namespaces/{NAMESPACE}/pods"
     api.post(path, pod_on_a_node("greeter-1"))
     ends: list[Any] = []
-    thread = threading.Thread(target=lambda: ends.extend(room.room.delete([GREETER], 20)))
+    thread = threading.Thread(target=lambda: ends.extend(stage.namespace.delete([GREETER], 20)))
     thread.start()
-    until(lambda: room.room.leftovers() == ["Pod greeter-1"], "Deployment deleted")
+    until(lambda: stage.namespace.leftovers() == ["Pod greeter-1"], "Deployment deleted")
     call(api.client, "DELETE", f"{path}/greeter-1").close()
     pod = json.loads(call(api.client, "GET", f"{path}/greeter-1").data)
     api.merge(f"{path}/greeter-1/status", {"status": ended(pod, 137)})
@@ -245,19 +243,19 @@ def test_how_a_pod_ended_is_seen_until_it_is_gone(room: SuiteNamespace, api: Api
     assert (end.name, end.gone, end.exit_codes, end.grace_seconds) == ("greeter-1", True, {"main": 137}, 3.0)
 
 
-def test_a_pod_that_stays_is_emptied_by_force(room: SuiteNamespace, api: Api) -> None:
-    path = f"/api/v1/namespaces/{ROOM}/pods"
+def test_a_pod_that_stays_is_emptied_by_force(stage: Stage, api: Api) -> None:
+    path = f"/api/v1/namespaces/{NAMESPACE}/pods"
     api.post(path, pod_on_a_node("greeter-1"))
-    [end] = room.room.delete([], 1)
+    [end] = stage.namespace.delete([], 1)
     assert not end.gone
     with pytest.raises(UnavailableError, match="still there after the time for emptying: Pod greeter-1"):
-        room.keeper.empty(1)
+        stage.cleaner.empty(1)
     pod = json.loads(call(api.client, "GET", f"{path}/greeter-1").data)
     assert pod["metadata"]["deletionGracePeriodSeconds"] == 1
     api.delete(f"{path}/greeter-1")
 
 
-SECRETS = f"/api/v1/namespaces/{ROOM}/secrets"
+SECRETS = f"/api/v1/namespaces/{NAMESPACE}/secrets"
 
 
 @pytest.mark.parametrize(
@@ -265,11 +263,11 @@ SECRETS = f"/api/v1/namespaces/{ROOM}/secrets"
     [
         ("GET", SECRETS),
         ("GET", f"{SECRETS}/broker-account"),
-        ("POST", f"/api/v1/namespaces/{ROOM}/services"),
-        ("POST", f"/api/v1/namespaces/{ROOM}/serviceaccounts/application/token"),
-        ("POST", f"/api/v1/namespaces/{ROOM}/pods/greeter-1/exec"),
-        ("POST", f"/apis/batch/v1/namespaces/{ROOM}/jobs"),
-        ("POST", f"/apis/rbac.authorization.k8s.io/v1/namespaces/{ROOM}/roles"),
+        ("POST", f"/api/v1/namespaces/{NAMESPACE}/services"),
+        ("POST", f"/api/v1/namespaces/{NAMESPACE}/serviceaccounts/application/token"),
+        ("POST", f"/api/v1/namespaces/{NAMESPACE}/pods/greeter-1/exec"),
+        ("POST", f"/apis/batch/v1/namespaces/{NAMESPACE}/jobs"),
+        ("POST", f"/apis/rbac.authorization.k8s.io/v1/namespaces/{NAMESPACE}/roles"),
         ("POST", "/api/v1/namespaces/robotkube/pods"),
         ("POST", "/api/v1/namespaces/cloud-0/configmaps"),
         ("POST", "/api/v1/namespaces/default/secrets"),
@@ -286,7 +284,7 @@ def test_what_the_runner_may_not(runner: Api, method: str, path: str) -> None:
         call(runner.client, method, path, body={} if method == "POST" else None)
 
 
-def test_both_rooms_are_the_runners(runner: Api) -> None:
-    for namespace in (ROOM, OTHER):
+def test_both_namespaces_are_the_runners(runner: Api) -> None:
+    for namespace in (NAMESPACE, OTHER):
         answer = call(runner.client, "GET", f"/api/v1/namespaces/{namespace}/pods")
         assert json.loads(answer.data)["items"] == []

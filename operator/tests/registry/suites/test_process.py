@@ -65,7 +65,7 @@ def test_a_chart_of_staging_is_judged(configuration: RunnerConfiguration, reques
 
 
 def test_charts_that_are_not_what_was_asked_for(configuration: RunnerConfiguration, request_: SuiteRequest) -> None:
-    run = functools.partial(run_process.run, configuration, room_name="")
+    run = functools.partial(run_process.run, configuration, namespace="")
     artefact = request_.artefact
     for wrong, words in (
         (replace(request_, artefact=replace(artefact, digest="sha256:" + "1" * 64)), "1111"),

@@ -1,4 +1,4 @@
-"""The queue of the suite-runner: once per key, in order, a room for those that need one, bounds, what goes wrong."""
+"""The queue of the suite-runner: once per key, in order, a test namespace for those that need one, bounds, errors."""
 
 import threading
 from collections.abc import Callable, Iterator
@@ -70,19 +70,19 @@ def test_what_did_not_pass_is_run_again_for_another_attempt_only(start: Start) -
     assert len(executor.executed) == 2
 
 
-def test_suites_without_a_room_do_not_wait_for_one(start: Start) -> None:
+def test_suites_without_a_namespace_do_not_wait_for_one(start: Start) -> None:
     executor = MemoryExecutor()
     executor.go.set()
     keeper = MemoryNamespaceKeeper(troubles=[UnavailableError("stuck pod")] * 1000)
     queue = start(executor, keeper)
     assert finished(queue, make_request("static")).outcome == "passed"
-    until(lambda: "stuck pod" in queue.put(make_request()).reason, "the room's trouble is said")
-    assert "robotkube_suite_rooms_in_trouble 1.0" in series_text(queue.metrics())
+    until(lambda: "stuck pod" in queue.put(make_request()).reason, "the reason is reported")
+    assert "robotkube_suite_namespaces_not_ready 1.0" in series_text(queue.metrics())
     assert queue.reasons_not_ready() == []
     assert executor.executed == [("static", "")]
 
 
-def test_a_room_is_used_only_after_it_could_be_emptied(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_namespace_is_used_only_after_it_could_be_emptied(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(suite_runner, "EMPTY_PAUSE_SECONDS_FIRST", 0.01)
     executor, keeper = MemoryExecutor(), MemoryNamespaceKeeper(troubles=[UnavailableError("busy"), KeyError("odd")])
     executor.go.set()
@@ -91,14 +91,14 @@ def test_a_room_is_used_only_after_it_could_be_emptied(start: Start, monkeypatch
     assert keeper.troubles == []
 
 
-def test_two_rooms_work_at_the_same_time(start: Start) -> None:
+def test_two_namespaces_work_at_the_same_time(start: Start) -> None:
     executor = MemoryExecutor()
     queue = start(executor, MemoryNamespaceKeeper("robotkube-suite-0"), MemoryNamespaceKeeper("robotkube-suite-1"))
     requests = [another(make_request(), number) for number in range(3)]
     for request in requests:
         queue.put(request)
     until(lambda: len(executor.executed) == 2, "two run")
-    assert {room for _, room in executor.executed} == {"robotkube-suite-0", "robotkube-suite-1"}
+    assert {namespace for _, namespace in executor.executed} == {"robotkube-suite-0", "robotkube-suite-1"}
     waiting = queue.put(requests[2])
     assert waiting.status == "queued"
     assert waiting.reason
@@ -106,7 +106,7 @@ def test_two_rooms_work_at_the_same_time(start: Start) -> None:
     assert all(finished(queue, request).outcome == "passed" for request in requests)
 
 
-def test_without_rooms_it_is_said_what_a_run_waits_for(start: Start) -> None:
+def test_without_namespaces_it_is_reported_what_a_run_waits_for(start: Start) -> None:
     assert "without a pool" in start(MemoryExecutor()).put(make_request()).reason
 
 

@@ -21,12 +21,12 @@ class Told:
 
     name = "install"
     version = "1"
-    needs_room = True
+    needs_namespace = True
 
     def __init__(self, checks: Sequence[Check] = (), error: Exception | None = None) -> None:
         self._checks, self._error = checks, error
 
-    def run(self, subject: Subject, room: SuiteNamespace | None) -> Sequence[Check]:
+    def run(self, subject: Subject, test_namespace: SuiteNamespace | None) -> Sequence[Check]:
         if self._error:
             raise self._error
         return self._checks
@@ -81,10 +81,10 @@ class Charts:
 
 def test_the_chart_is_fetched_by_the_digest_that_was_asked_for() -> None:
     charts, request = Charts(files={"images.yaml": b"ros: r@sha256:0\n"}), make_request()
-    subject = read_subject(request, charts, charts, "room")  # type: ignore[arg-type]  # one of its methods is needed
+    subject = read_subject(request, charts, charts, "suite")  # type: ignore[arg-type]  # one of its methods is needed
     assert charts.pulled == [(request.repository, request.artefact.digest)]
     assert (subject.images, subject.archive) == ({"ros": "r@sha256:0"}, b"tgz")
-    assert subject.render({"a": 1}, "name") == [{"values": {"a": 1}, "release": "name", "namespace": "room"}]
+    assert subject.render({"a": 1}, "name") == [{"values": {"a": 1}, "release": "name", "namespace": "suite"}]
 
 
 @pytest.mark.parametrize(
@@ -97,4 +97,4 @@ def test_the_chart_is_fetched_by_the_digest_that_was_asked_for() -> None:
 )
 def test_a_chart_that_is_not_what_was_asked_for(charts: Charts, words: str) -> None:
     with pytest.raises(InputError, match=words):
-        read_subject(make_request(), charts, charts, "room")  # type: ignore[arg-type]
+        read_subject(make_request(), charts, charts, "suite")  # type: ignore[arg-type]

@@ -13,11 +13,13 @@ import httpx
 import pytest
 import yaml
 
-from robotkube.errors import InputError, UnavailableError
+from robotkube.errors import DocumentError, InputError, UnavailableError
 from robotkube.foundation.runtime.adapters.webhook_server import BODY_BYTES_MAX, WebServer
+from robotkube.foundation.runtime.settings_file import read_settings
 from robotkube.registry.suites.adapters.runner_protocol import REQUEST_BYTES_MAX, RunsEndpoint, SuiteRunnerClient
 from robotkube.registry.suites.core.requests import SuiteProgress, SuiteRequest, request_document
 from robotkube.registry.suites.loops.static import StaticSuite
+from robotkube.registry.suites.settings import read_configuration, warn_of_former_keys
 from robotkube.testing.suites import make_request, passed
 from tests.stages.waiting import until
 
@@ -60,8 +62,8 @@ def test_the_gates_client_and_the_server_understand_each_other(runner: Runner) -
     runner.error = UnavailableError("64 runs wait already")
     with pytest.raises(UnavailableError, match="64 runs wait already"):
         client.run(request)
-    runner.error = InputError("no such room")
-    with pytest.raises(InputError, match="no such room"):
+    runner.error = InputError("no such suite")
+    with pytest.raises(InputError, match="no such suite"):
         client.run(request)
     client.disconnect()
     stranger = SuiteRunnerClient(runner.url, "guessed")
@@ -118,11 +120,12 @@ def settings(folder: Path, **more: Any) -> Path:
         "listen": {"address": "127.0.0.1", "port": 0},
         "log_level": "info",
         "forge": {"url": "http://127.0.0.1:1", "credentials": str(folder / "forge")},
-        "registry": {name: f"{charts}/{name}" for name in ("staging", "verified")} | {"images": f"{charts}/robotkube"},
+        "oci_registry": {name: f"{charts}/{name}" for name in ("staging", "verified")}
+        | {"images": f"{charts}/robotkube"},
         "token": str(folder / "token"),
         "platform_namespace": "robotkube",
         "agent": "cloud-0",
-        "rooms": [],
+        "test_namespaces": [],
         "images": {"observer": "ros@x", "broker": "mosquitto@x", "database": ""},
         "database": {"kind": "", "arguments": []},
     }
@@ -161,7 +164,7 @@ def test_the_process_runs_suites_and_ends_on_sigterm(process: tuple[subprocess.P
     result = client.run(request).result
     assert result is not None
     assert result.outcome == "unfinished"
-    assert "registry http://127.0.0.1:1" in result.checks[0].found
+    assert "OCI registry http://127.0.0.1:1" in result.checks[0].found
     elsewhere = replace(request, repository="robotkube/greeter", policy_digest=request.artefact.digest)
     until(lambda: client.run(elsewhere).finished, "finished", START_SECONDS_MAX)
     assert "must be in staging" in str(client.run(elsewhere).result)
@@ -175,11 +178,37 @@ def test_the_process_runs_suites_and_ends_on_sigterm(process: tuple[subprocess.P
 
 
 def test_wrong_settings_are_named_at_once(tmp_path: Path) -> None:
-    room = {"namespace": "a", "domain_id": 500}
-    path = settings(tmp_path, rooms=[room], agent="", database={"kind": "oracle", "arguments": []}, key="k")
+    test_namespace = {"namespace": "a", "domain_id": 500}
+    path = settings(
+        tmp_path, test_namespaces=[test_namespace], agent="", database={"kind": "oracle", "arguments": []}, key="k"
+    )
     environment = {**os.environ, "ROBOTKUBE_CONFIG": str(path)}
     command = [sys.executable, "-m", "robotkube.registry.suites"]
     done = subprocess.run(command, env=environment, capture_output=True, timeout=START_SECONDS_MAX, check=False)
     assert done.returncode == 2
-    for words in ("key: unknown key", "agent: ", "database.kind: must be", "rooms[0].domain_id: must be"):
+    for words in ("key: unknown key", "agent: ", "database.kind: must be", "test_namespaces[0].domain_id: must be"):
         assert words in done.stderr.decode()
+
+
+def test_former_keys_are_taken_with_a_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = settings(tmp_path, test_namespaces=[{"namespace": "robotkube-suite-0", "domain_id": 90}])
+    today = read_settings(path, read_configuration)
+    warn_of_former_keys(today, path)
+    assert caplog.messages == []
+    document = yaml.safe_load(path.read_text())
+    document["rooms"] = document.pop("test_namespaces")
+    document["registry"] = document.pop("oci_registry")
+    path.write_text(yaml.safe_dump(document))
+    former = read_settings(path, read_configuration)
+    assert replace(former, former_keys=()) == today
+    warn_of_former_keys(former, path)
+    assert caplog.messages == [
+        f"settings have a former key file={path} key=rooms new_key=test_namespaces",
+        f"settings have a former key file={path} key=registry new_key=oci_registry",
+    ]
+
+
+def test_a_key_under_both_names_is_refused(tmp_path: Path) -> None:
+    path = settings(tmp_path, rooms=[])
+    with pytest.raises(DocumentError, match="rooms: is the former name of test_namespaces, which is there as well"):
+        read_settings(path, read_configuration)

@@ -41,7 +41,7 @@ def request(platform: Platform, chart: Path, entry: Path, rule: SuiteRule, **mor
 
 
 def results(platform: Platform, requests: Mapping[str, SuiteRequest], seconds: float) -> dict[str, SuiteResult]:
-    """What the suite-runner says of each; all are asked for at once and run in the rooms of the pool."""
+    """What the suite-runner says of each; all are asked for at once and run in the test namespaces of the pool."""
     where = platform.access.endpoint("suite-runner")
     token = platform.access.secret("robotkube", "suite-runner-token")["token"]
     runner = SuiteRunnerClient(f"http://{where.host}:{where.port}", token)
@@ -67,23 +67,23 @@ def said(result: SuiteResult) -> str:
 
 
 def pool(platform: Platform) -> list[str]:
-    """The namespaces of the rooms."""
+    """The test namespaces of the pool."""
     names = [item["metadata"]["name"] for item in platform.get("namespaces")["items"]]
     return [name for name in names if name.startswith("robotkube-suite-")]
 
 
 def await_empty(platform: Platform) -> None:
-    """Until no pod, Deployment, Secret or ConfigMap of a run is left in any room."""
-    rooms = pool(platform)
-    assert rooms
+    """Until no pod, Deployment, Secret or ConfigMap of a run is left in any test namespace."""
+    namespaces = pool(platform)
+    assert namespaces
 
     def empty() -> bool:
-        return not any(_left(platform, room) for room in rooms)
+        return not any(_left(platform, namespace) for namespace in namespaces)
 
-    eventually("no object of a run is left in any room", empty, EMPTY_SECONDS_MAX)
+    eventually("no object of a run is left in any test namespace", empty, EMPTY_SECONDS_MAX)
 
 
-def _left(platform: Platform, room: str) -> list[str]:
-    found = platform.get("-n", room, "deployments,replicasets,pods,secrets,configmaps")["items"]
+def _left(platform: Platform, namespace: str) -> list[str]:
+    found = platform.get("-n", namespace, "deployments,replicasets,pods,secrets,configmaps")["items"]
     names = [f"{item['kind']} {item['metadata']['name']}" for item in found]
     return [name for name in names if name != "ConfigMap kube-root-ca.crt"]

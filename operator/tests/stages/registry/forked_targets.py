@@ -14,7 +14,7 @@ from robotkube.registry.suites.core.requests import SuiteProgress, progress_docu
 from robotkube.testing.suites import passed
 
 
-def run(payload: bytes, room: str) -> bytes:
+def run(payload: bytes, namespace: str) -> bytes:
     """Does what the first word of the rule's command says."""
     request = read_request(json.loads(payload))
     word, *more = request.rule.command

@@ -1,4 +1,4 @@
-"""A room on this machine: charts' processes, broker, database and observer run for real, without a cluster."""
+"""A test namespace on this machine: charts' processes, broker, database and observer run, without a cluster."""
 
 from __future__ import annotations
 
@@ -35,11 +35,12 @@ user root
 """
 
 
-class LocalRoom:
-    """The port Room. A Deployment's pod is one process with its ConfigMap as a folder; `/etc/robotkube` in its files
-    is that folder, and the places of claims are one other. `server` is a running database."""
+class LocalTestNamespace:
+    """The port SuiteNamespace. A Deployment's pod is one process with its ConfigMap as a folder; `/etc/robotkube` in
+    its files is that folder, and the places of volume claims are one other. `server` is a running database."""
 
-    namespace, agent = "room", "cloud-0"
+    namespace = "suite"
+    agent = "cloud-0"
     seconds_left = 600.0
 
     def __init__(self, folder: Path, server: DatabaseServer | None = None) -> None:
@@ -51,7 +52,8 @@ class LocalRoom:
         self.deleted: list[str] = []
         self._broker: SuiteAccount | None = None
         self._database: SuiteAccount | None = None
-        self._server, self._runs = server, 0
+        self._server = server
+        self._runs = 0
         (folder / "scratch").mkdir(parents=True)
 
     def close(self) -> None:
@@ -152,7 +154,7 @@ class LocalRoom:
         command: Sequence[str],
         files: Mapping[str, bytes],
         seconds: float,
-        claims: bool = False,
+        volume_claim: bool = False,
         accounts: bool = False,
     ) -> PodRun:
         self._runs += 1
@@ -198,7 +200,7 @@ class LocalRoom:
         raise AssertionError(f"no broker: {self.logs('broker')}")
 
     def start_database(self) -> SuiteAccount:
-        assert self._server is not None, "this room has no database"
+        assert self._server is not None, "this test namespace has no database"
         if self._database is None:
             self._server.create_account(DATABASE, "a password", DATABASE)
             self._database = SuiteAccount(DATABASE, "a password", "127.0.0.1", self._server.port, DATABASE)
@@ -219,7 +221,7 @@ class LocalRoom:
 
 
 def deployment(name: str, command: Sequence[str], data: Mapping[str, str], secret: str = "") -> list[dict[str, Any]]:
-    """What the library chart gives, as far as a local room looks at it."""
+    """What the library chart gives, as far as a local test namespace reads it."""
     volumes = [{"name": "account", "secret": {"secretName": secret}}] if secret else []
     spec = {"containers": [{"name": name, "command": list(command)}], "volumes": volumes}
     return [

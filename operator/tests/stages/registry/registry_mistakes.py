@@ -179,7 +179,7 @@ REFERENCES = [
         needs(500, "ms"),
         RECORDING,
         f"{SERVICE}.chart.requirements[0]",
-        "10 s (claimed), which is not enough",
+        "10 s (declared), which is not enough",
     ),
     Mistake(
         "verified guarantee",

@@ -151,11 +151,11 @@ def exported(
 
 
 def write_dataset(
-    bag: Path, folder: Path, name: str, settings: LabellingSettings, poses: str, say: Callable[[str], None]
+    bag: Path, folder: Path, name: str, settings: LabellingSettings, poses: str, report_line: Callable[[str], None]
 ) -> LabellingCounts:
-    """Label the clouds of a bag into a new folder; `say` gets the messages. InputError as of `label_clouds`."""
+    """Label the clouds of a bag into a new folder; `report_line` gets the messages. InputError as of `label_clouds`."""
     counts = LabellingCounts()
-    with open_bag(bag, say) as opened, closing(KittiDataset(folder)) as dataset:
+    with open_bag(bag, report_line) as opened, closing(KittiDataset(folder)) as dataset:
 
         def lookup(type_name: str) -> str:
             text = opened.definitions.get(type_name) or _definition(type_name)
@@ -166,7 +166,7 @@ def write_dataset(
         for labelled in label_clouds(opened, Layouts(lookup), settings, counts, poses):
             dataset.add(labelled.topic, labelled.cloud, labelled.labels)
         for problem in [*counts.problems, *map(_unjoined, sorted(counts.frames))]:
-            say(problem)
+            report_line(problem)
         if not counts.clouds:
             raise InputError(
                 f"no cloud has a label: {counts.unlocated} of unknown place, {counts.unreadable} messages unreadable: "
@@ -180,7 +180,7 @@ def write_dataset(
         }
         dataset.finish(name, settings, numbers)
     left_out = f"{counts.unlocated} clouds of unknown place and {counts.unreadable} unreadable messages left out"
-    say(f"dataset: {counts.clouds} clouds, {counts.boxes} boxes; {left_out}")
+    report_line(f"dataset: {counts.clouds} clouds, {counts.boxes} boxes; {left_out}")
     return counts
 
 

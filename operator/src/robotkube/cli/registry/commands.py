@@ -22,11 +22,11 @@ from robotkube.registry.publication.adapters.submission_folders import validatio
 
 REGISTRY = Path("registry")
 CHARTS = Path("charts/apps")
-PROBLEMS_SAID_MAX = 10
-COLUMNS = ("kind", "name", "version", "channel", "state", "provides", "claimed", "description")
+PROBLEMS_SHOWN_MAX = 10
+COLUMNS = ("kind", "name", "version", "channel", "state", "provides", "declared", "description")
 
 
-def looking(parser: argparse.ArgumentParser) -> None:
+def choosing_sources(parser: argparse.ArgumentParser) -> None:
     """Add the arguments that say where the entries come from."""
     places = parser.add_mutually_exclusive_group()
     places.add_argument("--registry", type=Path, metavar="FOLDER", help="sources (default: registry, when it is there)")
@@ -35,7 +35,7 @@ def looking(parser: argparse.ArgumentParser) -> None:
 
 def searching(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `search`: all that are given must hold."""
-    looking(parser)
+    choosing_sources(parser)
     parser.add_argument("text", nargs="?", default="", metavar="TEXT", help="part of a name or description")
     parser.add_argument("--provides", default="", metavar="CAPABILITY", help="such as recording or recording/pose")
     parser.add_argument(
@@ -48,13 +48,13 @@ def searching(parser: argparse.ArgumentParser) -> None:
 
 def naming(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `show`."""
-    looking(parser)
+    choosing_sources(parser)
     parser.add_argument("name", metavar="NAME[@VERSION]", help="an application or a chart")
 
 
 def drawing(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `graph`."""
-    looking(parser)
+    choosing_sources(parser)
     parser.add_argument("charts", nargs="*", metavar="CHART", help="only these charts")
     parser.add_argument("--dot", action="store_true", help="as a graph for Graphviz instead of a table")
 
@@ -72,7 +72,7 @@ def search_entries(options: argparse.Namespace) -> Table:
     guarantee = read_guarantee(options.guarantee) if options.guarantee else ""
     criteria = Criteria(options.text, options.provides, options.needs, guarantee, options.channel, options.state)
     entries = search(_entries(options), criteria)
-    return Table("entries", COLUMNS, [{**entry, "claimed": _declared(entry)} for entry in entries])
+    return Table("entries", COLUMNS, [{**entry, "declared": _declared(entry)} for entry in entries])
 
 
 def _declared(entry: Entry) -> list[str]:
@@ -107,7 +107,7 @@ def _entries(options: argparse.Namespace) -> Sequence[Entry]:
     sources = read_sources(folder)
     catalogue = read_catalogue(sources.files, published=False)
     problems = [*map(str, sources.findings), *(f"{folder}/{problem}" for problem in catalogue.problems)]
-    for problem in problems[:PROBLEMS_SAID_MAX]:
+    for problem in problems[:PROBLEMS_SHOWN_MAX]:
         print(f"robotkube: left out: {problem}", file=sys.stderr)
     return entry_documents(catalogue)
 

@@ -53,10 +53,12 @@ def submitting(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--forge-url", metavar="URL", help="the forge (default: that of the kubeconfig's cluster)")
     parser.add_argument("--username", default=ACCOUNT, help="account at --forge-url")
     parser.add_argument("--password-file", type=Path, metavar="FILE", help="file with its password")
-    parser.add_argument("--kept", type=Path, metavar="FOLDER", help="take and keep evidence here, for the same digests")
+    parser.add_argument(
+        "--kept", type=Path, metavar="FOLDER", help="reuse and keep evidence here, for the same digests"
+    )
     parser.add_argument("--wait", type=float, default=WAIT_SECONDS, metavar="SECONDS", help="for the gate's verdict")
     parser.add_argument("--again", action="store_true", help="also what is published, such as after a change of keys")
-    parser.add_argument("--dry-run", action="store_true", help="only say what would be submitted")
+    parser.add_argument("--dry-run", action="store_true", help="only show what would be submitted")
 
 
 def submit(options: argparse.Namespace) -> Table:
@@ -70,7 +72,7 @@ def submit(options: argparse.Namespace) -> Table:
     applications = folders.all_applications(options.registry) if options.all else options.application
     folders.check_sources(names, applications, options.charts_folder, options.registry)
     sources = folders.read_sources(names, applications, options.charts_folder, options.registry, images, options.kept)
-    outcome = submit_sources(access, sources, _say, options.wait, options.dry_run, options.again)
+    outcome = submit_sources(access, sources, _write_line, options.wait, options.dry_run, options.again)
     if options.kept:
         folders.write_kept(options.kept, outcome.evidence)
     if outcome.text:
@@ -81,28 +83,30 @@ def submit(options: argparse.Namespace) -> Table:
 def submit_sources(
     access: ForgeAccess,
     sources: SubmittedSources,
-    say: Callable[[str], None],
+    report_line: Callable[[str], None],
     wait_seconds: float = WAIT_SECONDS,
     dry_run: bool = False,
     again: bool = False,
 ) -> SubmissionOutcome:
     """Submit to the forge and wait for the verdict: the command without reading sources and showing results."""
-    with _connected(access, say) as submitter:
+    with _connected(access, report_line) as submitter:
         return submitter.submit(sources, wait_seconds, dry_run, again)
 
 
 @contextmanager
-def _connected(access: ForgeAccess, say: Callable[[str], None]) -> Iterator[Submitting]:
+def _connected(access: ForgeAccess, report_line: Callable[[str], None]) -> Iterator[Submitting]:
     account = (access.username, access.password)
     with (
         tempfile.TemporaryDirectory(prefix="robotkube-submit-") as folder,
-        OciRegistry(access.url, *account) as registry,
+        OciRegistry(access.url, *account) as oci_registry,
     ):
         clone = GitClone(access.url, CATALOGUE, *account, Path(folder))
         writer = ProposalWriter(Path(folder), *account, access.username, time.time)
         forge = GiteaForge(access.url, CATALOGUE, *account)
         try:
-            yield Submitting(clone, writer, forge, registry, access.username, time.monotonic, time.sleep, say)
+            yield Submitting(
+                clone, writer, forge, oci_registry, access.username, time.monotonic, time.sleep, report_line
+            )
         finally:
             forge.disconnect()
 
@@ -121,7 +125,7 @@ def _access(options: argparse.Namespace) -> tuple[ForgeAccess, dict[str, str]]:
     return ForgeAccess(url, username, password), {**platform.images(), **given}
 
 
-def _say(line: str) -> None:
+def _write_line(line: str) -> None:
     print(line, file=sys.stderr, flush=True)
 
 

@@ -22,7 +22,7 @@ from robotkube.foundation.documents.core.times import time_text
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
 
 POLICIES = ("Reject", "Postpone", "Offload", "Preempt")
-LOOK_SECONDS = 0.5
+POLL_SECONDS = 0.5
 WAIT_SECONDS_MAX = 3600.0
 FILE_BYTES_MAX = 256 * 1024
 
@@ -174,4 +174,4 @@ def _wait(platform: Platform, key: str, seconds: float) -> Table:
         if time.monotonic() > end:
             text = f"not ready within {seconds:g} s: {state(task)}"
             return Table("task", (), [row(task)], single=True, refusal=text)
-        time.sleep(LOOK_SECONDS)
+        time.sleep(POLL_SECONDS)

@@ -20,10 +20,10 @@ class Attachment:
 
 
 class ChartRegistry(Protocol):
-    """One registry. `repository` is `<organisation>/<chart>`, digests are `sha256:<hex>`.
+    """One OCI registry. `repository` is `<organisation>/<chart>`, digests are `sha256:<hex>`.
 
-    UnavailableError: the registry does not answer; a caller may try again. InputError: what was asked for is not there,
-    is not what its digest says, is beyond a bound, or the account may not do this.
+    UnavailableError: the OCI registry does not answer; a caller may try again. InputError: what was asked for is not
+    there, is not what its digest says, is beyond a bound, or the account may not do this.
     """
 
     def manifest_digest(self, repository: str, reference: str) -> str | None:
@@ -39,7 +39,7 @@ class ChartRegistry(Protocol):
     ) -> str:
         """Attach `data` to the manifest `subject`; the digest of the artefact. The same again changes nothing.
 
-        The list of attachments is changed under the lock the registry was made with: two at once keep both."""
+        The list of attachments is changed under the lock the client was made with: two at once keep both."""
         ...
 
     def attachments(self, repository: str, subject: str) -> Sequence[Attachment]:

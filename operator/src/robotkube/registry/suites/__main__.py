@@ -1,6 +1,7 @@
-"""`python3 -m robotkube.registry.suites`: runs suites for the gate, in the rooms of the pool.
+"""The process of the suite-runner: it runs suites for the gate, in the test namespaces of the pool.
 
-Settings: docs/reference/settings.md; the program helm is /usr/local/bin/helm (another one: ROBOTKUBE_HELM). Ends with 0
+Started by `robotkube-suite-runner` or `python3 -m robotkube.registry.suites`. Settings:
+docs/reference/settings.md; the program helm is /usr/local/bin/helm (another one: ROBOTKUBE_HELM). Ends with 0
 on SIGTERM, 2 when the settings are wrong. Nothing is kept on disk: what ran is asked for again by the gate.
 """
 
@@ -21,44 +22,47 @@ from robotkube.registry.suites.loops.images import ImagesSuite
 from robotkube.registry.suites.loops.namespace_cleanup import ClusterNamespaceCleaner
 from robotkube.registry.suites.loops.queue import SuiteQueue
 from robotkube.registry.suites.loops.static import StaticSuite
-from robotkube.registry.suites.settings import RunnerConfiguration, read_configuration
+from robotkube.registry.suites.settings import RunnerConfiguration, read_configuration, warn_of_former_keys
 
 GRACE_SECONDS = 6.0
-STOP_LOOK_SECONDS = 0.2
-ROOMLESS = frozenset(suite.name for suite in (StaticSuite, ImagesSuite) if not suite.needs_room)
+STOP_POLL_SECONDS = 0.2
+WITHOUT_NAMESPACE = frozenset(suite.name for suite in (StaticSuite, ImagesSuite) if not suite.needs_namespace)
 
 
-def needs_room(rule: SuiteRule) -> bool:
+def needs_namespace(rule: SuiteRule) -> bool:
     """Whether a rule's suite runs something on the cluster."""
-    return bool(rule.image) or rule.name not in ROOMLESS
+    return bool(rule.image) or rule.name not in WITHOUT_NAMESPACE
 
 
-def build_queue(found: RunnerConfiguration, environment: Mapping[str, str] = os.environ) -> SuiteQueue:
-    """The queue on its adapters; nothing is asked of the world yet."""
+def build_queue(configuration: RunnerConfiguration, environment: Mapping[str, str] = os.environ) -> SuiteQueue:
+    """The queue on its adapters; nothing is asked of cluster or forge yet."""
     executor = ForkedSuites(run_process.run_request, preload=[run_process.__name__])
-    keepers = [
-        ClusterNamespaceCleaner(run_process.room_objects(room.namespace, environment), room) for room in found.rooms
+    cleaners = [
+        ClusterNamespaceCleaner(run_process.namespace_objects(settings.namespace, environment), settings)
+        for settings in configuration.test_namespaces
     ]
-    return SuiteQueue(executor, keepers, needs_room)
+    return SuiteQueue(executor, cleaners, needs_namespace)
 
 
 def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     """Serve the protocol, health and metrics until the process shall end."""
-    found = files.read_settings(files.settings_path(environment), read_configuration)
-    files.send_logs(process, found.log_level)
-    queue = build_queue(found, environment)
-    endpoint = RunsEndpoint(found.token, queue.put)
+    path = files.settings_path(environment)
+    configuration = files.read_settings(path, read_configuration)
+    files.send_logs(process, configuration.log_level)
+    warn_of_former_keys(configuration, path)
+    queue = build_queue(configuration, environment)
+    endpoint = RunsEndpoint(configuration.token, queue.put)
     server = WebServer(
-        found.listen.address,
-        found.listen.port,
+        configuration.listen.address,
+        configuration.listen.port,
         queue.reasons_not_ready,
         MetricsPage(queue.metrics).text,
         put=endpoint.put,
     )
     queue.start()
     server.start()
-    process.log("started", port=server.port, rooms=len(found.rooms))
-    while not process.stopping.wait(STOP_LOOK_SECONDS):
+    process.log("started", port=server.port, test_namespaces=len(configuration.test_namespaces))
+    while not process.stopping.wait(STOP_POLL_SECONDS):
         pass
     server.stop()
     queue.stop()

@@ -1,4 +1,4 @@
-"""Process of the interface suite's second pod: `python3 -m robotkube.registry.suites.observer`.
+"""The process of the interface suite's second pod, `robotkube-suite-observer`.
 
 Reads /suite/config.json (variable ROBOTKUBE_SUITE_CONFIG: another file), observes the ROS network of ROS_DOMAIN_ID, the
 broker of the mounted Secret when `broker` is true, and the database of `database`. Its last line on stdout is
@@ -55,7 +55,7 @@ class DefaultMessages:
         self._sequence += 1
         return encode_batch(self._session, self._sequence - 1, [data])
 
-    def misfit(self, type_name: str, data: bytes) -> str:
+    def type_mismatch(self, type_name: str, data: bytes) -> str:
         """See the port."""
         return type_mismatch(type_name, data)
 
@@ -70,7 +70,7 @@ def body(process: Process) -> None:
             database.clear()
         write(Observation())
         return
-    world = ObserverPorts(
+    ports = ObserverPorts(
         network=RosNode(config["node"]),
         messages=DefaultMessages(),
         monotonic=time.monotonic,
@@ -81,8 +81,8 @@ def body(process: Process) -> None:
     )
     expected = [ExpectedTopic(**topic) for topic in config["topics"]]
     bounds = ObserverTimeouts(**config["bounds"])
-    process.log("looking", topics=len(expected), broker=config["broker"], database=database is not None)
-    write(InterfaceObserver(expected, world, float(config["seconds_max"]), bounds).run())
+    process.log("observing", topics=len(expected), broker=config["broker"], database=database is not None)
+    write(InterfaceObserver(expected, ports, float(config["seconds_max"]), bounds).run())
 
 
 def read_config(text: str, where: str) -> Mapping[str, Any]:

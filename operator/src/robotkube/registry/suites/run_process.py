@@ -1,4 +1,4 @@
-"""What one suite's process does: read request and settings, fetch the chart, run the suite, give the result."""
+"""The process of one suite: it reads request and settings, fetches the chart, runs the suite, gives the result."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from robotkube.registry.evidence.core.statements import SuiteResult
 from robotkube.registry.evidence.core.verification_policy import SuiteRule
 from robotkube.registry.suites.adapters.namespace_objects import KubernetesNamespaceObjects
 from robotkube.registry.suites.core.requests import SuiteProgress, SuiteRequest, progress_document, read_request
+from robotkube.registry.suites.loops.cluster_namespace import ClusterTestNamespace
 from robotkube.registry.suites.loops.custom import CustomSuite
 from robotkube.registry.suites.loops.images import ImagesSuite
 from robotkube.registry.suites.loops.install import InstallSuite
 from robotkube.registry.suites.loops.interface import InterfaceSuite
-from robotkube.registry.suites.loops.run import NO_ROOM, read_subject, run_suite, unfinished
+from robotkube.registry.suites.loops.run import NO_NAMESPACE, read_subject, run_suite, unfinished
 from robotkube.registry.suites.loops.static import StaticSuite
-from robotkube.registry.suites.loops.test_namespace import ClusterTestNamespace
 from robotkube.registry.suites.ports.suites import Subject, Suite, SuiteAccount
 from robotkube.registry.suites.settings import RunnerConfiguration, read_configuration
 
@@ -43,68 +43,67 @@ ACCOUNT_SECONDS_MAX = 60.0
 ACCOUNT_PAUSE_SECONDS_FIRST, ACCOUNT_PAUSE_SECONDS_MAX = 0.5, 1.0
 
 
-def run_request(payload: bytes, room: str) -> bytes:
-    """A request as JSON and the room's namespace (empty: none) -> the finished progress as JSON."""
-    found = files.read_settings(files.settings_path(), read_configuration)
-    files.send_logs(Process("suite", 0.0), found.log_level)
-    result = run(found, read_request(json.loads(payload)), room)
+def run_request(payload: bytes, namespace: str) -> bytes:
+    """A request as JSON and a test namespace (empty: none) -> the finished progress as JSON."""
+    configuration = files.read_settings(files.settings_path(), read_configuration)
+    files.send_logs(Process("suite", 0.0), configuration.log_level)
+    result = run(configuration, read_request(json.loads(payload)), namespace)
     return canonical_json(progress_document(SuiteProgress("finished", result)))
 
 
-def run(found: RunnerConfiguration, request: SuiteRequest, room_name: str) -> SuiteResult:
-    """The result of the request's suite."""
-    account = found.account
+def run(configuration: RunnerConfiguration, request: SuiteRequest, namespace: str) -> SuiteResult:
+    """The result of the request's suite in the test namespace (empty: none)."""
+    account = configuration.account
     with (
-        OciRegistry(found.forge_url, account.username, account.password) as registry,
+        OciRegistry(configuration.forge_url, account.username, account.password) as oci_registry,
         tempfile.TemporaryDirectory(prefix="suite-") as work,
     ):
-        suite = find_suite(found, request.rule, registry)
+        suite = find_suite(configuration, request.rule, oci_registry)
         if suite is None:
             words = f"there is no suite {request.rule.name}; one of your own needs `image` in the verification policy"
             return unfinished(request.rule, words, 0.0)
-        room = _room(found, room_name, request.rule.seconds) if room_name else None
+        test_namespace = _test_namespace(configuration, namespace, request.rule.seconds) if namespace else None
         program = HelmProgram(os.environ.get("ROBOTKUBE_HELM", HELM), Path(work))
-        namespace = room_name or NO_ROOM
 
         def subject() -> Subject:
-            _check_repositories(found, request)
-            return read_subject(request, registry, program, namespace)
+            _check_repositories(configuration, request)
+            return read_subject(request, oci_registry, program, namespace or NO_NAMESPACE)
 
-        return run_suite(request.rule, suite, subject, room, time.monotonic)
+        return run_suite(request.rule, suite, subject, test_namespace, time.monotonic)
 
 
-def find_suite(found: RunnerConfiguration, rule: SuiteRule, registry: OciRegistry) -> Suite | None:
+def find_suite(configuration: RunnerConfiguration, rule: SuiteRule, oci_registry: OciRegistry) -> Suite | None:
     """The suite that a rule names; None when there is none."""
     render = Jinja2Templates().render
     if rule.image:
         return CustomSuite(rule, render, time.time_ns)
-    host = urlsplit(found.images_registry).netloc
+    host = urlsplit(configuration.images_registry).netloc
     known: tuple[Suite, ...] = (
         StaticSuite(violations, render),
-        ImagesSuite(registry, host, render),
-        InterfaceSuite(found.observer_image, render, time.time_ns, functools.partial(secrets.token_hex, 8)),
+        ImagesSuite(oci_registry, host, render),
+        InterfaceSuite(configuration.observer_image, render, time.time_ns, functools.partial(secrets.token_hex, 8)),
         InstallSuite(render, time.time_ns),
     )
     return next((suite for suite in known if suite.name == rule.name), None)
 
 
-def _check_repositories(found: RunnerConfiguration, request: SuiteRequest) -> None:
-    named = {"repository": (request.repository, found.staging)}
+def _check_repositories(configuration: RunnerConfiguration, request: SuiteRequest) -> None:
+    named = {"repository": (request.repository, configuration.staging)}
     if request.replaced:
-        named["replaced.repository"] = (request.replaced.repository, found.verified)
+        named["replaced.repository"] = (request.replaced.repository, configuration.verified)
     for key, (repository, charts) in named.items():
         organisation = urlsplit(charts).path.strip("/")
         if repository.rpartition("/")[0] != organisation:
             raise InputError(f"{key}: {repository!r} must be in {organisation}")
 
 
-def _room(found: RunnerConfiguration, name: str, seconds: float) -> ClusterTestNamespace:
-    settings = next(room for room in found.rooms if room.namespace == name)
-    return ClusterTestNamespace(room_objects(name), settings, seconds, make_account)
+def _test_namespace(configuration: RunnerConfiguration, name: str, seconds: float) -> ClusterTestNamespace:
+    settings = next(known for known in configuration.test_namespaces if known.namespace == name)
+    return ClusterTestNamespace(namespace_objects(name), settings, seconds, make_account)
 
 
-def room_objects(namespace: str, environment: Mapping[str, str] = os.environ) -> KubernetesNamespaceObjects:
-    """A room's objects, with the pod's own account, or with KUBECONFIG where that is set."""
+def namespace_objects(namespace: str, environment: Mapping[str, str] = os.environ) -> KubernetesNamespaceObjects:
+    """The objects of a test namespace, reached with the pod's own account, or with KUBECONFIG where that is set."""
     api = api_client(environment.get("KUBECONFIG"), in_cluster="KUBECONFIG" not in environment)
     return KubernetesNamespaceObjects(functools.partial(call, api), namespace)
 
@@ -112,7 +111,8 @@ def room_objects(namespace: str, environment: Mapping[str, str] = os.environ) ->
 def make_account(administrator: SuiteAccount, account: SuiteAccount) -> None:
     """An account in a database that was just started; UnavailableError when it does not answer in time."""
     accounts = MongoAccounts(administrator.host, administrator.port, administrator.username, administrator.password)
-    deadline, attempts = time.monotonic() + ACCOUNT_SECONDS_MAX, 0
+    deadline = time.monotonic() + ACCOUNT_SECONDS_MAX
+    attempts = 0
     try:
         while True:
             try:

@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from robotkube.foundation.documents.core.patterns import CHARTS_URL, HTTP_URL, IMAGE, NAME
 from robotkube.foundation.documents.core.reader import Reader
 from robotkube.foundation.runtime import settings_file as files
-from robotkube.registry.suites.loops.test_namespace import SuiteNamespaceSettings
+from robotkube.registry.suites.loops.cluster_namespace import SuiteNamespaceSettings
 
-ROOMS_MAX = 16
+TEST_NAMESPACES_MAX = 16
 DOMAIN_ID_MAX = 101  # above, ports of DDS collide with those that systems give away
 DATABASES = ("mongo", "ferretdb", "")
+NEW_KEYS = {"rooms": "test_namespaces", "registry": "oci_registry"}
+"""Former key -> the key of today; former ones are still taken, with a warning."""
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class RunnerConfiguration:
-    """Everything the process needs, secrets included; `staging`, `verified`, `images_registry` are oci:// URLs."""
+    """Everything the process needs, secrets included; `staging`, `verified`, `images_registry` are oci:// URLs,
+    `former_keys` the keys of the file that have another name today."""
 
     listen: files.Listen
     log_level: str
@@ -28,44 +35,62 @@ class RunnerConfiguration:
     verified: str
     images_registry: str
     token: str
-    rooms: tuple[SuiteNamespaceSettings, ...]
+    test_namespaces: tuple[SuiteNamespaceSettings, ...]
     observer_image: str
+    former_keys: tuple[str, ...] = ()
 
 
 def read_configuration(reader: Reader, document: Mapping[str, Any]) -> RunnerConfiguration:
     """The settings document of the suite-runner."""
-    keys = ["listen", "log_level", "forge", "registry", "token", "rooms", "agent", "images", "database"]
-    root = reader.mapping(document, "", [*keys, "platform_namespace"])
+    keys = ["listen", "log_level", "forge", "oci_registry", "token", "test_namespaces", "agent", "images", "database"]
+    root = reader.mapping(_under_new_keys(reader, document), "", [*keys, "platform_namespace"])
     forge = reader.mapping(root.get("forge") or {}, "forge", ["url", "credentials"])
-    registry = reader.mapping(root.get("registry") or {}, "registry", ["staging", "verified", "images"])
+    oci_registry = reader.mapping(root.get("oci_registry") or {}, "oci_registry", ["staging", "verified", "images"])
     images = reader.mapping(root.get("images") or {}, "images", ["observer", "broker", "database"])
     return RunnerConfiguration(
         listen=files.listen(reader, root.get("listen")),
         log_level=files.log_level(reader, root.get("log_level")),
         forge_url=reader.word(forge.get("url"), "forge.url", HTTP_URL),
         account=files.credentials(reader, forge.get("credentials"), "forge.credentials"),
-        staging=reader.word(registry.get("staging"), "registry.staging", CHARTS_URL),
-        verified=reader.word(registry.get("verified"), "registry.verified", CHARTS_URL),
-        images_registry=reader.word(registry.get("images"), "registry.images", CHARTS_URL),
+        staging=reader.word(oci_registry.get("staging"), "oci_registry.staging", CHARTS_URL),
+        verified=reader.word(oci_registry.get("verified"), "oci_registry.verified", CHARTS_URL),
+        images_registry=reader.word(oci_registry.get("images"), "oci_registry.images", CHARTS_URL),
         token=files.secret(reader, root.get("token"), "token"),
-        rooms=_rooms(reader, root, images),
+        test_namespaces=_test_namespaces(reader, root, images),
         observer_image=reader.word(images.get("observer"), "images.observer", IMAGE),
+        former_keys=tuple(key for key in NEW_KEYS if key in document),
     )
 
 
-def _rooms(reader: Reader, root: Mapping[str, Any], images: Mapping[str, Any]) -> tuple[SuiteNamespaceSettings, ...]:
+def warn_of_former_keys(configuration: RunnerConfiguration, path: Path) -> None:
+    """Log each key of the settings file that has another name today."""
+    for key in configuration.former_keys:
+        log.warning("settings have a former key file=%s key=%s new_key=%s", path, key, NEW_KEYS[key])
+
+
+def _under_new_keys(reader: Reader, document: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The document with its former keys under their names of today; having both is a problem."""
+    for key, new_key in NEW_KEYS.items():
+        if key in document and new_key in document:
+            reader.problems.append(f"{key}: is the former name of {new_key}, which is there as well; remove {key}")
+    return {NEW_KEYS.get(key, key): value for key, value in document.items()}
+
+
+def _test_namespaces(
+    reader: Reader, root: Mapping[str, Any], images: Mapping[str, Any]
+) -> tuple[SuiteNamespaceSettings, ...]:
     agent = reader.word(root.get("agent"), "agent", NAME)
     database = reader.mapping(root.get("database") or {}, "database", ["kind", "arguments"])
     kind = database.get("kind")
     if kind not in DATABASES:
         reader.problems.append("database.kind: must be mongo, ferretdb or empty")
     arguments = tuple(str(word) for word in reader.sequence(database.get("arguments"), "database.arguments"))
-    items = reader.sequence(root.get("rooms"), "rooms")
-    if len(items) > ROOMS_MAX:
-        reader.problems.append(f"rooms: more than {ROOMS_MAX}")
+    items = reader.sequence(root.get("test_namespaces"), "test_namespaces")
+    if len(items) > TEST_NAMESPACES_MAX:
+        reader.problems.append(f"test_namespaces: more than {TEST_NAMESPACES_MAX}")
     return tuple(
         SuiteNamespaceSettings(
-            *_room(reader, item, f"rooms[{index}]"),
+            *_namespace_and_domain(reader, item, f"test_namespaces[{index}]"),
             agent=agent,
             observer_image=str(images.get("observer") or ""),
             broker_image=reader.word(images.get("broker"), "images.broker", IMAGE),
@@ -73,14 +98,14 @@ def _rooms(reader: Reader, root: Mapping[str, Any], images: Mapping[str, Any]) -
             database_image=reader.word(images.get("database") or None, "images.database", IMAGE, default=""),
             database_arguments=arguments,
         )
-        for index, item in enumerate(items[:ROOMS_MAX])
+        for index, item in enumerate(items[:TEST_NAMESPACES_MAX])
     )
 
 
-def _room(reader: Reader, value: Any, path: str) -> tuple[str, int]:
-    room = reader.mapping(value, path, ["namespace", "domain_id"])
-    domain_id = room.get("domain_id")
+def _namespace_and_domain(reader: Reader, value: Any, path: str) -> tuple[str, int]:
+    test_namespace = reader.mapping(value, path, ["namespace", "domain_id"])
+    domain_id = test_namespace.get("domain_id")
     if not isinstance(domain_id, int) or isinstance(domain_id, bool) or not 0 <= domain_id <= DOMAIN_ID_MAX:
         reader.problems.append(f"{path}.domain_id: must be a whole number from 0 to {DOMAIN_ID_MAX}")
         domain_id = 0
-    return reader.word(room.get("namespace"), f"{path}.namespace", NAME), domain_id
+    return reader.word(test_namespace.get("namespace"), f"{path}.namespace", NAME), domain_id

@@ -1,4 +1,4 @@
-"""Making accounts, repositories and Argo CD's wiring so: every step looks first and changes what differs.
+"""The steps that set up accounts, repositories and Argo CD's wiring: each reads first and changes what differs.
 
 Running it twice changes nothing. It waits for forge, database and Argo CD together no longer than `wait_seconds`; steps
 that fail for a passing reason are tried again within the same bound, all others end it with the error.
@@ -41,7 +41,7 @@ class Organisation:
 
 @dataclass(frozen=True)
 class Repository:
-    """A repository `<organisation>/<name>`. `seed`: path -> content of the first commit, taken only when it is empty;
+    """A repository `<organisation>/<name>`. `seed`: path -> content of the first commit, used only when it is empty;
     `access`: account -> read | write; `main`: who may push the branch. Who may write may also merge pull requests."""
 
     name: str
@@ -111,7 +111,8 @@ class Team:
 
 
 def plan_teams(setup: ForgeSetup) -> tuple[Team, ...]:
-    """The fewest rights that give `access` and `packages`: a team per repository and level, per registry and level."""
+    """The fewest rights that give `access` and `packages`: a team per repository and level, per organisation
+    of packages and level."""
     teams: list[Team] = []
     for repository in setup.repositories:
         short = repository.name.partition("/")[2]
@@ -131,7 +132,8 @@ def _accounts(access: Mapping[str, str], level: str) -> frozenset[str]:
 
 
 class Bootstrap:
-    """Runs the steps. `monotonic` is a clock in seconds, `sleep` waits that many seconds; both are given for tests."""
+    """A run of the steps. `monotonic` is a clock in seconds, `sleep` waits that many seconds; both are given for
+    tests."""
 
     def __init__(
         self,
@@ -140,7 +142,9 @@ class Bootstrap:
         sleep: Callable[[float], None],
         jitter: Random = random.random,
     ) -> None:
-        self._monotonic, self._sleep, self._jitter = monotonic, sleep, jitter
+        self._monotonic = monotonic
+        self._sleep = sleep
+        self._jitter = jitter
         self._end = monotonic() + wait_seconds
         self.changed: list[str] = []
 
@@ -160,7 +164,7 @@ class Bootstrap:
                 attempts += 1
         if changed:
             self.changed.append(what)
-        log.info("looked at step=%r changed=%s", what, str(changed).lower())
+        log.info("step done step=%r changed=%s", what, str(changed).lower())
 
     def forge(self, setup: ForgeSetup, forge: ForgeAdministration) -> None:
         """Accounts, organisations, repositories with their seed, teams, protection, webhooks, in that order."""
@@ -185,7 +189,8 @@ class Bootstrap:
             )
 
     def _repository(self, repository: Repository, forge: ForgeAdministration) -> None:
-        name, branch = repository.name, repository.branch
+        name = repository.name
+        branch = repository.branch
         self._step(f"repository {name}", lambda: forge.make_repository(name, repository.description, branch))
         # Seeded before anybody else may write it.
         self._step(f"seed of {name}", lambda: forge.seed(name, branch, repository.seed))

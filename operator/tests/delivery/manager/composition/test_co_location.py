@@ -199,7 +199,7 @@ def delayed(name: str, milliseconds: float) -> tuple[str, str]:
     ("requirement", "text"),
     [
         ({"guarantee": "delay", "atMost": 0.1, "unit": "s"}, ""),
-        ({"guarantee": "delay", "atMost": 10, "unit": "ms"}, "delay at most 50 ms (claimed), which is not enough"),
+        ({"guarantee": "delay", "atMost": 10, "unit": "ms"}, "delay at most 50 ms (declared), which is not enough"),
         ({"guarantee": "loss", "atMost": 1, "unit": "%"}, "gives no guarantee loss"),
         ({"guarantee": "delay", "atMost": 1, "unit": "s", "verified": True}, "asks for a verified one"),
     ],
@@ -244,10 +244,12 @@ def test_ros_links_that_are_refused(links: list[Any], text: str) -> None:
 
 def test_the_evidence_of_a_release_is_that_of_its_chart() -> None:
     digest = "sha256:" + "e" * 64
-    worker = replace(catalogue().charts["worker"][0], state="verified", evidence=digest, assured=True, doubt="")
+    worker = replace(
+        catalogue().charts["worker"][0], state="verified", evidence=digest, assured=True, evidence_problem=""
+    )
     trusting = catalogue(application([service("a")]))
     strict = replace(trusting, charts={"worker": (worker,)}, assurance="verified")
     assert next(iter(composed(strict).releases.values())).evidence == digest
     assert next(iter(composed(trusting).releases.values())).evidence == "none"
-    doubtful = replace(strict, charts={"worker": (replace(worker, assured=False, doubt="forged"),)})
+    doubtful = replace(strict, charts={"worker": (replace(worker, assured=False, evidence_problem="forged"),)})
     assert "no valid evidence: forged" in refused(composed(doubtful)).message

@@ -251,7 +251,7 @@ def test_values_that_break_the_charts_schema_are_refused_before_anything_is_writ
 
 def test_without_a_schema_nothing_verified_is_written() -> None:
     version = replace(
-        PLAIN.charts["worker"][0], state="verified", evidence="sha256:" + "e" * 64, assured=True, doubt=""
+        PLAIN.charts["worker"][0], state="verified", evidence="sha256:" + "e" * 64, assured=True, evidence_problem=""
     )
     strict = replace(PLAIN, charts={"worker": (version,)}, assurance="verified")
     found = compose([demand(task())], world(strict, schema=lambda chart, version: None))

@@ -1,10 +1,10 @@
-"""The chart and the catalogue entries that a new application starts from: files of this package, filled with its name.
+"""Skeletons: the chart and the catalogue entries a new application starts from, files of this package with its name.
 
 chart/...            -> <charts>/<name>/...
 application.yaml     -> <registry>/applications/<name>.yaml
 chart-version.yaml   -> <registry>/charts/<name>/0.1.0.yaml
 
-Besides a link to the library chart, <charts>/<name>/charts/robotkube-app, so that helm takes the folder as it is.
+Besides a link to the library chart, <charts>/<name>/charts/robotkube-app, so that helm accepts the folder as it is.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ def new_application(name: str, provides: str, charts: Path, registry: Path, dry_
             raise InputError(f"{folder}: missing; give the folders with --charts and --registry")
     places = {"chart": charts / name, "chart-version.yaml": registry / "charts" / name}
     application = registry / "applications" / f"{name}.yaml"
-    taken = [str(place) for place in (*places.values(), application) if place.exists()]
-    if taken:
-        raise RefusalError("Exists", f"{', '.join(taken)}: there already; choose another name")
+    existing = [str(place) for place in (*places.values(), application) if place.exists()]
+    if existing:
+        raise RefusalError("Exists", f"{', '.join(existing)}: there already; choose another name")
     files = {
         _target(path, name, charts, registry): _filled(text, name, provides) for path, text in _read_skeleton().items()
     }
@@ -46,17 +46,17 @@ def new_application(name: str, provides: str, charts: Path, registry: Path, dry_
 
 
 def _read_skeleton() -> dict[str, str]:
-    found: dict[str, str] = {}
-    _collect(resources.files("robotkube.registry.catalogue").joinpath(SKELETON), "", found)
-    return found
+    texts: dict[str, str] = {}
+    _collect(resources.files("robotkube.registry.catalogue").joinpath(SKELETON), "", texts)
+    return texts
 
 
-def _collect(folder: Traversable, prefix: str, found: dict[str, str]) -> None:
+def _collect(folder: Traversable, prefix: str, texts: dict[str, str]) -> None:
     for entry in folder.iterdir():
         if entry.is_dir() and entry.name != "__pycache__":
-            _collect(entry, f"{prefix}{entry.name}/", found)
+            _collect(entry, f"{prefix}{entry.name}/", texts)
         elif entry.is_file():
-            found[prefix + entry.name] = entry.read_text(encoding="utf-8")
+            texts[prefix + entry.name] = entry.read_text(encoding="utf-8")
 
 
 def _target(path: str, name: str, charts: Path, registry: Path) -> Path:

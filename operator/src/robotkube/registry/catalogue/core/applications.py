@@ -28,7 +28,7 @@ _MEDIA = ("mqtt",)
 
 @dataclass(frozen=True)
 class ChartRequirement:
-    """A chart by `name` or by what it `provides`, in a range of versions (comparators, empty takes all), whose
+    """A chart by `name` or by what it `provides`, in a range of versions (comparators, empty allows all), whose
     guarantees meet every requirement."""
 
     name: str

@@ -96,7 +96,7 @@ class Catalogue:
         if candidate.state not in ASSURANCES[self.assurance]:
             return f"state {candidate.state} is not allowed"
         if self.assurance != "none" and not candidate.assured:
-            return f"no valid evidence: {candidate.doubt}"
+            return f"no valid evidence: {candidate.evidence_problem}"
         return ""
 
     def evidence_of(self, version: ChartVersion) -> str:
@@ -214,8 +214,8 @@ def _comparison(candidate: ChartVersion, chosen: ChartVersion | None, held: Char
 def _assessed(version: ChartVersion, assessment: EvidenceAssessment | None) -> ChartVersion:
     if assessment is None:
         return version
-    doubt = "" if assessment.assured else "; ".join(assessment.problems) or "it does not meet the policy"
-    return replace(version, assured=assessment.assured, doubt=doubt)
+    problem = "" if assessment.assured else "; ".join(assessment.problems) or "it does not meet the policy"
+    return replace(version, assured=assessment.assured, evidence_problem=problem)
 
 
 def read_catalogue(files: Mapping[str, str], published: bool = True) -> Catalogue:

@@ -14,7 +14,7 @@ from robotkube.registry.catalogue.core.template_validation import (
     AGENT,
     Problem,
     rendered,
-    texts,
+    template_texts,
     unknown_references,
     value_problems,
 )
@@ -44,7 +44,10 @@ def _interface_names(version: ChartVersion, tools: Tools) -> Iterator[Problem]:
         path = f"spec.interfaces[{index}]"
         variables = frozenset(interface.get("forEach") or ())
         parts = {key: interface[key] for key in _INTERFACE_TEMPLATES if key in interface}
-        templates = [*texts(interface.get("forEach"), f"{path}.forEach", frozenset()), *texts(parts, path, variables)]
+        templates = [
+            *template_texts(interface.get("forEach"), f"{path}.forEach", frozenset()),
+            *template_texts(parts, path, variables),
+        ]
         for where, text, known in templates:
             yield from unknown_references(where, text, {"values": None}, known, tools)
 
@@ -57,7 +60,7 @@ def _filled_sets(version: ChartVersion, tools: Tools) -> tuple[dict[int, Mapping
         path = f"spec.suites.sets[{index}]"
         unknown = [
             problem
-            for where, text, variables in texts(item, path, frozenset())
+            for where, text, variables in template_texts(item, path, frozenset())
             for problem in unknown_references(where, text, _SET_NAMES, variables, tools)
         ]
         values, more = rendered(item, path, _SET_SAMPLE, tools)

@@ -43,7 +43,7 @@ class ChartVersion:
 
     `state` and `digest` (OCI manifest digest) are empty in a source; `images` are names, `image_references` what the
     published status pins. `evidence` is the digest of the summary's envelope and `policy` that of its policy, as the
-    status says it; `assured` only when that evidence was checked, else `doubt` says what is missing.
+    status says it; `assured` only when that evidence was checked, else `evidence_problem` says what is missing.
     `interfaces` and `suites` are as written: templates over the chart's values. `entry` is the digest of everything
     that a published entry says (`packing.published_digest`).
     """
@@ -68,7 +68,7 @@ class ChartVersion:
     policy: str = ""
     entry: str = ""
     assured: bool = False
-    doubt: str = NO_EVIDENCE
+    evidence_problem: str = NO_EVIDENCE
 
     @property
     def reference(self) -> ChartReference:

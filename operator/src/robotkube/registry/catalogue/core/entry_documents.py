@@ -61,7 +61,7 @@ def _chart(version: ChartVersion, catalogue: Catalogue) -> dict[str, Any]:
         "evidence": catalogue.evidence_of(version),
         "policy": version.policy,
         "assured": version.assured,
-        "doubt": version.doubt if version.state and catalogue.assurance != "none" else "",
+        "evidence_problem": version.evidence_problem if version.state and catalogue.assurance != "none" else "",
     }
     return {
         "kind": "chart",

@@ -1,6 +1,6 @@
 """Guarantees of chart versions and requirements on them: numbers with units from a closed list.
 
-A guarantee is `claimed` until a guarantee suite measures it: no requirement with `verified: true` can be met yet.
+A guarantee is `declared` until a guarantee suite measures it: no requirement with `verified: true` can be met yet.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 from robotkube.foundation.documents.core.patterns import NAME
 from robotkube.foundation.documents.core.reader import Reader
 
-CLAIMED = "claimed"
+DECLARED = "declared"
 BOUNDS = ("atMost", "atLeast")
 NUMBER_MAX = 1e300  # JSON knows numbers beyond what can be compared
 UNITS: Mapping[str, tuple[str, float]] = {
@@ -45,11 +45,11 @@ class Guarantee:
 
     @property
     def document(self) -> Mapping[str, Any]:
-        """The guarantee as a document, with its standing."""
-        return {"name": self.name, self.bound: self.number, "unit": self.unit, "standing": CLAIMED}
+        """The guarantee as a document, with its status."""
+        return {"name": self.name, self.bound: self.number, "unit": self.unit, "status": DECLARED}
 
     def __str__(self) -> str:
-        return f"{_sentence(self)} ({CLAIMED})"
+        return f"{_sentence(self)} ({DECLARED})"
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,8 @@ def _quantity(reader: Reader, document: Mapping[str, Any], where: str) -> tuple[
     if len(bounds) != 1:
         reader.problems.append(f"{where}: needs exactly one of {', '.join(BOUNDS)}")
     bound = bounds[0] if bounds else BOUNDS[0]
-    number, unit = document.get(bound, 0), document.get("unit")
+    number = document.get(bound, 0)
+    unit = document.get("unit")
     if isinstance(number, bool) or not isinstance(number, (int, float)) or not abs(number) <= NUMBER_MAX:
         reader.problems.append(f"{where}.{bound}: must be a number")
         number = 0

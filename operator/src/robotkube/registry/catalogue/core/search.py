@@ -111,7 +111,7 @@ def _rows(entries: Sequence[Entry]) -> list[dict[str, Any]]:
         ChartVersion(e["name"], e["version"], "", "", replaces=e.get("replaces", ""), skips=tuple(e.get("skips", ())))
         for e in entries
     ]
-    following = upgrades(versions)
+    successors = upgrades(versions)
     return [
         {
             "chart": entry["name"],
@@ -120,7 +120,7 @@ def _rows(entries: Sequence[Entry]) -> list[dict[str, Any]]:
             "state": entry["state"],
             "replaces": entry.get("replaces", ""),
             "skips": list(entry.get("skips", ())),
-            "upgrades_to": list(following[entry["version"]]),
+            "upgrades_to": list(successors[entry["version"]]),
         }
         for entry in sorted(entries, key=lambda entry: version_key(entry["version"]))
     ]

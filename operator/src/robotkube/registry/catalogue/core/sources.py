@@ -74,7 +74,8 @@ def findings_of(sources: CatalogueSources, path: str, error: DocumentError) -> l
     for problem in error.problems:
         key, separator, text = problem.partition(": ")
         if not separator or " " in key:
-            key, text = "document", problem
+            key = "document"
+            text = problem
         if key == "path":
             text = _misplaced(sources, path, text)
         fix = "" if ";" in text else "; write it" if text == "missing" else f"; {_FIX}"

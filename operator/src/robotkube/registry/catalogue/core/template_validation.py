@@ -114,20 +114,20 @@ def _texts(application: Application) -> Iterator[tuple[str, str, frozenset[str]]
     for index, service in enumerate(application.services):
         path = f"spec.services[{index}]"
         variables = frozenset(service.for_each)
-        yield from texts(service.for_each, f"{path}.forEach", frozenset())
-        yield from texts(service.release, f"{path}.release", variables)
-        yield from texts(service.placement.agent, f"{path}.placement.agent", variables)
-        yield from texts(service.values, f"{path}.values", variables)
+        yield from template_texts(service.for_each, f"{path}.forEach", frozenset())
+        yield from template_texts(service.release, f"{path}.release", variables)
+        yield from template_texts(service.placement.agent, f"{path}.placement.agent", variables)
+        yield from template_texts(service.values, f"{path}.values", variables)
     for index, link in enumerate(application.links):
         path = f"spec.links[{index}]"
         variables = frozenset(link.for_each)
-        yield from texts(link.for_each, f"{path}.forEach", frozenset())
-        yield from texts(dict(link.source), f"{path}.from", variables)
-        yield from texts(dict(link.target), f"{path}.to", variables)
-        yield from texts(list(link.topics), f"{path}.topics", variables)
+        yield from template_texts(link.for_each, f"{path}.forEach", frozenset())
+        yield from template_texts(dict(link.source), f"{path}.from", variables)
+        yield from template_texts(dict(link.target), f"{path}.to", variables)
+        yield from template_texts(list(link.topics), f"{path}.topics", variables)
 
 
-def texts(value: Any, path: str, variables: frozenset[str]) -> Iterator[tuple[str, str, frozenset[str]]]:
+def template_texts(value: Any, path: str, variables: frozenset[str]) -> Iterator[tuple[str, str, frozenset[str]]]:
     """Every text in `value` with its path and the forEach variables around it."""
     if isinstance(value, str):
         yield path, value, variables
@@ -135,10 +135,10 @@ def texts(value: Any, path: str, variables: frozenset[str]) -> Iterator[tuple[st
         inner = value.get("forEach") if set(value) == LOOP_KEYS else None
         more = variables | frozenset(inner if isinstance(inner, Mapping) else ())
         for key, item in value.items():
-            yield from texts(item, join(path, str(key)), variables if key == "forEach" else more)
+            yield from template_texts(item, join(path, str(key)), variables if key == "forEach" else more)
     elif isinstance(value, list):
         for index, item in enumerate(value):
-            yield from texts(item, f"{path}[{index}]", variables)
+            yield from template_texts(item, f"{path}[{index}]", variables)
 
 
 @dataclass

@@ -109,7 +109,8 @@ def _requirement(wanted: ChartRequirement, readable: _Readable) -> Iterator[tupl
     if readable.broken and (not wanted.name or wanted.name in readable.broken):
         return
     if wanted.name:
-        candidates, where = readable.charts.get(wanted.name, []), f"chart {wanted.name}"
+        candidates = readable.charts.get(wanted.name, [])
+        where = f"chart {wanted.name}"
         charts = ", ".join(sorted(readable.charts)) or "none"
         if not candidates:
             yield ".name", f"there is no chart {wanted.name!r} (there are: {charts}); name one of them or add its file"

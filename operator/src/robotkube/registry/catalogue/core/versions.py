@@ -34,7 +34,7 @@ def is_range(text: str) -> bool:
 
 
 def in_range(version: str, requirement: str) -> bool:
-    """Whether every comparator of `requirement` holds; an empty requirement takes every version."""
+    """Whether every comparator of `requirement` holds; an empty requirement allows every version."""
     matches = [_COMPARATOR.fullmatch(comparator) for comparator in requirement.split()]
     return all(match and _HOLDS[match[1]](version_key(version), version_key(match[2])) for match in matches)
 

@@ -23,8 +23,8 @@ from robotkube.registry.evidence.core.verification_policy import SUMMARY, Verifi
 from robotkube.registry.evidence.ports import Verifier
 
 PLATFORMS = ("linux/amd64",)
-ENVELOPES_KEPT_MAX = 8192
-SCHEMAS_KEPT_MAX = 512
+ENVELOPES_CACHED_MAX = 8192
+SCHEMAS_CACHED_MAX = 512
 
 _Known = tuple[ChartVersion, str, tuple[str | None, ...]]
 
@@ -40,7 +40,7 @@ class EvidenceReader:
     def __init__(self, verifier: Verifier, platforms: Sequence[str] = PLATFORMS) -> None:
         self._verifier = verifier
         self._platforms = tuple(platforms)
-        self._verify = lru_cache(ENVELOPES_KEPT_MAX)(self._outcome)
+        self._verify = lru_cache(ENVELOPES_CACHED_MAX)(self._outcome)
         self._keys: frozenset[str] = frozenset()
         self._assessments: dict[tuple[str, str], tuple[_Known, Assessment]] = {}
 
@@ -127,7 +127,7 @@ class AssuredCatalogue:
             raise InputError("the catalogue repository has no main branch yet; nothing is planned")
         seen = (newest, self._reader.trusted())
         if seen != self._seen:
-            self._take(newest)
+            self._adopt(newest)
             self._seen = seen
         return self.tip, self.catalogue
 
@@ -136,7 +136,7 @@ class AssuredCatalogue:
         text = self.files.get(f"charts/{chart}/{version}.schema.json")
         return None if text is None else _read_schema(text)
 
-    def _take(self, newest: str) -> None:
+    def _adopt(self, newest: str) -> None:
         files = self._repository.files(newest, FOLDERS)
         catalogue = self._reader.read(files)
         for problem in catalogue.problems:
@@ -153,7 +153,7 @@ class AssuredCatalogue:
             self.catalogue = self._reader.read(self.files)
 
 
-@lru_cache(SCHEMAS_KEPT_MAX)
+@lru_cache(SCHEMAS_CACHED_MAX)
 def _read_schema(text: str) -> Mapping[str, Any] | None:
     try:
         schema = json.loads(text)

@@ -104,7 +104,7 @@ class Assessment:
     problems: tuple[str, ...] = ()
 
     @property
-    def doubt(self) -> str:
+    def explanation(self) -> str:
         """The problems as one text; empty when assured."""
         return "; ".join(self.problems)
 

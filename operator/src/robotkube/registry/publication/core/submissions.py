@@ -221,7 +221,7 @@ def _version_problems(charts: Sequence[SubmittedChart], main: Mapping[str, str],
                     f"{chart.digest}; a version is never replaced: raise `version` in Chart.yaml and in the entry"
                 )
         elif status.get("state") == "withdrawn":
-            yield f"{chart.path}: {chart.name} was withdrawn; a person has to take the withdrawal back first"
+            yield f"{chart.path}: {chart.name} was withdrawn; a person has to revert the withdrawal first"
 
 
 def _evidence_problems(proposed: Proposed, charts: Sequence[SubmittedChart]) -> Iterable[str]:

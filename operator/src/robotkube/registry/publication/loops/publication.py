@@ -67,7 +67,7 @@ class PublicationLoop:
         forge: Forge,
         main: MainBranch,
         commits: Commits,
-        registry: ChartRegistry,
+        oci_registry: ChartRegistry,
         verifying: ChartVerification,
         signer: Signer,
         settings: PublicationSettings,
@@ -87,7 +87,7 @@ class PublicationLoop:
         self._underway: dict[int, SubmissionInProgress] = {}
         self._settled: dict[int, str] = {}
         self._comments = ReportComments(forge, settings)
-        self._reader = SubmissionReader(main, registry, verifying, settings, tools)
+        self._reader = SubmissionReader(main, oci_registry, verifying, settings, tools)
         self._failed: dict[int, str] = {}
         self._key_written = False
         self._woken = threading.Event()
@@ -157,7 +157,7 @@ class PublicationLoop:
                 expected = isinstance(error, RobotKubeError)
                 text = error if expected else f"{type(error).__name__}: {error}"
                 log.error("submission failed number=%d reason=%s", pull.number, text, exc_info=not expected)
-            self._wait(pull.number, f"{error}; somebody who runs the platform has to look at this")
+            self._wait(pull.number, f"{error}; somebody who runs the platform has to examine this")
 
     def _refuse_if_lost(self, number: int) -> bool:
         """Refuse a submission whose charts are no longer in staging as they were; whether that is so."""
@@ -168,7 +168,7 @@ class PublicationLoop:
                 underway.problems = lost
                 self._end(underway, REFUSED)
         except RobotKubeError as error:
-            log.warning("submission cannot be looked at number=%d reason=%s", number, error)
+            log.warning("submission cannot be checked number=%d reason=%s", number, error)
             return False
         return bool(lost)
 
@@ -178,9 +178,9 @@ class PublicationLoop:
             return
         underway.waiting_for = reason
         try:
-            self._comments.tell(underway, WAITING)
+            self._comments.report(underway, WAITING)
         except RobotKubeError as error:
-            log.warning("submission cannot be told number=%d reason=%s", number, error)
+            log.warning("submission cannot be reported number=%d reason=%s", number, error)
 
     def _advance(self, pull: PullRequest) -> None:
         underway = self._underway.get(pull.number)
@@ -198,7 +198,7 @@ class PublicationLoop:
         if underway.policy is None:  # a person may have repaired it meanwhile
             self._main.fetch()
         if underway.tip != self._main.tip or underway.policy is None:
-            self._reader.look(underway)
+            self._reader.check(underway)
         if underway.policy is not None and not underway.problems:
             for chart in underway.charts:
                 for result in self._verifying.ask(chart):
@@ -207,20 +207,20 @@ class PublicationLoop:
                         "suite finished number=%d chart=%s suite=%s outcome=%s seconds=%.1f",
                         *(underway.number, chart.chart.chart, result.suite, result.outcome, result.seconds),
                     )
-        underway.waiting_for = self._policy_doubt(underway)
+        underway.waiting_for = self._policy_problem(underway)
         self._decide(underway)
 
     @staticmethod
-    def _policy_doubt(underway: SubmissionInProgress) -> str:
+    def _policy_problem(underway: SubmissionInProgress) -> str:
         return "" if underway.policy else f"{POLICY_PATH} on main of the catalogue cannot be read; a person repairs it"
 
     def _decide(self, underway: SubmissionInProgress) -> None:
         if underway.waiting_for:
-            self._comments.tell(underway, WAITING)
+            self._comments.report(underway, WAITING)
         elif underway.problems:
             self._refuse(underway)
         elif any(chart.missing for chart in underway.charts):
-            self._comments.tell(underway, CHECKING)
+            self._comments.report(underway, CHECKING)
         elif not all(chart.passed for chart in underway.charts):
             self._refuse(underway)
         else:
@@ -239,7 +239,7 @@ class PublicationLoop:
         if not changes:
             self._end(underway, UNCHANGED)
             return
-        self._comments.tell(underway, VERIFIED)
+        self._comments.report(underway, VERIFIED)
         message = publication_message(underway.submission, verified)
         commit = self._commits.commit(underway.tip, changes, message, underway.commit.id)
         if not self._main.push_main(commit):
@@ -254,7 +254,7 @@ class PublicationLoop:
         self._end(underway, REFUSED)
 
     def _end(self, underway: SubmissionInProgress, verdict: str) -> None:
-        self._comments.tell(underway, verdict)
+        self._comments.report(underway, verdict)
         self._forge.close(underway.number)
         self._record(underway, verdict)
 

@@ -21,9 +21,9 @@ class ReportComments:
         """Forget all pull requests but these."""
         self._known = {number: known for number, known in self._known.items() if number in numbers}
 
-    def tell(self, underway: SubmissionInProgress, verdict: str) -> None:
+    def report(self, underway: SubmissionInProgress, verdict: str) -> None:
         """Write the report into the pull request: one comment, edited when its text changes."""
-        report = Report(
+        content = Report(
             verdict,
             underway.submission.names,
             underway.commit.id,
@@ -34,9 +34,9 @@ class ReportComments:
             waiting_for=underway.waiting_for,
             applications=tuple(underway.submission.applications),
         )
-        self._say(underway.number, report_text(report))
+        self._write(underway.number, report_text(content))
 
-    def _say(self, number: int, text: str) -> None:
+    def _write(self, number: int, text: str) -> None:
         identifier, written = self._known.get(number) or self._own_comment(number)
         if written == text:
             return

@@ -35,8 +35,8 @@ log = logging.getLogger(__name__)
 @dataclass(frozen=True)
 class PublicationSettings:
     """Settings of the publication. `catalogue`: `<organisation>/<name>`; `publishers`: accounts whose submissions are
-    taken; `account`: the gate's own; `staging`, `verified`: organisations of the registry; `charts_url`: of the latter,
-    oci://host/organisation; `local_builds`: a version may be published again with another digest."""
+    accepted; `account`: the gate's own; `staging`, `verified`: organisations of the OCI registry; `charts_url`: of the
+    latter, oci://host/organisation; `local_builds`: a version may be published again with another digest."""
 
     catalogue: str
     publishers: tuple[str, ...]
@@ -68,18 +68,18 @@ class SubmissionReader:
     def __init__(
         self,
         main: MainBranch,
-        registry: ChartRegistry,
+        oci_registry: ChartRegistry,
         verifying: ChartVerification,
         settings: PublicationSettings,
         tools: Tools,
     ) -> None:
         self._main = main
-        self._registry = registry
+        self._oci_registry = oci_registry
         self._verifying = verifying
         self._settings = settings
         self._tools = tools
 
-    def look(self, underway: SubmissionInProgress) -> None:
+    def check(self, underway: SubmissionInProgress) -> None:
         """Check the commit against main's tip; results that still count are kept."""
         tip = self._main.tip
         commit = underway.commit
@@ -140,11 +140,11 @@ class SubmissionReader:
 
     def _staging_problems(self, chart: SubmittedChart) -> list[str]:
         repository = f"{self._settings.staging}/{chart.chart}"
-        if self._registry.manifest_digest(repository, chart.digest) is None:
+        if self._oci_registry.manifest_digest(repository, chart.digest) is None:
             fix = "push it (`robotkube registry submit` does)"
             return [f"{chart.path}: {repository} has no digest {chart.digest}; {fix}, and write no tag twice"]
         try:  # the publisher writes there too: what is attached may be anything
-            self._registry.attachments(repository, chart.digest)
+            self._oci_registry.attachments(repository, chart.digest)
         except InputError as error:
             fix = f"delete the tag {fallback_tag(chart.digest)} of {repository}"
             return [f"{chart.path}: what is attached to it in {repository} cannot be read: {error}; {fix}"]
@@ -156,7 +156,7 @@ class SubmissionReader:
             return None, problems
         repository = f"{self._settings.staging}/{chart.chart}"
         try:
-            pulled = self._registry.pull_chart(repository, chart.digest)
+            pulled = self._oci_registry.pull_chart(repository, chart.digest)
         except InputError as error:
             return None, [f"{chart.path}: {chart.digest} is not a chart that can be read: {error}"]
         return pulled, artefact_problems(chart, pulled)

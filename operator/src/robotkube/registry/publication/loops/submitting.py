@@ -27,15 +27,15 @@ from robotkube.registry.publication.ports import ChartSource, SubmittedSources
 
 STAGING = "staging"
 PUBLISHED, UNCHANGED, REFUSED, PLANNED = "published", "unchanged", "refused", "planned"
-LOOK_SECONDS = 0.5  # at the pull request
-AWAY_SECONDS_MAX = 60.0  # the forge may be silent this long
+POLL_SECONDS = 0.5  # at the pull request
+UNAVAILABLE_SECONDS_MAX = 60.0  # the forge may be silent this long
 TOPIC_DIGITS = 16
 
 T = TypeVar("T")
 
 
 class ChartPushing(Protocol):
-    """The part of a registry that a publisher uses."""
+    """The part of an OCI registry that a publisher uses."""
 
     def push_chart(self, organisation: str, chart: PackedChart, tag: str = "") -> str:
         """Push to `<organisation>/<chart name>`; the same again changes nothing."""
@@ -58,36 +58,36 @@ class SubmissionOutcome:
 
 
 class Submitting:
-    """One publisher at one forge. `account` is the publisher's; `monotonic` and `sleep` are in seconds; `say` gets
-    progress, a line at a time."""
+    """One publisher at one forge. `account` is the publisher's; `monotonic` and `sleep` are in seconds; `report_line`
+    gets progress, a line at a time."""
 
     def __init__(
         self,
         catalogue: RepositoryFiles,
         proposals: Proposals,
         forge: Forge,
-        registry: ChartPushing,
+        oci_registry: ChartPushing,
         account: str,
         monotonic: Callable[[], float],
         sleep: Callable[[float], None],
-        say: Callable[[str], None] = lambda line: None,
+        report_line: Callable[[str], None] = lambda line: None,
     ) -> None:
         self._catalogue = catalogue
         self._proposals = proposals
         self._forge = forge
-        self._registry = registry
+        self._oci_registry = oci_registry
         self._account = account
         self._monotonic = monotonic
         self._sleep = sleep
-        self._say = say
+        self._report_line = report_line
 
     def submit(
         self, sources: SubmittedSources, wait_seconds: float, dry_run: bool = False, again: bool = False
     ) -> SubmissionOutcome:
         """Submit what the catalogue has not, or everything `again`, and wait for the gate's verdict.
 
-        UnavailableError when the forge is away, or nothing was decided within `wait_seconds`: the submission stands,
-        the same call waits for it again."""
+        UnavailableError when the forge does not answer, or nothing was decided within `wait_seconds`: the submission
+        stands, the same call waits for it again."""
         tip = self._patiently(self._catalogue.fetch)
         main = self._catalogue.files(tip, READ_FOLDERS)
         unchanged = [c for c in sources.charts if not again and is_published(c.submitted, main)]
@@ -100,27 +100,27 @@ class Submitting:
             tuple(chart.submitted.name for chart in unchanged),
         )
         for name in about.unchanged:
-            self._say(f"{name}: published already with this digest")
+            self._report_line(f"{name}: published already with this digest")
         changes = _changes(new, applications, sources.kept)
         staged = [chart.submitted.path for chart in new if main.get(chart.submitted.path) == chart.entry]
         if staged:
             raise InputError(
-                f"{', '.join(staged)}: main has this as staged already, by somebody's hand, so it cannot be proposed; "
-                "take it out of the catalogue, then submit again"
+                f"{', '.join(staged)}: main has this as staged already, by somebody else, so it cannot be proposed; "
+                "remove it from the catalogue, then submit again"
             )
         if dry_run or not changes:
             verdict = PLANNED if changes else UNCHANGED
-            return _told(about, verdict, evidence=self._evidence(tip, sources))
+            return _outcome(about, verdict, evidence=self._evidence(tip, sources))
         for chart in new:
             self._push(chart)
         pull = self._open(tip, changes, about)
-        return self._follow(pull, about, sources, self._monotonic() + wait_seconds)
+        return self._wait_for_decision(pull, about, sources, self._monotonic() + wait_seconds)
 
     def _push(self, chart: ChartSource) -> None:
         packed = chart.packed
         tag = build_tag(packed.version, packed.digest)
-        self._patiently(lambda: self._registry.push_chart(STAGING, packed, tag))
-        self._say(f"{packed.name} {packed.version}: pushed to {STAGING} as {packed.digest}")
+        self._patiently(lambda: self._oci_registry.push_chart(STAGING, packed, tag))
+        self._report_line(f"{packed.name} {packed.version}: pushed to {STAGING} as {packed.digest}")
 
     def _open(self, tip: str, changes: Mapping[str, str], about: SubmissionOutcome) -> PullRequest:
         """The pull request of exactly these changes: the open one, or a new one."""
@@ -133,45 +133,48 @@ class Submitting:
             number = self._proposals.propose(commit, topic, title, "The gate answers below.\n")
             pull = self._patiently(lambda: self._forge.pull_request(number)) if number else self._find(title)
         if pull is None:
-            raise UnavailableError(f"the forge took submission {topic}, but shows no pull request for it; try again")
-        self._say(f"pull request {pull.url}")
+            raise UnavailableError(
+                f"the forge accepted submission {topic}, but shows no pull request for it; try again"
+            )
+        self._report_line(f"pull request {pull.url}")
         return pull
 
     def _find(self, title: str) -> PullRequest | None:
         pulls = self._patiently(lambda: self._forge.pull_requests("open", self._account))
         return next((pull for pull in pulls if pull.title == title and pull.author == self._account), None)
 
-    def _follow(
+    def _wait_for_decision(
         self, opened: PullRequest, about: SubmissionOutcome, sources: SubmittedSources, end: float
     ) -> SubmissionOutcome:
         printed: set[str] = set()
         while True:
             pull = self._patiently(lambda: self._forge.pull_request(opened.number))
             text = self._report(opened.number)
-            self._progress(text, printed)
+            self._write_progress(text, printed)
             if pull.merged or pull.state == "closed":
                 break
             if self._monotonic() >= end:
                 raise UnavailableError(
-                    f"{pull.url}: not decided within the given time; the gate goes on, the same command follows it"
+                    f"{pull.url}: not decided within the given time; the gate goes on, "
+                    "the same command waits for it again"
                 )
-            self._sleep(LOOK_SECONDS)
+            self._sleep(POLL_SECONDS)
         verdict = PUBLISHED if pull.merged or self._is_on_main(sources) else REFUSED
         evidence = self._evidence(self._patiently(self._catalogue.fetch), sources) if verdict == PUBLISHED else {}
         text = readable_text(text) if text else "the pull request was closed without a report of the gate\n"
-        return _told(about, verdict, text=text, number=pull.number, url=pull.url, evidence=evidence)
+        return _outcome(about, verdict, text=text, number=pull.number, url=pull.url, evidence=evidence)
 
-    def _progress(self, text: str, printed: set[str]) -> None:
+    def _write_progress(self, text: str, printed: set[str]) -> None:
         """Report each headline and each chart's suite once per state."""
         chart = ""
         for line in readable_text(text).splitlines():
             if line.startswith("### "):
                 chart = f"{line.strip('# ')}: "
             shown = line.startswith(("## ", "| ")) and not line.startswith(("| suite", "| ---"))
-            news = (chart if line.startswith("| ") else "") + line.strip("#| ").replace(" | ", "  ")
-            if shown and news not in printed:
-                printed.add(news)
-                self._say(news)
+            state = (chart if line.startswith("| ") else "") + line.strip("#| ").replace(" | ", "  ")
+            if shown and state not in printed:
+                printed.add(state)
+                self._report_line(state)
 
     def _report(self, number: int) -> str:
         comments = self._patiently(lambda: self._forge.comments(number))
@@ -195,18 +198,18 @@ class Submitting:
         return {path: text for path, text in files.items() if path.startswith(folders)}
 
     def _patiently(self, call: Callable[[], T]) -> T:
-        """The call's answer; a forge that does not answer is asked again within AWAY_SECONDS_MAX."""
-        end = self._monotonic() + AWAY_SECONDS_MAX
+        """The call's answer; a forge that does not answer is asked again within UNAVAILABLE_SECONDS_MAX."""
+        end = self._monotonic() + UNAVAILABLE_SECONDS_MAX
         while True:
             try:
                 return call()
             except UnavailableError:
                 if self._monotonic() >= end:
                     raise
-                self._sleep(LOOK_SECONDS)
+                self._sleep(POLL_SECONDS)
 
 
-def _told(about: SubmissionOutcome, verdict: str, **more: Any) -> SubmissionOutcome:
+def _outcome(about: SubmissionOutcome, verdict: str, **more: Any) -> SubmissionOutcome:
     return SubmissionOutcome(**{**vars(about), "verdict": verdict, **more})
 
 

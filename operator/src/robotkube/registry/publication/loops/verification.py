@@ -1,8 +1,8 @@
 """Verification of a submitted chart: it keeps results by digest, policy and suite version, asks the suite-runner for
 those that are missing, signs them and attaches them to the chart's digest.
 
-Nothing but the registry and the runner remembers anything: a gate that starts again finds what was attached and asks
-the runner for the rest.
+Nothing but the OCI registry and the runner remembers anything: a gate that starts again finds what was attached and
+asks the runner for the rest.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ from robotkube.registry.suites.core.requests import Replaced, SuiteRequest
 from robotkube.registry.suites.ports.suites import SuiteRunner
 
 QUEUE_SECONDS_MAX = 3600.0  # a suite may wait this long for its turn
-MARGIN_SECONDS = 60.0  # beyond a rule's seconds, for the runner to clean up and say so
-ENVELOPES_LOOKED_AT_MAX = 200  # of one chart
+MARGIN_SECONDS = 60.0  # beyond a rule's seconds, for the runner to clean up and report it
+ENVELOPES_READ_MAX = 200  # of one chart
 
 
 @dataclass
@@ -100,7 +100,7 @@ class ChartInProgress:
 
 @dataclass(frozen=True)
 class VerifyingSettings:
-    """`staging`, `verified`: organisations of the registry; `charts_url` is that of the latter
+    """`staging`, `verified`: organisations of the OCI registry; `charts_url` is that of the latter
     (`oci://host/organisation`), `policy_uri` names the policy in summaries, `verifier` who verifies."""
 
     staging: str
@@ -115,7 +115,7 @@ class ChartVerification:
 
     def __init__(
         self,
-        registry: ChartRegistry,
+        oci_registry: ChartRegistry,
         signer: Signer,
         verifier: Verifier,
         runner: SuiteRunner,
@@ -123,7 +123,7 @@ class ChartVerification:
         monotonic: Callable[[], float],
         now: Callable[[], str],
     ) -> None:
-        self._registry = registry
+        self._oci_registry = oci_registry
         self._signer = signer
         self._verifier = verifier
         self._runner = runner
@@ -132,15 +132,17 @@ class ChartVerification:
         self._now = now
 
     def begin(self, underway: ChartInProgress, carried: Iterable[bytes]) -> None:
-        """Collect the results that count already: attached in the registry, then `carried` by the submission."""
+        """Collect the results that count already: attached in the OCI registry, then `carried` by the submission."""
         self._verifier.trusted()
         chart = underway.chart
         repositories = [f"{self._settings.verified}/{chart.chart}", f"{self._settings.staging}/{chart.chart}"]
         attached = [
-            attachment.data for where in repositories for attachment in self._registry.attachments(where, chart.digest)
+            attachment.data
+            for where in repositories
+            for attachment in self._oci_registry.attachments(where, chart.digest)
         ]
         envelopes = dict.fromkeys([*attached, *carried])
-        for envelope in list(envelopes)[:ENVELOPES_LOOKED_AT_MAX]:
+        for envelope in list(envelopes)[:ENVELOPES_READ_MAX]:
             self._keep(underway, envelope)
 
     def _keep(self, underway: ChartInProgress, envelope: bytes) -> None:
@@ -188,7 +190,7 @@ class ChartVerification:
         try:
             progress = self._runner.run(request)
         except InputError as error:
-            return _unfinished(rule, "the suite-runner takes the request", str(error))
+            return _unfinished(rule, "the suite-runner accepts the request", str(error))
         underway.reasons[rule.name] = progress.reason
         if progress.result is not None:
             return _checked(rule, progress.result)
@@ -220,7 +222,7 @@ class ChartVerification:
         attached[SUMMARY] = self._attach(underway, SUMMARY, envelopes[SUMMARY])
         chart = underway.chart
         source, target = (f"{where}/{chart.chart}" for where in (self._settings.staging, self._settings.verified))
-        self._registry.copy_chart(source, target, chart.digest, chart.tag, list(attached.values()))
+        self._oci_registry.copy_chart(source, target, chart.digest, chart.tag, list(attached.values()))
         underway.evidence = sha256(envelopes[SUMMARY])
         return VerifiedChart(chart, envelopes, underway.evidence, underway.policy.digest, underway.schema)
 
@@ -247,9 +249,9 @@ class ChartVerification:
         )
         envelope = self._signer.sign(document)
         verified = self._verifier.verify(envelope)
-        doubt = self._suffices(underway, statements, verified)
-        if doubt:
-            raise InputError(f"{underway.chart.name}: what was signed here does not suffice: {doubt}")
+        problem = self._suffices(underway, statements, verified)
+        if problem:
+            raise InputError(f"{underway.chart.name}: what was signed here does not suffice: {problem}")
         underway.summaries.append((envelope, verified))
         return envelope
 
@@ -260,14 +262,14 @@ class ChartVerification:
         all_statements = {**statements, SUMMARY: summary}
         return assess(
             underway.artefact, underway.policy, summary.envelope_digest, all_statements, underway.listing
-        ).doubt
+        ).explanation
 
     def _attach(self, underway: ChartInProgress, name: str, envelope: bytes) -> str:
         chart = underway.chart
         predicate = SUMMARY_PREDICATE if name == SUMMARY else SUITE_PREDICATE
         annotations = {SUITE_ANNOTATION: name, PREDICATE_ANNOTATION: predicate}
         repository = f"{self._settings.staging}/{chart.chart}"
-        return self._registry.attach(repository, chart.digest, ENVELOPE_MEDIA_TYPE, envelope, annotations)
+        return self._oci_registry.attach(repository, chart.digest, ENVELOPE_MEDIA_TYPE, envelope, annotations)
 
 
 def _checked(rule: SuiteRule, result: SuiteResult) -> SuiteResult:

@@ -41,7 +41,7 @@ class PahoObserver:
         if not self._subscribed.wait(CONNECT_SECONDS_MAX) or self._refusal:
             raise UnavailableError(f"broker {host}:{port}: {self._refusal or 'does not answer'}")
 
-    def take(self) -> list[BrokerMessage]:
+    def receive(self) -> list[BrokerMessage]:
         """See the port."""
         return [self._waiting.popleft() for _ in range(len(self._waiting))]
 
@@ -50,7 +50,7 @@ class PahoObserver:
         self._client.publish(message.topic, message.payload, message.qos, message.retain)
 
     def close(self) -> None:
-        """Say good-bye."""
+        """End the connection."""
         self._client.disconnect()
         self._client.loop_stop()
 

@@ -1,5 +1,5 @@
-"""Runs each suite in a process of its own: one that hangs is killed, one that crashes or takes too much memory takes
-nothing else along. Processes are forked from a server that has everything imported, so that a start costs little.
+"""Runs each suite in a process of its own: one that hangs is killed, one that crashes or needs too much memory harms
+nothing else. Processes are forked from a server that has everything imported, so that a start costs little.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from robotkube.registry.suites.core.requests import SuiteRequest, read_progress,
 Target = Callable[[bytes, str], bytes]
 """Request (JSON) and test namespace -> progress (JSON), in the process; a function at the top of a module."""
 
-LATE_SECONDS = 5.0  # beyond the suite's own time: for starting, and for saying what happened
+LATE_SECONDS = 5.0  # beyond the suite's own time: for starting, and for reporting what happened
 RESULT_BYTES_MAX = 4 * 1024 * 1024
 DATA_BYTES_MAX = 768 * 1024 * 1024
 END_SECONDS_MAX = 5.0
@@ -41,10 +41,10 @@ class ForkedSuites:
         self._running: set[BaseProcess] = set()
         self._lock = threading.Lock()
 
-    def execute(self, request: SuiteRequest, room: str) -> SuiteResult:
+    def execute(self, request: SuiteRequest, namespace: str) -> SuiteResult:
         """Run the suite in a process; UnavailableError says how a process ended that gave no result."""
         seconds = request.rule.seconds + self._late_seconds
-        data = self._run(canonical_json(request_document(request)), room, seconds, request.rule.seconds)
+        data = self._run(canonical_json(request_document(request)), namespace, seconds, request.rule.seconds)
         progress = read_progress(json.loads(data))
         if progress.result is None:
             raise InputError("the suite's process gave no result")
@@ -57,9 +57,9 @@ class ForkedSuites:
         for process in running:
             _kill(process)
 
-    def _run(self, payload: bytes, room: str, seconds: float, allowed_seconds: int) -> bytes:
+    def _run(self, payload: bytes, namespace: str, seconds: float, allowed_seconds: int) -> bytes:
         ours, theirs = self._context.Pipe(duplex=False)
-        process = self._context.Process(target=_body, args=(self._target, payload, room, theirs), daemon=True)
+        process = self._context.Process(target=_body, args=(self._target, payload, namespace, theirs), daemon=True)
         with ours:
             with self._lock:  # who stops meanwhile kills it, too
                 process.start()
@@ -102,9 +102,9 @@ def _kill(process: BaseProcess) -> None:
     process.kill()
 
 
-def _body(target: Target, payload: bytes, room: str, connection: Connection) -> None:
+def _body(target: Target, payload: bytes, namespace: str, connection: Connection) -> None:
     os.setsid()
     _, most = resource.getrlimit(resource.RLIMIT_DATA)
     resource.setrlimit(resource.RLIMIT_DATA, (DATA_BYTES_MAX, most))
-    connection.send_bytes(target(payload, room))
+    connection.send_bytes(target(payload, namespace))
     connection.close()

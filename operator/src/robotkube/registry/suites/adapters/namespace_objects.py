@@ -16,7 +16,7 @@ import urllib3
 from kubernetes.watch.watch import iter_resp_lines
 
 from robotkube.errors import InputError, UnavailableError
-from robotkube.registry.suites.core.test_objects import KINDS
+from robotkube.registry.suites.core.namespace_contents import KINDS
 from robotkube.registry.suites.ports.suites import Object
 
 ANSWER_BYTES_MAX = 32 * 1024 * 1024

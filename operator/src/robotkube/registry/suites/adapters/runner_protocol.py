@@ -87,12 +87,12 @@ def _words(answer: httpx.Response) -> str:
 
 
 class RunsEndpoint:
-    """What a WebServer's `put` needs; `take` puts a request into the queue, `token` is the one that the gate knows as
-    well."""
+    """What a WebServer's `put` needs; `enqueue` puts a request into the queue, `token` is the one that the gate knows
+    as well."""
 
-    def __init__(self, token: str, take: Callable[[SuiteRequest], SuiteProgress]) -> None:
+    def __init__(self, token: str, enqueue: Callable[[SuiteRequest], SuiteProgress]) -> None:
         self._authorization = f"Bearer {token}".encode()
-        self._take = take
+        self._enqueue = enqueue
 
     def put(self, path: str, headers: Mapping[str, str], body: bytes) -> tuple[int, Mapping[str, Any]]:
         """Status and answer."""
@@ -105,7 +105,7 @@ class RunsEndpoint:
         if len(body) > REQUEST_BYTES_MAX:
             return 413, {"message": f"longer than {REQUEST_BYTES_MAX} bytes"}
         try:
-            return 200, progress_document(self._take(_read(key, body)))
+            return 200, progress_document(self._enqueue(_read(key, body)))
         except InputError as error:
             log.warning("request refused key=%s reason=%s", key, error)
             return 400, {"message": str(error)}

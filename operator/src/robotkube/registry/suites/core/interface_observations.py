@@ -18,7 +18,7 @@ ITEMS_MAX = 2_000
 NAME_CHARACTERS_MAX = 120
 _KEYS = {
     "endpoints": ("topic", "direction", "type", "reliability", "durability", "node"),
-    "publications": ("topic", "qos", "retain", "encoding", "doubt"),
+    "publications": ("topic", "qos", "retain", "encoding", "problem"),
     "answers": ("input", "output", "seconds"),
 }
 _PUBLISHED = re.compile(r"Received PUBLISH from (\S+) \(d\d, q(\d), r(\d), m\d+, '(.*)', \.\.\. \(\d+ bytes\)\)")
@@ -28,13 +28,13 @@ _SUBSCRIBED = re.compile(r"(?:\S+: )?(\S+) ([012]) (\S+)")
 @dataclass(frozen=True)
 class ObservedPublication:
     """A topic, QoS and form in which the chart published to MQTT. `encoding` is empty when the content was not seen;
-    `doubt` says what is wrong with the content."""
+    `problem` is what is wrong with the content."""
 
     topic: str
     qos: int
     retain: bool
     encoding: str = ""
-    doubt: str = ""
+    problem: str = ""
 
 
 @dataclass(frozen=True)
@@ -172,10 +172,10 @@ def _mqtt_out_problems(topic: ExpectedTopic, seen: Observation) -> Iterator[tupl
         problem = f"in {seen.seconds:.0f} s nothing was published to {topic.topic}"
         problem += f"; it published to {', '.join(others[:5]) or 'nothing'}"
         yield "declared but absent", problem, f"publish to it, or correct {where} in the entry"
-    qualities = sorted({item.qos for item in published} - {topic.qos})
-    if qualities:
-        problem = f"it is published with QoS {', '.join(map(str, qualities))}, declared is {topic.qos}"
-        yield "wrong QoS", problem, f"publish with QoS {topic.qos}, or declare qos.qos: {qualities[0]} in {where}"
+    levels = sorted({item.qos for item in published} - {topic.qos})
+    if levels:
+        problem = f"it is published with QoS {', '.join(map(str, levels))}, declared is {topic.qos}"
+        yield "wrong QoS", problem, f"publish with QoS {topic.qos}, or declare qos.qos: {levels[0]} in {where}"
     if any(item.retain != topic.retain for item in published):
         words = ("without", "with") if topic.retain else ("with", "without")
         problem = f"it is published {words[0]} the retain flag, declared is {words[1]} it"
@@ -188,9 +188,9 @@ def _mqtt_out_problems(topic: ExpectedTopic, seen: Observation) -> Iterator[tupl
     if forms:
         problem = f"its content is {', '.join(forms)}, declared is {topic.encoding}"
         yield "wrong encoding", problem, f"write {topic.encoding}, or declare the other encoding in {where}"
-    doubts = sorted({item.doubt for item in published if item.doubt})
-    if doubts:
-        yield "wrong type", f"its messages are no {topic.type}: {doubts[0]}", f"correct the type in {where}"
+    problems = sorted({item.problem for item in published if item.problem})
+    if problems:
+        yield "wrong type", f"its messages are no {topic.type}: {problems[0]}", f"correct the type in {where}"
 
 
 def _mqtt_in_problems(topic: ExpectedTopic, seen: Observation) -> Iterator[tuple[str, str, str]]:
@@ -202,10 +202,10 @@ def _mqtt_in_problems(topic: ExpectedTopic, seen: Observation) -> Iterator[tuple
             f"the broker saw no subscription of {topic.topic}; it subscribed to {', '.join(others[:5]) or 'nothing'}"
         )
         yield "declared but absent", problem, f"subscribe to it, or correct {where} in the entry"
-    qualities = sorted({item.qos for item in subscribed} - {topic.qos})
-    if qualities:
-        problem = f"it is subscribed with QoS {', '.join(map(str, qualities))}, declared is {topic.qos}"
-        yield "wrong QoS", problem, f"subscribe with QoS {topic.qos}, or declare qos.qos: {qualities[0]} in {where}"
+    levels = sorted({item.qos for item in subscribed} - {topic.qos})
+    if levels:
+        problem = f"it is subscribed with QoS {', '.join(map(str, levels))}, declared is {topic.qos}"
+        yield "wrong QoS", problem, f"subscribe with QoS {topic.qos}, or declare qos.qos: {levels[0]} in {where}"
 
 
 def _database_problems(topic: ExpectedTopic, seen: Observation) -> Iterator[tuple[str, str, str]]:

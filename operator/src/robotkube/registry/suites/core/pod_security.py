@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 Findings = Iterator[str]
-Look = Callable[["Pod"], Findings]
+Inspect = Callable[["Pod"], Findings]
 
 CONTAINER_LISTS = ("containers", "initContainers", "ephemeralContainers")
 VOLUME_TYPES = frozenset(
@@ -65,10 +65,10 @@ class Pod:
 
 @dataclass(frozen=True)
 class SecurityRule:
-    """One control: `look` yields a sentence per place that breaks it; `fix` says what to write instead."""
+    """One control: `inspect` yields a sentence per place that breaks it; `fix` is what to write instead."""
 
     name: str
-    look: Look
+    inspect: Inspect
     fix: str
 
 
@@ -104,7 +104,7 @@ def _host_ports(pod: Pod) -> Findings:
     for place, container in pod.containers:
         for port in items(container.get("ports")):
             if port.get("hostPort"):
-                yield f"{place}: hostPort {port['hostPort']}: it would take a port of the node"
+                yield f"{place}: hostPort {port['hostPort']}: it would occupy a port of the node"
 
 
 def _host_probes(pod: Pod) -> Findings:

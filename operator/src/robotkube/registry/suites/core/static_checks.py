@@ -29,7 +29,7 @@ BELONGS_TO_PLATFORM = {
     "RoleBinding": "rights are given by the platform",
     "ClusterRole": "rights are given by the platform",
     "ClusterRoleBinding": "rights are given by the platform",
-    "PersistentVolumeClaim": "claims belong to the agent (values of the platform); name one in a value",
+    "PersistentVolumeClaim": "volume claims belong to the agent (values of the platform); name one in a value",
     "Service": "a release is reached over ROS or MQTT",
 }
 
@@ -199,10 +199,12 @@ RULES: tuple[tuple[str, Look, str], ...] = (
 
 def object_checks(renderings: Sequence[Rendering]) -> list[Check]:
     """A check per rule and per rule of Pod Security, over all renderings."""
-    checks = [check(name, (p for rendering in renderings for p in look(rendering)), fix) for name, look, fix in RULES]
+    checks = [
+        check(name, (p for rendering in renderings for p in inspect(rendering)), fix) for name, inspect, fix in RULES
+    ]
     pods = [pod for rendering in renderings for pod in rendering.pods]
     for rule in pod_security.RULES:
-        problems = (problem for pod in pods for problem in rule.look(pod))
+        problems = (problem for pod in pods for problem in rule.inspect(pod))
         checks.append(check(f"pod-security/{rule.name}", problems, rule.fix))
     return [*checks, strategy_advice(renderings)]
 
@@ -265,29 +267,29 @@ def identity_problems(metadata: Mapping[str, Any], entry: Mapping[str, Any]) -> 
         ("name", metadata.get("name"), "metadata.name", mapping(entry.get("metadata")).get("name")),
         ("version", metadata.get("version"), "spec.version", mapping(entry.get("spec")).get("version")),
     )
-    for key, own, entry_key, claimed in pairs:
-        if own != claimed:
-            yield f"Chart.yaml has {key} {own}, the entry has {entry_key} {claimed}"
+    for key, own, entry_key, declared in pairs:
+        if own != declared:
+            yield f"Chart.yaml has {key} {own}, the entry has {entry_key} {declared}"
 
 
 def image_problems(packed: Iterable[str], entry: Mapping[str, Any]) -> Iterator[str]:
     """The difference between the names in images.yaml and the entry's `spec.images`."""
     here = sorted(packed)
-    claimed = sorted(map(str, mapping(entry.get("spec")).get("images") or ()))
-    if here != claimed:
-        yield f"the chart was packed with the images {here}, the entry has spec.images {claimed}"
+    declared = sorted(map(str, mapping(entry.get("spec")).get("images") or ()))
+    if here != declared:
+        yield f"the chart was packed with the images {here}, the entry has spec.images {declared}"
 
 
 def resource_problems(rendering: Rendering, entry: Mapping[str, Any]) -> Iterator[str]:
     """Differences between the requests of one pod and the entry's `spec.resources`, by which releases are placed."""
-    claimed = mapping(mapping(entry.get("spec")).get("resources"))
+    declared = mapping(mapping(entry.get("spec")).get("resources"))
     for name in ("cpu", "memory"):
         requested = [_request(pod.spec, name) for pod in rendering.pods]
         total = sum((amount for amount in requested if amount is not None), Decimal(0))
-        given = quantity(claimed.get(name))
+        given = quantity(declared.get(name))
         if given is None or given != total or None in requested:
             here = f"the pod requests {written(total, name)} of {name}"
-            yield f"{here}, the entry has spec.resources.{name} {claimed.get(name)}"
+            yield f"{here}, the entry has spec.resources.{name} {declared.get(name)}"
 
 
 def _request(spec: Mapping[str, Any], name: str) -> Decimal | None:

@@ -1,6 +1,6 @@
 """Suites of a user's own: a container image that checks one chart and prints its checks.
 
-/suite/request.json   chart, version, digest, platform, sets, room, ...: docs/how-to/write-a-suite.md
+/suite/request.json   chart, version, digest, platform, sets, test_namespace, ...: docs/how-to/write-a-suite.md
 /suite/chart.tgz      the chart, as it is in the registry
 last line of stdout   {"checks": [{"name", "passed", "found", "fix"}]}
 """
@@ -22,7 +22,7 @@ from robotkube.registry.suites.loops.installation import filled_sets, install
 from robotkube.registry.suites.ports.suites import PodRun, Subject, SuiteNamespace
 
 INSTALLED = "installed-for-the-suite"
-MARGIN_SECONDS = 5.0  # kept for saying what happened
+MARGIN_SECONDS = 5.0  # kept for reporting what happened
 LAST_LINES_MAX = 12
 STDERR_LINES_MAX = 50
 
@@ -30,7 +30,7 @@ STDERR_LINES_MAX = 50
 class CustomSuite:
     """The port Suite for a rule that names an image."""
 
-    needs_room = True
+    needs_namespace = True
 
     def __init__(self, rule: SuiteRule, render: Render, now_ns: Callable[[], int]) -> None:
         self._rule = rule
@@ -47,38 +47,47 @@ class CustomSuite:
         """As the policy says: the image is a part of the policy, and by that of its digest."""
         return self._rule.version
 
-    def run(self, subject: Subject, room: SuiteNamespace | None) -> Sequence[Check]:
+    def run(self, subject: Subject, test_namespace: SuiteNamespace | None) -> Sequence[Check]:
         """The image's checks. InputError, which makes the run unfinished, when it gives no proper result."""
-        if room is None:
+        if test_namespace is None:
             raise InputError("a suite of one's own needs a test namespace")
-        sets = filled_sets(subject.entry, room.agent, self._now_ns(), self._render)
+        sets = filled_sets(subject.entry, test_namespace.agent, self._now_ns(), self._render)
         if self._rule.installs:
-            problem = self._install(subject, room, sets[0])
+            problem = self._install(subject, test_namespace, sets[0])
             if problem:
                 fix = "let the chart get ready with the first set of spec.suites.sets; see the suite install"
                 return [Check(INSTALLED, False, problem, fix)]
-        files = {"request.json": canonical_json(self._request(subject, room, sets)), "chart.tgz": subject.archive}
-        seconds = max(room.seconds_left - MARGIN_SECONDS, 1.0)
+        files = {
+            "request.json": canonical_json(self._request(subject, test_namespace, sets)),
+            "chart.tgz": subject.archive,
+        }
+        seconds = max(test_namespace.seconds_left - MARGIN_SECONDS, 1.0)
         return read_result(
-            room.run_pod(self._rule.name, self._rule.image, self._rule.command, files, seconds, accounts=True)
+            test_namespace.run_pod(self._rule.name, self._rule.image, self._rule.command, files, seconds, accounts=True)
         )
 
-    def _install(self, subject: Subject, room: SuiteNamespace, test_set: TestSet) -> str:
+    def _install(self, subject: Subject, test_namespace: SuiteNamespace, test_set: TestSet) -> str:
         try:
-            return install(subject, room, test_set).found
+            return install(subject, test_namespace, test_set).problem
         except InputError as error:
             return str(error)
 
-    def _request(self, subject: Subject, room: SuiteNamespace, sets: Sequence[TestSet]) -> Mapping[str, Any]:
+    def _request(self, subject: Subject, test_namespace: SuiteNamespace, sets: Sequence[TestSet]) -> Mapping[str, Any]:
         artefact = subject.artefact
+        place = {
+            "namespace": test_namespace.namespace,
+            "agent": test_namespace.agent,
+            "domain_id": test_namespace.domain_id,
+        }
         return {
             "chart": artefact.chart,
             "version": artefact.version,
             "digest": artefact.digest,
             "platform": artefact.platform,
             "sets": [{"name": test_set.name, "values": test_set.values} for test_set in sets],
-            "room": {"namespace": room.namespace, "agent": room.agent, "domain_id": room.domain_id},
-            "namespace": room.namespace,
+            "test_namespace": place,
+            "room": place,  # the former name, for images that were published when it was this one
+            "namespace": test_namespace.namespace,
             "release": artefact.chart if self._rule.installs else "",
         }
 
@@ -100,7 +109,7 @@ def read_result(run: PodRun) -> tuple[Check, ...]:
     """The checks in the last line of a pod's stdout; InputError when there are none or the pod failed."""
     tail = "\n".join(run.log.splitlines()[-LAST_LINES_MAX:])
     if run.exit_code != 0:
-        ended = run.found if run.exit_code is None else f"it ended with {run.exit_code}"
+        ended = run.problem if run.exit_code is None else f"it ended with {run.exit_code}"
         raise InputError(f"the suite's pod did not end with 0: {ended}\nlast lines of its log:\n{tail}")
     reader = Reader("result of the suite")
     root = reader.mapping(_last_line(run.log, tail), "", ["checks"])

@@ -1,4 +1,4 @@
-"""The images suite: what the chart would run, read from the registry; nothing is started."""
+"""The images suite: what the chart would run, read from the OCI registry; nothing is started."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ IMAGES_MAX = 20
 
 @dataclass(frozen=True)
 class Image:
-    """An image that is in the registry: `digests` are those a bill may be attached to; `configurations` by platform."""
+    """An image that is in the OCI registry: `digests` are those a bill may be attached to;
+    `configurations` by platform."""
 
     reference: ImageReference
     digests: tuple[str, ...]
@@ -38,19 +39,19 @@ class Image:
 
 
 class ImagesSuite:
-    """Suite `images`: `host` is the platform's registry as references name it, `fill` fills the test sets."""
+    """Suite `images`: `host` is the platform's OCI registry as references name it, `fill` fills the test sets."""
 
     name = "images"
     version = "1"
-    needs_room = False
+    needs_namespace = False
 
-    def __init__(self, registry: ImageRegistry, host: str, fill: Fill) -> None:
-        self._registry = registry
+    def __init__(self, oci_registry: ImageRegistry, host: str, fill: Fill) -> None:
+        self._oci_registry = oci_registry
         self._host = host
         self._fill = fill
 
-    def run(self, subject: Subject, room: SuiteNamespace | None = None) -> list[Check]:
-        """Every check over every image of the chart. UnavailableError when the registry does not answer."""
+    def run(self, subject: Subject, test_namespace: SuiteNamespace | None = None) -> list[Check]:
+        """Every check over every image of the chart. UnavailableError when the OCI registry does not answer."""
         started, problems = self._started(subject)
         references = sorted({*(container.image for container in started), *subject.images.values()})
         problems += [] if references else ["the chart runs no image"]
@@ -58,7 +59,7 @@ class ImagesSuite:
         images, missing = self._read(references[:IMAGES_MAX], _platforms(subject))
         return [
             check("renders", problems, "repair the chart or its test values; the static suite says more"),
-            check("exist", missing, "push the image to the platform's registry and name it by its digest"),
+            check("exist", missing, "push the image to the platform's OCI registry and name it by its digest"),
             check("platform", _platform_problems(images.values(), _platforms(subject)), "build it for these platforms"),
             check("user", _each(images, image_checks.user_problems), "write USER 10001:10001 in its Dockerfile"),
             check(
@@ -99,7 +100,7 @@ class ImagesSuite:
             if reference is None:
                 missing.append(f"{text}: is not named by its digest")
             elif reference.host != self._host:
-                missing.append(f"{text}: is not in the platform's registry {self._host}")
+                missing.append(f"{text}: is not in the platform's OCI registry {self._host}")
             else:
                 try:
                     images[text] = self._image(reference, platforms)
@@ -120,18 +121,18 @@ class ImagesSuite:
         return Image(reference, tuple(dict.fromkeys([reference.digest, *digests])), configurations)
 
     def _document(self, repository: str, digest: str) -> Mapping[str, Any]:
-        return _json(self._registry.manifest(repository, digest), f"manifest {digest}")
+        return _json(self._oci_registry.manifest(repository, digest), f"manifest {digest}")
 
     def _configuration(self, repository: str, digest: str) -> Mapping[str, Any]:
         described = mapping(self._document(repository, digest).get("config"))
-        data = self._registry.blob(repository, str(described.get("digest")), CONFIGURATION_BYTES_MAX)
+        data = self._oci_registry.blob(repository, str(described.get("digest")), CONFIGURATION_BYTES_MAX)
         return _json(data, f"configuration of {digest}")
 
     def _bill_problems(self, image: Image) -> list[str]:
         """None when one attached bill is in order."""
         problems: list[str] = []
         for digest in image.digests:
-            for attachment in self._registry.attachments(image.reference.repository, digest):
+            for attachment in self._oci_registry.attachments(image.reference.repository, digest):
                 if attachment.artifact_type != image_checks.BILL_TYPE:
                     continue
                 wrong = list(image_checks.bill_problems(attachment.data, digest))
@@ -180,9 +181,12 @@ def _platform_problems(images: Iterable[Image], platforms: Sequence[str]) -> lis
     ]
 
 
-def _each(images: Mapping[str, Image], look: Any) -> list[str]:
+def _each(images: Mapping[str, Image], problems_of: Any) -> list[str]:
     return [
-        problem for text, image in images.items() for settings in image.settings for problem in look(text, settings)
+        problem
+        for text, image in images.items()
+        for settings in image.settings
+        for problem in problems_of(text, settings)
     ]
 
 

@@ -31,38 +31,38 @@ class InstallSuite:
 
     name = "install"
     version = "1"
-    needs_room = True
+    needs_namespace = True
 
     def __init__(self, render: Render, now_ns: Callable[[], int]) -> None:
         self._render = render
         self._now_ns = now_ns
 
-    def run(self, subject: Subject, room: SuiteNamespace | None) -> Sequence[Check]:
+    def run(self, subject: Subject, test_namespace: SuiteNamespace | None) -> Sequence[Check]:
         """The five checks; those that an earlier failure makes pointless are left out."""
-        if room is None:
-            raise InputError("the suite install needs a room")
-        checks, installation = self._installed(subject, room)
+        if test_namespace is None:
+            raise InputError("the suite install needs a test namespace")
+        checks, installation = self._installed(subject, test_namespace)
         if installation is None or not installation.ready:
             return checks
-        checks += self._removed(installation, room)
-        return [*checks, self._upgraded(subject, room)]
+        checks += self._removed(installation, test_namespace)
+        return [*checks, self._upgraded(subject, test_namespace)]
 
-    def _first_set(self, subject: Subject, room: SuiteNamespace) -> TestSet:
-        return filled_sets(subject.entry, room.agent, self._now_ns(), self._render)[0]
+    def _first_set(self, subject: Subject, test_namespace: SuiteNamespace) -> TestSet:
+        return filled_sets(subject.entry, test_namespace.agent, self._now_ns(), self._render)[0]
 
-    def _installed(self, subject: Subject, room: SuiteNamespace) -> tuple[list[Check], Installation | None]:
+    def _installed(self, subject: Subject, test_namespace: SuiteNamespace) -> tuple[list[Check], Installation | None]:
         try:
-            installation = install(subject, room, self._first_set(subject, room))
+            installation = install(subject, test_namespace, self._first_set(subject, test_namespace))
         except InputError as error:
             fix = "correct the chart or the first set of spec.suites.sets in its entry"
             return [Check(INSTALLS, False, str(error), fix)], None
-        problem = installation.found
+        problem = installation.problem
         return [Check(INSTALLS, True), Check(READY, not problem, problem, READY_FIX if problem else "")], installation
 
-    def _removed(self, installation: Installation, room: SuiteNamespace) -> list[Check]:
-        ends = room.delete(installation.objects, _grace(room.pods()) + STOP_MARGIN_SECONDS)
+    def _removed(self, installation: Installation, test_namespace: SuiteNamespace) -> list[Check]:
+        ends = test_namespace.delete(installation.objects, _grace(test_namespace.pods()) + STOP_MARGIN_SECONDS)
         late = [words for words in map(_lateness, ends) if words]
-        left = room.leftovers()
+        left = test_namespace.leftovers()
         problem = f"still there after the chart was deleted: {', '.join(left)}" if left else ""
         fix = "let the chart make no objects that its deletion does not take along" if left else ""
         return [
@@ -70,15 +70,15 @@ class InstallSuite:
             Check(CLEAN, not left, problem, fix),
         ]
 
-    def _upgraded(self, subject: Subject, room: SuiteNamespace) -> Check:
+    def _upgraded(self, subject: Subject, test_namespace: SuiteNamespace) -> Check:
         old = subject.replaced
         if old is None:
             return Check(UPGRADES, True, "nothing published that it replaces: there is nothing to upgrade from")
         try:
-            before = install(old, room, self._first_set(old, room))
+            before = install(old, test_namespace, self._first_set(old, test_namespace))
             if not before.ready:
-                return self._no_start(old, before.found)
-            after = self._replace(subject, before, room)
+                return self._no_start(old, before.problem)
+            after = self._replace(subject, before, test_namespace)
         except InputError as error:
             fix = (
                 "an upgrade applies the new objects over the old ones: keep selectors and names, or raise no `replaces`"
@@ -86,20 +86,20 @@ class InstallSuite:
             return Check(UPGRADES, False, f"from {old.artefact.version}: {error}", fix)
         if after.ready:
             return Check(UPGRADES, True, f"from {old.artefact.version}")
-        return Check(UPGRADES, False, f"from {old.artefact.version}: {after.found}", READY_FIX)
+        return Check(UPGRADES, False, f"from {old.artefact.version}: {after.problem}", READY_FIX)
 
     def _no_start(self, old: Subject, problem: str) -> Check:
         words = f"version {old.artefact.version}, which it replaces, did not get ready itself: {problem}"
         return Check(UPGRADES, False, words, "withdraw that version, or replace another one")
 
-    def _replace(self, subject: Subject, before: Installation, room: SuiteNamespace) -> Installation:
+    def _replace(self, subject: Subject, before: Installation, test_namespace: SuiteNamespace) -> Installation:
         """As Argo CD does it: apply the new objects, then delete those that are no more."""
-        objects = subject.render(self._first_set(subject, room).values, subject.artefact.chart)
-        after = apply(objects, room)
+        objects = subject.render(self._first_set(subject, test_namespace).values, subject.artefact.chart)
+        after = apply(objects, test_namespace)
         kept = {_identity(item) for item in objects}
         gone = [item for item in before.objects if _identity(item) not in kept]
         if gone:
-            room.delete(gone, _grace(room.pods()) + STOP_MARGIN_SECONDS)
+            test_namespace.delete(gone, _grace(test_namespace.pods()) + STOP_MARGIN_SECONDS)
         return after
 
 

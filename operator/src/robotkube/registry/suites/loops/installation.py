@@ -12,27 +12,28 @@ from typing import Any
 
 from robotkube.errors import InputError
 from robotkube.foundation.documents.core.value_templates import Render, fill
+from robotkube.registry.suites.core.namespace_contents import BROKER_SECRET, DATABASE_SECRET
 from robotkube.registry.suites.core.requests import TestSet
-from robotkube.registry.suites.core.test_objects import BROKER_SECRET, DATABASE_SECRET
 from robotkube.registry.suites.ports.suites import Object, Subject, SuiteNamespace
 
 READY_SECONDS_MAX = 90.0
-READY_SHARE = 0.6  # of the time that is left: a chart that never gets ready shall leave time to say so
+READY_SHARE = 0.6  # of the time that is left: a chart that never gets ready shall leave time to report it
 PREPARE_SECONDS_MAX = 60.0
 SECRET_KEYS = frozenset({"secretName", "secretKeyRef", "secretRef", "secret"})
 
 
 @dataclass(frozen=True)
 class Installation:
-    """A set that was installed: the objects, and what was seen when it did not get ready (empty: it is ready)."""
+    """A set that was installed: the objects, and the problem that was seen when it did not get ready (empty: it is
+    ready)."""
 
     objects: Sequence[Object]
-    found: str = ""
+    problem: str = ""
 
     @property
     def ready(self) -> bool:
         """Whether every workload got ready."""
-        return not self.found
+        return not self.problem
 
 
 def filled_sets(entry: Mapping[str, Any], agent: str, start_ns: int, render: Render) -> list[TestSet]:
@@ -58,41 +59,41 @@ def _test_set(document: Mapping[str, Any]) -> TestSet:
     )
 
 
-def ready_seconds(room: SuiteNamespace) -> float:
+def ready_seconds(test_namespace: SuiteNamespace) -> float:
     """How long a chart may take now to get ready in this test namespace, in seconds."""
-    return min(READY_SECONDS_MAX, room.seconds_left * READY_SHARE)
+    return min(READY_SECONDS_MAX, test_namespace.seconds_left * READY_SHARE)
 
 
-def install(subject: Subject, room: SuiteNamespace, test_set: TestSet) -> Installation:
+def install(subject: Subject, test_namespace: SuiteNamespace, test_set: TestSet) -> Installation:
     """Prepare the test namespace for the set, install the chart with it (release name: the chart's name) and wait until
     it is ready. InputError when the chart cannot be rendered, prepared or made."""
     objects = subject.render(test_set.values, subject.artefact.chart)
-    room.provide(test_set.config_maps)
-    _start_services(objects, room)
-    _prepare(subject, room, test_set)
-    return apply(objects, room)
+    test_namespace.provide(test_set.config_maps)
+    _start_services(objects, test_namespace)
+    _prepare(subject, test_namespace, test_set)
+    return apply(objects, test_namespace)
 
 
-def apply(objects: Sequence[Object], room: SuiteNamespace) -> Installation:
+def apply(objects: Sequence[Object], test_namespace: SuiteNamespace) -> Installation:
     """Make or replace the objects and wait until their workloads are ready."""
-    room.apply(objects)
+    test_namespace.apply(objects)
     problems = [
-        room.wait_ready("Deployment", str(item["metadata"]["name"]), ready_seconds(room))
+        test_namespace.wait_ready("Deployment", str(item["metadata"]["name"]), ready_seconds(test_namespace))
         for item in objects
         if item.get("kind") == "Deployment"
     ]
     return Installation(objects, "\n".join(filter(None, problems)))
 
 
-def _start_services(objects: Sequence[Object], room: SuiteNamespace) -> None:
+def _start_services(objects: Sequence[Object], test_namespace: SuiteNamespace) -> None:
     secrets = named_secrets(objects)
     if BROKER_SECRET in secrets:
-        room.start_broker()
+        test_namespace.start_broker()
     if DATABASE_SECRET in secrets:
-        room.start_database()
+        test_namespace.start_database()
 
 
-def _prepare(subject: Subject, room: SuiteNamespace, test_set: TestSet) -> None:
+def _prepare(subject: Subject, test_namespace: SuiteNamespace, test_set: TestSet) -> None:
     if not test_set.prepare_image:
         return
     if test_set.prepare_image not in subject.images:
@@ -101,15 +102,15 @@ def _prepare(subject: Subject, room: SuiteNamespace, test_set: TestSet) -> None:
             f"set {test_set.name}: prepare.image {test_set.prepare_image!r} is no image of the chart; has {known}"
         )
     image = subject.images[test_set.prepare_image]
-    run = room.run_pod("prepare", image, test_set.prepare_command, {}, PREPARE_SECONDS_MAX, claims=True)
+    run = test_namespace.run_pod("prepare", image, test_set.prepare_command, {}, PREPARE_SECONDS_MAX, volume_claim=True)
     if not run.succeeded:
         raise InputError(
-            f"set {test_set.name}: prepare did not end well (exit code {run.exit_code}): {run.found}\n{run.log}"
+            f"set {test_set.name}: prepare did not end well (exit code {run.exit_code}): {run.problem}\n{run.log}"
         )
 
 
 def named_secrets(objects: Sequence[Object]) -> set[str]:
-    """Names of the Secrets that the objects mount or take variables from."""
+    """Names of the Secrets that the objects mount or have variables from."""
     return {name for item in objects for name in _secrets(item)}
 
 

@@ -31,8 +31,8 @@ from robotkube.registry.suites.core.interface_observations import (
     read_observation,
     with_broker_log,
 )
+from robotkube.registry.suites.core.namespace_contents import BROKER_SECRET, DATABASE_SECRET
 from robotkube.registry.suites.core.requests import TestSet
-from robotkube.registry.suites.core.test_objects import BROKER_SECRET, DATABASE_SECRET
 from robotkube.registry.suites.loops.installation import filled_sets, install, named_secrets
 from robotkube.registry.suites.loops.interface_observer import ObserverTimeouts
 from robotkube.registry.suites.ports.suites import Subject, SuiteAccount, SuiteNamespace
@@ -40,10 +40,10 @@ from robotkube.registry.suites.ports.suites import Subject, SuiteAccount, SuiteN
 OBSERVER = ("robotkube-suite-observer",)
 CONFIG = "config.json"
 POD_SECONDS = 30.0
-LOOK_SECONDS_MIN = 15.0
+OBSERVE_SECONDS_MIN = 15.0
 REMOVE_SECONDS_MAX = 60.0
 LEAD_NS = 5_000_000_000
-WORDS_MAX = 1_500
+TEXT_CHARACTERS_MAX = 1_500
 
 
 @dataclass(frozen=True)
@@ -59,14 +59,14 @@ class InterfaceSuite:
     bounds: ObserverTimeouts = field(default_factory=ObserverTimeouts)
     name: str = "interface"
     version: str = "1"
-    needs_room: bool = True
+    needs_namespace: bool = True
 
-    def run(self, subject: Subject, room: SuiteNamespace | None) -> Sequence[Check]:
+    def run(self, subject: Subject, test_namespace: SuiteNamespace | None) -> Sequence[Check]:
         """Every check of every set; those of the entry alone when the entry cannot be right."""
-        assert room is not None, "the interface suite needs a test namespace"
+        assert test_namespace is not None, "the interface suite needs a test namespace"
         interfaces = (subject.entry.get("spec") or {}).get("interfaces") or []
         try:
-            sets = filled_sets(subject.entry, room.agent, self.now_ns() + LEAD_NS, self.render)
+            sets = filled_sets(subject.entry, test_namespace.agent, self.now_ns() + LEAD_NS, self.render)
             defaults = read_mapping(subject.files.get("values.yaml", b"").decode() or "{}", "values.yaml")
             expected = {
                 test_set.name: expected_topics(interfaces, overlay(defaults, test_set.values), self.render)
@@ -78,21 +78,31 @@ class InterfaceSuite:
         if any(not check.passed for check in checks):
             return checks
         for number, test_set in enumerate(sets):
-            checks += self._set_checks(subject, room, test_set, expected[test_set.name], first=number == 0)
+            checks += self._set_checks(subject, test_namespace, test_set, expected[test_set.name], first=number == 0)
         return bounded(checks)
 
     def _set_checks(
-        self, subject: Subject, room: SuiteNamespace, values: TestSet, expected: Sequence[ExpectedTopic], first: bool
+        self,
+        subject: Subject,
+        test_namespace: SuiteNamespace,
+        values: TestSet,
+        expected: Sequence[ExpectedTopic],
+        first: bool,
     ) -> list[Check]:
         name = f"set {values.name}: runs"
         try:
-            observation = self._observe(subject, room, values, expected, first)
+            observation = self._observe(subject, test_namespace, values, expected, first)
         except InputError as error:
-            return [Check(name, False, str(error)[:WORDS_MAX], "mend the chart or the set's values")]
+            return [Check(name, False, str(error)[:TEXT_CHARACTERS_MAX], "mend the chart or the set's values")]
         return [Check(name, True), *compare(values.name, expected, observation)]
 
     def _observe(
-        self, subject: Subject, room: SuiteNamespace, values: TestSet, expected: Sequence[ExpectedTopic], first: bool
+        self,
+        subject: Subject,
+        test_namespace: SuiteNamespace,
+        values: TestSet,
+        expected: Sequence[ExpectedTopic],
+        first: bool,
     ) -> Observation:
         """Install the set, observe it, and delete it again; InputError when the chart does not run or cannot be
         observed."""
@@ -100,43 +110,43 @@ class InterfaceSuite:
         needed = {topic.medium for topic in expected} | named_secrets(objects)
         broker = bool(needed & {MQTT, BROKER_SECRET})
         if broker:
-            room.start_broker()
-        database = room.start_database() if needed & {DATABASE, DATABASE_SECRET} else None
-        look = _Observation(self, room, broker, database)
+            test_namespace.start_broker()
+        database = test_namespace.start_database() if needed & {DATABASE, DATABASE_SECRET} else None
+        pod = _ObserverPod(self, test_namespace, broker, database)
         if database is not None and not first:
-            look.clear()
-        said_before = len(room.broker_log())
+            pod.clear()
+        log_length_before = len(test_namespace.broker_log())
         try:
-            installation = install(subject, room, values)
+            installation = install(subject, test_namespace, values)
             if not installation.ready:
-                raise InputError(installation.found)
-            return look.look(expected, said_before)
+                raise InputError(installation.problem)
+            return pod.observe(expected, log_length_before)
         finally:
-            room.delete(objects, REMOVE_SECONDS_MAX)
+            test_namespace.delete(objects, REMOVE_SECONDS_MAX)
 
 
 @dataclass(frozen=True)
-class _Observation:
+class _ObserverPod:
     """The observer pod of one set."""
 
     suite: InterfaceSuite
-    room: SuiteNamespace
+    test_namespace: SuiteNamespace
     broker: bool
     database: SuiteAccount | None
 
     def clear(self) -> None:
         """Delete what the set before wrote to the database."""
-        self._observe((), clear=True, token=self.suite.token())
+        self._run((), clear=True, token=self.suite.token())
 
-    def look(self, expected: Sequence[ExpectedTopic], said_before: int) -> Observation:
+    def observe(self, expected: Sequence[ExpectedTopic], log_length_before: int) -> Observation:
         """What the chart opens and does; InputError when the observer failed."""
         token = self.suite.token()
-        observation = self._observe(expected, clear=False, token=token)
-        return with_broker_log(observation, self.room.broker_log()[said_before:], f"suite-{token}")
+        observation = self._run(expected, clear=False, token=token)
+        return with_broker_log(observation, self.test_namespace.broker_log()[log_length_before:], f"suite-{token}")
 
-    def _observe(self, expected: Sequence[ExpectedTopic], clear: bool, token: str) -> Observation:
+    def _run(self, expected: Sequence[ExpectedTopic], clear: bool, token: str) -> Observation:
         wanted = self.suite.bounds.whole(sum(topic.direction == IN for topic in expected))
-        seconds = max(LOOK_SECONDS_MIN, min(wanted, self.room.seconds_left / 2 - POD_SECONDS))
+        seconds = max(OBSERVE_SECONDS_MIN, min(wanted, self.test_namespace.seconds_left / 2 - POD_SECONDS))
         config = {
             "topics": [asdict(topic) for topic in expected],
             "node": f"suite_{token}",
@@ -148,12 +158,12 @@ class _Observation:
             "bounds": asdict(self.suite.bounds),
         }
         files = {CONFIG: json.dumps(config).encode()}
-        run = self.room.run_pod(
+        run = self.test_namespace.run_pod(
             "observer", self.suite.observer, OBSERVER, files, seconds + POD_SECONDS, accounts=self.broker
         )
         if not run.succeeded:
-            description = f"exit code {run.exit_code}; {run.found}\n{run.log[-WORDS_MAX // 2 :]}"
-            raise InputError(f"the observer could not look at the chart: {description}")
+            description = f"exit code {run.exit_code}; {run.problem}\n{run.log[-TEXT_CHARACTERS_MAX // 2 :]}"
+            raise InputError(f"the observer could not observe the chart: {description}")
         return _read(run.log)
 
 
@@ -164,7 +174,7 @@ def _read(log: str) -> Observation:
                 return read_observation(json.loads(line)["observation"], "observation")
             except (ValueError, TypeError) as error:
                 raise InputError(f"the observer's last line is cut off: {error}; use fewer topics") from error
-    raise InputError(f"the observer said nothing of what it saw: {log[-WORDS_MAX // 2 :]}")
+    raise InputError(f"the observer printed no observation: {log[-TEXT_CHARACTERS_MAX // 2 :]}")
 
 
 def _database(account: SuiteAccount | None) -> Mapping[str, Any] | None:
@@ -176,4 +186,4 @@ def _database(account: SuiteAccount | None) -> Mapping[str, Any] | None:
 def _entry_check(error: InputError) -> Check:
     problems = error.problems if isinstance(error, DocumentError) else (str(error),)
     fix = "mend spec.interfaces or the values of spec.suites.sets in the chart's entry"
-    return Check("the entry gives topics for its test values", False, "; ".join(problems)[:WORDS_MAX], fix)
+    return Check("the entry gives topics for its test values", False, "; ".join(problems)[:TEXT_CHARACTERS_MAX], fix)

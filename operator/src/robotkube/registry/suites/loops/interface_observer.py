@@ -33,7 +33,7 @@ from robotkube.robots.ros.core.graph import Endpoint
 from robotkube.robots.ros.ports import MessageSink, MessageSource
 
 TURN_SECONDS = 0.02
-LOOK_SECONDS = 0.2
+POLL_SECONDS = 0.2
 RESEND_SECONDS = 0.3
 QUIET_SECONDS, QUIET_SECONDS_MAX = 0.6, 3.0
 WATCH_SECONDS_MIN = 3.0
@@ -73,7 +73,7 @@ class InterfaceObserver:
     """One observation of one set of values; call `run` once, which lasts at most `seconds_max`."""
 
     expected: Sequence[ExpectedTopic]
-    world: ObserverPorts
+    ports: ObserverPorts
     seconds_max: float
     bounds: ObserverTimeouts = field(default_factory=ObserverTimeouts)
     _endpoints: dict[Endpoint, set[str]] = field(default_factory=dict)
@@ -82,31 +82,31 @@ class InterfaceObserver:
     _sinks: dict[int, MessageSink] = field(default_factory=dict)
     _sources: dict[str, MessageSource | None] = field(default_factory=dict)
     _heard: Counter[tuple[str, str]] = field(default_factory=Counter)
-    _looked_at: float = float("-inf")
+    _polled_at: float = float("-inf")
 
     def run(self) -> Observation:
         """Open, send, watch. InputError when a message type of an input is not installed here."""
-        began = self.world.monotonic()
+        began = self.ports.monotonic()
         self._deadline = began + self.seconds_max
         for place, topic in self._inputs():
             if topic.medium == ROS:
                 # what the entry says that the input needs, and no more: one that asks for more gets nothing in the
-                # field either, and one that takes what it is given shows itself as it is declared
-                sink = self.world.network.advertise(
+                # field either, and one that accepts what it is given shows itself as it is declared
+                sink = self.ports.network.advertise(
                     topic.example, topic.type, topic.reliability, topic.durability, DEPTH
                 )
                 self._sinks[place] = sink
         self._until(self._settled, self.bounds.settle)
         answers = tuple(self._ask(place, topic) for place, topic in self._inputs())
-        self._until(lambda: self.world.monotonic() >= began + WATCH_SECONDS_MIN, WATCH_SECONDS_MIN)
-        self._until(self._complete, max(0.0, began + self.bounds.watch - self.world.monotonic()))
-        self._look()
+        self._until(lambda: self.ports.monotonic() >= began + WATCH_SECONDS_MIN, WATCH_SECONDS_MIN)
+        self._until(self._complete, max(0.0, began + self.bounds.watch - self.ports.monotonic()))
+        self._poll()
         return Observation(
             endpoints=tuple(replace(end, node=", ".join(sorted(nodes))) for end, nodes in self._endpoints.items()),
             publications=tuple(self._publications),
             collections=tuple(sorted(self._documents)),
             answers=answers,
-            seconds=round(self.world.monotonic() - began, 1),
+            seconds=round(self.ports.monotonic() - began, 1),
         )
 
     def _inputs(self) -> Iterator[tuple[int, ExpectedTopic]]:
@@ -114,34 +114,34 @@ class InterfaceObserver:
 
     def _until(self, reached: Callable[[], bool], seconds: float) -> bool:
         """Turn until that holds; False when the time was over before."""
-        end = min(self.world.monotonic() + seconds, self._deadline)
+        end = min(self.ports.monotonic() + seconds, self._deadline)
         while not reached():
-            if self.world.monotonic() >= end or self.world.stopped():
+            if self.ports.monotonic() >= end or self.ports.stopped():
                 return False
             self._turn()
-            self.world.sleep(TURN_SECONDS)
+            self.ports.sleep(TURN_SECONDS)
         return True
 
     def _turn(self) -> None:
         for topic, source in self._sources.items():
             if source is not None:
                 self._heard[ROS, topic] += len(source.take())
-        for message in self.world.broker.take() if self.world.broker else ():
+        for message in self.ports.broker.receive() if self.ports.broker else ():
             self._heard[MQTT, message.topic] += 1
             if len(self._publications) < KEPT_MAX:
                 self._publications[self._publication(message)] = None
-        if self.world.monotonic() - self._looked_at >= LOOK_SECONDS:
-            self._look()
+        if self.ports.monotonic() - self._polled_at >= POLL_SECONDS:
+            self._poll()
 
-    def _look(self) -> None:
+    def _poll(self) -> None:
         """Poll what does not report by itself: graph and database."""
-        self._looked_at = self.world.monotonic()
-        for endpoint in self.world.network.endpoints():
+        self._polled_at = self.ports.monotonic()
+        for endpoint in self.ports.network.endpoints():
             self._note(endpoint)
             if endpoint.direction == OUT and endpoint.topic not in self._sources:
                 self._listen(endpoint)
-        if self.world.database is not None:
-            self._documents = dict(self.world.database.counts())
+        if self.ports.database is not None:
+            self._documents = dict(self.ports.database.counts())
 
     def _note(self, endpoint: Endpoint) -> None:
         """An endpoint is known a moment before the name of its node."""
@@ -155,30 +155,30 @@ class InterfaceObserver:
         if (endpoint.topic, OUT) in COMMON_TOPICS or len(self._sources) > KEPT_MAX:
             return
         try:
-            source = self.world.network.subscribe(endpoint.topic, endpoint.type, "best_effort", "volatile", DEPTH)
+            source = self.ports.network.subscribe(endpoint.topic, endpoint.type, "best_effort", "volatile", DEPTH)
         except InputError:
             return  # a type that is not installed here: the graph shows it all the same
         self._sources[endpoint.topic] = source
 
     def _publication(self, message: BrokerMessage) -> ObservedPublication:
         encoding = ""
-        doubt = ""
+        problem = ""
         if message.payload.startswith(MAGIC):
             encoding = "rkf1"
-            doubt = self._frame_doubt(message)
+            problem = self._batch_problem(message)
         elif message.payload:
             encoding = "text" if _is_text(message.payload) else "binary"
-        return ObservedPublication(message.topic, message.qos, message.retain, encoding, doubt)
+        return ObservedPublication(message.topic, message.qos, message.retain, encoding, problem)
 
-    def _frame_doubt(self, message: BrokerMessage) -> str:
+    def _batch_problem(self, message: BrokerMessage) -> str:
         try:
-            frame = decode_batch(message.payload)
+            batch = decode_batch(message.payload)
         except BatchError as error:
             return str(error)
         types = [t.type for t in self.expected if (t.medium, t.direction) == (MQTT, OUT) and t.matches(message.topic)]
-        if not types or not types[0] or not frame.messages:
+        if not types or not types[0] or not batch.messages:
             return ""
-        return self.world.messages.misfit(types[0], frame.messages[0])
+        return self.ports.messages.type_mismatch(types[0], batch.messages[0])
 
     def _settled(self) -> bool:
         """Whether the inputs are connected and the outputs are listened to."""
@@ -208,19 +208,19 @@ class InterfaceObserver:
 
     def _ask(self, place: int, topic: ExpectedTopic) -> InputResponse:
         """Send messages to one input until an output shows something; none any more when the observer shall end."""
-        if self.world.stopped():
+        if self.ports.stopped():
             return InputResponse(place, None, 0.0)
         outputs = outputs_of(self.expected, topic)
         self._quiet(outputs)
         before = {output: self._shown(self.expected[output]) for output in outputs}
-        began = self.world.monotonic()
+        began = self.ports.monotonic()
         sent_at = float("-inf")
 
         def answered() -> bool:
             nonlocal sent_at
-            if self.world.monotonic() - sent_at >= RESEND_SECONDS:
+            if self.ports.monotonic() - sent_at >= RESEND_SECONDS:
                 self._send(place, topic)
-                sent_at = self.world.monotonic()
+                sent_at = self.ports.monotonic()
             return any(self._shown(self.expected[output]) > before[output] for output in outputs)
 
         if outputs:
@@ -228,32 +228,32 @@ class InterfaceObserver:
         else:
             self._send(place, topic)
         shown = next((output for output in outputs if self._shown(self.expected[output]) > before[output]), None)
-        return InputResponse(place, shown, round(self.world.monotonic() - began, 1))
+        return InputResponse(place, shown, round(self.ports.monotonic() - began, 1))
 
     def _quiet(self, outputs: Sequence[int]) -> None:
         """Wait until the outputs have shown all that the inputs before this one led to. One that is never quiet, such
         as a clock's, is left as it is."""
         state = [-1]
-        since = self.world.monotonic()
+        since = self.ports.monotonic()
 
         def quiet() -> bool:
             nonlocal state, since
             now = [self._shown(self.expected[output]) for output in outputs]
             if now != state:
                 state = now
-                since = self.world.monotonic()
-            return self.world.monotonic() - since >= QUIET_SECONDS
+                since = self.ports.monotonic()
+            return self.ports.monotonic() - since >= QUIET_SECONDS
 
         self._until(quiet, QUIET_SECONDS_MAX)
 
     def _send(self, place: int, topic: ExpectedTopic) -> None:
         if topic.medium == ROS:
-            self._sinks[place].publish(self.world.messages.payload(topic))
-        elif topic.medium == MQTT and self.world.broker is not None:
-            payload = self.world.messages.payload(topic)
-            self.world.broker.publish(BrokerMessage(topic.example, payload, topic.qos, topic.retain))
-        elif topic.medium == DATABASE and self.world.database is not None:
-            self.world.database.put(topic.example)
+            self._sinks[place].publish(self.ports.messages.payload(topic))
+        elif topic.medium == MQTT and self.ports.broker is not None:
+            payload = self.ports.messages.payload(topic)
+            self.ports.broker.publish(BrokerMessage(topic.example, payload, topic.qos, topic.retain))
+        elif topic.medium == DATABASE and self.ports.database is not None:
+            self.ports.database.put(topic.example)
 
 
 def _is_text(payload: bytes) -> bool:

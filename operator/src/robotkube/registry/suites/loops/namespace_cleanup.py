@@ -6,10 +6,10 @@ import time
 from collections.abc import Callable, Collection, Mapping
 
 from robotkube.errors import UnavailableError
-from robotkube.registry.suites.core import pod_descriptions as sightings
-from robotkube.registry.suites.core import test_objects as objects_of
-from robotkube.registry.suites.core.test_objects import BROKER_SECRET, DATABASE_SECRET, HelperPod
-from robotkube.registry.suites.loops.test_namespace import (
+from robotkube.registry.suites.core import namespace_contents as contents
+from robotkube.registry.suites.core import pod_descriptions
+from robotkube.registry.suites.core.namespace_contents import BROKER_SECRET, DATABASE_SECRET, HelperPod
+from robotkube.registry.suites.loops.cluster_namespace import (
     BROKER,
     DATABASE,
     EMPTY_GRACE_SECONDS,
@@ -68,7 +68,7 @@ class ClusterNamespaceCleaner:
     def _delete_all(self, spared: Collection[str]) -> list[str]:
         """Delete every object that is there; their kinds and names."""
         left = []
-        for kind in (*objects_of.KINDS, "Pod"):
+        for kind in (*contents.KINDS, "Pod"):
             items, _ = self._api.list(kind)
             for item in items:
                 name = item["metadata"]["name"]
@@ -81,8 +81,8 @@ class ClusterNamespaceCleaner:
     def _clean_scratch(self, deadline: float) -> None:
         settings = self._settings
         name = "suite-clean"
-        volume, mount = objects_of.scratch_volume()
-        command = ["python3", "-c", CLEAN.format(objects_of.SCRATCH_FOLDER)]
+        volume, mount = contents.scratch_volume()
+        command = ["python3", "-c", CLEAN.format(contents.SCRATCH_FOLDER)]
         pod = HelperPod(
             name, settings.observer_image, settings.agent, settings.domain_id, command,
             volumes=[volume], mounts=[mount], seconds=CLEAN_SECONDS_MAX,
@@ -94,10 +94,12 @@ class ClusterNamespaceCleaner:
         while codes.get(name) is None:
             if self._clock() >= deadline:
                 raise UnavailableError(
-                    f"{self.name}: the volume claim {objects_of.SCRATCH_CLAIM} was not emptied in time"
+                    f"{self.name}: the volume claim {contents.SCRATCH_VOLUME_CLAIM} was not emptied in time"
                 )
             self._sleep(POLL_SECONDS)
-            codes = sightings.exit_codes(self._api.get("Pod", name) or {})
+            codes = pod_descriptions.exit_codes(self._api.get("Pod", name) or {})
         if codes[name] != 0:
-            raise UnavailableError(f"{self.name}: the volume claim {objects_of.SCRATCH_CLAIM} could not be emptied")
+            raise UnavailableError(
+                f"{self.name}: the volume claim {contents.SCRATCH_VOLUME_CLAIM} could not be emptied"
+            )
         self._wait_empty(deadline)

@@ -1,7 +1,8 @@
-"""The suite-runner: takes requests, keeps them in order, gives each a room or none, and keeps what came of them.
+"""The queue of the suite-runner: it gives requests, in order, a test namespace or none, and keeps their results.
 
-A key is run once, whoever asks how often; results live in memory, so that after a restart the gate asks again. Rooms
-are emptied before they are used for the first time and after every run; one that cannot be emptied is not used.
+A key is run once, whoever asks how often; results live in memory, so that after a restart the gate asks again. Test
+namespaces are emptied before they are used for the first time and after every run; one that cannot be emptied is
+not used.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from robotkube.registry.suites.ports.suites import Executor, NamespaceCleaner
 
 QUEUE_MAX = 64
 FINISHED_MAX = 256
-PLAIN_WORKERS = 1  # suites without a room: they need the processor, of which there are few
+PLAIN_WORKERS = 1  # suites without a test namespace: they need the processor, of which there are few
 EMPTY_SECONDS_MAX = 90.0
 EMPTY_PAUSE_SECONDS_FIRST, EMPTY_PAUSE_SECONDS_MAX = 5.0, 10.0
 IDLE_SECONDS = 1.0
@@ -38,37 +39,40 @@ log = logging.getLogger(__name__)
 @dataclass(frozen=True)
 class _Run:
     request: SuiteRequest
-    needs_room: bool
+    needs_namespace: bool
     status: str = QUEUED
     result: SuiteResult | None = None
 
 
 class SuiteQueue:
-    """The service behind the protocol; `needs_room` tells of a rule whether its suite runs something."""
+    """The service behind the protocol; `needs_namespace`: whether the suite of a rule runs something."""
 
     def __init__(
         self,
         executor: Executor,
-        keepers: Sequence[NamespaceCleaner],
-        needs_room: Callable[[SuiteRule], bool],
+        cleaners: Sequence[NamespaceCleaner],
+        needs_namespace: Callable[[SuiteRule], bool],
         clock: Callable[[], float] = time.monotonic,
         jitter: Random = random.random,
     ) -> None:
         self._jitter = jitter
-        self._executor, self._keepers, self._needs_room, self._clock = executor, keepers, needs_room, clock
+        self._executor = executor
+        self._cleaners = cleaners
+        self._needs_namespace = needs_namespace
+        self._clock = clock
         self._runs: dict[str, _Run] = {}
         self._changed = threading.Condition()
         self._stopping = threading.Event()
-        self._troubles = {keeper.name: "is being emptied" for keeper in keepers}
+        self._unready = {cleaner.name: "is being emptied" for cleaner in cleaners}
         self.outcomes: Counter[tuple[str, ...]] = Counter()
         self.seconds: dict[str, float] = {}
         self._threads = [
-            *(threading.Thread(target=self._work_in, args=(keeper,), daemon=True) for keeper in keepers),
+            *(threading.Thread(target=self._work_in, args=(cleaner,), daemon=True) for cleaner in cleaners),
             *(threading.Thread(target=self._work, args=("",), daemon=True) for _ in range(PLAIN_WORKERS)),
         ]
 
     def start(self) -> None:
-        """Empty the rooms and begin to work."""
+        """Empty the test namespaces and begin to work."""
         for thread in self._threads:
             thread.start()
 
@@ -84,18 +88,19 @@ class SuiteQueue:
                 thread.join(max(deadline - time.monotonic(), 0.0))
 
     def put(self, request: SuiteRequest) -> SuiteProgress:
-        """Take a request, or say how it goes. UnavailableError when QUEUE_MAX wait already."""
+        """Progress of the request's run, which is put into the queue unless it is known. UnavailableError when
+        QUEUE_MAX wait already."""
         with self._changed:
             known = self._runs.get(request.key)
             if known is None or _again(known, request):
-                self._take(request)
+                self._enqueue(request)
             return self._progress(self._runs[request.key])
 
-    def _take(self, request: SuiteRequest) -> None:
+    def _enqueue(self, request: SuiteRequest) -> None:
         if self._waiting() >= QUEUE_MAX:
             raise UnavailableError(f"{QUEUE_MAX} runs wait already; ask again later")
         self._runs.pop(request.key, None)  # at the end again: order is that of asking
-        self._runs[request.key] = _Run(request, self._needs_room(request.rule))
+        self._runs[request.key] = _Run(request, self._needs_namespace(request.rule))
         self._changed.notify_all()
 
     def _waiting(self) -> int:
@@ -105,91 +110,94 @@ class SuiteQueue:
         return SuiteProgress(run.status, run.result, self._reason(run) if run.status == QUEUED else "")
 
     def _reason(self, run: _Run) -> str:
-        if run.needs_room and not self._keepers:
-            return "there is no room: the platform was installed without a pool for suites"
-        troubles = self._room_troubles()
-        if run.needs_room and len(troubles) == len(self._keepers):
-            return "no room is ready: " + "; ".join(troubles)
+        if run.needs_namespace and not self._cleaners:
+            return "there is no test namespace: the platform was installed without a pool for suites"
+        not_ready = self._not_ready()
+        if run.needs_namespace and len(not_ready) == len(self._cleaners):
+            return "no test namespace is ready: " + "; ".join(not_ready)
         waiting = [other for other in self._runs.values() if other.status == QUEUED]
         return f"{waiting.index(run)} runs wait before it"
 
-    def _room_troubles(self) -> list[str]:
-        return [f"{name} {words}" for name, words in sorted(self._troubles.items()) if words]
+    def _not_ready(self) -> list[str]:
+        return [f"{name} {reason}" for name, reason in sorted(self._unready.items()) if reason]
 
     def reasons_not_ready(self) -> list[str]:
-        """Empty while it can take requests; a room in trouble does not matter to who asks."""
+        """Empty while it can take requests; a test namespace that is not ready does not matter to who asks."""
         return ["stopping"] if self._stopping.is_set() else []
 
     def metrics(self) -> Sequence[Series]:
-        """Runs, their time, and rooms in trouble."""
+        """Runs, their time, and test namespaces that are not ready."""
         with self._changed:
             counts = Counter(run.status for run in self._runs.values())
             runs = by_one({status: counts[status] for status in (QUEUED, RUNNING)})
             outcomes = dict(self.outcomes)
             seconds = by_one(self.seconds)
-            troubles = len(self._room_troubles())
+            not_ready = len(self._not_ready())
         return (
             Series("robotkube_suite_runs", "gauge", "Runs that wait or work.", runs, ("status",)),
             Series("robotkube_suite_runs_total", "counter", "Ended runs by outcome.", outcomes, ("suite", "outcome")),
             Series("robotkube_suite_seconds_total", "counter", "Time that runs took.", seconds, ("suite",)),
-            Series("robotkube_suite_rooms_in_trouble", "gauge", "Rooms that cannot be used.", {(): troubles}),
+            Series(
+                "robotkube_suite_namespaces_not_ready", "gauge", "Test namespaces that cannot be used.", {(): not_ready}
+            ),
         )
 
-    def _work_in(self, keeper: NamespaceCleaner) -> None:
+    def _work_in(self, cleaner: NamespaceCleaner) -> None:
         failures = 0
         while not self._stopping.is_set():
             try:
-                keeper.empty(EMPTY_SECONDS_MAX)
-            except Exception as error:  # whatever it is: the room is not used before it was emptied
-                log.warning("room not emptied room=%s reason=%s", keeper.name, error)
-                self._troubles[keeper.name] = f"cannot be emptied: {error}"
+                cleaner.empty(EMPTY_SECONDS_MAX)
+            except Exception as error:  # whatever it is: the test namespace is not used before it was emptied
+                log.warning("test namespace not emptied namespace=%s reason=%s", cleaner.name, error)
+                self._unready[cleaner.name] = f"cannot be emptied: {error}"
                 bounds = EMPTY_PAUSE_SECONDS_FIRST, EMPTY_PAUSE_SECONDS_MAX
                 self._stopping.wait(backoff(failures, *bounds, self._jitter))
                 failures += 1
                 continue
             failures = 0
-            self._troubles[keeper.name] = ""
-            self._one(keeper.name)
-            self._troubles[keeper.name] = "is in use or being emptied"
+            self._unready[cleaner.name] = ""
+            self._do_next(cleaner.name)
+            self._unready[cleaner.name] = "is in use or being emptied"
 
-    def _work(self, room: str) -> None:
+    def _work(self, namespace: str) -> None:
         while not self._stopping.is_set():
-            self._one(room)
+            self._do_next(namespace)
 
-    def _one(self, room: str) -> None:
-        """Wait for a run that fits the room, and do it."""
+    def _do_next(self, namespace: str) -> None:
+        """Wait for a run that needs a test namespace as this worker has or has not, and do it."""
         run = None
         while run is None and not self._stopping.is_set():
             with self._changed:
-                run = self._next(bool(room))
+                run = self._next(bool(namespace))
                 if run is None:
                     self._changed.wait(IDLE_SECONDS)
         if run is not None:
-            if room:
-                self._troubles[room] = "is in use or being emptied"
-            self._finish(run, self._execute(run.request, room), room)
+            if namespace:
+                self._unready[namespace] = "is in use or being emptied"
+            self._finish(run, self._execute(run.request, namespace), namespace)
 
-    def _next(self, room: bool) -> _Run | None:
+    def _next(self, in_namespace: bool) -> _Run | None:
         for key, run in self._runs.items():
-            if run.status == QUEUED and run.needs_room == room:
+            if run.status == QUEUED and run.needs_namespace == in_namespace:
                 self._runs[key] = replace(run, status=RUNNING)
                 return self._runs[key]
         return None
 
-    def _execute(self, request: SuiteRequest, room: str) -> SuiteResult:
+    def _execute(self, request: SuiteRequest, namespace: str) -> SuiteResult:
         started = self._clock()
         try:
-            return self._executor.execute(request, room)
+            return self._executor.execute(request, namespace)
         except Exception as error:  # the executor's trouble is no pass either
             words = f"the run could not be done: {type(error).__name__}: {error}"
             return unfinished(request.rule, words, self._clock() - started)
 
-    def _finish(self, run: _Run, result: SuiteResult, room: str) -> None:
-        artefact, label = run.request.artefact, result.suite if result.suite in PLATFORM_SUITES else "custom"
+    def _finish(self, run: _Run, result: SuiteResult, namespace: str) -> None:
+        artefact = run.request.artefact
+        label = result.suite if result.suite in PLATFORM_SUITES else "custom"
         log.info(
-            "suite finished suite=%s chart=%s version=%s digest=%s outcome=%s failed=%d seconds=%.1f room=%s",
+            "suite finished suite=%s chart=%s version=%s digest=%s outcome=%s failed=%d seconds=%.1f namespace=%s",
             result.suite, artefact.chart, artefact.version, artefact.digest, result.outcome, len(result.failed),
-            result.seconds, room or "none",
+            result.seconds, namespace or "none",
         )  # fmt: skip
         with self._changed:
             self.outcomes[label, result.outcome] += 1

@@ -18,7 +18,7 @@ from robotkube.registry.evidence.core.verification_policy import SuiteRule
 from robotkube.registry.suites.core.requests import CHECKS_MAX, SuiteRequest, tidy
 from robotkube.registry.suites.ports.suites import ChartProgram, Subject, Suite, SuiteNamespace
 
-NO_ROOM = "suite"  # the namespace for which charts are rendered where there is no test namespace
+NO_NAMESPACE = "suite"  # the namespace for which charts are rendered where there is no test namespace
 
 log = logging.getLogger(__name__)
 
@@ -34,7 +34,7 @@ def run_suite(
     rule: SuiteRule,
     suite: Suite,
     subject: Callable[[], Subject],
-    room: SuiteNamespace | None,
+    test_namespace: SuiteNamespace | None,
     clock: Callable[[], float],
 ) -> SuiteResult:
     """The result of a run; never raises for what the suite does."""
@@ -43,7 +43,7 @@ def run_suite(
         words = f"the policy asks for suite {rule.name} version {rule.version}; this platform has {suite.version}"
         return unfinished(rule, words, 0.0, f"write version {suite.version!r} into the verification policy")
     try:
-        checks = list(suite.run(subject(), room))
+        checks = list(suite.run(subject(), test_namespace))
     except Exception as error:  # a suite's crash must not be ours, and is no pass
         log.info("suite crashed suite=%s error=%s reason=%s", rule.name, type(error).__name__, error)
         return unfinished(rule, _words(error), clock() - started)
@@ -59,14 +59,16 @@ def _words(error: Exception) -> str:
     return str(error) if known and str(error) else f"{type(error).__name__}: {error}"
 
 
-def read_subject(request: SuiteRequest, registry: ChartRegistry, program: ChartProgram, namespace: str) -> Subject:
-    """The chart that the request names, and the one it replaces, from the registry by digest. InputError when a chart
-    is not what the request says."""
+def read_subject(request: SuiteRequest, oci_registry: ChartRegistry, program: ChartProgram, namespace: str) -> Subject:
+    """The chart that the request names, and the one it replaces, from the OCI registry by digest. InputError when a
+    chart is not what the request says."""
     replaced = None
     if request.replaced is not None:
         previous = request.replaced
-        replaced = _subject(previous.artefact, previous.repository, previous.entry, None, registry, program, namespace)
-    return _subject(request.artefact, request.repository, request.entry, replaced, registry, program, namespace)
+        replaced = _subject(
+            previous.artefact, previous.repository, previous.entry, None, oci_registry, program, namespace
+        )
+    return _subject(request.artefact, request.repository, request.entry, replaced, oci_registry, program, namespace)
 
 
 def _subject(
@@ -74,11 +76,11 @@ def _subject(
     repository: str,
     entry: Mapping[str, Any],
     replaced: Subject | None,
-    registry: ChartRegistry,
+    oci_registry: ChartRegistry,
     program: ChartProgram,
     namespace: str,
 ) -> Subject:
-    chart = registry.pull_chart(repository, artefact.digest)
+    chart = oci_registry.pull_chart(repository, artefact.digest)
     named = (str(chart.metadata.get("name")), str(chart.metadata.get("version")))
     if named != (artefact.chart, artefact.version):
         raise InputError(

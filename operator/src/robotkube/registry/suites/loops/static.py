@@ -50,13 +50,13 @@ class StaticSuite:
 
     name = "static"
     version = "2"
-    needs_room = False
+    needs_namespace = False
 
     def __init__(self, violations: Violations, fill: Fill) -> None:
         self._violations = violations
         self._fill = fill
 
-    def run(self, subject: Subject, room: SuiteNamespace | None = None) -> list[Check]:
+    def run(self, subject: Subject, test_namespace: SuiteNamespace | None = None) -> list[Check]:
         """Every check, about thirty."""
         chart = read_chart(subject.files)
         sets, unfilled = self._sets(subject)

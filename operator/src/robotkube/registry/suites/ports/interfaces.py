@@ -32,8 +32,8 @@ class BrokerMessage:
 class ObservedBroker(Protocol):
     """A connection that receives everything that others publish."""
 
-    def take(self) -> Sequence[BrokerMessage]:
-        """What came since the last call; never blocks."""
+    def receive(self) -> Sequence[BrokerMessage]:
+        """The messages since the last call; never blocks."""
         ...
 
     def publish(self, message: BrokerMessage) -> None:
@@ -64,6 +64,6 @@ class Messages(Protocol):
         """A new one for a topic (ROS: serialised; MQTT: as its encoding says); InputError for an unknown type."""
         ...
 
-    def misfit(self, type_name: str, data: bytes) -> str:
+    def type_mismatch(self, type_name: str, data: bytes) -> str:
         """Why a serialised message is not of the type; empty when it is."""
         ...

@@ -84,11 +84,11 @@ class SuiteAccount:
 @dataclass(frozen=True)
 class PodRun:
     """A pod that ran to its end. `log` is its stdout and stderr (bounded: the end is kept); `exit_code` is None when
-    it did not end within its time; `found` says then, or when it never started, what was seen."""
+    it did not end within its time; `problem` is then, or when it never started, what was seen."""
 
     log: str
     exit_code: int | None
-    found: str = ""
+    problem: str = ""
 
     @property
     def succeeded(self) -> bool:
@@ -164,12 +164,12 @@ class SuiteNamespace(Protocol):
         command: Sequence[str],
         files: Mapping[str, bytes],
         seconds: float,
-        claims: bool = False,
+        volume_claim: bool = False,
         accounts: bool = False,
     ) -> PodRun:
         """Run a pod on the test namespace's node to its end: without a token, Pod Security restricted, `files` (flat
-        names) read-only in /suite, at most 900 KiB; an empty command is the image's own. `claims`: the volume claim
-        `scratch` at /var/lib/robotkube/scratch; `accounts`: the started broker's account in
+        names) read-only in /suite, at most 900 KiB; an empty command is the image's own. `volume_claim`: the volume
+        claim `scratch` at /var/lib/robotkube/scratch; `accounts`: the started broker's account in
         /var/run/secrets/robotkube/broker (username, password, host, port)."""
         ...
 
@@ -245,10 +245,10 @@ class NamespaceCleaner(Protocol):
 
 
 class Executor(Protocol):
-    """Runs suites, each so that neither its crash nor its hanging is ours."""
+    """Runs suites, each so that neither its crash nor its hanging harms the suite-runner."""
 
-    def execute(self, request: SuiteRequest, room: str) -> SuiteResult:
-        """Run the request's suite, in the namespace `room` (empty: it needs none); its result. Ended when its
+    def execute(self, request: SuiteRequest, namespace: str) -> SuiteResult:
+        """Run the request's suite, in the test namespace `namespace` (empty: it needs none); its result. Ended when its
         rule's time is over, and then `unfinished`."""
         ...
 
@@ -271,10 +271,10 @@ class Suite(Protocol):
         ...
 
     @property
-    def needs_room(self) -> bool:
+    def needs_namespace(self) -> bool:
         """Whether it installs or runs something, and so needs a test namespace."""
         ...
 
-    def run(self, subject: Subject, room: SuiteNamespace | None) -> Sequence[Check]:
+    def run(self, subject: Subject, test_namespace: SuiteNamespace | None) -> Sequence[Check]:
         """Every check with its outcome, at least one. An exception makes the run `unfinished` with its message."""
         ...

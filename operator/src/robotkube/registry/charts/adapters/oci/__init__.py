@@ -2,6 +2,6 @@
 attached to them."""
 
 from robotkube.registry.charts.adapters.oci.image_layouts import ArchivedBlob, read_layout
-from robotkube.registry.charts.adapters.oci.registry import OciRegistry
+from robotkube.registry.charts.adapters.oci.oci_registry import OciRegistry
 
 __all__ = ["ArchivedBlob", "OciRegistry", "read_layout"]

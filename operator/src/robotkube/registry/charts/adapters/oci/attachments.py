@@ -26,7 +26,7 @@ INDEX_TRIES_MAX = 5
 
 
 class Attachments:
-    """The attachments of all repositories of one registry; `lock` is held while an index is changed."""
+    """The attachments of all repositories of one OCI registry; `lock` is held while an index is changed."""
 
     def __init__(self, connection: RegistryConnection, lock: AbstractContextManager[Any]) -> None:
         self._connection = connection

@@ -42,16 +42,18 @@ class RegistryConnection:
         digest names, or more than `bytes_max`."""
         data = self._fetch(f"{repository}/manifests/{reference}", f"manifest {repository}:{reference}", bytes_max)
         if data is not None and reference.startswith("sha256:") and sha256(data) != reference:
-            raise InputError(f"registry {self.url}: {repository}@{reference} is {sha256(data)}; it cannot be trusted")
+            raise InputError(
+                f"OCI registry {self.url}: {repository}@{reference} is {sha256(data)}; it cannot be trusted"
+            )
         return data
 
     def blob(self, repository: str, digest: str, bytes_max: int) -> bytes:
         """The bytes of a blob. InputError when there is none, other bytes, or more than `bytes_max`."""
         data = self._fetch(f"{repository}/blobs/{digest}", f"blob {digest} of {repository}", bytes_max)
         if data is None:
-            raise InputError(f"registry {self.url}: {repository} has no blob {digest}; push it again")
+            raise InputError(f"OCI registry {self.url}: {repository} has no blob {digest}; push it again")
         if sha256(data) != digest:
-            raise InputError(f"registry {self.url}: blob {digest} of {repository} has other bytes than it should")
+            raise InputError(f"OCI registry {self.url}: blob {digest} of {repository} has other bytes than it should")
         return data
 
     def tags(self, repository: str) -> tuple[str, ...]:
@@ -80,13 +82,13 @@ class RegistryConnection:
         self._expect(answer, f"manifest {repository}:{reference}", httpx.codes.CREATED)
 
     def put_blob(self, repository: str, digest: str, content: bytes | Iterator[bytes], size: int) -> None:
-        """Write a blob unless the registry has it, here or in a repository it can be mounted from."""
+        """Write a blob unless the OCI registry has it, here or in a repository it can be mounted from."""
         location = self._begin(repository, digest)
         if location:
             self._finish(repository, location, digest, content, size)
 
     def copy_blob(self, source: str, target: str, digest: str, size: int) -> None:
-        """Bring a blob of `source` to `target`: mounted when the registry can, else through here."""
+        """Bring a blob of `source` to `target`: mounted when the OCI registry can, else through here."""
         self._held.setdefault(digest, source)
         location = self._begin(target, digest)
         if location:
@@ -110,7 +112,7 @@ class RegistryConnection:
         for chunk in answer.iter_raw():
             data += chunk
             if len(data) > bytes_max:
-                raise InputError(f"registry {self.url}: {what} is longer than {bytes_max} bytes; it is not taken")
+                raise InputError(f"OCI registry {self.url}: {what} is longer than {bytes_max} bytes; it is not read")
         return bytes(data)
 
     def _begin(self, repository: str, digest: str) -> str | None:
@@ -141,7 +143,7 @@ class RegistryConnection:
 
     def _unavailable(self, method: str, path: str, error: httpx.HTTPError) -> UnavailableError:
         reason = error or type(error).__name__
-        return UnavailableError(f"registry {self.url}: {method} {path.partition('?')[0]}: {reason}")
+        return UnavailableError(f"OCI registry {self.url}: {method} {path.partition('?')[0]}: {reason}")
 
     def _expect(self, answer: httpx.Response, what: str, code: int) -> httpx.Response:
         if answer.status_code == code:
@@ -149,9 +151,11 @@ class RegistryConnection:
         text = answer.text[:TEXT_CHARACTERS_MAX].strip()
         if answer.status_code in (httpx.codes.UNAUTHORIZED, httpx.codes.FORBIDDEN):
             raise InputError(
-                f"registry {self.url}: {what}: "
+                f"OCI registry {self.url}: {what}: "
                 f"account {self._user or '(none)'} may not do this: {text}; check account and team"
             )
         if answer.status_code >= httpx.codes.INTERNAL_SERVER_ERROR:
-            raise UnavailableError(f"registry {self.url}: {what}: {answer.status_code} {text}")
-        raise InputError(f"registry {self.url}: {what}: answered {answer.status_code}, expected {int(code)}: {text}")
+            raise UnavailableError(f"OCI registry {self.url}: {what}: {answer.status_code} {text}")
+        raise InputError(
+            f"OCI registry {self.url}: {what}: answered {answer.status_code}, expected {int(code)}: {text}"
+        )

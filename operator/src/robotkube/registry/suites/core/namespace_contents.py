@@ -23,7 +23,7 @@ DOMAIN_VARIABLE = "ROS_DOMAIN_ID"
 OBJECTS_MAX = 50
 FILES_BYTES_MAX = 900 * 1024
 FILES_FOLDER = "/suite"
-SCRATCH_CLAIM = "scratch"
+SCRATCH_VOLUME_CLAIM = "scratch"
 SCRATCH_FOLDER = "/var/lib/robotkube/scratch"
 ACCOUNT_FOLDER = "/var/run/secrets/robotkube/broker"
 BROKER_SECRET, DATABASE_SECRET = "broker-account", "database-account"
@@ -140,7 +140,9 @@ def placed(item: Mapping[str, Any], namespace: str, domain_id: int, agent: str) 
 def refuse_name(kind: str, name: str) -> None:
     """InputError when an object of a chart, or of its test set, may not have this name."""
     if not NAME.fullmatch(name) or name.startswith(HELPER_PREFIX):
-        raise InputError(f"{kind} {name!r}: not a name for a chart's object; {HELPER_PREFIX}... is for the room's own")
+        raise InputError(
+            f"{kind} {name!r}: not a name for a chart's object; {HELPER_PREFIX}... is for the test namespace's own"
+        )
 
 
 def _refuse_holds(kind: str, name: str, metadata: Mapping[str, Any]) -> None:
@@ -156,7 +158,7 @@ def _refuse_places(name: str, pod: Mapping[str, Any], agent: str) -> None:
     chosen = (pod.get("nodeSelector") or {}).get(AGENT_LABEL)
     if chosen != agent or pod.get("nodeName"):
         fix = f"write nodeSelector: {{{AGENT_LABEL}: {{{{ .Values.placement.agent }}}}}} and no nodeName"
-        raise InputError(f"Deployment {name}: would not run on the room's node, that of {agent}; {fix}")
+        raise InputError(f"Deployment {name}: would not run on the test namespace's node, that of {agent}; {fix}")
     if pod.get("priorityClassName"):
         raise InputError(f"Deployment {name}: priorityClassName: leave it out, it pushes others off the node")
 
@@ -199,7 +201,7 @@ def files_volume(name: str) -> tuple[dict[str, Any], dict[str, Any]]:
 
 def scratch_volume() -> tuple[dict[str, Any], dict[str, Any]]:
     """Volume and mount of the volume claim `scratch`."""
-    volume = {"name": "scratch", "persistentVolumeClaim": {"claimName": SCRATCH_CLAIM}}
+    volume = {"name": "scratch", "persistentVolumeClaim": {"claimName": SCRATCH_VOLUME_CLAIM}}
     return volume, {"name": "scratch", "mountPath": SCRATCH_FOLDER}
 
 
@@ -269,4 +271,4 @@ def mounts_scratch(pod: Mapping[str, Any]) -> bool:
     """Whether a pod's spec mounts the volume claim `scratch`."""
     volumes = pod.get("volumes") or ()
     volume_claims = (volume.get("persistentVolumeClaim") or {} for volume in volumes)
-    return any(claim.get("claimName") == SCRATCH_CLAIM for claim in volume_claims)
+    return any(claim.get("claimName") == SCRATCH_VOLUME_CLAIM for claim in volume_claims)

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from datetime import datetime
 
 from robotkube.errors import InputError, UnavailableError
-from robotkube.registry.suites.core import pod_descriptions as sightings
-from robotkube.registry.suites.core import test_objects as objects_of
-from robotkube.registry.suites.core.test_objects import (
+from robotkube.registry.suites.core import namespace_contents as contents
+from robotkube.registry.suites.core import pod_descriptions
+from robotkube.registry.suites.core.namespace_contents import (
     BROKER_SECRET,
     DATABASE_SECRET,
     HELPER,
@@ -51,8 +51,8 @@ class SuiteNamespaceSettings:
 
 
 class ClusterTestNamespace:
-    """The port Room for one run of at most `seconds`. `make_account` makes `account` in the database at host and port,
-    whose administrator is given."""
+    """The port SuiteNamespace for one run of at most `seconds`. `make_account` makes `account` in the database at host
+    and port, whose administrator is given."""
 
     def __init__(
         self,
@@ -97,16 +97,16 @@ class ClusterTestNamespace:
     def provide(self, config_maps: Mapping[str, Mapping[str, str]]) -> None:
         """Make ConfigMaps that the chart finds in the test namespace."""
         for name, data in config_maps.items():
-            objects_of.refuse_name("ConfigMap", name)
-            metadata = objects_of.own_metadata(name)
+            contents.refuse_name("ConfigMap", name)
+            metadata = contents.own_metadata(name)
             self._api.apply({"apiVersion": "v1", "kind": "ConfigMap", "metadata": metadata, "data": dict(data)})
 
     def apply(self, objects: Sequence[Object]) -> None:
         """Make or replace a chart's objects, none before all of them are known to be allowed."""
-        if len(objects) > objects_of.OBJECTS_MAX:
-            raise InputError(f"{len(objects)} objects; a chart may have {objects_of.OBJECTS_MAX}")
-        placed = [objects_of.placed(item, self.namespace, self.domain_id, self.agent) for item in objects]
-        if any(objects_of.mounts_scratch(_pod_spec(item)) for item in placed):
+        if len(objects) > contents.OBJECTS_MAX:
+            raise InputError(f"{len(objects)} objects; a chart may have {contents.OBJECTS_MAX}")
+        placed = [contents.placed(item, self.namespace, self.domain_id, self.agent) for item in objects]
+        if any(contents.mounts_scratch(_pod_spec(item)) for item in placed):
             self._mark_scratch()
         for item in sorted(placed, key=lambda item: item["kind"] != "ConfigMap"):
             self._api.apply(item)
@@ -117,15 +117,15 @@ class ClusterTestNamespace:
         last = {item["metadata"]["name"]: item for item in pods if _is_subject(item)}
         deadline = self._clock() + min(seconds, self.seconds_left)
         for item in objects:
-            if item.get("kind") in objects_of.KINDS:
+            if item.get("kind") in contents.KINDS:
                 self._api.delete(item["kind"], item["metadata"]["name"])
         left = set(last)
         while left and self._clock() < deadline:
-            version = self._follow(last, left, version, deadline)
+            version = self._watch(last, left, version, deadline)
         return [_pod_end(item, item["metadata"]["name"] not in left) for item in last.values()]
 
-    def _follow(self, last: dict[str, Object], left: set[str], version: str, deadline: float) -> str:
-        """Follow changes of pods until nothing is left or the watch ends; then list the pods that are still there."""
+    def _watch(self, last: dict[str, Object], left: set[str], version: str, deadline: float) -> str:
+        """Watch changes of pods until nothing is left or the watch ends; then list the pods that are still there."""
         for kind, item in self._api.changes("Pod", version, max(deadline - self._clock(), 1.0)):
             name = item["metadata"]["name"]
             if not _is_subject(item):
@@ -144,12 +144,12 @@ class ClusterTestNamespace:
 
     def wait_ready(self, kind: str, name: str, seconds: float) -> str:
         """Empty when it got ready in time, else what was seen."""
-        judge = sightings.deployment_ready if kind == "Deployment" else sightings.pod_ready
+        judge = pod_descriptions.deployment_ready if kind == "Deployment" else pod_descriptions.pod_ready
         if self._until(lambda: self._fits(kind, name, judge), seconds):
             return ""
         lines = [f"{kind} {name} was not ready after {seconds:.0f} s"]
         if kind == "Deployment":
-            lines += sightings.describe_deployment(self._api.get(kind, name), name)
+            lines += pod_descriptions.describe_deployment(self._api.get(kind, name), name)
         lines += self._described(self._concerned(kind, name), kind, name)
         return "\n".join(dict.fromkeys(lines))
 
@@ -161,12 +161,12 @@ class ClusterTestNamespace:
     def _described(self, pods: Sequence[Object], kind: str, name: str) -> list[str]:
         if not pods:
             reasons = [f"event {item.get('reason')}: {item.get('message')}" for item in self._api.events(kind, name)]
-            return reasons[-sightings.EVENTS_MAX :] or [f"{kind} {name} has no pod"]
+            return reasons[-pod_descriptions.EVENTS_MAX :] or [f"{kind} {name} has no pod"]
         lines = []
         for item in pods[-2:]:
             events = self._api.events("Pod", item["metadata"]["name"])
             log = self._container_logs(item)
-            lines += sightings.describe_pod(item, events, log)
+            lines += pod_descriptions.describe_pod(item, events, log)
         return lines
 
     def pods(self) -> Sequence[Object]:
@@ -181,13 +181,13 @@ class ClusterTestNamespace:
 
     def _container_logs(self, item: Object) -> str:
         name = item["metadata"]["name"]
-        texts = []
-        for container in sightings.container_statuses(item):
+        logs = []
+        for container in pod_descriptions.container_statuses(item):
             log = self._api.log(name, container["name"], CHART_LOG_BYTES_MAX, CHART_LOG_LINES_MAX)
             if not log and container.get("restartCount"):
                 log = self._api.log(name, container["name"], CHART_LOG_BYTES_MAX, CHART_LOG_LINES_MAX, previous=True)
-            texts.append(log)
-        return "".join(texts)
+            logs.append(log)
+        return "".join(logs)
 
     def run_pod(
         self,
@@ -196,7 +196,7 @@ class ClusterTestNamespace:
         command: Sequence[str],
         files: Mapping[str, bytes],
         seconds: float,
-        claims: bool = False,
+        volume_claim: bool = False,
         accounts: bool = False,
     ) -> PodRun:
         """Run a helper pod to its end."""
@@ -204,13 +204,13 @@ class ClusterTestNamespace:
         name = f"{HELPER_PREFIX}{name}-{self._pods_run}"
         volumes = []
         if files:
-            self._api.create("ConfigMap", objects_of.files_map(name, files))
-            volumes.append(objects_of.files_volume(name))
-        if claims:
+            self._api.create("ConfigMap", contents.files_map(name, files))
+            volumes.append(contents.files_volume(name))
+        if volume_claim:
             self._mark_scratch()
-            volumes.append(objects_of.scratch_volume())
+            volumes.append(contents.scratch_volume())
         if accounts:
-            volumes.append(objects_of.account_volume())
+            volumes.append(contents.account_volume())
         seconds = min(seconds, self.seconds_left)
         pod = HelperPod(
             name, image, self.agent, self.domain_id, command,
@@ -218,7 +218,7 @@ class ClusterTestNamespace:
             seconds=math.ceil(seconds) + 1,
         )  # fmt: skip
         self._api.create("Pod", pod.document())
-        ended = self._until(lambda: self._fits("Pod", name, sightings.pod_ended), seconds)
+        ended = self._until(lambda: self._fits("Pod", name, pod_descriptions.pod_ended), seconds)
         run = self._pod_run(name, bool(ended))
         self._api.delete("Pod", name, EMPTY_GRACE_SECONDS)
         return run
@@ -228,24 +228,24 @@ class ClusterTestNamespace:
         if item is None:
             return PodRun("", None, f"pod {name} is gone")
         log = self._api.log(name, name, LOG_BYTES_MAX)
-        codes = sightings.exit_codes(item)
+        codes = pod_descriptions.exit_codes(item)
         if ended and codes.get(name) is not None:
             return PodRun(log, codes[name])
-        description = sightings.describe_pod(item, self._api.events("Pod", name))
+        description = pod_descriptions.describe_pod(item, self._api.events("Pod", name))
         return PodRun(log, None, "\n".join(["it did not end in its time", *description]))
 
     def start_broker(self) -> SuiteAccount:
         """Start a broker, or the one that runs."""
         if self._broker is None:
             password = secrets.token_urlsafe(24)
-            line = objects_of.password_line("suite", password, secrets.token_bytes(12))
-            settings = {"mosquitto.conf": objects_of.BROKER_CONFIGURATION, "passwords": line}
-            self._api.create("Secret", objects_of.secret(BROKER, settings))
+            line = contents.password_line("suite", password, secrets.token_bytes(12))
+            settings = {"mosquitto.conf": contents.BROKER_CONFIGURATION, "passwords": line}
+            self._api.create("Secret", contents.secret(BROKER, settings))
             image = self._settings.broker_image
-            host = self._start(objects_of.broker_pod(BROKER, image, self.agent, self.domain_id))
-            self._broker = SuiteAccount("suite", password, host, objects_of.MQTT_PORT)
+            host = self._start(contents.broker_pod(BROKER, image, self.agent, self.domain_id))
+            self._broker = SuiteAccount("suite", password, host, contents.MQTT_PORT)
             self._broker_began = self._api.log(BROKER, BROKER, LOG_BYTES_MAX)[:BEGINNING_CHARACTERS]
-            self._api.create("Secret", objects_of.secret(BROKER_SECRET, _account_data(self._broker)))
+            self._api.create("Secret", contents.secret(BROKER_SECRET, _account_data(self._broker)))
         return self._broker
 
     def start_database(self) -> SuiteAccount:
@@ -257,19 +257,20 @@ class ClusterTestNamespace:
                     "the chart needs a database, and this platform has no image of one to start in a test namespace"
                 )
             administrator = {"username": "administrator", "password": secrets.token_urlsafe(24)}
-            self._api.create("Secret", objects_of.secret(DATABASE, administrator))
+            self._api.create("Secret", contents.secret(DATABASE, administrator))
             host = self._start(
-                objects_of.database_pod(
+                contents.database_pod(
                     DATABASE, settings.database_kind, settings.database_image, settings.database_arguments, self.agent,
                     self.domain_id,
                 )
             )  # fmt: skip
-            name, port = objects_of.SUITE_DATABASE, objects_of.DATABASE_PORT
+            name = contents.SUITE_DATABASE
+            port = contents.DATABASE_PORT
             account = SuiteAccount(name, secrets.token_urlsafe(24), host, port, database=name)
             self._make_account(SuiteAccount(**administrator, host=host, port=port, database="admin"), account)
             self._database = account
             data = {**_account_data(account), "database": name, "authenticationDatabase": name}
-            self._api.create("Secret", objects_of.secret(DATABASE_SECRET, data))
+            self._api.create("Secret", contents.secret(DATABASE_SECRET, data))
         return self._database
 
     def _start(self, pod: HelperPod) -> str:
@@ -296,14 +297,14 @@ class ClusterTestNamespace:
     def leftovers(self) -> list[str]:
         """The objects in the test namespace that are no helpers'."""
         names = []
-        for kind in (*objects_of.KINDS, "Pod"):
+        for kind in (*contents.KINDS, "Pod"):
             items, _ = self._api.list(kind)
             names += [f"{kind} {item['metadata']['name']}" for item in items if not _is_own(kind, item)]
         return sorted(names)
 
     def _mark_scratch(self) -> None:
         """Mark the volume claim as used, so that it is emptied with the test namespace."""
-        metadata = objects_of.own_metadata(SCRATCH_USED)
+        metadata = contents.own_metadata(SCRATCH_USED)
         self._api.apply({"apiVersion": "v1", "kind": "ConfigMap", "metadata": metadata, "data": {"used": "true"}})
 
     def _fits(self, kind: str, name: str, judge: Callable[[Object], bool]) -> bool:
@@ -348,12 +349,12 @@ def _account_data(account: SuiteAccount) -> dict[str, str]:
 def _pod_end(item: Object, gone: bool) -> PodEnd:
     metadata = item["metadata"]
     grace = float(metadata.get("deletionGracePeriodSeconds") or item["spec"].get("terminationGracePeriodSeconds") or 0)
-    return PodEnd(metadata["name"], _stop_seconds(item, grace), grace, sightings.exit_codes(item), gone)
+    return PodEnd(metadata["name"], _stop_seconds(item, grace), grace, pod_descriptions.exit_codes(item), gone)
 
 
 def _stop_seconds(item: Object, grace_seconds: float) -> float:
     """From the request to delete until the last container had ended; 0 when that was not seen."""
-    states = [status.get("state") or {} for status in sightings.container_statuses(item)]
+    states = [status.get("state") or {} for status in pod_descriptions.container_statuses(item)]
     ends = [state["terminated"]["finishedAt"] for state in states if (state.get("terminated") or {}).get("finishedAt")]
     deletion = item["metadata"].get("deletionTimestamp")
     if not ends or not deletion:

@@ -1,4 +1,4 @@
-"""One registry: charts and images pushed and pulled, evidence attached and copied with its chart."""
+"""One OCI registry: charts and images pushed and pulled, evidence attached and copied with its chart."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from robotkube.registry.charts.ports import Attachment
 
 
 class OciRegistry:
-    """A client of one registry, port ChartRegistry; `url` is `http(s)://host:port`. Several threads may use it.
+    """A client of one OCI registry, port ChartRegistry; `url` is `http(s)://host:port`. Several threads may use it.
 
     `lock` is held while a list of attachments is changed: all clients of one process that attach share one. A version
     is never replaced."""
@@ -59,7 +59,7 @@ class OciRegistry:
         """Push the image of an OCI layout archive (tar) to `repository`, by digest and under `tag` if given; returns
         its digest.
 
-        Layers are streamed from the archive; those the registry has are not sent again."""
+        Layers are streamed from the archive; those the OCI registry has are not sent again."""
         blobs, digest = read_layout(archive)
         manifest = b"".join(blobs[digest].chunks())
         if tag:
@@ -83,7 +83,9 @@ class OciRegistry:
         """The bytes of the manifest or index of that digest; InputError when it is not there."""
         manifest = self._connection.manifest(repository, digest)
         if manifest is None:
-            raise InputError(f"registry {self._connection.url}: {repository} has no manifest {digest}; push it again")
+            raise InputError(
+                f"OCI registry {self._connection.url}: {repository} has no manifest {digest}; push it again"
+            )
         return manifest
 
     def blob(self, repository: str, digest: str, bytes_max: int) -> bytes:
@@ -117,7 +119,7 @@ class OciRegistry:
         return self._attachments.attachments(repository, subject)
 
     def copy_chart(self, source: str, target: str, digest: str, tag: str, attachments: Collection[str]) -> None:
-        """Copy a chart and the named attachments, no others; blobs are mounted when the registry can."""
+        """Copy a chart and the named attachments, no others; blobs are mounted when the OCI registry can."""
         manifest = self._chart_manifest(source, digest)
         present = self._connection.refuse_replacing(target, tag, digest)
         self._attachments.copy(source, target, digest, attachments)
@@ -130,5 +132,5 @@ class OciRegistry:
     def _chart_manifest(self, repository: str, digest: str) -> bytes:
         manifest = self._connection.manifest(repository, digest, unpacking.MANIFEST_BYTES_MAX)
         if manifest is None:
-            raise InputError(f"registry {self._connection.url}: {repository} has no chart {digest}; push it again")
+            raise InputError(f"OCI registry {self._connection.url}: {repository} has no chart {digest}; push it again")
         return manifest
