@@ -52,7 +52,7 @@ app.kubernetes.io/instance: {{ .root.Release.Name }}
 {{- end -}}
 {{- end }}
 
-{{- /* One address for Git, web links, registry and Argo CD. */ -}}
+{{- /* One address for Git, web links, OCI registry and Argo CD. */ -}}
 {{- define "robotkube.forgeUrl" -}}
 {{- if eq .Values.forge.kind "external" -}}
 {{ .Values.forge.external.url }}
@@ -72,7 +72,7 @@ api: {{ . }}
 {{- end }}
 {{- end }}
 
-{{- /* An organisation of the registry. Argument: {root, organisation}. */ -}}
+{{- /* An organisation of the OCI registry. Argument: {root, organisation}. */ -}}
 {{- define "robotkube.packages" -}}
 oci://{{ include "robotkube.forgeHost" .root }}/{{ .organisation }}
 {{- end }}
@@ -119,7 +119,7 @@ recordings_{{ include "robotkube.ros" . }}
 {{- end }}
 {{- end }}
 
-{{- /* Kept on uninstall when something in it is kept: a Namespace that goes takes its claims along. Argument: an agent. */ -}}
+{{- /* Kept on uninstall when something in it is kept: a Namespace that goes takes its volume claims along. Argument: an agent. */ -}}
 {{- define "robotkube.agentKeeps" -}}
 {{- if or .records .claims }}true{{ end -}}
 {{- end }}

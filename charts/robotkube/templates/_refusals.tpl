@@ -26,13 +26,13 @@
 {{- $claims := list }}
 {{- range $claim := $agent.claims }}
 {{- if eq $claim.name "recordings" }}
-{{- $problems = append $problems (printf "%s: claim \"recordings\" is made by records: true. Set that, or use another name." $at) }}
+{{- $problems = append $problems (printf "%s: volume claim \"recordings\" is made by records: true. Set that, or use another name." $at) }}
 {{- end }}
 {{- if has $claim.name $claims }}
-{{- $problems = append $problems (printf "%s: claim %q is declared twice. Remove one." $at $claim.name) }}
+{{- $problems = append $problems (printf "%s: volume claim %q is declared twice. Remove one." $at $claim.name) }}
 {{- end }}
 {{- if not (regexMatch "^[a-z0-9]([-a-z0-9]{0,61}[a-z0-9])?$" $claim.name) }}
-{{- $problems = append $problems (printf "%s: claim name %q. Use lower case letters, digits and hyphens." $at $claim.name) }}
+{{- $problems = append $problems (printf "%s: volume claim name %q. Use lower case letters, digits and hyphens." $at $claim.name) }}
 {{- end }}
 {{- $claims = append $claims $claim.name }}
 {{- end }}
@@ -88,7 +88,7 @@
 {{- end }}
 {{- $kept := lookup "v1" "Secret" .Release.Namespace "robotkube-seed" | dig "data" "seed" "" | b64dec }}
 {{- if and $seed $kept (ne $seed $kept) }}
-{{- $problems = append $problems "secrets.seed differs from the one kept in the Secret robotkube-seed: forge and database would refuse the new passwords. Leave secrets.seed out, or delete the Secret together with the claims forge and database." }}
+{{- $problems = append $problems "secrets.seed differs from the one kept in the Secret robotkube-seed: forge and database would refuse the new passwords. Leave secrets.seed out, or delete the Secret together with the volume claims forge and database." }}
 {{- end }}
 {{- if .Values.suites.enabled }}
 {{- $off := "or set suites.enabled: false (then charts are verified and published elsewhere)." }}

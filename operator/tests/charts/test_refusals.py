@@ -45,15 +45,15 @@ REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "claim recordings": (
         {"agents": [CLOUD, {**VEHICLE, "claims": [{"name": "recordings", "size": "1Gi"}]}]},
-        'claim "recordings" is made by records: true.',
+        'volume claim "recordings" is made by records: true.',
     ),
     "claim declared twice": (
         {"agents": [CLOUD, {**VEHICLE, "claims": [{"name": "bags", "size": "1Gi"}, {"name": "bags", "size": "1Gi"}]}]},
-        'claim "bags" is declared twice. Remove one.',
+        'volume claim "bags" is declared twice. Remove one.',
     ),
     "claim that is no label": (
         {"agents": [CLOUD, {**VEHICLE, "claims": [{"name": "My Bags", "size": "1Gi"}]}]},
-        'claim name "My Bags". Use lower case letters, digits and hyphens.',
+        'volume claim name "My Bags". Use lower case letters, digits and hyphens.',
     ),
     "no platform image": ({"images": {"platform": ""}}, "images.platform is empty. Give the reference"),
     "no FerretDB image": ({"database": {"kind": "ferretdb"}}, "images.ferretdb is empty. Give its reference, or use"),
