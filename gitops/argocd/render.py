@@ -42,7 +42,7 @@ RESOURCES: dict[str, tuple[str, str, str]] = {  # container -> CPU and memory re
 SETTINGS: dict[str, dict[str, str]] = {
     "argocd-cm": {
         "application.resourceTrackingMethod": "annotation",
-        # Charts are pinned by digest and Git tells by its hook: looking again is only the fallback, and one at a time.
+        # Charts are pinned by digest and Git notifies by its hook: polling is only the fallback, and one at a time.
         "timeout.reconciliation": "300s",
         "timeout.reconciliation.jitter": "60s",
     },
@@ -51,7 +51,7 @@ SETTINGS: dict[str, dict[str, str]] = {
         "controller.status.processors": "10",
         "controller.operation.processors": "5",
         "controller.kubectl.parallelism.limit": "5",
-        # A chart's registry that goes away in the middle of an answer holds its releases for that long.
+        # A chart's OCI registry that goes away in the middle of an answer holds its releases for that long.
         "controller.repo.server.timeout.seconds": "15",
         # Each rendering is a process of 0.1 core seconds: two that are ready early are better than four that are late.
         "reposerver.parallelism.limit": "2",

@@ -1,5 +1,5 @@
 {{- /* The gate's key pair when the chart makes it, as {key, certificate}: kept from before, else new. Set once per rendering, so that
-       all templates see the same. The certificate carries the public key; its dates and names are not looked at. */ -}}
+       all templates see the same. The certificate carries the public key; its dates and names are not read. */ -}}
 {{- define "robotkube.gateKeyPair" -}}
 {{- if not (hasKey .Values.evidence "pair") }}
 {{- $kept := lookup "v1" "Secret" .Release.Namespace "gate-key" | dig "data" (dict) }}

@@ -92,7 +92,7 @@
 {{- end }}
 {{- if .Values.suites.enabled }}
 {{- $off := "or set suites.enabled: false (then charts are verified and published elsewhere)." }}
-{{- range $image, $use := dict "suites" "the suite-runner's image" "ros" "what looks at charts under test" }}
+{{- range $image, $use := dict "suites" "the suite-runner's image" "ros" "what observes charts under test" }}
 {{- if not (index $.Values.images $image) }}
 {{- $problems = append $problems (printf "suites.enabled is true, but images.%s (%s) is empty. Give its reference, %s" $image $use $off) }}
 {{- end }}

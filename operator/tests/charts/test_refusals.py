@@ -97,7 +97,7 @@ REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
         {"images": {"suites": ""}},
         "suites.enabled is true, but images.suites (the suite-runner's image) is empty. Give its reference, or set",
     ),
-    "no image that looks at charts": ({"images": {"ros": ""}}, "images.ros (what looks at charts under test) is empty"),
+    "no image that looks at charts": ({"images": {"ros": ""}}, "images.ros (what observes charts under test) is empty"),
     "no broker image for suites": (
         {"images": {"mosquitto": ""}, "broker": {"kind": "external", "external": {"host": "mqtt.example"}}},
         "images.mosquitto, the broker that suites start, is empty.",
