@@ -8,7 +8,7 @@ import subprocess
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from ci.cluster import cgroups, network, processes
+from ci.cluster import cgroups, mounts, network, processes
 from ci.cluster.addresses import plan_of
 from ci.cluster.records import ClusterFolders, Record
 from ci.errors import SetUpError
@@ -48,7 +48,8 @@ def _there(name: str) -> Iterator[str]:
         yield from [f"{kind}: {', '.join(names)}"] if names else []
     yield from _counted("route", "routes", len(network.routes(plan)))
     yield from _counted("control group", "control groups", len(cgroups.folders(name)))
-    yield from _counted("mount", "mounts", len(_mounts(folders.base)))
+    own = [process.pid for process in processes.recorded(folders) if process.alive()]
+    yield from _counted("mount", "mounts", len(mounts.below(folders.base)) + mounts.in_namespaces(own))
     made = [folder for folder in Record.read(folders.record).made_folders if Path(folder).exists()]
     yield from [f"folders: {', '.join(made)}"] if made else []
     files = sorted(entry.name for entry in folders.base.iterdir()) if folders.base.is_dir() else []
@@ -78,19 +79,13 @@ def leftovers(name: str) -> tuple[str, ...]:
     found += [f"nftables {table}" for table in network.tables(plan)]
     found += [f"route {route}" for route in network.routes(plan)]
     found += [f"cgroup {folder}" for folder in cgroups.folders(name)]
-    found += [f"mount {place}" for place in _mounts(folders.base)]
+    found += [f"mount {place}" for place in mounts.below(folders.base)]
     found += [f"folder {folder}" for folder in record.made_folders if Path(folder).exists()]
     return tuple(found)
 
 
-def _mounts(base: Path) -> tuple[str, ...]:
-    lines = Path("/proc/self/mountinfo").read_text(encoding="utf-8", errors="replace").splitlines()
-    places = (line.split()[4] for line in lines)
-    return tuple(place for place in places if place.startswith(f"{base}/"))
-
-
 def _unmount(base: Path) -> None:
-    for place in reversed(_mounts(base)):
+    for place in reversed(mounts.below(base)):
         subprocess.run(["umount", "--lazy", place], capture_output=True, timeout=30, check=False)
 
 
