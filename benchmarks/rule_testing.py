@@ -57,7 +57,7 @@ class RuleTest:
 
 def rule_test(settings: Sequence[str] = SETTINGS, repetitions: int = REPETITIONS) -> RuleTest:
     """Measure, in turns; the bags are made once and kept in the user's cache."""
-    made = list(bags.make_bags(definition.load(FOLDER, settings), say=lambda text: None).values())
+    made = list(bags.make_bags(definition.load(FOLDER, settings), progress=lambda text: None).values())
     ours: list[float] = []
     theirs: list[float] = []
     for _ in range(repetitions):

@@ -17,7 +17,7 @@ from typing import Any
 import yaml
 
 from ci import evidence, toolchain
-from ci.cluster.objects import SUITE_ROOMS
+from ci.cluster.objects import SUITE_NAMESPACES
 from ci.cluster.topology import Topology
 from ci.errors import SetUpError
 from ci.folders import PROJECT
@@ -189,4 +189,4 @@ def platform_values(references: Mapping[str, str], topology: Topology) -> dict[s
             agent["claims"] = [{"name": "bags", "size": BAGS_SIZE}]
         agents.setdefault(node.agent, agent)
     images = {name: references[name] for name in PLATFORM_IMAGES}
-    return {"images": images, "agents": list(agents.values()), "suites": {"pool": SUITE_ROOMS}}
+    return {"images": images, "agents": list(agents.values()), "suites": {"pool": SUITE_NAMESPACES}}

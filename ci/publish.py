@@ -64,13 +64,13 @@ class Published:
 
 def publish(
     kubeconfig: Path,
-    say: Callable[[str], None] = lambda text: None,
+    progress: Callable[[str], None] = lambda text: None,
     kept: Path | None = None,
     extra: Sequence[str] = (),
 ) -> Published:
     """Publish to the forge of the cluster that `kubeconfig` names; SetUpError says what is in the way. `kept`: folder
     of evidence (default: the user's cache), `extra`: charts beside BASE, `<name>` or `<name>@<version>`."""
-    return publish_to(find_forge(kubeconfig), read_lock(lock_file()), kept or evidence.kept_folder(), say, extra)
+    return publish_to(find_forge(kubeconfig), read_lock(lock_file()), kept or evidence.kept_folder(), progress, extra)
 
 
 def find_forge(kubeconfig: Path) -> ForgeAccess:
@@ -95,7 +95,7 @@ def publish_to(
     forge: ForgeAccess,
     images: Sequence[Image],
     kept: Path,
-    say: Callable[[str], None] = lambda text: None,
+    progress: Callable[[str], None] = lambda text: None,
     extra: Sequence[str] = (),
 ) -> Published:
     """The images that charts run, then the submission, which names only what is already there; all other images go
@@ -108,10 +108,10 @@ def publish_to(
             for image in first:
                 push_image(registry, image)
             pushed = [lanes.submit(push_image, registry, image) for image in others]
-            outcome = submit_sources(forge, found, say, VERDICT_SECONDS_MAX)
+            outcome = submit_sources(forge, found, progress, VERDICT_SECONDS_MAX)
             for push in pushed:
                 push.result()
-        say(f"{len(images)} images with their bills of materials")
+        progress(f"{len(images)} images with their bills of materials")
         sources.write_kept(kept, outcome.evidence)
     except RobotKubeError as error:
         raise SetUpError(f"publishing to {forge.url}: {error}") from error

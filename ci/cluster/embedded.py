@@ -134,7 +134,7 @@ class Embedded:
     def _stop_others(self, step: Step) -> None:
         for other in PLANS:
             if other != self.name and cleaning.leftovers(other):
-                step.say(f"stopping the cluster {other}: only one can run at a time")
+                step.progress(f"stopping the cluster {other}: only one can run at a time")
                 cleaning.remove(other)
 
     def _start(self, topology: Topology, wanted: Sequence[images.Image], steps: Steps) -> None:

@@ -10,9 +10,9 @@ from ci.cluster.node_processes import Node
 from ci.errors import SetUpError
 
 STORAGE_CLASS = "local"
-SUITE_ROOMS = 2  # namespaces in which charts are tried, each with a claim on the cloud's node
+SUITE_NAMESPACES = 2  # namespaces in which charts are tried, each with a claim on the cloud's node
 VOLUME_SIZE = "20Gi"
-VOLUMES_PER_ROLE = {"platform": 6, "cloud": 4 + SUITE_ROOMS}
+VOLUMES_PER_ROLE = {"platform": 6, "cloud": 4 + SUITE_NAMESPACES}
 VOLUMES_OTHERWISE = 3
 RBAC = "/apis/rbac.authorization.k8s.io/v1"
 

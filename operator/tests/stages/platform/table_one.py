@@ -16,7 +16,7 @@ from typing import Any
 import yaml
 
 from scenarios.generator import messages
-from scenarios.runner import asking, policy
+from scenarios.runner import policy, proposing
 from scenarios.runner.acting import task
 from scenarios.runner.deployment import Deployment
 from scenarios.runner.inputs import Commit
@@ -130,7 +130,7 @@ class Stage:
         document = yaml.safe_load(self.deployment.file(policy.PATH)) or {}
         text = yaml.safe_dump(document | {"add": change(list(document.get("add") or []))}, sort_keys=True)
         topic = f"table-one-{time.time_ns()}"
-        asking.change(self.deployment, policy.PATH, text, "policy(initial): a story of Table I", topic)
+        proposing.change(self.deployment, policy.PATH, text, "policy(initial): a story of Table I", topic)
 
     # main ------------------------------------------------------------------------------------------------------------
 
