@@ -21,7 +21,7 @@ def remove(name: str, keep_logs: bool = True) -> tuple[str, ...]:
     Mounts and network namespaces of the nodes end with their last process. Raises SetUpError listing what is left.
     """
     folders, plan = ClusterFolders(name), plan_of(name)
-    removed = tuple(_there(name))
+    removed = tuple(_existing(name))
     record = Record.read(folders.record)
     processes.kill_all(name)
     network.remove(plan)
@@ -38,8 +38,8 @@ def remove(name: str, keep_logs: bool = True) -> tuple[str, ...]:
     return removed
 
 
-def _there(name: str) -> Iterator[str]:
-    """What there is of the cluster, in words for people; files that a removal keeps are not among it."""
+def _existing(name: str) -> Iterator[str]:
+    """What exists of the cluster, in words for people; files that a removal keeps are not among it."""
     folders, plan = ClusterFolders(name), plan_of(name)
     strays = processes.strays(name)
     yield from _counted("process", "processes", len(strays))
@@ -63,25 +63,25 @@ def _counted(one: str, many: str, count: int) -> Iterator[str]:
 
 def _networks(pids: Iterable[int]) -> set[str]:
     """The network namespaces of these processes that are not this machine's own."""
-    found = set()
+    networks = set()
     for pid in pids:
         with contextlib.suppress(OSError):  # ended meanwhile
-            found.add(str(Path(f"/proc/{pid}/ns/net").readlink()))
-    return found - {str(Path("/proc/self/ns/net").readlink())}
+            networks.add(str(Path(f"/proc/{pid}/ns/net").readlink()))
+    return networks - {str(Path("/proc/self/ns/net").readlink())}
 
 
 def leftovers(name: str) -> tuple[str, ...]:
     """Everything of the cluster that is on the machine outside of the cache folder; empty when there is nothing."""
     folders, plan = ClusterFolders(name), plan_of(name)
     record = Record.read(folders.record)
-    found = [f"process {pid}" for pid in sorted(processes.strays(name))]
-    found += [f"link {link}" for link in network.links(plan)]
-    found += [f"nftables {table}" for table in network.tables(plan)]
-    found += [f"route {route}" for route in network.routes(plan)]
-    found += [f"cgroup {folder}" for folder in cgroups.folders(name)]
-    found += [f"mount {place}" for place in mounts.below(folders.base)]
-    found += [f"folder {folder}" for folder in record.made_folders if Path(folder).exists()]
-    return tuple(found)
+    left = [f"process {pid}" for pid in sorted(processes.strays(name))]
+    left += [f"link {link}" for link in network.links(plan)]
+    left += [f"nftables {table}" for table in network.tables(plan)]
+    left += [f"route {route}" for route in network.routes(plan)]
+    left += [f"cgroup {folder}" for folder in cgroups.folders(name)]
+    left += [f"mount {place}" for place in mounts.below(folders.base)]
+    left += [f"folder {folder}" for folder in record.made_folders if Path(folder).exists()]
+    return tuple(left)
 
 
 def _unmount(base: Path) -> None:
