@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import pods
-from benchmarks.data_path import Testbed, measure
+from benchmarks.data_path import DataPath, measure
 from benchmarks.measuring import Comparison
 from ci.errors import SetUpError
 
@@ -19,7 +19,7 @@ OURS = "robotkube.robots.bridge"
 COMPONENTS = {"vehicle bridges": ("bridges of the vehicles", 0.6), "broker": ("broker", 0.9)}
 
 
-class NaiveTestbed(Testbed):
+class NaiveDataPath(DataPath):
     """The vehicles run the naive bridge."""
 
     def _launch(self, component: str, node: int, agent: str, name: str, module: str, *rest: Any) -> pods.Pod:
@@ -28,7 +28,7 @@ class NaiveTestbed(Testbed):
         return super()._launch(component, node, agent, name, module, *rest)
 
 
-def cpu_percent(kind: type[Testbed]) -> dict[str, float]:
+def cpu_percent(kind: type[DataPath]) -> dict[str, float]:
     """CPU of each component in % of one core; SetUpError when poses were lost, since then the numbers say nothing."""
     with tempfile.TemporaryDirectory(prefix="bridging-") as name:
         folder = Path(name)
@@ -46,7 +46,7 @@ def cpu_percent(kind: type[Testbed]) -> dict[str, float]:
 
 def compare() -> list[Comparison]:
     """The vehicles' bridges are what differs; the broker has fewer messages to carry."""
-    naive, ours = cpu_percent(NaiveTestbed), cpu_percent(Testbed)
+    naive, ours = cpu_percent(NaiveDataPath), cpu_percent(DataPath)
     baseline = "executor, a message each"
     return [
         Comparison(f"{text}, {VEHICLES} x 100 Hz", "% CPU", ours[component], naive[component], ratio_max, baseline)

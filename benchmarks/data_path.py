@@ -27,7 +27,7 @@ SETTLE_SECONDS = 2.0
 BRIDGE = "mqtt-bridge"
 
 
-class Testbed:
+class DataPath:
     """All processes of one measurement."""
 
     def __init__(
@@ -209,7 +209,7 @@ def quantile(ages: Counter[int], part: float) -> int:
     return -1
 
 
-def measure(testbed: Testbed) -> dict[str, object]:
+def measure(testbed: DataPath) -> dict[str, object]:
     """Run once; the numbers as printed."""
     testbed.begin()
     begin = time.monotonic()
@@ -237,7 +237,7 @@ def measure(testbed: Testbed) -> dict[str, object]:
     }
 
 
-def _received(testbed: Testbed) -> dict[str, object]:
+def _received(testbed: DataPath) -> dict[str, object]:
     result = json.loads((testbed.folder / "received.json").read_text())
     ages: dict[str, Counter[int]] = {"pose": Counter(), "pointcloud": Counter()}
     counts: Counter[str] = Counter()
@@ -276,7 +276,7 @@ def main() -> None:
     options = parser.parse_args()
     folder = Path(tempfile.mkdtemp(prefix="data-path-"))
     folder.chmod(0o755)
-    testbed = Testbed(folder, options.vehicles, options.lidars, options.seconds, options.clouds, options.period_ms)
+    testbed = DataPath(folder, options.vehicles, options.lidars, options.seconds, options.clouds, options.period_ms)
     testbed.nodes.mtu = options.mtu
     try:
         with testbed.api:

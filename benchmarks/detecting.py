@@ -84,7 +84,7 @@ def settings(agents: int, clouds: bool = False) -> dict[str, Any]:
 
 
 @dataclass
-class Testbed:
+class DetectorTestbed:
     """Two pods on a node."""
 
     folder: Path
@@ -137,14 +137,14 @@ class Testbed:
 
 
 @contextmanager
-def testbed() -> Iterator[Testbed]:
+def testbed() -> Iterator[DetectorTestbed]:
     """A node; everything on it is taken away afterwards."""
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="detecting-")))
         folder.chmod(0o755)
         nodes = pods.Nodes()
         stack.callback(nodes.close)
-        made = Testbed(folder, nodes, nodes.node(), [], [])
+        made = DetectorTestbed(folder, nodes, nodes.node(), [], [])
         stack.callback(made.stop)
         yield made
 
@@ -212,7 +212,7 @@ def memory(minutes: int) -> list[int]:
 
 
 def _begin(
-    here: Testbed, seconds: float, rate: float, swing: int = 0, core: int | None = None, clouds: int = 0
+    here: DetectorTestbed, seconds: float, rate: float, swing: int = 0, core: int | None = None, clouds: int = 0
 ) -> pods.Pod:
     """Start the source and wait until poses flow."""
     options = ["--agents", str(AGENTS), "--rate", str(rate), "--count", str(int(rate * seconds)), "--swing", str(swing)]
@@ -228,14 +228,14 @@ def _begin(
     return source
 
 
-def _flowing(here: Testbed) -> bool:
+def _flowing(here: DetectorTestbed) -> bool:
     try:
         return here.received() > 0
     except (subprocess.CalledProcessError, subprocess.TimeoutExpired):
         return False
 
 
-def play(here: Testbed, seconds: float, rate: float, swing: int = 0, core: int | None = None) -> Any:
+def play(here: DetectorTestbed, seconds: float, rate: float, swing: int = 0, core: int | None = None) -> Any:
     """Have all poses published; what the source says of it."""
     _begin(here, seconds, rate, swing, core)
     return here.wait("source", START_SECONDS_MAX + 2 * seconds)

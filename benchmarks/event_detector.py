@@ -158,7 +158,7 @@ def trying() -> list[Comparison]:
 
 def whole() -> list[Comparison]:
     """Bridges, broker and detector per pose."""
-    naive, ours = whole_path.cost(whole_path.NaiveTestbed), whole_path.cost(whole_path.WholeTestbed)
+    naive, ours = whole_path.cost(whole_path.NaiveDataPath), whole_path.cost(whole_path.WholeDataPath)
     values = {
         "data_path_us_per_message": ours.us_per_message,
         "data_path_baseline_us_per_message": naive.us_per_message,

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from benchmarks import pods
-from benchmarks.data_path import Testbed, measure
+from benchmarks.data_path import DataPath, measure
 from benchmarks.detecting import settings
 from ci.errors import SetUpError
 
@@ -26,7 +26,7 @@ class WholePath(NamedTuple):
     components: dict[str, float]
 
 
-class WholeTestbed(Testbed):
+class WholeDataPath(DataPath):
     """With a detector beside what counts."""
 
     detector = "robotkube.robots.detector"
@@ -36,7 +36,7 @@ class WholeTestbed(Testbed):
         self._launch("detector", node, "cloud-0", "event-detector", self.detector, settings(len(self.agents)))
 
 
-class NaiveTestbed(WholeTestbed):
+class NaiveDataPath(WholeDataPath):
     """The vehicles, the cloud and the detector as one would write them first."""
 
     detector = "benchmarks.naive_detector"
@@ -45,7 +45,7 @@ class NaiveTestbed(WholeTestbed):
         return super()._launch(component, node, agent, name, NAIVE.get(module, module), *rest)
 
 
-def cost(kind: type[WholeTestbed]) -> WholePath:
+def cost(kind: type[WholeDataPath]) -> WholePath:
     """Measure one side; SetUpError when poses were lost, since then the numbers say nothing."""
     with tempfile.TemporaryDirectory(prefix="whole-path-") as name:
         folder = Path(name)

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from benchmarks import bags
-from benchmarks.data_path import Testbed
+from benchmarks.data_path import DataPath
 from robotkube.foundation.database.adapters.connection import DatabaseLogin, connect
 from robotkube.robots.bags.adapters.writing import BagWriter
 from robotkube.robots.bags.core.playback import BagTopic
@@ -40,7 +40,7 @@ SECOND = 1_000_000_000
 LEAD_SECONDS, START_SECONDS_MAX, DRAIN_SECONDS_MAX = 2.0, 60.0, 60.0
 
 
-class RecordedPath(Testbed):
+class RecordedPath(DataPath):
     """Poses of two vehicles at 100 Hz and clouds of one at 10 Hz for `seconds`, recorded at the cloud from the begin
     to the end, and once more around their being near each other. `server` is a running database that pods reach."""
 
