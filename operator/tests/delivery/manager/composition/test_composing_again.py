@@ -24,7 +24,7 @@ from robotkube.testing.synthetic import Synthetic, demands, synthetic
 from tests.stages.delivery.placement import ONE, application, catalogue, chart, demand, task, world
 
 RENDER = Jinja2Templates().render
-SMALL = synthetic(RENDER, validate, charts=7, versions=3, nodes=24, standing=6)
+SMALL = synthetic(RENDER, validate, charts=7, versions=3, nodes=24, task_count=6)
 STEPS = 25
 
 
@@ -202,7 +202,7 @@ def test_what_has_come_to_main_keeps_the_version_that_main_has(version: str) -> 
 
 
 def test_a_large_world_is_answered_the_same_again_and_again() -> None:
-    world: Synthetic = synthetic(RENDER, validate, charts=10, versions=2, nodes=120, standing=130)
+    world: Synthetic = synthetic(RENDER, validate, charts=10, versions=2, nodes=120, task_count=130)
     memo, standing = Memo(), list(world.tasks.values())
     scene: Any = world.inputs(RENDER, validate)
     for number in (1, 2, 3):
