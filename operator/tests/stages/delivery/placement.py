@@ -73,8 +73,8 @@ def demand(found: TaskDescription, **changes: Any) -> Demand:
     return replace(Demand(found.key, found.application, found.parameters, task=found), **changes)
 
 
-def world(found: Catalogue = PLAIN, nodes: Sequence[NodeState] = NODES, now: int = 0, **more: Any) -> Inputs:
-    known: Inputs = Inputs(found, fleet(AGENTS, nodes, now * SECOND), {}, RENDER, validate)
+def inputs(known: Catalogue = PLAIN, nodes: Sequence[NodeState] = NODES, now: int = 0, **more: Any) -> Inputs:
+    known: Inputs = Inputs(known, fleet(AGENTS, nodes, now * SECOND), {}, RENDER, validate)
     return replace(known, **more)
 
 
