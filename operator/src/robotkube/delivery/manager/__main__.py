@@ -7,6 +7,7 @@ The clones of the repositories are below ROBOTKUBE_WORK (default /tmp/manager); 
 
 from __future__ import annotations
 
+import logging
 import os
 import socket
 import threading
@@ -55,11 +56,16 @@ from robotkube.registry.evidence.adapters.dsse import TrustedKeys
 GRACE_SECONDS = 5.0
 SYNC_SECONDS_MAX = 60.0
 COMMIT_AUTHOR = "robotkube-manager"
+NEW_KEYS = {"registry": "oci_registry"}
+"""Former key of the settings -> the key of today; former ones are still taken, with a warning."""
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class ManagerConfiguration:
-    """Everything the process needs, secrets included."""
+    """Everything the process needs, secrets included; `former_keys` are the keys of the file that have another name
+    today."""
 
     listen: files.Listen
     log_level: str
@@ -82,16 +88,17 @@ class ManagerConfiguration:
     evidence_keys: Path
     traces: str
     manager: ManagerSettings
+    former_keys: tuple[str, ...] = ()
 
 
 def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ManagerConfiguration:
     """Read the settings document of the manager."""
-    keys = ["listen", "log_level", "forge", "registry", "evidence", "argocd", "hook", "webhook"]
+    keys = ["listen", "log_level", "forge", "oci_registry", "evidence", "argocd", "hook", "webhook"]
     keys += ["agents", "lease", "scope", "operators", "node_lost_seconds"]
-    root = reader.mapping(document, "", keys, ["broker", "traces", "gate", "managers"])
+    root = reader.mapping(_under_new_keys(reader, document), "", keys, ["broker", "traces", "gate", "managers"])
     forge_keys = ["url", "credentials", "deployment", "catalogue", "branch"]
     forge = reader.mapping(root.get("forge") or {}, "forge", forge_keys, ["kind", "api"])
-    registry = reader.mapping(root.get("registry") or {}, "registry", ["charts"])
+    oci_registry = reader.mapping(root.get("oci_registry") or {}, "oci_registry", ["charts"])
     argocd = reader.mapping(root.get("argocd") or {}, "argocd", ["url", "credentials", "namespace", "project"])
     hook = reader.mapping(root.get("hook") or {}, "hook", ["url", "secret"])
     lease = reader.mapping(root.get("lease") or {}, "lease", ["namespace", "name"])
@@ -122,11 +129,26 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ManagerCo
         traces=read_traces(reader, root.get("traces")),
         manager=ManagerSettings(
             agents=agents,
-            charts_url=reader.word(registry.get("charts"), "registry.charts", CHARTS_URL),
+            charts_url=reader.word(oci_registry.get("charts"), "oci_registry.charts", CHARTS_URL),
             operators=read_operators(reader, root, [agent.name for agent in agents]),
             node_lost_seconds=read_seconds(reader, root.get("node_lost_seconds"), "node_lost_seconds"),
         ),
+        former_keys=tuple(key for key in NEW_KEYS if key in document),
     )
+
+
+def warn_of_former_keys(configuration: ManagerConfiguration, path: Path) -> None:
+    """Log each key of the settings file that has another name today."""
+    for key in configuration.former_keys:
+        log.warning("settings have a former key file=%s key=%s new_key=%s", path, key, NEW_KEYS[key])
+
+
+def _under_new_keys(reader: Reader, document: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The document with its former keys under their names of today; having both is a problem."""
+    for key, new_key in NEW_KEYS.items():
+        if key in document and new_key in document:
+            reader.problems.append(f"{key}: is the former name of {new_key}, which is there as well; remove {key}")
+    return {NEW_KEYS.get(key, key): value for key, value in document.items()}
 
 
 def _agents(reader: Reader, value: Any) -> tuple[Agent, ...]:
@@ -204,8 +226,10 @@ class Waker:
 
 def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     """Run the manager's steps beside its watches, webhooks and pages until the process shall end."""
-    configuration = files.read_settings(files.settings_path(environment), read_configuration)
+    path = files.settings_path(environment)
+    configuration = files.read_settings(path, read_configuration)
     files.send_logs(process, configuration.log_level)
+    warn_of_former_keys(configuration, path)
     kubeconfig = environment.get("KUBECONFIG")
     api = api_client(kubeconfig, in_cluster=kubeconfig is None)
     waker = Waker()
