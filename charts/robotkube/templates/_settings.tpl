@@ -11,7 +11,7 @@ forge:
   deployment: robotkube/deployment
   catalogue: robotkube/catalogue
   branch: main
-registry:
+oci_registry:
   charts: {{ include "robotkube.charts" . }}
 argocd:
   url: http://{{ include "robotkube.host" (dict "root" . "name" "argocd-server" "namespace" .Values.argocd.namespace) }}

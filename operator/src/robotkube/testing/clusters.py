@@ -88,7 +88,7 @@ class MemoryCluster:
     running: dict[str, list[PodState]] = field(default_factory=dict)
     reports: list[tuple[str, str, str]] = field(default_factory=list)
 
-    def tell_node(self, node: str, reason: str, text: str) -> None:
+    def report_on_node(self, node: str, reason: str, text: str) -> None:
         """Remember node, reason and text, once."""
         if (node, reason, text) not in self.reports:
             self.reports.append((node, reason, text))

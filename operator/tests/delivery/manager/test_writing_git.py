@@ -241,7 +241,7 @@ def test_a_gate_that_was_faster_than_the_withdrawal_is_answered_by_the_next_plan
     assert last_message(stage).verb == "withdraw"
 
 
-def test_tasks_are_told_when_main_moves_faster_than_the_gate_decides(stage: Stage) -> None:
+def test_statuses_say_when_main_moves_faster_than_the_gate_decides(stage: Stage) -> None:
     def overtake(pull: Any) -> None:
         stage.repository.push({"README.md": str(pull.number)})
 
@@ -303,7 +303,7 @@ def test_a_process_that_does_not_lead_does_nothing(stage: Stage) -> None:
 def test_a_process_that_waits_is_ready_when_it_could_take_over(stage: Stage) -> None:
     stage.leadership.number = None
     stage.manager = stage.start()
-    assert stage.manager.reasons_not_ready() == ["has not looked at the world yet"]
+    assert stage.manager.reasons_not_ready() == ["has not read main and the cluster yet"]
     stage.go(1)
     assert stage.manager.reasons_not_ready() == []
     stage.leadership.other = None
@@ -359,7 +359,7 @@ def test_a_failure_is_over_with_the_next_step_though_a_proposal_waits(stage: Sta
 # -- closing words --
 
 
-def test_what_was_observed_is_said_once_in_the_pull_request(stage: Stage) -> None:
+def test_what_was_observed_is_written_once_into_the_pull_request(stage: Stage) -> None:
     stage.ask()
     stage.settle()
     assert stage.forge.said[2] == []

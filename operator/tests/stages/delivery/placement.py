@@ -73,7 +73,7 @@ def demand(described: TaskDescription, **changes: Any) -> Demand:
     return replace(Demand(described.key, described.application, described.parameters, task=described), **changes)
 
 
-def world(offered: Catalogue = PLAIN, nodes: Sequence[NodeState] = NODES, now: int = 0, **more: Any) -> Inputs:
+def inputs(offered: Catalogue = PLAIN, nodes: Sequence[NodeState] = NODES, now: int = 0, **more: Any) -> Inputs:
     known: Inputs = Inputs(offered, fleet(AGENTS, nodes, now * SECOND), {}, RENDER, validate)
     return replace(known, **more)
 

@@ -15,7 +15,7 @@ from robotkube.delivery.manager.ports.cluster import Cluster
 from robotkube.errors import InputError
 from robotkube.foundation.forge.ports.pull_requests import Forge
 
-UNTOLD_MAX = 500  # of more, the oldest are not sent
+UNSENT_MAX = 500  # of more, the oldest are not sent
 
 log = logging.getLogger(__name__)
 
@@ -26,7 +26,7 @@ class PlanOutcomeComments:
     def __init__(self, cluster: Cluster, forge: Forge) -> None:
         self._cluster = cluster
         self._forge = forge
-        self._unsent: deque[tuple[int, str]] = deque(maxlen=UNTOLD_MAX)
+        self._unsent: deque[tuple[int, str]] = deque(maxlen=UNSENT_MAX)
 
     @property
     def waiting(self) -> bool:
@@ -38,7 +38,7 @@ class PlanOutcomeComments:
         if record.pull_request is not None:
             self._unsent.append((record.pull_request, closing_text(self._facts(record))))
 
-    def tell_one(self) -> None:
+    def send_oldest(self) -> None:
         """Send the oldest outcome; UnavailableError: it stays. What the forge refuses is dropped."""
         if not self._unsent:
             return
