@@ -21,7 +21,7 @@ from robotkube.delivery.tasks.ports.mqtt_gateway import GatewayMessage
 from robotkube.errors import UnavailableError
 from robotkube.foundation.forge.core.polling import LOOK_SECONDS
 from robotkube.testing.clusters import MemoryTasks
-from robotkube.testing.doors import MemoryGatewayChannel, MemoryTaskWriter
+from robotkube.testing.task_gateways import MemoryGatewayChannel, MemoryTaskWriter
 from tests.stages.delivery.manager_in_memory import START_NS, Stage
 
 SOUTH = ("vehicle-00", "vehicle-01", "cloud-0")
@@ -281,13 +281,13 @@ def test_a_device_says_it_by_message(stage: Stage) -> None:
     channel, tasks = MemoryGatewayChannel(), MemoryTasks()
     operators, writer = {"vehicle-00": "vehicle-00"}, MemoryTaskWriter(tasks)
     clock = (lambda: START_NS, lambda: 0.0)
-    door = MqttTaskGateway(operators, channel, tasks, writer, stage.leadership, *clock, holds.receive)
+    gateway = MqttTaskGateway(operators, channel, tasks, writer, stage.leadership, *clock, holds.receive)
 
     def say(payload: bytes, agent: str = "vehicle-00", size: int | None = None) -> None:
         channel.waiting.append(
             GatewayMessage(f"robotkube/holds/{agent}", payload, len(payload) if size is None else size)
         )
-        door.turn(0.0)
+        gateway.turn(0.0)
 
     say(b'{"reason": "driving", "until": "2027-01-01T00:00:00Z"}')
     [found] = holds()

@@ -38,7 +38,7 @@ from robotkube.delivery.manager.scope_settings import read_operators, read_secon
 from robotkube.delivery.manager.task_gateways import STOP_SECONDS_MAX, BrokerSettings, read_broker, task_door
 from robotkube.delivery.manager.telemetry import ManagerTelemetry, read_traces
 from robotkube.delivery.tasks.loops.device_holds import DeviceHolds
-from robotkube.delivery.tasks.loops.mqtt_gateway import MqttTaskGateway, door_metrics
+from robotkube.delivery.tasks.loops.mqtt_gateway import MqttTaskGateway, gateway_metrics
 from robotkube.errors import UnavailableError
 from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
 from robotkube.foundation.documents.core.patterns import CHARTS_URL, HTTP_URL, REPOSITORY, WORD
@@ -294,7 +294,7 @@ def _server(
             manager.wake(*heard)
 
     def metrics() -> str:
-        return telemetry.text() + (series_text(door_metrics(door)) if door else "")
+        return telemetry.text() + (series_text(gateway_metrics(door)) if door else "")
 
     return WebServer(
         found.listen.address,

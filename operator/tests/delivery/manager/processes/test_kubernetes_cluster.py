@@ -176,9 +176,9 @@ def test_what_stands_in_a_tasks_way_is_an_event_once(api: Api, seen: Seen) -> No
     api.task("held")
     until(lambda: seen.task_names() == ["held"], "task seen")
     task, text = seen.world.tasks()[0], "the gate does not take this: é" + "x" * 2000
-    seen.world.tell(task, "ProposalRefused", text)
-    seen.world.tell(task, "ProposalRefused", text)
-    seen.world.tell(task, "GateUnavailable", "no verdict")
+    seen.world.report_on_task(task, "ProposalRefused", text)
+    seen.world.report_on_task(task, "ProposalRefused", text)
+    seen.world.report_on_task(task, "GateUnavailable", "no verdict")
     path = "/apis/events.k8s.io/v1/namespaces/cloud-0/events"
     found = json.loads(call(api.client, "GET", path).data)["items"]
     about = [event for event in found if event["regarding"]["uid"] == task["metadata"]["uid"]]

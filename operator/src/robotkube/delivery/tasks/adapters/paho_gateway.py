@@ -76,7 +76,7 @@ class PahoGateway:
         self._client.connect_async(self._host, self._port, KEEPALIVE_SECONDS, clean_start=False, properties=properties)
         self._client.loop_start()
 
-    def take(self, seconds: float) -> GatewayMessage | None:
+    def receive(self, seconds: float) -> GatewayMessage | None:
         """Receive the next message, as the port says."""
         try:
             message = self._waiting.get(block=seconds > 0, timeout=seconds)
@@ -157,7 +157,7 @@ class PahoGateway:
     def _forget(self) -> None:
         """Drop what waits: what was not acknowledged comes again with the next connection."""
         while not self._waiting.empty():
-            self.take(0.0)
+            self.receive(0.0)
 
     def _received(self, client: Any, userdata: Any, message: Any) -> None:
         size = len(message.payload)

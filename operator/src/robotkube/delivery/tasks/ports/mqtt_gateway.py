@@ -30,7 +30,7 @@ class GatewayChannel(Protocol):
         """Connect, now and after every loss, and subscribe to exactly these topics."""
         ...
 
-    def take(self, seconds: float) -> GatewayMessage | None:
+    def receive(self, seconds: float) -> GatewayMessage | None:
         """Receive the next message, oldest first; None when none came within the time."""
         ...
 
