@@ -177,8 +177,8 @@ def build_manager(
     deployment = found.forge.clone(found.deployment, account, work / "deployment", branch)
     forge = found.forge.pull_requests(found.deployment, account, branch)
     gate, secret = found.gate_objects_url, found.webhook_secret.encode()
-    hand = ObjectsRelay(gate, secret, found.deployment).hand if gate else None
-    proposals = found.forge.writer(forge, work / "deployment", account, COMMIT_AUTHOR, time.time, branch, hand)
+    send = ObjectsRelay(gate, secret, found.deployment).send if gate else None
+    proposals = found.forge.writer(forge, work / "deployment", account, COMMIT_AUTHOR, time.time, branch, send)
     clone = found.forge.clone(found.catalogue, account, work / "catalogue", branch)
     catalogue = AssuredCatalogue(clone, TrustedKeys(found.evidence_keys))
     main = MainReader(deployment)

@@ -50,12 +50,12 @@ class ForgeAddress:
         author: str,
         clock: Callable[[], float],
         branch: str,
-        hand: Callable[[CommitObjects], None] | None = None,
+        send_objects: Callable[[CommitObjects], None] | None = None,
     ) -> ProposalWriter:
         """The port Proposals on the clone in `folder`: by AGit where `forge` supports that, else by branches."""
         opens = None if isinstance(forge, GiteaForge) else forge.open_pull_request
         name, password = account.username, account.password
-        return ProposalWriter(folder, name, password, author, clock, branch, opens, hand)
+        return ProposalWriter(folder, name, password, author, clock, branch, opens, send_objects)
 
 
 def read_address(reader: Reader, forge: Mapping[str, object]) -> ForgeAddress:

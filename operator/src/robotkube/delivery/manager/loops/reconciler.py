@@ -36,7 +36,7 @@ from robotkube.delivery.manager.ports.cluster import Cluster
 from robotkube.delivery.tasks.core.task_description import FORGE_BUSY, FORGE_UNAVAILABLE, MAIN_BROKEN
 from robotkube.delivery.tasks.ports.store import TaskStore
 from robotkube.errors import RefusalError, RobotKubeError, UnavailableError
-from robotkube.foundation.forge.core.polling import LOOK_SECONDS, is_quiet, look_is_due
+from robotkube.foundation.forge.core.resync import RESYNC_SECONDS, is_quiet, resync_is_due
 from robotkube.foundation.forge.ports.pull_requests import Forge
 from robotkube.foundation.forge.ports.repositories import DeploymentRepository, Proposals
 from robotkube.foundation.kubernetes.ports import Leadership
@@ -212,7 +212,7 @@ class ApplicationManager:
         with self._lock:
             flags, self._flags = self._flags, set()
             told, self._told_tip = self._told_tip, ""
-        if look_is_due(self._monotonic() - self._looked_at, self._idle_seconds()):
+        if resync_is_due(self._monotonic() - self._looked_at, self._idle_seconds()):
             flags |= {TASKS, DEPLOYMENT, CATALOGUE}
             self._looked_at = self._monotonic()
         if self._seconds_until_due() <= 0:
@@ -255,7 +255,7 @@ class ApplicationManager:
 
     def _stand_by(self) -> float:
         """Fetch main now and then: whoever leads next can, and need not fetch much."""
-        if self._monotonic() - self._looked_at >= LOOK_SECONDS:
+        if self._monotonic() - self._looked_at >= RESYNC_SECONDS:
             self._world.deployment.fetch()
             self._looked_at = self._seen_at = self._monotonic()
             self._problem = ""
@@ -266,7 +266,7 @@ class ApplicationManager:
             eager = self._monotonic() - self._proposal.since < DECISION_EAGER_SECONDS
             return DECISION_POLL_SECONDS if eager else DECISION_POLL_SECONDS_LATER
         if self._flags & PLANNED_FOR:
-            return min(max(self._not_before - self._monotonic(), 0.0), LOOK_SECONDS)
+            return min(max(self._not_before - self._monotonic(), 0.0), RESYNC_SECONDS)
         pause = OBSERVE_POLL_SECONDS if self._observer.waiting or self._telling.waiting else MAIN_SECONDS
         held = self._statuses.seconds_until_due()
         return min(pause, max(self._seconds_until_due(), 0.0), pause if held is None else held)
@@ -274,7 +274,7 @@ class ApplicationManager:
     def _seconds_until_due(self) -> float:
         """Until time alone changes what is wanted: a lease or a place in the queue ends."""
         due = self._planner.next_due_ns
-        return LOOK_SECONDS if due is None else (due - self._now_ns()) / 1e9
+        return RESYNC_SECONDS if due is None else (due - self._now_ns()) / 1e9
 
     def _look(self, flags: set[str], reads: bool, told: str) -> None:
         """Read the catalogue when it may have changed, and main when `reads`; `told` is main's tip as last told."""

@@ -105,14 +105,14 @@ class ObjectsRelay:
         """Give the connection back."""
         self._client.close()
 
-    def hand(self, handed: CommitObjects) -> None:
+    def send(self, objects: CommitObjects) -> None:
         """Send the objects; returns at once. While others are still under way these are dropped: the gate fetches
         them."""
         if self._free.acquire(blocking=False):
-            threading.Thread(target=self._send, args=(handed,), daemon=True).start()
+            threading.Thread(target=self._deliver, args=(objects,), daemon=True).start()
 
-    def _send(self, handed: CommitObjects) -> None:
-        body = write_objects(handed, self._repository)
+    def _deliver(self, objects: CommitObjects) -> None:
+        body = write_objects(objects, self._repository)
         signature = hmac.new(self._secret, body, hashlib.sha256).hexdigest()
         headers = {"Content-Type": "application/json", "X-Gitea-Signature": signature}
         try:
