@@ -35,7 +35,7 @@ class Stage:
         self.volume.forget_writers()
         self.reading = Reading()
         self.ownership = Fencing("edge-0", movable, lambda: self.now)
-        self.ownership.follow(self.reading)
+        self.ownership.watch(self.reading)
         clock = lambda: int(self.now * SECOND_NS)  # noqa: E731
         place = RecorderPlace(
             VOLUME, lambda: self.database, lambda: self.volume, clock, lambda: self.now, self.ownership
@@ -45,7 +45,7 @@ class Stage:
 
     def read(self, settings: Any) -> None:
         """The API server answers."""
-        self.ownership.told(settings)
+        self.ownership.observe(settings)
         self.reading.read_at, self.reading.interrupted_at = self.now, None
 
     def record(self, seconds: float = 1.0) -> None:

@@ -305,7 +305,7 @@ def _server(
         deliver,
         {"/plans": manager.records.as_json, "/catalogue": manager.catalogue_page},
         posts={"/explain": Explainer(manager.what_if, cluster)},
-        elsewhere=leader,
+        forward=leader,
     )
 
 

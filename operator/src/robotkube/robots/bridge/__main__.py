@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from robotkube.errors import DocumentError, InputError
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.foundation.runtime.adapters.health_server import HealthServer
-from robotkube.foundation.runtime.config_watch import follow_settings, ownership_of
+from robotkube.foundation.runtime.config_watch import fencing_of, watch_settings
 from robotkube.foundation.runtime.loops.fencing import Fencing
 from robotkube.foundation.runtime.process import PodSettings, Process, read_secret, read_text, run
 from robotkube.robots.bridge.core.settings import BULK, check_agent, read_bridge_settings
@@ -46,7 +46,7 @@ def body(process: Process) -> None:
         return channels[name]
 
     sender = SendingSession(session, time.time_ns, definition_of, trace)
-    ownership = ownership_of(pod)
+    ownership = fencing_of(pod)
     bridge = Bridge(RosNode(NODE_NAME), channel, sender, process.log, ownership)
     follower = SettingsWatch(bridge, process, ownership)
     HealthServer(ready=lambda: follower.complaint, metrics=follower.metrics, port=pod.health_port).start()
@@ -110,11 +110,11 @@ class SettingsWatch:
             if KEY in data:
                 self._news.append((data[KEY], where))
 
-        follow_settings(self._process, config_map, self._ownership, changed)
+        watch_settings(self._process, config_map, self._ownership, changed)
 
     def apply_news(self) -> None:
         """Apply what the watch brought, then let the bridge send if it may; called by the loop's thread."""
-        held = not self._ownership.sure  # read first: what made it sure is among the news by then
+        held = self._ownership.fenced  # read first: what lifted it is among the news by then
         while self._news:
             self.apply(*self._news.popleft())
         self._bridge.hold(held)

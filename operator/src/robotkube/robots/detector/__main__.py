@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 from robotkube.errors import InputError, RobotKubeError
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.foundation.runtime.adapters.health_server import HealthServer
-from robotkube.foundation.runtime.config_watch import follow_settings, ownership_of
+from robotkube.foundation.runtime.config_watch import fencing_of, watch_settings
 from robotkube.foundation.runtime.process import PodSettings, Process, read_text, run
 from robotkube.robots.detector import wiring as parts
 from robotkube.robots.detector.adapters.ros_topics import RosTopics
@@ -92,7 +92,7 @@ class Room:
     def __init__(self, process: Process, pod: PodSettings) -> None:
         self._process = process
         self._pod = pod
-        self._ownership = ownership_of(pod)
+        self._ownership = fencing_of(pod)
         self._node = RosNode("event_detector")
         self._ros = RosTopics(self._node)
         self._broker: Broker | None = None
@@ -182,7 +182,7 @@ class Room:
             if CONFIG_KEY in data:
                 self._change(data[CONFIG_KEY])
 
-        return follow_settings(self._process, self._pod.config_map, self._ownership, receive)
+        return watch_settings(self._process, self._pod.config_map, self._ownership, receive)
 
     def receive(self) -> None:
         """Run the detector's turns until the process shall end."""

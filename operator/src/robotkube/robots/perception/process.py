@@ -13,7 +13,7 @@ from typing import Any, Protocol, TypeVar
 from robotkube.errors import DocumentError
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.foundation.runtime.adapters.health_server import HealthServer
-from robotkube.foundation.runtime.config_watch import follow_settings, ownership_of
+from robotkube.foundation.runtime.config_watch import fencing_of, watch_settings
 from robotkube.foundation.runtime.process import PodSettings, Process, read_text
 from robotkube.robots.perception.loops.service import Log, MessageProcessor
 from robotkube.robots.ros.adapters.rclpy_node import RosNode
@@ -52,7 +52,7 @@ def serve(
     )
     service = make(RosNode(node), process.log)
     perceiving = service.perceiving
-    ownership = ownership_of(pod)
+    ownership = fencing_of(pod)
     HealthServer(
         ready=lambda: perceiving.complaint,
         metrics=lambda: perceiving.metrics() + ownership.metrics(),
@@ -61,14 +61,14 @@ def serve(
     service.configure(settings)
     news: deque[str] = deque(maxlen=1)
     if pod.config_map is not None:
-        follow_settings(process, pod.config_map, ownership, lambda data: _note(news, data))
+        watch_settings(process, pod.config_map, ownership, lambda data: _note(news, data))
     process.log("ready", complaint=perceiving.complaint)
     gc.freeze()
     while not process.stopping.wait(PERIOD_SECONDS):
-        sure = ownership.sure  # read first: what made it sure is among the news by then
+        fenced = ownership.fenced  # read first: what lifted it is among the news by then
         if news:
             _apply(process, service, read, news.popleft())
-        if sure:
+        if not fenced:
             perceiving.turn()
     perceiving.close()
 

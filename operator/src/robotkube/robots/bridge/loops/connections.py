@@ -38,8 +38,8 @@ class SendPause:
 
     def doubt(self) -> None:
         """Pause, for a connection was made anew, unless the settings were read a moment ago."""
-        self.ownership.doubt()
-        self.held = self.held or not self.ownership.sure
+        self.ownership.interrupted()
+        self.held = self.held or self.ownership.fenced
 
 
 class BrokerConnection:

@@ -219,7 +219,7 @@ class Journal:
         try:
             if self.store is None:
                 self._open_store()
-            if not self._place.ownership.sure:
+            if self._place.ownership.fenced:
                 self._away_since = min(self._away_since, self._place.monotonic())
                 return
             self._doubtful.clear()
@@ -227,7 +227,7 @@ class Journal:
                 self._write_urgent(self.store)
                 self._bring_in(self.store)
                 self._introduce(self.store)
-                while self._waiting and self._place.ownership.sure:
+                while self._waiting and not self._place.ownership.fenced:
                     self._write_part(self.store)
                 self._ready = self._repaired and not self._newcomers
         except UnavailableError as error:
@@ -235,7 +235,7 @@ class Journal:
             pause = backoff(self._failures, RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX, self._jitter)
             self._failures, self._retry_at = self._failures + 1, self._place.monotonic() + pause
             self._away_since = min(self._away_since, self._place.monotonic())
-            self._place.ownership.doubt()
+            self._place.ownership.interrupted()
             self._problem(str(error))
         except OSError as error:
             self._problem(f"claim {self._place.volume}: {error}")
