@@ -57,17 +57,18 @@ def read_account(folder: Path) -> DatabaseLogin:
 
 
 class _PlainInteger(TypeDecoder):
-    """Long integers come as int: the library's own kind is one that others, such as YAML, do not write."""
+    """A decoder of long integers to int: the library's own kind is one that others, such as YAML, do not write."""
 
     bson_type = Int64
 
     def transform_bson(self, value: Any) -> int:
-        """See TypeDecoder."""
+        """The int."""
         return int(value)
 
 
 @contextmanager
 def translated(doing: str) -> Iterator[None]:
+    """Translate the library's errors in the block into this package's; `doing` is what the block does."""
     try:
         yield
     except (DocumentTooLarge, BSONError) as error:
