@@ -341,7 +341,7 @@ class Tree:
 
     @cached_property
     def users(self) -> Mapping[ChartOf, int]:
-        """How many releases of a namespace run each chart."""
+        """The number of releases in a namespace that run each chart."""
         return Counter(chart_of(release) for release in self.releases.values())
 
     def wrong_sources(self, registry: str) -> tuple[Mapping[ChartOf, Source], frozenset[str]]:

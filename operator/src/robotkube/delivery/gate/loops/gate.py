@@ -144,7 +144,8 @@ class Gate:
 
     def _pop_hints(self) -> list[PullRequest]:
         with self._lock:
-            hints, self._hints = self._hints, {}
+            hints = self._hints
+            self._hints = {}
         return [pull for _, pull in sorted(hints.items())]
 
     def stop(self, stopping: threading.Event) -> None:

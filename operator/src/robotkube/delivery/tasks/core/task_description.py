@@ -137,8 +137,9 @@ _OPTIONAL = (
 
 @dataclass(frozen=True)
 class TaskPlacement:
-    """Where the task's services may run, besides the application's rules: on one of `agents`, of one of `roles`, with
-    all `capabilities`, on no node of the tasks (`<name>` or `<namespace>/<name>`) or releases in `anti_affinity`."""
+    """The places where the task's services may run, besides the application's rules: on one of `agents`, of one of
+    `roles`, with all `capabilities`, on no node of the tasks (`<name>` or `<namespace>/<name>`) or releases in
+    `anti_affinity`."""
 
     agents: tuple[str, ...] = ()
     roles: tuple[str, ...] = ()

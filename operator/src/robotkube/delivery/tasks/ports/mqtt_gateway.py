@@ -23,7 +23,7 @@ class GatewayChannel(Protocol):
 
     @property
     def complaint(self) -> str:
-        """Why there is no session; empty while connected and subscribed."""
+        """The reason why there is no session; empty while connected and subscribed."""
         ...
 
     def start(self, topics: Sequence[str]) -> None:

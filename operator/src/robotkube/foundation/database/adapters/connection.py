@@ -23,7 +23,7 @@ _ACCOUNT_KEYS = ("username", "password", "host", "port", "database", "authentica
 
 @dataclass(frozen=True)
 class DatabaseLogin:
-    """Where the database is and with which account. `authentication_database`: where the account is known."""
+    """The address of the database and an account of it. `authentication_database`: the one that knows the account."""
 
     host: str
     port: int

@@ -51,7 +51,7 @@ class CatalogueRepository(RepositoryFiles, Protocol):
 
 
 class DeploymentRepository(MainHistory, Protocol):
-    """Main of the deployment repository as the manager reads it."""
+    """The deployment repository's main as the manager reads it."""
 
     def moved_to(self, commit: str) -> None:
         """Note that main stands at `commit`, which is here: as if it had been fetched."""

@@ -51,5 +51,5 @@ class LeaderRequests:
         return answer.status_code, answer.text, answer.headers.get("content-type", TEXT)
 
     def close(self) -> None:
-        """Give connections back."""
+        """Close the connections."""
         self._client.close()

@@ -91,7 +91,7 @@ class LeaseElection:
         return self._term if leads else None
 
     def leader(self) -> str | None:
-        """Where the holder serves, as long as its Lease lasts."""
+        """The address at which the holder serves, as long as its Lease lasts."""
         seen = self._seen
         if seen is None or seen.holder == self._identity or self._monotonic() - seen.at > LEASE_SECONDS:
             return None

@@ -65,7 +65,7 @@ class BoundedProcess:
                 raise
 
     def _placed(self, subject: Any) -> tuple[int, str]:
-        """Where the process has the subject, and the line that puts it there; empty when it is there."""
+        """The place at which the process has the subject, and the line that puts it there; empty when it is there."""
         known = self._places.get(id(subject))
         if known is not None:
             return known[0], ""

@@ -41,7 +41,7 @@ class GitHubForge:
         )
 
     def disconnect(self) -> None:
-        """Give the connections back."""
+        """Close the connections."""
         self._connection.disconnect()
 
     def pull_request(self, number: int) -> PullRequest:
