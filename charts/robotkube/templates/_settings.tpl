@@ -64,7 +64,7 @@ forge:
     secret: /var/run/secrets/robotkube/proposers/{{ .name }}/secret
   {{- end }}
   publishers: [publisher]
-registry:
+oci_registry:
   charts: {{ include "robotkube.charts" . }}
   staging: {{ include "robotkube.packages" (dict "root" . "organisation" "staging") }}
 local_builds: {{ .Values.gate.localBuilds }}

@@ -10,7 +10,7 @@ import pytest
 from robotkube.delivery.manager.core.composition.composer import Met, Refused
 from robotkube.delivery.manager.core.placement.capacity import Resources
 from robotkube.delivery.manager.core.standing_demands import moment
-from robotkube.foundation.forge.core.polling import LOOK_SECONDS
+from robotkube.foundation.forge.core.resync import RESYNC_SECONDS
 from robotkube.foundation.kubernetes.core.annotations import RENEWED_ANNOTATION
 from tests.stages.delivery.manager_in_memory import START_NS, Stage
 
@@ -53,7 +53,7 @@ def test_a_lease_ends_without_any_event_and_a_renewal_brings_the_demand_back(sta
     assert recorders(stage) == {"recorder-vehicle-00-vehicle-01"}
     stage.seconds += 4.0
     pause = stage.manager.step()
-    assert pause < LOOK_SECONDS
+    assert pause < RESYNC_SECONDS
     stage.seconds += pause
     stage.manager.step()
     stage.manager.step()

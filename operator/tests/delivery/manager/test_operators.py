@@ -19,9 +19,9 @@ from robotkube.delivery.tasks.loops.device_holds import DeviceHolds
 from robotkube.delivery.tasks.loops.mqtt_gateway import MqttTaskGateway
 from robotkube.delivery.tasks.ports.mqtt_gateway import GatewayMessage
 from robotkube.errors import UnavailableError
-from robotkube.foundation.forge.core.polling import LOOK_SECONDS
+from robotkube.foundation.forge.core.resync import RESYNC_SECONDS
 from robotkube.testing.clusters import MemoryTasks
-from robotkube.testing.doors import MemoryGatewayChannel, MemoryTaskWriter
+from robotkube.testing.task_gateways import MemoryGatewayChannel, MemoryTaskWriter
 from tests.stages.delivery.manager_in_memory import START_NS, Stage
 
 SOUTH = ("vehicle-00", "vehicle-01", "cloud-0")
@@ -77,7 +77,7 @@ def test_each_manager_gives_its_agents_the_initial_configuration(tmp_path: Path)
     assert namespaces(stage) == {*SOUTH, *NORTH}
     before = stage.repository.tip
     for manager in (stage, other):
-        manager.go(8, seconds=LOOK_SECONDS, wake=DEPLOYMENT)
+        manager.go(8, seconds=RESYNC_SECONDS, wake=DEPLOYMENT)
     assert stage.repository.tip == before, "neither touches what the other wrote"
 
 

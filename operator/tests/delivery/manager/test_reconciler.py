@@ -21,7 +21,7 @@ from robotkube.delivery.manager.loops.reconciler import (
     TASKS,
 )
 from robotkube.errors import InputError, UnavailableError
-from robotkube.foundation.forge.core.polling import LOOK_SECONDS, LOOK_SECONDS_BUSY
+from robotkube.foundation.forge.core.resync import RESYNC_SECONDS, RESYNC_SECONDS_BUSY
 from tests.stages.delivery.manager_in_memory import MEETING, Stage
 
 
@@ -365,11 +365,11 @@ def test_main_is_not_fetched_for_what_is_known_of_it(stage: Stage) -> None:
 def test_there_is_no_resync_while_plan_follows_plan(stage: Stage) -> None:
     stage.settle()
     fetches, began = stage.catalogue.fetches, stage.seconds
-    while stage.seconds - began < 2 * LOOK_SECONDS_BUSY:
+    while stage.seconds - began < 2 * RESYNC_SECONDS_BUSY:
         stage.ask() if "cloud-0/meeting" not in stage.tasks.objects else stage.tasks.delete("cloud-0/meeting")
         stage.go(steps=2, seconds=0.25)
     assert stage.catalogue.fetches == fetches + 2
-    stage.go(steps=2, seconds=LOOK_SECONDS)
+    stage.go(steps=2, seconds=RESYNC_SECONDS)
     assert stage.catalogue.fetches > fetches + 2
 
 

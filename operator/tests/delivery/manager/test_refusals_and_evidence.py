@@ -74,7 +74,7 @@ def test_an_event_that_is_refused_holds_nothing(stage: Stage) -> None:
     def refuse(task: Any, reason: str, text: str) -> None:
         raise InputError("events are forbidden")
 
-    stage.tasks.tell = refuse  # type: ignore[method-assign]
+    stage.tasks.report_on_task = refuse  # type: ignore[method-assign]
     stage.forge.decide = lambda pull: stage.forge.refuse(pull, "no")
     key = stage.ask()
     stage.go(8)

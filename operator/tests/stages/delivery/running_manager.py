@@ -67,7 +67,7 @@ def start_manager(
     url, account = installation.url, ("manager", installation.passwords["manager"])
     deployment = GitClone(url, "robotkube/deployment", *account, folder / "deployment")
     relay = objects_relay(installation)
-    proposals = ProposalWriter(folder / "deployment", *account, "robotkube-manager", time.time, hand=relay.hand)
+    proposals = ProposalWriter(folder / "deployment", *account, "robotkube-manager", time.time, send_objects=relay.send)
     catalogue = AssuredCatalogue(GitClone(url, "robotkube/catalogue", *account, folder / "catalogue"), trusted_keys())
     nodes = [NodeState(name, name, role, frozenset({"recording"}), True) for name, role in AGENTS]
     cluster, main = MemoryCluster(nodes), MainReader(deployment)

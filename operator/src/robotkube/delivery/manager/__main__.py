@@ -33,7 +33,7 @@ from robotkube.delivery.manager.scope_settings import read_operators, read_secon
 from robotkube.delivery.manager.task_gateways import STOP_SECONDS_MAX, BrokerSettings, read_broker, task_gateway
 from robotkube.delivery.manager.telemetry import ManagerTelemetry, read_traces
 from robotkube.delivery.tasks.loops.device_holds import DeviceHolds
-from robotkube.delivery.tasks.loops.mqtt_gateway import MqttTaskGateway, door_metrics
+from robotkube.delivery.tasks.loops.mqtt_gateway import MqttTaskGateway, gateway_metrics
 from robotkube.errors import UnavailableError
 from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
 from robotkube.foundation.documents.core.patterns import CHARTS_URL, HTTP_URL, REPOSITORY, WORD
@@ -195,7 +195,7 @@ def build_manager(
     forge = configuration.forge.pull_requests(configuration.deployment, account, branch)
     secret = configuration.webhook_secret.encode()
     gate_url = configuration.gate_objects_url
-    send = ObjectsRelay(gate_url, secret, configuration.deployment).hand if gate_url else None
+    send = ObjectsRelay(gate_url, secret, configuration.deployment).send if gate_url else None
     proposals = configuration.forge.writer(forge, work / "deployment", account, COMMIT_AUTHOR, time.time, branch, send)
     clone = configuration.forge.clone(configuration.catalogue, account, work / "catalogue", branch)
     catalogue = AssuredCatalogue(clone, TrustedKeys(configuration.evidence_keys))
@@ -324,7 +324,7 @@ def _server(
             manager.wake(*change)
 
     def metrics() -> str:
-        return telemetry.text() + (series_text(door_metrics(gateway)) if gateway else "")
+        return telemetry.text() + (series_text(gateway_metrics(gateway)) if gateway else "")
 
     return WebServer(
         configuration.listen.address,
@@ -335,7 +335,7 @@ def _server(
         deliver,
         {"/plans": manager.records.as_json, "/catalogue": manager.catalogue_page},
         posts={"/explain": Explainer(manager.what_if, cluster)},
-        elsewhere=leader,
+        forward=leader,
     )
 
 

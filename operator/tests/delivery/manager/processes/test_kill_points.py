@@ -31,7 +31,7 @@ MANAGER = (  # what the manager writes in the story below
     "foundation.forge.adapters.hosts.gitea.GiteaForge.comment",
     "foundation.forge.adapters.hosts.gitea.GiteaForge.close",
     "delivery.manager.adapters.kubernetes_cluster.KubernetesCluster.patch_status",
-    "delivery.manager.adapters.kubernetes_cluster.KubernetesCluster.tell",
+    "delivery.manager.adapters.kubernetes_cluster.KubernetesCluster.report_on_task",
     "foundation.kubernetes.adapters.lease.LeaseElection._write",
 )
 CLUSTER = "delivery.manager.adapters.kubernetes_cluster.KubernetesCluster."

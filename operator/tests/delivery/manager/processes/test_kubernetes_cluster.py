@@ -176,9 +176,9 @@ def test_what_stands_in_a_tasks_way_is_an_event_once(api: Api, seen: Seen) -> No
     api.task("held")
     until(lambda: seen.task_names() == ["held"], "task seen")
     task, text = seen.cluster.tasks()[0], "the gate does not take this: é" + "x" * 2000
-    seen.cluster.tell(task, "ProposalRefused", text)
-    seen.cluster.tell(task, "ProposalRefused", text)
-    seen.cluster.tell(task, "GateUnavailable", "no verdict")
+    seen.cluster.report_on_task(task, "ProposalRefused", text)
+    seen.cluster.report_on_task(task, "ProposalRefused", text)
+    seen.cluster.report_on_task(task, "GateUnavailable", "no verdict")
     path = "/apis/events.k8s.io/v1/namespaces/cloud-0/events"
     events = json.loads(call(api.client, "GET", path).data)["items"]
     about = [event for event in events if event["regarding"]["uid"] == task["metadata"]["uid"]]

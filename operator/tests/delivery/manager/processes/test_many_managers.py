@@ -130,7 +130,7 @@ def make(installation: Installation, name: str, folder: Path) -> Running:
     url, account = installation.url, (name, installation.passwords[name])
     deployment = GitClone(url, "robotkube/deployment", *account, folder / "deployment")
     relay = objects_relay(installation, name)
-    proposals = ProposalWriter(folder / "deployment", *account, name, time.time, hand=relay.hand)
+    proposals = ProposalWriter(folder / "deployment", *account, name, time.time, send_objects=relay.send)
     catalogue = AssuredCatalogue(GitClone(url, "robotkube/catalogue", *account, folder / "catalogue"), trusted_keys())
     roles = [(f"{role}-{one}", role) for one in MANAGERS for role in ("cloud", "vehicle")]
     nodes = [NodeState(agent, agent, role, frozenset({"recording"}), True) for agent, role in roles]

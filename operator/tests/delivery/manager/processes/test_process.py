@@ -57,7 +57,7 @@ def test_a_task_of_the_api_server_is_on_main(pod: Pod, manager_api: Api, gate: R
     assert "robotkube_manager_plans_total" in httpx.get(f"{pod.url}/metrics").text
     manager_api.delete(f"{TASKS}/meeting")
     until(lambda: pod.plans()[-1]["cause"] == "withdrawal" and pod.plans()[-1]["on_main"], "withdrawn")
-    assert gate.gate.statistics.sources["handed"] > 0, "its objects were handed over"
+    assert gate.gate.statistics.sources["sent"] > 0, "its objects were sent"
     assert pod.end() == 0
 
 

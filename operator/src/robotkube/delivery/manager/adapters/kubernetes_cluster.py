@@ -124,7 +124,7 @@ class KubernetesCluster:
         return True
 
     @writes("event")
-    def tell(self, task: Object, reason: str, text: str) -> None:
+    def report_on_task(self, task: Object, reason: str, text: str) -> None:
         """Write a warning on the task as an Event. Its name is made from task, reason and text: a second one is a
         conflict, since the Event is there already."""
         self._write_event(task_event(task, reason, text, datetime.fromtimestamp(self._now(), UTC)))

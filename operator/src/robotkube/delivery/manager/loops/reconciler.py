@@ -35,7 +35,7 @@ from robotkube.delivery.manager.loops.upkeep import Upkeep
 from robotkube.delivery.manager.ports.manager_ports import ManagerPorts
 from robotkube.delivery.tasks.core.task_description import FORGE_BUSY, FORGE_UNAVAILABLE, MAIN_BROKEN
 from robotkube.errors import RefusalError, RobotKubeError, UnavailableError
-from robotkube.foundation.forge.core.polling import LOOK_SECONDS, is_quiet, look_is_due
+from robotkube.foundation.forge.core.resync import RESYNC_SECONDS, is_quiet, resync_is_due
 from robotkube.registry.catalogue.loops.verified_catalogue import AssuredCatalogue, read_policy
 
 DECISION_POLL_SECONDS = 1.0  # the forge's webhook is the normal way; asking costs the forge what the gate needs
@@ -207,7 +207,7 @@ class ApplicationManager:
         with self._lock:
             flags, self._flags = self._flags, set()
             webhook_tip, self._webhook_tip = self._webhook_tip, ""
-        if look_is_due(self._monotonic() - self._resynced_at, self._idle_seconds()):
+        if resync_is_due(self._monotonic() - self._resynced_at, self._idle_seconds()):
             flags |= {TASKS, DEPLOYMENT, CATALOGUE}
             self._resynced_at = self._monotonic()
         if self._seconds_until_due() <= 0:
@@ -250,7 +250,7 @@ class ApplicationManager:
 
     def _stand_by(self) -> float:
         """Fetch main now and then: whoever leads next can, and need not fetch much."""
-        if self._monotonic() - self._resynced_at >= LOOK_SECONDS:
+        if self._monotonic() - self._resynced_at >= RESYNC_SECONDS:
             self._ports.deployment.fetch()
             self._resynced_at = self._forge_seen_at = self._monotonic()
             self._problem = ""
@@ -261,7 +261,7 @@ class ApplicationManager:
             eager = self._monotonic() - self._proposal.since < DECISION_EAGER_SECONDS
             return DECISION_POLL_SECONDS if eager else DECISION_POLL_SECONDS_LATER
         if self._flags & PLANNED_FOR:
-            return min(max(self._not_before - self._monotonic(), 0.0), LOOK_SECONDS)
+            return min(max(self._not_before - self._monotonic(), 0.0), RESYNC_SECONDS)
         pause = OBSERVE_POLL_SECONDS if self._observer.waiting or self._outcome_comments.waiting else MAIN_SECONDS
         held = self._statuses.seconds_until_due()
         return min(pause, max(self._seconds_until_due(), 0.0), pause if held is None else held)
@@ -269,7 +269,7 @@ class ApplicationManager:
     def _seconds_until_due(self) -> float:
         """The seconds until time alone changes what is wanted: a lease or a place in the queue ends."""
         due = self._planner.next_due_ns
-        return LOOK_SECONDS if due is None else (due - self._now_ns()) / 1e9
+        return RESYNC_SECONDS if due is None else (due - self._now_ns()) / 1e9
 
     def _read(self, flags: set[str], reads: bool, webhook_tip: str) -> None:
         """Read the catalogue when it may have changed, and main when `reads`; `webhook_tip` is main's tip as the last

@@ -167,7 +167,7 @@ class StatusWriter:
             if condition.reason not in REPORTED_REASONS or event in known:
                 continue
             try:
-                self._tasks.tell(document, condition.reason, condition.message)
+                self._tasks.report_on_task(document, condition.reason, condition.message)
             except RobotKubeError as error:
                 log.error("event not written task=%s reason=%s", object_key(document), error)
 

@@ -12,7 +12,7 @@ from robotkube.delivery.manager.core.composition.index import Index
 from robotkube.delivery.manager.core.composition.inputs import Refused
 from robotkube.delivery.manager.core.composition.topic_merge import End, MergedTopics
 from robotkube.errors import DocumentError, RefusalError
-from robotkube.foundation.documents.core.value_templates import fill
+from robotkube.foundation.documents.core.value_templates import render_templates
 
 NODE_WORD_MAX = 20
 
@@ -49,7 +49,7 @@ def _make_bridge(end: End, topics: MergedTopics, index: Index) -> Release:
     pin = index.pins.get(f"{agent.namespace}/{name}")
     chart, _ = index.selector.chart(service.chart, platforms=index.platforms(agent.name), pinned=pin)
     away = agent != index.fleet.home(agent)
-    return make_release(agent, name, chart, fill(service.values, names, index.render), index, movable=away)
+    return make_release(agent, name, chart, render_templates(service.values, names, index.render), index, movable=away)
 
 
 def _fails_alone(end: End, contribution: Contribution, index: Index) -> bool:

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from robotkube.foundation.documents.core.value_templates import Render, loop
+from robotkube.foundation.documents.core.value_templates import Render, expand_for_each
 from robotkube.registry.catalogue.core.applications import Application, Link, Service
 
 
@@ -25,7 +25,9 @@ class Instance:
 def instances(application: Application, names: Mapping[str, Any], render: Render) -> list[Instance]:
     """Every instance, in the order of the services and of their lists."""
     services = application.services
-    return [Instance(service, scope) for service in services for scope in loop(service.for_each, names, render)]
+    return [
+        Instance(service, scope) for service in services for scope in expand_for_each(service.for_each, names, render)
+    ]
 
 
 def groups(every: Sequence[Instance], links: Sequence[Link]) -> list[list[int]]:

@@ -21,7 +21,7 @@ from robotkube.delivery.manager.core.placement.capacity import read_resources
 from robotkube.delivery.manager.core.placement.placement import Agent, Group, Placement, PlacementRequest, group
 from robotkube.errors import RefusalError
 from robotkube.foundation.documents.core.patterns import NAME
-from robotkube.foundation.documents.core.value_templates import fill, loop
+from robotkube.foundation.documents.core.value_templates import expand_for_each, render_templates
 from robotkube.registry.catalogue.core.applications import TOPIC_KEYS, Link
 from robotkube.registry.catalogue.core.catalogue import Pin
 from robotkube.registry.catalogue.core.chart_versions import ChartVersion
@@ -95,7 +95,7 @@ class _Expander:
         for link in choice.application.links:
             if link.kind != "ros":
                 index.bridge(link.kind)
-                for scope in loop(link.for_each, names, self._render):
+                for scope in expand_for_each(link.for_each, names, self._render):
                     self._add_link(link, scope, placed)
         self._expansion.choices = choices_of(self._expansion.choice_parts, self._expansion.groups)
         return self._expansion
@@ -168,7 +168,7 @@ class _Expander:
         chart = chosen[0]
         movable = not expansion.groups[group_number].group.wanted.named
         its_chart = {"name": chart.chart, "version": chart.version, "digest": chart.digest}
-        values = fill(service.values, {**scope, "chart": its_chart}, self._render)
+        values = render_templates(service.values, {**scope, "chart": its_chart}, self._render)
         release = make_release(agent, name, chart, values, self._index, movable)
         key = release.key
         if key in expansion.releases:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 from collections import deque
 
-from robotkube.delivery.deployment.core.plan_notes import PlanOutcome, ReleaseOutcome, closing_text
+from robotkube.delivery.deployment.core.plan_notes import PlanOutcome, ReleaseOutcome, outcome_comment
 from robotkube.delivery.deployment.core.releases import application_name
 from robotkube.delivery.manager.loops.proposals.plan_records import PlanRecord
 from robotkube.delivery.manager.ports.cluster import Cluster
@@ -36,7 +36,7 @@ class PlanOutcomeComments:
     def observed(self, record: PlanRecord) -> None:
         """Note the outcome of a plan that is observed, as the cluster shows it now."""
         if record.pull_request is not None:
-            self._unsent.append((record.pull_request, closing_text(self._facts(record))))
+            self._unsent.append((record.pull_request, outcome_comment(self._facts(record))))
 
     def send_oldest(self) -> None:
         """Send the oldest outcome; UnavailableError: it stays. What the forge refuses is dropped."""
