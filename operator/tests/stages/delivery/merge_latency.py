@@ -20,7 +20,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from robotkube.delivery.manager.__main__ import news
+from robotkube.delivery.manager.__main__ import changed_by
 from robotkube.delivery.manager.loops.reconciler import TASKS
 from robotkube.foundation.forge.adapters.git import GitClone, ProposalWriter
 from robotkube.foundation.runtime.adapters.webhook_server import WebServer
@@ -134,8 +134,8 @@ class Stage:
         """The manager's webhook, as its entry point wires it."""
 
         def deliver(delivery: Any) -> None:
-            if heard := news(delivery, "robotkube/catalogue"):
-                running.manager.wake(*heard)
+            if change := changed_by(delivery, "robotkube/catalogue"):
+                running.manager.wake(*change)
 
         secret = manager_secret().encode()
         server = WebServer("127.0.0.1", self.manager_port, lambda: [], lambda: "", secret, deliver)
