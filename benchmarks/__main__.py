@@ -30,33 +30,31 @@ from benchmarks import (
     publication,
     registry,
 )
-from benchmarks.measuring import Figure
+from benchmarks.measuring import Comparison
 from ci import preparing
 from ci.errors import SetUpError
 from ci.folders import PROJECT
 
 REPORT = PROJECT / "build" / "reports" / "benchmarks.json"
-BENCHMARKS: dict[str, Callable[[], list[Figure]]] = {
-    "planning": planning.figures,
-    "files": files.figures,
-    "bridging": bridging.figures,
-    "event-detector": event_detector.figures,
-    "registry": registry.figures,
-    "gate": gate.figures,
-    "application-manager": application_manager.figures,
-    "publication": publication.figures,
-    "application-manager-cluster": application_manager_cluster.figures,
-    "encounters": encounters.figures,
+BENCHMARKS: dict[str, Callable[[], list[Comparison]]] = {
+    "planning": planning.compare,
+    "files": files.compare,
+    "bridging": bridging.compare,
+    "event-detector": event_detector.compare,
+    "registry": registry.compare,
+    "gate": gate.compare,
+    "application-manager": application_manager.compare,
+    "publication": publication.compare,
+    "application-manager-cluster": application_manager_cluster.compare,
+    "encounters": encounters.compare,
 }
 NEED_IMAGES = frozenset({"publication", "application-manager-cluster", "encounters"})
 
 
-def row(figure: Figure) -> str:
+def row(one: Comparison) -> str:
     """One line of the table."""
-    values = (
-        f"{figure.ours:>9.2f} {figure.baseline:>9.2f} {figure.unit:<6} {figure.ratio:>6.2f} {figure.ratio_max:>6.2f}"
-    )
-    return f"{figure.name:<48} {values}  {'ok' if figure.passed else 'FAILED'}  ({figure.baseline_is})"
+    values = f"{one.ours:>9.2f} {one.baseline:>9.2f} {one.unit:<6} {one.ratio:>6.2f} {one.ratio_max:>6.2f}"
+    return f"{one.name:<48} {values}  {'ok' if one.passed else 'FAILED'}  ({one.baseline_is})"
 
 
 def main() -> int:
@@ -65,25 +63,26 @@ def main() -> int:
     parser.add_argument("--against", default="", help="the revision whose decisions are measured in the same run")
     arguments = parser.parse_args()
     chosen = arguments.only or list(BENCHMARKS)
-    benchmarks = BENCHMARKS | {"application-manager": partial(application_manager.figures, arguments.against)}
-    found: list[Figure] = []
+    benchmarks = BENCHMARKS | {"application-manager": partial(application_manager.compare, arguments.against)}
+    comparisons: list[Comparison] = []
     try:
         preparing.prepare("toolchain" if NEED_IMAGES.isdisjoint(chosen) else "images")
         print(f"{'':<48} {'ours':>9} {'baseline':>9} {'':<6} {'ratio':>6} {'at most':>6}", flush=True)
         for name in chosen:
             began = time.monotonic()
-            for figure in benchmarks[name]():
-                found.append(figure)
-                print(row(figure), flush=True)
+            for comparison in benchmarks[name]():
+                comparisons.append(comparison)
+                print(row(comparison), flush=True)
             print(f"{name}: {time.monotonic() - began:.0f} s", file=sys.stderr, flush=True)
     except SetUpError as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code
     REPORT.parent.mkdir(parents=True, exist_ok=True)
-    document = [asdict(figure) | {"ratio": round(figure.ratio, 3), "passed": figure.passed} for figure in found]
+    document = [asdict(one) | {"ratio": round(one.ratio, 3), "passed": one.passed} for one in comparisons]
     REPORT.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
-    print(f"{REPORT.relative_to(PROJECT)}: {sum(one.passed for one in found)} of {len(found)} within their bounds")
-    return 0 if all(one.passed for one in found) else 1
+    passed = sum(one.passed for one in comparisons)
+    print(f"{REPORT.relative_to(PROJECT)}: {passed} of {len(comparisons)} within their bounds")
+    return 0 if passed == len(comparisons) else 1
 
 
 if __name__ == "__main__":

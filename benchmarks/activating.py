@@ -29,7 +29,7 @@ from robotkube.testing.api_server import ApiServerInMemory
 ROUNDS = 25
 HELD_SECONDS, RESTING_SECONDS = 0.3, 1.2
 """How long it stays active, and at rest: long enough to look at its subscriptions less often."""
-CHANGE_SECONDS_MAX, LOOK_SECONDS = 10.0, 0.005
+CHANGE_SECONDS_MAX, POLL_SECONDS = 10.0, 0.005
 NAMESPACE, NAME = "cloud-0", "event-detector"
 COMMAND, CONFIGURATION = "command", "configuration"
 WAYS = (
@@ -53,10 +53,10 @@ class Activation(NamedTuple):
 
 def settings(state: str) -> dict[str, Any]:
     """The detector's settings."""
-    found, pose = detecting.settings(detecting.AGENTS), "/vehicles/vehicle_00/pose"
+    base, pose = detecting.settings(detecting.AGENTS), "/vehicles/vehicle_00/pose"
     rule = {"name": "high", "kind": "cel", "topic": pose, "fields": {"z": "pose.position.z"}, "expression": "z > 1.0"}
-    topics = [*found["topics"], {"name": pose, "type": POSE_TYPE}]
-    return {**found, "topics": topics, "rules": [*found["rules"], rule], "state": state}
+    topics = [*base["topics"], {"name": pose, "type": POSE_TYPE}]
+    return {**base, "topics": topics, "rules": [*base["rules"], rule], "state": state}
 
 
 @dataclass
@@ -85,11 +85,11 @@ class Switch:
         while not self._holds(reached, path):
             if time.monotonic() > deadline:
                 raise SetUpError(f"the detector did not change within {CHANGE_SECONDS_MAX:.0f} s")
-            time.sleep(LOOK_SECONDS)
+            time.sleep(POLL_SECONDS)
 
     def receive(self) -> None:
         """Until messages come."""
-        self.wait(lambda found: sum(one["received"] for one in found["topics"].values()) > 0, "/input")
+        self.wait(lambda counters: sum(one["received"] for one in counters["topics"].values()) > 0, "/input")
 
     def _holds(self, reached: Any, path: str) -> bool:
         try:
@@ -107,12 +107,12 @@ def activate(rounds: int = ROUNDS) -> Activation:
     with tempfile.TemporaryDirectory(prefix="activating-") as name, ApiServerInMemory() as api:
         folder, switch = Path(name), Switch(api, pods.free_port())
         switch.configure("inactive")
-        found = _measured(folder, switch, rounds)
-    if len(found) != 4 * rounds:
-        raise SetUpError(f"{len(found)} activations instead of {4 * rounds}")
+        activations = _measured(folder, switch, rounds)
+    if len(activations) != 4 * rounds:
+        raise SetUpError(f"{len(activations)} activations instead of {4 * rounds}")
     return Activation(
-        quantiles([(since - asked) / 1e6 for asked, since, _ in found]),
-        quantiles([(first - asked) / 1e6 for asked, _, first in found]),
+        quantiles([(since - asked) / 1e6 for asked, since, _ in activations]),
+        quantiles([(first - asked) / 1e6 for asked, _, first in activations]),
     )
 
 
@@ -153,8 +153,8 @@ def _start(role: str, folder: Path, environment: Mapping[str, str], *options: st
 def main() -> None:
     """Measure and print."""
     preparing.for_tests()
-    found = activate()
-    print(json.dumps({key: asdict(value) for key, value in found._asdict().items()}, indent=1))
+    activation = activate()
+    print(json.dumps({key: asdict(value) for key, value in activation._asdict().items()}, indent=1))
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
-"""What the application manager costs: a decision, the way of a task to main, a storm of demands, recovery from SIGKILL.
+"""What the application manager costs: a decision, merge latency, a storm of demands, recovery from SIGKILL.
 
-Goals are figures of the project, not ratios, so each is set against its goal; all go to
+Goals are numbers of the project, not ratios, so what is measured is set against its goal; all go to
 build/bench/application-manager.json, latencies with n, p50, p95 and p99. Decisions are measured by decisions.py in
 processes of their own, with main still and with main moving, and in turns with them those of an earlier revision
-(`--against`). The way to main is measured by the benchmark `gate`, storm and recovery by operator/tests/forge/storm.py.
+(`--against`). Merge latency is measured by the benchmark `gate`, storm and recovery by the module STORM of the tests.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import decisions as decide
-from benchmarks.measuring import Figure, Quantiles, quantiles, record
+from benchmarks.measuring import Comparison, Quantiles, quantiles, record
 from ci import preparing
 from ci.errors import SetUpError
 from ci.folders import PROJECT
@@ -29,7 +29,8 @@ GateDecisions = Mapping[str, Sequence[float]]
 """Milliseconds of each, as benchmarks/decisions.py names them."""
 
 RECORD = PROJECT / "build" / "bench" / "application-manager.json"
-TESTS = PROJECT / "operator" / "tests"
+TESTS = PROJECT / "operator"  # the folder of the package `tests`
+STORM = "tests.stages.delivery.task_storm"
 SOURCES = "operator/src"
 BEFORE = "85ece35"  # the last revision before composition was computed from scratch
 DECISIONS = 100
@@ -94,10 +95,10 @@ def quietest(rounds: Sequence[GateDecisions], name: str) -> Quantiles:
 
 
 def storm(demands: int, nodes: int) -> dict[str, Any]:
-    """What operator/tests/forge/storm.py found."""
+    """What the module STORM measures."""
     folders = os.pathsep.join(str(path) for path in (PROJECT, PROJECT / "operator" / "src", TESTS))
     environment = {**os.environ, "PYTHONPATH": folders, preparing.TOOLCHAIN_VARIABLE: str(preparing.tool_chain())}
-    command = [sys.executable, str(TESTS / "forge" / "storm.py"), str(demands), str(nodes)]
+    command = [sys.executable, "-m", STORM, str(demands), str(nodes)]
     return dict(_last_line(command, environment))
 
 
@@ -111,18 +112,18 @@ def _last_line(command: Sequence[str], environment: Mapping[str, str]) -> Any:
     return json.loads(done.stdout.splitlines()[-1])
 
 
-def goal(name: str, unit: str, ours: float, at_most: float) -> Figure:
-    """A figure set against its goal."""
-    return Figure(name, unit, ours, at_most, 1.0, "the goal")
+def goal(name: str, unit: str, ours: float, at_most: float) -> Comparison:
+    """What was measured, set against its goal."""
+    return Comparison(name, unit, ours, at_most, 1.0, "the goal")
 
 
-def figures(against: str = "") -> list[Figure]:
+def compare(against: str = "") -> list[Comparison]:
     """A decision, a storm, recovery; each against its goal. Decisions also against those of revision `against`
     (default: BEFORE, where the repository has it)."""
-    return [*decision_figures(against), *storm_figures()]
+    return [*compare_decisions(against), *compare_storms()]
 
 
-def decision_figures(against: str = "") -> list[Figure]:
+def compare_decisions(against: str = "") -> list[Comparison]:
     """The decision alone."""
     revision = against or (BEFORE if known(BEFORE) else "")
     with checkout(revision) if revision else nullcontext() as before:
@@ -133,17 +134,19 @@ def decision_figures(against: str = "") -> list[Figure]:
     return [
         goal(f"decision, p99 of {still.n}", "ms", still.p99, DECISION_GOAL_MS),
         goal(f"decision while main moves, p99 of {moving.n}", "ms", moving.p99, DECISION_GOAL_MS),
-        *comparisons(ours, theirs, revision),
+        *compare_revisions(ours, theirs, revision),
     ]
 
 
-def comparisons(ours: Sequence[GateDecisions], before: Sequence[GateDecisions], revision: str) -> Iterator[Figure]:
+def compare_revisions(
+    ours: Sequence[GateDecisions], before: Sequence[GateDecisions], revision: str
+) -> Iterator[Comparison]:
     """Decisions set against those of the revision, each in its quietest round."""
     for name, words in (("still", "decision"), ("moving", "decision while main moves")) if before else ():
         now, then = quietest(ours, name), quietest(before, name)
         its = f"the same at {revision}, each in its quietest of {len(ours)} rounds"
-        yield Figure(f"{words}, p50", "ms", now.p50, then.p50, P50_RATIO_MAX, its)
-        yield Figure(f"{words}, p99", "ms", now.p99, then.p99, P99_RATIO_MAX, its)
+        yield Comparison(f"{words}, p50", "ms", now.p50, then.p50, P50_RATIO_MAX, its)
+        yield Comparison(f"{words}, p99", "ms", now.p99, then.p99, P99_RATIO_MAX, its)
 
 
 def decision_record(ours: Mapping[str, Quantiles], before: Mapping[str, Quantiles], revision: str) -> dict[str, Any]:
@@ -160,7 +163,7 @@ def decision_record(ours: Mapping[str, Quantiles], before: Mapping[str, Quantile
     return document | {key: asdict(before[name]) if before else None for name, key in names.items()}
 
 
-def storm_figures() -> list[Figure]:
+def compare_storms() -> list[Comparison]:
     """The storm, once with the nodes of a small fleet and once with 1,000 on the API server."""
     small, large = storm(DEMANDS, 0), storm(DEMANDS, NODES)
     growth = small["rss_mib"][str(DEMANDS)] - small["rss_mib"]["100"]
@@ -184,8 +187,8 @@ def storm_figures() -> list[Figure]:
     ]
 
 
-def record_way_to_main(tasks: Sequence[float], floor: Sequence[float], path: Path = RECORD) -> None:
-    """What the benchmark `gate` measured of the way to main, in milliseconds."""
+def record_merge_latency(tasks: Sequence[float], floor: Sequence[float], path: Path = RECORD) -> None:
+    """What the benchmark `gate` measured of merge latency, in milliseconds."""
     ours, least = quantiles(tasks), quantiles(floor)
     record(
         path,

@@ -1,6 +1,6 @@
 """How much one bridge carries: PoseStamped with QoS 1, one direction at a time, from ROS to the broker and back.
 
-    python3 -m benchmarks.bridge [--rate 12000] [--seconds 8] [--perf FILE] [--way]
+    python3 -m benchmarks.bridge [--rate 12000] [--seconds 8] [--perf FILE] [--path]
 
 Every process is one of a pod, in network namespaces of two nodes; the load comes at a fixed rate, and every message is
 counted at the other end. Needs root, ip, nsenter and mosquitto.
@@ -20,8 +20,8 @@ from typing import Any
 
 from benchmarks import bridging, pods
 from benchmarks.bags import POSE_TYPE
-from benchmarks.bridging import NaiveSetting
-from benchmarks.data_path import Setting
+from benchmarks.bridging import NaiveDataPath
+from benchmarks.data_path import DataPath
 from ci import preparing
 from ci.errors import SetUpError
 
@@ -49,7 +49,7 @@ class Carried:
     memory_bytes: int
 
 
-class Room:
+class BridgeTestbed:
     """Broker, bridge and the two ends of one measurement."""
 
     def __init__(self, folder: Path) -> None:
@@ -93,8 +93,8 @@ class Room:
             if time.monotonic() > deadline:
                 return None
             time.sleep(0.02)
-        found: dict[str, int] = json.loads(path.read_text())
-        return found
+        counts: dict[str, int] = json.loads(path.read_text())
+        return counts
 
     def _result(self, role: str) -> Path:
         return self.folder / f"{role}.json"
@@ -116,27 +116,27 @@ def carry(direction: str, rate: float = RATE, seconds: float = SECONDS, perf: Pa
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="bridge-")))
         folder.chmod(0o755)
-        room = Room(folder)
-        stack.callback(room.close)
-        sink = room.peer(roles[1], count, rate)
-        bridge = room.bridge(direction)
+        testbed = BridgeTestbed(folder)
+        stack.callback(testbed.close)
+        sink = testbed.peer(roles[1], count, rate)
+        bridge = testbed.bridge(direction)
         before = bridge.cpu_seconds()
-        room.peer(roles[0], count, rate)
+        testbed.peer(roles[0], count, rate)
         if perf is not None:
             _record(stack, bridge, perf, seconds)
-        received = room.result(roles[1], START_SECONDS_MAX + seconds + DRAIN_SECONDS_MAX)
+        received = testbed.result(roles[1], START_SECONDS_MAX + seconds + DRAIN_SECONDS_MAX)
         spent, memory = bridge.cpu_seconds() - before, bridge.memory_bytes()
         sink.stop()
-        received = received or room.result(roles[1], 0.0)
-        room.pods[-1].stop()
-        sent = room.result(roles[0], 1.0)
+        received = received or testbed.result(roles[1], 0.0)
+        testbed.pods[-1].stop()
+        sent = testbed.result(roles[0], 1.0)
         if sent is None or received is None or not received["messages"]:
             raise SetUpError("the ends do not meet: " + "".join(p.read_text()[-2000:] for p in folder.glob("*.log")))
         return _carried(direction, sent, received, spent, memory)
 
 
 @dataclass(frozen=True)
-class Way:
+class PathCosts:
     """CPU per pose in us: bridges of vehicles and cloud, broker and the detector's input; players excluded."""
 
     ours: float
@@ -148,12 +148,12 @@ class Way:
         return self.ours / self.naive
 
 
-def way() -> Way:
-    """The way of a pose from a vehicle's ROS to the detector, ours and as one would write it first, in the same run."""
+def path_costs() -> PathCosts:
+    """Measure the path of a pose from a vehicle's ROS to the detector, ours and as one writes it first, in turn."""
     poses_per_second = bridging.VEHICLES * POSE_HERTZ
-    costs = [bridging.cpu_percent(kind) for kind in (NaiveSetting, Setting)]
+    costs = [bridging.cpu_percent(kind) for kind in (NaiveDataPath, DataPath)]
     naive, ours = (sum(cost[part] for part in PATH) * 10_000 / poses_per_second for cost in costs)
-    return Way(ours, naive)
+    return PathCosts(ours, naive)
 
 
 def _carried(direction: str, sent: dict[str, int], received: dict[str, int], spent: float, memory: int) -> Carried:
@@ -182,19 +182,19 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=SECONDS)
     parser.add_argument("--direction", choices=(OUT, IN), action="append")
     parser.add_argument(
-        "--way", action="store_true", help="measure the whole way of a pose instead, beside the naive one"
+        "--path", action="store_true", help="measure the whole path of a pose instead, beside the naive one"
     )
     parser.add_argument("--perf", type=Path, help="record where the bridge's time goes")
     options = parser.parse_args()
     preparing.for_tests()
-    if options.way:
-        measured = way()
+    if options.path:
+        measured = path_costs()
         print(json.dumps(asdict(measured) | {"ratio": round(measured.ratio, 3)}, indent=1))
         return
-    found: list[Any] = [
+    directions: list[Any] = [
         asdict(carry(one, options.rate, options.seconds, options.perf)) for one in options.direction or (OUT, IN)
     ]
-    print(json.dumps(found, indent=1))
+    print(json.dumps(directions, indent=1))
 
 
 if __name__ == "__main__":

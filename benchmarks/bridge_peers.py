@@ -28,7 +28,7 @@ from robotkube.robots.ros.adapters.rclpy_node import RosNode
 POSE_BYTES = 76
 READY_SECONDS_MAX = 30.0
 PERIOD_SECONDS = 0.005
-FRAME_SECONDS = 0.04
+BATCH_SECONDS = 0.04
 DEPTH = 20_000
 INFLIGHT_MAX = 50
 NUMBER_PLACE = slice(20, 28)  # where `bags.message` writes the message's number
@@ -41,7 +41,7 @@ class Sink:
         self.seen = bytearray(wanted)
         self.messages = self.twice = self.first = self.last = 0
 
-    def take(self, data: bytes) -> None:
+    def receive(self, data: bytes) -> None:
         """One message."""
         number = int.from_bytes(data[NUMBER_PLACE], "little")
         if self.seen[number]:
@@ -61,7 +61,7 @@ class Sink:
 
 
 class Listener:
-    """The events of a connection; frames go to `sink`."""
+    """The events of a connection; batches go to `sink`."""
 
     def __init__(self, sink: Sink | None = None) -> None:
         self.sink, self.unacknowledged, self.heard = sink, 0, False
@@ -89,7 +89,7 @@ class Listener:
         """See the port."""
         assert self.sink is not None
         for data in decode_batch(payload).messages:
-            self.sink.take(data)
+            self.sink.receive(data)
 
 
 def paced(process: Process, options: argparse.Namespace, period: float, send: Callable[[int, int], None]) -> Any:
@@ -124,7 +124,7 @@ def ros_sink(process: Process, options: argparse.Namespace) -> Any:
     while sink.messages < options.count and not process.stopping.wait(PERIOD_SECONDS * 4):
         if messages := source.take(DEPTH):
             for data in messages:
-                sink.take(data)
+                sink.receive(data)
             sink.noted()
     return sink.result()
 
@@ -144,16 +144,18 @@ def mqtt_channel(name: str, events: Listener) -> PahoChannel:
 
 
 def mqtt_source(process: Process, options: argparse.Namespace) -> Any:
-    """Publishes frames as a bridge does: one for every FRAME_SECONDS, at most INFLIGHT_MAX on their way."""
+    """Publishes batches as a bridge does: one for every BATCH_SECONDS, at most INFLIGHT_MAX on their way."""
     events = Listener()
-    channel, session, frames = mqtt_channel("source", events), time.time_ns(), 0
+    channel = mqtt_channel("source", events)
+    session = time.time_ns()
+    batches = 0
     topic = MQTT_PREFIX + options.topic
 
-    def frame(messages: list[bytes]) -> None:
-        nonlocal frames
-        assert channel.publish(topic, encode_batch(session, frames, messages), False) is not None
+    def publish(messages: list[bytes]) -> None:
+        nonlocal batches
+        assert channel.publish(topic, encode_batch(session, batches, messages), False) is not None
         events.unacknowledged += 1
-        frames += 1
+        batches += 1
         turn()
 
     def turn() -> bool:
@@ -163,21 +165,21 @@ def mqtt_source(process: Process, options: argparse.Namespace) -> Any:
 
     def send(begin: int, end: int) -> None:
         until(turn)
-        frame([message(number, time.time_ns(), POSE_BYTES) for number in range(begin, end)])
+        publish([message(number, time.time_ns(), POSE_BYTES) for number in range(begin, end)])
 
     def listened() -> bool:
         if not events.unacknowledged:
-            frame([])
+            publish([])
         return turn() and events.heard
 
     until(listened)
-    result = paced(process, options, FRAME_SECONDS, send)
+    result = paced(process, options, BATCH_SECONDS, send)
     until(lambda: turn() and not events.unacknowledged)
     return result
 
 
 def mqtt_sink(process: Process, options: argparse.Namespace) -> Any:
-    """Receives frames."""
+    """Receives batches."""
     sink = Sink(options.count)
     channel = mqtt_channel("sink", Listener(sink))
     channel.subscribe([MQTT_PREFIX + options.topic])
@@ -211,9 +213,9 @@ def body(process: Process) -> None:
     parser.add_argument("--count", type=int, required=True)
     parser.add_argument("--rate", type=float, default=12_000)
     options = parser.parse_args()
-    found = ROLES[options.role](process, options)
+    result = ROLES[options.role](process, options)
     partial = options.result.with_suffix(".part")
-    partial.write_text(json.dumps(found))
+    partial.write_text(json.dumps(result))
     partial.rename(options.result)
 
 

@@ -1,4 +1,4 @@
-"""CPU of the bridges for the poses of a few vehicles: ours, which carries what 40 ms brought in one frame, against the
+"""CPU of the bridges for the poses of a few vehicles: ours, which carries what 40 ms brought in one batch, against the
 one of `naive_bridge`. Everything else (players, broker, the cloud's bridge, the receiver) is the same.
 """
 
@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import pods
-from benchmarks.data_path import Setting, measure
-from benchmarks.measuring import Figure
+from benchmarks.data_path import DataPath, measure
+from benchmarks.measuring import Comparison
 from ci.errors import SetUpError
 
 VEHICLES, SECONDS = 3, 14.0
@@ -19,7 +19,7 @@ OURS = "robotkube.robots.bridge"
 COMPONENTS = {"vehicle bridges": ("bridges of the vehicles", 0.6), "broker": ("broker", 0.9)}
 
 
-class NaiveSetting(Setting):
+class NaiveDataPath(DataPath):
     """The vehicles run the naive bridge."""
 
     def _launch(self, component: str, node: int, agent: str, name: str, module: str, *rest: Any) -> pods.Pod:
@@ -28,27 +28,27 @@ class NaiveSetting(Setting):
         return super()._launch(component, node, agent, name, module, *rest)
 
 
-def cpu_percent(kind: type[Setting]) -> dict[str, float]:
-    """CPU of each component in % of one core; SetUpError when poses were lost, since then the figures say nothing."""
+def cpu_percent(kind: type[DataPath]) -> dict[str, float]:
+    """CPU of each component in % of one core; SetUpError when poses were lost, since then the numbers say nothing."""
     with tempfile.TemporaryDirectory(prefix="bridging-") as name:
         folder = Path(name)
         folder.chmod(0o755)
-        setting = kind(folder, VEHICLES, 0, SECONDS)
+        testbed = kind(folder, VEHICLES, 0, SECONDS)
         try:
-            with setting.api:
-                found: dict[str, Any] = measure(setting)
+            with testbed.api:
+                measured: dict[str, Any] = measure(testbed)
         finally:
-            setting.close()
-    if found["received"] != found["published"]:
-        raise SetUpError(f"{kind.__name__}: {found['published']} were published, {found['received']} arrived")
-    return dict(found["cpu_percent"])
+            testbed.close()
+    if measured["received"] != measured["published"]:
+        raise SetUpError(f"{kind.__name__}: {measured['published']} were published, {measured['received']} arrived")
+    return dict(measured["cpu_percent"])
 
 
-def figures() -> list[Figure]:
+def compare() -> list[Comparison]:
     """The vehicles' bridges are what differs; the broker has fewer messages to carry."""
-    naive, ours = cpu_percent(NaiveSetting), cpu_percent(Setting)
+    naive, ours = cpu_percent(NaiveDataPath), cpu_percent(DataPath)
     baseline = "executor, a message each"
     return [
-        Figure(f"{text}, {VEHICLES} x 100 Hz", "% CPU", ours[component], naive[component], ratio_max, baseline)
+        Comparison(f"{text}, {VEHICLES} x 100 Hz", "% CPU", ours[component], naive[component], ratio_max, baseline)
         for component, (text, ratio_max) in COMPONENTS.items()
     ]

@@ -1,4 +1,4 @@
-"""What the way of a pose costs: players, bridges, broker and the detector's input at the scenario's full rate.
+"""What the path of a pose costs: players, bridges, broker and the detector's input at the scenario's full rate.
 
     python3 -m benchmarks.data_path --vehicles 15 --lidars 2 --seconds 20 [--clouds]
 
@@ -27,7 +27,7 @@ SETTLE_SECONDS = 2.0
 BRIDGE = "mqtt-bridge"
 
 
-class Setting:
+class DataPath:
     """All processes of one measurement."""
 
     def __init__(
@@ -209,36 +209,36 @@ def quantile(ages: Counter[int], part: float) -> int:
     return -1
 
 
-def measure(setting: Setting) -> dict[str, object]:
-    """Run once; figures as printed."""
-    setting.begin()
+def measure(testbed: DataPath) -> dict[str, object]:
+    """Run once; the numbers as printed."""
+    testbed.begin()
     begin = time.monotonic()
-    while not all(setting.connected(agent) for agent in [*setting.agents, "cloud-0"]):
+    while not all(testbed.connected(agent) for agent in [*testbed.agents, "cloud-0"]):
         if time.monotonic() - begin > CONNECT_SECONDS_MAX:
-            raise SystemExit(f"the bridges do not connect; see {setting.folder}")
+            raise SystemExit(f"the bridges do not connect; see {testbed.folder}")
         time.sleep(0.1)
     time.sleep(SETTLE_SECONDS)
-    started = setting.costs()
+    started = testbed.costs()
     start = int((time.time() + LEAD_SECONDS) * 1e9)
-    setting.order(start)
+    testbed.order(start)
     time.sleep(LEAD_SECONDS + 2)
-    before, idle_before, moment = setting.costs(), _idle_seconds(), time.monotonic()
-    time.sleep(setting.seconds - 4)
-    elapsed, after, idle_after = time.monotonic() - moment, setting.costs(), _idle_seconds()
-    memory = setting.memory()
+    before, idle_before, moment = testbed.costs(), _idle_seconds(), time.monotonic()
+    time.sleep(testbed.seconds - 4)
+    elapsed, after, idle_after = time.monotonic() - moment, testbed.costs(), _idle_seconds()
+    memory = testbed.memory()
     time.sleep(4)
-    setting.close()
+    testbed.close()
     return {
         "cpu_percent": {key: round(100 * (after[key] - before[key]) / elapsed, 2) for key in after},
         "start_cpu_seconds": {key: round(value, 2) for key, value in started.items()},
         "memory_mib": {key: round(value / 2**20, 1) for key, value in memory.items()},
         "machine_busy_percent": round(100 * (os.cpu_count() or 1) - 100 * (idle_after - idle_before) / elapsed, 1),
-        **_received(setting),
+        **_received(testbed),
     }
 
 
-def _received(setting: Setting) -> dict[str, object]:
-    result = json.loads((setting.folder / "received.json").read_text())
+def _received(testbed: DataPath) -> dict[str, object]:
+    result = json.loads((testbed.folder / "received.json").read_text())
     ages: dict[str, Counter[int]] = {"pose": Counter(), "pointcloud": Counter()}
     counts: Counter[str] = Counter()
     for name, topic in result.items():
@@ -247,7 +247,7 @@ def _received(setting: Setting) -> dict[str, object]:
         for age, count in topic["ages_ms"]:
             ages.setdefault(kind, Counter())[age] += count
     published: Counter[str] = Counter()
-    for path in (setting.folder / "ledger").glob("*/benchmark/*.jsonl"):
+    for path in (testbed.folder / "ledger").glob("*/benchmark/*.jsonl"):
         published[path.stem.rpartition("__")[2]] += sum("sequence" in line for line in path.open())
     return {
         "received": dict(counts),
@@ -276,13 +276,13 @@ def main() -> None:
     options = parser.parse_args()
     folder = Path(tempfile.mkdtemp(prefix="data-path-"))
     folder.chmod(0o755)
-    setting = Setting(folder, options.vehicles, options.lidars, options.seconds, options.clouds, options.period_ms)
-    setting.nodes.mtu = options.mtu
+    testbed = DataPath(folder, options.vehicles, options.lidars, options.seconds, options.clouds, options.period_ms)
+    testbed.nodes.mtu = options.mtu
     try:
-        with setting.api:
-            print(json.dumps(measure(setting), indent=1))
+        with testbed.api:
+            print(json.dumps(measure(testbed), indent=1))
     finally:
-        setting.close()
+        testbed.close()
         if options.keep:
             print(f"logs: {folder}")
         else:

@@ -2,7 +2,8 @@
 
     PYTHONPATH=<checkout>/operator/src python -P benchmarks/decisions.py [COUNT]
 
-Prints a JSON document with milliseconds. The inventory has 500 chart versions, 1,000 nodes and 200 standing demands.
+Prints a JSON document with milliseconds. The inventory has 500 chart versions, 1,000 nodes and 200 demands that main
+meets already.
 `still`: main stays as it is, one task is new and goes again. `moving`: one task is new and the oldest has gone; the
 plan is merged before the next one comes, so each decision reads other releases on main. `reading`: main read after
 each merge. A decision goes from the documents of all tasks to the finished plan, with everything that the manager's
@@ -25,7 +26,7 @@ from typing import Any
 COUNT = 200
 WARMING_UP = 5
 START_NS = 1_795_250_000_000_000_000
-EXPECTED = {"charts": 500, "nodes": 1000, "standing": 200}
+EXPECTED = {"charts": 500, "nodes": 1000, "demands": 200}
 
 MODULES = {
     "BoundedSchemas": ("registry.catalogue.adapters.bounded_validation", "entrypoints.bounded_schemas"),
@@ -89,7 +90,7 @@ class Manager:
 
         self._tasks = Tasks({key: document(task) for key, task in self._inventory.tasks.items()})
         self._repository = imported("MemoryRepository")()
-        self._repository.push(self._files(), "standing demands")
+        self._repository.push(self._files(), "the demands before")
         self._main = imported("MainReader")(self._repository)
         self._main.read()
         self._planner = self._started(render, validate)
@@ -99,7 +100,7 @@ class Manager:
         counts = {
             "charts": sum(len(versions) for versions in self._inventory.catalogue.charts.values()),
             "nodes": len(self._inventory.nodes),
-            "standing": len(self._inventory.tasks),
+            "demands": len(self._inventory.tasks),
         }
         if counts != EXPECTED:
             raise ValueError(f"the inventory has {counts}, it must have {EXPECTED}")

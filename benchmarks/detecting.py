@@ -84,7 +84,7 @@ def settings(agents: int, clouds: bool = False) -> dict[str, Any]:
 
 
 @dataclass
-class Room:
+class DetectorTestbed:
     """Two pods on a node."""
 
     folder: Path
@@ -137,27 +137,27 @@ class Room:
 
 
 @contextmanager
-def room() -> Iterator[Room]:
+def testbed() -> Iterator[DetectorTestbed]:
     """A node; everything on it is taken away afterwards."""
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="detecting-")))
         folder.chmod(0o755)
         nodes = pods.Nodes()
         stack.callback(nodes.close)
-        made = Room(folder, nodes, nodes.node(), [], [])
+        made = DetectorTestbed(folder, nodes, nodes.node(), [], [])
         stack.callback(made.stop)
         yield made
 
 
 def receive(seconds: float = SECONDS) -> Received:
     """At the demo's rate, 15 x 100 Hz."""
-    with room() as here:
+    with testbed() as here:
         drained = here.start("drain", "--agents", str(AGENTS))
         play(here, seconds, DEMO_RATE)
         drained.stop()
-        found = here.wait("drain", END_SECONDS_MAX)
-        baseline = 1e6 * found["cpu_seconds"] / found["messages"]
-    with room() as here:
+        result = here.wait("drain", END_SECONDS_MAX)
+        baseline = 1e6 * result["cpu_seconds"] / result["messages"]
+    with testbed() as here:
         detector = here.detector()
         source = _begin(here, SETTLE_SECONDS + seconds, DEMO_RATE)
         time.sleep(SETTLE_SECONDS)
@@ -171,7 +171,7 @@ def receive(seconds: float = SECONDS) -> Received:
 def sustained(rate: float = SUSTAINED_RATE, seconds: float = SECONDS) -> Sustained:
     """The detector alone on the last core."""
     cores = sorted(os.sched_getaffinity(0))
-    with room() as here:
+    with testbed() as here:
         detector = here.detector(core=cores[-1])
         before = detector.cpu_seconds()  # the start counts, too: a few hundredths
         sent = play(here, seconds, rate, core=cores[0])
@@ -186,33 +186,33 @@ def sustained(rate: float = SUSTAINED_RATE, seconds: float = SECONDS) -> Sustain
 def latency(n: int = 1000) -> Latency:
     """At least `n` events at the demo's rate."""
     seconds = 3 + n / (AGENTS // 2 * DEMO_RATE / AGENTS / SWING)
-    with room() as here:
+    with testbed() as here:
         detector = here.detector()
         play(here, seconds, DEMO_RATE, swing=SWING)
         detector.stop()
-        found: Sequence[int] = here.wait("detector", END_SECONDS_MAX)["latencies_ns"]
-    if len(found) < n:
-        raise SetUpError(f"{len(found)} events instead of {n}")
-    figures = quantiles([value / 1e6 for value in found])
-    return Latency(figures.p99, figures.p50, figures.n)
+        nanoseconds: Sequence[int] = here.wait("detector", END_SECONDS_MAX)["latencies_ns"]
+    if len(nanoseconds) < n:
+        raise SetUpError(f"{len(nanoseconds)} events instead of {n}")
+    milliseconds = quantiles([value / 1e6 for value in nanoseconds])
+    return Latency(milliseconds.p99, milliseconds.p50, milliseconds.n)
 
 
 def memory(minutes: int) -> list[int]:
     """Resident bytes of the detector after each minute at the paper's full rate: 15 poses at 100 Hz, two clouds of
     320 kB at 10 Hz, 10 s of everything in the buffers, an edge per pair every 5 poses."""
-    found = []
-    with room() as here:
+    sizes = []
+    with testbed() as here:
         detector = here.detector(clouds=True)
         _begin(here, 60.0 * minutes + 5, DEMO_RATE, swing=SWING, clouds=2)
         began = time.monotonic()
         for minute in range(1, minutes + 1):
             time.sleep(max(0.0, began + 60 * minute - time.monotonic()))
-            found.append(detector.memory_bytes())
-    return found
+            sizes.append(detector.memory_bytes())
+    return sizes
 
 
 def _begin(
-    here: Room, seconds: float, rate: float, swing: int = 0, core: int | None = None, clouds: int = 0
+    here: DetectorTestbed, seconds: float, rate: float, swing: int = 0, core: int | None = None, clouds: int = 0
 ) -> pods.Pod:
     """Start the source and wait until poses flow."""
     options = ["--agents", str(AGENTS), "--rate", str(rate), "--count", str(int(rate * seconds)), "--swing", str(swing)]
@@ -228,20 +228,20 @@ def _begin(
     return source
 
 
-def _flowing(here: Room) -> bool:
+def _flowing(here: DetectorTestbed) -> bool:
     try:
         return here.received() > 0
     except (subprocess.CalledProcessError, subprocess.TimeoutExpired):
         return False
 
 
-def play(here: Room, seconds: float, rate: float, swing: int = 0, core: int | None = None) -> Any:
+def play(here: DetectorTestbed, seconds: float, rate: float, swing: int = 0, core: int | None = None) -> Any:
     """Have all poses published; what the source says of it."""
     _begin(here, seconds, rate, swing, core)
     return here.wait("source", START_SECONDS_MAX + 2 * seconds)
 
 
-FIGURES: dict[str, Callable[[], Received | Sustained | Latency]] = {
+MEASUREMENTS: dict[str, Callable[[], Received | Sustained | Latency]] = {
     "receive": receive,
     "sustained": sustained,
     "latency": latency,
@@ -251,11 +251,11 @@ FIGURES: dict[str, Callable[[], Received | Sustained | Latency]] = {
 def main() -> None:
     """Measure and print JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("figures", nargs="*")
+    parser.add_argument("measurements", nargs="*")
     options = parser.parse_args()
     preparing.for_tests()
-    found = {name: FIGURES[name]()._asdict() for name in options.figures or FIGURES}
-    print(json.dumps(found, indent=1))
+    results = {name: MEASUREMENTS[name]()._asdict() for name in options.measurements or MEASUREMENTS}
+    print(json.dumps(results, indent=1))
 
 
 if __name__ == "__main__":

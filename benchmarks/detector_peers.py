@@ -83,10 +83,10 @@ def source(process: Process, options: argparse.Namespace) -> Mapping[str, Any]:
                 clouds[agent].publish(message(turn, time.time_ns(), CLOUD_BYTES))
         done = due
         time.sleep(PERIOD_SECONDS)
-    found = {"messages": done, "first": first, "last": time.time_ns()}
-    Path(options.result).write_text(json.dumps(found))
+    result = {"messages": done, "first": first, "last": time.time_ns()}
+    Path(options.result).write_text(json.dumps(result))
     process.stopping.wait(MATCH_SECONDS_MAX)  # what was lost on the way is asked for once more
-    return found
+    return result
 
 
 def drain(process: Process, options: argparse.Namespace) -> Mapping[str, Any]:
@@ -119,18 +119,18 @@ def measured(process: Process, options: argparse.Namespace) -> Mapping[str, Any]
 def activated(process: Process, options: argparse.Namespace) -> Mapping[str, Any]:
     """The detector, which notes of each time it became active when that was asked for, since when it was, and when the
     first message was taken after it; ns since 1970."""
-    found: list[tuple[int, int, int]] = []
+    activations: list[tuple[int, int, int]] = []
     turn = EventDetector.turn
 
     def timed(self: EventDetector) -> int:
         total = turn(self)
-        if total and self.state == ACTIVE and (not found or found[-1][0] != self.reached.asked):
-            found.append((self.reached.asked, self.reached.since, time.time_ns()))
+        if total and self.state == ACTIVE and (not activations or activations[-1][0] != self.reached.asked):
+            activations.append((self.reached.asked, self.reached.since, time.time_ns()))
         return total
 
     EventDetector.turn = timed  # type: ignore[method-assign]
     detect(process)
-    return {"activations": found}
+    return {"activations": activations}
 
 
 def _cpu_seconds() -> float:

@@ -12,7 +12,7 @@ from dataclasses import asdict
 
 from benchmarks import activating, bridge, detecting, pods, proximity, recording, rule_testing, whole_path
 from benchmarks.detecting import AGENTS, DEMO_RATE
-from benchmarks.measuring import Figure, record
+from benchmarks.measuring import Comparison, record
 from ci import preparing
 from ci.errors import SetUpError
 from ci.folders import PROJECT
@@ -25,26 +25,26 @@ ROSBAGS_RATIO_MAX = 2.0  # ours reads whatever rule and any bag, and gives event
 NAIVE_SECONDS = 20.0
 
 
-def receiving() -> list[Figure]:
+def receiving() -> list[Comparison]:
     """Poses into the buffer and through the rule, beside taking them and nothing else, and beside an executor."""
-    found, naive = detecting.receive(), naive_receive()
+    received, naive = detecting.receive(), naive_receive()
     record(
         RECORD,
         {
-            "receive_us_per_message": found.us_per_message,
-            "receive_baseline_us_per_message": found.baseline_us_per_message,
+            "receive_us_per_message": received.us_per_message,
+            "receive_baseline_us_per_message": received.baseline_us_per_message,
             "receive_executor_us_per_message": naive,
         },
     )
     return [
-        Figure("receive, CPU per pose", "us", found.us_per_message, RECEIVE_US_MAX, 1.0, "the goal"),
-        Figure("receive, CPU per pose", "us", found.us_per_message, naive, 1.0, "SingleThreadedExecutor"),
+        Comparison("receive, CPU per pose", "us", received.us_per_message, RECEIVE_US_MAX, 1.0, "the goal"),
+        Comparison("receive, CPU per pose", "us", received.us_per_message, naive, 1.0, "SingleThreadedExecutor"),
     ]
 
 
 def naive_receive() -> float:
     """CPU per pose of the naive detector at the demo's rate, in us; the start of its process is left out."""
-    with detecting.room() as here:
+    with detecting.testbed() as here:
         path = here.folder / "config.yaml"
         path.write_text(json.dumps(detecting.settings(AGENTS)), encoding="utf-8")
         environment = {"ROBOTKUBE_CONFIG": str(path), "ROBOTKUBE_RESULT": str(here.result_path("naive"))}
@@ -54,11 +54,11 @@ def naive_receive() -> float:
         here.started.append(naive)
         detecting.play(here, NAIVE_SECONDS, DEMO_RATE)
         naive.stop()
-        found = here.wait("naive", detecting.END_SECONDS_MAX)
-    return round(1e6 * float(found["cpu_seconds"]) / int(found["messages"]), 2)
+        result = here.wait("naive", detecting.END_SECONDS_MAX)
+    return round(1e6 * float(result["cpu_seconds"]) / int(result["messages"]), 2)
 
 
-def noticing() -> list[Figure]:
+def noticing() -> list[Comparison]:
     """Messages a second that one core takes without loss, and the time from a message to its event."""
     throughput, delay = detecting.sustained(), detecting.latency(EVENTS)
     values = {
@@ -74,51 +74,54 @@ def noticing() -> list[Figure]:
         raise SetUpError(f"{throughput.lost} messages were lost at {throughput.messages_per_second_one_core:.0f}/s")
     needed = 1e6 / throughput.messages_per_second_one_core
     return [
-        Figure("sustained on one core, time per message", "us", needed, 1e6 / SUSTAINED_MIN, 1.0, "the goal"),
-        Figure(f"message to event, p99 of {delay.n}", "ms", delay.p99_ms, LATENCY_P99_MS_MAX, 1.0, "the goal"),
+        Comparison("sustained on one core, time per message", "us", needed, 1e6 / SUSTAINED_MIN, 1.0, "the goal"),
+        Comparison(f"message to event, p99 of {delay.n}", "ms", delay.p99_ms, LATENCY_P99_MS_MAX, 1.0, "the goal"),
     ]
 
 
-def going() -> list[Figure]:
+def going() -> list[Comparison]:
     """From rest to active, by command and by configuration."""
-    found = activating.activate()
+    activation = activating.activate()
     values = {
-        "activation_ms": asdict(found.active_ms),
-        "activation_first_message_ms": asdict(found.first_message_ms),
+        "activation_ms": asdict(activation.active_ms),
+        "activation_first_message_ms": asdict(activation.first_message_ms),
     }
     record(RECORD, values)
-    name = f"from rest to active, p99 of {found.active_ms.n}"
-    return [Figure(name, "ms", found.active_ms.p99, ACTIVATION_MS_MAX, 1.0, "the goal")]
+    name = f"from rest to active, p99 of {activation.active_ms.n}"
+    return [Comparison(name, "ms", activation.active_ms.p99, ACTIVATION_MS_MAX, 1.0, "the goal")]
 
 
-def nearness() -> list[Figure]:
+def nearness() -> list[Comparison]:
     """1,000 agents at 10 Hz."""
-    found = proximity.measure()
-    values = {"proximity_1000_agents_core_fraction": found.core_fraction, "proximity_plain": found.plain_core_fraction}
+    measured = proximity.measure()
+    values = {
+        "proximity_1000_agents_core_fraction": measured.core_fraction,
+        "proximity_plain": measured.plain_core_fraction,
+    }
     record(RECORD, values)
     name = f"proximity, {proximity.AGENTS} agents at {proximity.HERTZ} Hz"
     return [
-        Figure(name, "cores", found.core_fraction, 1.0, 1.0, "the goal"),
-        Figure(name, "cores", found.core_fraction, found.plain_core_fraction, 1.0, "each with all others"),
+        Comparison(name, "cores", measured.core_fraction, 1.0, 1.0, "the goal"),
+        Comparison(name, "cores", measured.core_fraction, measured.plain_core_fraction, 1.0, "each with all others"),
     ]
 
 
-def storing() -> list[Figure]:
+def storing() -> list[Comparison]:
     """Ten seconds of two vehicles until everything is acknowledged."""
-    found = recording.store_ten_seconds()
+    stored = recording.store_ten_seconds()
     values = {
-        "store_ten_seconds_s": round(found.seconds, 3),
-        "store_baseline_s": round(found.baseline_seconds, 3),
-        "store_messages_lost": found.lost,
+        "store_ten_seconds_s": round(stored.seconds, 3),
+        "store_baseline_s": round(stored.baseline_seconds, 3),
+        "store_messages_lost": stored.lost,
     }
     record(RECORD, values)
-    if found.lost:
-        raise SetUpError(f"{found.lost} messages were offered and are not found")
-    allowed = found.seconds_max / found.baseline_seconds
-    return [Figure("store 10 s", "s", found.seconds, found.baseline_seconds, allowed, "a file, fsync")]
+    if stored.lost:
+        raise SetUpError(f"{stored.lost} messages were offered and are not found")
+    allowed = stored.seconds_max / stored.baseline_seconds
+    return [Comparison("store 10 s", "s", stored.seconds, stored.baseline_seconds, allowed, "a file, fsync")]
 
 
-def carrying() -> list[Figure]:
+def carrying() -> list[Comparison]:
     """Poses through one bridge, each direction alone."""
     directions = {direction: bridge.carry(direction) for direction in (bridge.OUT, bridge.IN)}
     worst = min(directions.values(), key=lambda carried: carried.messages_per_second)
@@ -133,29 +136,29 @@ def carrying() -> list[Figure]:
     if lost:
         raise SetUpError(f"the bridge lost {lost} messages")
     goal = 1e6 / BRIDGE_MIN
-    return [Figure("bridge, time per message", "us", 1e6 / worst.messages_per_second, goal, 1.0, "the goal")]
+    return [Comparison("bridge, time per message", "us", 1e6 / worst.messages_per_second, goal, 1.0, "the goal")]
 
 
-def trying() -> list[Figure]:
+def trying() -> list[Comparison]:
     """`robotkube rule test` on the paper's bags."""
-    found = rule_testing.rule_test()
+    tried = rule_testing.rule_test()
     values = {
-        "rule_test_realtime_factor": round(found.realtime_factor, 1),
-        "rule_test_baseline_realtime_factor": round(found.baseline_realtime_factor, 1),
+        "rule_test_realtime_factor": round(tried.realtime_factor, 1),
+        "rule_test_baseline_realtime_factor": round(tried.baseline_realtime_factor, 1),
     }
     record(RECORD, values)
-    ours, name = found.seconds / found.realtime_factor, f"rule test, bags of {found.seconds:.0f} s"
+    ours, name = tried.seconds / tried.realtime_factor, f"rule test, bags of {tried.seconds:.0f} s"
     return [
-        Figure(name, "s", ours, found.seconds / REALTIME_MIN, 1.0, "the goal"),
-        Figure(
-            name, "s", ours, found.seconds / found.baseline_realtime_factor, ROSBAGS_RATIO_MAX, "rosbags and a loop"
+        Comparison(name, "s", ours, tried.seconds / REALTIME_MIN, 1.0, "the goal"),
+        Comparison(
+            name, "s", ours, tried.seconds / tried.baseline_realtime_factor, ROSBAGS_RATIO_MAX, "rosbags and a loop"
         ),
     ]
 
 
-def whole() -> list[Figure]:
+def whole() -> list[Comparison]:
     """Bridges, broker and detector per pose."""
-    naive, ours = whole_path.cost(whole_path.NaiveSetting), whole_path.cost(whole_path.WholeSetting)
+    naive, ours = whole_path.cost(whole_path.NaiveDataPath), whole_path.cost(whole_path.WholeDataPath)
     values = {
         "data_path_us_per_message": ours.us_per_message,
         "data_path_baseline_us_per_message": naive.us_per_message,
@@ -163,13 +166,22 @@ def whole() -> list[Figure]:
     }
     record(RECORD, values)
     name = f"data path, CPU per pose, {whole_path.VEHICLES} x {whole_path.HERTZ} Hz"
-    return [Figure(name, "us", ours.us_per_message, naive.us_per_message, PATH_RATIO_MAX, "the naive path")]
+    return [Comparison(name, "us", ours.us_per_message, naive.us_per_message, PATH_RATIO_MAX, "the naive path")]
 
 
-PARTS: tuple[Callable[[], list[Figure]], ...] = (receiving, noticing, going, nearness, storing, carrying, trying, whole)
+PARTS: tuple[Callable[[], list[Comparison]], ...] = (
+    receiving,
+    noticing,
+    going,
+    nearness,
+    storing,
+    carrying,
+    trying,
+    whole,
+)
 
 
-def figures() -> list[Figure]:
+def compare() -> list[Comparison]:
     """All parts, one after the other."""
     preparing.for_tests()
-    return [figure for part in PARTS for figure in part()]
+    return [comparison for part in PARTS for comparison in part()]

@@ -8,7 +8,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from benchmarks.measuring import Figure, seconds
+from benchmarks.measuring import Comparison, seconds
 from ci import preparing
 from ci.folders import PROJECT
 from robotkube.registry.charts.adapters.chart_folders import pack
@@ -23,7 +23,7 @@ PACKING_RATIO_MAX, SEGMENTS_RATIO_MAX = 1.0, 3.0
 HELM_SECONDS_MAX = 60
 
 
-def packing() -> Figure:
+def packing() -> Comparison:
     """A chart, packed reproducibly."""
     helm = preparing.tool_chain() / "helm"
     with tempfile.TemporaryDirectory() as folder:
@@ -34,12 +34,12 @@ def packing() -> Figure:
 
         theirs = seconds(baseline, REPETITIONS)
     ours = seconds(lambda: pack(CHART, IMAGES), REPETITIONS)
-    return Figure(
+    return Comparison(
         "pack the chart of the event detector", "ms", ours * 1000, theirs * 1000, PACKING_RATIO_MAX, "helm package"
     )
 
 
-def segments() -> Figure:
+def segments() -> Comparison:
     """Clouds that are on the disk, each, before the next is taken."""
     data = os.urandom(CLOUD_BYTES)
     with tempfile.TemporaryDirectory() as folder:
@@ -60,9 +60,9 @@ def segments() -> Figure:
             theirs, mine = seconds(baseline, REPETITIONS), seconds(ours, REPETITIONS)
         writer.close()
     name = f"store a cloud of {CLOUD_BYTES} bytes"
-    return Figure(name, "ms", mine * 1000 / CLOUDS, theirs * 1000 / CLOUDS, SEGMENTS_RATIO_MAX, "write and fsync")
+    return Comparison(name, "ms", mine * 1000 / CLOUDS, theirs * 1000 / CLOUDS, SEGMENTS_RATIO_MAX, "write and fsync")
 
 
-def figures() -> list[Figure]:
+def compare() -> list[Comparison]:
     """Both."""
     return [packing(), segments()]

@@ -1,9 +1,9 @@
-"""What the way of a task to main costs on a real forge: manager and gate against the forge alone, in the same run.
+"""The merge latency of a task on a real forge: manager and gate against the forge alone, in the same run.
 
 `forge_floor_ms` is the p95 of proposing a one-line change by AGit and pushing it to main while manager and gate stand
 still, half of it before and half after the tasks: less is not possible on that forge. `task_to_merged_ms` is the median
 from a task's creation to the manager's knowing that its plan is on main, `gate_check_p95_ms` what the gate's checks
-take of that. All go to build/bench/registry.json, the way to main with all its quantiles to
+take of that. All go to build/bench/registry.json, the merge latency with all its quantiles to
 build/bench/application-manager.json.
 """
 
@@ -15,8 +15,8 @@ import statistics
 import subprocess
 import sys
 
-from benchmarks.application_manager import record_way_to_main
-from benchmarks.measuring import Figure
+from benchmarks.application_manager import record_merge_latency
+from benchmarks.measuring import Comparison
 from benchmarks.registry import record
 from ci import preparing
 from ci.errors import SetUpError
@@ -38,8 +38,8 @@ def measure() -> dict[str, list[float]]:
     )
     if done.returncode:
         raise SetUpError(f"{command[2]} ended with {done.returncode}: {done.stderr[-2000:]}")
-    found: dict[str, list[float]] = json.loads(done.stdout.splitlines()[-1])
-    return found
+    milliseconds: dict[str, list[float]] = json.loads(done.stdout.splitlines()[-1])
+    return milliseconds
 
 
 def p95(values: list[float]) -> float:
@@ -47,20 +47,20 @@ def p95(values: list[float]) -> float:
     return sorted(values)[round(0.95 * (len(values) - 1))]
 
 
-def figures() -> list[Figure]:
+def compare() -> list[Comparison]:
     """Task to main against the forge alone."""
-    found = measure()
-    ours, floor = statistics.median(found["tasks"]), p95(found["floor"])
-    record_way_to_main(found["tasks"], found["floor"])
+    milliseconds = measure()
+    ours, floor = statistics.median(milliseconds["tasks"]), p95(milliseconds["floor"])
+    record_merge_latency(milliseconds["tasks"], milliseconds["floor"])
     record(
         {
             "forge_floor_ms": round(floor, 1),
-            "forge_floor_median_ms": round(statistics.median(found["floor"]), 1),
-            "gate_check_p95_ms": round(p95(found["checks"]), 1),
+            "forge_floor_median_ms": round(statistics.median(milliseconds["floor"]), 1),
+            "gate_check_p95_ms": round(p95(milliseconds["checks"]), 1),
             "task_to_merged_ms": round(ours, 1),
-            "task_to_merged_p95_ms": round(p95(found["tasks"]), 1),
+            "task_to_merged_p95_ms": round(p95(milliseconds["tasks"]), 1),
         }
     )
     bound = max(GOAL_MS, floor + ALLOWANCE_MS)
     name = f"task to main, median of {PLANS}"
-    return [Figure(name, "ms", ours, floor, bound / floor, "propose and push, p95")]
+    return [Comparison(name, "ms", ours, floor, bound / floor, "propose and push, p95")]

@@ -1,4 +1,4 @@
-"""What a benchmark is: a figure of ours and one of a baseline, taken in the same run on the same machine.
+"""What a benchmark is: what is measured of ours and of a baseline, taken in the same run on the same machine.
 
 Only the ratio of the two is judged; seconds alone would say more about the machine than about the code.
 """
@@ -15,7 +15,7 @@ from typing import Any
 
 
 @dataclass(frozen=True)
-class Figure:
+class Comparison:
     """`ours` and `baseline` in `unit`; `ratio_max` is what ours / baseline may be."""
 
     name: str
@@ -63,7 +63,7 @@ def quantiles(values: Sequence[float]) -> Quantiles:
 
 
 def record(path: Path, values: Mapping[str, Any]) -> None:
-    """Add figures to a record, replacing those of the same name."""
+    """Add values to a record, replacing those of the same name."""
     kept = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(kept | dict(values), indent=1, sort_keys=True) + "\n", encoding="utf-8")

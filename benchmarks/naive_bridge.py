@@ -1,7 +1,7 @@
 """The bridge one would write first, as a baseline: an rclpy executor, and one MQTT message per ROS message.
 
-Takes the settings and the Secret of our bridge and speaks its frames, with one message in each, so that the other end
-understands both.
+Takes the settings and the Secret of our bridge and sends batches as it does, with one message in each, so that the
+other end understands both.
 """
 
 from __future__ import annotations

@@ -40,15 +40,15 @@ class NaiveDetector:
     def callback(self, agent: str) -> Callable[[Any], None]:
         """What the executor calls for the vehicle's poses."""
 
-        def look(message: Any) -> None:
+        def compare(message: Any) -> None:
             self.first = self.first or time.process_time()
             self.messages += 1
             self._last[agent] = message
             here = message.pose.position
-            for other, found in self._last.items():
+            for other, pose in self._last.items():
                 if other == agent:
                     continue
-                there = found.pose.position
+                there = pose.pose.position
                 pair = (min(agent, other), max(agent, other))
                 distance = math.dist((here.x, here.y, here.z), (there.x, there.y, there.z))
                 if pair not in self._near and distance < self._rule["start_distance_m"]:
@@ -56,7 +56,7 @@ class NaiveDetector:
                 elif pair in self._near and distance > self._rule["stop_distance_m"]:
                     self._near.remove(pair)
 
-        return look
+        return compare
 
 
 def main() -> None:
@@ -75,8 +75,8 @@ def main() -> None:
     while not ended:
         executor.spin_once(SPIN_SECONDS)
     if path := os.environ.get("ROBOTKUBE_RESULT"):
-        found = {"messages": detector.messages, "cpu_seconds": time.process_time() - detector.first}
-        Path(path).write_text(json.dumps(found), encoding="utf-8")
+        result = {"messages": detector.messages, "cpu_seconds": time.process_time() - detector.first}
+        Path(path).write_text(json.dumps(result), encoding="utf-8")
 
 
 if __name__ == "__main__":

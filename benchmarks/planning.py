@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import yaml
 
-from benchmarks.measuring import Figure, seconds
+from benchmarks.measuring import Comparison, seconds
 from ci.folders import PROJECT
 from robotkube.delivery.deployment.core.policies.initial import InitialPolicy
 from robotkube.delivery.deployment.core.releases import Tree, read_tree
@@ -80,8 +80,8 @@ def cost(vehicles: int) -> float:
     return seconds(lambda: plan(known, machines, tree, {task.key: task}), REPETITIONS) * 1000
 
 
-def figures() -> list[Figure]:
+def compare() -> list[Comparison]:
     """Cost per vehicle at MANY against FEW."""
     few, many = cost(FEW), cost(MANY)
     name = f"plan for one task, per vehicle, {MANY} vehicles"
-    return [Figure(name, "ms", many / MANY, few / FEW, RATIO_MAX, f"the same with {FEW} vehicles")]
+    return [Comparison(name, "ms", many / MANY, few / FEW, RATIO_MAX, f"the same with {FEW} vehicles")]

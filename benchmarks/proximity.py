@@ -2,7 +2,7 @@
 with all others.
 
 Agents stand scattered over a town and move; the same poses go through the rule engine, decoding included, and through
-the plain comparison. Both find the same pairs, or the figures say nothing.
+the plain comparison. Both find the same pairs, or the numbers say nothing.
 """
 
 from __future__ import annotations
@@ -46,14 +46,14 @@ def poses(seconds: int) -> list[tuple[int, Message]]:
     chance = random.Random(SEED)  # noqa: S311 - reproducible, not secret
     places = [(chance.uniform(0, TOWN_M), chance.uniform(0, TOWN_M)) for _ in range(AGENTS)]
     directions = [chance.uniform(0, 2 * math.pi) for _ in range(AGENTS)]
-    found = []
+    messages = []
     for step in range(seconds * HERTZ):
         for agent, ((x, y), direction) in enumerate(zip(places, directions, strict=True)):
             stamp = BEGIN + step * NANOSECONDS // HERTZ + agent * 50_000
             there = x + step * STEP_M * math.cos(direction), y + step * STEP_M * math.sin(direction)
             topic = f"/vehicles/agent_{agent}/pose"
-            found.append((agent, Message(topic, POSE_TYPE, stamp, stamp, _pose(stamp, *there))))
-    return found
+            messages.append((agent, Message(topic, POSE_TYPE, stamp, stamp, _pose(stamp, *there))))
+    return messages
 
 
 def _pose(stamp: int, x: float, y: float) -> bytes:
@@ -99,9 +99,9 @@ def measure() -> Proximity:
     plain = _plain(first)
     plain_fraction = (time.process_time() - began) / PLAIN_SECONDS
     until = first[-1][1].stamp
-    found = {tuple(sorted(edge.agents)) for edge in edges if edge.edge == START and edge.stamp <= until}
-    if found != plain:
-        raise SetUpError(f"the rule found {len(found)} pairs, the plain comparison {len(plain)}")
+    pairs = {tuple(sorted(edge.agents)) for edge in edges if edge.edge == START and edge.stamp <= until}
+    if pairs != plain:
+        raise SetUpError(f"the rule found {len(pairs)} pairs, the plain comparison {len(plain)}")
     return Proximity(round(fraction, 3), round(plain_fraction, 3), len({edge.id for edge in edges}))
 
 
@@ -109,18 +109,18 @@ def _plain(entries: Sequence[tuple[int, Message]]) -> set[tuple[str, ...]]:
     """Every pair that was within NEAR_M once: each pose against the last one of every other agent."""
     read = struct.Struct("<2d").unpack_from
     last: dict[int, tuple[float, float]] = {}
-    found: set[tuple[str, ...]] = set()
+    pairs: set[tuple[str, ...]] = set()
     for agent, message in entries:
         x, y = read(message.data, POSITION_OFFSET)
         for other, (there_x, there_y) in last.items():
             if other != agent and (x - there_x) ** 2 + (y - there_y) ** 2 < NEAR_M**2:
-                found.add(tuple(sorted((f"agent-{agent}", f"agent-{other}"))))
+                pairs.add(tuple(sorted((f"agent-{agent}", f"agent-{other}"))))
         last[agent] = x, y
-    return found
+    return pairs
 
 
 def main() -> None:
-    """Print the figures."""
+    """Print what was measured."""
     print(measure())
 
 

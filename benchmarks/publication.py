@@ -19,7 +19,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
-from benchmarks.measuring import Figure, seconds
+from benchmarks.measuring import Comparison, seconds
 from benchmarks.registry import record
 from ci import publish
 from ci.cluster import cleaning
@@ -54,12 +54,12 @@ class Costs:
 
 def suite_seconds(evidence: Mapping[str, str]) -> dict[str, float]:
     """Suite -> seconds it took, the mean over the charts; `evidence` is path in the catalogue -> envelope."""
-    found: defaultdict[str, list[float]] = defaultdict(list)
+    times_by_suite: defaultdict[str, list[float]] = defaultdict(list)
     for path, envelope in evidence.items():
         suite = PurePosixPath(path).stem
         if suite != SUMMARY:
-            found[suite].append(_stated_seconds(envelope))
-    return {suite: round(statistics.mean(times), 2) for suite, times in sorted(found.items())}
+            times_by_suite[suite].append(_stated_seconds(envelope))
+    return {suite: round(statistics.mean(times), 2) for suite, times in sorted(times_by_suite.items())}
 
 
 def _stated_seconds(envelope: str) -> float:
@@ -101,14 +101,14 @@ def measure() -> Costs:
     return Costs(charts, steps.seconds[PUBLISHING], unchanged, suite_seconds(outcome.evidence))
 
 
-def figure(costs: Costs) -> Figure:
+def comparison(costs: Costs) -> Comparison:
     """The first publication may take its goal, and more only where the unchanged one misses its own."""
     bound = max(GOAL_SECONDS / costs.unchanged, RATIO_MAX)
     name = f"publish {costs.charts} charts, every suite run"
-    return Figure(name, "s", costs.everything, costs.unchanged, bound, "publish them again, unchanged")
+    return Comparison(name, "s", costs.everything, costs.unchanged, bound, "publish them again, unchanged")
 
 
-def figures() -> list[Figure]:
+def compare() -> list[Comparison]:
     """The first publication against the unchanged one."""
     costs = measure()
     record(
@@ -118,4 +118,4 @@ def figures() -> list[Figure]:
             "publish_unchanged_s": round(costs.unchanged, 2),
         }
     )
-    return [figure(costs)]
+    return [comparison(costs)]

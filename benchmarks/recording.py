@@ -66,9 +66,9 @@ def store_ten_seconds(repetitions: int = REPETITIONS) -> Stored:
         ours, theirs, lost = [], [], 0
         for number in range(repetitions + 1):
             theirs.append(_plain(folder / "plain", [sample.data for *_, sample in messages]))
-            claim = folder / f"claim-{number}"
-            claim.mkdir()
-            site = _Site(port, claim, f"bench-{number}")
+            volume = folder / f"volume-{number}"
+            volume.mkdir()
+            site = _Site(port, volume, f"bench-{number}")
             ours.append(site.store(messages))
             lost += site.lost(messages)
         return Stored(statistics.median(ours[1:]), statistics.median(theirs[1:]), lost)
@@ -85,11 +85,12 @@ def ten_seconds() -> Iterator[Message]:
 
 
 class _Site:
-    """A database account, a claim, and the recording that goes there."""
+    """A database account, the folder of a volume claim, and the recording that goes there."""
 
-    def __init__(self, port: int, claim: Path, name: str) -> None:
+    def __init__(self, port: int, volume: Path, name: str) -> None:
         self._account = DatabaseLogin("127.0.0.1", port, DATABASE, USER, PASSWORD, "admin")
-        self._claim, self._name = claim, name
+        self._volume = volume
+        self._name = name
         topics = [
             RecordedTopic(TopicPattern(f"/vehicles/{vehicle}/{kind}"), type_name, storage)
             for vehicle in VEHICLES
@@ -99,7 +100,7 @@ class _Site:
         self._place = RecorderPlace(
             VOLUME,
             lambda: PymongoRecordingStore(connect(self._account)),
-            lambda: MountedVolumeClaim(claim, name, time.time_ns),
+            lambda: MountedVolumeClaim(volume, name, time.time_ns),
             time.time_ns,
             time.monotonic,
         )
@@ -122,15 +123,15 @@ class _Site:
     def lost(self, messages: Sequence[Message]) -> int:
         """How many of the messages are not found, or not as they were."""
         database = connect(self._account)
-        found = {
+        stored = {
             (message.topic, message.stamp, message.sha256)
             for message in stored_messages(
-                PymongoRecordingReader(database), McapSegmentReader({VOLUME: self._claim}), self._name
+                PymongoRecordingReader(database), McapSegmentReader({VOLUME: self._volume}), self._name
             )
         }
         database.client.close()
         wanted = {(topic, s.stamp, hashlib.sha256(s.data).hexdigest()) for topic, _, s in messages}
-        return len(wanted - found)
+        return len(wanted - stored)
 
 
 def _plain(path: Path, contents: Sequence[bytes]) -> float:
@@ -185,7 +186,7 @@ def _listens(port: int) -> bool:
 
 
 def main() -> None:
-    """Print the figures."""
+    """Print what was measured."""
     stored = store_ten_seconds()
     print(f"stored in {stored.seconds:.3f} s (at most {stored.seconds_max:.3f} s), ", end="")
     print(f"plain file {stored.baseline_seconds:.3f} s, lost {stored.lost}")

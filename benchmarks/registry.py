@@ -1,6 +1,6 @@
 """What the registry costs: validating sources, and reading a catalogue whose evidence was verified before.
 
-Besides the ratios, the figures in seconds go to build/bench/registry.json; `record` adds to that file.
+Besides the ratios, the seconds go to build/bench/registry.json; `record` adds to that file.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 
 from benchmarks import measuring
-from benchmarks.measuring import Figure, seconds
+from benchmarks.measuring import Comparison, seconds
 from ci.folders import PROJECT
 from robotkube.foundation.documents.core.digests import sha256
 from robotkube.foundation.documents.core.yaml_codec import write_mapping
@@ -57,7 +57,7 @@ POLICY = {
 
 
 def record(values: Mapping[str, float | Mapping[str, float]]) -> None:
-    """Add figures to the record of registry and gate, replacing those of the same name."""
+    """Add values to the record of registry and gate, replacing those of the same name."""
     measuring.record(RECORD, values)
 
 
@@ -108,7 +108,7 @@ def keys(folder: Path) -> tuple[KeyFile, TrustedKeys]:
     return key, TrustedKeys(folder)
 
 
-def verifying() -> Figure:
+def verifying() -> Comparison:
     """A new commit of a catalogue of 500 verified versions, read as manager and gate read it."""
     text = yaml.safe_dump(POLICY)
     policy = read_verification_policy(text, PATH)
@@ -126,7 +126,7 @@ def verifying() -> Figure:
         ours = seconds(lambda: warm.read(dict(files)), REPETITIONS)
     record({"verify_warm_ms": round(ours * 1000, 2), "verify_cold_ms": round(cold * 1000, 1)})
     name = f"read {CHARTS * VERSIONS} versions with evidence, verified before"
-    return Figure(name, "ms", ours * 1000, cold * 1000, WARM_RATIO_MAX, "verify all of it")
+    return Comparison(name, "ms", ours * 1000, cold * 1000, WARM_RATIO_MAX, "verify all of it")
 
 
 def sources(folder: Path) -> list[Path]:
@@ -146,7 +146,7 @@ def sources(folder: Path) -> list[Path]:
     return sorted(folder.glob("charts/*/*.yaml"))
 
 
-def validating() -> Figure:
+def validating() -> Comparison:
     """The command `registry validate` on them, from its start to its end."""
     with tempfile.TemporaryDirectory() as place:
         paths = sources(Path(place) / "registry")
@@ -159,12 +159,12 @@ def validating() -> Figure:
             for path in paths:
                 yaml.safe_load(path.read_text(encoding="utf-8"))
 
-        found, theirs = seconds(ours, VALIDATIONS), seconds(baseline, VALIDATIONS)
-    record({"validate_500_s": round(found, 2)})
+        mine, theirs = seconds(ours, VALIDATIONS), seconds(baseline, VALIDATIONS)
+    record({"validate_500_s": round(mine, 2)})
     name = f"validate {CHARTS * VERSIONS} chart versions"
-    return Figure(name, "s", found, theirs, VALIDATE_RATIO_MAX, "read them with PyYAML")
+    return Comparison(name, "s", mine, theirs, VALIDATE_RATIO_MAX, "read them with PyYAML")
 
 
-def figures() -> list[Figure]:
+def compare() -> list[Comparison]:
     """All."""
     return [verifying(), validating()]

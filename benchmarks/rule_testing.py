@@ -57,7 +57,7 @@ class RuleTest:
 
 def rule_test(settings: Sequence[str] = SETTINGS, repetitions: int = REPETITIONS) -> RuleTest:
     """Measure, in turns; the bags are made once and kept in the user's cache."""
-    made = list(bags.make_bags(definition.load(FOLDER, settings), say=lambda text: None).values())
+    made = list(bags.make_bags(definition.load(FOLDER, settings), progress=lambda text: None).values())
     ours: list[float] = []
     theirs: list[float] = []
     for _ in range(repetitions):
@@ -74,15 +74,15 @@ Result = tuple[float, int, int]
 
 def _timed(work: Callable[[], Result], times: list[float]) -> Result:
     began = time.perf_counter()
-    found = work()
+    result = work()
     times.append(time.perf_counter() - began)
-    return found
+    return result
 
 
 def _ours(made: Sequence[Path]) -> Result:
     problems: list[str] = []
-    with Bags(made, problems.append) as found:
-        result = run(read_detector_settings(RULES, "rules"), found)
+    with Bags(made, problems.append) as bags:
+        result = run(read_detector_settings(RULES, "rules"), bags)
     if problems:
         raise RuntimeError(problems[0])
     return (result.last - result.first) / 1e9, result.messages, len(result.edges)

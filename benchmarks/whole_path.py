@@ -1,5 +1,5 @@
-"""What the whole way of a pose costs, from the vehicle's ROS to a rule in the cloud: both bridges, the broker and the
-detector, against the way one would write first (facts of `naive_bridge` and `naive_detector`). Players and what counts
+"""What the whole path of a pose costs, from the vehicle's ROS to a rule in the cloud: both bridges, the broker and the
+detector, against the path one would write first (facts of `naive_bridge` and `naive_detector`). Players and what counts
 the messages are left out; they are the same on both sides.
 """
 
@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from benchmarks import pods
-from benchmarks.data_path import Setting, measure
+from benchmarks.data_path import DataPath, measure
 from benchmarks.detecting import settings
 from ci.errors import SetUpError
 
@@ -26,7 +26,7 @@ class WholePath(NamedTuple):
     components: dict[str, float]
 
 
-class WholeSetting(Setting):
+class WholeDataPath(DataPath):
     """With a detector beside what counts."""
 
     detector = "robotkube.robots.detector"
@@ -36,7 +36,7 @@ class WholeSetting(Setting):
         self._launch("detector", node, "cloud-0", "event-detector", self.detector, settings(len(self.agents)))
 
 
-class NaiveSetting(WholeSetting):
+class NaiveDataPath(WholeDataPath):
     """The vehicles, the cloud and the detector as one would write them first."""
 
     detector = "benchmarks.naive_detector"
@@ -45,18 +45,18 @@ class NaiveSetting(WholeSetting):
         return super()._launch(component, node, agent, name, NAIVE.get(module, module), *rest)
 
 
-def cost(kind: type[WholeSetting]) -> WholePath:
-    """Measure one side; SetUpError when poses were lost, since then the figures say nothing."""
+def cost(kind: type[WholeDataPath]) -> WholePath:
+    """Measure one side; SetUpError when poses were lost, since then the numbers say nothing."""
     with tempfile.TemporaryDirectory(prefix="whole-path-") as name:
         folder = Path(name)
         folder.chmod(0o755)
-        setting = kind(folder, VEHICLES, 0, SECONDS)
+        testbed = kind(folder, VEHICLES, 0, SECONDS)
         try:
-            with setting.api:
-                found: dict[str, Any] = measure(setting)
+            with testbed.api:
+                measured: dict[str, Any] = measure(testbed)
         finally:
-            setting.close()
-    if found["received"] != found["published"]:
-        raise SetUpError(f"{kind.__name__}: {found['published']} were published, {found['received']} arrived")
-    each = {one: round(found["cpu_percent"][one] * 1e4 / (VEHICLES * HERTZ), 1) for one in COUNTED}
+            testbed.close()
+    if measured["received"] != measured["published"]:
+        raise SetUpError(f"{kind.__name__}: {measured['published']} were published, {measured['received']} arrived")
+    each = {one: round(measured["cpu_percent"][one] * 1e4 / (VEHICLES * HERTZ), 1) for one in COUNTED}
     return WholePath(round(sum(each.values()), 1), each)

@@ -31,13 +31,13 @@ def subjects(floor: str) -> list[str]:
 def imports() -> dict[str, set[str]]:
     """Subject -> subjects that it imports; `<floor>.<package>`, or the name of what stands on top."""
     graph = grimp.build_graph("robotkube", cache_dir=None)
-    found: dict[str, set[str]] = {}
+    arrows: dict[str, set[str]] = {}
     for module in graph.modules:
         importer = subject_of(module)
         imported = {subject_of(other) for other in graph.find_modules_directly_imported_by(module)}
         if importer:
-            found.setdefault(importer, set()).update(name for name in imported if name and name != importer)
-    return found
+            arrows.setdefault(importer, set()).update(name for name in imported if name and name != importer)
+    return arrows
 
 
 def subject_of(module: str) -> str:

@@ -71,7 +71,7 @@ def _common(rows: Sequence[Row]) -> Mapping[str, str]:
     for path, default, meaning in rows:
         part, _, key = path.rpartition(".")
         parts.setdefault((key, meaning if not default else path), []).append(part)
-    return {f"{part}.{key}": part for (key, _), found in parts.items() if len(found) >= COMMON_PARTS for part in found}
+    return {f"{part}.{key}": part for (key, _), same in parts.items() if len(same) >= COMMON_PARTS for part in same}
 
 
 def _common_table(rows: Sequence[Row], common: Mapping[str, str]) -> list[str]:
@@ -98,11 +98,7 @@ def _references(schema: Any) -> set[str]:
     """The definitions that keys are, and not the items of lists."""
     if not isinstance(schema, Mapping):
         return set()
-    own = {
-        str(found["$ref"]).removeprefix(DEFINITIONS)
-        for found in schema.get("properties", {}).values()
-        if "$ref" in found
-    }
+    own = {str(one["$ref"]).removeprefix(DEFINITIONS) for one in schema.get("properties", {}).values() if "$ref" in one}
     inner = (schema.get("items"), *schema.get("properties", {}).values(), *schema.get("$defs", {}).values())
     return own.union(*(_references(part) for part in inner))
 
@@ -113,16 +109,16 @@ def _row(*cells: str) -> str:
 
 def _rows(root: Schema, schema: Schema, path: str, defaults: Any) -> Iterator[Row]:
     """Path, default and meaning of everything below, in the order of the schema."""
-    for key, found in schema.get("properties", {}).items():
+    for key, stated in schema.get("properties", {}).items():
         full = f"{path}.{key}" if path else key
-        inner = _resolved(root, found)
+        inner = _resolved(root, stated)
         own = defaults.get(key) if isinstance(defaults, Mapping) else None
         default = own if isinstance(defaults, Mapping) else inner.get("default")
         if full.startswith(SILENT):
             continue
-        if "properties" not in inner or "$ref" in found:
-            yield full, _default(default, inner), _meaning({**inner, **found})
-        if "$ref" not in found:
+        if "properties" not in inner or "$ref" in stated:
+            yield full, _default(default, inner), _meaning({**inner, **stated})
+        if "$ref" not in stated:
             yield from _rows(root, inner, full, own)
             yield from _items(root, inner, full, own)
 
@@ -140,8 +136,8 @@ def _items(root: Schema, schema: Schema, path: str, defaults: Any) -> Iterator[R
 
 def _resolved(root: Schema, schema: Schema) -> Schema:
     reference = schema.get("$ref")
-    found: Schema = root["$defs"][reference.removeprefix(DEFINITIONS)] if reference else schema
-    return found
+    definition: Schema = root["$defs"][reference.removeprefix(DEFINITIONS)] if reference else schema
+    return definition
 
 
 def _default(value: Any, schema: Schema) -> str:

@@ -46,11 +46,11 @@ def lines() -> Iterator[str]:
 
 def commands() -> Mapping[str, argparse.ArgumentParser]:
     """`<noun> <verb>` (or the noun alone) -> its parser, in the order of the help."""
-    found: dict[str, argparse.ArgumentParser] = {}
+    parsers: dict[str, argparse.ArgumentParser] = {}
     for noun, parser in _choices(grammar(known_commands())).items():
         verbs = _choices(parser)
-        found |= {f"{noun} {verb}": inner for verb, inner in verbs.items()} if verbs else {noun: parser}
-    return found
+        parsers |= {f"{noun} {verb}": inner for verb, inner in verbs.items()} if verbs else {noun: parser}
+    return parsers
 
 
 def common() -> list[argparse.Action]:
@@ -98,8 +98,8 @@ def _table(actions: list[argparse.Action]) -> Iterator[str]:
 
 
 def _shows_default(action: argparse.Action) -> bool:
-    told = action.default not in (None, "", False, argparse.SUPPRESS, [])
-    return told and "default" not in (action.help or "")
+    stated = action.default not in (None, "", False, argparse.SUPPRESS, [])
+    return stated and "default" not in (action.help or "")
 
 
 def _sentence(text: str) -> str:

@@ -17,7 +17,7 @@ from typing import Any
 import yaml
 
 from ci import evidence, toolchain
-from ci.cluster.objects import SUITE_ROOMS
+from ci.cluster.objects import SUITE_NAMESPACES
 from ci.cluster.topology import Topology
 from ci.errors import SetUpError
 from ci.folders import PROJECT
@@ -30,7 +30,7 @@ RESTRICTED = {"pod-security.kubernetes.io/enforce": "restricted"}
 BAGS_SIZE = "2Gi"
 PLAYERS = ("vehicle", "roadside")  # roles whose agents play a bag
 PLATFORM_IMAGES = ("platform", "suites", "ros", "mosquitto", "gitea", "ferretdb")
-AGENT = "robotkube.io/agent"  # label of claims and volumes
+AGENT = "robotkube.io/agent"  # label of volume claims and volumes
 KEY_SECRET = "evidence-key"  # noqa: S105
 LOG_LINES = 15
 
@@ -100,8 +100,8 @@ class Installer:
             self.rollout(namespace)
 
     def bind_claims(self) -> None:
-        """Claims of agents with one node get their volume now. Left to the first pod, the scheduler looks once in a
-        second whether the volume that it chose is bound: the first event's recorder started that much later."""
+        """Bind volume claims of agents with one node now. Left to the first pod, the scheduler checks once in a second
+        whether the volume that it chose is bound: the first event's recorder started that much later."""
         claims, volumes = (
             json.loads(self.kubectl("get", kind, *more, "-o", "json"))["items"]
             for kind, *more in (("persistentvolumeclaims", "-A", "-l", AGENT), ("persistentvolumes",))
@@ -153,9 +153,9 @@ class Installer:
 
 
 def chosen_volumes(claims: Sequence[Mapping[str, Any]], volumes: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """What to apply so that each waiting claim gets a free volume of its agent, if all of these are on one node."""
+    """Volumes to apply so that each waiting claim gets a free one of its agent, if all of these are on one node."""
     free = [one for one in volumes if one["status"].get("phase") == "Available" and not one["spec"].get("claimRef")]
-    found = []
+    chosen = []
     for claim in (one for one in claims if one["status"].get("phase") == "Pending"):
         agent = claim["metadata"]["labels"][AGENT]
         own = [one for one in free if one["metadata"].get("labels", {}).get(AGENT) == agent]
@@ -165,8 +165,8 @@ def chosen_volumes(claims: Sequence[Mapping[str, Any]], volumes: Sequence[Mappin
         place = {"namespace": claim["metadata"]["namespace"], "name": claim["metadata"]["name"]}
         reference = {"apiVersion": "v1", "kind": "PersistentVolumeClaim", **place}
         volume = {"apiVersion": "v1", "kind": "PersistentVolume", "metadata": {"name": own[0]["metadata"]["name"]}}
-        found.append({**volume, "spec": {"claimRef": reference}})
-    return found
+        chosen.append({**volume, "spec": {"claimRef": reference}})
+    return chosen
 
 
 def _not_ready(pod: Mapping[str, Any]) -> bool:
@@ -189,4 +189,4 @@ def platform_values(references: Mapping[str, str], topology: Topology) -> dict[s
             agent["claims"] = [{"name": "bags", "size": BAGS_SIZE}]
         agents.setdefault(node.agent, agent)
     images = {name: references[name] for name in PLATFORM_IMAGES}
-    return {"images": images, "agents": list(agents.values()), "suites": {"pool": SUITE_ROOMS}}
+    return {"images": images, "agents": list(agents.values()), "suites": {"pool": SUITE_NAMESPACES}}

@@ -49,10 +49,10 @@ class Link:
 
 def lines(text: str) -> list[Line]:
     """Every line with its kind."""
-    found: list[Line] = []
+    result: list[Line] = []
     fence, content = "", 0
     for number, line in enumerate(text.splitlines(), 1):
-        before = found[-1].kind if found else "blank"
+        before = result[-1].kind if result else "blank"
         opening = FENCE.match(line)
         if fence:
             kind = "code"
@@ -63,8 +63,8 @@ def lines(text: str) -> list[Line]:
         else:
             kind = _kind(line, before, content)
         content = _content(line, kind, before, content)
-        found.append(Line(number, line, kind))
-    return found
+        result.append(Line(number, line, kind))
+    return result
 
 
 def _kind(line: str, before: str, content: int) -> str:
@@ -114,17 +114,17 @@ def wrapped(text: str, width: int = WIDTH) -> str:
 
 def _set(paragraph: Sequence[Line], width: int) -> list[str]:
     """The lines of a paragraph; all of them anew when one is too long."""
-    told = [line.text for line in paragraph]
-    if all(len(line) <= width for line in told):
-        return told
-    item = ITEM.match(told[0])
-    forced = any(line.endswith(("  ", "\\")) for line in told[:-1])
-    nested = item and BEGINS_A_BLOCK.match(told[0][len(item["prefix"]) :].split(" ")[0])
+    unchanged = [line.text for line in paragraph]
+    if all(len(line) <= width for line in unchanged):
+        return unchanged
+    item = ITEM.match(unchanged[0])
+    forced = any(line.endswith(("  ", "\\")) for line in unchanged[:-1])
+    nested = item and BEGINS_A_BLOCK.match(unchanged[0][len(item["prefix"]) :].split(" ")[0])
     if forced or nested:
-        return told
-    first = item["prefix"] if item else told[0][: len(told[0]) - len(told[0].lstrip())]
+        return unchanged
+    first = item["prefix"] if item else unchanged[0][: len(unchanged[0]) - len(unchanged[0].lstrip())]
     result = [first]
-    for word in words(" ".join([told[0][len(first) :], *told[1:]])):
+    for word in words(" ".join([unchanged[0][len(first) :], *unchanged[1:]])):
         line = result[-1]
         if line == first:
             result[-1] = f"{first}{word}"
@@ -160,20 +160,20 @@ def too_long(text: str, width: int = WIDTH) -> Iterator[Line]:
 def anchors(text: str) -> set[str]:
     """The anchors of a page as forges make them: of its headings, and those it sets itself."""
     seen: Counter[str] = Counter()
-    found = set(IDENTIFIER.findall(masked(text)))
+    names = set(IDENTIFIER.findall(masked(text)))
     for line in lines(text):
         heading = HEADING.match(line.text) if line.kind == "heading" else None
         if heading:
             slug = re.sub(r"[^\w\- ]", "", LINK.sub(r"\g<label>", heading["title"]).lower()).replace(" ", "-")
-            found.add(f"{slug}-{seen[slug]}" if seen[slug] else slug)
+            names.add(f"{slug}-{seen[slug]}" if seen[slug] else slug)
             seen[slug] += 1
-    return found
+    return names
 
 
 def links(text: str) -> Iterator[Link]:
     """The links of a page, in order; what stands in code is none."""
     hidden = masked(text)
-    for match in sorted((*LINK.finditer(hidden), *DEFINITION.finditer(hidden)), key=lambda found: found.start()):
+    for match in sorted((*LINK.finditer(hidden), *DEFINITION.finditer(hidden)), key=lambda match: match.start()):
         label = text[match.start("label") : match.end("label")]
         yield Link(match.start(), match.end(), hidden.count("\n", 0, match.start()) + 1, label, match["target"])
 

@@ -29,9 +29,9 @@ def problems() -> tuple[str, ...]:
 
 def require() -> None:
     """Raise SetUpError with every problem of this machine, one sentence per line."""
-    found = problems()
-    if found:
-        raise SetUpError("\n".join(found))
+    sentences = problems()
+    if sentences:
+        raise SetUpError("\n".join(sentences))
 
 
 def _namespaces() -> str | None:

@@ -45,10 +45,10 @@ class Principle:
 def read_principles(tests: Path = TESTS) -> tuple[Principle, ...]:
     """The rows, in the order of the table. ValueError names a file that is missing, too many, or without its three
     paragraphs."""
-    found = {path.stem.removeprefix("test_"): path for path in sorted(tests.glob("test_*.py"))}
-    if tuple(found) != NAMES:
-        raise ValueError(f"{tests}: must hold exactly {', '.join(NAMES)}; it holds {', '.join(found) or 'none'}")
-    return tuple(_principle(name, path) for name, path in found.items())
+    stories = {path.stem.removeprefix("test_"): path for path in sorted(tests.glob("test_*.py"))}
+    if tuple(stories) != NAMES:
+        raise ValueError(f"{tests}: must hold exactly {', '.join(NAMES)}; it holds {', '.join(stories) or 'none'}")
+    return tuple(_principle(name, path) for name, path in stories.items())
 
 
 def _principle(name: str, path: Path) -> Principle:
@@ -75,21 +75,21 @@ def page(principles: Sequence[Principle], results: Mapping[str, str]) -> str:
     return markdown.wrapped(text)
 
 
-def said(text: str) -> dict[str, str]:
-    """Name -> passed or failed, as a page says it."""
+def results_of(text: str) -> dict[str, str]:
+    """Name -> passed or failed, as a page states it."""
     results = {word: result for result, word in WORDS.items() if word != UNKNOWN}
     return {name: results[word] for name, word in ROW.findall(text) if word in results}
 
 
-def tried(results: Mapping[str, str]) -> dict[str, str]:
-    """Those of `results` that say something."""
+def known(results: Mapping[str, str]) -> dict[str, str]:
+    """Those of `results` that are passed or failed."""
     return {name: result for name, result in results.items() if WORDS.get(result, UNKNOWN) != UNKNOWN}
 
 
-def news() -> str:
-    """What the last run says otherwise than the page, in words; empty when they agree."""
-    before = said(PAGE.read_text(encoding="utf-8"))
-    changed = {name: result for name, result in tried(read_results()).items() if before.get(name) != result}
+def differences() -> str:
+    """Results of the last run that are not those of the page, in words; empty when they agree."""
+    before = results_of(PAGE.read_text(encoding="utf-8"))
+    changed = {name: result for name, result in known(read_results()).items() if before.get(name) != result}
     return ", ".join(f"{name} {WORDS[result]}" for name, result in sorted(changed.items()))
 
 
@@ -102,7 +102,7 @@ def _chapter(one: Principle) -> Iterator[str]:
 
 def write() -> Path:
     """Write the page; returns its path."""
-    results = said(PAGE.read_text(encoding="utf-8")) | tried(read_results())
+    results = results_of(PAGE.read_text(encoding="utf-8")) | known(read_results())
     PAGE.write_text(page(read_principles(), results), encoding="utf-8")
     return PAGE
 

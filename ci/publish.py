@@ -64,13 +64,13 @@ class Published:
 
 def publish(
     kubeconfig: Path,
-    say: Callable[[str], None] = lambda text: None,
+    progress: Callable[[str], None] = lambda text: None,
     kept: Path | None = None,
     extra: Sequence[str] = (),
 ) -> Published:
     """Publish to the forge of the cluster that `kubeconfig` names; SetUpError says what is in the way. `kept`: folder
     of evidence (default: the user's cache), `extra`: charts beside BASE, `<name>` or `<name>@<version>`."""
-    return publish_to(find_forge(kubeconfig), read_lock(lock_file()), kept or evidence.kept_folder(), say, extra)
+    return publish_to(find_forge(kubeconfig), read_lock(lock_file()), kept or evidence.kept_folder(), progress, extra)
 
 
 def find_forge(kubeconfig: Path) -> ForgeAccess:
@@ -95,23 +95,23 @@ def publish_to(
     forge: ForgeAccess,
     images: Sequence[Image],
     kept: Path,
-    say: Callable[[str], None] = lambda text: None,
+    progress: Callable[[str], None] = lambda text: None,
     extra: Sequence[str] = (),
 ) -> Published:
     """The images that charts run, then the submission, which names only what is already there; all other images go
     beside it. `kept`: evidence of earlier publications, taken from and written to this folder. `extra`: as above."""
     try:
         references = {image.name: image.reference for image in images}
-        found = read_all(references, kept, extra)
+        submitted = read_all(references, kept, extra)
         with OciRegistry(forge.url, forge.username, forge.password) as registry, ThreadPoolExecutor(LANES) as lanes:
-            first, others = _needed_first(images, found)
+            first, others = _needed_first(images, submitted)
             for image in first:
                 push_image(registry, image)
             pushed = [lanes.submit(push_image, registry, image) for image in others]
-            outcome = submit_sources(forge, found, say, VERDICT_SECONDS_MAX)
+            outcome = submit_sources(forge, submitted, progress, VERDICT_SECONDS_MAX)
             for push in pushed:
                 push.result()
-        say(f"{len(images)} images with their bills of materials")
+        progress(f"{len(images)} images with their bills of materials")
         sources.write_kept(kept, outcome.evidence)
     except RobotKubeError as error:
         raise SetUpError(f"publishing to {forge.url}: {error}") from error
@@ -131,7 +131,7 @@ def read_all(references: Mapping[str, str], kept: Path, extra: Sequence[str] = (
         raise InputError(f"no chart {', '.join(unknown)}; there are {', '.join(sorted([*newest, *earlier]))}")
     charts: dict[tuple[str, str], ChartSource] = {}
     waiting = [*BASE, *extra]
-    while waiting:  # a version is looked at once
+    while waiting:  # a version is read once
         name = waiting.pop()
         chart = sources.read_chart(name.partition("@")[0], places[name], REGISTRY, references)
         if (chart.packed.name, chart.packed.version) not in charts:
@@ -147,14 +147,14 @@ def _version(charts: Path, name: str) -> str:
 
 
 def _checked(charts: Sequence[ChartSource], kept: Path) -> SubmittedSources:
-    """The charts with the applications that they can run, after a look at both."""
+    """The charts with the applications that they can run, both checked."""
     names = {chart.packed.name for chart in charts}
     provided = {word for chart in charts for word in chart.document["spec"].get("provides", ())}
     texts = {
         name: (REGISTRY / "applications" / f"{name}.yaml").read_text() for name in sources.all_applications(REGISTRY)
     }
     read = {name: read_application(text, f"applications/{name}.yaml") for name, text in texts.items()}
-    needed = {name: [service.chart for service in found.services] for name, found in read.items()}
+    needed = {name: [service.chart for service in one.services] for name, one in read.items()}
     runnable = [
         name for name, wanted in needed.items() if all(c.name in names or c.provides in provided for c in wanted)
     ]
@@ -163,9 +163,9 @@ def _checked(charts: Sequence[ChartSource], kept: Path) -> SubmittedSources:
     return SubmittedSources(tuple(charts), applications, sources.read_kept(kept))
 
 
-def _needed_first(images: Sequence[Image], found: SubmittedSources) -> tuple[list[Image], list[Image]]:
+def _needed_first(images: Sequence[Image], submitted: SubmittedSources) -> tuple[list[Image], list[Image]]:
     """The images that charts run, and all others."""
-    needed = {reference for chart in found.charts for reference in chart.images}
+    needed = {reference for chart in submitted.charts for reference in chart.images}
     return [i for i in images if i.reference in needed], [i for i in images if i.reference not in needed]
 
 

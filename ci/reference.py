@@ -58,7 +58,7 @@ def read_schemas() -> dict[str, Schema]:
 def _chapter(name: str, schema: Schema) -> Iterator[str]:
     yield from [f"## {_title(name)}", "", f"{schema['title']}. {schema.get('description', '')}".strip(), ""]
     yield from _table(list(_rows(name, schema, schema, "")))
-    yield from _texts(name, schema)
+    yield from _patterns(name, schema)
     for part, inner in schema.get("$defs", {}).items():
         if _is_object(inner):
             yield from [f"### {_title(name)}: {part}", ""]
@@ -66,8 +66,8 @@ def _chapter(name: str, schema: Schema) -> Iterator[str]:
             yield from _table(list(_rows(name, schema, inner, "")))
 
 
-def _texts(name: str, schema: Schema) -> Iterator[str]:
-    """The texts that many keys share, by the word that stands for them."""
+def _patterns(name: str, schema: Schema) -> Iterator[str]:
+    """The patterns of texts that many keys share, by the word that stands for them."""
     shared = [(part, inner) for part, inner in schema.get("$defs", {}).items() if "pattern" in inner]
     for part, inner in shared:
         meaning = f": {inner['description']}" if "description" in inner else ""
@@ -108,8 +108,8 @@ def _meaning(root: Schema, schema: Schema) -> str:
 
 def _definition(root: Schema, schema: Schema) -> Schema:
     reference = schema.get("$ref", "")
-    found: Schema = root["$defs"][reference.removeprefix("#/$defs/")] if reference else {}
-    return found
+    definition: Schema = root["$defs"][reference.removeprefix("#/$defs/")] if reference else {}
+    return definition
 
 
 def _names_object(root: Schema, schema: Schema) -> bool:
@@ -164,9 +164,9 @@ def _plain(name: str, root: Schema, schema: Schema) -> str:
 
 
 def _bounds(schema: Schema, least: str, most: str) -> str:
-    found = [f"at least {schema[least]}"] if least in schema else []
-    found += [f"at most {schema[most]}"] if most in schema and schema[most] != 256 else []
-    return f" ({', '.join(found)})" if found else ""
+    words = [f"at least {schema[least]}"] if least in schema else []
+    words += [f"at most {schema[most]}"] if most in schema and schema[most] != 256 else []
+    return f" ({', '.join(words)})" if words else ""
 
 
 if __name__ == "__main__":

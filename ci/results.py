@@ -37,9 +37,9 @@ def read(path: Path) -> Counts:
         fact = json.loads(line)
         known = outcomes.get(fact["test"], "started")
         outcomes[fact["test"]] = max(known, fact["outcome"], key=WORST_LAST.index)
-    found = list(outcomes.values())
+    ends = list(outcomes.values())
     died = tuple(test for test, outcome in outcomes.items() if outcome == "started")
-    return Counts(found.count("passed"), found.count("failed") + len(died), found.count("skipped"), died)
+    return Counts(ends.count("passed"), ends.count("failed") + len(died), ends.count("skipped"), died)
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -20,8 +20,8 @@ PAGE = Path(__file__).resolve().parent.parent / "docs" / "reference" / "rules.md
 HEAD = """# Rules
 
 Written by `make reference` from the schema in the code; a test says when this page is not current. A rule is an entry
-of `rules` in the event detector's `config.yaml`. Unknown keys are refused, and all problems of a document are told at
-once, each with its key and what to do. How to write one: [write a rule](../how-to/write-a-rule.md).
+of `rules` in the event detector's `config.yaml`. Unknown keys are refused, and all problems of a document are reported
+at once, each with its key and what to do. How to write one: [write a rule](../how-to/write-a-rule.md).
 """
 TEXT = f"""## Events
 
@@ -31,8 +31,8 @@ give the same event, live and from a bag. An edge knows its causes: the messages
 
 - **Time** is the messages' own stamp (header, else reception). A message older than the last one of its topic is
   counted and not evaluated. A topic that is behind by more than {JUMP_NS / 1e9:g} s {JUMP_COUNT} times in a row
-  has begun anew (a simulation, a bag in a loop): its agent is looked at afresh.
-- **What shows itself by silence** (an absence, the end of a sustained time, an agent that is gone) is told at most
+  has begun anew (a simulation, a bag in a loop): its agent begins anew, too.
+- **What shows itself by silence** (an absence, the end of a sustained time, an agent that is gone) is reported at most
   {GRACE_NS / 1e9:g} s after its moment, because the message that says otherwise may be under way. Its stamp is that
   moment.
 - **Order**: `sustained_seconds`, `minimum_interval_seconds` and `cooldown_seconds` each put the start off; it comes

@@ -20,7 +20,7 @@ class Step:
     title: str
     note: str = ""
 
-    def say(self, text: str) -> None:
+    def progress(self, text: str) -> None:
         """Print a line of detail below the step's title."""
         print(f"     {text}", file=sys.stderr, flush=True)
 

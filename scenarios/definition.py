@@ -291,11 +291,11 @@ def _nodes(file: Path, entries: Sequence[Mapping[str, Any]], vehicles: int) -> t
             f"{file}: topology.nodes: {', '.join(doubled)} occurs twice; put {{index:02}} into the name of an entry "
             f"with count"
         )
-    found = sum(node.role == "vehicle" for node in nodes)
-    if found != vehicles:
+    vehicle_count = sum(node.role == "vehicle" for node in nodes)
+    if vehicle_count != vehicles:
         raise ScenarioError(
-            f"{file}: topology.nodes: {found} nodes of role vehicle, but parameter vehicles is {vehicles}; give "
-            f"that entry a count"
+            f"{file}: topology.nodes: {vehicle_count} nodes of role vehicle, but parameter vehicles is {vehicles}; "
+            f"give that entry a count"
         )
     return tuple(nodes)
 

@@ -71,7 +71,7 @@ def bring_up(request: Request, steps: Steps) -> Installer:
     with steps.step("platform"):
         installer.platform(prepared.references(), wanted)
     with steps.step("catalogue") as step:
-        published = publish.publish(folders.kubeconfig, step.say, request.kept, settled.extra_charts)
+        published = publish.publish(folders.kubeconfig, step.progress, request.kept, settled.extra_charts)
         step.note = published.outcome.verdict
     return installer
 

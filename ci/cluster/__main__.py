@@ -1,4 +1,4 @@
-"""`python -m ci.cluster`: start, stop and look at the embedded cluster."""
+"""`python -m ci.cluster`: start, stop and inspect the embedded cluster."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ci.errors import InputError, SetUpError
 from ci.folders import PROJECT
 
 SCENARIO = PROJECT / "scenarios" / "pose-point-cloud-db-recording" / "scenario.yaml"
-INTERRUPTED = 130  # as a shell says it
+INTERRUPTED = 130  # as of a shell
 
 
 def arguments() -> argparse.ArgumentParser:
@@ -60,7 +60,7 @@ def run(options: argparse.Namespace) -> None:
 
 
 def down(name: str) -> None:
-    """Remove the cluster, and say what that was."""
+    """Remove the cluster, and print what that was."""
     removed = Embedded(name, Path()).down()
     if not removed:
         print(f"cluster {name}: nothing to remove")

@@ -97,10 +97,10 @@ def _delegate(folder: Path) -> None:
 
 def folders(cluster: str) -> tuple[Path, ...]:
     """Every folder of the cluster in every hierarchy, the deepest first."""
-    found = [
+    paths = [
         Path(parent) for hierarchy in hierarchies() for parent, _, _ in os.walk(hierarchy / top(cluster), topdown=False)
     ]
-    return tuple(found)
+    return tuple(paths)
 
 
 def processes(cluster: str) -> set[int]:
@@ -111,12 +111,12 @@ def processes(cluster: str) -> set[int]:
 def processes_of_node(cluster: str, node: str, daemons: tuple[str, ...]) -> set[int]:
     """Process ids of a node's pods and of the named daemons with their children."""
     places = {(top(cluster), node), *((top(cluster), "daemons", daemon) for daemon in daemons)}
-    found: set[int] = set()
+    pids: set[int] = set()
     for hierarchy in hierarchies():
         for place in places:
             for parent, _, _ in os.walk(hierarchy.joinpath(*place)):
-                found |= set(_members(Path(parent)))
-    return found
+                pids |= set(_members(Path(parent)))
+    return pids
 
 
 def _members(folder: Path) -> Iterator[int]:

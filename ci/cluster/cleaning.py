@@ -8,7 +8,7 @@ import subprocess
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from ci.cluster import cgroups, network, processes
+from ci.cluster import cgroups, mounts, network, processes
 from ci.cluster.addresses import plan_of
 from ci.cluster.records import ClusterFolders, Record
 from ci.errors import SetUpError
@@ -21,7 +21,7 @@ def remove(name: str, keep_logs: bool = True) -> tuple[str, ...]:
     Mounts and network namespaces of the nodes end with their last process. Raises SetUpError listing what is left.
     """
     folders, plan = ClusterFolders(name), plan_of(name)
-    removed = tuple(_there(name))
+    removed = tuple(_existing(name))
     record = Record.read(folders.record)
     processes.kill_all(name)
     network.remove(plan)
@@ -38,8 +38,8 @@ def remove(name: str, keep_logs: bool = True) -> tuple[str, ...]:
     return removed
 
 
-def _there(name: str) -> Iterator[str]:
-    """What there is of the cluster, in words for people; files that a removal keeps are not among it."""
+def _existing(name: str) -> Iterator[str]:
+    """What exists of the cluster, in words for people; files that a removal keeps are not among it."""
     folders, plan = ClusterFolders(name), plan_of(name)
     strays = processes.strays(name)
     yield from _counted("process", "processes", len(strays))
@@ -48,7 +48,8 @@ def _there(name: str) -> Iterator[str]:
         yield from [f"{kind}: {', '.join(names)}"] if names else []
     yield from _counted("route", "routes", len(network.routes(plan)))
     yield from _counted("control group", "control groups", len(cgroups.folders(name)))
-    yield from _counted("mount", "mounts", len(_mounts(folders.base)))
+    own = [process.pid for process in processes.recorded(folders) if process.alive()]
+    yield from _counted("mount", "mounts", len(mounts.below(folders.base)) + mounts.in_namespaces(own))
     made = [folder for folder in Record.read(folders.record).made_folders if Path(folder).exists()]
     yield from [f"folders: {', '.join(made)}"] if made else []
     files = sorted(entry.name for entry in folders.base.iterdir()) if folders.base.is_dir() else []
@@ -62,35 +63,29 @@ def _counted(one: str, many: str, count: int) -> Iterator[str]:
 
 def _networks(pids: Iterable[int]) -> set[str]:
     """The network namespaces of these processes that are not this machine's own."""
-    found = set()
+    networks = set()
     for pid in pids:
         with contextlib.suppress(OSError):  # ended meanwhile
-            found.add(str(Path(f"/proc/{pid}/ns/net").readlink()))
-    return found - {str(Path("/proc/self/ns/net").readlink())}
+            networks.add(str(Path(f"/proc/{pid}/ns/net").readlink()))
+    return networks - {str(Path("/proc/self/ns/net").readlink())}
 
 
 def leftovers(name: str) -> tuple[str, ...]:
     """Everything of the cluster that is on the machine outside of the cache folder; empty when there is nothing."""
     folders, plan = ClusterFolders(name), plan_of(name)
     record = Record.read(folders.record)
-    found = [f"process {pid}" for pid in sorted(processes.strays(name))]
-    found += [f"link {link}" for link in network.links(plan)]
-    found += [f"nftables {table}" for table in network.tables(plan)]
-    found += [f"route {route}" for route in network.routes(plan)]
-    found += [f"cgroup {folder}" for folder in cgroups.folders(name)]
-    found += [f"mount {place}" for place in _mounts(folders.base)]
-    found += [f"folder {folder}" for folder in record.made_folders if Path(folder).exists()]
-    return tuple(found)
-
-
-def _mounts(base: Path) -> tuple[str, ...]:
-    lines = Path("/proc/self/mountinfo").read_text(encoding="utf-8", errors="replace").splitlines()
-    places = (line.split()[4] for line in lines)
-    return tuple(place for place in places if place.startswith(f"{base}/"))
+    left = [f"process {pid}" for pid in sorted(processes.strays(name))]
+    left += [f"link {link}" for link in network.links(plan)]
+    left += [f"nftables {table}" for table in network.tables(plan)]
+    left += [f"route {route}" for route in network.routes(plan)]
+    left += [f"cgroup {folder}" for folder in cgroups.folders(name)]
+    left += [f"mount {place}" for place in mounts.below(folders.base)]
+    left += [f"folder {folder}" for folder in record.made_folders if Path(folder).exists()]
+    return tuple(left)
 
 
 def _unmount(base: Path) -> None:
-    for place in reversed(_mounts(base)):
+    for place in reversed(mounts.below(base)):
         subprocess.run(["umount", "--lazy", place], capture_output=True, timeout=30, check=False)
 
 

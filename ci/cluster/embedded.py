@@ -104,15 +104,15 @@ class Embedded:
         with one_at_a_time():
             joining.join(self.launcher, self.api(), spec, wanted)
 
-    def volume_path(self, namespace: str, claim: str) -> Path:
+    def volume_path(self, namespace: str, volume_claim: str) -> Path:
         """See Provider.volume_path."""
-        return objects.volume_path(self.api(), namespace, claim)
+        return objects.volume_path(self.api(), namespace, volume_claim)
 
     def _reusable(self, record: Record, topology: Topology) -> bool:
         if not record.complete or record.specification != self._specification(topology):
             return False
-        found = recorded(self.folders)
-        if not found or not all(process.alive() for process in found):
+        processes = recorded(self.folders)
+        if not processes or not all(process.alive() for process in processes):
             return False
         api = self.api()
         return api.ready() and all(node.ready for node in status.nodes(api))
@@ -134,7 +134,7 @@ class Embedded:
     def _stop_others(self, step: Step) -> None:
         for other in PLANS:
             if other != self.name and cleaning.leftovers(other):
-                step.say(f"stopping the cluster {other}: only one can run at a time")
+                step.progress(f"stopping the cluster {other}: only one can run at a time")
                 cleaning.remove(other)
 
     def _start(self, topology: Topology, wanted: Sequence[images.Image], steps: Steps) -> None:
@@ -208,8 +208,8 @@ class Embedded:
 
     def _wait_ready(self, count: int) -> None:
         def ready() -> bool:
-            found = self.nodes()
-            return len(found) == count and all(node.ready for node in found)
+            nodes = self.nodes()
+            return len(nodes) == count and all(node.ready for node in nodes)
 
         wait_until(ready, "all nodes Ready", READY_TIMEOUT_SECONDS, recorded(self.folders))
 

@@ -10,9 +10,9 @@ from ci.cluster.node_processes import Node
 from ci.errors import SetUpError
 
 STORAGE_CLASS = "local"
-SUITE_ROOMS = 2  # namespaces in which charts are tried, each with a claim on the cloud's node
+SUITE_NAMESPACES = 2  # namespaces in which charts are tried, each with a volume claim on the cloud's node
 VOLUME_SIZE = "20Gi"
-VOLUMES_PER_ROLE = {"platform": 6, "cloud": 4 + SUITE_ROOMS}
+VOLUMES_PER_ROLE = {"platform": 6, "cloud": 4 + SUITE_NAMESPACES}
 VOLUMES_OTHERWISE = 3
 RBAC = "/apis/rbac.authorization.k8s.io/v1"
 
@@ -34,7 +34,7 @@ def volumes(node: Node) -> tuple[tuple[str, Path], ...]:
 
 
 def persistent_volume(node: Node, name: str, folder: Path) -> dict[str, Any]:
-    """A local volume that only this node's pods can use; kept when its claim goes."""
+    """A local volume that only this node's pods can use; kept when its volume claim goes."""
     here = {"key": "kubernetes.io/hostname", "operator": "In", "values": [node.name]}
     return {
         "apiVersion": "v1",
@@ -51,13 +51,15 @@ def persistent_volume(node: Node, name: str, folder: Path) -> dict[str, Any]:
     }
 
 
-def volume_path(api: Api, namespace: str, claim: str) -> Path:
-    """The folder of the host behind a bound claim; raises SetUpError saying in which state the claim is otherwise."""
-    found = api.get(f"/api/v1/namespaces/{namespace}/persistentvolumeclaims/{claim}")
-    volume = found["spec"].get("volumeName")
+def volume_path(api: Api, namespace: str, volume_claim: str) -> Path:
+    """The folder of the host behind a bound volume claim; raises SetUpError naming the claim's state otherwise."""
+    bound = api.get(f"/api/v1/namespaces/{namespace}/persistentvolumeclaims/{volume_claim}")
+    volume = bound["spec"].get("volumeName")
     if not volume:
-        phase = found.get("status", {}).get("phase", "unknown")
-        raise SetUpError(f"claim {namespace}/{claim} has no volume (phase {phase}): start a pod that uses it")
+        phase = bound.get("status", {}).get("phase", "unknown")
+        raise SetUpError(
+            f"volume claim {namespace}/{volume_claim} has no volume (phase {phase}): start a pod that uses it"
+        )
     return Path(api.get(f"/api/v1/persistentvolumes/{volume}")["spec"]["local"]["path"])
 
 
@@ -77,20 +79,20 @@ def _storage_class() -> tuple[str, dict[str, Any]]:
 
 
 def _rights() -> list[tuple[str, dict[str, Any]]]:
-    """Of the name service, of the API server at the kubelets, and of kubelets to see claims and volumes.
+    """Of the name service, of the API server at the kubelets, and of kubelets to see volume claims and volumes.
 
     The node authorizer gives them those of their pods, but learns of a pod later than its kubelet may: that one then
-    gives the pod up for 10 to 15 s. What a claim or a volume says is no secret."""
+    gives the pod up for 10 to 15 s. What a volume claim or a volume holds is no secret."""
     names = [
         {"apiGroups": [""], "resources": ["services", "namespaces"], "verbs": ["list", "watch"]},
         {"apiGroups": ["discovery.k8s.io"], "resources": ["endpointslices"], "verbs": ["list", "watch"]},
     ]
-    claims = [{"apiGroups": [""], "resources": ["persistentvolumeclaims", "persistentvolumes"], "verbs": ["get"]}]
+    volumes = [{"apiGroups": [""], "resources": ["persistentvolumeclaims", "persistentvolumes"], "verbs": ["get"]}]
     return [
         _role("robotkube:name-service", names),
         _binding("robotkube:name-service", "robotkube:name-service"),
         _binding("robotkube:kubelet-client", "system:kubelet-api-admin"),
-        _role("robotkube:node-volumes", claims),
+        _role("robotkube:node-volumes", volumes),
         _binding("system:nodes", "robotkube:node-volumes", "Group"),
     ]
 

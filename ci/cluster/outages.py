@@ -26,10 +26,10 @@ def stop(cluster: str, node: str) -> None:
     outlives the bound, or when there is no such node."""
     names = tuple(process.name for process in _daemons(ClusterFolders(cluster), node))
     deadline = time.monotonic() + KILL_TIMEOUT_SECONDS
-    while found := cgroups.processes_of_node(cluster, node, names):
+    while pids := cgroups.processes_of_node(cluster, node, names):
         if time.monotonic() > deadline:
-            raise SetUpError(f"node {node}: processes {sorted(found)} outlived SIGKILL for {KILL_TIMEOUT_SECONDS} s")
-        for pid in found:
+            raise SetUpError(f"node {node}: processes {sorted(pids)} outlived SIGKILL for {KILL_TIMEOUT_SECONDS} s")
+        for pid in pids:
             _kill(pid)
         time.sleep(PAUSE_SECONDS)
 
@@ -63,10 +63,10 @@ def _daemons(folders: ClusterFolders, node: str) -> list[Process]:
 
 
 def _recorded(folders: ClusterFolders, name: str) -> Process:
-    found = next((process for process in processes.recorded(folders) if process.name == name), None)
-    if found is None:
+    recorded = next((process for process in processes.recorded(folders) if process.name == name), None)
+    if recorded is None:
         raise SetUpError(f"cluster {folders.name} has no process {name}; name a node of its topology")
-    return found
+    return recorded
 
 
 def _kill(pid: int) -> None:

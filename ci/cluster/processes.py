@@ -109,11 +109,11 @@ class Launcher:
 
 def recorded(folders: ClusterFolders) -> tuple[Process, ...]:
     """All recorded processes, ended ones too, by name."""
-    found = []
+    processes = []
     for path in sorted(folders.processes.glob("*.json")):
         document = json.loads(path.read_text(encoding="utf-8"))
-        found.append(Process(**{**document, "command": tuple(document["command"])}))
-    return tuple(found)
+        processes.append(Process(**{**document, "command": tuple(document["command"])}))
+    return tuple(processes)
 
 
 def wait_until(condition: Callable[[], bool], what: str, seconds: float, culprits: Sequence[Process]) -> None:
@@ -131,28 +131,28 @@ def wait_until(condition: Callable[[], bool], what: str, seconds: float, culprit
 
 def strays(cluster: str) -> set[int]:
     """Every process of the cluster that can be found: by record, control group and the mark in its environment."""
-    found = {process.pid for process in recorded(ClusterFolders(cluster)) if process.alive()}
-    found |= cgroups.processes(cluster)
+    pids = {process.pid for process in recorded(ClusterFolders(cluster)) if process.alive()}
+    pids |= cgroups.processes(cluster)
     mark = f"{MARK}={cluster}".encode()
     for entry in Path("/proc").iterdir():
         if not entry.name.isdecimal():
             continue
         try:
             if mark in (entry / "environ").read_bytes().split(b"\0"):
-                found.add(int(entry.name))
+                pids.add(int(entry.name))
         except OSError:
             continue  # ended meanwhile
-    return {pid for pid in found if start_ticks(pid) is not None and pid != os.getpid()}
+    return {pid for pid in pids if start_ticks(pid) is not None and pid != os.getpid()}
 
 
 def kill_all(cluster: str) -> set[int]:
     """Kill every process of the cluster, again until none is found; returns those that outlived the bound."""
     deadline = time.monotonic() + KILL_TIMEOUT_SECONDS
-    while (found := strays(cluster)) and time.monotonic() < deadline:
-        for pid in found:
+    while (pids := strays(cluster)) and time.monotonic() < deadline:
+        for pid in pids:
             try:
                 os.kill(pid, signal.SIGKILL)
             except ProcessLookupError:
                 continue
         time.sleep(PAUSE_SECONDS)
-    return found
+    return pids

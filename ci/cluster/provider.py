@@ -44,5 +44,5 @@ class Provider(Protocol):
     def import_images(self, images: Sequence[Image]) -> None:
         """Make images known to every node under their digest references."""
 
-    def volume_path(self, namespace: str, claim: str) -> Path:
-        """The host's folder behind a bound claim."""
+    def volume_path(self, namespace: str, volume_claim: str) -> Path:
+        """The host's folder behind a bound volume claim."""

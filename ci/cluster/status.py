@@ -1,4 +1,4 @@
-"""What a running cluster looks like: nodes, pods that are not ready, and what the cluster's own processes cost."""
+"""Status of a running cluster: nodes, pods that are not ready, and what the cluster's own processes cost."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ MIB = 2**20
 def nodes(api: Api) -> tuple[NodeState, ...]:
     """All registered nodes, in the order of their addresses."""
     items = api.get("/api/v1/nodes")["items"]
-    found = [_node(item) for item in items]
-    return tuple(sorted(found, key=lambda node: [int(part) for part in node.address.split(".")]))
+    states = [_node(item) for item in items]
+    return tuple(sorted(states, key=lambda node: [int(part) for part in node.address.split(".")]))
 
 
 def _node(item: dict[str, Any]) -> NodeState:

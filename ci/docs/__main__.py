@@ -60,9 +60,9 @@ def build(address: str) -> Path:
     done = subprocess.run([*command, *folders], capture_output=True, text=True, timeout=BUILD_SECONDS_MAX, check=False)
     if done.returncode:
         raise InputError(f"{done.stderr.strip()}\nThe site was not built; an index.md is the README.md of its folder.")
-    found = list(loading.findings(OUTPUT / "site"))
-    if found:
-        raise InputError("\n".join(["the site would load from elsewhere:", *found]))
+    foreign = list(loading.findings(OUTPUT / "site"))
+    if foreign:
+        raise InputError("\n".join(["the site would load from elsewhere:", *foreign]))
     return OUTPUT / "site"
 
 

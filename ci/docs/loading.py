@@ -75,7 +75,7 @@ def in_style(css: str) -> list[str]:
 
 def findings(site: Path) -> Iterator[str]:
     """`file: what` for everything that the pages and style sheets below a folder would load from elsewhere."""
-    for suffix, look in ((".html", in_page), (".css", in_style)):
+    for suffix, foreign_in in ((".html", in_page), (".css", in_style)):
         for path in sorted(site.rglob(f"*{suffix}")):
-            for found in look(path.read_text(encoding="utf-8")):
-                yield f"{path.relative_to(site)}: {found}"
+            for address in foreign_in(path.read_text(encoding="utf-8")):
+                yield f"{path.relative_to(site)}: {address}"

@@ -95,12 +95,12 @@ def _link(page: str, link: markdown.Link, pages: frozenset[str], address: str) -
 def contents(pages: Iterable[str]) -> dict[str, list[str]]:
     """Title of a section -> its pages; every page but the first stands in one."""
     left = [name for name in sorted(pages) if name != TOP]
-    found: dict[str, list[str]] = {}
+    sections: dict[str, list[str]] = {}
     for title, beginnings in SECTIONS.items():
         names = [name for beginning in beginnings for name in left if name.startswith(beginning)]
-        found[title] = list(dict.fromkeys(names))
-        left = [name for name in left if name not in found[title]]
-    return {title: names for title, names in found.items() if names}
+        sections[title] = list(dict.fromkeys(names))
+        left = [name for name in left if name not in sections[title]]
+    return {title: names for title, names in sections.items() if names}
 
 
 def _entry(name: str) -> str:

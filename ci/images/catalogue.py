@@ -109,21 +109,25 @@ def _argocd(sources: Sources) -> tuple[Copied, ...]:
     return (_program(sources, "argocd"), _program(sources, "helm"), *wrappers)
 
 
+def _licences() -> tuple[Copied, ...]:
+    """What goes into /licenses of every image: the base's layer brings it to those that begin with it."""
+    return (_repository("LICENSE"), _repository("NOTICE"))
+
+
 def _base(_: Sources) -> tuple[Copied, ...]:
-    return tuple(
-        _script(f"operator/images/base/{name}") for name in ("install-packages", "install-git", "compile-python")
-    )
+    scripts = ("install-packages", "install-git", "compile-python")
+    return (*(_script(f"operator/images/base/{name}") for name in scripts), *_licences())
 
 
 BASE = Image("base", _base, stands_on="")
 IMAGES: tuple[Image, ...] = (  # each after the one it stands on
     BASE,
-    Image("pause", lambda _: (_repository("operator/images/pause/pause.c"),)),
+    Image("pause", lambda _: (_repository("operator/images/pause/pause.c"), *_licences())),
     Image("mosquitto", lambda _: ()),
     Image("redis", lambda _: ()),
     Image("gitea", _gitea),
     Image("argocd", _argocd),
-    Image("ferretdb", lambda sources: (_program(sources, "ferretdb"),), stands_on=""),
+    Image("ferretdb", lambda sources: (_program(sources, "ferretdb"), *_licences()), stands_on=""),
     Image("platform", _platform),
     Image("suites", _suites, stands_on="platform"),
     Image("ros", _ros),

@@ -22,7 +22,8 @@ from robotkube.delivery.manager.core.standing_demands import StandingDemands
 from robotkube.delivery.manager.loops.main_reader import MainReader
 from robotkube.delivery.manager.loops.planner import ManagerSettings, Planner
 from robotkube.delivery.manager.loops.proposals.plan_observer import PlanObserver
-from robotkube.delivery.manager.loops.reconciler import TASKS, ApplicationManager, ManagerPorts
+from robotkube.delivery.manager.loops.reconciler import TASKS, ApplicationManager
+from robotkube.delivery.manager.ports.manager_ports import ManagerPorts
 from robotkube.delivery.tasks.core.task_description import TaskDescription
 from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
 from robotkube.foundation.documents.adapters.json_schema import validate

@@ -22,7 +22,7 @@ def main(arguments: list[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     try:
         scenario = definition.load(given.scenario, given.set, given.variant)
-        made = bags.make_bags(scenario, say=lambda text: print(text, file=sys.stderr))
+        made = bags.make_bags(scenario, progress=lambda text: print(text, file=sys.stderr))
         for agent, folder in made.items():
             if given.check:
                 checking.check_bag(folder, scenario, agent)

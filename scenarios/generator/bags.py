@@ -58,17 +58,19 @@ def topics_of(agent: str, lidar: bool) -> tuple[Topic, ...]:
     )
 
 
-def make_bags(scenario: Scenario, cache: Path | None = None, say: Callable[[str], None] = print) -> Mapping[str, Path]:
-    """Bag folders by agent, made if the cache does not hold them; interrupted work leaves nothing that is taken for
-    a bag."""
+def make_bags(
+    scenario: Scenario, cache: Path | None = None, progress: Callable[[str], None] = print
+) -> Mapping[str, Path]:
+    """Bag folders by agent, made if the cache does not hold them; interrupted work leaves nothing that looks like a
+    bag."""
     root = (cache or user_cache()) / "bags"
     root.mkdir(parents=True, exist_ok=True)
     target = root / key(scenario.parameters)
     if target.is_dir():
         os.utime(target)
-        say(f"bags: cached in {target}")
+        progress(f"bags: cached in {target}")
     else:
-        _make(scenario, root, target, say)
+        _make(scenario, root, target, progress)
         _forget_old(root, target)
     return {agent: target / agent for agent in scenario.players}
 
@@ -83,12 +85,12 @@ def key(parameters: Parameters) -> str:
     return digest.hexdigest()[:16]
 
 
-def _make(scenario: Scenario, root: Path, target: Path, say: Callable[[str], None]) -> None:
+def _make(scenario: Scenario, root: Path, target: Path, progress: Callable[[str], None]) -> None:
     begin = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="partial-", dir=root) as partial:
         for number, agent in enumerate(scenario.players):
             size = write_bag(Path(partial) / agent, scenario, number)
-            say(
+            progress(
                 f"bags: {agent} {number + 1}/{len(scenario.players)}, {size / 1e6:.0f} MB, "
                 f"{time.monotonic() - begin:.1f} s"
             )
@@ -200,16 +202,16 @@ def _write_mcap(file: Path, topics: tuple[Topic, ...], stream: Iterator[Message]
 def _register(writer: Writer, topic: Topic) -> int:
     kind = messages.definition(topic.type_name)
     schema = writer.register_schema(kind.name, "ros2msg", kind.text.encode())
-    qualities = yaml.safe_dump([_quality(topic)], sort_keys=False)
+    profiles = yaml.safe_dump([_qos_profile(topic)], sort_keys=False)
     return int(
         writer.register_channel(
-            topic.name, "cdr", schema, {"offered_qos_profiles": qualities, "topic_type_hash": kind.type_hash}
+            topic.name, "cdr", schema, {"offered_qos_profiles": profiles, "topic_type_hash": kind.type_hash}
         )
     )
 
 
-def _quality(topic: Topic) -> dict[str, object]:
-    """Quality of service in the words of rosbag2, version 9."""
+def _qos_profile(topic: Topic) -> dict[str, object]:
+    """The QoS profile in the keys of rosbag2, version 9."""
     endless = {"sec": 9223372036, "nsec": 854775807}
     return {
         "history": "keep_last",
@@ -257,6 +259,6 @@ def _topic_metadata(topic: Topic) -> dict[str, object]:
         "name": topic.name,
         "type": topic.type_name,
         "serialization_format": "cdr",
-        "offered_qos_profiles": [_quality(topic)],
+        "offered_qos_profiles": [_qos_profile(topic)],
         "type_description_hash": messages.definition(topic.type_name).type_hash,
     }

@@ -34,7 +34,7 @@ class Endpoint:
 
 
 class Access:
-    """One connection to the API server; its methods raise `RunError` with the server's words."""
+    """One connection to the API server; its methods raise `RunError` with the server's message."""
 
     def __init__(self, kubeconfig: Path) -> None:
         if not kubeconfig.is_file():
@@ -50,21 +50,21 @@ class Access:
 
     def secret(self, namespace: str, name: str) -> dict[str, str]:
         """A Secret's values as text."""
-        found = self._call(self.core.read_namespaced_secret, f"secret {namespace}/{name}", name, namespace)
-        return {key: base64.b64decode(value).decode() for key, value in (found.data or {}).items()}
+        secret = self._call(self.core.read_namespaced_secret, f"secret {namespace}/{name}", name, namespace)
+        return {key: base64.b64decode(value).decode() for key, value in (secret.data or {}).items()}
 
     def configmap(self, namespace: str, name: str) -> dict[str, str]:
         """A ConfigMap's values."""
-        found = self._call(self.core.read_namespaced_config_map, f"configmap {namespace}/{name}", name, namespace)
-        return dict(found.data or {})
+        configmap = self._call(self.core.read_namespaced_config_map, f"configmap {namespace}/{name}", name, namespace)
+        return dict(configmap.data or {})
 
     def endpoint(self, name: str, namespace: str = PLATFORM) -> Endpoint:
         """ClusterIP and first port of a Service."""
-        found = self._call(self.core.read_namespaced_service, f"service {namespace}/{name}", name, namespace)
-        return Endpoint(found.spec.cluster_ip, found.spec.ports[0].port)
+        service = self._call(self.core.read_namespaced_service, f"service {namespace}/{name}", name, namespace)
+        return Endpoint(service.spec.cluster_ip, service.spec.ports[0].port)
 
     def put_simulation(self, namespace: str, run: str, start: int) -> None:
-        """Tells a vehicle's player when to start: makes or replaces its ConfigMap. `start` in ns since 1970."""
+        """Makes or replaces the ConfigMap that starts a vehicle's player. `start` in ns since 1970."""
         body = client.V1ConfigMap(
             metadata=client.V1ObjectMeta(name=CONFIGMAP, namespace=namespace), data={"run": run, "start": str(start)}
         )
@@ -90,8 +90,8 @@ class Access:
 
     def applications(self) -> Mapping[str, Any]:
         """Argo CD's Applications by name."""
-        found = self._call(self.objects.list_namespaced_custom_object, "Argo CD Applications", *APPLICATIONS)
-        return {item["metadata"]["name"]: item for item in found["items"]}
+        applications = self._call(self.objects.list_namespaced_custom_object, "Argo CD Applications", *APPLICATIONS)
+        return {item["metadata"]["name"]: item for item in applications["items"]}
 
     def pod_json(self, namespace: str, pod: str, path: str, port: int = HEALTH_PORT) -> Any:
         """GET of a pod's HTTP port through the API server."""
@@ -101,15 +101,13 @@ class Access:
         """GET of a Service's HTTP port through the API server."""
         return self._proxied(f"/api/v1/namespaces/{namespace}/services/{name}:{port}/proxy/{path}")
 
-    def bind(self, namespace: str, claim: str) -> None:
-        """Gives a claim that no pod has used yet a free volume of its agent's node, so that it can be filled before.
+    def bind(self, namespace: str, volume_claim: str) -> None:
+        """Gives a volume claim that no pod has used yet a free volume of its agent's node, so that it can be filled.
 
         For volumes made in advance; the node is the one labelled with the agent whose namespace this is.
         """
-        found = self._call(
-            self.core.read_namespaced_persistent_volume_claim, f"claim {namespace}/{claim}", claim, namespace
-        )
-        if found.spec.volume_name:
+        claim = self._volume_claim(namespace, volume_claim)
+        if claim.spec.volume_name:
             return
         volumes = self._call(
             self.core.list_persistent_volume, "volumes", label_selector=f"robotkube.io/agent={namespace}"
@@ -117,18 +115,18 @@ class Access:
         free = [volume for volume in volumes if volume.spec.claim_ref is None]
         if not free:
             states = ", ".join(f"{volume.metadata.name} {volume.status.phase}" for volume in volumes) or "none"
-            raise RunError(f"claim {namespace}/{claim}: no volume of agent {namespace} is free (there are: {states})")
-        reference = {"namespace": namespace, "name": claim, "apiVersion": "v1", "kind": "PersistentVolumeClaim"}
+            raise RunError(
+                f"volume claim {namespace}/{volume_claim}: no volume of agent {namespace} is free (there are: {states})"
+            )
+        reference = {"namespace": namespace, "name": volume_claim, "apiVersion": "v1", "kind": "PersistentVolumeClaim"}
         body = {"spec": {"claimRef": reference}}
         name = free[0].metadata.name
         self._call(self.core.patch_persistent_volume, f"volume {name}", name, body)
 
-    def bound(self, namespace: str, claim: str) -> bool:
-        """Whether a claim has its volume."""
-        found = self._call(
-            self.core.read_namespaced_persistent_volume_claim, f"claim {namespace}/{claim}", claim, namespace
-        )
-        return bool(found.spec.volume_name and found.status.phase == "Bound")
+    def bound(self, namespace: str, volume_claim: str) -> bool:
+        """Whether a volume claim has its volume."""
+        claim = self._volume_claim(namespace, volume_claim)
+        return bool(claim.spec.volume_name and claim.status.phase == "Bound")
 
     def state(self, namespaces: Sequence[str]) -> str:
         """Pods that are not ready and tasks with their conditions, for people; never fails, since it explains
@@ -174,6 +172,10 @@ class Access:
         """Cordons a node, or takes that back."""
         self._call(self.core.patch_node, f"node {node}", node, {"spec": {"unschedulable": not schedulable}})
 
+    def _volume_claim(self, namespace: str, name: str) -> Any:
+        read = self.core.read_namespaced_persistent_volume_claim
+        return self._call(read, f"volume claim {namespace}/{name}", name, namespace)
+
     def _pod_lines(self, namespace: str) -> list[str]:
         return [
             f"pod {namespace}/{pod.metadata.name}: {pod.status.phase}, {_waiting(pod)}"
@@ -211,8 +213,8 @@ def _key(task: Mapping[str, Any]) -> tuple[str, str]:
 
 def _task_line(task: Mapping[str, Any]) -> str:
     conditions = task.get("status", {}).get("conditions", [])
-    words = " ".join(f"{c['type']}={c['status']}({c.get('reason', '')})" for c in conditions)
-    return f"task {task['metadata']['namespace']}/{task['metadata']['name']}: {words or 'no status'}"
+    summary = " ".join(f"{c['type']}={c['status']}({c.get('reason', '')})" for c in conditions)
+    return f"task {task['metadata']['namespace']}/{task['metadata']['name']}: {summary or 'no status'}"
 
 
 def pod_ready(pod: Any) -> bool:

@@ -38,7 +38,7 @@ class Actor:
     access: Access
     machines: Machines
     releases: Callable[[], Mapping[str, Any]]
-    say: Callable[[str], None]
+    progress: Callable[[str], None]
     before_kill: Callable[[], None] = lambda: None
     done: list[StepDone] = field(default_factory=list)
     _stopped: list[str] = field(default_factory=list)
@@ -57,7 +57,7 @@ class Actor:
         try:
             self._await(step, step.when)
             if step.action:
-                self.say(f"{step.name}: {describe(step)}")
+                self.progress(f"{step.name}: {describe(step)}")
                 getattr(self, f"_{step.action}")(step.given)
             self._await(step, step.until)
             seen = True
@@ -76,9 +76,9 @@ class Actor:
         if isinstance(state, TaskState):
             return _conditions_hold(self.access.task(*state.task.split("/", 1)), state)
         if isinstance(state, TaskCount):
-            found = [task for task in self.access.tasks() if task["metadata"]["namespace"] == state.namespace]
-            accepted = [task for task in found if _condition(task, "Accepted").get("status") == "True"]
-            return len(accepted) >= state.at_least if state.at_least else not found
+            tasks = [task for task in self.access.tasks() if task["metadata"]["namespace"] == state.namespace]
+            accepted = [task for task in tasks if _condition(task, "Accepted").get("status") == "True"]
+            return len(accepted) >= state.at_least if state.at_least else not tasks
         return self._release_is(state)
 
     def _release_is(self, state: ReleaseState) -> bool:
@@ -131,7 +131,7 @@ class Actor:
 
 
 def describe(step: Step) -> str:
-    """What a step does, in few words."""
+    """A step's action, in few words."""
     if not step.action:
         return "waits"
     if step.action == "submit":
@@ -141,7 +141,7 @@ def describe(step: Step) -> str:
 
 
 def task(given: Mapping[str, Any]) -> dict[str, Any]:
-    """The TaskDescription of a step: what it says, with a requester and an event of its own where it names none."""
+    """The TaskDescription of a step: its fields, with a requester and an event of its own where it names none."""
     name = given["name"]
     spec = {key: value for key, value in given.items() if key not in ("namespace", "name")}
     token, now = uuid.uuid4().hex, time_text(time.time_ns())
@@ -154,13 +154,13 @@ def task(given: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _condition(found: Mapping[str, Any], kind: str) -> Mapping[str, Any]:
-    conditions = found.get("status", {}).get("conditions", [])
+def _condition(known: Mapping[str, Any], kind: str) -> Mapping[str, Any]:
+    conditions = known.get("status", {}).get("conditions", [])
     return next((condition for condition in conditions if condition["type"] == kind), {})
 
 
-def _conditions_hold(found: Mapping[str, Any] | None, state: TaskState) -> bool:
-    condition = _condition(found or {}, state.condition)
+def _conditions_hold(known: Mapping[str, Any] | None, state: TaskState) -> bool:
+    condition = _condition(known or {}, state.condition)
     wanted = {"status": state.status, "reason": state.reason}
     return bool(condition) and all(not word or condition.get(key) == word for key, word in wanted.items())
 

@@ -43,19 +43,19 @@ def entries(inputs: RunInputs) -> tuple[Entry, ...]:
     return tuple(entry(commit, merged.get(commit.sha)) for commit in commits)
 
 
-def complete(inputs: RunInputs, found: Sequence[Entry]) -> bool | None:
+def complete(inputs: RunInputs, entries: Sequence[Entry]) -> bool | None:
     """Whether nothing is missing in any commit and every merged plan is a commit of main; None when there is
     nothing."""
-    if not found:
+    if not entries:
         return None
     known = {commit.sha for commit in inputs.commits}
     plans = all(plan.commit in known for plan in inputs.plans if plan.merged)
     one_root = sum(not commit.parents for commit in inputs.commits) == 1
-    return plans and one_root and not any(one.missing for one in found)
+    return plans and one_root and not any(one.missing for one in entries)
 
 
 def entry(commit: Commit, request: PullRequest | None) -> Entry:
-    """What a commit and the pull request that was merged as it (None: none was) lack."""
+    """The entry of a commit and the pull request that was merged as it (None: none was)."""
     missing = [] if request else ["merged pull request"]
     if not _of_a_person(commit):
         missing += [f"RobotKube-{name}" for name in _missing_trailers(commit.trailers)]

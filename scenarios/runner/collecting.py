@@ -1,4 +1,4 @@
-"""Reads what a run has left behind, from where it is: claims, database, detector, manager, forge."""
+"""Reads what a run has left behind, from where it is: volume claims, database, detector, manager, forge."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ RECORDINGS_CLAIM = "recordings"
 
 class Collecting:
     """Reads one source after the other and goes on when one cannot be read: `warnings` say what, `missing` names the
-    fields of RunInputs that are not whole, so that no expectation takes them for empty."""
+    fields of RunInputs that are not whole, so that no expectation treats them as empty."""
 
     def __init__(self, warn: Callable[[str], None]) -> None:
         self._warn = warn
@@ -41,13 +41,13 @@ class Collecting:
 
     def read_each(self, what: str, items: Iterable[Any], form: Callable[[Any], Any], *fields: str) -> tuple[Any, ...]:
         """Those of `items` that can be read; the others are warnings."""
-        found = []
+        readable = []
         for item in items:
             try:
-                found.append(form(item))
+                readable.append(form(item))
             except (KeyError, TypeError, ValueError, AttributeError) as error:
                 self._lost(f"{what} {_name(item)}", error, fields)
-        return tuple(found)
+        return tuple(readable)
 
     def _lost(self, what: str, error: Exception, fields: tuple[str, ...]) -> None:
         self.missing.update(fields)
@@ -55,9 +55,9 @@ class Collecting:
 
 
 def _name(item: object) -> str:
-    """How a document is named that cannot be read: by its name if it has one, else by its beginning."""
-    found = item if isinstance(item, Mapping) else {}
-    return str(found.get("plan") or found.get("id") or repr(item))[:80]
+    """The name of a document that cannot be read: by its name if it has one, else by its beginning."""
+    document = item if isinstance(item, Mapping) else {}
+    return str(document.get("plan") or document.get("id") or repr(item))[:80]
 
 
 def detector_pod(access: Access, scenario: Scenario) -> str:
@@ -153,9 +153,9 @@ def _count(values: Mapping[str, Any]) -> TopicCount:
     )
 
 
-def ledger_file(claim: Path, run: str, topic: str) -> Path:
+def ledger_file(volume: Path, run: str, topic: str) -> Path:
     """Where a player writes the ledger of a topic."""
-    return claim / LEDGER / run / f"{topic.replace('/', '__')}.jsonl"
+    return volume / LEDGER / run / f"{topic.replace('/', '__')}.jsonl"
 
 
 def ledger_ended(file: Path) -> bool:
@@ -169,17 +169,17 @@ def ledger_ended(file: Path) -> bool:
 
 
 def ledgers(
-    scenario: Scenario, claims: Mapping[str, Path], run: str, reading: Collecting
+    scenario: Scenario, volumes: Mapping[str, Path], run: str, reading: Collecting
 ) -> dict[str, tuple[LedgerLine, ...]]:
     """The ledgers of the lidar vehicles; one that is missing or has no true end is left out and named."""
-    found = {}
+    complete = {}
     for agent in scenario.lidar_vehicles:
         for topic in (pose_topic(agent), cloud_topic(agent), transform_topic(agent)):
-            file = ledger_file(claims[agent], run, topic)
+            file = ledger_file(volumes[agent], run, topic)
             lines = reading.read(f"ledger of {topic}", partial(_ledger, file), None, "ledgers")
             if lines is not None:
-                found[topic] = lines
-    return found
+                complete[topic] = lines
+    return complete
 
 
 def _ledger(file: Path) -> tuple[LedgerLine, ...]:
@@ -213,24 +213,24 @@ def stored(
 
 
 def segment_finder(scenario: Scenario, volumes: Volumes) -> storage.FindSegment:
-    """Finds a segment's file by its volume `<node>/<claim>`: the claim of the agent whose node it is."""
+    """Finds a segment's file by its volume `<node>/<volume claim>`: that of the agent whose node it is."""
     agents = {node.name: node.agent for node in scenario.nodes}
     folders: dict[str, Path | None] = {}
 
     def find(volume: str, path: str) -> Path | None:
         if volume not in folders:
-            node, _, claim = volume.partition("/")
-            folders[volume] = _folder(volumes, agents.get(node), claim)
+            node, _, volume_claim = volume.partition("/")
+            folders[volume] = _folder(volumes, agents.get(node), volume_claim)
         folder = folders[volume]
         return folder / path if folder else None
 
     return find
 
 
-def _folder(volumes: Volumes, agent: str | None, claim: str) -> Path | None:
+def _folder(volumes: Volumes, agent: str | None, volume_claim: str) -> Path | None:
     from ci.errors import SetUpError
 
     try:
-        return volumes.volume_path(agent, claim) if agent else None
+        return volumes.volume_path(agent, volume_claim) if agent else None
     except SetUpError:
         return None

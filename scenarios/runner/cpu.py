@@ -88,10 +88,10 @@ def usage_seconds(folder: Path) -> float | None:
 
 def component(folder: Path, labels: PodLabels) -> str:
     """What a group belongs to: a kind of daemon (one name for all nodes) or a workload of the platform or of agents."""
-    found = POD.search(folder.name)
-    if not found:
+    pod = POD.search(folder.name)
+    if not pod:
         return folder.name.rpartition(".")[2]
-    namespace, name, marks = labels.get(found[1].replace("_", "-"), ("", "", {}))
+    namespace, name, marks = labels.get(pod[1].replace("_", "-"), ("", "", {}))
     if not namespace:
         return "pods not seen by name"
     chart = marks.get("app.kubernetes.io/name", name)

@@ -1,6 +1,6 @@
 """The forge's repositories as the run sees them: releases, commits and files by Git, pull requests by the forge's API.
 
-A person's change goes the person's way: a commit proposed by AGit (refs/for/main), merged by the forge.
+A person's change is made as people make them: a commit proposed by AGit (refs/for/main), merged by the forge.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ COMMITS_MAX = 2000
 
 
 class _Account(pygit2.RemoteCallbacks):
-    """Credentials, and what the server says to a push: a refusal is no error of the transport."""
+    """Credentials, and the server's answer to a push: a refusal is no error of the transport."""
 
     def __init__(self, username: str, password: str) -> None:
         super().__init__(credentials=pygit2.UserPass(username, password))
         self.refusal = ""
 
     def push_update_reference(self, _reference: str, message: str | None) -> None:
-        """Called once per pushed reference; None means taken."""
+        """Called once per pushed reference; None means accepted."""
         self.refusal = message or ""
 
 
@@ -46,7 +46,8 @@ class Deployment:
     """A bare clone of `name` in a temporary folder and a connection to the forge, as one person's account."""
 
     def __init__(self, forge: Endpoint, username: str, password: str, name: str = REPOSITORY) -> None:
-        self._user, self._name = username, name
+        self._user = username
+        self._name = name
         self._url = f"http://{forge.host}:{forge.port}"
         self._client = httpx.Client(
             base_url=f"{self._url}/api/v1/repos/{name}", auth=(username, password), timeout=ANSWER_SECONDS_MAX
@@ -75,15 +76,15 @@ class Deployment:
 
     def file(self, path: str) -> str:
         """A file of main as text, empty when there is none."""
-        found = self._entry(path)
-        return found.data.decode() if isinstance(found, pygit2.Blob) else ""
+        blob = self._entry(path)
+        return blob.data.decode() if isinstance(blob, pygit2.Blob) else ""
 
     def files(self, folder: str) -> dict[str, bytes]:
         """All files of main below a folder, by path."""
-        found = self._entry(folder)
-        if not isinstance(found, pygit2.Tree):
+        tree = self._entry(folder)
+        if not isinstance(tree, pygit2.Tree):
             return {}
-        return {f"{folder}/{path}": blob.data for path, blob in _blobs(found)}
+        return {f"{folder}/{path}": blob.data for path, blob in _blobs(tree)}
 
     def releases(self) -> dict[str, Mapping[str, Any]]:
         """The release files of main by <namespace>/<release>."""
@@ -105,13 +106,13 @@ class Deployment:
     def history(self, commit: str) -> tuple[MainState, ...]:
         """Which tasks each release named, at `commit` and at every later commit of main, the oldest first."""
         walk = self._walk()
-        found: list[MainState] = []
+        states: list[MainState] = []
         named: dict[str, tuple[str, ...]] = {}
         for at, _ in zip(walk, range(COMMITS_MAX), strict=False):
-            found.append(MainState(str(at.id), {name: _tasks(blob, named) for name, blob in _releases(at)}))
+            states.append(MainState(str(at.id), {name: _tasks(blob, named) for name, blob in _releases(at)}))
             if str(at.id) == commit:
                 break
-        return tuple(reversed(found))
+        return tuple(reversed(states))
 
     def message(self, commit: str) -> str:
         """The whole message of a commit of main."""
@@ -120,18 +121,18 @@ class Deployment:
     def commits(self) -> tuple[Commit, ...]:
         """All commits of main, newest first."""
         walk = self._walk()
-        found = [self._commit(commit) for _, commit in zip(range(COMMITS_MAX), walk, strict=False)]
-        return tuple(found)
+        commits = [self._commit(commit) for _, commit in zip(range(COMMITS_MAX), walk, strict=False)]
+        return tuple(commits)
 
     def pull_requests(self) -> tuple[PullRequest, ...]:
         """All pull requests, in whatever state."""
-        found: list[PullRequest] = []
+        requests: list[PullRequest] = []
         for page in range(1, PAGES_MAX + 1):
             part = self._call("GET", "/pulls", params={"state": "all", "limit": PULL_REQUESTS_PER_PAGE, "page": page})
-            found += [_pull_request(item) for item in part]
+            requests += [_pull_request(item) for item in part]
             if len(part) < PULL_REQUESTS_PER_PAGE:
                 break
-        return tuple(found)
+        return tuple(requests)
 
     def pull_request(self, number: int) -> PullRequest:
         """One pull request."""
@@ -148,7 +149,7 @@ class Deployment:
         try:
             self._remote.push([f"{reference}:refs/for/{BRANCH}/{topic}"], callbacks=self._callbacks)
         except pygit2.GitError as error:
-            raise RunError(f"the forge did not take the proposal of {self._user} for {path}: {error}") from error
+            raise RunError(f"the forge did not accept the proposal of {self._user} for {path}: {error}") from error
         if self._callbacks.refusal:
             raise RunError(f"the forge refused the proposal of {self._user} for {path}: {self._callbacks.refusal}")
         return str(commit)
@@ -275,7 +276,7 @@ def specification_digests(releases: Mapping[str, Mapping[str, Any]]) -> dict[str
     }
 
 
-def _pull_request(found: Mapping[str, Any]) -> PullRequest:
-    merged = bool(found.get("merged"))
-    commit = found.get("merge_commit_sha") if merged else None
-    return PullRequest(int(found["number"]), str(found.get("title", "")), merged, str(commit) if commit else None)
+def _pull_request(item: Mapping[str, Any]) -> PullRequest:
+    merged = bool(item.get("merged"))
+    commit = item.get("merge_commit_sha") if merged else None
+    return PullRequest(int(item["number"]), str(item.get("title", "")), merged, str(commit) if commit else None)

@@ -96,8 +96,8 @@ class Encounter:
     @property
     def transforms_missing(self) -> int:
         """Lidars whose mounting is not in the recording."""
-        found = {message.topic for message in self.readable}
-        return sum(transform_topic(agent) not in found for agent in self.agents)
+        topics = {message.topic for message in self.readable}
+        return sum(transform_topic(agent) not in topics for agent in self.agents)
 
     @property
     def first_cloud(self) -> Stored | None:

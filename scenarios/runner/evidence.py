@@ -46,14 +46,14 @@ def entries(inputs: RunInputs) -> tuple[Entry, ...]:
 
 def _entry(released: Sequence[ReleasedChart], summaries: Mapping[str, str]) -> Entry:
     first, releases = released[0], tuple(one.release for one in released)
-    found = bool(first.digest) and summaries.get(first.evidence) == first.digest
-    return Entry(first.chart, first.version, first.digest, first.evidence, releases, found)
+    named = bool(first.digest) and summaries.get(first.evidence) == first.digest
+    return Entry(first.chart, first.version, first.digest, first.evidence, releases, named)
 
 
 def complete(inputs: RunInputs) -> bool | None:
     """Whether every entry has its evidence; None when no release was seen."""
-    found = entries(inputs)
-    return all(entry.found for entry in found) if found else None
+    charts = entries(inputs)
+    return all(entry.found for entry in charts) if charts else None
 
 
 def trusted_keys(texts: Mapping[str, str]) -> TrustedKeys:
@@ -71,16 +71,16 @@ def trusted_keys(texts: Mapping[str, str]) -> TrustedKeys:
 def summaries(files: Mapping[str, bytes], verify: Verify) -> dict[str, str]:
     """Digest of each summary's envelope -> digest of the chart that it verifiably says has passed; of an envelope that
     is not believed, empty."""
-    found = {}
+    digests = {}
     for envelope in _envelopes(files):
         try:
-            found[sha256(envelope)] = _passed(verify(envelope).statement)
+            digests[sha256(envelope)] = _passed(verify(envelope).statement)
         except InputError:
-            found[sha256(envelope)] = ""
-    return found
+            digests[sha256(envelope)] = ""
+    return digests
 
 
-def doubts(files: Mapping[str, bytes], verify: Verify, released: Iterable[ReleasedChart]) -> Iterator[str]:
+def problems(files: Mapping[str, bytes], verify: Verify, released: Iterable[ReleasedChart]) -> Iterator[str]:
     """Why summaries that releases named are not believed, a sentence each."""
     named = {one.evidence for one in released}
     for envelope in _envelopes(files):
@@ -111,10 +111,12 @@ def released(documents: Iterable[tuple[str, object]]) -> tuple[ReleasedChart, ..
 
 def _released(name: str, document: object) -> ReleasedChart:
     metadata = document.get("metadata") if isinstance(document, Mapping) else None
-    found = metadata.get("annotations") if isinstance(metadata, Mapping) else None
-    annotations = found if isinstance(found, Mapping) else {}
+    stated = metadata.get("annotations") if isinstance(metadata, Mapping) else None
+    annotations = stated if isinstance(stated, Mapping) else {}
 
-    def said(key: str) -> str:
+    def annotation(key: str) -> str:
         return str(annotations.get(f"robotkube.io/{key}", ""))
 
-    return ReleasedChart(said("chart"), said("chart-version"), said("chart-digest"), said("evidence"), name)
+    return ReleasedChart(
+        annotation("chart"), annotation("chart-version"), annotation("chart-digest"), annotation("evidence"), name
+    )

@@ -1,4 +1,4 @@
-"""What a run had to show and what it showed. Pure: the same inputs give the same table."""
+"""Expectations of a run and what was measured of them. Pure: the same inputs give the same table."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Measure = Callable[[Scenario, RunInputs, Sequence[Encounter]], Value]
 
 @dataclass(frozen=True)
 class Expectation:
-    """One line of the table; `measured` is None when the inputs do not tell."""
+    """One line of the table; `measured` is None when the inputs do not contain it."""
 
     name: str
     expected: str
@@ -36,8 +36,9 @@ def judge(scenario: Scenario, inputs: RunInputs, encounters: Sequence[Encounter]
 
 
 def _seen(scenario: Scenario, inputs: RunInputs, encounters: Sequence[Encounter]) -> Expectation:
-    wanted, found = scenario.parameters.encounters, None if "edges" in inputs.missing else len(encounters)
-    return Expectation("encounters", f"= {wanted}", found, found == wanted)
+    wanted = scenario.parameters.encounters
+    seen = None if "edges" in inputs.missing else len(encounters)
+    return Expectation("encounters", f"= {wanted}", seen, seen == wanted)
 
 
 def _row(name: str, bound: Bound, measured: Value) -> Expectation:

@@ -1,4 +1,5 @@
-"""What is known of a run when it has ended: plain values, gathered by `collecting` and judged by `expectations`.
+"""Inputs of a report, what is known of a run when it has ended: plain values, gathered by `collecting` and judged by
+`expectations`.
 
 All times are integers in ns since 1970, unless a name says otherwise; None means: not seen, or not yet reached.
 """
@@ -50,7 +51,7 @@ class Recording:
 
 @dataclass(frozen=True)
 class Edge:
-    """A rule's rising (`start`) or falling (`stop`) edge as the event detector tells it."""
+    """A rule's rising (`start`) or falling (`stop`) edge as the event detector reports it."""
 
     id: str
     rule: str
@@ -67,7 +68,7 @@ class Edge:
 
 @dataclass(frozen=True)
 class Plan:
-    """A plan as the manager tells it. One that a manager found on main when it began has no times."""
+    """A plan as the manager reports it. One that a manager found on main when it began has no times."""
 
     plan: str
     subject: str
@@ -140,7 +141,7 @@ class InputCounters:
 
 @dataclass(frozen=True)
 class BrokerMessages:
-    """Messages of a topic that the observer got from the broker in one frame."""
+    """Messages of a topic that the observer got from the broker in one batch."""
 
     time: int
     topic: str

@@ -1,4 +1,4 @@
-"""Figures of a run, computed from its inputs: rates and ages at the detector's input, latencies, recorded messages.
+"""Metrics of a run, computed from its inputs: rates and ages at the detector's input, latencies, recorded messages.
 
 Every function returns None for what cannot be known from the inputs; nothing is guessed.
 """
@@ -191,17 +191,17 @@ def clouds_after_removal(inputs: RunInputs, encounters: Sequence[Encounter]) -> 
     left. While demands on a vehicle's clouds overlap, the last removal counts."""
     if not encounters or not _listened(inputs):
         return None
-    found = 0
+    clouds = 0
     for topic in sorted({topic for encounter in encounters for topic in encounter.cloud_topics}):
         counted = _after_removal(inputs, topic, [one for one in encounters if topic in one.cloud_topics])
         if counted is None:
             return None
-        found += counted
-    return found
+        clouds += counted
+    return clouds
 
 
 def _after_removal(inputs: RunInputs, topic: str, mine: Sequence[Encounter]) -> int | None:
-    found, removed, stopped = 0, 0, 0
+    clouds, removed, stopped = 0, 0, 0
     for number, encounter in enumerate(mine, 1):
         following = mine[number].start.time if number < len(mine) else None
         if encounter.removed is None or encounter.stop is None:
@@ -212,8 +212,8 @@ def _after_removal(inputs: RunInputs, topic: str, mine: Sequence[Encounter]) -> 
         begin, end = removed + AFTER_REMOVAL_SECONDS * NANOSECONDS, following or inputs.ended
         if begin >= end:
             return None
-        found += _clouds_between(inputs, f"mqtt{topic}", begin, end)
-    return found
+        clouds += _clouds_between(inputs, f"mqtt{topic}", begin, end)
+    return clouds
 
 
 def _listened(inputs: RunInputs) -> bool:

@@ -19,19 +19,19 @@ from scenarios.runner.access import Access
 from scenarios.runner.inputs import BrokerLog, BrokerMessages, BrokerResult, Pod
 from scenarios.runner.waiting import RunError
 
-FRAME = struct.Struct("<4sQQI")  # magic, session, sequence, number of messages
+BATCH_HEADER = struct.Struct("<4sQQI")  # magic, session, sequence, number of messages
 MAGIC = b"RKF1"
 CLOUDS = "mqtt/vehicles/+/lidar_center/pointcloud"
 RESULTS = "mqtt/vehicles/+/tracks"
 CONNECT_SECONDS_MAX = 15.0
-FRAMES_MAX = 200_000
+BATCHES_MAX = 200_000
 WATCH_SECONDS = 300
 STOP_SECONDS_MAX = 5.0
 
 
 @dataclass
 class BrokerObserver:
-    """Counts the clouds that cross the broker, frame by frame, and keeps the results of perception. Used with `start`
+    """Counts the clouds that cross the broker, batch by batch, and keeps the results of perception. Used with `start`
     and `stop`."""
 
     host: str
@@ -46,11 +46,13 @@ class BrokerObserver:
     _ending: bool = False
 
     def start(self) -> None:
-        """Connects and subscribes; raises `RunError` when the broker does not take it."""
+        """Connects and subscribes; raises `RunError` when the broker refuses it."""
         self._client = mqtt.Client(CallbackAPIVersion.VERSION2, client_id=f"observer-{time.time_ns()}")
         self._client.username_pw_set(self.username, self.password)
-        self._client.on_connect, self._client.on_disconnect = self._on_connect, self._on_disconnect
-        self._client.on_subscribe, self._client.on_message = self._on_subscribe, self._on_message
+        self._client.on_connect = self._on_connect
+        self._client.on_disconnect = self._on_disconnect
+        self._client.on_subscribe = self._on_subscribe
+        self._client.on_message = self._on_message
         try:
             self._client.connect(self.host, self.port, keepalive=20)
         except OSError as error:
@@ -84,17 +86,17 @@ class BrokerObserver:
     def _on_message(self, _client: Any, _data: Any, message: Any) -> None:
         if mqtt.topic_matches_sub(RESULTS, message.topic):
             self._note_results(message)
-        elif len(self._messages) < FRAMES_MAX:
-            self._messages.append(BrokerMessages(time.time_ns(), message.topic, frame_count(message.payload)))
+        elif len(self._messages) < BATCHES_MAX:
+            self._messages.append(BrokerMessages(time.time_ns(), message.topic, message_count(message.payload)))
 
     def _note_results(self, message: Any) -> None:
         now = time.time_ns()
-        room = FRAMES_MAX - len(self._results)
-        self._results += [BrokerResult(now, message.topic, text) for text in frame_texts(message.payload)[:room]]
+        free = BATCHES_MAX - len(self._results)
+        self._results += [BrokerResult(now, message.topic, text) for text in batch_texts(message.payload)[:free]]
 
 
-def frame_texts(payload: bytes) -> list[str]:
-    """The texts in a frame of std_msgs/String (CDR, little endian); what is none is left out."""
+def batch_texts(payload: bytes) -> list[str]:
+    """The texts in a batch of std_msgs/String (CDR, little endian); what is none is left out."""
     try:
         return [text_of(message) for message in decode_batch(payload).messages]
     except (BatchError, struct.error, UnicodeDecodeError):
@@ -107,18 +109,18 @@ def text_of(message: bytes) -> str:
     return bytes(message[8 : 8 + length]).rstrip(b"\0").decode()
 
 
-def frame_count(payload: bytes) -> int:
-    """Number of messages in a frame of mqtt-bridge; a payload that is no such frame counts as one."""
-    if len(payload) < FRAME.size or payload[:4] != MAGIC:
+def message_count(payload: bytes) -> int:
+    """Number of messages in a batch of mqtt-bridge; a payload that is no such batch counts as one."""
+    if len(payload) < BATCH_HEADER.size or payload[:4] != MAGIC:
         return 1
-    return int(FRAME.unpack_from(payload)[3])
+    return int(BATCH_HEADER.unpack_from(payload)[3])
 
 
 class PodWatch:
-    """Notes when pods of the agents' namespaces appear, run, are ready and are gone, by the time of the news."""
+    """A watch of the pods in the agents' namespaces: when they appear, run, are ready and are gone."""
 
-    def __init__(self, access: Access, namespaces: Sequence[str], say: Callable[[str], None]) -> None:
-        self._access, self._namespaces, self._say = access, frozenset(namespaces), say
+    def __init__(self, access: Access, namespaces: Sequence[str], progress: Callable[[str], None]) -> None:
+        self._access, self._namespaces, self._progress = access, frozenset(namespaces), progress
         self._pods: dict[str, Pod] = {}
         self.labels: dict[str, tuple[str, str, dict[str, str]]] = {}
         self._lock = threading.Lock()
@@ -127,11 +129,11 @@ class PodWatch:
         self._thread = threading.Thread(target=self._run, name="pods", daemon=True)
 
     def start(self) -> None:
-        """Begins to watch; pods that exist already are noted with the time of their first news."""
+        """Begins to watch; pods that exist already are noted with the time of their first event."""
         self._thread.start()
 
     def stop(self) -> None:
-        """Ends; bounded, since the news may be silent."""
+        """Ends; bounded, since the watch may be silent."""
         self._ending.set()
         if self._watch is not None:
             self._watch.stop()
@@ -145,14 +147,14 @@ class PodWatch:
     def _run(self) -> None:
         while not self._ending.is_set():
             try:
-                self._follow()
+                self._watch_once()
             except Exception as error:
                 if not self._ending.is_set():
-                    self._say(f"watch of the pods begins again: {type(error).__name__}")
+                    self._progress(f"watch of the pods begins again: {type(error).__name__}")
                     self._ending.wait(1.0)
 
-    def _follow(self) -> None:
-        """One watch: what is there, then the news until it ends; pods that went in between are noted as gone now."""
+    def _watch_once(self) -> None:
+        """One watch: what is there, then its events until it ends; pods that went in between are noted as gone now."""
         listed = self._access.core.list_pod_for_all_namespaces()
         present = {pod.metadata.uid for pod in listed.items}
         for pod in listed.items:
@@ -160,18 +162,19 @@ class PodWatch:
         for uid in [pod.uid for pod in self.pods() if pod.deleted is None and pod.uid not in present]:
             self._put(replace(self._pods[uid], deleted=time.time_ns()))
         self._watch = watch.Watch()
-        news = self._watch.stream(
+        events = self._watch.stream(
             self._access.core.list_pod_for_all_namespaces,
             resource_version=listed.metadata.resource_version,
             timeout_seconds=WATCH_SECONDS,
         )
-        for event in news:
+        for event in events:
             self._note(event["type"], event["object"])
             if self._ending.is_set():
                 return
 
     def _note(self, kind: str, pod: Any) -> None:
-        now, data = time.time_ns(), pod.metadata
+        now = time.time_ns()
+        data = pod.metadata
         self.labels[data.uid] = (data.namespace, data.name, dict(data.labels or {}))
         if data.namespace not in self._namespaces:
             return

@@ -1,7 +1,7 @@
-"""What became of the demands of a story: judged by main and by the conditions that the tasks showed, not by what the
-manager says of itself.
+"""Outcomes of a story's demands: judged by main and by the conditions that the tasks showed, not by what the manager
+reports of itself.
 
-Pure; None means that the inputs do not tell.
+Pure; None means that the inputs do not contain it.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 from scenarios.definition import Scenario
 from scenarios.runner.inputs import NANOSECONDS, RunInputs, TaskCondition, TaskLife
 
-BRIDGE = "mqtt-bridge"  # shared by all demands: it is no seat of a single one
+BRIDGE = "mqtt-bridge"  # shared by all demands: it belongs to no single one
 OFFLOAD_ROLES = ("cloud",)
 PARENTS_MAX = 16
 AFTER_REMOVAL_SECONDS = 2
@@ -39,36 +39,36 @@ def offloaded(scenario: Scenario, inputs: RunInputs) -> tuple[TaskLife, ...]:
 
 
 def postponed(inputs: RunInputs) -> tuple[TaskLife, ...]:
-    """Tasks that were told to wait, had no release then, and ran afterwards."""
-    return tuple(task for task in inputs.tasks if _said(task, "Postponed") and any(_seats(inputs, task)))
+    """Tasks whose condition was Postponed, that had no release then and ran afterwards."""
+    return tuple(task for task in inputs.tasks if _had_reason(task, "Postponed") and any(_releases(inputs, task)))
 
 
 def refused(inputs: RunInputs) -> tuple[TaskLife, ...]:
     """Tasks refused for want of resources that never had a release."""
     return tuple(
-        task for task in inputs.tasks if _said(task, "InsufficientResources") and not any(_seats(inputs, task))
+        task for task in inputs.tasks if _had_reason(task, "InsufficientResources") and not any(_releases(inputs, task))
     )
 
 
 def preempted(inputs: RunInputs) -> tuple[TaskLife, ...]:
-    """Tasks that ran, were told that they are preempted, and then had no release any more although they were there."""
-    return tuple(task for task in inputs.tasks if _said(task, "Preempted") and _lost_its_seat(inputs, task))
+    """Tasks that ran, whose condition became Preempted, and that had no release any more although they were there."""
+    return tuple(task for task in inputs.tasks if _had_reason(task, "Preempted") and _lost_its_releases(inputs, task))
 
 
 def reasons_named(scenario: Scenario, inputs: RunInputs) -> float | None:
     """The share of these tasks whose condition names a machine of the topology or another task in its message."""
-    told = [
+    decided = [
         *((task, "") for task in offloaded(scenario, inputs)),
         *((task, "Postponed") for task in postponed(inputs)),
         *((task, "InsufficientResources") for task in refused(inputs)),
         *((task, "Preempted") for task in preempted(inputs)),
     ]
     names = [node.name for node in scenario.nodes] + [task.key for task in inputs.tasks]
-    said = [
+    named = [
         any(name in text for text in _messages(task, reason) for name in names if name != task.key)
-        for task, reason in told
+        for task, reason in decided
     ]
-    return sum(said) / len(said) if said else None
+    return sum(named) / len(named) if named else None
 
 
 def chain_depth(inputs: RunInputs) -> int | None:
@@ -84,12 +84,12 @@ def _depth(parents: Mapping[str, str], key: str) -> int:
     return depth
 
 
-def _said(task: TaskLife, reason: str) -> bool:
+def _had_reason(task: TaskLife, reason: str) -> bool:
     return any(condition.reason == reason for condition in task.conditions)
 
 
 def _messages(task: TaskLife, reason: str) -> Iterator[str]:
-    """What its condition Accepted said; with a reason, only then."""
+    """Messages of its condition Accepted; with a reason, only those of that reason."""
     for condition in task.conditions:
         if _is_acceptance(condition) and (not reason or condition.reason == reason):
             yield condition.message
@@ -99,7 +99,7 @@ def _is_acceptance(condition: TaskCondition) -> bool:
     return condition.type == "Accepted"
 
 
-def _seats(inputs: RunInputs, task: TaskLife) -> Iterator[str]:
+def _releases(inputs: RunInputs, task: TaskLife) -> Iterator[str]:
     """Releases that were on main for the task, commit by commit; bridges are everybody's."""
     for state in inputs.history:
         yield from (
@@ -110,18 +110,18 @@ def _seats(inputs: RunInputs, task: TaskLife) -> Iterator[str]:
 
 
 def _agents(inputs: RunInputs, task: TaskLife) -> set[str]:
-    return {release.partition("/")[0] for release in _seats(inputs, task)}
+    return {release.partition("/")[0] for release in _releases(inputs, task)}
 
 
-def _lost_its_seat(inputs: RunInputs, task: TaskLife) -> bool:
+def _lost_its_releases(inputs: RunInputs, task: TaskLife) -> bool:
     """Whether a commit that named the task was followed by one that did not, before the task itself was gone."""
     named = [any(task.key in tasks for tasks in state.tasks.values()) for state in inputs.history]
     return any(before and not after for before, after in pairwise(named)) and _outlived(task)
 
 
 def _outlived(task: TaskLife) -> bool:
-    told = [condition.time for condition in task.conditions if condition.reason == "Preempted"]
-    return task.deleted is None or bool(told and task.deleted > told[0])
+    times = [condition.time for condition in task.conditions if condition.reason == "Preempted"]
+    return task.deleted is None or bool(times and task.deleted > times[0])
 
 
 def results(inputs: RunInputs) -> int | None:
@@ -144,8 +144,8 @@ def results_after_removal(inputs: RunInputs) -> int | None:
 def track_identities(inputs: RunInputs) -> int | None:
     """Different identities in all results: 1 when one vehicle passed and kept its own."""
     log = inputs.broker
-    found = {track["id"] for result in (log.results if log else ()) for track in _tracks(result.text)}
-    return len(found) or None
+    identities = {track["id"] for result in (log.results if log else ()) for track in _tracks(result.text)}
+    return len(identities) or None
 
 
 def _tracks(text: str) -> list[Mapping[str, Any]]:

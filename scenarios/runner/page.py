@@ -1,5 +1,5 @@
 """report.html: one file without scripts and without anything to load, made from the document of report.json by the
-template page.html.jinja. What the template cannot say by itself, such as shares and scales, is worked out here."""
+template page.html.jinja. What the template cannot work out by itself, such as shares and scales, is computed here."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Document = Mapping[str, Any]
 
 
 def page(done: Report) -> str:
-    """The report as HTML: verdict, key figures, timeline, expectations, latencies, CPU, audit, evidence, set-up."""
+    """The report as HTML: verdict, key metrics, timeline, expectations, latencies, CPU, audit, evidence, set-up."""
     return page_of(done.document)
 
 
@@ -44,7 +44,7 @@ def page_of(document: Document) -> str:
         .render(
             document=document,
             parameters=[_parameter(name, number) for name, number in document["parameters"].items()],
-            tiles=[{"figure": figure, "text": text} for figure, text in _tiles(document)],
+            tiles=[{"value": shown, "text": text} for shown, text in _tiles(document)],
             timeline=list(_timeline(document["timeline"])),
             parts=list(encounters[0]) if encounters else [],
             breakdown=list(_breakdown(encounters)),
@@ -68,7 +68,7 @@ def value(measured: object) -> str:
 @cache
 def _environment() -> Environment:
     """Everything that a document says is escaped; a name that it does not have is an error."""
-    found = Environment(
+    environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
         autoescape=True,
         undefined=StrictUndefined,
@@ -76,8 +76,8 @@ def _environment() -> Environment:
         keep_trailing_newline=True,
     )
     filters = {"value": value, "thousandths": _thousandths, "words": _words, "percent": _percent, "cause": _cause}
-    found.filters.update(filters | {"short": _short})
-    return found
+    environment.filters.update(filters | {"short": _short})
+    return environment
 
 
 def _parameter(name: str, number: object) -> str:
@@ -88,7 +88,7 @@ def _parameter(name: str, number: object) -> str:
 
 
 def _tiles(document: Document) -> Iterator[tuple[str, str]]:
-    """The figures a reader looks for first, with what they say; latencies are the median over encounters."""
+    """The metrics that a reader wants first, with what they mean; latencies are the median over encounters."""
     latency, recorded = document["latency_quantiles"], document["recorded"]
     held = sum(row["passed"] for row in document["expectations"])
     yield f"{held} of {len(document['expectations'])}", "expectations hold"

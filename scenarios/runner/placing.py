@@ -1,4 +1,4 @@
-"""Puts the bags into the vehicles' claims, before their players exist."""
+"""Puts the bags into the vehicles' volume claims, before their players exist."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Protocol
 from scenarios.runner.access import Access
 from scenarios.runner.waiting import wait_for
 
-CLAIM = "bags"
+VOLUME_CLAIM = "bags"
 LEDGER = "ledger"
 OWNER = 10001  # the user of the platform's pods
 BIND_SECONDS_MAX = 30.0
@@ -20,28 +20,28 @@ BIND_SECONDS_MAX = 30.0
 class Volumes(Protocol):
     """What a cluster's provider knows of its volumes."""
 
-    def volume_path(self, namespace: str, claim: str) -> Path:
-        """The host's folder behind a bound claim."""
+    def volume_path(self, namespace: str, volume_claim: str) -> Path:
+        """The host's folder behind a bound volume claim."""
         ...
 
 
 def place_bags(
-    access: Access, volumes: Volumes, bags: Mapping[str, Path], say: Callable[[str], None]
+    access: Access, volumes: Volumes, bags: Mapping[str, Path], progress: Callable[[str], None]
 ) -> Mapping[str, Path]:
-    """Places one bag per agent and returns the claims' folders; a player that holds an older bag is restarted."""
+    """Places one bag per agent and returns the volumes' folders; a player that holds an older bag is restarted."""
     for agent in bags:
-        access.bind(agent, CLAIM)
+        access.bind(agent, VOLUME_CLAIM)
     folders = {}
     for agent, bag in bags.items():
 
         def bound(agent: str = agent) -> bool:
-            return access.bound(agent, CLAIM)
+            return access.bound(agent, VOLUME_CLAIM)
 
-        wait_for(f"claim {agent}/{CLAIM}", BIND_SECONDS_MAX, bound, lambda: "no volume was bound to it")
-        folders[agent] = volumes.volume_path(agent, CLAIM)
+        wait_for(f"volume claim {agent}/{VOLUME_CLAIM}", BIND_SECONDS_MAX, bound, lambda: "no volume was bound to it")
+        folders[agent] = volumes.volume_path(agent, VOLUME_CLAIM)
         if place(bag, folders[agent] / agent):
             _restart_player(access, agent)
-    say(f"bags: {len(folders)} in the claims {CLAIM} of their agents")
+    progress(f"bags: {len(folders)} in the volume claims {VOLUME_CLAIM} of their agents")
     return folders
 
 

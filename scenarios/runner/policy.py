@@ -1,5 +1,5 @@
-"""What the person asks for: players on the vehicles, the operator's rule with the scenario's distances, and what the
-story adds."""
+"""The initial configuration that the person asks for: players on the vehicles, the operator's rule with the scenario's
+distances, and what the story adds."""
 
 from __future__ import annotations
 

@@ -14,24 +14,24 @@ PLAN = "robotkube.io/plan"
 
 
 class Readiness:
-    """Looks at repository, manager, Argo CD and pods; `missing` says in few words what is not there yet."""
+    """Checks of repository, manager, Argo CD and pods; `missing` names in few words what is not there yet."""
 
     def __init__(self, access: Access, deployment: Deployment, scenario: Scenario) -> None:
         self._access, self._deployment, self._scenario = access, deployment, scenario
-        self._missing: Sequence[str] = ("nothing was looked at yet",)
+        self._missing: Sequence[str] = ("nothing was checked yet",)
 
     def reached(self) -> bool:
-        """Looks once, at the dearest things last and only when the others are as they should be."""
+        """Checks once, the dearest things last and only when the others are as they should be."""
         self._deployment.fetch()
         releases = self._deployment.releases()
-        looks: Sequence[Callable[[], Sequence[str]]] = (
+        checks: Sequence[Callable[[], Sequence[str]]] = (
             lambda: [f"release {name} is not in the repository" for name in self._needed() if name not in releases],
-            lambda: self._unruled(releases),
+            lambda: self._with_another_rule(releases),
             self._plans,
             lambda: not_observed(releases, self._access.applications()),
             self._pods,
         )
-        self._missing = next((missing for missing in (look() for look in looks) if missing), ())
+        self._missing = next((missing for missing in (check() for check in checks) if missing), ())
         return not self._missing
 
     def missing(self) -> str:
@@ -40,27 +40,26 @@ class Readiness:
 
     def _needed(self) -> Sequence[str]:
         """Releases that the run cannot do without."""
-        story, found = self._scenario.story, list(self._scenario.story.ready)
+        story = self._scenario.story
+        needed = list(story.ready)
         if story.player_application:
             releases = (story.player_application, "mqtt-bridge")
-            found += [f"{agent}/{release}" for agent in self._scenario.vehicles for release in releases]
+            needed += [f"{agent}/{release}" for agent in self._scenario.vehicles for release in releases]
         if self._scenario.records:
-            found += [f"{story.recording_agent}/mqtt-bridge", f"{story.recording_agent}/{collecting.DETECTOR}"]
-        return found
+            needed += [f"{story.recording_agent}/mqtt-bridge", f"{story.recording_agent}/{collecting.DETECTOR}"]
+        return needed
 
-    def _unruled(self, releases: Mapping[str, Any]) -> Sequence[str]:
-        """Whether the operator has another rule than the scenario's: after an earlier run its release is there already,
-        and the plan that changes it may be still to come."""
+    def _with_another_rule(self, releases: Mapping[str, Any]) -> Sequence[str]:
+        """The operator's release when it has another rule than the scenario's: after an earlier run it is there, and
+        the plan that changes it may be still to come."""
         if not self._scenario.records:
             return ()
-        parameters, detector = (
-            self._scenario.parameters,
-            f"{self._scenario.story.recording_agent}/{collecting.DETECTOR}",
-        )
+        parameters = self._scenario.parameters
+        detector = f"{self._scenario.story.recording_agent}/{collecting.DETECTOR}"
         wanted = (list(self._scenario.lidar_vehicles), parameters.start_distance_m, parameters.stop_distance_m)
         rules = releases[detector]["spec"]["values"]["detector"]["rules"]
-        found = [tuple(rule.get(key) for key in ("agents", "start_distance_m", "stop_distance_m")) for rule in rules]
-        return () if wanted in found else (f"release {detector} has another rule than the scenario's",)
+        present = [tuple(rule.get(key) for key in ("agents", "start_distance_m", "stop_distance_m")) for rule in rules]
+        return () if wanted in present else (f"release {detector} has another rule than the scenario's",)
 
     def _plans(self) -> Sequence[str]:
         plans = collecting.plans(self._access, collecting.Collecting(lambda _: None))
@@ -76,14 +75,14 @@ class Readiness:
 
 def not_observed(releases: Mapping[str, Any], applications: Mapping[str, Any]) -> Sequence[str]:
     """Releases whose Argo CD Application does not run the plan that the repository states, synced and healthy."""
-    found = []
+    problems = []
     for name, release in sorted(releases.items()):
         application = applications.get(name.replace("/", "-"))
         wanted = release["metadata"]["annotations"][PLAN]
         problem = _problem(application, wanted)
         if problem:
-            found.append(f"{name}: {problem}")
-    return found
+            problems.append(f"{name}: {problem}")
+    return problems
 
 
 def _problem(application: Any, plan: str) -> str:

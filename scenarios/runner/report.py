@@ -1,4 +1,4 @@
-"""report.json: every figure of a run under its name, and whether the run passed."""
+"""report.json: every metric of a run under its name, and whether the run passed."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def _document(
     moments: Sequence[timeline.Moment],
 ) -> dict[str, Any]:
     latencies = [measures.latencies(encounter) for encounter in met]
-    return _told(scenario, inputs) | {
+    return _story(scenario, inputs) | {
         "scenario": scenario.name,
         "run": inputs.run,
         "provider": inputs.provider,
@@ -94,7 +94,7 @@ def _document(
     }
 
 
-def _told(scenario: Scenario, inputs: RunInputs) -> dict[str, Any]:
+def _story(scenario: Scenario, inputs: RunInputs) -> dict[str, Any]:
     """Steps and tasks of a story that has steps; the report of one without keeps its form."""
     if not scenario.steps:
         return {}
@@ -125,7 +125,7 @@ def _moment(inputs: RunInputs, moment: timeline.Moment) -> dict[str, Any]:
 
 
 def _warnings(inputs: RunInputs) -> list[str]:
-    """What a reader must know besides the table."""
+    """Sentences that a reader must know besides the table."""
     warnings = list(inputs.warnings)
     if any("none" in commit.trailers.get("Evidence", ()) for commit in inputs.commits):
         warnings.insert(
@@ -138,8 +138,8 @@ def _warnings(inputs: RunInputs) -> list[str]:
     warnings += [
         f"event {edge.id}: {edge.error}" for edge in inputs.edges if edge.error and edge.time >= inputs.started
     ]
-    told = [plan for plan in inputs.plans if plan.started is None or plan.started >= inputs.started]
-    warnings += [f"plan {plan.plan}: {plan.error}" for plan in told if plan.error]
+    plans = [plan for plan in inputs.plans if plan.started is None or plan.started >= inputs.started]
+    warnings += [f"plan {plan.plan}: {plan.error}" for plan in plans if plan.error]
     return warnings
 
 

@@ -16,7 +16,7 @@ from ci.folders import PROJECT
 from scenarios import definition
 from scenarios.definition import Scenario, cloud_topic, pose_topic
 from scenarios.generator import bags, checking, routes
-from scenarios.runner import asking, collecting, evidence, looking_around, policy, report, timeline
+from scenarios.runner import collecting, evidence, inspection, policy, proposing, report, timeline
 from scenarios.runner.access import PLATFORM, Access
 from scenarios.runner.acting import Actor, merge_plans
 from scenarios.runner.cpu import CpuSampler
@@ -48,12 +48,12 @@ REST_CORES_MAX, REST_SECONDS_MAX = 1.0, 60.0
 """A run begins when the cluster takes no more cores than that: the start of all its pods is not part of the story."""
 PLAY_SECONDS_MARGIN = 60.0
 REMOVAL_SECONDS_MAX = 60.0
-LOOK_SECONDS_AFTER_REMOVAL = 6.0
+OBSERVE_SECONDS_AFTER_REMOVAL = 6.0
 
 
 @dataclass
 class Run:
-    """A run under way: the tools it uses and what it has noted. `say` tells people, on standard error."""
+    """A run under way: the tools it uses and what it has noted. `progress` shows people a line, on standard error."""
 
     scenario: Scenario
     access: Access
@@ -65,10 +65,10 @@ class Run:
     tasks: TaskWatch
     sampler: CpuSampler
     name: str
-    say: Callable[[str], None]
+    progress: Callable[[str], None]
     set_up_seconds: dict[str, float]
     actor: Actor
-    claims: Mapping[str, Path] = field(default_factory=dict)
+    volume_folders: Mapping[str, Path] = field(default_factory=dict)
     releases_before: Mapping[str, str] = field(default_factory=dict)
     main_before: str = ""
     input_before: InputCounters | None = None
@@ -90,7 +90,7 @@ class Run:
     def warn(self, text: str) -> None:
         """Notes something for the report and says it."""
         self.warnings.append(text)
-        self.say(f"warning: {text}")
+        self.progress(f"warning: {text}")
 
 
 def run(
@@ -110,18 +110,18 @@ def run(
     began = time.monotonic()
     if scenario.players:
         routes.duration_seconds(scenario.parameters)
-    made = bags.make_bags(scenario, say=_say) if scenario.players else {}
+    made = bags.make_bags(scenario, progress=_print_progress) if scenario.players else {}
     for agent, bag in made.items():
         checking.check_bag(bag, scenario, agent)
     seconds = dict(set_up_seconds or {}) | {"bags": round(time.monotonic() - began, 2)}
     try:
         return _run(scenario, cluster, made, seconds, reports)
     except RunError as error:
-        _say(f"error: {error}")
+        _print_progress(f"error: {error}")
         return 1
 
 
-def _say(text: str) -> None:
+def _print_progress(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
@@ -136,7 +136,7 @@ def _run(scenario: Scenario, cluster: str, made: Mapping[str, Path], seconds: di
         Deployment(forge, *account_of_person) as deployment,
         Deployment(forge, *account_of_person, CATALOGUE) as catalogue,
     ):
-        actor = Actor(access, provider, releases=lambda: _fetched(deployment), say=_say)
+        actor = Actor(access, provider, releases=lambda: _fetched(deployment), progress=_print_progress)
         going = Run(
             scenario=scenario,
             access=access,
@@ -144,11 +144,11 @@ def _run(scenario: Scenario, cluster: str, made: Mapping[str, Path], seconds: di
             deployment=deployment,
             catalogue=catalogue,
             observer=BrokerObserver(broker.host, broker.port, account["username"], account["password"]),
-            pods=PodWatch(access, [node.agent for node in scenario.nodes], _say),
-            tasks=TaskWatch(access, _say),
+            pods=PodWatch(access, [node.agent for node in scenario.nodes], _print_progress),
+            tasks=TaskWatch(access, _print_progress),
             sampler=CpuSampler(cpu_root(cluster)),
             name=f"run-{time.strftime('%Y%m%d-%H%M%S', time.gmtime())}",
-            say=_say,
+            progress=_print_progress,
             set_up_seconds=seconds,
             actor=actor,
         )
@@ -210,9 +210,9 @@ def _note(going: Run, error: Exception) -> None:
 
 
 def prepare(going: Run, made: Mapping[str, Path]) -> None:
-    """Bags into the claims, the person's pull request, all releases ready; nothing is played yet."""
+    """Bags into the volume claims, the person's pull request, all releases ready; nothing is played yet."""
     began = time.monotonic()
-    going.claims = place_bags(going.access, going.volumes, made, going.say)
+    going.volume_folders = place_bags(going.access, going.volumes, made, going.progress)
     ask(going)
     readiness = Readiness(going.access, going.deployment, going.scenario)
     wait_for(
@@ -221,7 +221,7 @@ def prepare(going: Run, made: Mapping[str, Path]) -> None:
         readiness.reached,
         lambda: f"{readiness.missing()}\n{going.access.state(going.namespaces)}",
         poll_seconds=2.0,
-        say=going.say,
+        progress=going.progress,
     )
     going.set_up_seconds["players and releases ready"] = round(time.monotonic() - began, 2)
     settle(going)
@@ -250,11 +250,11 @@ def ask(going: Run) -> None:
     going.deployment.fetch()
     text = policy.changed(going.deployment.file(policy.PATH), going.scenario)
     if text is None:
-        going.say(f"{policy.PATH} asks for everything already")
+        going.progress(f"{policy.PATH} asks for everything already")
         return
     subject = f"policy(initial): {going.scenario.name} with {going.scenario.parameters.vehicles} vehicles"
-    number = asking.change(going.deployment, policy.PATH, text, subject, going.name)
-    going.say(f"pull request #{number} of {going.scenario.story.person} on {policy.PATH} is merged")
+    number = proposing.change(going.deployment, policy.PATH, text, subject, going.name)
+    going.progress(f"pull request #{number} of {going.scenario.story.person} on {policy.PATH} is merged")
 
 
 def play(going: Run) -> None:
@@ -268,12 +268,12 @@ def play(going: Run) -> None:
     for agent in going.scenario.players:
         going.access.put_simulation(agent, going.name, going.started)
     if time.time_ns() > going.started:
-        going.warn("telling the players took longer than the start was ahead: they began late")
-    going.say(f"{going.name}: {len(going.scenario.players)} players start in {START_DELAY_SECONDS} s")
+        going.warn("starting the players took longer than the start was ahead: they began late")
+    going.progress(f"{going.name}: {len(going.scenario.players)} players start in {START_DELAY_SECONDS} s")
 
 
 def wait_for_end(going: Run) -> None:
-    """Until all ledgers have their end and everything that the events brought is gone again, and a little longer."""
+    """Until all ledgers have their end and everything that the events led to is gone again, and a little longer."""
     if going.scenario.players:
         _wait_for_players(going)
 
@@ -281,24 +281,24 @@ def wait_for_end(going: Run) -> None:
         return not _left(going)
 
     wait_for(
-        "everything the events brought to be gone", REMOVAL_SECONDS_MAX, gone, lambda: "\n".join(_left(going)), 1.0
+        "everything the events led to, to be gone", REMOVAL_SECONDS_MAX, gone, lambda: "\n".join(_left(going)), 1.0
     )
-    time.sleep(LOOK_SECONDS_AFTER_REMOVAL)
+    time.sleep(OBSERVE_SECONDS_AFTER_REMOVAL)
 
 
 def _wait_for_players(going: Run) -> None:
     length = routes.duration_seconds(going.scenario.parameters)
-    files = [collecting.ledger_file(going.claims[a], going.name, t) for a, t in _played(going.scenario)]
+    files = [collecting.ledger_file(going.volume_folders[a], going.name, t) for a, t in _played(going.scenario)]
 
     def ended() -> bool:
         return all(collecting.ledger_ended(file) for file in files)
 
     def open_ledgers() -> str:
-        found = [file.name for file in files if not collecting.ledger_ended(file)]
-        return f"{len(found)} of {len(files)} ledgers have no end yet: {', '.join(found[:3])}"
+        open_files = [file.name for file in files if not collecting.ledger_ended(file)]
+        return f"{len(open_files)} of {len(files)} ledgers have no end yet: {', '.join(open_files[:3])}"
 
     limit = START_DELAY_SECONDS + length + PLAY_SECONDS_MARGIN
-    wait_for("the players to finish", limit, ended, open_ledgers, poll_seconds=1.0, say=going.say)
+    wait_for("the players to finish", limit, ended, open_ledgers, poll_seconds=1.0, progress=going.progress)
 
 
 def _played(scenario: Scenario) -> list[tuple[str, str]]:
@@ -338,7 +338,7 @@ def collect(going: Run) -> RunInputs:
     read("watch of the pods", going.pods.stop, None, "pods")
     read("watch of the tasks", going.tasks.stop, None, "tasks")
     edges = _edges(going, reading) if records else ()
-    recordings, found = _stored(going, reading, edges) if records else ((), ())
+    recordings, stored = _stored(going, reading, edges) if records else ((), ())
     read("deployment repository", going.deployment.fetch, "", "commits", "releases_after", "released", "history")
     released = read("releases of the run", lambda: evidence.released(_releases_of_the_run(going)), (), "released")
     return RunInputs(
@@ -346,8 +346,8 @@ def collect(going: Run) -> RunInputs:
         provider=PROVIDER,
         started=going.started,
         ended=ended,
-        ledgers=collecting.ledgers(scenario, going.claims, going.name, reading) if scenario.players else {},
-        stored=found,
+        ledgers=collecting.ledgers(scenario, going.volume_folders, going.name, reading) if scenario.players else {},
+        stored=stored,
         recordings=recordings,
         edges=edges,
         plans=_plans(going, reading),
@@ -377,8 +377,8 @@ def _edges(going: Run, reading: collecting.Collecting) -> tuple[Edge, ...]:
     def source() -> tuple[Edge, ...]:
         return collecting.edges(going.access, going.scenario, reading)
 
-    found: tuple[Edge, ...] = reading.read("event detector's events", source, (), "edges")
-    return found
+    edges: tuple[Edge, ...] = reading.read("event detector's events", source, (), "edges")
+    return edges
 
 
 def _plans(going: Run, reading: collecting.Collecting) -> tuple[Plan, ...]:
@@ -395,10 +395,10 @@ def _stored(
         return collecting.stored(going.access, going.scenario, going.volumes, events)
 
     nothing: tuple[tuple[Recording, ...], tuple[Stored, ...]] = ((), ())
-    found: tuple[tuple[Recording, ...], tuple[Stored, ...]] = reading.read(
+    stored: tuple[tuple[Recording, ...], tuple[Stored, ...]] = reading.read(
         "recordings", source, nothing, "recordings", "stored"
     )
-    return found
+    return stored
 
 
 def _releases_of_the_run(going: Run) -> Iterator[tuple[str, Any]]:
@@ -406,17 +406,17 @@ def _releases_of_the_run(going: Run) -> Iterator[tuple[str, Any]]:
 
 
 def _summaries(going: Run, released: Sequence[ReleasedChart]) -> dict[str, str]:
-    """What the catalogue's evidence says of charts, verified with the keys that gate and manager trust."""
+    """Charts that the catalogue's evidence is about, verified with the keys that gate and manager trust."""
     keys = evidence.trusted_keys(going.access.configmap(PLATFORM, EVIDENCE_KEYS))
     going.catalogue.fetch()
     files = going.catalogue.files(EVIDENCE_FOLDER)
-    for doubt in evidence.doubts(files, keys.verify, released):
-        going.warn(doubt)
+    for problem in evidence.problems(files, keys.verify, released):
+        going.warn(problem)
     return evidence.summaries(files, keys.verify)
 
 
 def show(going: Run, done: report.Report, reports: Path) -> None:
-    """Timeline, table, files and where to look, on standard output."""
+    """Prints timeline, table, files and the commands of inspection."""
     files = report.write(done, reports / going.scenario.name, page(done))
     print("\n".join(timeline.lines(done.inputs, done.moments)), flush=True)
     print()
@@ -425,4 +425,4 @@ def show(going: Run, done: report.Report, reports: Path) -> None:
     for text in done.document["warnings"]:
         print(f"warning: {text}")
     print(f"\n{'passed' if done.passed else 'FAILED'}: {files[0]}, {files[1]}\n")
-    print("\n".join(looking_around.lines(going.scenario, going.access.kubeconfig, going.access.endpoint("forge"))))
+    print("\n".join(inspection.lines(going.scenario, going.access.kubeconfig, going.access.endpoint("forge"))))

@@ -1,6 +1,6 @@
 """What encounters that overlap share: one release with the demands of both, kept until the second has ended.
 
-Pure; None means that the inputs do not tell.
+Pure; None means that the inputs do not contain it.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """What is in storage: database documents and the segments they point to, read back and hashed anew.
 
 Segments are read as MCAP from their beginning, not by the recorder's offsets, and a file whose writer was killed is
-read
-as far as it goes.
+read as far as it goes.
 """
 
 from __future__ import annotations
@@ -38,16 +37,16 @@ def stored(samples: Iterable[Document], index: Iterable[Document], find_segment:
 
 def ledger(lines: Iterable[Mapping[str, Any]]) -> tuple[LedgerLine, ...]:
     """The messages of a player's ledger; ValueError when it has no end or its end states another number."""
-    found = list(lines)
+    documents = list(lines)
     messages = tuple(
         LedgerLine(int(line["sequence"]), int(line["stamp"]), str(line["sha256"]))
-        for line in found
+        for line in documents
         if "sequence" in line
     )
-    if not found or not found[-1].get("end"):
+    if not documents or not documents[-1].get("end"):
         raise ValueError("has no end, so the player has not finished or was killed")
-    if found[-1].get("count") != len(messages):
-        raise ValueError(f"states {found[-1].get('count')} messages and holds {len(messages)}")
+    if documents[-1].get("count") != len(messages):
+        raise ValueError(f"states {documents[-1].get('count')} messages and holds {len(messages)}")
     return messages
 
 
@@ -93,9 +92,9 @@ def _of_entry(entry: Document, digest: str) -> Stored:
 
 def _read(path: Path | None) -> dict[tuple[str, int], list[str]]:
     """Hashes of a segment's messages by topic and stamp; empty when the file is not there."""
-    found: dict[tuple[str, int], list[str]] = defaultdict(list)
+    digests: dict[tuple[str, int], list[str]] = defaultdict(list)
     if path is None or not path.is_file():
-        return found
+        return digests
     channels: dict[int, str] = {}
     with path.open("rb") as stream:
         try:
@@ -104,7 +103,7 @@ def _read(path: Path | None) -> dict[tuple[str, int], list[str]]:
                     channels[record.id] = record.topic
                 elif isinstance(record, Message) and len(record.data) >= STAMP_BYTES_MIN:
                     key = channels.get(record.channel_id, ""), stamp_of(record.data)
-                    found[key].append(hashlib.sha256(record.data).hexdigest())
+                    digests[key].append(hashlib.sha256(record.data).hexdigest())
         except (McapError, EOFError):
             pass  # the writer was killed: what it had finished has been read
-    return found
+    return digests

@@ -1,4 +1,4 @@
-"""Watches the tasks of a run: when they came and went and their conditions changed, by the time of the news."""
+"""Watches the tasks of a run: when they came and went and their conditions changed, by the time of the watch event."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ CONDITIONS_MAX = 1000  # of one task
 
 
 class TaskWatch:
-    """Follows all tasks from `start` to `stop`."""
+    """A watch of all tasks from `start` to `stop`."""
 
-    def __init__(self, access: Access, say: Callable[[str], None]) -> None:
-        self._access, self._say = access, say
+    def __init__(self, access: Access, progress: Callable[[str], None]) -> None:
+        self._access, self._progress = access, progress
         self._lives: dict[str, TaskLife] = {}
         self._lock = threading.Lock()
         self._ending = threading.Event()
@@ -34,7 +34,7 @@ class TaskWatch:
         self._thread.start()
 
     def stop(self) -> None:
-        """Ends; bounded, since the news may be silent."""
+        """Ends; bounded, since the watch may be silent."""
         self._ending.set()
         if self._watch is not None:
             self._watch.stop()
@@ -48,14 +48,14 @@ class TaskWatch:
     def _run(self) -> None:
         while not self._ending.is_set():
             try:
-                self._follow()
+                self._watch_once()
             except Exception as error:
                 if not self._ending.is_set():
-                    self._say(f"watch of the tasks begins again: {type(error).__name__}")
+                    self._progress(f"watch of the tasks begins again: {type(error).__name__}")
                     self._ending.wait(1.0)
 
-    def _follow(self) -> None:
-        """One watch: what is there, then the news until it ends; tasks that went in between are noted as gone now."""
+    def _watch_once(self) -> None:
+        """One watch: what is there, then its events until it ends; tasks that went in between are noted as gone now."""
         listed = self._access.objects.list_cluster_custom_object(*TASKS)
         present = {item["metadata"]["uid"] for item in listed["items"]}
         for item in listed["items"]:
@@ -64,22 +64,23 @@ class TaskWatch:
             for uid in [uid for uid, life in self._lives.items() if life.deleted is None and uid not in present]:
                 self._lives[uid] = replace(self._lives[uid], deleted=time.time_ns())
         self._watch = watch.Watch()
-        news = self._watch.stream(
+        events = self._watch.stream(
             self._access.objects.list_cluster_custom_object,
             *TASKS,
             resource_version=listed["metadata"]["resourceVersion"],
             timeout_seconds=WATCH_SECONDS,
         )
-        for event in news:
+        for event in events:
             self.note(event["type"], event["object"])
             if self._ending.is_set():
                 return
 
     def note(self, kind: str, task: Mapping[str, Any]) -> None:
-        """One piece of news: a task as the API server has it, ADDED, MODIFIED or DELETED."""
+        """One event: a task as the API server has it, ADDED, MODIFIED or DELETED."""
         if kind not in ("ADDED", "MODIFIED", "DELETED"):
             raise ValueError(f"the API server ended the watch: {kind}")
-        now, data = time.time_ns(), task["metadata"]
+        now = time.time_ns()
+        data = task["metadata"]
         with self._lock:
             known = self._lives.get(data["uid"]) or _born(task, now)
             changed = tuple(_changed(known, task, now))
@@ -90,16 +91,17 @@ class TaskWatch:
 
 
 def _born(task: Mapping[str, Any], now: int) -> TaskLife:
-    data, spec = task["metadata"], task.get("spec", {})
+    data = task["metadata"]
+    spec = task.get("spec", {})
     parent = str((spec.get("chain") or {}).get("parent", ""))
     return TaskLife(f"{data['namespace']}/{data['name']}", now, spec, parent)
 
 
 def _changed(known: TaskLife, task: Mapping[str, Any], now: int) -> Iterator[TaskCondition]:
-    """Conditions that say something else than when they were last seen."""
+    """Conditions that differ from when they were last seen."""
     last = {condition.type: condition for condition in known.conditions}
-    for found in task.get("status", {}).get("conditions", []):
-        said = TaskCondition(now, found["type"], found["status"], found.get("reason", ""), found.get("message", ""))
-        before = last.get(said.type)
-        if before is None or replace(before, time=now) != said:
-            yield said
+    for one in task.get("status", {}).get("conditions", []):
+        condition = TaskCondition(now, one["type"], one["status"], one.get("reason", ""), one.get("message", ""))
+        before = last.get(condition.type)
+        if before is None or replace(before, time=now) != condition:
+            yield condition

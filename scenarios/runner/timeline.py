@@ -24,8 +24,8 @@ def timeline(inputs: RunInputs, encounters: Sequence[Encounter]) -> tuple[Moment
     begin = "story begins" if inputs.steps and not inputs.ledgers else "players start"
     moments = [Moment(inputs.started, begin), Moment(inputs.ended, "run ends")]
     moments += [moment for step in inputs.steps for moment in _of_step(step)]
-    told = {encounter.start.task for encounter in encounters}  # by the detector that made and withdrew them
-    moments += [moment for task in inputs.tasks if task.key not in told for moment in _of_task(task)]
+    of_encounters = {encounter.start.task for encounter in encounters}  # by the detector that made and withdrew them
+    moments += [moment for task in inputs.tasks if task.key not in of_encounters for moment in _of_task(task)]
     for number, encounter in enumerate(encounters, 1):
         moments += _of_encounter(number, encounter)
     return tuple(sorted(moments, key=lambda moment: moment.time))
@@ -38,7 +38,7 @@ def _of_step(step: StepDone) -> Iterator[Moment]:
 
 
 def _of_task(task: TaskLife) -> Iterator[Moment]:
-    """Its life and what the manager decided; that it is carried out is told by the plans."""
+    """Its life and what the manager decided; that it is carried out, the plans show."""
     yield Moment(task.created, f"task {task.key} created")
     reason = ""
     for condition in task.conditions:

@@ -1,4 +1,4 @@
-"""Waits with a bound: who waits says for what, and what the things involved look like when the time is over."""
+"""Waits with a bound: who waits names for what, and describes the things involved when the time is over."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 
 POLL_SECONDS = 0.5
-TELL_SECONDS = 10.0
+PROGRESS_SECONDS = 10.0
 
 
 class RunError(Exception):
@@ -19,13 +19,13 @@ def wait_for(
     reached: Callable[[], bool],
     state: Callable[[], str],
     poll_seconds: float = POLL_SECONDS,
-    say: Callable[[str], None] | None = None,
+    progress: Callable[[str], None] | None = None,
 ) -> float:
     """Polls until `reached`; returns the seconds it took. Raises `RunError` with `state()` when the bound is exceeded.
 
-    A look that fails (`RunError`: somebody does not answer) is repeated; the last failure is part of the message.
+    A poll that fails (`RunError`: somebody does not answer) is repeated; the last failure is part of the message.
     """
-    began = told = time.monotonic()
+    began = reported = time.monotonic()
     failure = ""
     while True:
         try:
@@ -33,11 +33,13 @@ def wait_for(
                 return time.monotonic() - began
             failure = ""
         except RunError as error:
-            failure = f"\nthe last look failed: {error}"
+            failure = f"\nthe last poll failed: {error}"
         now = time.monotonic()
         if now - began > seconds:
             raise RunError(f"waited {seconds:.0f} s for {what}, in vain{failure}\n{state()}")
-        if say and now - told >= TELL_SECONDS:
-            told = now
-            say(f"waiting for {what}: {now - began:.0f} of at most {seconds:.0f} s; {state().splitlines()[0]}{failure}")
+        if progress and now - reported >= PROGRESS_SECONDS:
+            reported = now
+            progress(
+                f"waiting for {what}: {now - began:.0f} of at most {seconds:.0f} s; {state().splitlines()[0]}{failure}"
+            )
         time.sleep(poll_seconds)

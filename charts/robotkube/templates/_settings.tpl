@@ -11,7 +11,7 @@ forge:
   deployment: robotkube/deployment
   catalogue: robotkube/catalogue
   branch: main
-registry:
+oci_registry:
   charts: {{ include "robotkube.charts" . }}
 argocd:
   url: http://{{ include "robotkube.host" (dict "root" . "name" "argocd-server" "namespace" .Values.argocd.namespace) }}
@@ -64,7 +64,7 @@ forge:
     secret: /var/run/secrets/robotkube/proposers/{{ .name }}/secret
   {{- end }}
   publishers: [publisher]
-registry:
+oci_registry:
   charts: {{ include "robotkube.charts" . }}
   staging: {{ include "robotkube.packages" (dict "root" . "organisation" "staging") }}
 local_builds: {{ .Values.gate.localBuilds }}

@@ -86,8 +86,8 @@ def test_each_webhook_has_a_secret_of_its_own_that_both_ends_know(helm: Any, tmp
         assert found.gate_objects_url == f"http://gate.robotkube.svc.cluster.local:8080{gate.OBJECTS_PATH}/{name}"
     making = read_settings(mounted(rendered, "bootstrap", tmp_path / "bootstrap"), bootstrap.read_configuration)
     assert making.forge is not None
-    told = {(str(httpx.URL(hook.url).host).partition(".")[0], hook.secret) for hook in making.forge.setup.webhooks}
-    assert told == {("gate", hearing.webhook_secret), *own.items()}
+    called = {(str(httpx.URL(hook.url).host).partition(".")[0], hook.secret) for hook in making.forge.setup.webhooks}
+    assert called == {("gate", hearing.webhook_secret), *own.items()}
     for shared in (own["manager"], hearing.webhook_secret):
         write(tmp_path / "gate/secrets/proposers/manager-north/secret", shared)
         with pytest.raises(InputError, match=r"forge.proposers\[1\].secret: the forge .* or another proposer has"):

@@ -125,8 +125,8 @@ def test_the_forge_knows_every_manager_and_tells_it(two: Any) -> None:
             "manager-north": "read",
         }
         assert repository["main"] == ["gate"]
-    told = {hook["url"].partition("//")[2].partition(".")[0] for hook in forge["webhooks"]}
-    assert told == {"gate", "manager", "manager-north"}
+    called = {hook["url"].partition("//")[2].partition(".")[0] for hook in forge["webhooks"]}
+    assert called == {"gate", "manager", "manager-north"}
 
 
 def test_namespaces_are_those_of_the_agents_when_left_out(helm: Any) -> None:

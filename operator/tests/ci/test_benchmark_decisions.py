@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import importlib
+from importlib.util import find_spec
 
 import pytest
 
 from benchmarks import application_manager, decisions
-from benchmarks.application_manager import checkout, comparisons, decision_record, known, together
+from benchmarks.application_manager import checkout, compare_revisions, decision_record, known, together
 from benchmarks.measuring import Quantiles
 from ci.errors import SetUpError
 from ci.folders import PROJECT
@@ -34,7 +35,7 @@ def test_main_moves_with_each_decision() -> None:
     for number in range(3):
         manager.moving(number)
         tips.append(manager._main.tip)
-        assert len(manager._tasks.objects) == decisions.EXPECTED["standing"]
+        assert len(manager._tasks.objects) == decisions.EXPECTED["demands"]
     assert len(set(tips)) == 4
     manager.still(3)
     assert manager._main.tip == tips[-1]
@@ -47,18 +48,18 @@ def test_every_name_lies_where_it_is_looked_for_first(name: str) -> None:
 
 def test_decisions_are_set_against_those_of_the_revision() -> None:
     quiet, busy = {"still": [2.0], "moving": [3.0]}, {"still": [9.0], "moving": [9.0]}
-    figures = list(comparisons([busy, quiet], [{"still": [2.0], "moving": [2.0]}, busy], "abc"))
-    assert [(figure.name, figure.passed) for figure in figures] == [
+    compared = list(compare_revisions([busy, quiet], [{"still": [2.0], "moving": [2.0]}, busy], "abc"))
+    assert [(one.name, one.passed) for one in compared] == [
         ("decision, p50", True),
         ("decision, p99", True),
         ("decision while main moves, p50", False),
         ("decision while main moves, p99", False),
     ]
-    assert {figure.baseline_is for figure in figures} == {"the same at abc, each in its quietest of 2 rounds"}
+    assert {one.baseline_is for one in compared} == {"the same at abc, each in its quietest of 2 rounds"}
 
 
 def test_without_an_earlier_revision_nothing_is_compared() -> None:
-    assert list(comparisons([{"still": [2.0], "moving": [3.0]}], [], "")) == []
+    assert list(compare_revisions([{"still": [2.0], "moving": [3.0]}], [], "")) == []
     assert together([]) == {}
     document = decision_record(OURS, {}, "")
     assert (document["decision_before"], document["decision_before_moving_ms"]) == ("", None)
@@ -75,3 +76,9 @@ def test_the_sources_of_a_revision_are_there_for_as_long_as_they_are_needed() ->
     with checkout("HEAD") as folder:
         assert (folder / "operator" / "src" / "robotkube" / "errors.py").is_file()
     assert not folder.exists()
+
+
+def test_the_storm_is_a_module_of_the_tests() -> None:
+    """It is started by its name, in a process of its own."""
+    assert find_spec(application_manager.STORM) is not None
+    assert (application_manager.TESTS / "tests" / "__init__.py").exists()

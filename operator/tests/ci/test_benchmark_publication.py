@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import publication, registry
-from benchmarks.publication import Costs, figure, figures, suite_seconds
+from benchmarks.publication import Costs, compare, comparison, suite_seconds
 from ci import publish
 from ci.cluster import cleaning
 from ci.errors import SetUpError
@@ -78,21 +78,21 @@ class World:
 
 @pytest.fixture
 def world(published: Mapping[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> World:
-    found = World(published)
+    made = World(published)
 
     class Embedded:
         def __init__(self, name: str, binaries: Path) -> None:
             self.name = name
 
         def down(self) -> None:
-            found.down(self.name)
+            made.down(self.name)
 
-    monkeypatch.setattr(cleaning, "leftovers", found.leftovers)
-    monkeypatch.setattr(demo, "bring_up", found.bring_up)
-    monkeypatch.setattr(publish, "publish", found.publish)
+    monkeypatch.setattr(cleaning, "leftovers", made.leftovers)
+    monkeypatch.setattr(demo, "bring_up", made.bring_up)
+    monkeypatch.setattr(publish, "publish", made.publish)
     monkeypatch.setattr(publication, "Embedded", Embedded)
     monkeypatch.setattr(registry, "RECORD", tmp_path / "bench" / "registry.json")
-    return found
+    return made
 
 
 def test_a_suite_takes_the_mean_over_the_charts(published: Mapping[str, str]) -> None:
@@ -100,15 +100,15 @@ def test_a_suite_takes_the_mean_over_the_charts(published: Mapping[str, str]) ->
 
 
 def test_the_first_publication_has_its_goal_and_a_slow_machine_more() -> None:
-    quick = figure(Costs(3, 200.0, 4.0, {}))
+    quick = comparison(Costs(3, 200.0, 4.0, {}))
     assert (quick.ours, quick.baseline, quick.ratio_max, quick.passed) == (200.0, 4.0, 60.0, True)
-    assert not figure(Costs(3, 241.0, 4.0, {})).passed
-    assert figure(Costs(3, 470.0, 20.0, {})).passed
-    assert not figure(Costs(3, 490.0, 20.0, {})).passed
+    assert not comparison(Costs(3, 241.0, 4.0, {})).passed
+    assert comparison(Costs(3, 470.0, 20.0, {})).passed
+    assert not comparison(Costs(3, 490.0, 20.0, {})).passed
 
 
 def test_it_is_measured_on_a_cluster_of_its_own_and_recorded(world: World) -> None:
-    [found] = figures()
+    [found] = compare()
     assert (found.name, found.ours, found.unit) == ("publish 2 charts, every suite run", 90.0, "s")
     assert world.done == ["up test {'vehicles': '3'} platform", *["publish by kubeconfig"] * 3, "down test"]
     [kept] = set(world.kept)
@@ -125,7 +125,7 @@ def test_a_cluster_that_runs_is_stopped_and_that_is_said(
     world: World, name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     world.running.add(name)
-    figures()
+    compare()
     assert world.done[0] == f"down {name}"
     assert f"stopping the cluster {name}" in capsys.readouterr().err
     assert world.running == set()
@@ -134,7 +134,7 @@ def test_a_cluster_that_runs_is_stopped_and_that_is_said(
 def test_a_refused_publication_leaves_no_cluster_and_no_figures(world: World) -> None:
     world.refusal = "the gate refused to publish"
     with pytest.raises(SetUpError, match="the gate refused"):
-        figures()
+        compare()
     assert world.done[-1] == "down test"
     assert not registry.RECORD.exists()
 
@@ -142,6 +142,6 @@ def test_a_refused_publication_leaves_no_cluster_and_no_figures(world: World) ->
 def test_a_repetition_that_publishes_is_no_baseline(world: World) -> None:
     world.verdict = PUBLISHED
     with pytest.raises(SetUpError, match="publishing the same again gave published, published, published"):
-        figures()
+        compare()
     assert world.running == set()
     assert not registry.RECORD.exists()

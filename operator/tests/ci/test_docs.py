@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from robotkube.cli import main as cli
-from scenarios.runner import looking_around
+from scenarios.runner import inspection
 from tests.stages.paths import REPOSITORY
 
 PAGES = sorted(
@@ -112,4 +112,4 @@ def test_every_decision_is_in_the_index_and_numbers_have_no_gap() -> None:
 def test_the_tutorial_runs_what_the_run_prints() -> None:
     text = (REPOSITORY / "docs/tutorials/use-case.md").read_text(encoding="utf-8")
     for noun, verb in (("plan", "list"), ("release", "list"), ("task", "list"), ("recording", "list")):
-        assert f"{looking_around.ROBOTKUBE} {noun} {verb}" in text
+        assert f"{inspection.ROBOTKUBE} {noun} {verb}" in text

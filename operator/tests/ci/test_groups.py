@@ -63,8 +63,8 @@ def counted(folder: Path, name: str, text: str, processes: int = 1) -> tuple[int
     return done.returncode, results.read(folder / "results")
 
 
-@pytest.mark.parametrize("marks", [set(c) for n in range(5) for c in itertools.combinations(MARKS, n)], ids=str)
-def test_a_test_of_any_marks_is_in_one_group(marks: set[str]) -> None:
+@pytest.mark.parametrize("marks", [c for n in range(5) for c in itertools.combinations(MARKS, n)], ids=" and ".join)
+def test_a_test_of_any_marks_is_in_one_group(marks: tuple[str, ...]) -> None:
     chosen = [
         group.name
         for group in (*groups.GROUPS, groups.THOROUGH)

@@ -21,7 +21,7 @@ def test_the_page_names_exactly_the_ten_rows() -> None:
 
 def test_the_page_is_made_of_the_stories_of_the_tests_and_of_its_results() -> None:
     text = principles.PAGE.read_text(encoding="utf-8")
-    assert text == principles.page(principles.read_principles(), principles.said(text)), "run: make reference"
+    assert text == principles.page(principles.read_principles(), principles.results_of(text)), "run: make reference"
 
 
 @pytest.fixture
@@ -39,14 +39,14 @@ def test_writing_the_page_keeps_what_is_known_of_stories_that_did_not_run(place:
     before = principles.PAGE.read_text()
     assert principles.write().read_text() == before
     principles.RESULTS.write_text('{"p02": "failed", "p03": "passed", "p01": "skipped"}')
-    assert principles.said(principles.write().read_text()) == {"p01": "passed", "p02": "failed", "p03": "passed"}
+    assert principles.results_of(principles.write().read_text()) == {"p01": "passed", "p02": "failed", "p03": "passed"}
 
 
 def test_news_are_what_the_page_does_not_say_yet_and_change_nothing(place: Path) -> None:
     before = principles.PAGE.read_bytes()
-    assert principles.news() == ""
+    assert principles.differences() == ""
     principles.RESULTS.write_text('{"p01": "passed", "p02": "failed", "p03": "passed", "p04": "skipped"}')
-    assert principles.news() == "p02 does not hold, p03 holds"
+    assert principles.differences() == "p02 does not hold, p03 holds"
     assert principles.PAGE.read_bytes() == before
 
 
@@ -71,7 +71,7 @@ def test_a_run_of_the_tests_leaves_the_page_as_it_is(
     monkeypatch.setattr(sys, "argv", ["make test", "--only", "platform"])
     assert test.main() == 0
     assert principles.PAGE.read_bytes() == before
-    assert "Table I is not what its page says (p02 does not hold): `make reference`" in capsys.readouterr().out
+    assert "Table I is not what its page states (p02 does not hold): `make reference`" in capsys.readouterr().out
 
 
 def ten(folder: Path) -> Path:

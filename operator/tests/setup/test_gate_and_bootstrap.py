@@ -102,7 +102,7 @@ def gate_settings(installation: Installation, folder: Path, hook_url: str) -> di
             ],
             "publishers": ["publisher"],
         },
-        "registry": {"charts": CHARTS_URL, "staging": CHARTS_URL.replace("verified", "staging")},
+        "oci_registry": {"charts": CHARTS_URL, "staging": CHARTS_URL.replace("verified", "staging")},
         "local_builds": False,
         "evidence": {
             "key": key_file(folder),

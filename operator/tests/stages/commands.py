@@ -15,8 +15,8 @@ PROJECT_FILE = REPOSITORY / "operator" / "pyproject.toml"
 @cache
 def scripts() -> dict[str, str]:
     """Command -> `module:function`."""
-    found: dict[str, str] = tomllib.loads(PROJECT_FILE.read_text(encoding="utf-8"))["project"]["scripts"]
-    return found
+    names: dict[str, str] = tomllib.loads(PROJECT_FILE.read_text(encoding="utf-8"))["project"]["scripts"]
+    return names
 
 
 def local_command(command: Sequence[str]) -> list[str]:

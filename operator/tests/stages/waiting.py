@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable
 
 WAIT_SECONDS_MAX = 30.0
-LOOK_SECONDS = 0.02
+POLL_SECONDS = 0.02
 
 
 def until(
@@ -14,4 +14,4 @@ def until(
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end, f"not within {seconds:.0f} s: {what}"
-        time.sleep(LOOK_SECONDS)
+        time.sleep(POLL_SECONDS)

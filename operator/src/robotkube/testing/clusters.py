@@ -44,7 +44,7 @@ class MemoryTasks:
         """Delete a task at once; False when there is none."""
         return self.objects.pop(f"{namespace}/{name}", None) is not None
 
-    def tell(self, task: Mapping[str, Any], reason: str, text: str) -> None:
+    def report_on_task(self, task: Mapping[str, Any], reason: str, text: str) -> None:
         """Remember task, reason and text, once."""
         report = (f"{task['metadata']['namespace']}/{task['metadata']['name']}", reason, text)
         if report not in self.told:
@@ -88,7 +88,7 @@ class MemoryCluster:
     running: dict[str, list[PodState]] = field(default_factory=dict)
     reports: list[tuple[str, str, str]] = field(default_factory=list)
 
-    def tell_node(self, node: str, reason: str, text: str) -> None:
+    def report_on_node(self, node: str, reason: str, text: str) -> None:
         """Remember node, reason and text, once."""
         if (node, reason, text) not in self.reports:
             self.reports.append((node, reason, text))

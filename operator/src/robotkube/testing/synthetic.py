@@ -1,8 +1,8 @@
-"""A large made-up fleet: many chart versions, nodes and standing demands, the same for the same arguments.
+"""A large made-up fleet: many chart versions, nodes and demands that main meets, the same for the same arguments.
 
 For measurements and for properties of composition. A fifth of the machines are edge machines, a tenth clouds, the rest
 vehicles; half of the applications record the data of two vehicles in a cloud, the others perceive on an edge machine
-with two services that a ros link joins. What is on main answers the standing demands.
+with two services that a ros link joins. What is on main answers those demands.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ _QOS = {"reliability": "reliable", "durability": "volatile", "depth": 10}
 
 @dataclass(frozen=True)
 class Synthetic:
-    """The made-up fleet; `tasks` are the standing ones by key, `tree` is main, which answers them."""
+    """The made-up fleet; `tasks` are those that main meets by key, `tree` is main."""
 
     catalogue: Catalogue
     schemas: Schemas
@@ -109,7 +109,7 @@ def synthetic(
     charts: int = 50,
     versions: int = 10,
     nodes: int = 1000,
-    standing: int = 200,
+    task_count: int = 200,
     seed: int = 1,
 ) -> Synthetic:
     """A made-up fleet of these sizes."""
@@ -117,7 +117,7 @@ def synthetic(
     catalogue, schemas = _catalogue(charts, versions)
     agents, machines = _machines(nodes, chance)
     vehicles = [agent.name for agent in agents if agent.role == "vehicle"]
-    tasks = [_task(number, "standing", vehicles, len(catalogue.applications) - 1) for number in range(standing)]
+    tasks = [_task(number, "standing", vehicles, len(catalogue.applications) - 1) for number in range(task_count)]
     empty = Synthetic(catalogue, schemas, agents, machines, {}, Tree({}, {}))
     desired = compose(demands(tasks), empty.inputs(render, validate), Memo())
     releases = [replace(release, plan=PLAN) for release in desired.releases.values()]

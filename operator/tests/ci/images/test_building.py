@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 import subprocess
+import tarfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,7 +14,7 @@ import pytest
 
 from ci.images import buildah, machine
 from ci.images.building import BuiltImage, build_images
-from ci.images.catalogue import IMAGES
+from ci.images.catalogue import IMAGES, TOP
 from tests.stages import programs
 
 pytestmark = pytest.mark.processes
@@ -60,6 +61,26 @@ def test_two_folders_give_one_digest_and_the_second_run_is_cached(tools: Path, t
     files = {"archive": str(first.archive), "bill": str(first.bill)}
     assert lock == {"ferretdb": {"reference": first.reference, **files, "size": first.size}}
     assert first.bill.read_bytes() == second.bill.read_bytes()
+
+
+def content(image: BuiltImage, path: str) -> bytes:
+    """A file of the image's layers, empty when there is none."""
+    with tarfile.open(image.archive) as archive:
+        for digest in image.layers:
+            blob = archive.extractfile(f"blobs/{digest.replace(':', '/')}")
+            with tarfile.open(fileobj=blob) as layer:
+                if path in layer.getnames():
+                    file = layer.extractfile(path)
+                    return file.read() if file else b""
+    return b""
+
+
+def has_licences(image: BuiltImage) -> bool:
+    return all(content(image, f"licenses/{name}") == (TOP / name).read_bytes() for name in ("LICENSE", "NOTICE"))
+
+
+def test_an_image_that_stands_on_nothing_has_the_licences(tools: Path, tmp_path: Path) -> None:
+    assert has_licences(build_images(tools, tmp_path / "cache", ["ferretdb"])["ferretdb"])
 
 
 def test_changed_contents_change_key_and_digest(tools: Path, tmp_path: Path) -> None:
@@ -111,6 +132,11 @@ def test_images_share_the_base_layer_and_stay_small(twice: list[dict[str, BuiltI
             assert next(iter(built[image.name].layers)) == base
     layers = {digest: size for image in built.values() for digest, size in image.layers.items()}
     assert sum(layers.values()) < 800_000_000  # the suites bring helm, 60 MB
+
+
+@pytest.mark.thorough
+def test_every_image_has_the_licences(twice: list[dict[str, BuiltImage]]) -> None:
+    assert [name for name, image in twice[0].items() if not has_licences(image)] == []
 
 
 @pytest.mark.thorough

@@ -8,7 +8,7 @@ import pytest
 from ci.images import machine
 from ci.images.buildah import BuildError
 from ci.images.building import build_images
-from ci.images.catalogue import BY_NAME, IMAGES, TOP, Sources
+from ci.images.catalogue import BY_NAME, IMAGES, TOP, Image, Sources
 from ci.images.contexts import ContextError, Copied, assemble, check, key_of
 
 
@@ -87,6 +87,19 @@ def test_every_context_file_of_the_repository_is_there_and_copied(image: object,
     for one in copied:
         assert one.target in text or one.target.rpartition("/")[0] in text
         assert one.optional or not one.source.is_relative_to(TOP) or one.source.exists()
+
+
+@pytest.mark.parametrize("image", IMAGES, ids=lambda image: image.name)
+def test_every_image_has_the_licence_and_the_notice(image: Image, tmp_path: Path) -> None:
+    """In its own layer, or in that of the base with which it begins."""
+    text = image.dockerfile.read_text()
+    stands_on = next(line.split()[1] for line in reversed(text.splitlines()) if line.startswith("FROM "))
+    if stands_on == "scratch":
+        targets = {one.target for one in image.contents(Sources(tmp_path, lambda path, folder: tmp_path))}
+        assert {"LICENSE", "NOTICE"} <= targets
+        assert "\nCOPY LICENSE NOTICE /licenses/\n" in text
+    else:
+        assert (stands_on, bool(image.stands_on)) == ("${BASE}", True)
 
 
 def test_pip_settings_of_files_and_variables_become_one_file(tmp_path: Path) -> None:

@@ -73,7 +73,7 @@ def actor(world: World) -> acting.Actor:
         world,  # type: ignore[arg-type]
         world,
         releases=lambda: world.releases,
-        say=lambda _: None,
+        progress=lambda _: None,
         before_kill=lambda: world.doings.append("note"),
     )
 
@@ -192,7 +192,7 @@ def news(uid: str, *conditions: tuple[str, str, str], parent: str = "") -> dict[
     return {"metadata": metadata, "spec": spec, "status": {"conditions": found}}
 
 
-def test_a_task_s_life_is_noted_from_its_news() -> None:
+def test_a_task_s_life_is_noted_from_the_watch() -> None:
     watch = TaskWatch(None, lambda _: None)  # type: ignore[arg-type]
     accepted, postponed = ("Accepted", "True", "Accepted"), ("Accepted", "False", "Postponed")
     for kind, task in (

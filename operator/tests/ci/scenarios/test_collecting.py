@@ -83,7 +83,7 @@ def going(run: Any, monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
         scenario=run.scenario,
         access=Answers(known),
         volumes=None,
-        claims={},
+        volume_folders={},
         deployment=forge,
         catalogue=SimpleNamespace(fetch=lambda: "", files=lambda _: {}),
         observer=SimpleNamespace(stop=lambda: replace(known.broker, until=2 * known.broker.until)),
@@ -254,19 +254,19 @@ def test_every_measure_names_the_fields_that_it_is_computed_from(run: Any) -> No
     known = {one.name for one in fields(RunInputs)}
     assert set(expectations.NEEDS) == set(expectations.MEASURES)
     for name, measure in expectations.MEASURES.items():
-        looked: set[str] = set()
-        measure(run.scenario, Watched(inputs, looked), met)  # type: ignore[arg-type]
-        assert looked - {"started", "ended", "releases_before"} <= expectations.NEEDS[name] <= known, name
+        read_fields: set[str] = set()
+        measure(run.scenario, Watched(inputs, read_fields), met)  # type: ignore[arg-type]
+        assert read_fields - {"started", "ended", "releases_before"} <= expectations.NEEDS[name] <= known, name
 
 
 class Watched:
-    """The inputs, and which of their fields somebody looks at."""
+    """The inputs, and which of their fields somebody reads."""
 
-    def __init__(self, inputs: RunInputs, looked: set[str]) -> None:
-        self._inputs, self._looked = inputs, looked
+    def __init__(self, inputs: RunInputs, read_fields: set[str]) -> None:
+        self._inputs, self._read_fields = inputs, read_fields
 
     def __getattr__(self, name: str) -> Any:
-        self._looked.add(name)
+        self._read_fields.add(name)
         return getattr(self._inputs, name)
 
 

@@ -57,7 +57,7 @@ def test_summaries_are_known_by_their_bytes_and_name_the_chart(key: KeyFile, key
     data = summary(key)
     files = {PATH: data, "evidence/app/x/static.json": data}
     assert evidence.summaries(files, keys.verify) == {sha256(data): artefact().digest}
-    assert list(evidence.doubts(files, keys.verify, [released(data)])) == []
+    assert list(evidence.problems(files, keys.verify, [released(data)])) == []
 
 
 def test_what_nobody_signed_or_others_signed_is_not_believed(tmp_path: Path, key: KeyFile, keys: TrustedKeys) -> None:
@@ -75,9 +75,9 @@ def test_what_nobody_signed_or_others_signed_is_not_believed(tmp_path: Path, key
     }
     for name, data in forged.items():
         assert evidence.summaries({PATH: data}, keys.verify) == {sha256(data): ""}, name
-        [doubt] = evidence.doubts({PATH: data}, keys.verify, [released(data)])
-        assert doubt.startswith(f"evidence {sha256(data)}: it"), name
-        assert list(evidence.doubts({PATH: data}, keys.verify, [])) == []
+        [problem] = evidence.problems({PATH: data}, keys.verify, [released(data)])
+        assert problem.startswith(f"evidence {sha256(data)}: it"), name
+        assert list(evidence.problems({PATH: data}, keys.verify, [])) == []
 
 
 def test_a_signed_statement_that_is_no_summary_of_a_pass_is_none(key: KeyFile, keys: TrustedKeys) -> None:
@@ -86,8 +86,8 @@ def test_a_signed_statement_that_is_no_summary_of_a_pass_is_none(key: KeyFile, k
     failed["predicate"]["verificationResult"] = "FAILED"
     for data in (suite, key.sign(failed)):
         assert evidence.summaries({PATH: data}, keys.verify) == {sha256(data): ""}
-        [doubt] = evidence.doubts({PATH: data}, keys.verify, [released(data)])
-        assert "does not say that a chart has passed" in doubt
+        [problem] = evidence.problems({PATH: data}, keys.verify, [released(data)])
+        assert "does not say that a chart has passed" in problem
 
 
 @pytest.mark.parametrize("subjects", [[], [{"name": "a", "digest": {"sha256": HEX}}] * 2])

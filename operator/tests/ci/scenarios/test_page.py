@@ -1,4 +1,4 @@
-"""report.html shows what report.json says, readable and without anything that the figures do not support."""
+"""report.html shows what report.json says, readable and without anything that the numbers do not support."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def changed(**values: Any) -> str:
     return page_of({**deepcopy(DOCUMENT), **values})
 
 
-def test_what_a_reader_looks_for_stands_first() -> None:
+def test_the_key_metrics_stand_first() -> None:
     top = changed().partition("<h2>")[0]
     for text in (
         "passed",
@@ -89,7 +89,7 @@ def test_bars_are_on_one_scale() -> None:
     assert "Argo CD" in page
 
 
-def test_what_is_not_known_is_said_and_has_no_total() -> None:
+def test_what_is_not_known_is_named_and_has_no_total() -> None:
     nothing = {"event_to_first_point_cloud_stored": None, "stop_to_removed": {"p50": None, "p95": None, "n": 0}}
     parts = [{"detection": 0.006, "argo_cd": None}]
     page = changed(latency_quantiles=nothing, latency_breakdown_seconds=parts, rates_measured={"pose_hz_min": None})

@@ -6,7 +6,7 @@ from urllib.parse import urlparse
 import pytest
 import yaml
 
-from scenarios.runner import asking, audit, evidence
+from scenarios.runner import audit, evidence, proposing
 from scenarios.runner.access import Endpoint
 from scenarios.runner.deployment import CATALOGUE, REPOSITORY, Deployment, specification_digests
 from scenarios.runner.waiting import RunError
@@ -55,7 +55,7 @@ def test_a_change_is_asked_for_and_merged_in_one_go(installation: Installation, 
     with person(installation) as deployment:
         deployment.fetch()
         text = f"add: []\nremove: []\n# {time.time_ns()}\n"
-        number = asking.change(deployment, POLICY, text, "policy(initial): in one go", f"run-{time.time_ns()}")
+        number = proposing.change(deployment, POLICY, text, "policy(initial): in one go", f"run-{time.time_ns()}")
         assert deployment.pull_request(number).merged
         tip = deployment.fetch()
         assert deployment.file(POLICY) == text

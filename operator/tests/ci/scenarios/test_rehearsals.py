@@ -38,13 +38,13 @@ def staged(scenario: definition.Scenario, folder: Path) -> Stage:
 
 
 def _machine(node: definition.Node) -> NodeState:
-    room = Resources(int((quantity(node.cpu) or 0) * 1000), int(quantity(node.memory) or 0))
-    return NodeState(node.name, node.agent, node.role, frozenset(node.capabilities), True, allocatable=room)
+    capacity = Resources(int((quantity(node.cpu) or 0) * 1000), int(quantity(node.memory) or 0))
+    return NodeState(node.name, node.agent, node.role, frozenset(node.capabilities), True, allocatable=capacity)
 
 
 @dataclass
 class Rehearsal:
-    """What the runner's actor looks at and does; each look lets the manager go on, and Argo CD do its work."""
+    """What the runner's actor reads and does; each reading lets the manager go on, and Argo CD do its work."""
 
     stage: Stage
     watch: TaskWatch = field(default_factory=lambda: TaskWatch(None, lambda _: None))  # type: ignore[arg-type]
@@ -53,10 +53,10 @@ class Rehearsal:
     def tasks(self) -> Sequence[Mapping[str, Any]]:
         self.stage.settle()
         self._note()
-        found = self.stage.tasks.tasks()
-        for task in found:
+        tasks = self.stage.tasks.tasks()
+        for task in tasks:
             self.watch.note("MODIFIED", task)
-        return found
+        return tasks
 
     def task(self, namespace: str, name: str) -> Any:
         key = (namespace, name)
@@ -69,9 +69,9 @@ class Rehearsal:
         self.stage.tasks.create(metadata["namespace"], metadata["name"], body["spec"], created)
 
     def delete_task(self, namespace: str, name: str) -> None:
-        found = self.stage.tasks.objects.get(f"{namespace}/{name}")
-        if found is not None:
-            self.watch.note("DELETED", found)
+        task = self.stage.tasks.objects.get(f"{namespace}/{name}")
+        if task is not None:
+            self.watch.note("DELETED", task)
             self.stage.tasks.delete(f"{namespace}/{name}")
 
     def releases(self) -> Mapping[str, Any]:
@@ -114,11 +114,11 @@ def rehearse(rehearsal: Rehearsal, steps: Sequence[Any]) -> RunInputs:
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Looks follow each other at once."""
+    """Polls follow each other at once."""
     monkeypatch.setattr(acting, "POLL_SECONDS", 0.0)
 
 
-def test_the_conflict_about_room_ends_as_its_scenario_expects(tmp_path: Path) -> None:
+def test_the_conflict_about_resources_ends_as_its_scenario_expects(tmp_path: Path) -> None:
     scenario = definition.load(definition.find("resource-conflict"))
     rehearsal = Rehearsal(staged(scenario, tmp_path))
     before = set(rehearsal.releases())
@@ -215,7 +215,7 @@ def test_a_chain_of_operators_is_launched_and_goes_from_its_top(tmp_path: Path) 
         "chain": {"parent": "cloud-0/approach"},
     }
     services = ("roadside-0/object-detection-roadside-0", "roadside-0/object-tracking-roadside-0")
-    told = [
+    steps = [
         {
             "name": "top",
             "do": {"submit": top},
@@ -231,7 +231,7 @@ def test_a_chain_of_operators_is_launched_and_goes_from_its_top(tmp_path: Path) 
             ],
         },
     ]
-    inputs = rehearse(rehearsal, read_steps(told))
+    inputs = rehearse(rehearsal, read_steps(steps))
     assert outcomes.steps_reached(inputs) == 1
     assert outcomes.chain_depth(inputs) == 2
     assert set(rehearsal.releases()) == before

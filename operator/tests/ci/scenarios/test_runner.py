@@ -20,7 +20,7 @@ from scenarios.runner import (
     collecting,
     cpu,
     deployment,
-    looking_around,
+    inspection,
     observing,
     placing,
     policy,
@@ -220,10 +220,10 @@ def test_the_cores_that_a_cluster_takes(tmp_path: Path, monkeypatch: pytest.Monk
     assert cpu.CpuSampler(tmp_path / "nobody").cores_used() is None
 
 
-def settled(figures: list[float | None]) -> SimpleNamespace:
-    """A run that looked at a cluster which takes these numbers of cores, one after the other."""
+def settled(cores: list[float | None]) -> SimpleNamespace:
+    """A run that measured a cluster which uses these numbers of cores, one after the other."""
     going = SimpleNamespace(
-        sampler=SimpleNamespace(cores_used=lambda: figures.pop(0)), set_up_seconds={}, warnings=[], warn=None
+        sampler=SimpleNamespace(cores_used=lambda: cores.pop(0)), set_up_seconds={}, warnings=[], warn=None
     )
     going.warn = going.warnings.append
     running.settle(going)
@@ -231,9 +231,9 @@ def settled(figures: list[float | None]) -> SimpleNamespace:
 
 
 def test_a_run_begins_when_the_cluster_is_at_rest() -> None:
-    figures: list[float | None] = [1.9, 1.4, 1.0, 0.2]
-    going = settled(figures)
-    assert figures == [0.2]
+    cores: list[float | None] = [1.9, 1.4, 1.0, 0.2]
+    going = settled(cores)
+    assert cores == [0.2]
     assert going.warnings == []
     assert list(going.set_up_seconds) == ["cluster at rest"]
     assert settled([None]).warnings == []  # nobody counts: nothing to wait for
@@ -278,11 +278,11 @@ def test_groups_have_the_names_of_their_components(
 # observing ------------------------------------------------------------------------------------------------------------
 
 
-def test_frames_tell_how_many_messages_they_hold() -> None:
-    frame = struct.pack("<4sQQI", b"RKF1", 1, 2, 3) + b"..."
-    assert observing.frame_count(frame) == 3
-    assert observing.frame_count(b"something else that is long enough") == 1
-    assert observing.frame_count(b"") == 1
+def test_the_messages_of_a_batch_are_counted() -> None:
+    batch = struct.pack("<4sQQI", b"RKF1", 1, 2, 3) + b"..."
+    assert observing.message_count(batch) == 3
+    assert observing.message_count(b"something else that is long enough") == 1
+    assert observing.message_count(b"") == 1
 
 
 def pod(phase: str, ready: bool = False, uid: str = UID, namespace: str = "cloud-0") -> SimpleNamespace:
@@ -291,15 +291,15 @@ def pod(phase: str, ready: bool = False, uid: str = UID, namespace: str = "cloud
     return SimpleNamespace(metadata=metadata, status=SimpleNamespace(phase=phase, conditions=conditions))
 
 
-def test_a_pod_s_life_is_noted_from_its_news() -> None:
+def test_a_pod_s_life_is_noted_from_the_watch() -> None:
     watch = observing.PodWatch(None, ["cloud-0"], lambda _: None)  # type: ignore[arg-type]
-    for kind, news in (
+    for kind, seen in (
         ("ADDED", pod("Pending")),
         ("MODIFIED", pod("Running")),
         ("MODIFIED", pod("Running", ready=True)),
         ("DELETED", pod("Running")),
     ):
-        watch._note(kind, news)
+        watch._note(kind, seen)
     watch._note("ADDED", pod("Running", uid="other", namespace="robotkube"))
     [life] = watch.pods()
     moments = [life.created, life.running, life.ready, life.deleted]
@@ -318,15 +318,15 @@ def test_a_wait_that_is_over_says_for_what_and_shows_the_state() -> None:
 def test_a_look_that_fails_is_repeated_and_its_last_failure_named() -> None:
     answers = iter(["busy", "busy", ""])
 
-    def look() -> bool:
+    def poll() -> bool:
         problem = next(answers, "gone")
         if problem:
             raise waiting.RunError(problem)
         return True
 
-    assert waiting.wait_for("it", 10, look, str, poll_seconds=0.0) >= 0
-    with pytest.raises(waiting.RunError, match=r"in vain\nthe last look failed: gone\nstate"):
-        waiting.wait_for("it", 0.0, look, lambda: "state", poll_seconds=0.01)
+    assert waiting.wait_for("it", 10, poll, str, poll_seconds=0.0) >= 0
+    with pytest.raises(waiting.RunError, match=r"in vain\nthe last poll failed: gone\nstate"):
+        waiting.wait_for("it", 0.0, poll, lambda: "state", poll_seconds=0.01)
 
 
 def test_a_ledger_has_ended_with_its_last_line(tmp_path: Path) -> None:
@@ -358,9 +358,9 @@ def test_segments_of_volumes_that_are_away_are_not_found(scenario: definition.Sc
 
 
 def test_the_commands_to_look_around_are_whole(scenario: definition.Scenario) -> None:
-    found = list(looking_around.commands(scenario, Path("kubeconfig"), Endpoint("10.96.0.9", 3000)))
+    found = list(inspection.commands(scenario, Path("kubeconfig"), Endpoint("10.96.0.9", 3000)))
     assert all(shlex.split(command) for _, command in found)
-    text = "\n".join(looking_around.lines(scenario, Path("kubeconfig"), Endpoint("10.96.0.9", 3000)))
+    text = "\n".join(inspection.lines(scenario, Path("kubeconfig"), Endpoint("10.96.0.9", 3000)))
     assert "front ends that are not built here" in text
     assert "{person}" not in text
 

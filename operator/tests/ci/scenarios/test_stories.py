@@ -114,8 +114,8 @@ def test_a_run_waits_for_the_plan_that_gives_the_operator_its_rule(scenario: def
 
     ready = readiness.Readiness(None, None, scenario)  # type: ignore[arg-type]
     vehicles = list(scenario.lidar_vehicles)
-    assert not ready._unruled(detector(vehicles) if scenario.records else {})
-    assert bool(ready._unruled(detector([*vehicles, "vehicle-99"]))) == scenario.records
+    assert not ready._with_another_rule(detector(vehicles) if scenario.records else {})
+    assert bool(ready._with_another_rule(detector([*vehicles, "vehicle-99"]))) == scenario.records
 
 
 def test_every_expectation_has_a_measure_and_a_place_in_the_reference() -> None:

@@ -36,10 +36,10 @@ def manager(installation: Installation) -> Clone:
     return installation.clone("manager")
 
 
-def brought(manager: Clone, commit: str) -> CommitObjects:
-    found = new_objects(manager.repository, manager.repository[commit])
-    assert found is not None
-    return found
+def objects_of(manager: Clone, commit: str) -> CommitObjects:
+    objects = new_objects(manager.repository, manager.repository[commit])
+    assert objects is not None
+    return objects
 
 
 def post(gate: RunningGate, body: bytes, secret: str = "", account: str = "manager") -> httpx.Response:
@@ -48,8 +48,8 @@ def post(gate: RunningGate, body: bytes, secret: str = "", account: str = "manag
     return httpx.post(f"http://127.0.0.1:{gate.server.port}/objects/{account}", content=body, headers=headers)
 
 
-def hand(gate: RunningGate, handed: CommitObjects, account: str = "manager") -> None:
-    assert post(gate, write_objects(handed, REPOSITORY), account=account).status_code == 200
+def send(gate: RunningGate, objects: CommitObjects, account: str = "manager") -> None:
+    assert post(gate, write_objects(objects, REPOSITORY), account=account).status_code == 200
 
 
 def a_plan(installation: Installation, manager: Clone, gate: RunningGate, name: str) -> tuple[str, str]:
@@ -60,34 +60,32 @@ def a_plan(installation: Installation, manager: Clone, gate: RunningGate, name: 
 
 
 def decided(installation: Installation, number: int) -> bool:
-    """Whether it became main; waits for the forge to say so."""
+    """Whether it was merged; waits for the forge to say so."""
     until(lambda: installation.pull_request(number)["state"] == "closed", "closed")
     return bool(installation.pull_request(number)["merged"])
 
 
-def test_what_was_handed_over_is_merged_without_a_fetch(
-    installation: Installation, gate: RunningGate, manager: Clone
-) -> None:
-    plan, commit = a_plan(installation, manager, gate, "handed")
-    hand(gate, brought(manager, commit))
+def test_what_was_sent_is_merged_without_a_fetch(installation: Installation, gate: RunningGate, manager: Clone) -> None:
+    plan, commit = a_plan(installation, manager, gate, "sent")
+    send(gate, objects_of(manager, commit))
     assert commit not in gate.gate._main._repository, "kept in memory until the forge names it"
     assert decided(installation, installation.propose(manager, commit, plan))
     assert manager.tip() == commit
-    until(lambda: gate.gate.statistics.sources == {"handed": 1, "fetched": 0}, "handed over")
+    until(lambda: gate.gate.statistics.sources == {"sent": 1, "fetched": 0}, "decided on what was sent")
     assert gate.gate.statistics.verdicts["accepted"] == 1
 
 
-def test_what_the_forge_names_is_judged_and_not_what_was_handed_over(
+def test_what_the_forge_names_is_judged_and_not_what_was_sent(
     installation: Installation, gate: RunningGate, manager: Clone
 ) -> None:
     plan, good = a_plan(installation, manager, gate, "not-proposed")
     bad = manager.commit({"README.md": "mine\n"}, message(plan), [manager.tip()])
-    hand(gate, brought(manager, good))
+    send(gate, objects_of(manager, good))
     number = installation.propose(manager, bad, plan)
     assert not decided(installation, number)
     assert "README.md: a plan may only touch" in installation.comments(number)
     assert manager.tip() not in (good, bad)
-    until(lambda: gate.gate.statistics.sources == {"handed": 0, "fetched": 1}, "fetched")
+    until(lambda: gate.gate.statistics.sources == {"sent": 0, "fetched": 1}, "fetched")
     assert good not in gate.gate._main._repository
 
 
@@ -96,34 +94,34 @@ def test_a_bad_plan_is_fetched_and_refused_in_the_same_words(
 ) -> None:
     plan, _ = a_plan(installation, manager, gate, "unused")
     bad = manager.commit({"README.md": "mine\n"}, message(plan), [manager.tip()])
-    hand(gate, brought(manager, bad))
+    send(gate, objects_of(manager, bad))
     number = installation.propose(manager, bad, plan)
     assert not decided(installation, number)
     assert "README.md: a plan may only touch" in installation.comments(number)
-    until(lambda: gate.gate.statistics.sources == {"handed": 0, "fetched": 1}, "fetched")
+    until(lambda: gate.gate.statistics.sources == {"sent": 0, "fetched": 1}, "fetched")
 
 
 def test_what_is_missing_is_fetched(installation: Installation, gate: RunningGate, manager: Clone) -> None:
     plan, commit = a_plan(installation, manager, gate, "incomplete")
-    whole = brought(manager, commit)
+    whole = objects_of(manager, commit)
     blob = next(one for one in whole.objects if one[0] == "blob")
-    hand(gate, replace(whole, objects=tuple(one for one in whole.objects if one != blob)))
+    send(gate, replace(whole, objects=tuple(one for one in whole.objects if one != blob)))
     assert decided(installation, installation.propose(manager, commit, plan))
     assert manager.tip() == commit
-    until(lambda: gate.gate.statistics.sources == {"handed": 0, "fetched": 1}, "fetched")
+    until(lambda: gate.gate.statistics.sources == {"sent": 0, "fetched": 1}, "fetched")
 
 
 def test_objects_on_a_main_that_has_moved_give_a_stale_proposal(
     installation: Installation, controller: ApplicationSetController, tmp_path: Path, manager: Clone
 ) -> None:
-    """Main moves past the gate, which hears of that only when it looks."""
+    """Main moves past the gate, which learns of that only by a resync."""
     running = start_gate(installation, controller.url, tmp_path, webhooks=False)
     try:
         plan, commit = a_plan(installation, manager, running, "overtaken")
         other = installation.clone("gate")
         moved = other.commit({"policies/note.md": f"{plan}\n"}, "by hand\n", [other.tip()])
         assert other.push(moved, "refs/heads/main") == ""
-        running.gate.hand("manager", brought(manager, commit))
+        running.gate.add_objects("manager", objects_of(manager, commit))
         number = installation.propose(manager, commit, plan)
         assert not decided(installation, number)
         assert "Closed, main moved" in installation.comments(number)
@@ -144,25 +142,25 @@ def two_managers(
     running.stop()
 
 
-def test_a_manager_hands_over_for_itself_alone(
+def test_a_manager_sends_for_itself_alone(
     installation: Installation, two_managers: RunningGate, manager: Clone
 ) -> None:
     gate = two_managers
     plan, commit = a_plan(installation, manager, gate, "for-another")
-    handed = brought(manager, commit)
-    assert post(gate, write_objects(handed, REPOSITORY), manager_secret("north")).status_code == 401
-    hand(gate, handed, account="north")
+    objects = objects_of(manager, commit)
+    assert post(gate, write_objects(objects, REPOSITORY), manager_secret("north")).status_code == 401
+    send(gate, objects, account="north")
     assert decided(installation, installation.propose(manager, commit, plan))
-    until(lambda: gate.gate.statistics.sources == {"handed": 0, "fetched": 1}, "fetched")
+    until(lambda: gate.gate.statistics.sources == {"sent": 0, "fetched": 1}, "fetched")
 
 
 @pytest.mark.parametrize("secret", ["another", WEBHOOK_SECRET])
-def test_only_what_a_manager_signed_is_taken(
+def test_only_what_a_manager_signed_is_accepted(
     installation: Installation, gate: RunningGate, manager: Clone, secret: str
 ) -> None:
     """What is signed for the gate's webhook is as good as not signed."""
     _, commit = a_plan(installation, manager, gate, "unsigned")
-    body = write_objects(brought(manager, commit), REPOSITORY)
+    body = write_objects(objects_of(manager, commit), REPOSITORY)
     assert post(gate, body, secret).status_code == 401
     assert post(gate, body, secret, account="nobody").status_code == 404
     assert httpx.post(f"http://127.0.0.1:{gate.server.port}/objects/manager", content=body).status_code == 401
@@ -171,23 +169,23 @@ def test_only_what_a_manager_signed_is_taken(
         400,
         {"problems": ["commit: must be the id of one of objects, of kind commit"]},
     )
-    assert gate.gate._handed.take("manager", commit) is None
+    assert gate.gate._pending_objects.pop("manager", commit) is None
 
 
-def test_the_relay_hands_over_while_the_forge_takes_the_push(
+def test_the_relay_sends_while_the_forge_receives_the_push(
     installation: Installation, gate: RunningGate, manager: Clone
 ) -> None:
     relay = objects_relay(installation)
     try:
         plan, commit = a_plan(installation, manager, gate, "relayed")
-        objects = brought(manager, commit)
+        objects = objects_of(manager, commit)
 
         def arrived() -> bool:
-            relay.hand(objects)  # best effort: again when it was lost
-            return commit in gate.gate._handed._kept.get("manager", {})
+            relay.send(objects)  # best effort: again when it was lost
+            return commit in gate.gate._pending_objects._kept.get("manager", {})
 
         until(arrived, "objects at the gate")
         assert decided(installation, installation.propose(manager, commit, plan))
     finally:
         relay.disconnect()
-    until(lambda: gate.gate.statistics.sources == {"handed": 1, "fetched": 0}, "handed over")
+    until(lambda: gate.gate.statistics.sources == {"sent": 1, "fetched": 0}, "decided on what was sent")

@@ -141,7 +141,7 @@ def test_wrong_releases_are_refused(installation: Installation, gate: RunningGat
     commit = manager.commit(files, message(plan, charts=(chart,)), [manager.tip()])
     text = wait_for_refusal(installation, installation.propose(manager, commit, plan))
     assert expected in text
-    assert text.startswith(f"Refused {commit[:12]}: the gate does not take this commit to main.")
+    assert text.startswith(f"Refused {commit[:12]}: the gate does not merge this commit.")
 
 
 def test_all_problems_are_named_at_once(installation: Installation, gate: RunningGate, manager: Clone) -> None:

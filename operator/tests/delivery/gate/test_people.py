@@ -43,7 +43,7 @@ def settled(installation: Installation, gate: RunningGate, number: int) -> bool:
     """Whether the pull request is still open after two more rounds in which approvals are looked at."""
     rounds = gate.gate.statistics.rounds
     for more in (1, 2):
-        gate.gate._look_due = True
+        gate.gate._resync_due = True
         gate.gate._woken.set()
         until(lambda more=more: gate.gate.statistics.rounds >= rounds + more, "two rounds")
     return installation.pull_request(number)["state"] == "open"
@@ -104,7 +104,7 @@ def test_what_is_wrong_is_said_once_per_commit_and_not_merged_though_approved(
     files = {**release_files(installation.plan(), "by-a-person", values={"x": 1}), "policies/merge.yaml": "other: 1\n"}
     commit = person.commit(files, "Correct it\n", [person.tip()])
     number = installation.propose(person, commit, installation.plan())
-    text = said(installation, number, f"Checked {commit[:12]}: the gate would not take this to main.")
+    text = said(installation, number, f"Checked {commit[:12]}: the gate would not merge this.")
     assert "releases/cloud-0/by-a-person.yaml: spec.values: Additional properties are not allowed" in text
     assert "policies/merge.yaml: other: unknown key; remove it" in text
     assert review(installation, "reviewer", number, commit) == 200
@@ -157,7 +157,7 @@ def test_main_says_whether_a_managers_plan_merges_by_itself(
     manager, plan = installation.clone("manager"), installation.plan()
     commit = manager.commit(release_files(plan, "approved"), message(plan), [manager.tip()])
     number = installation.propose(manager, commit, plan)
-    text = said(installation, number, f"Waits for approval: {commit[:12]} holds.")
+    text = said(installation, number, f"Waits for approval: {commit[:12]} passes the checks.")
     assert "when another person with write rights approves it" in text
     assert settled(installation, gate, number)
     assert review(installation, "operator-team", number, commit) == 200

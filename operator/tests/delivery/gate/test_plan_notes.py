@@ -1,4 +1,4 @@
-"""Closing words of managers become Git notes, written by the gate alone: real forge, real Git."""
+"""Outcome comments of managers become Git notes, written by the gate alone: real forge, real Git."""
 
 import time
 from collections.abc import Iterator
@@ -7,7 +7,7 @@ from pathlib import Path
 import pygit2
 import pytest
 
-from robotkube.delivery.deployment.core.plan_notes import PlanOutcome, ReleaseOutcome, closing_text, note_text
+from robotkube.delivery.deployment.core.plan_notes import PlanOutcome, ReleaseOutcome, note_text, outcome_comment
 from robotkube.delivery.gate.loops.plan_notes import NoteWriter
 from robotkube.foundation.forge.adapters.git.notes import REFERENCE, GitNotes
 from robotkube.foundation.forge.adapters.hosts.gitea import GiteaForge
@@ -20,7 +20,7 @@ REPOSITORY = "robotkube/deployment"
 
 
 @pytest.fixture
-def keeper(installation: Installation, tmp_path: Path) -> Iterator[NoteWriter]:
+def writer(installation: Installation, tmp_path: Path) -> Iterator[NoteWriter]:
     account = ("gate", installation.passwords["gate"])
     forge = GiteaForge(installation.url, REPOSITORY, *account)
     notes = GitNotes(installation.url, REPOSITORY, *account, tmp_path / "notes")
@@ -59,39 +59,39 @@ def note(installation: Installation, commit: str) -> str:
 
 
 def test_closing_words_become_the_note_of_their_commit_once(
-    installation: Installation, gate: RunningGate, keeper: NoteWriter
+    installation: Installation, gate: RunningGate, writer: NoteWriter
 ) -> None:
     number, commit, plan = merged(installation, "noted")
     found = facts(commit, plan)
-    assert say(installation, "manager", number, closing_text(found)) == 201
-    keeper.commented(number)
-    keeper.round(look=False)
+    assert say(installation, "manager", number, outcome_comment(found)) == 201
+    writer.commented(number)
+    writer.round(resync=False)
     assert note(installation, commit) == note_text(found) + "\n"
-    assert keeper.written == 1
-    keeper.round(look=True)  # what other tests have closed before gets its note now
-    written = keeper.written
-    keeper.commented(number)
-    keeper.round(look=True)
-    assert keeper.written == written
+    assert writer.written == 1
+    writer.round(resync=True)  # what other tests have closed before gets its note now
+    written = writer.written
+    writer.commented(number)
+    writer.round(resync=True)
+    assert writer.written == written
 
 
 def test_words_of_others_and_about_other_commits_become_no_note(
-    installation: Installation, gate: RunningGate, keeper: NoteWriter
+    installation: Installation, gate: RunningGate, writer: NoteWriter
 ) -> None:
     number, commit, plan = merged(installation, "unnoted")
-    assert say(installation, "operator-team", number, closing_text(facts(commit, plan))) == 201
-    assert say(installation, "manager", number, closing_text(facts("0" * 40, plan))) == 201
-    keeper.commented(number)
-    keeper.round(look=True)
+    assert say(installation, "operator-team", number, outcome_comment(facts(commit, plan))) == 201
+    assert say(installation, "manager", number, outcome_comment(facts("0" * 40, plan))) == 201
+    writer.commented(number)
+    writer.round(resync=True)
     assert note(installation, commit) == ""
 
 
 def test_a_note_that_was_missed_is_found_by_looking(
-    installation: Installation, gate: RunningGate, keeper: NoteWriter
+    installation: Installation, gate: RunningGate, writer: NoteWriter
 ) -> None:
     number, commit, plan = merged(installation, "missed")
-    assert say(installation, "manager", number, closing_text(facts(commit, plan))) == 201
-    keeper.round(look=True)
+    assert say(installation, "manager", number, outcome_comment(facts(commit, plan))) == 201
+    writer.round(resync=True)
     assert '"plan": "' + plan in note(installation, commit)
 
 

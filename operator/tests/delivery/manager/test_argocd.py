@@ -60,9 +60,9 @@ class Server:
 
 @pytest.fixture
 def server() -> Iterator[Server]:
-    found = Server()
-    yield found
-    found.stop()
+    started = Server()
+    yield started
+    started.stop()
 
 
 def connect(url: str, password: str = "word") -> ArgoCDServer:  # noqa: S107
@@ -82,7 +82,7 @@ def test_it_logs_in_once_and_again_when_the_token_has_run_out(server: Server) ->
     argocd.disconnect()
 
 
-def test_a_refusal_and_silence_are_not_heard(server: Server) -> None:
+def test_a_refusal_and_silence_are_not_received(server: Server) -> None:
     argocd = connect(server.url)
     server.status = 403
     assert not argocd.refresh("unknown")

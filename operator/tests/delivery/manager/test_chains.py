@@ -33,8 +33,8 @@ def launching(tasks: Mapping[str, ChainTask]) -> list[Release]:
     return [detector(t.namespace, t.parent) for t in tasks.values() if t.parent]
 
 
-def reasons(found: Mapping[str, ChainRefusal]) -> dict[str, str]:
-    return {key: refusal.reason for key, refusal in found.items()}
+def reasons(refusals: Mapping[str, ChainRefusal]) -> dict[str, str]:
+    return {key: refusal.reason for key, refusal in refusals.items()}
 
 
 def chain(length: int) -> dict[str, ChainTask]:
@@ -47,30 +47,30 @@ def test_a_chain_stands_while_its_first_task_does() -> None:
     assert judge(tasks, {}, launching(tasks)) == {}
     gone = dict(tasks)
     del gone["n-0/t"]
-    found = judge(gone, {}, launching(tasks))
-    assert reasons(found) == dict.fromkeys(gone, "ParentWithdrawn")
-    assert "its chain has ended at n-0/t: it is withdrawn" in found["n-3/t"].message
+    refusals = judge(gone, {}, launching(tasks))
+    assert reasons(refusals) == dict.fromkeys(gone, "ParentWithdrawn")
+    assert "its chain has ended at n-0/t: it is withdrawn" in refusals["n-3/t"].message
 
 
 def test_what_a_refused_or_expired_task_launched_goes_too() -> None:
     tasks = chain(3)
-    found = judge(tasks, {"n-0/t": "its lease has run out"}, launching(tasks))
-    assert reasons(found) == {"n-1/t": "ParentWithdrawn", "n-2/t": "ParentWithdrawn"}
-    assert found["n-2/t"].message.endswith("n-0/t: its lease has run out")
+    refusals = judge(tasks, {"n-0/t": "its lease has run out"}, launching(tasks))
+    assert reasons(refusals) == {"n-1/t": "ParentWithdrawn", "n-2/t": "ParentWithdrawn"}
+    assert refusals["n-2/t"].message.endswith("n-0/t: its lease has run out")
 
 
 def test_a_chain_has_a_greatest_depth() -> None:
     tasks = chain(DEPTH_MAX + 3)
-    found = judge(tasks, {}, launching(tasks))
-    assert reasons(found) == {"n-5/t": "ChainTooDeep", "n-6/t": "ChainTooDeep"}
-    assert "let an earlier operator ask" in found["n-5/t"].message
+    refusals = judge(tasks, {}, launching(tasks))
+    assert reasons(refusals) == {"n-5/t": "ChainTooDeep", "n-6/t": "ChainTooDeep"}
+    assert "let an earlier operator ask" in refusals["n-5/t"].message
 
 
 def test_a_parent_has_a_greatest_number_of_children_the_oldest_stay() -> None:
     children = [task(f"a/c{i:02d}", "p/t", f"2026-11-21T10:00:{i:02d}Z") for i in range(FAN_OUT_MAX + 2)]
     tasks = by_key(task("p/t"), *reversed(children))
-    found = judge(tasks, {}, [detector("a", "p/t")])
-    assert reasons(found) == {"a/c16": "ChainTooWide", "a/c17": "ChainTooWide"}
+    refusals = judge(tasks, {}, [detector("a", "p/t")])
+    assert reasons(refusals) == {"a/c16": "ChainTooWide", "a/c17": "ChainTooWide"}
     grandchild = task("b/g", "a/c17")
     assert (
         reasons(judge({**tasks, "b/g": grandchild}, {}, [detector("a", "p/t"), detector("b", "a/c17")]))["b/g"]
@@ -87,16 +87,16 @@ def test_only_a_detector_that_the_parent_launched_may_name_it() -> None:
         "another chart": [detector("a", "p/t", chart="mqtt-bridge")],
     }
     for name, releases in wrong.items():
-        found = judge(tasks, {}, releases)
-        assert reasons(found) == {"a/c": "OutsideScope"}, name
-        assert "leave spec.chain out" in found["a/c"].message
+        refusals = judge(tasks, {}, releases)
+        assert reasons(refusals) == {"a/c": "OutsideScope"}, name
+        assert "leave spec.chain out" in refusals["a/c"].message
     assert judge(tasks, {}, [detector("a", "p/t")]) == {}
 
 
 def test_a_parent_of_which_nothing_runs_has_no_children() -> None:
-    found = judge(by_key(task("p/t"), task("a/c", "p/t")), {}, [])
-    assert reasons(found) == {"a/c": "ParentWithdrawn"}
-    assert found["a/c"].message.endswith("at p/t: nothing of it is on main")
+    refusals = judge(by_key(task("p/t"), task("a/c", "p/t")), {}, [])
+    assert reasons(refusals) == {"a/c": "ParentWithdrawn"}
+    assert refusals["a/c"].message.endswith("at p/t: nothing of it is on main")
 
 
 def test_parents_in_a_ring_have_no_beginning() -> None:
@@ -108,8 +108,8 @@ def test_values_of_any_form_are_no_detector() -> None:
     tasks = by_key(task("p/t"), task("a/c", "p/t"))
     for values in ({}, {"detector": 1}, {"detector": {}}, {"detector": {"task": ["p/t"]}}):
         release = detector("a", "p/t")
-        found = Release("a", "d", release.chart, "1.0.0", release.digest, values, release.causes)
-        assert reasons(judge(tasks, {}, [found])) == {"a/c": "OutsideScope"}
+        similar = Release("a", "d", release.chart, "1.0.0", release.digest, values, release.causes)
+        assert reasons(judge(tasks, {}, [similar])) == {"a/c": "OutsideScope"}
 
 
 KEYS = [f"n-{i % 3}/t-{i}" for i in range(24)]
@@ -121,10 +121,10 @@ def test_whatever_the_parents_what_stands_is_a_forest_within_its_bounds(parents:
     refused = judge(tasks, {}, launching(tasks))
     standing = {key: t for key, t in tasks.items() if key not in refused}
     children: dict[str, int] = {}
-    for key, found in standing.items():
+    for key, child in standing.items():
         line = lineage(key, standing)
         assert line[-1].parent == "", "the chain leads to a first task, and everything on it stands"
         assert len(line) <= DEPTH_MAX + 1
-        children[found.parent] = children.get(found.parent, 0) + 1
+        children[child.parent] = children.get(child.parent, 0) + 1
     assert all(count <= FAN_OUT_MAX for parent, count in children.items() if parent)
-    assert all(key in standing for key, found in tasks.items() if not found.parent)
+    assert all(key in standing for key, child in tasks.items() if not child.parent)

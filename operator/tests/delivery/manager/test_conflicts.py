@@ -1,6 +1,6 @@
-"""Conflicts: who is refused, waits, runs elsewhere, gives way; on a world of seats, so that only the rules are tested.
+"""Conflicts: who is refused, waits, runs elsewhere, gives way; on places of slots, so that only the rules are tested.
 
-A demand needs as many seats of its place as its parameter says; its releases are not looked at here.
+A demand needs as many slots of its place as its parameter says; its releases do not matter here.
 """
 
 from __future__ import annotations
@@ -41,19 +41,19 @@ SECOND = 1_000_000_000
 NOW = 1_795_250_000 * SECOND
 
 
-def task(name: str, seats: int = 1, created: int = 0, **changes: Any) -> TaskDescription:
+def task(name: str, slots: int = 1, created: int = 0, **changes: Any) -> TaskDescription:
     at = f"2026-11-21T10:{created // 60:02d}:{created % 60:02d}Z"
     event = ("cloud-0/detector", "near", f"event-{name}", "a" * 32, "")
-    return replace(TaskDescription("cloud-0", name, 1, at, *event, "app", {"seats": seats}), **changes)
+    return replace(TaskDescription("cloud-0", name, 1, at, *event, "app", {"slots": slots}), **changes)
 
 
-def demand(found: TaskDescription) -> Demand:
-    return Demand(found.key, found.application, found.parameters, task=found)
+def demand(description: TaskDescription) -> Demand:
+    return Demand(description.key, description.application, description.parameters, task=description)
 
 
 @dataclass
-class Seats:
-    """So many seats at the edge, and elsewhere by role; `asked` counts compositions."""
+class Slots:
+    """So many slots at the edge, and elsewhere by role; `asked` counts compositions."""
 
     edge: int = 2
     elsewhere: Mapping[str, int] = field(default_factory=dict)
@@ -64,22 +64,22 @@ class Seats:
         free = {"edge": self.edge, **self.elsewhere}
         outcomes: dict[str, Met | Refused] = {}
         for one in demands:
-            wanted = one.parameters.get("seats", 0)
+            wanted = one.parameters.get("slots", 0)
             place = next((role for role in one.roles or ("edge",) if free.get(role, 0) >= wanted), "")
             if place:
                 free[place] -= wanted
                 outcomes[one.key] = Met((f"{place}/{one.key.split('/')[-1]}",), (place,))
             else:
-                outcomes[one.key] = Refused(INSUFFICIENT_RESOURCES, f"{wanted} seats wanted")
+                outcomes[one.key] = Refused(INSUFFICIENT_RESOURCES, f"{wanted} slots wanted")
         return Composition({}, outcomes)
 
     def resolve(self, *tasks: TaskDescription, now: int = NOW, **history: Any) -> Resolution:
         return resolve([demand(t) for t in tasks], self.compose, History(**history), now)
 
 
-def places(found: Resolution) -> dict[str, str]:
+def places(resolution: Resolution) -> dict[str, str]:
     """Where each demand is, or why not."""
-    return {key.split("/")[1]: _word(outcome) for key, outcome in found.outcomes.items()}
+    return {key.split("/")[1]: _word(outcome) for key, outcome in resolution.outcomes.items()}
 
 
 def _word(outcome: DemandOutcome) -> str:
@@ -97,112 +97,114 @@ def keys(*names: str) -> frozenset[str]:
 
 
 def test_without_conflicts_everything_is_met_by_one_composition() -> None:
-    seats = Seats(2)
-    assert places(seats.resolve(task("a"), task("b", conflict_policy=PREEMPT))) == {"a": "edge", "b": "edge"}
-    assert seats.asked == 1
+    slots = Slots(2)
+    assert places(slots.resolve(task("a"), task("b", conflict_policy=PREEMPT))) == {"a": "edge", "b": "edge"}
+    assert slots.asked == 1
 
 
-def test_new_demands_are_seated_by_priority_then_age() -> None:
-    found = Seats(2).resolve(task("old"), task("new", created=5), task("urgent", created=9, priority=500))
-    assert places(found) == {"urgent": "edge", "old": "edge", "new": INSUFFICIENT_RESOURCES}
+def test_new_demands_are_placed_by_priority_then_age() -> None:
+    resolution = Slots(2).resolve(task("old"), task("new", created=5), task("urgent", created=9, priority=500))
+    assert places(resolution) == {"urgent": "edge", "old": "edge", "new": INSUFFICIENT_RESOURCES}
 
 
-def test_what_stands_on_main_keeps_its_seat() -> None:
-    found = Seats(1).resolve(task("low", priority=0), task("urgent", priority=1000), answered=keys("low"))
-    assert places(found) == {"low": "edge", "urgent": INSUFFICIENT_RESOURCES}
+def test_what_stands_on_main_keeps_its_place() -> None:
+    resolution = Slots(1).resolve(task("low", priority=0), task("urgent", priority=1000), answered=keys("low"))
+    assert places(resolution) == {"low": "edge", "urgent": INSUFFICIENT_RESOURCES}
 
 
 def test_the_initial_configuration_comes_first_and_never_gives_way() -> None:
-    initial = Demand("initial/bridge/vehicle-00", "bridge", {"seats": 1}, agent="vehicle-00")
+    initial = Demand("initial/bridge/vehicle-00", "bridge", {"slots": 1}, agent="vehicle-00")
     urgent = demand(task("urgent", priority=1000, conflict_policy=PREEMPT))
-    found = resolve([urgent, initial], Seats(1).compose, History(), NOW)
-    assert isinstance(found.outcomes["initial/bridge/vehicle-00"], Met)
-    assert found.outcomes["cloud-0/urgent"] == Refused(INSUFFICIENT_RESOURCES, "1 seats wanted")
+    resolution = resolve([urgent, initial], Slots(1).compose, History(), NOW)
+    assert isinstance(resolution.outcomes["initial/bridge/vehicle-00"], Met)
+    assert resolution.outcomes["cloud-0/urgent"] == Refused(INSUFFICIENT_RESOURCES, "1 slots wanted")
 
 
 def test_a_refusal_of_a_conflict_stands_though_there_is_room_now() -> None:
-    settled = {"cloud-0/a": Refused(INSUFFICIENT_RESOURCES, "no seat")}
-    found = Seats(2).resolve(task("a"), settled=settled)
-    assert found.outcomes == settled
-    assert isinstance(Seats(2).resolve(task("a")).outcomes["cloud-0/a"], Met)
+    settled = {"cloud-0/a": Refused(INSUFFICIENT_RESOURCES, "no slot")}
+    resolution = Slots(2).resolve(task("a"), settled=settled)
+    assert resolution.outcomes == settled
+    assert isinstance(Slots(2).resolve(task("a")).outcomes["cloud-0/a"], Met)
 
 
 def test_offload_runs_elsewhere_and_says_why() -> None:
-    found = Seats(1, {"cloud": 1}).resolve(task("a", priority=200), task("b", conflict_policy=OFFLOAD))
-    assert places(found) == {"a": "edge", "b": "cloud"}
-    outcome = found.outcomes["cloud-0/b"]
+    resolution = Slots(1, {"cloud": 1}).resolve(task("a", priority=200), task("b", conflict_policy=OFFLOAD))
+    assert places(resolution) == {"a": "edge", "b": "cloud"}
+    outcome = resolution.outcomes["cloud-0/b"]
     assert isinstance(outcome, Met)
-    assert outcome.choices[0] == "offloaded to cloud: InsufficientResources: 1 seats wanted"
-    assert found.offloaded == keys("b")
+    assert outcome.choices[0] == "offloaded to cloud: InsufficientResources: 1 slots wanted"
+    assert resolution.offloaded == keys("b")
 
 
 def test_offload_without_a_place_elsewhere_names_both_refusals() -> None:
-    found = Seats(0).resolve(task("b", conflict_policy=OFFLOAD, offload_to=("cloud", "roadside")))
-    outcome = found.outcomes["cloud-0/b"]
+    resolution = Slots(0).resolve(task("b", conflict_policy=OFFLOAD, offload_to=("cloud", "roadside")))
+    outcome = resolution.outcomes["cloud-0/b"]
     assert isinstance(outcome, Refused)
-    assert outcome.message == "1 seats wanted; on cloud, roadside instead: 1 seats wanted"
+    assert outcome.message == "1 slots wanted; on cloud, roadside instead: 1 slots wanted"
 
 
 def test_what_was_offloaded_stays_there() -> None:
-    found = Seats(5, {"cloud": 1}).resolve(task("b", conflict_policy=OFFLOAD), answered=keys("b"), offloaded=keys("b"))
-    assert places(found) == {"b": "cloud"}
-    assert found.offloaded == keys("b")
+    resolution = Slots(5, {"cloud": 1}).resolve(
+        task("b", conflict_policy=OFFLOAD), answered=keys("b"), offloaded=keys("b")
+    )
+    assert places(resolution) == {"b": "cloud"}
+    assert resolution.offloaded == keys("b")
 
 
 def test_postpone_waits_in_order_with_position_and_end() -> None:
     waiting = [task(name, created=n, conflict_policy=POSTPONE, queue_seconds_max=60) for n, name in enumerate("abc")]
-    found = Seats(1).resolve(task("first", priority=200), *waiting)
-    outcome = found.outcomes["cloud-0/b"]
+    resolution = Slots(1).resolve(task("first", priority=200), *waiting)
+    outcome = resolution.outcomes["cloud-0/b"]
     assert isinstance(outcome, Postponed)
     assert (outcome.position, outcome.since_ns, outcome.until_ns) == (2, NOW, NOW + 60 * SECOND)
     assert outcome.message == (
-        "waits at position 2 of 3 until 2026-11-21T08:34:20Z: InsufficientResources: 1 seats wanted"
+        "waits at position 2 of 3 until 2026-11-21T08:34:20Z: InsufficientResources: 1 slots wanted"
     )
-    assert found.next_due_ns == NOW + 60 * SECOND
+    assert resolution.next_due_ns == NOW + 60 * SECOND
 
 
 def test_who_waited_longer_comes_before_who_is_a_little_more_urgent() -> None:
     since = {"cloud-0/a": NOW - 60 * SECOND}
-    found = Seats(1).resolve(
+    resolution = Slots(1).resolve(
         task("a", conflict_policy=POSTPONE), task("b", priority=150, conflict_policy=POSTPONE), waiting=since
     )
-    assert places(found) == {"a": "edge", "b": "Postponed"}
+    assert places(resolution) == {"a": "edge", "b": "Postponed"}
 
 
 def test_at_its_end_a_waiting_demand_runs_or_is_refused() -> None:
     late = task("a", conflict_policy=POSTPONE, queue_seconds_max=60)
     since = {"cloud-0/a": NOW - 60 * SECOND}
-    refused = Seats(0).resolve(late, waiting=since).outcomes["cloud-0/a"]
-    assert refused == Refused(QUEUE_TOO_LONG, "waited for 60 s: InsufficientResources: 1 seats wanted")
-    assert places(Seats(1).resolve(late, waiting=since)) == {"a": "edge"}
+    refused = Slots(0).resolve(late, waiting=since).outcomes["cloud-0/a"]
+    assert refused == Refused(QUEUE_TOO_LONG, "waited for 60 s: InsufficientResources: 1 slots wanted")
+    assert places(Slots(1).resolve(late, waiting=since)) == {"a": "edge"}
 
 
 def test_the_queue_has_an_end_and_who_waits_keeps_its_place() -> None:
     line = [task(f"a{n:03d}", created=n, conflict_policy=POSTPONE) for n in range(QUEUE_MAX)]
     since = {t.key: NOW - SECOND for t in line}
-    found = Seats(0).resolve(*line, task("late", priority=1000, conflict_policy=POSTPONE), waiting=since)
-    assert places(found)["late"] == QUEUE_FULL
-    assert sum(isinstance(o, Postponed) for o in found.outcomes.values()) == QUEUE_MAX
+    resolution = Slots(0).resolve(*line, task("late", priority=1000, conflict_policy=POSTPONE), waiting=since)
+    assert places(resolution)["late"] == QUEUE_FULL
+    assert sum(isinstance(o, Postponed) for o in resolution.outcomes.values()) == QUEUE_MAX
 
 
 def test_preempt_takes_the_fewest_and_lowest() -> None:
     standing = [task("small", priority=1), task("low", 3, priority=2), task("high", 3, priority=90)]
-    found = Seats(7).resolve(
+    resolution = Slots(7).resolve(
         *standing, task("urgent", 3, priority=100, conflict_policy=PREEMPT), answered=keys("small", "low", "high")
     )
-    assert places(found) == {"small": "edge", "low": PREEMPTED, "high": "edge", "urgent": "edge"}
-    assert found.outcomes["cloud-0/low"] == Refused(PREEMPTED, "gave way to cloud-0/urgent of priority 100")
-    outcome = found.outcomes["cloud-0/urgent"]
+    assert places(resolution) == {"small": "edge", "low": PREEMPTED, "high": "edge", "urgent": "edge"}
+    assert resolution.outcomes["cloud-0/low"] == Refused(PREEMPTED, "gave way to cloud-0/urgent of priority 100")
+    outcome = resolution.outcomes["cloud-0/urgent"]
     assert isinstance(outcome, Met)
     assert outcome.choices[0] == "cloud-0/low gave way to it"
 
 
 def test_nobody_gives_way_to_an_equal_or_for_nothing() -> None:
-    seats = Seats(2)
+    slots = Slots(2)
     equal = task("equal", 2, priority=100, conflict_policy=PREEMPT)
-    assert places(seats.resolve(task("a", 2), equal, answered=keys("a")))["equal"] == INSUFFICIENT_RESOURCES
+    assert places(slots.resolve(task("a", 2), equal, answered=keys("a")))["equal"] == INSUFFICIENT_RESOURCES
     huge = task("huge", 9, priority=500, conflict_policy=PREEMPT)
-    assert places(seats.resolve(task("a", 2), huge, answered=keys("a"))) == {
+    assert places(slots.resolve(task("a", 2), huge, answered=keys("a"))) == {
         "a": "edge",
         "huge": INSUFFICIENT_RESOURCES,
     }
@@ -211,35 +213,35 @@ def test_nobody_gives_way_to_an_equal_or_for_nothing() -> None:
 @pytest.mark.parametrize(("policy", "becomes"), [(POSTPONE, "Postponed"), (OFFLOAD, "cloud"), (REJECT, PREEMPTED)])
 def test_who_gives_way_fares_as_its_own_policy_says(policy: str, becomes: str) -> None:
     low = task("low", priority=1, conflict_policy=policy)
-    found = Seats(1, {"cloud": 1}).resolve(low, task("urgent", conflict_policy=PREEMPT), answered=keys("low"))
-    assert places(found) == {"low": becomes, "urgent": "edge"}
-    outcome = found.outcomes[low.key]
+    resolution = Slots(1, {"cloud": 1}).resolve(low, task("urgent", conflict_policy=PREEMPT), answered=keys("low"))
+    assert places(resolution) == {"low": becomes, "urgent": "edge"}
+    outcome = resolution.outcomes[low.key]
     text = outcome.choices[0] if isinstance(outcome, Met) else outcome.message
     assert "gave way to cloud-0/urgent of priority 100" in text
 
 
-def test_too_many_claims_at_once_are_left_for_the_next_look() -> None:
+def test_too_many_pre_emptions_at_once_are_left_for_the_next_step() -> None:
     standing = [task(f"low{n:02d}", priority=1) for n in range(15)]
-    claims = [task(f"urgent{n:02d}", priority=500, created=n, conflict_policy=PREEMPT) for n in range(15)]
-    found = Seats(15).resolve(*standing, *claims, answered=frozenset(t.key for t in standing))
-    assert found.left == {t.key for t in claims[PREEMPTIONS_MAX:]}
-    assert not found.left & set(found.outcomes)
-    assert sum(word == PREEMPTED for word in places(found).values()) == PREEMPTIONS_MAX
+    preemptors = [task(f"urgent{n:02d}", priority=500, created=n, conflict_policy=PREEMPT) for n in range(15)]
+    resolution = Slots(15).resolve(*standing, *preemptors, answered=frozenset(t.key for t in standing))
+    assert resolution.undecided == {t.key for t in preemptors[PREEMPTIONS_MAX:]}
+    assert not resolution.undecided & set(resolution.outcomes)
+    assert sum(word == PREEMPTED for word in places(resolution).values()) == PREEMPTIONS_MAX
 
 
 def test_a_pre_emption_among_hundreds_needs_few_compositions() -> None:
-    seats = Seats(200)
+    slots = Slots(200)
     standing = [task(f"low{n:03d}", priority=n // 2) for n in range(200)]
-    found = seats.resolve(
+    resolution = slots.resolve(
         *standing, task("urgent", 2, priority=500, conflict_policy=PREEMPT), answered=frozenset(t.key for t in standing)
     )
-    assert {k for k, word in places(found).items() if word == PREEMPTED} == {"low000", "low001"}
-    assert seats.asked < 40
+    assert {k for k, word in places(resolution).items() if word == PREEMPTED} == {"low000", "low001"}
+    assert slots.asked < 40
 
 
 DEMANDS = st.lists(
     st.builds(
-        lambda seats, priority, policy, created, queue: (seats, priority, policy, created, queue),
+        lambda slots, priority, policy, created, queue: (slots, priority, policy, created, queue),
         st.integers(1, 4),
         st.integers(0, 5),
         st.sampled_from(CONFLICT_POLICIES),
@@ -252,8 +254,8 @@ DEMANDS = st.lists(
 
 def made(drawn: Iterable[tuple[int, int, str, int, int]]) -> list[TaskDescription]:
     return [
-        task(f"t{n:02d}", seats, created, priority=priority, conflict_policy=policy, queue_seconds_max=queue)
-        for n, (seats, priority, policy, created, queue) in enumerate(drawn)
+        task(f"t{n:02d}", slots, created, priority=priority, conflict_policy=policy, queue_seconds_max=queue)
+        for n, (slots, priority, policy, created, queue) in enumerate(drawn)
     ]
 
 
@@ -262,69 +264,69 @@ def test_the_answer_does_not_depend_on_the_order_and_takes_nobody_down_without_n
     drawn: list[tuple[int, int, str, int, int]], edge: int, cloud: int, chance: Any
 ) -> None:
     tasks = made(drawn)
-    seats = Seats(edge, {"cloud": cloud})
-    found = seats.resolve(*tasks)
+    slots = Slots(edge, {"cloud": cloud})
+    resolution = slots.resolve(*tasks)
     chance.shuffle(tasks)
-    assert seats.resolve(*tasks) == found
-    assert set(found.outcomes) | found.left == {t.key for t in tasks}
+    assert slots.resolve(*tasks) == resolution
+    assert set(resolution.outcomes) | resolution.undecided == {t.key for t in tasks}
     by_key = {t.key: t for t in tasks}
-    used = [t.parameters["seats"] for t in tasks if _word(found.outcomes[t.key]) == "edge"]
+    used = [t.parameters["slots"] for t in tasks if _word(resolution.outcomes[t.key]) == "edge"]
     assert sum(used) <= edge
-    for key, outcome in found.outcomes.items():
+    for key, outcome in resolution.outcomes.items():
         if isinstance(outcome, Refused) and outcome.reason == PREEMPTED:
-            claim = by_key[outcome.message.split()[3]]
-            assert claim.priority > by_key[key].priority
-            assert isinstance(found.outcomes[claim.key], Met)
+            preemptor = by_key[outcome.message.split()[3]]
+            assert preemptor.priority > by_key[key].priority
+            assert isinstance(resolution.outcomes[preemptor.key], Met)
 
 
 class Days:
     """A manager's life: resolutions one after the other, each with what the last one decided; main follows at once."""
 
-    def __init__(self, seats: Seats) -> None:
-        self.seats, self.now = seats, NOW
+    def __init__(self, slots: Slots) -> None:
+        self.slots, self.now = slots, NOW
         self.tasks: dict[str, TaskDescription] = {}
         self.waiting: dict[str, int] = {}
         self.settled: dict[str, Refused] = {}
         self.answered: frozenset[str] = frozenset()
         self.offloaded: frozenset[str] = frozenset()
 
-    def look(self) -> Resolution:
+    def step(self) -> Resolution:
         history = History(self.waiting, self.settled, self.offloaded & set(self.tasks), self.answered & set(self.tasks))
-        found = resolve([demand(t) for t in self.tasks.values()], self.seats.compose, history, self.now)
-        outcomes = found.outcomes
+        resolution = resolve([demand(t) for t in self.tasks.values()], self.slots.compose, history, self.now)
+        outcomes = resolution.outcomes
         self.waiting = {k: o.since_ns for k, o in outcomes.items() if isinstance(o, Postponed)}
         self.settled = {k: o for k, o in outcomes.items() if isinstance(o, Refused) and o.reason in SETTLED_REASONS}
         self.answered = frozenset(k for k, o in outcomes.items() if isinstance(o, Met))
-        self.offloaded = found.offloaded
-        return found
+        self.offloaded = resolution.offloaded
+        return resolution
 
 
 @given(
-    st.lists(st.tuples(DEMANDS.map(lambda found: found[:3]), st.integers(0, 5), st.integers(0, 3)), max_size=12),
+    st.lists(st.tuples(DEMANDS.map(lambda template: template[:3]), st.integers(0, 5), st.integers(0, 3)), max_size=12),
     st.integers(0, 5),
 )
 def test_every_postponed_task_runs_or_is_refused_within_its_bound(
     steps: list[tuple[list[tuple[int, int, str, int, int]], int, int]], edge: int
 ) -> None:
-    """New demands come all the time, of any priority; the manager looks when it is due and when something comes."""
-    days = Days(Seats(edge))
+    """New demands come all the time, of any priority; the manager decides when it is due and when something comes."""
+    days = Days(Slots(edge))
     due: int | None = None
     for number, (drawn, pause, gone) in enumerate(steps):
-        for found in made(drawn):
-            one = replace(found, name=f"s{number:02d}-{found.name}")
+        for template in made(drawn):
+            one = replace(template, name=f"s{number:02d}-{template.name}")
             days.tasks[one.key] = one
         for key in sorted(days.answered)[:gone]:
             days.tasks.pop(key, None)
         end = days.now + pause * SECOND
         while due is not None and due <= end:
-            days.now, due = due, days.look().next_due_ns
+            days.now, due = due, days.step().next_due_ns
         days.now = end
-        due = days.look().next_due_ns
+        due = days.step().next_due_ns
         for key, since in days.waiting.items():
             assert days.now < since + days.tasks[key].queue_seconds_max * SECOND
             assert due is not None
             assert due <= since + days.tasks[key].queue_seconds_max * SECOND
     while due is not None:
-        days.now, due = due, days.look().next_due_ns
+        days.now, due = due, days.step().next_due_ns
     assert days.waiting == {}
     assert set(days.tasks) <= days.answered | set(days.settled)

@@ -123,8 +123,8 @@ def test_a_task_whose_changes_would_wait_for_a_vehicle_that_drives(stage: Stage,
     ],
 )
 def test_what_is_no_question(explainer: Explainer, body: bytes, status: int, words: str) -> None:
-    found, answer = explainer(body)
-    assert (found, words in answer["message"]) == (status, True)
+    answered, answer = explainer(body)
+    assert (answered, words in answer["message"]) == (status, True)
 
 
 def test_one_question_at_a_time_and_faults_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -136,12 +136,12 @@ def test_one_question_at_a_time_and_faults_in_words(monkeypatch: pytest.MonkeyPa
         assert answer.wait(10)
         raise UnavailableError("the forge is away")
 
-    explainer, found = Explainer(slow, MemoryTasks()), []
+    explainer, answers = Explainer(slow, MemoryTasks()), []
     question = json.dumps(document()).encode()
-    thread = threading.Thread(target=lambda: found.append(explainer(question)))
+    thread = threading.Thread(target=lambda: answers.append(explainer(question)))
     thread.start()
     assert asked.wait(10)
     assert explainer(question)[0] == 429
     answer.set()
     thread.join(10)
-    assert found == [(503, {"message": "the forge is away"})]
+    assert answers == [(503, {"message": "the forge is away"})]

@@ -1,4 +1,4 @@
-"""A device's veto: read from Node and message, bounded, and exactly the changes on its agent wait."""
+"""Holds of devices: read from Node and message, bounded, and exactly the changes on the device's agent wait."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from robotkube.delivery.deployment.core.releases import Cause, Release
-from robotkube.delivery.manager.core.held_changes import held, standing, waiting_tasks
+from robotkube.delivery.manager.core.held_changes import active_holds, held, waiting_tasks
 from robotkube.delivery.manager.core.plans import Change
 from robotkube.delivery.tasks.core.holds import HOLD_SECONDS_MAX, DeviceHold, message_hold, node_hold
 from robotkube.errors import DocumentError
@@ -25,16 +25,16 @@ def release(namespace: str, name: str = "recorder", task: str = "cloud-0/a", **v
     return Release(namespace, name, "event-detector", "1.0.0", f"sha256:{'0' * 64}", full, (cause,))
 
 
-def added(found: Release) -> Change:
-    return Change(found.path, None, found)
+def added(release: Release) -> Change:
+    return Change(release.path, None, release)
 
 
-def removed(found: Release) -> Change:
-    return Change(found.path, found, None)
+def removed(release: Release) -> Change:
+    return Change(release.path, release, None)
 
 
-def changed(found: Release, other: Release) -> Change:
-    return Change(found.path, found, other)
+def changed(before: Release, other: Release) -> Change:
+    return Change(before.path, before, other)
 
 
 def metadata(**annotations: str) -> dict[str, Any]:
@@ -46,9 +46,9 @@ def metadata(**annotations: str) -> dict[str, Any]:
 
 
 def test_a_node_says_why_and_until_when() -> None:
-    found = node_hold("vehicle-00", metadata(hold="driving", hold_until="2026-11-21T10:01:00Z"))
-    assert found == DRIVING
-    assert found.text == "vehicle-00 holds changes until 2026-11-21T10:01:00Z: driving"
+    read = node_hold("vehicle-00", metadata(hold="driving", hold_until="2026-11-21T10:01:00Z"))
+    assert read == DRIVING
+    assert read.text == "vehicle-00 holds changes until 2026-11-21T10:01:00Z: driving"
 
 
 def test_a_node_that_says_nothing_holds_nothing() -> None:
@@ -57,23 +57,23 @@ def test_a_node_that_says_nothing_holds_nothing() -> None:
 
 
 def test_a_label_is_as_good_as_an_annotation() -> None:
-    found = node_hold(
+    read = node_hold(
         "vehicle-00", {**metadata(hold_until="2026-11-21T10:01:00Z"), "labels": {"robotkube.io/hold": "busy"}}
     )
-    assert found == DeviceHold("vehicle-00", TEN + 60 * SECOND, "busy")
+    assert read == DeviceHold("vehicle-00", TEN + 60 * SECOND, "busy")
 
 
 @pytest.mark.parametrize("until", [None, "soon", "2027-01-01T00:00:00Z"])
-def test_no_hold_lasts_longer_than_the_bound_after_it_was_said(until: str | None) -> None:
+def test_no_hold_lasts_longer_than_the_bound_after_it_was_reported(until: str | None) -> None:
     said = {"hold": "driving"} | ({"hold_until": until} if until else {})
-    found = node_hold("vehicle-00", metadata(**said))
-    assert found == DeviceHold("vehicle-00", TEN + HOLD_SECONDS_MAX * SECOND, "driving")
+    read = node_hold("vehicle-00", metadata(**said))
+    assert read == DeviceHold("vehicle-00", TEN + HOLD_SECONDS_MAX * SECOND, "driving")
 
 
 def test_without_the_servers_record_the_node_counts_from_its_creation() -> None:
-    found = node_hold("v", {"labels": {"robotkube.io/hold": "x"}, "creationTimestamp": "2026-11-21T10:00:00Z"})
-    assert found is not None
-    assert found.until_ns == TEN + HOLD_SECONDS_MAX * SECOND
+    read = node_hold("v", {"labels": {"robotkube.io/hold": "x"}, "creationTimestamp": "2026-11-21T10:00:00Z"})
+    assert read is not None
+    assert read.until_ns == TEN + HOLD_SECONDS_MAX * SECOND
 
 
 def test_a_message_says_the_same() -> None:
@@ -103,8 +103,8 @@ def test_a_message_that_cannot_be_read_says_what_is_wrong(payload: bytes, words:
 
 def test_of_several_holds_of_an_agent_the_last_to_end_counts() -> None:
     later = DeviceHold("vehicle-00", TEN + 90 * SECOND, "loading")
-    assert standing([later, DRIVING], TEN) == {"vehicle-00": later}
-    assert standing([later, DRIVING], TEN + 90 * SECOND) == {}
+    assert active_holds([later, DRIVING], TEN) == {"vehicle-00": later}
+    assert active_holds([later, DRIVING], TEN + 90 * SECOND) == {}
 
 
 def test_changes_on_the_agent_wait_the_others_go() -> None:
@@ -135,12 +135,12 @@ def test_another_release_of_the_same_name_does() -> None:
     assert going == (arrives,)
 
 
-def test_tasks_are_told_what_they_wait_for() -> None:
+def test_waiting_tasks_have_what_they_wait_for() -> None:
     changes = (added(release("vehicle-00")), removed(release("vehicle-00", "old", task="cloud-0/b")))
     _, waiting = held(changes, [DRIVING], AGENTS, TEN)
-    found = waiting_tasks(changes, waiting)
-    assert found["cloud-0/a"] == f"vehicle-00/recorder: {DRIVING.text}"
-    assert found["cloud-0/b"] == f"vehicle-00/old: {DRIVING.text}"
+    texts = waiting_tasks(changes, waiting)
+    assert texts["cloud-0/a"] == f"vehicle-00/recorder: {DRIVING.text}"
+    assert texts["cloud-0/b"] == f"vehicle-00/old: {DRIVING.text}"
 
 
 def test_a_task_that_is_answered_already_waits_for_nothing() -> None:

@@ -47,14 +47,14 @@ SECOND = 1_000_000_000
 
 def template(folder: Path) -> Stage:
     """One world for all histories: the initial configuration runs, and the cloud's node has room for ROOM recorders."""
-    found = Stage(folder, VEHICLES)
-    found.settle()
-    always = sum(release.namespace == "cloud-0" for release in found.releases().values())
+    stage = Stage(folder, VEHICLES)
+    stage.settle()
+    always = sum(release.namespace == "cloud-0" for release in stage.releases().values())
     room = Resources(30 * (always + ROOM), 2**40)
-    found.cluster.machines = [
-        replace(node, allocatable=room if node.name == "cloud-0" else None) for node in found.cluster.machines
+    stage.cluster.machines = [
+        replace(node, allocatable=room if node.name == "cloud-0" else None) for node in stage.cluster.machines
     ]
-    return found
+    return stage
 
 
 class World(Stage):
@@ -108,7 +108,7 @@ TASK = st.fixed_dictionaries(
 
 
 class Histories(RuleBasedStateMachine):
-    """Rules are what may happen; nothing is looked at before the manager has had its turns."""
+    """Rules are what may happen; nothing is checked before the manager has had its turns."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -309,7 +309,7 @@ def silent() -> Iterator[None]:
 
 def run(folder: Path, examples: int, derandomize: bool) -> None:
     World.template = template(folder)
-    found = settings(
+    options = settings(
         max_examples=examples,
         stateful_step_count=12,
         derandomize=derandomize,
@@ -319,7 +319,7 @@ def run(folder: Path, examples: int, derandomize: bool) -> None:
         phases=[Phase.explicit, Phase.generate],  # to shrink a history takes longer than to read it
     )
     with silent():
-        run_state_machine_as_test(Histories, settings=found)  # type: ignore[no-untyped-call]
+        run_state_machine_as_test(Histories, settings=options)  # type: ignore[no-untyped-call]
 
 
 def test_random_histories(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 from robotkube.delivery.manager.core.composition.composer import Met, Refused
 from robotkube.delivery.manager.core.placement.capacity import Resources
 from robotkube.delivery.manager.core.standing_demands import moment
-from robotkube.foundation.forge.core.polling import LOOK_SECONDS
+from robotkube.foundation.forge.core.resync import RESYNC_SECONDS
 from robotkube.foundation.kubernetes.core.annotations import RENEWED_ANNOTATION
 from tests.stages.delivery.manager_in_memory import START_NS, Stage
 
@@ -53,7 +53,7 @@ def test_a_lease_ends_without_any_event_and_a_renewal_brings_the_demand_back(sta
     assert recorders(stage) == {"recorder-vehicle-00-vehicle-01"}
     stage.seconds += 4.0
     pause = stage.manager.step()
-    assert pause < LOOK_SECONDS
+    assert pause < RESYNC_SECONDS
     stage.seconds += pause
     stage.manager.step()
     stage.manager.step()
@@ -138,7 +138,7 @@ def test_the_more_urgent_task_takes_the_place_and_both_say_so(narrow: Stage) -> 
     assert narrow.tasks.condition(low, "Accepted") == ("False", "Preempted")
 
 
-def test_who_gave_way_to_whom_is_said_after_the_merge_and_after_a_restart(narrow: Stage) -> None:
+def test_who_gave_way_to_whom_is_reported_after_the_merge_and_after_a_restart(narrow: Stage) -> None:
     low = ask(narrow, "low", priority=10)
     narrow.settle()
     high = ask(narrow, "high", SECOND, priority=500, conflictPolicy="Preempt")
@@ -182,10 +182,10 @@ def test_foresight_tells_what_would_happen_and_does_nothing(narrow: Stage) -> No
     document = {"metadata": {"namespace": "cloud-0", "name": "high"}, "spec": dict(narrow.tasks.objects[low]["spec"])}
     document["spec"] |= {"parameters": {"vehicles": list(SECOND)}, "priority": 500, "conflictPolicy": "Preempt"}
     tip, patches, releases = narrow.repository.tip, narrow.tasks.patches, narrow.releases()
-    found = narrow.manager._planner.what_if(document)
-    assert isinstance(found.outcome, Met)
-    assert any(line.startswith("cloud-0/low is refused, Preempted: gave way") for line in found.lines)
-    changes = {change.path: change for change in found.changes}
+    explanation = narrow.manager._planner.what_if(document)
+    assert isinstance(explanation.outcome, Met)
+    assert any(line.startswith("cloud-0/low is refused, Preempted: gave way") for line in explanation.lines)
+    changes = {change.path: change for change in explanation.changes}
     gone = changes["releases/cloud-0/recorder-vehicle-00-vehicle-01.yaml"]
     assert (gone.after, bool(gone.before)) == (None, True)
     assert changes["releases/cloud-0/recorder-vehicle-01-vehicle-02.yaml"].before is None

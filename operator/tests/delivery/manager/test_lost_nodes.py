@@ -23,8 +23,8 @@ def node(status: str = "True", **allocatable: str) -> dict[str, Any]:
         "kubernetes.io/arch": "arm64",
     }
     ready = {"type": "Ready", "status": status, "lastTransitionTime": AT}
-    found = {"conditions": [{"type": "DiskPressure", "status": "False"}, ready], "allocatable": allocatable}
-    return {"metadata": {"name": "n", "labels": labels}, "status": found}
+    full = {"conditions": [{"type": "DiskPressure", "status": "False"}, ready], "allocatable": allocatable}
+    return {"metadata": {"name": "n", "labels": labels}, "status": full}
 
 
 @pytest.mark.parametrize(
@@ -32,17 +32,17 @@ def node(status: str = "True", **allocatable: str) -> dict[str, Any]:
     [("True", AT_NS, None, None), ("False", None, AT_NS, None), ("Unknown", None, AT_NS, AT_NS)],
 )
 def test_since_when_a_node_is_as_it_is(status: str, ready: int, not_ready: int, silent: int) -> None:
-    found = read_node(node(status))
-    assert (found.ready_since, found.not_ready_since, found.silent_since) == (ready, not_ready, silent)
-    assert found.ready is (status == "True")
-    assert found.silent_seconds(AT_NS + 5_500_000_000) == (5.5 if silent else 0.0)
-    assert found.silent_seconds(AT_NS - 1) == 0.0
+    state = read_node(node(status))
+    assert (state.ready_since, state.not_ready_since, state.silent_since) == (ready, not_ready, silent)
+    assert state.ready is (status == "True")
+    assert state.silent_seconds(AT_NS + 5_500_000_000) == (5.5 if silent else 0.0)
+    assert state.silent_seconds(AT_NS - 1) == 0.0
 
 
 def test_room_and_platform_of_a_node() -> None:
-    found = read_node(node(cpu="3920m", memory="16316412Ki", pods="110"))
-    assert found.allocatable == Resources(3920, 16316412 * 1024)
-    assert found.platform == "linux/arm64"
+    state = read_node(node(cpu="3920m", memory="16316412Ki", pods="110"))
+    assert state.allocatable == Resources(3920, 16316412 * 1024)
+    assert state.platform == "linux/arm64"
     assert read_node(node(cpu="4", memory="8000000000")).allocatable == Resources(4000, 8_000_000_000)
     young = read_node({"metadata": {"name": "n"}})
     assert (young.allocatable, young.platform, young.ready, young.not_ready_since) == (None, "", False, None)

@@ -25,9 +25,9 @@ def two_clouds(stage: Stage) -> None:
 
 def place(stage: Stage) -> str:
     """The agent that records."""
-    found = [release.namespace for release in stage.releases().values() if release.name == RECORDER]
-    assert len(found) == 1
-    return found[0]
+    namespaces = [release.namespace for release in stage.releases().values() if release.name == RECORDER]
+    assert len(namespaces) == 1
+    return namespaces[0]
 
 
 def silence(stage: Stage, agent: str) -> None:
@@ -53,7 +53,7 @@ def test_a_recorder_leaves_a_lost_node_and_nothing_leaves_before(stage: Stage) -
     stage.seconds += 30
     stage.go(wake=NODES)
     assert place(stage) == first
-    stage.seconds += 12  # nobody says anything at that moment: the manager looks by itself
+    stage.seconds += 12  # nothing is reported at that moment: the manager plans by itself
     for _ in range(6):
         stage.manager.step()
         stage.seconds += 0.1

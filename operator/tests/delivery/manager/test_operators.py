@@ -12,16 +12,16 @@ import pytest
 from robotkube.delivery.manager.core.placement.placement import Agent, NodeState
 from robotkube.delivery.manager.core.placement.scopes import Operators, Scope
 from robotkube.delivery.manager.loops.reconciler import DEPLOYMENT, NODES
-from robotkube.delivery.manager.loops.unknown_agents import TOLD_AT_ONCE_MAX
+from robotkube.delivery.manager.loops.unknown_agents import EVENTS_AT_ONCE_MAX
 from robotkube.delivery.manager.loops.upkeep import ORPHAN_SECONDS
 from robotkube.delivery.tasks.core.holds import DeviceHold
 from robotkube.delivery.tasks.loops.device_holds import DeviceHolds
 from robotkube.delivery.tasks.loops.mqtt_gateway import MqttTaskGateway
 from robotkube.delivery.tasks.ports.mqtt_gateway import GatewayMessage
 from robotkube.errors import UnavailableError
-from robotkube.foundation.forge.core.polling import LOOK_SECONDS
+from robotkube.foundation.forge.core.resync import RESYNC_SECONDS
 from robotkube.testing.clusters import MemoryTasks
-from robotkube.testing.doors import MemoryGatewayChannel, MemoryTaskWriter
+from robotkube.testing.task_gateways import MemoryGatewayChannel, MemoryTaskWriter
 from tests.stages.delivery.manager_in_memory import START_NS, Stage
 
 SOUTH = ("vehicle-00", "vehicle-01", "cloud-0")
@@ -77,7 +77,7 @@ def test_each_manager_gives_its_agents_the_initial_configuration(tmp_path: Path)
     assert namespaces(stage) == {*SOUTH, *NORTH}
     before = stage.repository.tip
     for manager in (stage, other):
-        manager.go(8, seconds=LOOK_SECONDS, wake=DEPLOYMENT)
+        manager.go(8, seconds=RESYNC_SECONDS, wake=DEPLOYMENT)
     assert stage.repository.tip == before, "neither touches what the other wrote"
 
 
@@ -217,7 +217,7 @@ def test_nobody_can_name_a_parent_that_launched_nothing_there(tmp_path: Path) ->
     assert "no release of that task is an event detector in namespace vehicle-00" in message(stage, key, "Accepted")
 
 
-# -- vetoes -------------------------------------------------------------------------------------------------------
+# -- holds --------------------------------------------------------------------------------------------------------
 
 
 def hold(stage: Stage, agent: str, seconds: float = 60.0) -> None:
@@ -257,7 +257,7 @@ def test_a_hold_ends_by_itself(stage: Stage) -> None:
     stage.seconds += 31.0
     for _ in range(4):
         stage.manager.step()
-        stage.tell()
+        stage.notify()
         stage.seconds += 0.1
     assert stage.tasks.condition(key, "Committed") == ("True", "Merged")
 
@@ -275,27 +275,27 @@ def test_what_goes_from_a_driving_agent_waits_too(stage: Stage) -> None:
     assert not any(key in {c.task for c in r.causes} for r in stage.releases().values())
 
 
-def test_a_device_says_it_by_message(stage: Stage) -> None:
+def test_a_device_reports_it_by_message(stage: Stage) -> None:
     woken: list[str] = []
     holds = DeviceHolds(lambda: START_NS, lambda: woken.append(NODES))
     channel, tasks = MemoryGatewayChannel(), MemoryTasks()
     operators, writer = {"vehicle-00": "vehicle-00"}, MemoryTaskWriter(tasks)
     clock = (lambda: START_NS, lambda: 0.0)
-    door = MqttTaskGateway(operators, channel, tasks, writer, stage.leadership, *clock, holds.receive)
+    gateway = MqttTaskGateway(operators, channel, tasks, writer, stage.leadership, *clock, holds.receive)
 
     def say(payload: bytes, agent: str = "vehicle-00", size: int | None = None) -> None:
         channel.waiting.append(
             GatewayMessage(f"robotkube/holds/{agent}", payload, len(payload) if size is None else size)
         )
-        door.turn(0.0)
+        gateway.turn(0.0)
 
     say(b'{"reason": "driving", "until": "2027-01-01T00:00:00Z"}')
-    [found] = holds()
-    assert (found.agent, found.reason) == ("vehicle-00", "driving")
+    [hold] = holds()
+    assert (hold.agent, hold.reason) == ("vehicle-00", "driving")
     say(b"gibberish")
     say(b"", size=1_000_000)
     say(b'{"reason": "driving", "until": "2027-01-01T00:00:00Z"}', agent="vehicle-09")
-    assert list(holds()) == [found]
+    assert list(holds()) == [hold]
     say(b"")
     assert (list(holds()), woken) == ([], [NODES, NODES])
     assert len(channel.acknowledged) == 5
@@ -356,17 +356,17 @@ def test_a_node_of_an_undeclared_agent_gets_nothing_and_is_reported_once(stage: 
 
 
 def test_reports_that_do_not_arrive_are_made_again_and_bounded(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
-    stage.cluster.machines += [node(f"node-{i}", f"stranger-{i}") for i in range(TOLD_AT_ONCE_MAX + 1)]
-    told: Callable[[str, str, str], None] = stage.cluster.tell_node
+    stage.cluster.machines += [node(f"node-{i}", f"stranger-{i}") for i in range(EVENTS_AT_ONCE_MAX + 1)]
+    report: Callable[[str, str, str], None] = stage.cluster.report_on_node
 
     def refuse(name: str, reason: str, text: str) -> None:
         raise UnavailableError("API server: away")
 
-    monkeypatch.setattr(stage.cluster, "tell_node", refuse)
+    monkeypatch.setattr(stage.cluster, "report_on_node", refuse)
     stage.go(1, wake=NODES)
     assert stage.cluster.reports == []
-    monkeypatch.setattr(stage.cluster, "tell_node", told)
+    monkeypatch.setattr(stage.cluster, "report_on_node", report)
     stage.go(1, wake=NODES)
-    assert len(stage.cluster.reports) == TOLD_AT_ONCE_MAX
+    assert len(stage.cluster.reports) == EVENTS_AT_ONCE_MAX
     stage.go(1, wake=NODES)
-    assert len(stage.cluster.reports) == TOLD_AT_ONCE_MAX + 1
+    assert len(stage.cluster.reports) == EVENTS_AT_ONCE_MAX + 1

@@ -19,7 +19,7 @@ AT_ONCE = 20
 
 
 def answered(stage: Stage, numbers: range) -> list[dict[str, Any]]:
-    """The statuses of these cases after the manager has looked at all of them together."""
+    """The statuses of these cases after the manager has decided about all of them together."""
     keys = []
     for number in numbers:
         document = random_task(number)

@@ -1,4 +1,4 @@
-"""The manager's loop over worlds in memory: what it proposes, says and remembers, whatever happens in between."""
+"""The manager's loop over worlds in memory: what it proposes, reports and remembers, whatever happens in between."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from robotkube.delivery.manager.loops.reconciler import (
     ATTEMPTS_MAX,
     CATALOGUE,
     DEPLOYMENT,
-    SAID_SECONDS,
+    REPORT_AFTER_SECONDS,
     TASKS,
 )
 from robotkube.errors import InputError, UnavailableError
-from robotkube.foundation.forge.core.polling import LOOK_SECONDS, LOOK_SECONDS_BUSY
+from robotkube.foundation.forge.core.resync import RESYNC_SECONDS, RESYNC_SECONDS_BUSY
 from tests.stages.delivery.manager_in_memory import MEETING, Stage
 
 
@@ -211,13 +211,13 @@ def test_the_forge_may_be_away(stage: Stage) -> None:
     assert stage.tasks.condition(MEETING, "Committed") == ("True", "Merged")
 
 
-def test_tasks_are_told_when_the_forge_is_away_for_long(stage: Stage) -> None:
+def test_statuses_say_when_the_forge_is_away_for_long(stage: Stage) -> None:
     stage.repository.away = True
     key = stage.ask()
     stage.manager.wake(TASKS)
     stage.fail()
     assert "status" not in stage.tasks.objects[key]
-    stage.seconds += SAID_SECONDS + 1
+    stage.seconds += REPORT_AFTER_SECONDS + 1
     stage.fail()
     assert stage.tasks.condition(key, "Accepted") == ("True", "Accepted")
     assert stage.tasks.condition(key, "Committed") == ("False", "ForgeUnavailable")
@@ -232,7 +232,7 @@ def test_tasks_are_told_when_the_forge_is_away_for_long(stage: Stage) -> None:
     assert stage.tasks.condition(key, "Committed") == ("True", "Merged")
 
 
-def test_a_pull_request_whose_number_was_not_told_is_found(stage: Stage) -> None:
+def test_a_pull_request_whose_number_was_not_returned_is_found(stage: Stage) -> None:
     stage.forge.tell_numbers = False
     stage.ask()
     stage.go()
@@ -354,7 +354,7 @@ def test_plans_are_observed_while_the_next_is_written(stage: Stage) -> None:
 def test_main_is_not_fetched_for_what_is_known_of_it(stage: Stage) -> None:
     stage.settle()
     fetches = stage.repository.fetches
-    stage.manager.wake(DEPLOYMENT, stage.repository.tip)  # the forge tells what the gate has told
+    stage.manager.wake(DEPLOYMENT, stage.repository.tip)  # the forge reports what the gate has reported
     stage.manager.step()
     assert stage.repository.fetches == fetches
     stage.manager.wake(DEPLOYMENT, stage.repository.push({"README.md": "by hand\n"}))
@@ -362,18 +362,18 @@ def test_main_is_not_fetched_for_what_is_known_of_it(stage: Stage) -> None:
     assert stage.repository.fetches == fetches + 1
 
 
-def test_nobody_looks_around_while_plan_follows_plan(stage: Stage) -> None:
+def test_there_is_no_resync_while_plan_follows_plan(stage: Stage) -> None:
     stage.settle()
-    looks, began = stage.catalogue.fetches, stage.seconds
-    while stage.seconds - began < 2 * LOOK_SECONDS_BUSY:
+    fetches, began = stage.catalogue.fetches, stage.seconds
+    while stage.seconds - began < 2 * RESYNC_SECONDS_BUSY:
         stage.ask() if "cloud-0/meeting" not in stage.tasks.objects else stage.tasks.delete("cloud-0/meeting")
         stage.go(steps=2, seconds=0.25)
-    assert stage.catalogue.fetches == looks + 2
-    stage.go(steps=2, seconds=LOOK_SECONDS)
-    assert stage.catalogue.fetches > looks + 2
+    assert stage.catalogue.fetches == fetches + 2
+    stage.go(steps=2, seconds=RESYNC_SECONDS)
+    assert stage.catalogue.fetches > fetches + 2
 
 
-def test_a_proposal_that_waits_is_looked_after_by_the_second_and_not_for_every_task(stage: Stage) -> None:
+def test_a_proposal_that_waits_is_polled_by_the_second_and_not_for_every_task(stage: Stage) -> None:
     stage.settle()
     stage.forge.decide = stage.forge.leave
     stage.ask()
@@ -383,7 +383,7 @@ def test_a_proposal_that_waits_is_looked_after_by_the_second_and_not_for_every_t
         stage.go(steps=1, seconds=0.1, wake=TASKS)
     assert stage.repository.fetches <= fetches + 1
     stage.forge.merge(stage.forge.pulls[max(stage.forge.pulls)])
-    stage.told = [pull.state for pull in stage.forge.pulls.values()]  # nobody says so
+    stage.notified = [pull.state for pull in stage.forge.pulls.values()]  # no webhook comes
     stage.seconds += 1.0
     stage.manager.step()
     assert stage.tasks.condition("cloud-0/meeting", "Committed") == ("True", "Merged")

@@ -16,7 +16,7 @@ from robotkube.testing.clusters import MemoryTasks
 from tests.stages.delivery.manager_in_memory import MEETING, Stage
 
 
-def test_a_refused_plan_is_said_and_not_repeated_until_its_inputs_change(stage: Stage) -> None:
+def test_a_refused_plan_is_reported_and_not_repeated_until_its_inputs_change(stage: Stage) -> None:
     stage.forge.decide = lambda pull: stage.forge.refuse(pull, "the chart is not in the catalogue")
     stage.ask()
     stage.go(20)
@@ -59,7 +59,7 @@ def test_a_refused_withdrawal_is_not_repeated(stage: Stage) -> None:
     assert len(stage.forge.pulls) == 3
 
 
-def test_what_the_gate_refuses_is_in_the_status_and_told_once(stage: Stage) -> None:
+def test_what_the_gate_refuses_is_in_the_status_and_reported_once(stage: Stage) -> None:
     text = refusal_text("c" * 40, ["releases/cloud-0/x.yaml: no"])
     stage.forge.decide = lambda pull: stage.forge.refuse(pull, text)
     key = stage.ask()
@@ -74,14 +74,14 @@ def test_an_event_that_is_refused_holds_nothing(stage: Stage) -> None:
     def refuse(task: Any, reason: str, text: str) -> None:
         raise InputError("events are forbidden")
 
-    stage.tasks.tell = refuse  # type: ignore[method-assign]
+    stage.tasks.report_on_task = refuse  # type: ignore[method-assign]
     stage.forge.decide = lambda pull: stage.forge.refuse(pull, "no")
     key = stage.ask()
     stage.go(8)
     assert stage.tasks.condition(key, "Committed") == ("False", "ProposalRefused")
 
 
-def test_a_proposal_that_the_forge_itself_refuses_is_said(stage: Stage) -> None:
+def test_a_proposal_that_the_forge_itself_refuses_is_reported(stage: Stage) -> None:
     def refuse(commit: str, topic: str, title: str, body: str) -> int | None:
         raise RefusalError("ProposalRefused", "the forge refused proposal: you may not")
 
@@ -150,7 +150,7 @@ def test_a_guarantee_that_must_be_verified_is_not_met_yet(stage: Stage) -> None:
     assert stage.tasks.condition(key, "Committed") == ("True", "Merged")
 
 
-def test_what_runs_stays_when_its_evidence_is_in_doubt(stage: Stage) -> None:
+def test_what_runs_stays_when_its_evidence_is_not_accepted(stage: Stage) -> None:
     key = stage.ask()
     stage.settle()
     before = stage.releases()
@@ -184,7 +184,9 @@ def test_without_assurance_the_evidence_is_none(stage: Stage) -> None:
         ({"surprise": 1}, "InvalidParameters", "spec.surprise: unknown key"),
     ],
 )
-def test_refused_tasks_are_told_why(stage: Stage, spec: dict[str, Any], reason: str, text: str) -> None:
+def test_refused_tasks_have_the_reason_in_their_status(
+    stage: Stage, spec: dict[str, Any], reason: str, text: str
+) -> None:
     key = stage.ask(**spec)
     stage.go()
     assert stage.tasks.condition(key, "Accepted") == ("False", reason)
@@ -192,7 +194,7 @@ def test_refused_tasks_are_told_why(stage: Stage, spec: dict[str, Any], reason: 
     assert len(stage.forge.pulls) == 1
 
 
-def test_a_refused_task_is_accepted_when_the_world_changes(stage: Stage) -> None:
+def test_a_refused_task_is_accepted_when_its_inputs_change(stage: Stage) -> None:
     cloud = stage.cluster.machines.pop()
     key = stage.ask()
     stage.go()

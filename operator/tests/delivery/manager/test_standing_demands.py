@@ -11,8 +11,8 @@ from robotkube.delivery.manager.core.standing_demands import (
     PastDecision,
     StandingDemands,
     TaskReader,
-    remembered,
-    standing,
+    demands_at,
+    past_decision,
 )
 from robotkube.delivery.tasks.core.task_description import LEASE_EXPIRED, SETTLED_REASONS
 from robotkube.foundation.documents.core.times import time_ns
@@ -30,23 +30,23 @@ def document(name: str = "meeting", annotations: dict[str, str] | None = None, *
     return {"metadata": {**metadata, "annotations": annotations or {}}, "spec": {**full, **spec}}
 
 
-def look(*documents: dict[str, Any], after_seconds: float = 0) -> StandingDemands:
-    return standing(TaskReader().read(documents), BEGIN + int(after_seconds * SECOND))
+def demands(*documents: dict[str, Any], after_seconds: float = 0) -> StandingDemands:
+    return demands_at(TaskReader().read(documents), BEGIN + int(after_seconds * SECOND))
 
 
 def test_a_task_without_a_lease_stands_until_it_is_deleted() -> None:
     task = document()
-    found = look(task, after_seconds=10**8)
-    assert (list(found.live), found.next_due_ns) == (["cloud-0/meeting"], None)
+    standing = demands(task, after_seconds=10**8)
+    assert (list(standing.live), standing.next_due_ns) == (["cloud-0/meeting"], None)
     task["metadata"]["deletionTimestamp"] = CREATED
-    assert look(task) == StandingDemands()
+    assert demands(task) == StandingDemands()
 
 
 def test_a_lease_ends_at_its_second() -> None:
     task = document(lease={"seconds": 5})
-    before = look(task, after_seconds=4.999)
+    before = demands(task, after_seconds=4.999)
     assert (list(before.live), before.next_due_ns) == (["cloud-0/meeting"], BEGIN + 5 * SECOND)
-    after = look(task, after_seconds=5)
+    after = demands(task, after_seconds=5)
     assert not after.live
     assert after.next_due_ns is None
     assert after.refused["cloud-0/meeting"].reason == LEASE_EXPIRED
@@ -55,28 +55,28 @@ def test_a_lease_ends_at_its_second() -> None:
 
 def test_a_renewal_moves_the_end_and_makes_an_expired_task_a_demand_again() -> None:
     renewed = {RENEWED_ANNOTATION: "2026-11-21T10:00:08.500000Z"}
-    found = look(document(annotations=renewed, lease={"seconds": 5}), after_seconds=10)
-    assert found.next_due_ns == BEGIN + int(13.5 * SECOND)
-    assert look(document(lease={"seconds": 5}), after_seconds=10).live == {}
+    standing = demands(document(annotations=renewed, lease={"seconds": 5}), after_seconds=10)
+    assert standing.next_due_ns == BEGIN + int(13.5 * SECOND)
+    assert demands(document(lease={"seconds": 5}), after_seconds=10).live == {}
 
 
 def test_a_renewal_before_the_creation_shortens_nothing() -> None:
     renewed = {RENEWED_ANNOTATION: "2026-11-21T09:00:00Z"}
-    assert look(document(annotations=renewed, lease={"seconds": 5})).next_due_ns == BEGIN + 5 * SECOND
+    assert demands(document(annotations=renewed, lease={"seconds": 5})).next_due_ns == BEGIN + 5 * SECOND
 
 
 def test_the_order_is_that_of_creation_then_of_key_whatever_the_list() -> None:
     later, first, second = document("c"), document("a"), document("b")
     later["metadata"]["creationTimestamp"] = "2026-11-21T10:00:01Z"
     first["metadata"]["creationTimestamp"] = second["metadata"]["creationTimestamp"] = CREATED
-    assert list(look(later, second, first).live) == ["cloud-0/a", "cloud-0/b", "cloud-0/c"]
-    assert list(look(first, later, second).live) == ["cloud-0/a", "cloud-0/b", "cloud-0/c"]
+    assert list(demands(later, second, first).live) == ["cloud-0/a", "cloud-0/b", "cloud-0/c"]
+    assert list(demands(first, later, second).live) == ["cloud-0/a", "cloud-0/b", "cloud-0/c"]
 
 
 def test_the_same_key_twice_is_one_task_and_the_newest_counts() -> None:
     changed = document(parameters={"x": 1})
     changed["metadata"]["generation"] = 2
-    [task] = look(document(), changed).live.values()
+    [task] = demands(document(), changed).live.values()
     assert (task.generation, task.parameters) == (2, {"x": 1})
 
 
@@ -91,9 +91,9 @@ def test_a_task_is_read_again_only_when_something_changed() -> None:
 
 
 def test_what_cannot_be_read_is_refused_and_holds_nobody() -> None:
-    found = look(document("good"), document("bad", priority="high"))
-    assert list(found.live) == ["cloud-0/good"]
-    assert found.refused["cloud-0/bad"] == Refused(
+    standing = demands(document("good"), document("bad", priority="high"))
+    assert list(standing.live) == ["cloud-0/good"]
+    assert standing.refused["cloud-0/bad"] == Refused(
         "InvalidParameters", "task cloud-0/bad: spec.priority: must be a whole number from 0 to 1000"
     )
 
@@ -104,9 +104,9 @@ def test_what_is_nested_too_deeply_is_refused_every_time() -> None:
         deep: Any = 0
         for _ in range(950):
             deep = [deep]
-        found = reader.read([document(parameters={"x": deep})])["cloud-0/meeting"]
-        assert isinstance(found, Refused)
-        assert "nested deeper than 32" in found.message
+        refusal = reader.read([document(parameters={"x": deep})])["cloud-0/meeting"]
+        assert isinstance(refusal, Refused)
+        assert "nested deeper than 32" in refusal.message
 
 
 def with_status(reason: str, generation: int = 1, **status: Any) -> dict[str, Any]:
@@ -116,15 +116,15 @@ def with_status(reason: str, generation: int = 1, **status: Any) -> dict[str, An
 
 @pytest.mark.parametrize("reason", sorted(SETTLED_REASONS))
 def test_a_settled_conflict_is_found_in_the_status(reason: str) -> None:
-    assert remembered(with_status(reason)) == PastDecision(settled=Refused(reason, "because"))
-    assert remembered(with_status(reason, generation=7)) == PastDecision()
+    assert past_decision(with_status(reason)) == PastDecision(settled=Refused(reason, "because"))
+    assert past_decision(with_status(reason, generation=7)) == PastDecision()
 
 
 def test_a_place_in_the_queue_and_another_place_are_found_in_the_status() -> None:
     waiting = with_status("Postponed", queue={"since": "2026-11-21T10:00:01.500000Z"})
-    assert remembered(waiting) == PastDecision(waiting_since_ns=BEGIN + int(1.5 * SECOND))
-    assert remembered(with_status("Postponed", queue={"since": "yesterday"})) == PastDecision()
-    assert remembered(with_status("NoCapableNode")) == PastDecision()
+    assert past_decision(waiting) == PastDecision(waiting_since_ns=BEGIN + int(1.5 * SECOND))
+    assert past_decision(with_status("Postponed", queue={"since": "yesterday"})) == PastDecision()
+    assert past_decision(with_status("NoCapableNode")) == PastDecision()
     accepted = document() | {"status": {"observedGeneration": 1, "offloaded": True}}
-    assert remembered(accepted) == PastDecision(offloaded=True)
-    assert remembered(document()) == PastDecision()
+    assert past_decision(accepted) == PastDecision(offloaded=True)
+    assert past_decision(document()) == PastDecision()

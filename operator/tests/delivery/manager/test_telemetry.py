@@ -39,31 +39,31 @@ def samples(text: str) -> dict[tuple[str, tuple[tuple[str, str], ...]], float]:
 
 
 def test_metrics_count_time_and_show_states() -> None:
-    figures = ManagerGauges({("Accepted", "True", "Accepted"): 3}, 2, 1, 4, 5, False)
-    metrics = PrometheusMetrics(lambda: figures)
+    gauges = ManagerGauges({("Accepted", "True", "Accepted"): 3}, 2, 1, 4, 5, False)
+    metrics = PrometheusMetrics(lambda: gauges)
     metrics.step(False)
     metrics.step(True)
     metrics.decided(0.004)
     metrics.plan(PLAN, "merged")
     metrics.plan(PlanFacts("p2", "a kind that nobody knows"), "refused")
-    found = samples(metrics.text())
-    assert found[f"{PREFIX}steps_total", ()] == 2
-    assert found[f"{PREFIX}step_failures_total", ()] == 1
-    assert found[f"{PREFIX}decision_seconds_bucket", (("le", "0.005"),)] == 1
-    assert found[f"{PREFIX}plans_total", (("kind", "task"), ("outcome", "merged"))] == 1
-    assert found[f"{PREFIX}plans_total", (("kind", OTHER), ("outcome", "refused"))] == 1
-    assert found[f"{PREFIX}merged_seconds_sum", ()] == 3
+    values = samples(metrics.text())
+    assert values[f"{PREFIX}steps_total", ()] == 2
+    assert values[f"{PREFIX}step_failures_total", ()] == 1
+    assert values[f"{PREFIX}decision_seconds_bucket", (("le", "0.005"),)] == 1
+    assert values[f"{PREFIX}plans_total", (("kind", "task"), ("outcome", "merged"))] == 1
+    assert values[f"{PREFIX}plans_total", (("kind", OTHER), ("outcome", "refused"))] == 1
+    assert values[f"{PREFIX}merged_seconds_sum", ()] == 3
     labels = (("condition", "Accepted"), ("reason", "Accepted"), ("status", "True"))
-    assert found[f"{PREFIX}tasks", labels] == 3
-    states = [found[PREFIX + name, ()] for name in ("tasks_waiting", "main_broken_files", "agents_unknown", "holds")]
+    assert values[f"{PREFIX}tasks", labels] == 3
+    states = [values[PREFIX + name, ()] for name in ("tasks_waiting", "main_broken_files", "agents_unknown", "holds")]
     assert states == [2, 1, 4, 5]
-    assert found[f"{PREFIX}leader", ()] == 0
-    shown = {name for name, _ in found if name.startswith(PREFIX)}
+    assert values[f"{PREFIX}leader", ()] == 0
+    shown = {name for name, _ in values if name.startswith(PREFIX)}
     for one in METRICS:
         assert any(name.startswith(PREFIX + one.name) for name in shown), one.name
 
 
-def test_figures_count_by_the_closed_list_of_reasons() -> None:
+def test_gauges_count_by_the_closed_list_of_reasons() -> None:
     tasks, cluster = MemoryTasks(), MemoryCluster()
     for name, accepted, committed in (
         ("waits", ("True", "Accepted"), ("False", "Proposed")),
@@ -73,17 +73,17 @@ def test_figures_count_by_the_closed_list_of_reasons() -> None:
         ("strange", ("False", "x" * 500), None),
     ):
         tasks.create("cloud-0", name, {})
-        found = {"Accepted": accepted, **({"Committed": committed} if committed else {})}
-        conditions = [{"type": kind, "status": s, "reason": r} for kind, (s, r) in found.items()]
+        states = {"Accepted": accepted, **({"Committed": committed} if committed else {})}
+        conditions = [{"type": kind, "status": s, "reason": r} for kind, (s, r) in states.items()]
         tasks.objects[f"cloud-0/{name}"]["status"] = {"conditions": conditions}
     tasks.create("cloud-0", "new", {})
     cluster.machines = [NodeState(name, name, "vehicle", frozenset(), True) for name in ("known", "stranger")]
     reader = GaugeReader(tasks, cluster, frozenset({"known"}), broken=lambda: 2, leading=lambda: False)
-    figures = reader.read()
-    assert figures.tasks["Accepted", "True", "Accepted"] == 2
-    assert figures.tasks["Accepted", "False", "Other"] == 1
-    assert (figures.waiting, figures.unknown_agents, figures.broken_files) == (3, 1, 2)
-    assert not figures.leading
+    gauges = reader.read()
+    assert gauges.tasks["Accepted", "True", "Accepted"] == 2
+    assert gauges.tasks["Accepted", "False", "Other"] == 1
+    assert (gauges.waiting, gauges.unknown_agents, gauges.broken_files) == (3, 1, 2)
+    assert not gauges.leading
 
 
 def test_a_plan_is_spans_in_the_trace_of_each_of_its_events() -> None:
@@ -195,13 +195,13 @@ def test_what_a_process_counts_is_read_anew_for_every_page() -> None:
     series = Series("own_things_total", "counter", "Things.", {}, ("kind",))
     gauge = Series("own_open", "gauge", "1 while open.", {(): 0})
     page = MetricsPage(lambda: [replace(series, values=by_one(counts))], lambda: [gauge])
-    found = samples(page.text())
-    assert {name: value for name, value in found.items() if name[0].startswith("own_")} == {
+    shown = samples(page.text())
+    assert {name: value for name, value in shown.items() if name[0].startswith("own_")} == {
         ("own_things_total", (("kind", "a"),)): 1.0,
         ("own_things_total", (("kind", 'q"\\\n'),)): 2.5,
         ("own_open", ()): 0.0,
     }
-    assert ("process_resident_memory_bytes", ()) in found
+    assert ("process_resident_memory_bytes", ()) in shown
     counts["a"] = 3
     assert samples(page.text())["own_things_total", (("kind", "a"),)] == 3.0
     assert "# TYPE own_things_total counter\n" in page.text()

@@ -1,4 +1,4 @@
-"""Updates: which release may take a newer version, who waits, what is taken back, and what is never tried again."""
+"""Updates: which release may take a newer version, who waits, what is reverted, and what is never tried again."""
 
 from __future__ import annotations
 
@@ -57,8 +57,8 @@ BRIDGES = version(BRIDGE, "0.1.0")
 BOTH = catalogue(OLD, NEW, BRIDGES)
 
 
-def release(agent: str, found: ChartVersion = OLD) -> Release:
-    return Release(agent, found.chart, found.chart, found.version, found.digest, {"of": agent})
+def release(agent: str, version: ChartVersion = OLD) -> Release:
+    return Release(agent, version.chart, version.chart, version.version, version.digest, {"of": agent})
 
 
 @dataclass
@@ -77,17 +77,17 @@ class Fleet:
 
     def __post_init__(self) -> None:
         for agent in self.agents:
-            for found in (OLD, BRIDGES):
-                one = release(agent, found)
+            for version in (OLD, BRIDGES):
+                one = release(agent, version)
                 self.main[one.path] = one
                 self.health[one.key] = ReleaseHealth(HEALTHY, 0)
             self.online[agent] = 0
 
     def decide(self) -> Updates:
-        def sight() -> ClusterHealth:
+        def observe() -> ClusterHealth:
             return ClusterHealth(self.health, self.online)
 
-        return decide(self.main, Targets(self.catalogue), self.policy, self.memory, sight, self.now * SECOND_NS)
+        return decide(self.main, Targets(self.catalogue), self.policy, self.memory, observe, self.now * SECOND_NS)
 
     def commit(self) -> Move | None:
         """One plan, if there is one to make: what it moves starts anew."""
@@ -97,19 +97,19 @@ class Fleet:
         before = {}
         for path, one in self.main.items():
             chart, number = move.pins[one.key]
-            found = self.catalogue.version(chart, number)
-            assert found is not None
-            if found.digest != one.digest:
+            version = self.catalogue.version(chart, number)
+            assert version is not None
+            if version.digest != one.digest:
                 before[one.key] = (one.chart, one.version)
-                self.main[path] = replace(one, version=found.version, digest=found.digest)
+                self.main[path] = replace(one, version=version.version, digest=version.digest)
                 self.health[one.key] = ReleaseHealth(PROGRESSING, self.now * SECOND_NS)
         assert set(before) == set(move.keys)
         at_ns = self.now * SECOND_NS
         if move.cause == "update":
-            found = self.catalogue.version(move.chart, move.version)
-            assert found is not None
+            version = self.catalogue.version(move.chart, move.version)
+            assert version is not None
             made = (f"commit {len(self.commits)}", at_ns)
-            self.memory = self.memory.updated(move.chart, (move.version, found.digest), before, made)
+            self.memory = self.memory.updated(move.chart, (move.version, version.digest), before, made)
         else:
             self.memory = self.memory.reverted(move.chart, move.keys, move.reason)
         self.commits.append(move)
@@ -127,11 +127,11 @@ VEHICLES = ("vehicle-00", "vehicle-01", "vehicle-02")
 
 def test_without_a_newer_version_everything_keeps_what_it_has() -> None:
     fleet = Fleet(VEHICLES, catalogue=catalogue(OLD, BRIDGES))
-    found = fleet.decide()
-    assert found.move is None
-    assert found.words == ()
-    assert found.pins["vehicle-00/object-detection"] == (DETECTION, "0.1.0")
-    assert len(found.pins) == 6
+    updates = fleet.decide()
+    assert updates.move is None
+    assert updates.messages == ()
+    assert updates.pins["vehicle-00/object-detection"] == (DETECTION, "0.1.0")
+    assert len(updates.pins) == 6
 
 
 def test_without_a_canary_all_releases_of_the_chart_move_together_and_nothing_else() -> None:
@@ -159,10 +159,12 @@ def test_the_canary_goes_first_and_the_others_follow_when_it_has_succeeded() -> 
     fleet.now += 5
     fleet.show("vehicle-00/object-detection", HEALTHY)
     fleet.now += 29
-    found = fleet.decide()
-    assert found.move is None
-    assert found.words == ("object-detection 0.2.0 is on trial: vehicle-00/object-detection must be healthy for 30 s",)
-    assert "canary" in found.withheld[DETECTION, "0.2.0"]
+    updates = fleet.decide()
+    assert updates.move is None
+    assert updates.messages == (
+        "object-detection 0.2.0 is on trial: vehicle-00/object-detection must be healthy for 30 s",
+    )
+    assert "canary" in updates.withheld[DETECTION, "0.2.0"]
     fleet.now += 1
     move = fleet.commit()
     assert move is not None
@@ -170,7 +172,7 @@ def test_the_canary_goes_first_and_the_others_follow_when_it_has_succeeded() -> 
 
 
 @pytest.mark.parametrize("state", [DEGRADED, PROGRESSING])
-def test_a_canary_that_fails_is_taken_back_and_the_digest_is_never_tried_again(state: str) -> None:
+def test_a_canary_that_fails_is_reverted_and_the_digest_is_never_tried_again(state: str) -> None:
     fleet = Fleet(VEHICLES)
     before = dict(fleet.main)
     fleet.commit()
@@ -185,7 +187,7 @@ def test_a_canary_that_fails_is_taken_back_and_the_digest_is_never_tried_again(s
     assert fleet.main == before
     fleet.now += 10_000
     assert fleet.commit() is None
-    assert "taken back" not in fleet.decide().words
+    assert not any("is reverted" in text for text in fleet.decide().messages)
     assert "0.2.0 back" in fleet.decide().withheld[DETECTION, "0.2.0"]
     fleet.memory = fleet.memory.policy_changed()
     assert fleet.commit() is not None
@@ -215,13 +217,13 @@ def test_a_newer_version_than_the_bad_one_is_tried() -> None:
     assert (move.cause, move.version) == ("update", "0.2.1")
 
 
-def test_where_people_forbid_it_nothing_is_taken_back_and_nothing_goes_further() -> None:
+def test_where_people_forbid_it_nothing_is_reverted_and_nothing_goes_further() -> None:
     fleet = Fleet(VEHICLES, UpdatePolicy(replace(CANARY, revert=False)))
     fleet.commit()
     fleet.show("vehicle-00/object-detection", DEGRADED)
-    found = fleet.decide()
-    assert found.move is None
-    assert "not reverted since the policy says so" in found.words[0]
+    updates = fleet.decide()
+    assert updates.move is None
+    assert "not reverted since the policy says so" in updates.messages[0]
 
 
 def test_an_agent_that_is_offline_holds_nobody_and_gets_the_update_when_it_is_back() -> None:
@@ -236,7 +238,7 @@ def test_an_agent_that_is_offline_holds_nobody_and_gets_the_update_when_it_is_ba
     assert move is not None
     assert move.keys == ("vehicle-02/object-detection",)
     fleet.show("vehicle-02/object-detection", HEALTHY)
-    assert fleet.decide().words == ("object-detection 0.2.0 waits for vehicle-00, which is offline",)
+    assert fleet.decide().messages == ("object-detection 0.2.0 waits for vehicle-00, which is offline",)
     fleet.online["vehicle-00"] = fleet.now * SECOND_NS
     fleet.now += 30
     assert fleet.commit() is not None
@@ -340,7 +342,7 @@ EVENTS = st.lists(
 
 @given(EVENTS, st.booleans(), st.sampled_from([0.5, 1.0]))
 def test_histories(events: list[tuple[str, int, int]], canary: bool, threshold: float) -> None:
-    """Whatever happens: a digest that was taken back is never tried again, neighbours stay, a revert restores exactly
+    """Whatever happens: a digest that was reverted is never tried again, neighbours stay, a revert restores exactly
     what was there, offline agents are left alone, and a deaf manager decides as one that never stopped."""
     agents = tuple(f"vehicle-{number:02d}" for number in range(4))
     fleet = Fleet(agents, UpdatePolicy(replace(CANARY, canary=canary, threshold=threshold)))
@@ -374,7 +376,7 @@ def test_histories(events: list[tuple[str, int, int]], canary: bool, threshold: 
         if move.cause == "update":
             assert move.version not in bad
             restored.setdefault(move.version, {}).update({k: before[k.partition("/")[0]] for k in move.keys})
-            assert all(fleet.versions()[agent] == found for agent, found in offline.items())
+            assert all(fleet.versions()[agent] == version for agent, version in offline.items())
         else:
             bad.add(move.version)
             assert {k: fleet.versions()[k.partition("/")[0]] for k in move.keys} == {

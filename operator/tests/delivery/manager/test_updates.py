@@ -1,4 +1,4 @@
-"""A new version of a chart on its way to the releases: in plans of its own, and taken back when it fails."""
+"""A new version of a chart on its way to the releases: in plans of its own, and reverted when it fails."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def test_the_canary_then_the_others(stage: Stage, tmp_path: Path) -> None:
     assert set(versions(stage).values()) == {number}
 
 
-def test_a_failed_canary_is_taken_back_exactly_and_never_tried_again(stage: Stage, tmp_path: Path) -> None:
+def test_a_failed_canary_is_reverted_exactly_and_never_tried_again(stage: Stage, tmp_path: Path) -> None:
     policy(stage, CANARY)
     go(stage)
     before = stage.releases()
@@ -133,7 +133,7 @@ def test_a_failed_canary_is_taken_back_exactly_and_never_tried_again(stage: Stag
 
 
 def test_people_let_a_digest_be_tried_again(stage: Stage, tmp_path: Path) -> None:
-    test_a_failed_canary_is_taken_back_exactly_and_never_tried_again(stage, tmp_path)
+    test_a_failed_canary_is_reverted_exactly_and_never_tried_again(stage, tmp_path)
     stage.catalogue.push({f"charts/{BRIDGE}/{versions_of(stage)[-1]}.yaml": None}, "withdraw the newest")
     policy(stage, CANARY.replace("30", "20"))
     go(stage)

@@ -20,7 +20,7 @@ from robotkube.delivery.deployment.core.policies.edits import PATH as EDITS_PATH
 from robotkube.delivery.deployment.core.releases import write_release
 from robotkube.delivery.manager.core.plans import Plan
 from robotkube.delivery.manager.loops.reconciler import ATTEMPTS_MAX, DEPLOYMENT, MAIN_SECONDS
-from robotkube.foundation.forge.core.polling import LOOK_SECONDS, QUIET_SECONDS
+from robotkube.foundation.forge.core.resync import QUIET_SECONDS, RESYNC_SECONDS
 from tests.stages.delivery.manager_in_memory import MEETING, Stage
 
 BRIDGE = "releases/vehicle-00/mqtt-bridge.yaml"
@@ -89,7 +89,7 @@ def test_a_broken_main_is_named_and_repaired_and_then_everything_goes_on(stage: 
 
 def test_a_broken_main_is_seen_without_any_delivery_of_the_forge(stage: Stage) -> None:
     stage.repository.push({BRIDGE: ""})
-    assert 2 * MAIN_SECONDS <= LOOK_SECONDS
+    assert 2 * MAIN_SECONDS <= RESYNC_SECONDS
     stage.seconds += MAIN_SECONDS
     stage.manager.step()
     assert stage.plans()[-1]["cause"] == REPAIR
@@ -241,7 +241,7 @@ def test_a_gate_that_was_faster_than_the_withdrawal_is_answered_by_the_next_plan
     assert last_message(stage).verb == "withdraw"
 
 
-def test_tasks_are_told_when_main_moves_faster_than_the_gate_decides(stage: Stage) -> None:
+def test_statuses_say_when_main_moves_faster_than_the_gate_decides(stage: Stage) -> None:
     def overtake(pull: Any) -> None:
         stage.repository.push({"README.md": str(pull.number)})
 
@@ -303,7 +303,7 @@ def test_a_process_that_does_not_lead_does_nothing(stage: Stage) -> None:
 def test_a_process_that_waits_is_ready_when_it_could_take_over(stage: Stage) -> None:
     stage.leadership.number = None
     stage.manager = stage.start()
-    assert stage.manager.reasons_not_ready() == ["has not looked at the world yet"]
+    assert stage.manager.reasons_not_ready() == ["has not read main and the cluster yet"]
     stage.go(1)
     assert stage.manager.reasons_not_ready() == []
     stage.leadership.other = None
@@ -348,7 +348,7 @@ def test_a_failure_is_over_with_the_next_step_though_a_proposal_waits(stage: Sta
     stage.ask()
     stage.go(2)
     stage.repository.away = True
-    stage.seconds += LOOK_SECONDS
+    stage.seconds += RESYNC_SECONDS
     stage.fail()
     assert stage.manager.reasons_not_ready() == ["the forge does not answer"]
     stage.repository.away = False
@@ -356,10 +356,10 @@ def test_a_failure_is_over_with_the_next_step_though_a_proposal_waits(stage: Sta
     assert stage.manager.reasons_not_ready() == []
 
 
-# -- closing words --
+# -- outcome comments --
 
 
-def test_what_was_observed_is_said_once_in_the_pull_request(stage: Stage) -> None:
+def test_what_was_observed_is_written_once_into_the_pull_request(stage: Stage) -> None:
     stage.ask()
     stage.settle()
     assert stage.forge.said[2] == []

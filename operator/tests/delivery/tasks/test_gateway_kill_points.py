@@ -1,4 +1,4 @@
-"""A manager that is killed at any write of its task door: started again, it has done every order once.
+"""A manager that is killed at any write of its task gateway: started again, it has done every order once.
 
 The points are generated from the writes that the adapters declare: a new one is tried without being named here.
 """
@@ -38,8 +38,8 @@ ORDERS = (
     {"withdraw": "goes"},
     "nothing that could become a task",
 )
-DOOR = (kubernetes_tasks.__name__, paho_gateway.__name__)
-POINTS = [f"kill {when} {name}" for name in sorted(WRITES) if name.startswith(DOOR) for when in ("before", "after")]
+GATEWAY = (kubernetes_tasks.__name__, paho_gateway.__name__)
+POINTS = [f"kill {when} {name}" for name in sorted(WRITES) if name.startswith(GATEWAY) for when in ("before", "after")]
 QUICK = f"kill after {kubernetes_tasks.__name__}.KubernetesTasks.create"
 
 
@@ -71,7 +71,7 @@ class Operator:
 
 
 class Managers:
-    """Processes of one manager whose forge is away: the door does not need it."""
+    """Processes of one manager whose forge is away: the gateway does not need it."""
 
     def __init__(self, manager_api: Api, broker: pods.Broker, folder: Path) -> None:
         self._api, self._broker, self._folder = manager_api, broker, folder
@@ -89,7 +89,7 @@ class Managers:
 
     def is_open(self) -> bool:
         answer = self.pods[-1].get("/metrics")
-        return answer is not None and "robotkube_task_door_connected 1.0\n" in answer.text
+        return answer is not None and "robotkube_task_gateway_connected 1.0\n" in answer.text
 
 
 @pytest.fixture
@@ -121,7 +121,7 @@ def managers(manager_api: Api, broker: pods.Broker, tmp_path: Path) -> Iterator[
         manager_api.delete(f"{TASKS}/{item['metadata']['name']}")
 
 
-def test_every_kind_of_write_of_the_door_is_a_point() -> None:
+def test_every_kind_of_write_of_the_gateway_is_a_point() -> None:
     assert {WRITES[point.split(" ")[2]] for point in POINTS} == {"task", "message"}
     assert QUICK in POINTS
 
@@ -131,7 +131,7 @@ def test_orders_are_carried_out_once_whatever_write_the_manager_dies_at(
     manager_api: Api, managers: Managers, operator: Operator, point: str
 ) -> None:
     first = managers.start(point)
-    until(managers.is_open, "the door open")
+    until(managers.is_open, "the gateway open")
     for order in ORDERS:
         operator.say(order)
     until(lambda: first.process.poll() is not None, "the first process is dead")

@@ -1,4 +1,4 @@
-"""The MQTT door in memory: what operators say becomes tasks, and what becomes of tasks is said to them."""
+"""The MQTT gateway in memory: messages of operators become tasks, and statuses of tasks become answers."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from robotkube.delivery.tasks.core.mqtt_messages import (
-    DOOR_REASONS,
+    GATEWAY_REASONS,
     MESSAGE_BYTES_MAX,
     NOT_ACCEPTED,
     NOT_REACHED,
@@ -21,26 +21,28 @@ from robotkube.delivery.tasks.core.mqtt_messages import (
     read_message,
 )
 from robotkube.delivery.tasks.loops import mqtt_gateway
-from robotkube.delivery.tasks.loops.mqtt_gateway import MqttTaskGateway, door_metrics
+from robotkube.delivery.tasks.loops.mqtt_gateway import MqttTaskGateway, gateway_metrics
 from robotkube.errors import InputError, UnavailableError
 from robotkube.foundation.runtime.adapters.prometheus_series import series_text
 from robotkube.testing.clusters import MemoryTasks
-from robotkube.testing.doors import MemoryGatewayChannel, MemoryTaskWriter
+from robotkube.testing.task_gateways import MemoryGatewayChannel, MemoryTaskWriter
 from tests.stages.delivery.random_messages import ASKED, SPEC, random_message
 
 START_NS = 1795250000_000000000
 RANDOM_MESSAGES, THOROUGH_MESSAGES = 200, 5000
 
 
-class House:
-    """A door with its surroundings."""
+class Stage:
+    """A gateway with its surroundings."""
 
     def __init__(self) -> None:
-        self.tasks, self.channel = MemoryTasks(), MemoryGatewayChannel()
+        self.tasks = MemoryTasks()
+        self.channel = MemoryGatewayChannel()
         self.writer = MemoryTaskWriter(self.tasks)
-        self.seconds, self.leads = 0.0, True
+        self.seconds = 0.0
+        self.leads = True
         operators = {"vehicle-00": "vehicle-00", "cloud-0": "cloud-0"}
-        self.door = MqttTaskGateway(
+        self.gateway = MqttTaskGateway(
             operators, self.channel, self.tasks, self.writer, self, lambda: START_NS + int(self.seconds * 1e9), self.now
         )
 
@@ -48,7 +50,7 @@ class House:
         return 1 if self.leads else None
 
     def overtake(self, term: int) -> None:
-        raise AssertionError("nobody asks the door")
+        raise AssertionError("nobody asks the gateway")
 
     def now(self) -> float:
         return self.seconds
@@ -59,14 +61,15 @@ class House:
 
     def turn(self) -> None:
         self.seconds += 1.0
-        self.door.turn(0.0)
+        self.gateway.turn(0.0)
 
-    def told(self) -> list[tuple[str, dict[str, Any]]]:
-        found, self.channel.answers = self.channel.answers, []
-        return found
+    def new_answers(self) -> list[tuple[str, dict[str, Any]]]:
+        answers = self.channel.answers
+        self.channel.answers = []
+        return answers
 
     def refusal(self) -> tuple[str, str]:
-        [(topic, answer)] = self.told()
+        [(topic, answer)] = self.new_answers()
         assert topic == "robotkube/task_status/vehicle-00"
         [condition] = answer["conditions"]
         assert (condition["type"], condition["status"]) == ("Accepted", "False")
@@ -74,133 +77,135 @@ class House:
 
 
 @pytest.fixture
-def house() -> House:
-    return House()
+def stage() -> Stage:
+    return Stage()
 
 
-def test_a_message_becomes_a_task_of_its_operator(house: House) -> None:
-    house.say(ASKED | {"spec": {**SPEC, "requester": "somebody-else", "priority": 200}})
-    task = house.tasks.objects["vehicle-00/look"]
+def test_a_message_becomes_a_task_of_its_operator(stage: Stage) -> None:
+    stage.say(ASKED | {"spec": {**SPEC, "requester": "somebody-else", "priority": 200}})
+    task = stage.tasks.objects["vehicle-00/look"]
     assert task["spec"]["requester"] == "vehicle-00"
     assert task["spec"]["priority"] == 200
     assert task["spec"]["event"]["id"] == "look"
     assert task["metadata"]["labels"] == {"robotkube.io/door": "mqtt"}
-    assert house.told() == [("robotkube/task_status/vehicle-00", {"id": "look", "conditions": []})]
-    assert len(house.channel.acknowledged) == 1
+    assert stage.new_answers() == [("robotkube/task_status/vehicle-00", {"id": "look", "conditions": []})]
+    assert len(stage.channel.acknowledged) == 1
 
 
-def test_the_same_id_twice_is_one_task_and_another_spec_a_change(house: House) -> None:
-    house.say(ASKED)
-    house.say(ASKED)
-    assert house.tasks.objects["vehicle-00/look"]["metadata"]["generation"] == 1
-    house.say(ASKED | {"spec": {**SPEC, "parameters": {"vehicles": ["vehicle-02"]}}})
-    task = house.tasks.objects["vehicle-00/look"]
+def test_the_same_id_twice_is_one_task_and_another_spec_a_change(stage: Stage) -> None:
+    stage.say(ASKED)
+    stage.say(ASKED)
+    assert stage.tasks.objects["vehicle-00/look"]["metadata"]["generation"] == 1
+    stage.say(ASKED | {"spec": {**SPEC, "parameters": {"vehicles": ["vehicle-02"]}}})
+    task = stage.tasks.objects["vehicle-00/look"]
     assert (task["metadata"]["generation"], task["spec"]["parameters"]) == (2, {"vehicles": ["vehicle-02"]})
-    assert list(house.tasks.objects) == ["vehicle-00/look"]
+    assert list(stage.tasks.objects) == ["vehicle-00/look"]
 
 
-def test_a_task_of_a_namespace_cannot_be_named_from_another(house: House) -> None:
-    house.say({**ASKED, "metadata": {"name": "look", "namespace": "cloud-0"}})
-    assert house.refusal()[0] == NOT_READABLE
-    house.say({**ASKED, "metadata": {"name": "cloud-0/look"}})
-    assert house.refusal()[0] == NOT_READABLE
-    house.say(ASKED, "cloud-0")
-    house.told()
-    house.say({"withdraw": "look"})
-    assert house.refusal() == (UNKNOWN_TASK, "there is no task vehicle-00/look")
-    assert list(house.tasks.objects) == ["cloud-0/look"]
+def test_a_task_of_a_namespace_cannot_be_named_from_another(stage: Stage) -> None:
+    stage.say({**ASKED, "metadata": {"name": "look", "namespace": "cloud-0"}})
+    assert stage.refusal()[0] == NOT_READABLE
+    stage.say({**ASKED, "metadata": {"name": "cloud-0/look"}})
+    assert stage.refusal()[0] == NOT_READABLE
+    stage.say(ASKED, "cloud-0")
+    stage.new_answers()
+    stage.say({"withdraw": "look"})
+    assert stage.refusal() == (UNKNOWN_TASK, "there is no task vehicle-00/look")
+    assert list(stage.tasks.objects) == ["cloud-0/look"]
 
 
-def test_withdrawing_and_renewing(house: House) -> None:
-    house.say(ASKED)
-    house.say({"renew": "look"})
-    assert house.tasks.objects["vehicle-00/look"]["metadata"]["annotations"] == {
+def test_withdrawing_and_renewing(stage: Stage) -> None:
+    stage.say(ASKED)
+    stage.say({"renew": "look"})
+    assert stage.tasks.objects["vehicle-00/look"]["metadata"]["annotations"] == {
         "robotkube.io/lease-renewed": "2026-11-21T08:33:22.000000Z"
     }
-    house.told()
-    house.say({"withdraw": "look"})
-    assert house.tasks.objects == {}
-    assert house.told() == [("robotkube/task_status/vehicle-00", {"id": "look", "conditions": [], "withdrawn": True})]
-    house.say({"renew": "look"})
-    assert house.refusal()[0] == UNKNOWN_TASK
+    stage.new_answers()
+    stage.say({"withdraw": "look"})
+    assert stage.tasks.objects == {}
+    assert stage.new_answers() == [
+        ("robotkube/task_status/vehicle-00", {"id": "look", "conditions": [], "withdrawn": True})
+    ]
+    stage.say({"renew": "look"})
+    assert stage.refusal()[0] == UNKNOWN_TASK
 
 
-def test_what_changes_in_a_status_is_told_once_and_nothing_of_others_tasks(house: House) -> None:
-    house.say(ASKED)
-    house.tasks.create("vehicle-00", "detected", SPEC)
+def test_what_changes_in_a_status_is_answered_once_and_nothing_of_others_tasks(stage: Stage) -> None:
+    stage.say(ASKED)
+    stage.tasks.create("vehicle-00", "detected", SPEC)
     condition = {"type": "Accepted", "status": "True", "reason": "Accepted", "message": "yes"}
     status = {"conditions": [condition], "plan": "p", "pullRequest": {"number": 3, "url": "u"}, "unknown": 1}
-    house.told()
+    stage.new_answers()
     for key in ("vehicle-00/look", "vehicle-00/detected"):
-        house.tasks.patch_status(*key.split("/"), status)
-    house.turn()
-    house.turn()
-    [(_, answer)] = house.told()
+        stage.tasks.patch_status(*key.split("/"), status)
+    stage.turn()
+    stage.turn()
+    [(_, answer)] = stage.new_answers()
     assert answer == {"id": "look", "conditions": [condition], "plan": "p", "pullRequest": {"number": 3, "url": "u"}}
 
 
-def test_a_restarted_door_tells_again_and_forgets_nothing(house: House) -> None:
-    house.say(ASKED)
+def test_a_restarted_gateway_answers_again_and_forgets_nothing(stage: Stage) -> None:
+    stage.say(ASKED)
     operators = {"vehicle-00": "vehicle-00"}
-    again = MqttTaskGateway(operators, house.channel, house.tasks, house.writer, house, lambda: 0, lambda: 1.0)
-    house.told()
+    again = MqttTaskGateway(operators, stage.channel, stage.tasks, stage.writer, stage, lambda: 0, lambda: 1.0)
+    stage.new_answers()
     again.turn(0.0)
-    assert [answer["id"] for _, answer in house.told()] == ["look"]
+    assert [answer["id"] for _, answer in stage.new_answers()] == ["look"]
 
 
-def test_answers_wait_for_the_broker_and_refused_messages_come_again(house: House) -> None:
-    house.channel.connected = False
-    house.say(ASKED)
-    house.say(b"no JSON")
-    assert [message.payload for message in house.channel.acknowledged] == [json.dumps(ASKED).encode()]
-    assert [message.payload for message in house.channel.left] == [b"no JSON"]
-    house.channel.connected = True
-    house.turn()
-    assert [answer["id"] for _, answer in house.told()] == ["look"]
+def test_answers_wait_for_the_broker_and_refused_messages_come_again(stage: Stage) -> None:
+    stage.channel.connected = False
+    stage.say(ASKED)
+    stage.say(b"no JSON")
+    assert [message.payload for message in stage.channel.acknowledged] == [json.dumps(ASKED).encode()]
+    assert [message.payload for message in stage.channel.left] == [b"no JSON"]
+    stage.channel.connected = True
+    stage.turn()
+    assert [answer["id"] for _, answer in stage.new_answers()] == ["look"]
 
 
 def test_an_api_server_that_is_away_delays_and_one_that_refuses_is_quoted(
-    house: House, monkeypatch: pytest.MonkeyPatch
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(mqtt_gateway, "RETRY_SECONDS_FIRST", 0.001)
-    house.writer.faults = [UnavailableError("away"), UnavailableError("away")]
-    house.say(ASKED)
-    assert list(house.tasks.objects) == ["vehicle-00/look"]
-    house.told()
-    house.writer.faults = [InputError("spec.priority: must be at most 1000")]
-    house.say({**ASKED, "metadata": {"name": "second"}})
-    assert house.refusal() == (NOT_ACCEPTED, "spec.priority: must be at most 1000")
+    stage.writer.faults = [UnavailableError("away"), UnavailableError("away")]
+    stage.say(ASKED)
+    assert list(stage.tasks.objects) == ["vehicle-00/look"]
+    stage.new_answers()
+    stage.writer.faults = [InputError("spec.priority: must be at most 1000")]
+    stage.say({**ASKED, "metadata": {"name": "second"}})
+    assert stage.refusal() == (NOT_ACCEPTED, "spec.priority: must be at most 1000")
 
 
-def test_trying_again_is_bounded(house: House, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_trying_again_is_bounded(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mqtt_gateway, "RETRY_SECONDS_FIRST", 0.001)
     monkeypatch.setattr(mqtt_gateway, "TRY_SECONDS_MAX", -1.0)
-    house.writer.faults = [UnavailableError("away")]
-    house.say(ASKED)
-    assert house.refusal()[0] == NOT_REACHED
+    stage.writer.faults = [UnavailableError("away")]
+    stage.say(ASKED)
+    assert stage.refusal()[0] == NOT_REACHED
 
 
-def test_a_door_that_closes_leaves_the_message_with_the_broker(house: House) -> None:
-    house.door.stop(1.0)
-    house.say(ASKED)
-    assert (house.tasks.objects, house.channel.acknowledged) == ({}, [])
+def test_a_gateway_that_closes_leaves_the_message_with_the_broker(stage: Stage) -> None:
+    stage.gateway.stop(1.0)
+    stage.say(ASKED)
+    assert (stage.tasks.objects, stage.channel.acknowledged) == ({}, [])
 
 
-def test_only_the_process_that_leads_has_the_door_open(house: House) -> None:
-    house.turn()
+def test_only_the_process_that_leads_has_the_gateway_open(stage: Stage) -> None:
+    stage.turn()
     kinds = ("tasks", "holds")
-    assert house.channel.topics == [f"robotkube/{kind}/{name}" for kind in kinds for name in ("cloud-0", "vehicle-00")]
-    house.leads = False
-    house.say(ASKED)
-    assert (house.channel.connected, house.tasks.objects, house.door.complaint) == (False, {}, "")
-    house.leads = house.channel.connected = True
-    house.turn()
-    assert list(house.tasks.objects) == ["vehicle-00/look"]
+    assert stage.channel.topics == [f"robotkube/{kind}/{name}" for kind in kinds for name in ("cloud-0", "vehicle-00")]
+    stage.leads = False
+    stage.say(ASKED)
+    assert (stage.channel.connected, stage.tasks.objects, stage.gateway.complaint) == (False, {}, "")
+    stage.leads = stage.channel.connected = True
+    stage.turn()
+    assert list(stage.tasks.objects) == ["vehicle-00/look"]
 
 
-def test_topics_of_nobody_are_dropped(house: House) -> None:
-    house.say(ASKED, "vehicle-99")
-    assert (house.tasks.objects, house.told(), len(house.channel.acknowledged)) == ({}, [], 1)
+def test_topics_of_nobody_are_dropped(stage: Stage) -> None:
+    stage.say(ASKED, "vehicle-99")
+    assert (stage.tasks.objects, stage.new_answers(), len(stage.channel.acknowledged)) == ({}, [], 1)
 
 
 @pytest.mark.parametrize(
@@ -221,13 +226,13 @@ def test_topics_of_nobody_are_dropped(house: House) -> None:
         (b'{"metadata": {"name": "a"}, "spec": "' + b"x" * MESSAGE_BYTES_MAX + b'"}', TOO_LARGE, "at most 262144"),
     ],
 )
-def test_what_cannot_become_a_task_is_refused_with_words(house: House, payload: bytes, reason: str, words: str) -> None:
-    house.say(payload)
-    found, message = house.refusal()
+def test_what_cannot_become_a_task_is_refused_with_words(stage: Stage, payload: bytes, reason: str, words: str) -> None:
+    stage.say(payload)
+    found, message = stage.refusal()
     assert found == reason
     assert words in message
     assert len(message) < 3000
-    assert house.tasks.objects == {}
+    assert stage.tasks.objects == {}
 
 
 def test_a_refusal_names_the_id_where_it_can() -> None:
@@ -237,26 +242,26 @@ def test_a_refusal_names_the_id_where_it_can() -> None:
 
 
 @pytest.mark.parametrize("count", [RANDOM_MESSAGES, pytest.param(THOROUGH_MESSAGES, marks=pytest.mark.thorough)])
-def test_random_messages_are_accepted_or_refused_with_a_reason_in_bounded_memory(house: House, count: int) -> None:
+def test_random_messages_are_accepted_or_refused_with_a_reason_in_bounded_memory(stage: Stage, count: int) -> None:
     tracemalloc.start()
     outcomes: dict[str, int] = {}
     for number in range(count):
         payload = random_message(number)
         order = read_message(payload, len(payload))
-        house.say(payload)
+        stage.say(payload)
         if isinstance(order, RejectedMessage):
-            assert order.reason in DOOR_REASONS
+            assert order.reason in GATEWAY_REASONS
             assert order.message
         expected = order.reason if isinstance(order, RejectedMessage) else type(order).__name__
         outcomes[expected] = outcomes.get(expected, 0) + 1
         if isinstance(order, TaskRequest):
-            assert f"vehicle-00/{order.id}" in house.tasks.objects
-        house.told()
-        [acknowledged] = house.channel.acknowledged
+            assert f"vehicle-00/{order.id}" in stage.tasks.objects
+        stage.new_answers()
+        [acknowledged] = stage.channel.acknowledged
         assert acknowledged.size == len(payload)
-        house.channel.acknowledged.clear()
+        stage.channel.acknowledged.clear()
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert {"TaskRequest", NOT_READABLE, TOO_LARGE} <= set(outcomes)
     assert peak < 64 * 1024 * 1024
-    assert 'outcome="TooLarge"' in series_text(door_metrics(house.door))
+    assert 'outcome="TooLarge"' in series_text(gateway_metrics(stage.gateway))

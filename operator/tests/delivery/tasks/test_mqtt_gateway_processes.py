@@ -1,4 +1,4 @@
-"""The MQTT door between a real broker and a real API server: at least once, one task per id, and answers."""
+"""The MQTT gateway between a real broker and a real API server: at least once, one task per id, and answers."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from benchmarks import pods
 from robotkube.delivery.manager.adapters.kubernetes_cluster import KubernetesCluster
 from robotkube.delivery.tasks.adapters.kubernetes_tasks import KubernetesTasks
 from robotkube.delivery.tasks.adapters.paho_gateway import UNACKNOWLEDGED_MAX, PahoGateway
-from robotkube.delivery.tasks.core.mqtt_messages import DOOR_REASONS
+from robotkube.delivery.tasks.core.mqtt_messages import GATEWAY_REASONS
 from robotkube.delivery.tasks.loops.mqtt_gateway import MqttTaskGateway
 from robotkube.foundation.kubernetes.adapters.client import api_client, call
 from tests.stages.delivery.random_messages import random_message
@@ -32,12 +32,12 @@ pytestmark = pytest.mark.toolchain
 SPEC = {"application": "recording", "parameters": {"vehicles": ["vehicle-00"]}}
 ANSWER_SECONDS_MAX = 20.0
 RANDOM_MESSAGES, THOROUGH_MESSAGES = 200, 1000
-AHEAD_MAX = 100  # messages that the operator is ahead of the door: the broker keeps 128 MiB, and some have 10 MiB
+AHEAD_MAX = 100  # messages that the operator is ahead of the gateway: the broker keeps 128 MiB, and some have 10 MiB
 MORE_THAN_UNDER_WAY = 2 * UNACKNOWLEDGED_MAX
 
 
 class Operator:
-    """cloud-0 at the broker: what it sent was taken by the broker; what it heard."""
+    """cloud-0 at the broker: what it sent was accepted by the broker; what it heard."""
 
     def __init__(self, port: int) -> None:
         self.heard: list[dict[str, Any]] = []
@@ -71,7 +71,7 @@ class Operator:
         self._client.loop_stop()
 
 
-class Door:
+class RunningGateway:
     """The manager's side."""
 
     def __init__(self, api_server: ApiServerProcess, broker: pods.Broker) -> None:
@@ -79,21 +79,21 @@ class Door:
         self.world = KubernetesCluster(client, "argocd", lambda what: None, time.time)
         self.world.start()
         assert self.world.wait_until_synced(20)
-        channel = PahoGateway("127.0.0.1", broker.port, "manager", pods.password("manager"), "manager-door")
+        channel = PahoGateway("127.0.0.1", broker.port, "manager", pods.password("manager"), "manager-gateway")
         writer = KubernetesTasks(functools.partial(call, client))
         operators = {"cloud-0": "cloud-0"}
-        self.door = MqttTaskGateway(operators, channel, self.world, writer, self, time.time_ns, time.monotonic)
-        self.door.start()
-        until(lambda: not channel.complaint, "the door open")
+        self.loop = MqttTaskGateway(operators, channel, self.world, writer, self, time.time_ns, time.monotonic)
+        self.loop.start()
+        until(lambda: not channel.complaint, "the gateway open")
 
     def term(self) -> int | None:
         return 1
 
     def overtake(self, term: int) -> None:
-        raise AssertionError("nobody asks the door")
+        raise AssertionError("nobody asks the gateway")
 
     def close(self) -> None:
-        self.door.stop(5.0)
+        self.loop.stop(5.0)
         self.world.stop()
 
 
@@ -125,8 +125,8 @@ def operator(broker: pods.Broker) -> Iterator[Operator]:
 
 
 @pytest.fixture
-def door(api_server: ApiServerProcess, broker: pods.Broker) -> Iterator[Door]:
-    found = Door(api_server, broker)
+def gateway(api_server: ApiServerProcess, broker: pods.Broker) -> Iterator[RunningGateway]:
+    found = RunningGateway(api_server, broker)
     yield found
     found.close()
 
@@ -145,55 +145,57 @@ def present(api: Api, name: str) -> dict[str, Any]:
     return found
 
 
-def test_asking_changing_renewing_and_withdrawing(api: Api, operator: Operator, door: Door) -> None:
-    operator.ask("door-one")
-    made = present(api, "door-one")
+def test_asking_changing_renewing_and_withdrawing(api: Api, operator: Operator, gateway: RunningGateway) -> None:
+    operator.ask("gateway-one")
+    made = present(api, "gateway-one")
     assert (made["spec"]["requester"], made["spec"]["event"]["rule"]) == ("cloud-0", "asked")
-    operator.ask("door-one")
-    operator.ask("door-one", parameters={"vehicles": ["vehicle-01"]}, requester="somebody")
-    until(lambda: present(api, "door-one")["spec"]["parameters"] == {"vehicles": ["vehicle-01"]}, "the change")
-    changed = present(api, "door-one")
+    operator.ask("gateway-one")
+    operator.ask("gateway-one", parameters={"vehicles": ["vehicle-01"]}, requester="somebody")
+    until(lambda: present(api, "gateway-one")["spec"]["parameters"] == {"vehicles": ["vehicle-01"]}, "the change")
+    changed = present(api, "gateway-one")
     assert (changed["metadata"]["uid"], changed["metadata"]["generation"]) == (made["metadata"]["uid"], 2)
     assert changed["spec"]["event"] == made["spec"]["event"]
-    operator.say({"renew": "door-one"})
+    operator.say({"renew": "gateway-one"})
     renewed = "robotkube.io/lease-renewed"
-    until(lambda: renewed in present(api, "door-one")["metadata"].get("annotations", {}), "renewed")
-    assert present(api, "door-one")["metadata"]["generation"] == 2
+    until(lambda: renewed in present(api, "gateway-one")["metadata"].get("annotations", {}), "renewed")
+    assert present(api, "gateway-one")["metadata"]["generation"] == 2
     condition = {"type": "Accepted", "status": "True", "reason": "Accepted", "message": "yes"}
     status = {"conditions": [{**condition, "lastTransitionTime": "2026-11-21T10:00:00Z"}], "plan": "p-1"}
-    door.world.patch_status("cloud-0", "door-one", status)
-    until(lambda: any(answer.get("plan") == "p-1" for answer in operator.answers("door-one")), "the status told")
-    operator.say({"withdraw": "door-one"})
-    until(lambda: {"id": "door-one", "conditions": [], "withdrawn": True} in operator.heard, "the end told")
-    assert task(api, "door-one") is None
+    gateway.world.patch_status("cloud-0", "gateway-one", status)
+    until(lambda: any(answer.get("plan") == "p-1" for answer in operator.answers("gateway-one")), "the status answered")
+    operator.say({"withdraw": "gateway-one"})
+    until(lambda: {"id": "gateway-one", "conditions": [], "withdrawn": True} in operator.heard, "the end answered")
+    assert task(api, "gateway-one") is None
 
 
-def test_the_api_servers_refusal_is_answered(api: Api, operator: Operator, door: Door) -> None:
-    operator.ask("door-typo", aplication="x")
-    assert "aplication" in operator.refusal("door-typo")
-    operator.ask("door-priority", priority="high")
-    assert operator.refusal("door-priority").startswith("NotAccepted: ")
+def test_the_api_servers_refusal_is_answered(api: Api, operator: Operator, gateway: RunningGateway) -> None:
+    operator.ask("gateway-typo", aplication="x")
+    assert "aplication" in operator.refusal("gateway-typo")
+    operator.ask("gateway-priority", priority="high")
+    assert operator.refusal("gateway-priority").startswith("NotAccepted: ")
     operator.say(b"\xff not JSON")
     assert operator.refusal(None).startswith("NotReadable: ")
     operator.heard.clear()
     operator.say(b"[" + b" " * (10 * 1024 * 1024))
     assert operator.refusal(None).startswith("TooLarge: ")
-    assert [task(api, name) for name in ("door-typo", "door-priority")] == [None, None]
+    assert [task(api, name) for name in ("gateway-typo", "gateway-priority")] == [None, None]
 
 
 @pytest.mark.parametrize("count", [RANDOM_MESSAGES, pytest.param(THOROUGH_MESSAGES, marks=pytest.mark.thorough)])
-def test_random_messages_become_tasks_or_are_answered(api: Api, operator: Operator, door: Door, count: int) -> None:
+def test_random_messages_become_tasks_or_are_answered(
+    api: Api, operator: Operator, gateway: RunningGateway, count: int
+) -> None:
     before = resident_bytes()
-    outcomes = door.door.statistics.outcomes
+    outcomes = gateway.loop.statistics.outcomes
     for number in range(count):
-        until(lambda enough=number - AHEAD_MAX: sum(outcomes.values()) >= enough, "the door", ANSWER_SECONDS_MAX)
+        until(lambda enough=number - AHEAD_MAX: sum(outcomes.values()) >= enough, "the gateway", ANSWER_SECONDS_MAX)
         operator.say(random_message(number))
     until(lambda: sum(outcomes.values()) >= count, "every message handled", ANSWER_SECONDS_MAX + count / 2)
-    refused = sum(outcomes[reason] for reason in DOOR_REASONS)
-    until(lambda: len([a for a in operator.heard if refusal_of(a)]) == refused, "every refusal told")
-    assert {refusal_of(answer) for answer in operator.heard} - {""} <= set(DOOR_REASONS)
+    refused = sum(outcomes[reason] for reason in GATEWAY_REASONS)
+    until(lambda: len([a for a in operator.heard if refusal_of(a)]) == refused, "every refusal answered")
+    assert {refusal_of(answer) for answer in operator.heard} - {""} <= set(GATEWAY_REASONS)
     assert (outcomes["created"] > 0, outcomes["TooLarge"] > 0, outcomes["NotReached"]) == (True, True, 0)
-    assert resident_bytes() - before < 192 * 1024 * 1024  # client and door are one process here
+    assert resident_bytes() - before < 192 * 1024 * 1024  # client and gateway are one process here
 
 
 def refusal_of(answer: dict[str, Any]) -> str:
@@ -205,47 +207,47 @@ def resident_bytes() -> int:
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
-def test_what_was_said_while_the_door_was_closed_is_heard_later(
+def test_what_was_said_while_the_gateway_was_closed_is_heard_later(
     api: Api, api_server: ApiServerProcess, broker: pods.Broker, operator: Operator
 ) -> None:
-    Door(api_server, broker).close()
-    operator.ask("door-later")
-    assert task(api, "door-later") is None
-    again = Door(api_server, broker)
-    assert present(api, "door-later")
+    RunningGateway(api_server, broker).close()
+    operator.ask("gateway-later")
+    assert task(api, "gateway-later") is None
+    again = RunningGateway(api_server, broker)
+    assert present(api, "gateway-later")
     again.close()
 
 
-def test_what_was_refused_before_the_door_had_subscribed_is_answered(
+def test_what_was_refused_before_the_gateway_had_subscribed_is_answered(
     api_server: ApiServerProcess, broker: pods.Broker, operator: Operator
 ) -> None:
-    Door(api_server, broker).close()
+    RunningGateway(api_server, broker).close()
     for number in range(MORE_THAN_UNDER_WAY):
         operator.say(f"not JSON {number}".encode())
-    again = Door(api_server, broker)  # the broker sends what it kept before it answers the subscription
+    again = RunningGateway(api_server, broker)  # the broker sends what it kept before it answers the subscription
     until(lambda: len(operator.answers(None)) == MORE_THAN_UNDER_WAY, "every answer", ANSWER_SECONDS_MAX)
     again.close()
 
 
 def test_a_broker_that_is_away_is_found_again(api: Api, api_server: ApiServerProcess, broker: pods.Broker) -> None:
-    door = Door(api_server, broker)
+    gateway = RunningGateway(api_server, broker)
     broker.stop()
-    until(lambda: door.door.complaint, "the loss noticed")
+    until(lambda: gateway.loop.complaint, "the loss noticed")
     broker.start()
-    until(lambda: not door.door.complaint, "the door open again")
+    until(lambda: not gateway.loop.complaint, "the gateway open again")
     operator = Operator(broker.port)
-    operator.ask("door-again")
-    assert present(api, "door-again")
+    operator.ask("gateway-again")
+    assert present(api, "gateway-again")
     operator.close()
-    door.close()
+    gateway.close()
 
 
 def test_an_api_server_that_is_away_delays_and_loses_nothing(
-    api: Api, api_server: ApiServerProcess, operator: Operator, door: Door
+    api: Api, api_server: ApiServerProcess, operator: Operator, gateway: RunningGateway
 ) -> None:
     api_server.stop_server()
     for index in range(3):
-        operator.ask(f"door-away-{index}")
+        operator.ask(f"gateway-away-{index}")
     api_server.start_server()
     for index in range(3):
-        assert present(api, f"door-away-{index}")
+        assert present(api, f"gateway-away-{index}")

@@ -1,4 +1,4 @@
-"""A ROS process asks for a task: over ROS to the real bridge of its node, over mosquitto to the door, and back."""
+"""A ROS process asks for a task: over ROS to the real bridge of its node, over mosquitto to the gateway, and back."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from robotkube.delivery.tasks.adapters import paho_gateway
 from robotkube.delivery.tasks.adapters.paho_gateway import PahoGateway
 from robotkube.delivery.tasks.loops.mqtt_gateway import MqttTaskGateway
 from robotkube.testing.clusters import MemoryTasks
-from robotkube.testing.doors import MemoryTaskWriter
+from robotkube.testing.task_gateways import MemoryTaskWriter
 from tests.stages.waiting import until
 
 pytestmark = pytest.mark.processes
@@ -26,7 +26,7 @@ AGENT = "vehicle-00"
 TASK = {"metadata": {"name": "look"}, "spec": {"application": "recording", "parameters": {"vehicles": [AGENT]}}}
 STRING = "std_msgs/msg/String"
 
-# Says its task once the bridge is there, takes it back at the first answer, and prints all answers until the last.
+# Asks once the bridge is there, withdraws at the first answer, and prints all answers until the last.
 ASKER = """
 import sys, time
 from robotkube.robots.ros.adapters.rclpy_node import RosNode
@@ -49,13 +49,13 @@ sys.exit("no last answer")
 
 
 class Leading:
-    """This process has the door."""
+    """This process has the gateway."""
 
     def term(self) -> int | None:
         return 1
 
     def overtake(self, term: int) -> None:
-        raise AssertionError("nobody asks the door")
+        raise AssertionError("nobody asks the gateway")
 
 
 @pytest.fixture
@@ -79,23 +79,23 @@ def broker(tmp_path: Path) -> Iterator[pods.Broker]:
 
 @pytest.fixture
 def tasks(broker: pods.Broker) -> Iterator[MemoryTasks]:
-    """What the door writes."""
+    """What the gateway writes."""
     found = MemoryTasks()
     channel = PahoGateway("127.0.0.1", broker.port, "manager", pods.password("manager"), "manager-task-door")
     writer = MemoryTaskWriter(found)
-    door = MqttTaskGateway({AGENT: AGENT}, channel, found, writer, Leading(), time.time_ns, time.monotonic)
-    door.start()
-    until(lambda: door.is_open, "the door open")
+    gateway = MqttTaskGateway({AGENT: AGENT}, channel, found, writer, Leading(), time.time_ns, time.monotonic)
+    gateway.start()
+    until(lambda: gateway.is_open, "the gateway open")
     yield found
-    door.stop(5.0)
+    gateway.stop(5.0)
 
 
 @contextlib.contextmanager
-def opened(broker: pods.Broker, name: str, messages: int) -> Iterator[PahoGateway]:
-    """A door of its own, to which an operator has said 0, 1, 2 and so on."""
-    door = PahoGateway("127.0.0.1", broker.port, "manager", pods.password("manager"), name)
-    door.start([f"robotkube/tasks/{AGENT}"])
-    until(lambda: not door.complaint, "the door open")
+def running(broker: pods.Broker, name: str, messages: int) -> Iterator[PahoGateway]:
+    """A gateway with a session of its own, to which an operator has sent 0, 1, 2 and so on."""
+    gateway = PahoGateway("127.0.0.1", broker.port, "manager", pods.password("manager"), name)
+    gateway.start([f"robotkube/tasks/{AGENT}"])
+    until(lambda: not gateway.complaint, "the gateway open")
     operator = mqtt.Client(CallbackAPIVersion.VERSION2, "operator", protocol=mqtt.MQTTv5)
     operator.username_pw_set(AGENT, pods.password(AGENT))
     operator.connect("127.0.0.1", broker.port)
@@ -103,10 +103,10 @@ def opened(broker: pods.Broker, name: str, messages: int) -> Iterator[PahoGatewa
     sent = [operator.publish(f"robotkube/tasks/{AGENT}", str(number), 1) for number in range(messages)]
     for one in sent:
         one.wait_for_publish(10)
-    yield door
+    yield gateway
     operator.disconnect()
     operator.loop_stop()
-    door.close()
+    gateway.close()
 
 
 def test_a_broker_that_sends_more_than_is_kept_loses_nothing(
@@ -115,9 +115,9 @@ def test_a_broker_that_sends_more_than_is_kept_loses_nothing(
     monkeypatch.setattr(paho_gateway, "WAITING_MAX", 5)
     monkeypatch.setattr(paho_gateway, "UNACKNOWLEDGED_MAX", 100)
     heard: list[int] = []
-    with opened(broker, "manager-overrun", 20) as door:
-        until(lambda: door._overrun, "more than is kept")
-        until(lambda: taken(door, heard) == 20, "all messages")
+    with running(broker, "manager-overrun", 20) as gateway:
+        until(lambda: gateway._overrun, "more than is kept")
+        until(lambda: receive_all(gateway, heard) == 20, "all messages")
     assert list(dict.fromkeys(heard)) == list(range(20))
 
 
@@ -125,38 +125,38 @@ def test_what_is_left_comes_again_before_what_was_behind_it(
     broker: pods.Broker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     heard, kept = list[int](), list[int]()
-    with opened(broker, "manager-leaving", 200) as door:
+    with running(broker, "manager-leaving", 200) as gateway:
         while len(heard) < 3:
-            message = door.take(1.0)
+            message = gateway.receive(1.0)
             assert message is not None
             heard.append(int(message.payload))
             if heard == [0, 1, 2]:
-                monkeypatch.setattr(door, "_shut", arriving(door, kept, door._shut))
-            (door.acknowledge if heard != [0, 1, 2] else door.leave)(message)
+                monkeypatch.setattr(gateway, "_shut", arriving(gateway, kept, gateway._shut))
+            (gateway.acknowledge if heard != [0, 1, 2] else gateway.leave)(message)
         assert kept == [0], "what was on its way is not kept"
-        until(lambda: taken(door, heard) == 200, "all messages")
+        until(lambda: receive_all(gateway, heard) == 200, "all messages")
     again = heard[3]  # what was acknowledged just before may come once more
     assert again <= 2
     assert heard[3:] == list(range(again, 200))
 
 
-def arriving(door: PahoGateway, kept: list[int], shut: Callable[[], None]) -> Callable[[], None]:
-    """Ends the connection as `shut` does, after paho has handed over one more message of it; `kept`: of how many."""
+def arriving(gateway: PahoGateway, kept: list[int], shut: Callable[[], None]) -> Callable[[], None]:
+    """Ends the connection as `shut` does, after paho has delivered one more message of it; `kept`: of how many."""
 
     def after_one() -> None:
-        waiting = door._waiting.qsize()
-        door._received(None, None, mqtt.MQTTMessage())
-        kept.append(door._waiting.qsize() - waiting)
+        waiting = gateway._waiting.qsize()
+        gateway._received(None, None, mqtt.MQTTMessage())
+        kept.append(gateway._waiting.qsize() - waiting)
         shut()
 
     return after_one
 
 
-def taken(door: PahoGateway, heard: list[int]) -> int:
-    """Take and acknowledge what is here; how many different messages were heard so far."""
-    while (message := door.take(0.01)) is not None:
+def receive_all(gateway: PahoGateway, heard: list[int]) -> int:
+    """Receive and acknowledge what is here; how many different messages were heard so far."""
+    while (message := gateway.receive(0.01)) is not None:
         heard.append(int(message.payload))
-        door.acknowledge(message)
+        gateway.acknowledge(message)
     return len(set(heard))
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from robotkube.errors import DocumentError
 from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
-from robotkube.foundation.documents.core.value_templates import fill
+from robotkube.foundation.documents.core.value_templates import render_templates
 
 RENDER = Jinja2Templates().render
 NAMES = {"parameters": {"vehicles": ["vehicle-00", "vehicle-01"], "n": 5, "s": "007"}, "agent": "vehicle-00"}
@@ -62,7 +62,7 @@ def test_refusals(template: str, text: str) -> None:
 def test_loops_in_values() -> None:
     inner = {"forEach": {"w": [1, 2]}, "each": ["{{ v }}/{{ w }}"]}
     value = {"list": ["first", {"forEach": {"v": "{{ parameters.vehicles }}"}, "each": [inner, "{{ v }}"]}]}
-    assert fill(value, NAMES, RENDER)["list"] == [
+    assert render_templates(value, NAMES, RENDER)["list"] == [
         "first", "vehicle-00/1", "vehicle-00/2", "vehicle-00", "vehicle-01/1", "vehicle-01/2", "vehicle-01",
     ]  # fmt: skip
 
@@ -79,4 +79,4 @@ def test_loops_in_values() -> None:
 )
 def test_loops_that_are_refused(value: Any) -> None:
     with pytest.raises(DocumentError):
-        fill(value, NAMES, RENDER)
+        render_templates(value, NAMES, RENDER)

@@ -10,7 +10,7 @@ from pygit2.enums import FileMode
 from robotkube.delivery.gate.loops.pending_objects import KEPT_MAX, PendingObjects
 from robotkube.errors import DocumentError
 from robotkube.foundation.forge.adapters.git import GitClone, ProposalWriter
-from robotkube.foundation.forge.adapters.git import commit_objects as handing
+from robotkube.foundation.forge.adapters.git import commit_objects as git_objects
 from robotkube.foundation.forge.core import commit_objects as handed_objects
 from robotkube.foundation.forge.core.commit_objects import CommitObjects, object_id, read_objects, write_objects
 
@@ -34,8 +34,8 @@ class Stage:
             self.target.odb.write(*self.source.odb.read(identifier))
         self.gate.moved_to(self.tip)
 
-    def handed(self, commit: str) -> CommitObjects:
-        found = handing.new_objects(self.source, self.source[commit])
+    def objects_of(self, commit: str) -> CommitObjects:
+        found = git_objects.new_objects(self.source, self.source[commit])
         assert found is not None
         return read_objects(write_objects(found, REPOSITORY), REPOSITORY)
 
@@ -48,26 +48,26 @@ def stage(tmp_path: Path) -> Stage:
 def test_only_what_is_new_goes_and_is_taken_in(stage: Stage) -> None:
     changes = {"releases/a/one.yaml": "new\n", "releases/b/two.yaml": None, "sources/c.yaml": "3\n"}
     commit = stage.writer.commit(stage.tip, changes, "a plan\n")
-    handed = stage.handed(commit)
-    assert [kind for kind, _ in handed.objects] == ["commit", "tree", "tree", "tree", "blob", "tree", "blob"]
-    found = stage.gate.take(handed)
+    objects = stage.objects_of(commit)
+    assert [kind for kind, _ in objects.objects] == ["commit", "tree", "tree", "tree", "blob", "tree", "blob"]
+    found = stage.gate.receive(objects)
     assert found is not None
     assert (found.id, found.parents, found.changes) == (commit, (stage.tip,), changes)
 
 
 def test_what_is_missing_or_no_object_of_its_kind_is_not_taken(stage: Stage, tmp_path: Path) -> None:
-    handed = stage.handed(stage.writer.commit(stage.tip, {"releases/c/d/three.yaml": "3\n"}, "a plan\n"))
-    for missing in handed.objects[1:]:
-        rest = tuple(one for one in handed.objects if one != missing)
-        assert Stage(tmp_path / object_id(*missing)).gate.take(replace(handed, objects=rest)) is None, missing[0]
+    objects = stage.objects_of(stage.writer.commit(stage.tip, {"releases/c/d/three.yaml": "3\n"}, "a plan\n"))
+    for missing in objects.objects[1:]:
+        rest = tuple(one for one in objects.objects if one != missing)
+        assert Stage(tmp_path / object_id(*missing)).gate.receive(replace(objects, objects=rest)) is None, missing[0]
     torn = b"100644 a\0too short"
     commit = b"tree %s\nparent %s\nauthor a <a> 1 +0000\ncommitter a <a> 1 +0000\n\nx\n"
     commit %= (object_id("tree", torn).encode(), stage.tip.encode())
     wrong = CommitObjects(object_id("commit", commit), (("commit", commit), ("tree", torn)))
-    assert stage.gate.take(wrong) is None
+    assert stage.gate.receive(wrong) is None
     assert wrong.commit not in stage.target, "a commit that is here is not fetched, nor what it lacks"
-    assert stage.gate.take(CommitObjects(object_id("commit", b"x"), (("commit", b"x"),))) is None
-    assert stage.gate.take(handed) is not None
+    assert stage.gate.receive(CommitObjects(object_id("commit", b"x"), (("commit", b"x"),))) is None
+    assert stage.gate.receive(objects) is not None
 
 
 def test_a_commit_on_something_else_than_mains_tip_is_not_taken(stage: Stage) -> None:
@@ -75,9 +75,9 @@ def test_a_commit_on_something_else_than_mains_tip_is_not_taken(stage: Stage) ->
     second = stage.writer.commit(first, {"releases/d.yaml": "4\n"}, "second\n")
     merge = stage.writer.commit(stage.tip, {"releases/e.yaml": "5\n"}, "merge\n", merged=first)
     for commit in (second, merge):
-        handed = stage.handed(commit)
-        assert stage.gate.take(handed) is None
-        assert all(object_id(*one) not in stage.target for one in handed.objects if one[0] == "blob")
+        objects = stage.objects_of(commit)
+        assert stage.gate.receive(objects) is None
+        assert all(object_id(*one) not in stage.target for one in objects.objects if one[0] == "blob")
 
 
 def test_a_link_to_another_repository_is_not_taken(stage: Stage) -> None:
@@ -85,25 +85,25 @@ def test_a_link_to_another_repository_is_not_taken(stage: Stage) -> None:
     builder.insert("elsewhere", pygit2.Oid(hex="1" * 40), FileMode.COMMIT)
     commit = stage.source.create_commit(None, AUTHOR, AUTHOR, "link\n", builder.write(), [stage.tip])
     whole = [("commit", stage.source.odb.read(commit)[1]), ("tree", stage.source.odb.read(builder.write())[1])]
-    assert stage.gate.take(CommitObjects(str(commit), tuple(whole))) is None
+    assert stage.gate.receive(CommitObjects(str(commit), tuple(whole))) is None
 
 
 def test_too_much_is_not_handed_over(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
     big = stage.writer.commit(stage.tip, {"releases/big.yaml": "x" * handed_objects.BYTES_MAX}, "big\n")
-    assert handing.new_objects(stage.source, stage.source[big]) is None
-    monkeypatch.setattr(handing, "OBJECTS_MAX", 3)
+    assert git_objects.new_objects(stage.source, stage.source[big]) is None
+    monkeypatch.setattr(git_objects, "OBJECTS_MAX", 3)
     many = stage.writer.commit(stage.tip, {f"releases/{i}.yaml": f"{i}\n" for i in range(3)}, "many\n")
-    assert handing.new_objects(stage.source, stage.source[many]) is None
+    assert git_objects.new_objects(stage.source, stage.source[many]) is None
 
 
 def test_files_of_single_objects_become_a_pack(stage: Stage, tmp_path: Path) -> None:
     commit = stage.writer.commit(stage.tip, {"releases/c.yaml": "3\n"}, "a plan\n")
-    assert stage.gate.take(stage.handed(commit)) is not None
-    handing.pack_loose(stage.gate._repository)
+    assert stage.gate.receive(stage.objects_of(commit)) is not None
+    git_objects.pack_loose(stage.gate._repository)
     assert list((tmp_path / "gate" / "objects").glob("??/*")) == []
     assert stage.gate.commit(commit).changes == {"releases/c.yaml": "3\n"}
     again = stage.writer.commit(stage.tip, {"releases/c.yaml": "3\n"}, "the same files\n")
-    assert stage.gate.take(stage.handed(again)) is not None
+    assert stage.gate.receive(stage.objects_of(again)) is not None
 
 
 @pytest.mark.parametrize(
@@ -132,5 +132,5 @@ def test_the_gate_keeps_a_bounded_number_of_each_and_gives_it_its_own_once() -> 
     kept.keep("north", first)
     for number in range(KEPT_MAX + 1):
         kept.keep("south", CommitObjects(str(number), ()))
-    assert kept.take("south", "0") is None
-    assert [kept.take(account, "1") for account in ("south", "south", "north", "west")] == [first, None, first, None]
+    assert kept.pop("south", "0") is None
+    assert [kept.pop(account, "1") for account in ("south", "south", "north", "west")] == [first, None, first, None]

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from robotkube.delivery.manager.__main__ import news
+from robotkube.delivery.manager.__main__ import changed_by
 from robotkube.delivery.manager.loops.reconciler import CATALOGUE, DEPLOYMENT
 from robotkube.foundation.forge.adapters.push_hooks import PushRelay
 from robotkube.foundation.runtime.adapters.webhook_server import WebhookDelivery, WebServer
@@ -36,7 +36,7 @@ def relay(url: str, secret: bytes = SECRET) -> bool:
 
 def test_a_manager_reads_it_as_the_forges_own_word(url: str, deliveries: list[WebhookDelivery]) -> None:
     assert relay(url)
-    assert [news(delivery, "robotkube/catalogue") for delivery in deliveries] == [(DEPLOYMENT, AFTER)]
+    assert [changed_by(delivery, "robotkube/catalogue") for delivery in deliveries] == [(DEPLOYMENT, AFTER)]
 
 
 def test_a_manager_that_shares_another_secret_does_not_take_it(url: str, deliveries: list[WebhookDelivery]) -> None:
@@ -65,5 +65,5 @@ def test_a_manager_that_is_away_holds_nothing_up(url: str) -> None:
         ),
     ],
 )
-def test_what_is_news(event: str, payload: dict[str, object], heard: tuple[str, str] | None) -> None:
-    assert news(WebhookDelivery(event, payload), "robotkube/catalogue") == heard
+def test_what_changes_something(event: str, payload: dict[str, object], heard: tuple[str, str] | None) -> None:
+    assert changed_by(WebhookDelivery(event, payload), "robotkube/catalogue") == heard

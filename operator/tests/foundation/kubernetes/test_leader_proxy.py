@@ -26,7 +26,7 @@ class Process:
 
         pages, posts = {"/plans": lambda: {"by": name}}, {"/explain": answer}
         self.server = WebServer(
-            *("127.0.0.1", 0, list, str, SECRET, self.heard.append, pages), posts=posts, elsewhere=self.requests
+            *("127.0.0.1", 0, list, str, SECRET, self.heard.append, pages), posts=posts, forward=self.requests
         )
         self.server.start()
         self.address = f"127.0.0.1:{self.server.port}"
@@ -73,7 +73,7 @@ def test_a_delivery_is_heard_by_the_leader_once(leader: Process, waiting: Proces
     assert len(leader.heard) == 1
 
 
-def test_without_a_leader_the_sender_is_told(waiting: Process) -> None:
+def test_without_a_leader_the_sender_is_refused(waiting: Process) -> None:
     waiting.leadership.other = None
     answers = [httpx.get(f"http://{waiting.address}/plans"), waiting.deliver()]
     assert [answer.status_code for answer in answers] == [503, 503]
@@ -84,8 +84,16 @@ def test_without_a_leader_the_sender_is_told(waiting: Process) -> None:
 
 
 def test_two_that_take_each_other_for_the_leader_do_not_ask_for_ever(leader: Process, waiting: Process) -> None:
-    leader.leadership.number, leader.leadership.other = None, waiting.address
+    leader.leadership.number = None
+    leader.leadership.other = waiting.address
     assert httpx.get(f"http://{waiting.address}/plans").status_code == 503
+
+
+@pytest.mark.parametrize("name", ["x-robotkube-forwarded", "x-robotkube-handed-on"])
+def test_what_was_forwarded_is_not_forwarded_again(leader: Process, waiting: Process, name: str) -> None:
+    """The second name is that of a process of the version before, during an upgrade."""
+    assert httpx.get(f"http://{waiting.address}/plans", headers={name: "1"}).status_code == 503
+    assert httpx.get(f"http://{leader.address}/plans", headers={name: "1"}).status_code == 200
 
 
 def test_health_and_metrics_are_a_process_s_own(waiting: Process) -> None:

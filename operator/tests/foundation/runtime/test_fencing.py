@@ -37,11 +37,11 @@ class Stage:
 
     def __init__(self, movable: bool) -> None:
         self.now, self.reading = 100.0, Reading()
-        self.ownership = Fencing("edge-0", movable, lambda: self.now)
-        self.ownership.follow(self.reading)
+        self.fencing = Fencing("edge-0", movable, lambda: self.now)
+        self.fencing.watch(self.reading)
         self.network, self.channels = Network(), dict[str, Channel]()
         sender = SendingSession(42, time.time_ns, lambda name: "")
-        self.bridge = Bridge(self.network, self.channel, sender, lambda event, **fields: None, self.ownership)
+        self.bridge = Bridge(self.network, self.channel, sender, lambda event, **fields: None, self.fencing)
         self.configure(POSE)
         self.channels["telemetry"].connect()
         if movable:
@@ -56,13 +56,13 @@ class Stage:
 
     def read(self, settings: Any = MOVABLE) -> None:
         """The API server answers."""
-        self.ownership.told(settings)
+        self.fencing.observe(settings)
         self.reading.read_at, self.reading.interrupted_at = self.now, None
 
     def turn(self, *messages: bytes) -> None:
         """What the process's loop does."""
         self.network.endpoint(POSE["name"]).waiting += messages
-        held = not self.ownership.sure
+        held = self.fencing.fenced
         self.bridge.hold(held)
         self.bridge.turn(self.now)
 
@@ -117,7 +117,7 @@ def test_what_was_taken_over_is_never_sent(settings: Any) -> None:
     stage.now += 10_000.0  # however long it takes
     stage.turn(b"after")
     stage.read(settings)
-    assert stage.ownership.lost
+    assert stage.fencing.lost
     stage.settle()
     stage.bridge.close()
     assert stage.sent == []
@@ -146,16 +146,16 @@ def test_a_bound_release_waits_for_a_stated_time_and_again_after_every_connectio
         stage.cut(60.0)
         stage.now += BOUND_SECONDS_MAX - 0.1
         stage.turn()
-        assert not stage.ownership.sure
+        assert stage.fencing.fenced
         stage.now += 0.1
-        assert stage.ownership.sure
+        assert not stage.fencing.fenced
         assert stage.reading.asked == number + 1
 
 
 def test_settings_that_were_just_read_are_not_read_again() -> None:
     stage = Stage(movable=True)
     stage.cut(FRESH_SECONDS - 0.1)
-    assert stage.ownership.sure
+    assert not stage.fencing.fenced
     assert stage.reading.asked == 0
     stage.now += 0.2
     for _ in range(2):  # both connections of a bridge come back
@@ -173,7 +173,7 @@ def test_a_long_gap_alone_stops_what_could_be_taken_over_and_nothing_else() -> N
         assert stage.sent == [b"in time"]
         stage.now += 0.1
         stage.turn(b"late")
-        assert stage.ownership.sure is not movable
+        assert stage.fencing.fenced is movable
         stage.read(MOVABLE if movable else {})
         stage.turn()
         assert stage.sent == [b"in time", b"late"]
@@ -181,17 +181,17 @@ def test_a_long_gap_alone_stops_what_could_be_taken_over_and_nothing_else() -> N
 
 def test_it_begins_with_reading_and_a_removal_that_it_hears_of_at_once_ends_it_in_good_order() -> None:
     reading, now = Reading(), [0.0]
-    ownership = Fencing("edge-0", True, lambda: now[0])
-    assert not ownership.sure
-    ownership.follow(reading)
-    assert not ownership.sure
-    assert ownership.told(MOVABLE)
+    fencing = Fencing("edge-0", True, lambda: now[0])
+    assert fencing.fenced
+    fencing.watch(reading)
+    assert fencing.fenced
+    assert fencing.observe(MOVABLE)
     reading.read_at = 0.0
-    assert ownership.sure
-    assert ownership.metrics() == "robotkube_settings_unsure 0\n"
-    assert not ownership.told(None)
-    assert (ownership.sure, ownership.lost) == (True, False)
-    assert Fencing().sure
+    assert not fencing.fenced
+    assert fencing.metrics() == "robotkube_settings_fenced 0\n"
+    assert not fencing.observe(None)
+    assert (fencing.fenced, fencing.lost) == (False, False)
+    assert not Fencing().fenced
 
 
 def test_tasks_are_not_written_while_nobody_knows() -> None:
@@ -206,11 +206,11 @@ def test_tasks_are_not_written_while_nobody_knows() -> None:
 
 
 def test_the_watch_reads_again_when_it_is_asked_and_says_when_it_did() -> None:
-    told: list[object] = []
+    notified: list[object] = []
     with ApiServerInMemory() as server:
         port = int(server.url.rpartition(":")[2])
         server.put_config_map("a", "m", {"n": "1"})
-        watch = ConfigMapWatch(ApiServer(server.url), "a", "m", told.append)
+        watch = ConfigMapWatch(ApiServer(server.url), "a", "m", notified.append)
         watch.start()
         until(lambda: watch.read_at is not None)
         before = time.monotonic()
@@ -224,9 +224,9 @@ def test_the_watch_reads_again_when_it_is_asked_and_says_when_it_did() -> None:
         watch.read_again()
         until(lambda: watch.interrupted_at is None)
         server.put_config_map("a", "m", {"n": "2"})
-        until(lambda: told[-1] == {"n": "2"})
+        until(lambda: notified[-1] == {"n": "2"})
         watch.stop()
-    assert told == [{"n": "1"}, {"n": "2"}]
+    assert notified == [{"n": "1"}, {"n": "2"}]
 
 
 def test_a_process_that_is_started_anew_after_its_release_went_does_nothing(tmp_path: Any) -> None:
@@ -234,10 +234,10 @@ def test_a_process_that_is_started_anew_after_its_release_went_does_nothing(tmp_
     (tmp_path / "movable").write_text("true")
     pod = PodSettings.from_environment({"ROBOTKUBE_CONFIG": str(tmp_path / "config.yaml"), "NODE_NAME": "edge-0"})
     assert (pod.movable, pod.node, pod.placed_node) == (True, "edge-0", "")
-    process, ownership = Process("worker", 60.0), Fencing(pod.node, pod.movable)
+    process, fencing = Process("worker", 60.0), Fencing(pod.node, pod.movable)
     stopped: list[bool] = []
     process.stop = lambda: stopped.append(True)  # type: ignore[method-assign]
-    until_removed(process, ownership, lambda data: None)(None)
+    until_removed(process, fencing, lambda data: None)(None)
     assert process.removed.is_set()
     assert stopped == [True]
-    assert not ownership.sure
+    assert fencing.fenced

@@ -42,15 +42,16 @@ def nobody_is_ended_after_the_grace_time() -> Iterator[None]:
 
 
 def test_settings_that_were_there_and_are_gone_end_the_process_after_the_node_is_back() -> None:
-    process, taken = Process("worker", 60.0), list[object]()
+    process = Process("worker", 60.0)
+    applied = list[object]()
     with ApiServerInMemory() as before:
         port = int(before.url.rpartition(":")[2])
         before.put_config_map("edge-0", "recorder", {"config.yaml": "a: 1"})
         watch = ConfigMapWatch(
-            ApiServer(before.url), "edge-0", "recorder", until_removed(process, Fencing(), taken.append)
+            ApiServer(before.url), "edge-0", "recorder", until_removed(process, Fencing(), applied.append)
         )
         watch.start()
-        until(lambda: taken)
+        until(lambda: applied)
     until(lambda: watch.complaint is not None)  # cut off
     assert not process.stopping.is_set()
     with ApiServerInMemory(port=port) as after:
@@ -58,7 +59,7 @@ def test_settings_that_were_there_and_are_gone_end_the_process_after_the_node_is
         until(process.stopping.is_set)
         watch.stop()
     assert process.removed.is_set()
-    assert taken == [{"config.yaml": "a: 1"}]
+    assert applied == [{"config.yaml": "a: 1"}]
 
 
 def test_settings_that_were_never_there_end_nothing() -> None:

@@ -92,10 +92,10 @@ def test_a_declared_vehicle_joins_drives_and_goes(platform: Platform, stage: Sta
             assert "initial" in stage.commit_of(BRIDGE).trailers["Cause"]
             with driving(platform):
                 key = record(stage, "while-driving")
-                eventually("it waits", lambda: stage.told(key, "Committed").get("reason") == "HeldByAgent")
-                assert "vehicle-15 holds changes until" in stage.told(key, "Committed")["message"]
+                eventually("it waits", lambda: stage.condition(key, "Committed").get("reason") == "HeldByAgent")
+                assert "vehicle-15 holds changes until" in stage.condition(key, "Committed")["message"]
                 assert key not in stage.annotation(BRIDGE, "tasks").split()
-            eventually("it goes on", lambda: stage.told(key, "Committed").get("reason") == "Merged")
+            eventually("it goes on", lambda: stage.condition(key, "Committed").get("reason") == "Merged")
             assert key in stage.annotation(BRIDGE, "tasks").split()
             stage.withdraw(key)
             eventually("it is withdrawn", lambda: set(stage.releases()) == before | {BRIDGE})

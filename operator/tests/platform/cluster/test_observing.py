@@ -37,7 +37,9 @@ def asked(stage: Stage, name: str, sensor: str) -> str:
 
 def await_observed(stage: Stage, key: str) -> None:
     """Until the cluster has the plan of a task."""
-    eventually(f"{key} is observed", lambda: stage.told(key, READY).get("reason") == "Observed", OBSERVED_SECONDS_MAX)
+    eventually(
+        f"{key} is observed", lambda: stage.condition(key, READY).get("reason") == "Observed", OBSERVED_SECONDS_MAX
+    )
 
 
 @contextmanager
@@ -70,7 +72,7 @@ def test_a_plan_is_observed_whose_hook_was_lost(platform: Platform, stage: Stage
     with hooks_lost(platform):
         with asleep(platform, "gate"):  # the one that comes keeps no connection to the hook
             key = asked(stage, "hook-lost", "vehicle-00")
-        eventually(f"{key} is merged", lambda: stage.told(key, COMMITTED).get("reason") == "Merged")
+        eventually(f"{key} is merged", lambda: stage.condition(key, COMMITTED).get("reason") == "Merged")
         eventually("the manager asks for it by itself", lambda: asks_for(platform, stage, key))
     await_observed(stage, key)
 
@@ -101,7 +103,7 @@ def test_a_broken_file_is_named_reverted_and_the_next_plan_observed(
 
 def named(stage: Stage, key: str) -> bool:
     """Whether the task's conditions name the broken file."""
-    conditions = (stage.told(key, COMMITTED), stage.told(key))
+    conditions = (stage.condition(key, COMMITTED), stage.condition(key))
     return any(one.get("reason") == "MainBroken" and BROKEN in one["message"] for one in conditions)
 
 
@@ -125,7 +127,7 @@ def test_after_the_forge_was_away_the_demands_are_carried_out_in_their_order(pla
 
 def waits(stage: Stage, key: str) -> bool:
     """Whether the task's conditions say that the forge is away."""
-    return "ForgeUnavailable" in {stage.told(key, kind).get("reason") for kind in ("Accepted", COMMITTED)}
+    return "ForgeUnavailable" in {stage.condition(key, kind).get("reason") for kind in ("Accepted", COMMITTED)}
 
 
 @contextmanager

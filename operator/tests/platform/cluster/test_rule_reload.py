@@ -83,7 +83,7 @@ def watched(stage: Stage) -> Iterator[Watched]:
     first = detector(FIRST_METRES)
     with (
         stage.asked_by_a_person(first),
-        stage.spoken(f"{AGENT}/{BRIDGE}", (TOPIC, POSE_TYPE, pose(0.0)), hertz=HERTZ),
+        stage.publishing(f"{AGENT}/{BRIDGE}", (TOPIC, POSE_TYPE, pose(0.0)), hertz=HERTZ),
     ):
         found = Watched(stage, stage.await_running(RELEASE)[RELEASE].name, first)
         try:

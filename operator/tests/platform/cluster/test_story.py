@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ci.folders import PROJECT
-from scenarios.runner import looking_around
+from scenarios.runner import inspection
 from tests.stages.platform.running_platform import Platform
 from tests.stages.platform.story import Story
 
@@ -55,7 +55,7 @@ def test_the_commands_to_look_around_work(platform: Platform, story: Story, tmp_
         if not entry.name.startswith("."):
             (tmp_path / entry.name).symlink_to(entry)
     forge = platform.access.endpoint("forge")
-    commands = list(looking_around.commands(platform.scenario, platform.installer.kubeconfig, forge))
+    commands = list(inspection.commands(platform.scenario, platform.installer.kubeconfig, forge))
     assert all(command in story.output for _, command in commands)
     script = "\n".join(f"echo '== {number}'\n{command}" for number, (_, command) in enumerate(commands))
     done = subprocess.run(

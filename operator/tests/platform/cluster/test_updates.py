@@ -13,7 +13,7 @@ import pytest
 
 from ci import publish
 from ci.folders import PROJECT
-from scenarios.runner import asking
+from scenarios.runner import proposing
 from tests.stages.platform.running_platform import Platform, eventually
 from tests.stages.platform.table_one import Stage
 
@@ -72,7 +72,7 @@ def submit(platform: Platform, folder: Path) -> None:
 
 def put_policy(stage: Stage, text: str, topic: str) -> None:
     stage.deployment.fetch()
-    asking.change(stage.deployment, POLICY, text, "policy(updates): one agent first, and soon", topic)
+    proposing.change(stage.deployment, POLICY, text, "policy(updates): one agent first, and soon", topic)
 
 
 def versions(stage: Stage) -> list[str]:

@@ -29,7 +29,7 @@ def test_every_role_offers_nodes_and_takes_services(stage: Stage) -> None:
         for role, sensor in SENSORS.items()
     }
     for role, key in keys.items():
-        [release] = stage.await_seats(key)
+        [release] = stage.await_releases_of(key)
         pod = stage.await_running(release)[release]
         agent, _, name = release.partition("/")
         assert name == f"object-detection-{SENSORS[role]}"

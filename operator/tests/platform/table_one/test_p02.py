@@ -35,19 +35,19 @@ def test_two_services_make_one_application(stage: Stage) -> None:
         "cloud-0", "p02-perception", application="environment-perception", parameters={"sensor": "roadside-0"}
     )
     pods = stage.await_running(DETECTION, TRACKING)
-    assert stage.seats(key) == {DETECTION, TRACKING}
+    assert stage.releases_of(key) == {DETECTION, TRACKING}
     made = stage.commit_of(DETECTION)
     assert made.sha == stage.commit_of(TRACKING).sha
     assert made.trailers["Task"] == (key,)
     assert len({pod.node for pod in pods.values()}) == 1  # their data do not leave the node
-    with stage.spoken(TRACKING, (cloud_topic("roadside-0"), messages.CLOUD_TYPE, cloud()), hertz=5):
-        [*_, objects] = stage.hear(TRACKING, "/vehicles/roadside_0/objects", POSES, 5)
-        [*_, said] = stage.hear(DETECTION, "/vehicles/roadside_0/tracks", TEXT, 5)
+    with stage.publishing(TRACKING, (cloud_topic("roadside-0"), messages.CLOUD_TYPE, cloud()), hertz=5):
+        [*_, objects] = stage.receive(TRACKING, "/vehicles/roadside_0/objects", POSES, 5)
+        [*_, answer] = stage.receive(DETECTION, "/vehicles/roadside_0/tracks", TEXT, 5)
     assert len(objects.poses) == 1
-    tracks = json.loads(said.data)["tracks"]
+    tracks = json.loads(answer.data)["tracks"]
     assert len({track["id"] for track in tracks}) == 1
-    for found in (objects.poses[0].position, tracks[0]):
-        x, y = (found["x"], found["y"]) if isinstance(found, dict) else (found.x, found.y)
+    for place in (objects.poses[0].position, tracks[0]):
+        x, y = (place["x"], place["y"]) if isinstance(place, dict) else (place.x, place.y)
         assert np.hypot(x - PLACE_M[0], y - PLACE_M[1]) < 3.0
     stage.withdraw(key)
     stage.await_gone(DETECTION, TRACKING)

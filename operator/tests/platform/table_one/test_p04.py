@@ -30,7 +30,7 @@ def test_two_operators_on_two_agents_do_not_touch_each_other(stage: Stage) -> No
         stage.await_running("cloud-0/intersection-operator", f"{VEHICLE}/event-detector")
         with approached(stage):
             other = (pose_topic(MEETING[1]), POSE_TYPE, pose(60.0))  # as the vehicle hears of the other one
-            with stage.spoken(f"{VEHICLE}/{BRIDGE}", other):
+            with stage.publishing(f"{VEHICLE}/{BRIDGE}", other):
                 supporting = stage.await_running(*SITE_SERVICES)
                 recording = stage.await_running(RECORDER)
                 clouds, vehicles = stage.tasks("cloud-0"), stage.tasks(VEHICLE)
@@ -40,7 +40,7 @@ def test_two_operators_on_two_agents_do_not_touch_each_other(stage: Stage) -> No
                 assert set(stage.annotation(RECORDER, "tasks").split()) == set(vehicles)
                 assert recording[RECORDER].node == "cloud-0"
             gone = (pose_topic(MEETING[1]), POSE_TYPE, pose(2000.0))
-            with stage.spoken(f"{VEHICLE}/{BRIDGE}", gone):
+            with stage.publishing(f"{VEHICLE}/{BRIDGE}", gone):
                 stage.await_gone(RECORDER)
             stayed = stage.await_running(*SITE_SERVICES)
             assert {name: pod.uid for name, pod in stayed.items()} == {name: p.uid for name, p in supporting.items()}

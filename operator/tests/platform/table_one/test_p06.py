@@ -26,14 +26,14 @@ def test_what_ran_on_a_lost_node_runs_on_another(stage: Stage) -> None:
         parameters={"sensor": "vehicle-02"},
         placement={"roles": ["roadside", "edge"]},
     )
-    [release] = stage.await_seats(key)
+    [release] = stage.await_releases_of(key)
     pod = stage.await_running(release)[release]
     lost = release.partition("/")[0]
     moved = f"{OTHER[lost]}/{NAME}"
     with stage.stopped(pod.node):
         found = stage.await_running(moved, seconds=MOVED_SECONDS_MAX)[moved]
         assert stage.node_labels(found.node)["robotkube.io/agent"] == OTHER[lost]
-        assert stage.seats(key) == {moved}
+        assert stage.releases_of(key) == {moved}
         commit = stage.commit_of(moved)
         assert "node" in commit.trailers["Cause"]
         assert f"node {pod.node} lost for " in stage.message(commit)

@@ -44,4 +44,4 @@ def test_one_service_is_updated_and_the_others_stay(stage: Stage) -> None:
     assert [path for path in commit.paths if path.startswith("releases/")] == [f"releases/{DETECTION}.yaml"]
     assert stage.annotation(TRACKING, "chart-version") == OLD
     assert {name: {pod.uid for pod in stage.pods(name)} for name in neighbours} == kept
-    assert stage.seats(key) == {DETECTION, TRACKING}
+    assert stage.releases_of(key) == {DETECTION, TRACKING}

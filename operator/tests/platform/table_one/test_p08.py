@@ -27,7 +27,7 @@ def test_an_operator_launches_an_operator_that_launches_perception(stage: Stage)
             [parent] = stage.tasks("cloud-0")
             assert stage.tasks(VEHICLE) == {}
             assert not set(SITE_SERVICES) & set(stage.releases())
-            with stage.spoken(f"{VEHICLE}/{BRIDGE}", (UNCERTAINTY, NUMBER, number(0.9))):
+            with stage.publishing(f"{VEHICLE}/{BRIDGE}", (UNCERTAINTY, NUMBER, number(0.9))):
                 pods = stage.await_running(*SITE_SERVICES)
                 assert {pod.node for pod in pods.values()} == {"roadside-0"}
                 [(child, task)] = stage.tasks(VEHICLE).items()

@@ -41,8 +41,8 @@ def test_requirements_meet_guarantees(stage: Stage) -> None:
     releases = ["roadside-0/object-detection-vehicle-00", "roadside-0/object-detection-vehicle-01"]
     stage.await_running(*releases)
     assert [stage.annotation(release, "chart-version") for release in releases] == ["0.1.1", "0.2.1"]
-    assert [stage.seats(key) for key in (exact, fast)] == [{releases[0]}, {releases[1]}]
+    assert [stage.releases_of(key) for key in (exact, fast)] == [{releases[0]}, {releases[1]}]
     assert len({stage.annotation(release, "chart-digest") for release in releases}) == 2
-    refusal = stage.await_told(impossible, "GuaranteeNotMet")
+    refusal = stage.await_reason(impossible, "GuaranteeNotMet")
     assert "range" in refusal["message"]
-    assert stage.seats(impossible) == set()
+    assert stage.releases_of(impossible) == set()

@@ -34,27 +34,27 @@ def test_demands_are_offloaded_postponed_refused_and_cancelled(stage: Stage) -> 
     offloaded = asked(stage, "p10-offloaded", "vehicle-02", conflictPolicy="Offload")
     elsewhere = "cloud-0/object-detection-vehicle-02"
     assert stage.await_running(elsewhere)[elsewhere].node == "cloud-0"
-    assert stage.seats(offloaded) == {elsewhere}
-    assert "offloaded to cloud" in stage.told(offloaded)["message"]
+    assert stage.releases_of(offloaded) == {elsewhere}
+    assert "offloaded to cloud" in stage.condition(offloaded)["message"]
 
     refused = asked(stage, "p10-refused", "cloud-0")
-    assert "edge-0" in stage.await_told(refused, "InsufficientResources")["message"]
+    assert "edge-0" in stage.await_reason(refused, "InsufficientResources")["message"]
     patient = asked(stage, "p10-patient", "roadside-0", conflictPolicy="Postpone")
     waited = "edge-0/object-detection-roadside-0"
-    assert "edge-0" in stage.await_told(patient, "Postponed")["message"]
-    assert stage.seats(refused) == stage.seats(patient) == set()
+    assert "edge-0" in stage.await_reason(patient, "Postponed")["message"]
+    assert stage.releases_of(refused) == stage.releases_of(patient) == set()
 
     stage.withdraw(ordinary)
     stage.await_gone(second)
     stage.await_running(waited)
-    assert stage.seats(patient) == {waited}
+    assert stage.releases_of(patient) == {waited}
 
     urgent = asked(stage, "p10-urgent", "vehicle-01", priority=900, conflictPolicy="Preempt")
     stage.await_running(second)
     stage.await_gone(first)
-    assert urgent.rpartition("/")[2] in stage.await_told(low, "Preempted")["message"]
-    assert stage.seats(low) == stage.seats(refused) == set()
-    assert {key: stage.seats(key) for key in (urgent, patient, offloaded)} == {
+    assert urgent.rpartition("/")[2] in stage.await_reason(low, "Preempted")["message"]
+    assert stage.releases_of(low) == stage.releases_of(refused) == set()
+    assert {key: stage.releases_of(key) for key in (urgent, patient, offloaded)} == {
         urgent: {second},
         patient: {waited},
         offloaded: {elsewhere},

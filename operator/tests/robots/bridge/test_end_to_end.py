@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.data_path import Setting
+from benchmarks.data_path import DataPath
 
 pytestmark = pytest.mark.processes
 
@@ -32,8 +32,8 @@ def eventually(condition: Callable[[], object], what: str) -> None:
 
 
 @pytest.fixture
-def setting(tmp_path: Path) -> Iterator[Setting]:
-    made = Setting(tmp_path, vehicles=3, lidars=1, seconds=SECONDS)
+def setting(tmp_path: Path) -> Iterator[DataPath]:
+    made = DataPath(tmp_path, vehicles=3, lidars=1, seconds=SECONDS)
     made.hashes = True
     with made.api:
         try:
@@ -42,7 +42,7 @@ def setting(tmp_path: Path) -> Iterator[Setting]:
             made.close()
 
 
-def play(setting: Setting, acts: dict[float, Callable[[], None]]) -> Received:
+def play(setting: DataPath, acts: dict[float, Callable[[], None]]) -> Received:
     """Plays all bags; `acts` are done at their seconds of the run. Returns what arrived."""
     setting.begin()
     eventually(lambda: all(setting.connected(a) for a in [*setting.agents, "cloud-0"]), "bridges connected")
@@ -63,21 +63,21 @@ def play(setting: Setting, acts: dict[float, Callable[[], None]]) -> Received:
     return received
 
 
-def received_now(setting: Setting) -> Received:
+def received_now(setting: DataPath) -> Received:
     """What had arrived when nothing more came; the receiver writes it then."""
     file = setting.folder / "received.json"
     result = json.loads(file.read_text()) if file.exists() else {}
     return {name: [(stamp, digest) for stamp, digest in topic["hashes"]] for name, topic in result.items()}
 
 
-def configured(setting: Setting, agent: str) -> int:
+def configured(setting: DataPath, agent: str) -> int:
     """When the agent's bridge took its present settings, ns."""
     lines = [json.loads(line) for line in (setting.folder / agent / "mqtt-bridge.log").read_text().splitlines()]
     last = [line["time"] for line in lines if line["event"] == "configured"][-1]
     return int(datetime.fromisoformat(last).timestamp() * 1000 + 1) * 1_000_000
 
 
-def ledger(setting: Setting, agent: str, topic: str) -> list[tuple[int, str]]:
+def ledger(setting: DataPath, agent: str, topic: str) -> list[tuple[int, str]]:
     path = setting.folder / "ledger" / agent / "benchmark" / f"{topic.replace('/', '__')}.jsonl"
     lines = [json.loads(line) for line in path.read_text().splitlines()]
     assert lines[-1] == {"end": True, "count": len(lines) - 1}
@@ -85,14 +85,14 @@ def ledger(setting: Setting, agent: str, topic: str) -> list[tuple[int, str]]:
     return [(line["stamp"], line["sha256"]) for line in lines[:-1]]
 
 
-def assert_all_poses(setting: Setting, received: Received) -> None:
+def assert_all_poses(setting: DataPath, received: Received) -> None:
     for agent in setting.agents:
         topic = setting.tracks[agent][0].name
         assert len(ledger(setting, agent, topic)) == int(SECONDS * 100)
         assert received[topic] == ledger(setting, agent, topic)
 
 
-def test_every_pose_arrives_once_also_when_a_topic_is_added_in_mid_run(setting: Setting) -> None:
+def test_every_pose_arrives_once_also_when_a_topic_is_added_in_mid_run(setting: DataPath) -> None:
     before: list[int | None] = []
 
     def add_lidar() -> None:
@@ -117,7 +117,7 @@ def test_every_pose_arrives_once_also_when_a_topic_is_added_in_mid_run(setting: 
     assert before == [0] * len(setting.pods), "a bridge ended when its settings changed"
 
 
-def test_every_pose_arrives_once_over_a_restart_of_the_broker(setting: Setting) -> None:
+def test_every_pose_arrives_once_over_a_restart_of_the_broker(setting: DataPath) -> None:
     def restart() -> None:
         setting.broker.stop()
         time.sleep(0.5)
@@ -126,5 +126,5 @@ def test_every_pose_arrives_once_over_a_restart_of_the_broker(setting: Setting) 
     assert_all_poses(setting, play(setting, {3.0: restart}))
 
 
-def test_every_pose_arrives_once_over_a_restart_of_the_cloud_bridge(setting: Setting) -> None:
+def test_every_pose_arrives_once_over_a_restart_of_the_cloud_bridge(setting: DataPath) -> None:
     assert_all_poses(setting, play(setting, {3.0: setting.restart_cloud_bridge}))

@@ -59,7 +59,7 @@ class Stage:
         self.leap, self.network = 0.0, Network()
         self.ownership = Fencing("edge-0", True, self.clock)
         self.watch = ConfigMapWatch(ApiServer(api.url), "a", "bridge", self.told, clock=self.clock)
-        self.ownership.follow(self.watch)
+        self.ownership.watch(self.watch)
         self.watch.start()
         sender, receiver = (
             BrokerAccount("127.0.0.1", broker.port, name, pods.password(name)) for name in ("vehicle-00", "cloud-0")
@@ -78,14 +78,14 @@ class Stage:
         return time.monotonic() + self.leap
 
     def told(self, settings: object) -> None:
-        self.ownership.told(settings)  # type: ignore[arg-type]
+        self.ownership.observe(settings)  # type: ignore[arg-type]
 
     def publish(self, *messages: bytes) -> None:
         self.network.endpoint(POSE["name"]).waiting += messages
 
     def turn(self, bridging: bool = True) -> None:
         if bridging:
-            self.bridge.hold(not self.ownership.sure)
+            self.bridge.hold(self.ownership.fenced)
             self.bridge.turn(time.monotonic())
         self.receiver.channel.turn(time.monotonic())
         self.receiver.channel.flush()

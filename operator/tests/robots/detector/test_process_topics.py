@@ -239,7 +239,7 @@ def test_commands_from_elsewhere_are_refused(start: Start, tmp_path: Path, unuse
         said = answer.read().decode()
         connection.close()
         assert (answer.status, said) == (
-            403, "commands are taken from within the pod only: kubectl exec or port-forward\n")  # fmt: skip
+            403, "commands are accepted from within the pod only: kubectl exec or port-forward\n")  # fmt: skip
         connection.request("GET", "/status")
         assert connection.getresponse().status == 200
         connection.close()

@@ -68,7 +68,7 @@ class Stage:
     def __init__(self) -> None:
         self.now, self.reading, self.channel = 100.0, Reading(read_at=100.0), Channel()
         self.fencing = Fencing("edge-0", True, lambda: self.now)
-        self.fencing.follow(self.reading)
+        self.fencing.watch(self.reading)
         clock = lambda: self.now  # noqa: E731
         self.broker = Broker(self._make, lambda: 1, clock, lambda name: None, lambda gap: None, self.fencing)
         self.box = DeadLetterBox(lambda: 1)
@@ -98,7 +98,7 @@ def test_messages_wait_for_the_settings_and_go_out_in_their_order() -> None:
         stage.broker.turn()
     assert stage.channel.published == [b"1"]
     assert stage.reading.asked == 1
-    stage.fencing.told(MOVABLE)
+    stage.fencing.observe(MOVABLE)
     stage.reading.read_at = stage.now
     stage.broker.turn()
     assert stage.channel.published == [b"1", b"2", b"3"]
@@ -109,7 +109,7 @@ def test_messages_of_a_release_that_was_taken_over_become_dead_letters() -> None
     stage.cut()
     stage.reaction.react(delivery(1))
     stage.broker.turn()
-    stage.fencing.told(None)
+    stage.fencing.observe(None)
     assert not stage.broker.close(1.0, lambda seconds: pytest.fail("nobody waits for what is in vain"))
     assert stage.channel.published == []
     assert stage.reaction.counts()["dead"] == 1
@@ -118,7 +118,7 @@ def test_messages_of_a_release_that_was_taken_over_become_dead_letters() -> None
 def test_deliveries_are_tried_again_while_nobody_knows() -> None:
     receiver, reading = Receiver(), Reading()
     fencing = Fencing("edge-0", True, lambda: 100.0)
-    fencing.follow(reading)
+    fencing.watch(reading)
     sender = FencedSender(receiver, fencing)
     sender.probe()
     with pytest.raises(UnavailableError, match="read anew first"):

@@ -32,7 +32,7 @@ from tests.stages.recording.two_vehicles import (
     RECORDING,
     TRANSFORM,
     VOLUME,
-    RecordedWay,
+    RecordedPath,
 )
 
 pytestmark = pytest.mark.toolchain
@@ -52,7 +52,7 @@ IN_FLIGHT_MAX = 10
     params=[(3.0, 12.0), pytest.param((20.0, 34.0), marks=pytest.mark.thorough)],
     ids=["3 s", "20 s"],
 )
-def way(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[RecordedWay]:
+def way(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[RecordedPath]:
     """What is left of a run in which the broker was away for so long, of so many seconds."""
     away, seconds = request.param
     folder = tmp_path_factory.mktemp("way")
@@ -60,7 +60,7 @@ def way(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
     server = DatabaseServer(folder / "database", "0.0.0.0")  # noqa: S104 - pods reach it at their node's gateway
     server.start()
     try:
-        made = RecordedWay(folder, server, seconds, away)
+        made = RecordedPath(folder, server, seconds, away)
         with made.api:
             try:
                 made.run(KILLED_AFTER)
@@ -71,7 +71,7 @@ def way(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
         server.close()
 
 
-def lost(way: RecordedWay, topic: str) -> list[int]:
+def lost(way: RecordedPath, topic: str) -> list[int]:
     """Stamps that a player published and that are not in the recording, counted without any audit."""
     stored = {
         (message.topic, message.stamp, message.sha256)
@@ -80,7 +80,7 @@ def lost(way: RecordedWay, topic: str) -> list[int]:
     return [line.stamp for line in way.ledgers()[topic] if (topic, line.stamp, line.sha256) not in stored]
 
 
-def test_the_audit_has_what_the_ledgers_say_is_missing(way: RecordedWay) -> None:
+def test_the_audit_has_what_the_ledgers_say_is_missing(way: RecordedPath) -> None:
     told = audits(way.reader, RECORDING)
     clouds = [m.stamp for m in stored_messages(way.reader, way.segments, RECORDING) if m.topic == CLOUDS]
     assert set(told) == {*POSES, CLOUDS, TRANSFORMS}
@@ -118,7 +118,7 @@ class Here:
         return [{"spec": {"local": {"path": str(self.claim)}, "claimRef": {"name": claim}, "nodeAffinity": affinity}}]
 
 
-def test_what_came_before_an_event_is_in_its_recording(way: RecordedWay) -> None:
+def test_what_came_before_an_event_is_in_its_recording(way: RecordedPath) -> None:
     (document,) = [one for one in way.reader.recordings() if one["_id"] != RECORDING]
     (cause,) = document["causes"]
     assert (document["_id"], cause["rule"]) == (f"{ENCOUNTER}-{cause['event'][:8]}", "near")
@@ -135,7 +135,7 @@ def test_what_came_before_an_event_is_in_its_recording(way: RecordedWay) -> None
     assert [one.topic for one in stored if one.topic == TRANSFORMS] == [TRANSFORMS]
 
 
-def command(way: RecordedWay, monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
+def command(way: RecordedPath, monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
     """A command about the recording, with the accounts and volumes of this place in place of a cluster's."""
     monkeypatch.setattr(cli_recordings, "readers_of", lambda options: {"cloud-0": way.reader})
     monkeypatch.setattr(cli_recordings, "Platform", lambda options: Here(way.claim))
@@ -143,7 +143,7 @@ def command(way: RecordedWay, monkeypatch: pytest.MonkeyPatch, *words: str) -> i
 
 
 def test_verify_proves_the_checksums_and_names_the_gaps(
-    way: RecordedWay, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    way: RecordedPath, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     places = [f"--ledgers={folder}" for folder in way.ledger_folders()]
     assert command(way, monkeypatch, "verify", *places, "-o", "json") == cli.EXIT_REFUSED
@@ -160,7 +160,7 @@ def test_verify_proves_the_checksums_and_names_the_gaps(
 
 
 def test_everything_about_it_is_shown(
-    way: RecordedWay, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    way: RecordedPath, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert command(way, monkeypatch, "show") == 0
     shown = yaml.safe_load(capsys.readouterr().out)
@@ -174,7 +174,7 @@ def test_everything_about_it_is_shown(
 
 
 def test_one_changed_byte_is_found(
-    way: RecordedWay, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    way: RecordedPath, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     entry = next(entry for entry in way.reader.index(RECORDING))
     path = next(way.claim.rglob(entry["segment"]))
@@ -193,7 +193,7 @@ def test_one_changed_byte_is_found(
 
 
 def test_everything_is_exported_as_it_was_published(
-    way: RecordedWay, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+    way: RecordedPath, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     target = tmp_path / "out"
     assert command(way, monkeypatch, "export", str(target), f"--segments={VOLUME}={way.claim}", "--labels") == 0
@@ -216,7 +216,7 @@ def test_everything_is_exported_as_it_was_published(
 
 
 def test_a_part_is_exported_as_one_mcap_file(
-    way: RecordedWay, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+    way: RecordedPath, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     first = way.ledgers()[POSES[0]][50].stamp
     last = first + 1_000_000_000

@@ -35,7 +35,7 @@ class Stage:
         self.volume.forget_writers()
         self.reading = Reading()
         self.fencing = Fencing("edge-0", movable, lambda: self.now)
-        self.fencing.follow(self.reading)
+        self.fencing.watch(self.reading)
         clock = lambda: int(self.now * SECOND_NS)  # noqa: E731
         place = RecorderPlace(VOLUME, lambda: self.database, lambda: self.volume, clock, lambda: self.now, self.fencing)
         self.journal = Journal(RECORDING, place, bounds=BOUNDS)
@@ -43,7 +43,7 @@ class Stage:
 
     def read(self, settings: Any) -> None:
         """The API server answers."""
-        self.fencing.told(settings)
+        self.fencing.observe(settings)
         self.reading.read_at, self.reading.interrupted_at = self.now, None
 
     def record(self, seconds: float = 1.0) -> None:

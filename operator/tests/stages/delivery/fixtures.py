@@ -10,6 +10,6 @@ from tests.stages.delivery.manager_in_memory import Stage
 @pytest.fixture
 def stage(tmp_path: Path) -> Stage:
     """After the initial configuration is observed."""
-    found = Stage(tmp_path)
-    found.settle()
-    return found
+    made = Stage(tmp_path)
+    made.settle()
+    return made

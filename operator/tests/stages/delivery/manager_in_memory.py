@@ -78,7 +78,7 @@ class UntilPaused(threading.Event):
 class Stage:
     """Everything around one manager; the clock moves only when a test moves it."""
 
-    told: Sequence[str] = ()
+    notified: Sequence[str] = ()
 
     def __init__(self, folder: Path, vehicles: int = 3) -> None:
         key = signing_key(folder / "key")
@@ -107,28 +107,28 @@ class Stage:
         def monotonic() -> float:
             return self.seconds
 
-        def aside(call: Callable[[], None]) -> None:
+        def at_once(call: Callable[[], None]) -> None:
             call()
 
         catalogue, main = AssuredCatalogue(self.catalogue, self.verifier), MainReader(self.repository)
         render = Jinja2Templates().render
         planner = Planner(self.settings, self.tasks, self.cluster, catalogue, main, render, validate)
-        observer = PlanObserver(self.cluster, self.argocd, aside, now_ns, monotonic)
-        world = ManagerPorts(self.tasks, self.cluster, self.repository, self.forge, self.forge, self.leadership)
-        return ApplicationManager(world, catalogue, main, planner, observer, now_ns, monotonic)
+        observer = PlanObserver(self.cluster, self.argocd, at_once, now_ns, monotonic)
+        ports = ManagerPorts(self.tasks, self.cluster, self.repository, self.forge, self.forge, self.leadership)
+        return ApplicationManager(ports, catalogue, main, planner, observer, now_ns, monotonic)
 
     def go(self, steps: int = 4, seconds: float = 0.1, wake: str = TASKS) -> None:
         self.manager.wake(wake)
         for _ in range(steps):
             self.manager.step()
             self.seconds += seconds
-            self.tell()
+            self.notify()
 
-    def tell(self) -> None:
-        """What gate and forge say of proposals: nothing of main when a person moved it."""
+    def notify(self) -> None:
+        """Wake the manager as gate and forge do for proposals: not for main when a person moved it."""
         states = [pull.state for pull in self.forge.pulls.values()]
-        if states != self.told:
-            self.told = states
+        if states != self.notified:
+            self.notified = states
             self.manager.wake(DEPLOYMENT)
 
     def fail(self) -> None:

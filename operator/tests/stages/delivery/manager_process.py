@@ -57,7 +57,7 @@ def write_settings(outside: Outside, folder: Path, port: int, lease: str, **chan
             "url": outside.forge_url, "credentials": f"{folder}/forge", "deployment": "robotkube/deployment",
             "catalogue": "robotkube/catalogue", "branch": "main",
         },
-        "registry": {"charts": outside.charts_url},
+        "oci_registry": {"charts": outside.charts_url},
         "evidence": {"keys": str(outside.keys)},
         "argocd": {
             "url": outside.nowhere, "credentials": f"{folder}/argocd", "namespace": "argocd",

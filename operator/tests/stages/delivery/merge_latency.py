@@ -1,4 +1,4 @@
-"""Times of a task's way to main, and of the forge alone, over N of each: prints them as JSON, in milliseconds.
+"""Merge latencies of tasks, and times of the forge alone, over N of each: prints them as JSON, in milliseconds.
 
     ci/python -m tests.stages.delivery.merge_latency N
 
@@ -20,7 +20,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from robotkube.delivery.manager.__main__ import news
+from robotkube.delivery.manager.__main__ import changed_by
 from robotkube.delivery.manager.loops.reconciler import TASKS
 from robotkube.foundation.forge.adapters.git import GitClone, ProposalWriter
 from robotkube.foundation.runtime.adapters.webhook_server import WebServer
@@ -41,31 +41,31 @@ from tests.stages.programs import free_port
 
 WARMING_UP = 3
 WAIT_SECONDS_MAX = 60.0
-LOOK_SECONDS = 0.002
+POLL_SECONDS = 0.002
 REPOSITORY = "robotkube/deployment"
 VEHICLES = ["vehicle-00", "vehicle-01"]
 
 
 def until(condition: Callable[[], object], what: str, seconds_max: float = WAIT_SECONDS_MAX) -> None:
-    """Until it is true; looks often, since what it waits for is being measured."""
+    """Until it is true; polls often, since what it waits for is being measured."""
     end = time.monotonic() + seconds_max
     while not condition():
         if time.monotonic() > end:
             raise TimeoutError(f"not within {seconds_max:.0f} s: {what}")
-        time.sleep(LOOK_SECONDS)
+        time.sleep(POLL_SECONDS)
 
 
 class CheckTimes(logging.Handler):
-    """What the gate's log says its checks took, in milliseconds."""
+    """Durations of the gate's checks by its log, in milliseconds."""
 
     def __init__(self) -> None:
         super().__init__(logging.INFO)
-        self.found: list[float] = []
+        self.milliseconds: list[float] = []
 
     def emit(self, record: logging.LogRecord) -> None:
         match = re.search(r"check_ms=(\d+\.\d+)", record.getMessage())
         if match:
-            self.found.append(float(match[1]))
+            self.milliseconds.append(float(match[1]))
 
 
 class Stage:
@@ -98,16 +98,17 @@ class Stage:
         url, passwords = self.installation.url, self.installation.passwords
         clone = GitClone(url, REPOSITORY, "gate", passwords["gate"], self.folder / name)
         writer = ProposalWriter(self.folder / name, "manager", passwords["manager"], name, time.time)
-        tip, found = clone.fetch(), []
+        tip = clone.fetch()
+        milliseconds = []
         for number in range(WARMING_UP + count):
             commit = writer.commit(tip, {"README.md": f"{name} {number}\n"}, f"{name} {number}\n")
             began = time.perf_counter()
             writer.propose(commit, f"{name}-{number}", name, "one line")
             if not clone.push_main(commit):
                 raise AssertionError("somebody else moved main")
-            found.append(1000 * (time.perf_counter() - began))
+            milliseconds.append(1000 * (time.perf_counter() - began))
             tip = commit
-        return found[WARMING_UP:]
+        return milliseconds[WARMING_UP:]
 
     def plans(self, count: int) -> tuple[list[float], list[float]]:
         """Milliseconds from a task to its plan on main, and of the gate's checks."""
@@ -115,26 +116,26 @@ class Stage:
         logger = logging.getLogger("robotkube.delivery.gate.loops.gate")
         logger.addHandler(times)
         logger.setLevel(logging.INFO)
-        told = [f"http://127.0.0.1:{self.manager_port}/webhook"]
-        gate = start_gate(self.installation, self.controller.url, self.folder / "gate", managers=told)
+        managers = [f"http://127.0.0.1:{self.manager_port}/webhook"]
+        gate = start_gate(self.installation, self.controller.url, self.folder / "gate", managers=managers)
         running = start_manager(self.installation, self.folder / "manager", MemoryTasks())
         server = self._listen(running)
         try:
             until(lambda: running.plans() and running.plans()[-1]["on_main"], "initial configuration on main")
-            found = [one_task(running, number) for number in range(WARMING_UP + count)]
+            latencies = [one_task(running, number) for number in range(WARMING_UP + count)]
         finally:
             logger.removeHandler(times)
             server.stop()
             running.stop()
             gate.stop()
-        return found[WARMING_UP:], times.found[-2 * count :]
+        return latencies[WARMING_UP:], times.milliseconds[-2 * count :]
 
     def _listen(self, running: RunningManager) -> WebServer:
         """The manager's webhook, as its entry point wires it."""
 
         def deliver(delivery: Any) -> None:
-            if heard := news(delivery, "robotkube/catalogue"):
-                running.manager.wake(*heard)
+            if change := changed_by(delivery, "robotkube/catalogue"):
+                running.manager.wake(*change)
 
         secret = manager_secret().encode()
         server = WebServer("127.0.0.1", self.manager_port, lambda: [], lambda: "", secret, deliver)

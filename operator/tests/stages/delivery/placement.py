@@ -54,27 +54,27 @@ def application(
 
 
 def catalogue(*files: tuple[str, str]) -> Catalogue:
-    found = read_catalogue({"policies/release.yaml": "assurance: none\n", **dict([chart(), *files])})
-    assert found.problems == ()
-    return found
+    read = read_catalogue({"policies/release.yaml": "assurance: none\n", **dict([chart(), *files])})
+    assert read.problems == ()
+    return read
 
 
 PLAIN = catalogue(application(ONE))
 
 
 def task(name: str = "t", **changes: Any) -> TaskDescription:
-    found = TaskDescription(
+    described = TaskDescription(
         "ops", name, 1, "2026-11-21T10:00:00Z", "ops", "rule", "e", "a" * 32, "why", "app", {"agents": [name]}
     )
-    return replace(found, **changes)
+    return replace(described, **changes)
 
 
-def demand(found: TaskDescription, **changes: Any) -> Demand:
-    return replace(Demand(found.key, found.application, found.parameters, task=found), **changes)
+def demand(described: TaskDescription, **changes: Any) -> Demand:
+    return replace(Demand(described.key, described.application, described.parameters, task=described), **changes)
 
 
-def world(found: Catalogue = PLAIN, nodes: Sequence[NodeState] = NODES, now: int = 0, **more: Any) -> Inputs:
-    known: Inputs = Inputs(found, fleet(AGENTS, nodes, now * SECOND), {}, RENDER, validate)
+def inputs(offered: Catalogue = PLAIN, nodes: Sequence[NodeState] = NODES, now: int = 0, **more: Any) -> Inputs:
+    known: Inputs = Inputs(offered, fleet(AGENTS, nodes, now * SECOND), {}, RENDER, validate)
     return replace(known, **more)
 
 

@@ -1,4 +1,4 @@
-"""Random messages for the task door: good ones, damaged, huge, deep, of wrong types, full of strange characters.
+"""Random messages for the task gateway: good ones, damaged, huge, deep, of wrong types, full of strange characters.
 
 A message is known by its number: the same number gives the same bytes.
 """

@@ -12,7 +12,8 @@ from robotkube.delivery.manager.core.placement.placement import Agent, NodeState
 from robotkube.delivery.manager.loops.main_reader import MainReader
 from robotkube.delivery.manager.loops.planner import ManagerSettings, Planner
 from robotkube.delivery.manager.loops.proposals.plan_observer import PlanObserver
-from robotkube.delivery.manager.loops.reconciler import ApplicationManager, ManagerPorts
+from robotkube.delivery.manager.loops.reconciler import ApplicationManager
+from robotkube.delivery.manager.ports.manager_ports import ManagerPorts
 from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
 from robotkube.foundation.documents.adapters.json_schema import validate
 from robotkube.foundation.forge.adapters.git import GitClone, ProposalWriter
@@ -66,7 +67,7 @@ def start_manager(
     url, account = installation.url, ("manager", installation.passwords["manager"])
     deployment = GitClone(url, "robotkube/deployment", *account, folder / "deployment")
     relay = objects_relay(installation)
-    proposals = ProposalWriter(folder / "deployment", *account, "robotkube-manager", time.time, hand=relay.hand)
+    proposals = ProposalWriter(folder / "deployment", *account, "robotkube-manager", time.time, send_objects=relay.send)
     catalogue = AssuredCatalogue(GitClone(url, "robotkube/catalogue", *account, folder / "catalogue"), trusted_keys())
     nodes = [NodeState(name, name, role, frozenset({"recording"}), True) for name, role in AGENTS]
     cluster, main = MemoryCluster(nodes), MainReader(deployment)
@@ -74,8 +75,8 @@ def start_manager(
     planner = Planner(settings, tasks, cluster, catalogue, main, Jinja2Templates().render, validate)
     observer = PlanObserver(cluster, MemoryArgoCD(), lambda call: call(), time.time_ns, time.monotonic)
     forge = GiteaForge(url, "robotkube/deployment", *account)
-    world = ManagerPorts(tasks, cluster, deployment, proposals, forge, leadership or MemoryLeadership(TERM))
-    manager = ApplicationManager(world, catalogue, main, planner, observer, time.time_ns, time.monotonic)
+    ports = ManagerPorts(tasks, cluster, deployment, proposals, forge, leadership or MemoryLeadership(TERM))
+    manager = ApplicationManager(ports, catalogue, main, planner, observer, time.time_ns, time.monotonic)
     stopping = threading.Event()
     thread = threading.Thread(target=manager.run, args=(stopping,), daemon=True)
     thread.start()

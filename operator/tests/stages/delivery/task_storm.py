@@ -37,7 +37,7 @@ from tests.stages.kubernetes.api_calls import TASKS, Api, prepare
 from tests.stages.kubernetes.api_server import ApiServerProcess
 
 WAIT_SECONDS_MAX = 120.0
-LOOK_SECONDS = 0.25
+POLL_SECONDS = 0.25
 WRITERS = 4
 MARKS = (100, 500)
 POD = "manager-0"  # a container that is restarted keeps the name of its pod, and with it the election
@@ -81,21 +81,23 @@ class Storm:
         self.api = Api(api_client(str(self.server.kubeconfig)))
         prepare(self.api)
         self._make_nodes()
-        told = [f"http://127.0.0.1:{self.stage.manager_port}/webhook"]
-        self.gate = start_gate(self.stage.installation, self.stage.controller.url, folder / "gate", managers=told)
+        managers = [f"http://127.0.0.1:{self.stage.manager_port}/webhook"]
+        self.gate = start_gate(self.stage.installation, self.stage.controller.url, folder / "gate", managers=managers)
         self.config = self._settings()
         self.pod = self.start()
         until(lambda: self.pod.plans() and self.pod.plans()[-1]["on_main"], "initial configuration on main")
 
     def _folder(self, name: str) -> Path:
-        found = self.folder / name
-        found.mkdir(parents=True)
-        return found
+        folder = self.folder / name
+        folder.mkdir(parents=True)
+        return folder
 
     def _settings(self) -> Path:
         agents = [{"name": n, "role": role, "namespace": n, "records": role == "cloud"} for n, role in self.agents]
-        found = outside(self.stage.installation)
-        return write_settings(found, self._folder("manager"), self.stage.manager_port, self.api.lease(), agents=agents)
+        connection = outside(self.stage.installation)
+        return write_settings(
+            connection, self._folder("manager"), self.stage.manager_port, self.api.lease(), agents=agents
+        )
 
     def _make_nodes(self) -> None:
         with ThreadPoolExecutor(WRITERS) as pool:
@@ -123,15 +125,15 @@ class Storm:
 
     def committed(self) -> int:
         """How many tasks say that they are on main."""
-        found = json.loads(call(self.api.client, "GET", TASKS, [("limit", "2000")]).data)["items"]
-        return sum(is_committed(task) for task in found)
+        tasks = json.loads(call(self.api.client, "GET", TASKS, [("limit", "2000")]).data)["items"]
+        return sum(is_committed(task) for task in tasks)
 
     def rss_mib(self) -> float:
         """Resident memory of the manager's process."""
         status = Path(f"/proc/{self.pod.process.pid}/status").read_text()
-        found = re.search(r"VmRSS:\s+(\d+)", status)
-        assert found is not None
-        return int(found[1]) / 1024
+        match = re.search(r"VmRSS:\s+(\d+)", status)
+        assert match is not None
+        return int(match[1]) / 1024
 
     def blow(self, demands: int) -> dict[str, Any]:
         """All demands at once; what it took until they were on main."""
@@ -143,7 +145,7 @@ class Storm:
                 for mark in (mark for mark in MARKS if count >= mark):
                     marks.setdefault(str(mark), self.rss_mib())
                 assert time.monotonic() - began < WAIT_SECONDS_MAX, f"{count} of {demands} on main"
-                time.sleep(LOOK_SECONDS)
+                time.sleep(POLL_SECONDS)
             took = time.monotonic() - began
             for future in asked:
                 future.result()
@@ -177,28 +179,28 @@ def decisions(pod: Pod) -> float:
     """How many decisions the process has made."""
     answer = pod.get("/metrics")
     families = text_string_to_metric_families(answer.text if answer is not None else "")
-    found = {sample.name: sample.value for family in families for sample in family.samples}
-    return found.get("robotkube_manager_decision_seconds_count", 0.0)
+    values = {sample.name: sample.value for family in families for sample in family.samples}
+    return values.get("robotkube_manager_decision_seconds_count", 0.0)
 
 
 @contextmanager
 def storm(nodes: int) -> Iterator[Storm]:
     """Everything around one storm, taken down afterwards."""
     with tempfile.TemporaryDirectory() as folder:
-        found = Storm(Path(folder), nodes)
+        made = Storm(Path(folder), nodes)
         try:
-            yield found
+            yield made
         finally:
-            found.close()
+            made.close()
 
 
 def main(demands: int, nodes: int) -> None:
     """Measure on a forge and an API server of its own."""
     warnings.simplefilter("ignore")
     logging.getLogger("robotkube").setLevel(logging.ERROR)
-    with storm(nodes) as found:
-        result = found.blow(demands)
-        result["recovery_seconds"] = found.recover()
+    with storm(nodes) as measured:
+        result = measured.blow(demands)
+        result["recovery_seconds"] = measured.recover()
     print(json.dumps(result))
 
 

@@ -36,9 +36,9 @@ def forge_process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ForgePro
 
 @pytest.fixture(scope="session")
 def administration(forge_process: ForgeProcess) -> Iterator[GiteaAdministration]:
-    found = GiteaAdministration(forge_process.url, forge_process.administrator, forge_process.administrator_password)
-    yield found
-    found.disconnect()
+    made = GiteaAdministration(forge_process.url, forge_process.administrator, forge_process.administrator_password)
+    yield made
+    made.disconnect()
 
 
 @pytest.fixture(scope="session")
@@ -49,9 +49,9 @@ def installation(
     port = free_port()
     setup = forge_setup(passwords, f"http://127.0.0.1:{port}/webhook")
     Bootstrap(30, time.monotonic, time.sleep).forge(setup, administration)
-    found = Installation(forge_process.url, passwords, port, tmp_path_factory.mktemp("clones"), setup)
-    yield found
-    found.disconnect()
+    made = Installation(forge_process.url, passwords, port, tmp_path_factory.mktemp("clones"), setup)
+    yield made
+    made.disconnect()
 
 
 @pytest.fixture(scope="module")
@@ -59,12 +59,12 @@ def own_installation(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Insta
     """A forge of the module's own, with an installation: for tests after which main is not what others expect."""
     process = ForgeProcess(tmp_path_factory.mktemp("own-forge"))
     process.start()
-    found = GiteaAdministration(process.url, process.administrator, process.administrator_password)
+    made = GiteaAdministration(process.url, process.administrator, process.administrator_password)
     passwords = {name: secrets.token_hex(12) for name in ACCOUNTS}
     port = free_port()
     setup = forge_setup(passwords, f"http://127.0.0.1:{port}/webhook")
-    Bootstrap(30, time.monotonic, time.sleep).forge(setup, found)
-    found.disconnect()
+    Bootstrap(30, time.monotonic, time.sleep).forge(setup, made)
+    made.disconnect()
     installation = Installation(process.url, passwords, port, tmp_path_factory.mktemp("own-clones"), setup)
     yield installation
     installation.disconnect()

@@ -62,8 +62,8 @@ class Api:
 
     def get(self, path: str) -> dict[str, Any]:
         """An object, or a list."""
-        found: dict[str, Any] = json.loads(call(self.client, "GET", path).data)
-        return found
+        document: dict[str, Any] = json.loads(call(self.client, "GET", path).data)
+        return document
 
     def node(self, name: str, role: str) -> None:
         """A ready node of the agent of that name."""

@@ -31,6 +31,6 @@ def api_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ApiServerPr
 
 @pytest.fixture
 def api(api_server: ApiServerProcess) -> Iterator[Api]:
-    found = Api(api_client(str(api_server.kubeconfig)))
-    yield found
-    found.client.rest_client.pool_manager.clear()
+    made = Api(api_client(str(api_server.kubeconfig)))
+    yield made
+    made.client.rest_client.pool_manager.clear()

@@ -57,9 +57,9 @@ def prepared_cluster(folder: Path) -> Iterator[Cluster]:
     server = ApiServerProcess(folder)
     try:
         server.start()
-        found = Cluster(server.kubeconfig)
-        prepare(found)
-        yield found
+        cluster = Cluster(server.kubeconfig)
+        prepare(cluster)
+        yield cluster
     finally:
         server.stop()
 

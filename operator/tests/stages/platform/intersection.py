@@ -1,4 +1,4 @@
-"""A vehicle and an intersection with a road-side unit, told by poses alone: no bag is needed."""
+"""A vehicle and an intersection with a road-side unit, made of poses alone: no bag is needed."""
 
 from __future__ import annotations
 
@@ -37,5 +37,5 @@ def left(stage: Stage) -> AbstractContextManager[None]:
 def _at(stage: Stage, distance_m: float) -> Iterator[None]:
     with ExitStack() as both:
         for agent, x in ((SITE, 0.0), (VEHICLE, distance_m)):
-            both.enter_context(stage.spoken(f"{agent}/{BRIDGE}", (pose_topic(agent), POSE_TYPE, pose(x))))
+            both.enter_context(stage.publishing(f"{agent}/{BRIDGE}", (pose_topic(agent), POSE_TYPE, pose(x))))
         yield

@@ -46,7 +46,7 @@ def spoken(config: pytest.Config) -> AbstractContextManager[None]:
 
 
 def eventually(what: str, reached: Callable[[], Any], seconds: float = WAIT_SECONDS_MAX) -> Any:
-    """The first true answer; a look that fails is repeated. Fails with `what` and the last answer after the bound."""
+    """The first true answer; a poll that fails is repeated. Fails with `what` and the last answer after the bound."""
     end, answer = time.monotonic() + seconds, None
     while time.monotonic() < end:
         try:

@@ -18,7 +18,7 @@ from scenarios.runner.waiting import RunError
 from tests.stages.platform.running_platform import Platform
 
 STORY_SECONDS_MAX = 420
-LOOK_SECONDS = 1.0
+POLL_SECONDS = 1.0
 BRIDGE = "mqtt-bridge"
 
 
@@ -61,7 +61,7 @@ def play(platform: Platform, scenario: Path, variant: str, folder: Path) -> Stor
             while process.poll() is None and time.monotonic() < end:
                 listed = platform.get("pods", "-A", "-l", "robotkube.io/agent")["items"]
                 pods |= {pod["metadata"]["uid"]: pod for pod in listed}
-                time.sleep(LOOK_SECONDS)
+                time.sleep(POLL_SECONDS)
         finally:
             process.kill()
             code = process.wait()

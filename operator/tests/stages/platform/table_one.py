@@ -1,4 +1,4 @@
-"""What the stories of Table I do and look at: tasks and policies as people and operators give them, main as Git has it,
+"""What the stories of Table I do and read: tasks and policies as people and operators give them, main as Git has it,
 pods and messages as the cluster has them. What the manager says of itself is not asked."""
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 import yaml
 
 from scenarios.generator import messages
-from scenarios.runner import asking, policy
+from scenarios.runner import policy, proposing
 from scenarios.runner.acting import task
 from scenarios.runner.deployment import Deployment
 from scenarios.runner.inputs import Commit
@@ -25,8 +25,8 @@ from tests.stages.platform.running_platform import Platform, eventually
 DEPLOYED_SECONDS_MAX = 90.0
 GONE_SECONDS_MAX = 90.0
 DECIDED_SECONDS_MAX = 30.0
-HEARD_SECONDS_MAX = 30
-SPOKEN_SECONDS_MAX = 300
+RECEIVE_SECONDS_MAX = 30
+PUBLISH_SECONDS_MAX = 300
 ENDED_SECONDS_MAX = 15
 READY_SECONDS_MAX = 120.0
 SETTLED_SECONDS_MAX = 120.0
@@ -34,7 +34,7 @@ TEXT, NUMBER, POSES = "std_msgs/msg/String", "std_msgs/msg/Float64", "geometry_m
 BRIDGE = "mqtt-bridge"
 
 # Run in a pod of the agent's: everything that speaks ROS there has these modules.
-LISTEN = """
+RECEIVE = """
 import base64, sys, time
 from robotkube.robots.ros.adapters.rclpy_node import RosNode
 topic, kind, count, seconds = sys.argv[1], sys.argv[2], int(sys.argv[3]), float(sys.argv[4])
@@ -45,7 +45,7 @@ while count > 0 and time.monotonic() < end:
         count -= 1
     time.sleep(0.02)
 """
-SPEAK = """
+PUBLISH = """
 import base64, json, select, sys, time
 from robotkube.robots.ros.adapters.rclpy_node import RosNode
 from robotkube.robots.bags.core.playback import restamped
@@ -98,19 +98,23 @@ class Stage:
 
     def tasks(self, namespace: str) -> dict[str, Mapping[str, Any]]:
         """The tasks of a namespace by key."""
-        found = [one for one in self.platform.access.tasks() if one["metadata"]["namespace"] == namespace]
-        return {f"{namespace}/{one['metadata']['name']}": one for one in found}
+        documents = [one for one in self.platform.access.tasks() if one["metadata"]["namespace"] == namespace]
+        return {f"{namespace}/{one['metadata']['name']}": one for one in documents}
 
-    def told(self, key: str, kind: str = "Accepted") -> Mapping[str, str]:
-        """A condition of a task, empty while it has none: what its submitter is told."""
+    def condition(self, key: str, kind: str = "Accepted") -> Mapping[str, str]:
+        """A condition of a task, empty while it has none: what its submitter reads."""
         found = self.platform.access.task(*key.split("/", 1)) or {}
         conditions = found.get("status", {}).get("conditions", [])
         return next((one for one in conditions if one["type"] == kind), {})
 
-    def await_told(self, key: str, reason: str) -> Mapping[str, str]:
+    def await_reason(self, key: str, reason: str) -> Mapping[str, str]:
         """The condition Accepted once it has `reason`."""
-        eventually(f"task {key} is told {reason}", lambda: self.told(key).get("reason") == reason, DECIDED_SECONDS_MAX)
-        return self.told(key)
+        eventually(
+            f"task {key} has the reason {reason}",
+            lambda: self.condition(key).get("reason") == reason,
+            DECIDED_SECONDS_MAX,
+        )
+        return self.condition(key)
 
     @contextmanager
     def asked_by_a_person(self, *entries: Mapping[str, Any]) -> Iterator[None]:
@@ -130,7 +134,7 @@ class Stage:
         document = yaml.safe_load(self.deployment.file(policy.PATH)) or {}
         text = yaml.safe_dump(document | {"add": change(list(document.get("add") or []))}, sort_keys=True)
         topic = f"table-one-{time.time_ns()}"
-        asking.change(self.deployment, policy.PATH, text, "policy(initial): a story of Table I", topic)
+        proposing.change(self.deployment, policy.PATH, text, "policy(initial): a story of Table I", topic)
 
     # main ------------------------------------------------------------------------------------------------------------
 
@@ -140,11 +144,11 @@ class Stage:
         return self.deployment.releases()
 
     def annotation(self, release: str, name: str) -> str:
-        """What a release on main says of itself, such as chart-version or tasks; empty when it is not there."""
-        found = self.releases().get(release, {})
-        return str(found.get("metadata", {}).get("annotations", {}).get(f"robotkube.io/{name}", ""))
+        """An annotation of a release on main, such as chart-version or tasks; empty when it is not there."""
+        document = self.releases().get(release, {})
+        return str(document.get("metadata", {}).get("annotations", {}).get(f"robotkube.io/{name}", ""))
 
-    def seats(self, key: str) -> set[str]:
+    def releases_of(self, key: str) -> set[str]:
         """Releases on main that name a task, but for the bridges, which are everybody's."""
         return {
             release
@@ -152,14 +156,14 @@ class Stage:
             if key in self.annotation_of(release).split() and release.rpartition("/")[2] != BRIDGE
         }
 
-    def await_seats(self, key: str) -> set[str]:
-        """`seats` once there are any: a task is accepted before its plan is on main."""
-        return set(eventually(f"{key} has its seats on main", lambda: self.seats(key)))
+    def await_releases_of(self, key: str) -> set[str]:
+        """`releases_of` once there are any: a task is accepted before its plan is on main."""
+        return set(eventually(f"{key} has its releases on main", lambda: self.releases_of(key)))
 
     def annotation_of(self, release: str) -> str:
         """Tasks that a release names, in the clone as it was fetched last."""
-        found = self.deployment.releases().get(release, {})
-        return str(found.get("metadata", {}).get("annotations", {}).get("robotkube.io/tasks", ""))
+        document = self.deployment.releases().get(release, {})
+        return str(document.get("metadata", {}).get("annotations", {}).get("robotkube.io/tasks", ""))
 
     def commits(self) -> Sequence[Commit]:
         """Main's commits, newest first, with their trailers."""
@@ -187,8 +191,8 @@ class Stage:
         """The one ready pod of each release, once all of them are on main and run."""
 
         def running() -> dict[str, Pod]:
-            found = {release: self.pods(release) for release in releases if release in self.releases()}
-            ready = {release: pods[0] for release, pods in found.items() if len(pods) == 1 and pods[0].ready}
+            pods_by_release = {release: self.pods(release) for release in releases if release in self.releases()}
+            ready = {release: pods[0] for release, pods in pods_by_release.items() if len(pods) == 1 and pods[0].ready}
             return ready if len(ready) == len(releases) else {}
 
         return dict(eventually(f"{', '.join(releases)} run", running, seconds))
@@ -222,27 +226,27 @@ class Stage:
 
     # messages --------------------------------------------------------------------------------------------------------
 
-    def hear(self, release: str, topic: str, kind: str, count: int = 1) -> list[Any]:
+    def receive(self, release: str, topic: str, kind: str, count: int = 1) -> list[Any]:
         """`count` messages of a topic on the node of a release's pod, read there; fails when there are fewer."""
-        command = self._inside(release, LISTEN, topic, kind, str(count), str(HEARD_SECONDS_MAX))
-        done = subprocess.run(command, capture_output=True, text=True, timeout=HEARD_SECONDS_MAX + 30, check=False)
+        command = self._inside(release, RECEIVE, topic, kind, str(count), str(RECEIVE_SECONDS_MAX))
+        done = subprocess.run(command, capture_output=True, text=True, timeout=RECEIVE_SECONDS_MAX + 30, check=False)
         lines = done.stdout.split()
         assert len(lines) >= count, f"{topic}: {len(lines)} of {count} messages\n{done.stderr[-2000:]}"
         return [messages.store.deserialize_cdr(base64.b64decode(line), kind) for line in lines[:count]]
 
     @contextmanager
-    def spoken(self, release: str, *said: Message, hertz: float = 10) -> Iterator[None]:
-        """Messages published on the node of a release's pod as if a service there said them, again and again, stamped
+    def publishing(self, release: str, *published: Message, hertz: float = 10) -> Iterator[None]:
+        """Messages published on the node of a release's pod as if a service there did, again and again, stamped
         with the present time where they have a header."""
-        command = self._inside(release, SPEAK, str(hertz), str(SPOKEN_SECONDS_MAX), stdin=True)
+        command = self._inside(release, PUBLISH, str(hertz), str(PUBLISH_SECONDS_MAX), stdin=True)
         process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
         assert process.stdin is not None
         try:
-            lines = [(topic, kind, base64.b64encode(data).decode()) for topic, kind, data in said]
+            lines = [(topic, kind, base64.b64encode(data).decode()) for topic, kind, data in published]
             process.stdin.write(json.dumps(lines) + "\n")
             process.stdin.flush()
             yield
-            assert process.poll() is None, f"the speaker beside {release} ended with {process.returncode}"
+            assert process.poll() is None, f"the publisher beside {release} ended with {process.returncode}"
         finally:
             process.stdin.close()
             _end(process)

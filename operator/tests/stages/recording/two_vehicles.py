@@ -1,5 +1,5 @@
-"""The whole way of two vehicles' messages: players, bridges, broker, recorder and database, each a process, the robots'
-in network namespaces of their own. One vehicle has a lidar that sees the other one."""
+"""The whole path of two vehicles' messages: players, bridges, broker, recorder and database, each a process, those of
+the robots in network namespaces of their own. One vehicle has a lidar that sees the other one."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from benchmarks import bags
-from benchmarks.data_path import Setting
+from benchmarks.data_path import DataPath
 from robotkube.foundation.database.adapters.connection import DatabaseLogin, connect
 from robotkube.robots.bags.adapters.writing import BagWriter
 from robotkube.robots.bags.core.playback import BagTopic
@@ -40,7 +40,7 @@ SECOND = 1_000_000_000
 LEAD_SECONDS, START_SECONDS_MAX, DRAIN_SECONDS_MAX = 2.0, 60.0, 60.0
 
 
-class RecordedWay(Setting):
+class RecordedPath(DataPath):
     """Poses of two vehicles at 100 Hz and clouds of one at 10 Hz for `seconds`, recorded at the cloud from the begin
     to the end, and once more around their being near each other. `server` is a running database that pods reach."""
 

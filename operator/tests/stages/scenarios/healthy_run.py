@@ -48,14 +48,14 @@ class Run:
     known: inputs.RunInputs
 
     def judge(self) -> report.Report:
-        found = storage.stored(self.samples, self.index, self.segment)
+        stored = storage.stored(self.samples, self.index, self.segment)
         return report.report(
             self.scenario,
             replace(
                 self.known,
                 ledgers={topic: storage.ledger(lines) for topic, lines in self.ledgers.items()},
                 recordings=tuple(storage.recording(document) for document in self.recordings),
-                stored=found,
+                stored=stored,
             ),
         )
 

@@ -43,14 +43,17 @@ from robotkube.registry.suites.core.requests import SuiteProgress, SuiteRequest
 from robotkube.registry.suites.ports.suites import SuiteRunner
 
 GRACE_SECONDS = 5.0
-STOP_LOOK_SECONDS = 0.2
+STOP_POLL_SECONDS = 0.2
 OBJECTS_PATH = "/objects"
+NEW_KEYS = {"registry": "oci_registry"}
+"""Former key of the settings file -> its new key; former ones are still accepted, with a warning."""
 
 
 @dataclass(frozen=True)
 class GateConfiguration:
-    """Everything the process needs, secrets included: `webhook_secret` is the forge's, `proposer_secrets` are what it
-    shares with each account. `suites_url` is empty when there is no suite-runner."""
+    """The settings of the process, secrets included: `webhook_secret` is the forge's, `proposer_secrets` are what it
+    shares with each account. `suites_url` is empty when there is no suite-runner. `former_keys`: those keys of the file
+    that have a new name (NEW_KEYS)."""
 
     listen: files.Listen
     log_level: str
@@ -68,20 +71,21 @@ class GateConfiguration:
     suites_token: str
     gate: GateSettings
     publication: PublicationSettings
+    former_keys: tuple[str, ...] = ()
 
 
 def read_configuration(reader: Reader, document: Mapping[str, Any]) -> GateConfiguration:
-    """The settings document of the gate."""
-    keys = ["listen", "log_level", "forge", "registry", "local_builds", "evidence", "hook", "webhook"]
-    root = reader.mapping(document, "", keys, ["suites"])
+    """The configuration in the gate's settings document."""
+    keys = ["listen", "log_level", "forge", "oci_registry", "local_builds", "evidence", "hook", "webhook"]
+    root = reader.mapping(files.under_new_keys(reader, document, NEW_KEYS), "", keys, ["suites"])
     forge_keys = ["url", "credentials", "deployment", "catalogue", "branch", "proposers", "publishers"]
     forge = reader.mapping(root.get("forge") or {}, "forge", forge_keys, ["kind", "api"])
-    registry = reader.mapping(root.get("registry") or {}, "registry", ["charts", "staging"])
+    registry = reader.mapping(root.get("oci_registry") or {}, "oci_registry", ["charts", "staging"])
     evidence = reader.mapping(root.get("evidence") or {}, "evidence", ["key", "keys", "verifier"])
     hook = reader.mapping(root.get("hook") or {}, "hook", ["url", "secret"])
     webhook = reader.mapping(root.get("webhook") or {}, "webhook", ["secret"])
     account = files.credentials(reader, forge.get("credentials"), "forge.credentials")
-    charts_url = reader.word(registry.get("charts"), "registry.charts", CHARTS_URL)
+    charts_url = reader.word(registry.get("charts"), "oci_registry.charts", CHARTS_URL)
     catalogue = reader.word(forge.get("catalogue"), "forge.catalogue", REPOSITORY)
     suites_url, suites_token = _suites(reader, root.get("suites"))
     webhook_secret = files.secret(reader, webhook.get("secret"), "webhook.secret")
@@ -112,16 +116,17 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> GateConfi
             catalogue=catalogue,
             publishers=tuple(_words(reader, forge.get("publishers"), "forge.publishers")),
             account=account.username,
-            staging=_organisation(reader.word(registry.get("staging"), "registry.staging", CHARTS_URL)),
+            staging=_organisation(reader.word(registry.get("staging"), "oci_registry.staging", CHARTS_URL)),
             verified=_organisation(charts_url),
             charts_url=charts_url,
             local_builds=_yes_or_no(reader, root.get("local_builds"), "local_builds"),
         ),
+        former_keys=tuple(key for key in NEW_KEYS if key in document),
     )
 
 
 def _suites(reader: Reader, value: Any) -> tuple[str, str]:
-    """Address and token of the suite-runner; both empty when there is none."""
+    """The address and the token of the suite-runner; both empty when there is none."""
     if value is None:
         return "", ""
     suites = reader.mapping(value, "suites", ["url", "token"])
@@ -130,23 +135,25 @@ def _suites(reader: Reader, value: Any) -> tuple[str, str]:
 
 
 def _proposers(reader: Reader, value: Any, forge_secret: str) -> list[tuple[Proposer, str]]:
-    """Each with its secret, which is nobody else's: who has it speaks in its name. No namespace has two of them."""
-    found: list[tuple[Proposer, str]] = []
+    """The proposers, each with its secret, which is nobody else's: who has it speaks in its name. No namespace has two
+    proposers."""
+    proposers: list[tuple[Proposer, str]] = []
     for index, item in enumerate(reader.sequence(value, "forge.proposers")):
         path = f"forge.proposers[{index}]"
-        proposer = reader.mapping(item, path, ["account", "namespaces", "secret"], ["webhook"])
-        account = reader.word(proposer.get("account"), f"{path}.account", WORD)
-        namespaces = frozenset(_words(reader, proposer.get("namespaces"), f"{path}.namespaces"))
-        webhook = reader.word(proposer.get("webhook"), f"{path}.webhook", HTTP_URL, default="")
-        secret = files.secret(reader, proposer.get("secret"), f"{path}.secret")
-        if secret and secret in (forge_secret, *(known for _, known in found)):
+        entry = reader.mapping(item, path, ["account", "namespaces", "secret"], ["webhook"])
+        account = reader.word(entry.get("account"), f"{path}.account", WORD)
+        namespaces = frozenset(_words(reader, entry.get("namespaces"), f"{path}.namespaces"))
+        webhook = reader.word(entry.get("webhook"), f"{path}.webhook", HTTP_URL, default="")
+        secret = files.secret(reader, entry.get("secret"), f"{path}.secret")
+        if secret and secret in (forge_secret, *(known for _, known in proposers)):
             problem = "the forge (webhook.secret) or another proposer has the same one; give each a secret of its own"
             reader.problems.append(f"{path}.secret: {problem}")
-        found.append((Proposer(account, namespaces, webhook), secret))
-    scopes = [Scope(frozenset(), proposer.namespaces, frozenset()) for proposer, _ in found]
-    managers = [DeclaredManager(proposer.account, scope) for (proposer, _), scope in zip(found, scopes, strict=True)]
+        proposers.append((Proposer(account, namespaces, webhook), secret))
+    scopes = [Scope(frozenset(), proposer.namespaces, frozenset()) for proposer, _ in proposers]
+    accounts = [proposer.account for proposer, _ in proposers]
+    managers = [DeclaredManager(account, scope) for account, scope in zip(accounts, scopes, strict=True)]
     reader.problems += [f"forge.proposers: {problem}" for problem in overlaps(managers)]
-    return found
+    return proposers
 
 
 def _words(reader: Reader, value: Any, path: str) -> list[str]:
@@ -165,55 +172,66 @@ def _yes_or_no(reader: Reader, value: Any, path: str) -> bool:
 
 
 class _NoRunner:
-    """Where suites are switched off nothing new can be verified."""
+    """The port SuiteRunner where suites are switched off: nothing new can be verified."""
 
     def run(self, request: SuiteRequest) -> SuiteProgress:
-        """Says so."""
+        """Refuse with UnavailableError, which says what to switch on."""
         raise UnavailableError("this installation has no suite-runner (charts/robotkube, values suites.enabled)")
 
 
-def build_gate(found: GateConfiguration, work: Path, schemas: BoundedSchemas) -> Gate:
-    """The gate of the deployment repository on its adapters; nothing is asked of the world yet."""
-    forge, url, account = found.forge, found.forge.url, found.account
+def build_gate(configuration: GateConfiguration, work: Path, schemas: BoundedSchemas) -> Gate:
+    """The gate of the deployment repository on its adapters; nothing is sent yet."""
+    forge = configuration.forge
+    account = configuration.account
+    branch = configuration.branch
+    settings = configuration.gate
+    secrets = configuration.proposer_secrets
     work.mkdir(parents=True, exist_ok=True)
-    catalogue = forge.clone(found.gate.catalogue, account, work / "catalogue", found.branch)
-    secrets = found.proposer_secrets
+    catalogue = forge.clone(settings.catalogue, account, work / "catalogue", branch)
+    hook_secret = configuration.hook_secret.encode()
     return Gate(
-        forge.pull_requests(found.gate.deployment, account, found.branch),
-        forge.clone(found.gate.deployment, account, work / "deployment", found.branch),
-        AssuredCatalogue(catalogue, TrustedKeys(found.keys)),
-        SignedPushHook(
-            found.hook_url, found.hook_secret.encode(), f"{url}/{found.gate.deployment}", branch=found.branch
-        ),
-        found.gate,
+        forge.pull_requests(settings.deployment, account, branch),
+        forge.clone(settings.deployment, account, work / "deployment", branch),
+        AssuredCatalogue(catalogue, TrustedKeys(configuration.keys)),
+        SignedPushHook(configuration.hook_url, hook_secret, f"{forge.url}/{settings.deployment}", branch=branch),
+        settings,
         schemas.validate,
         time.monotonic,
         [
-            PushRelay(proposer.webhook, secrets[proposer.account].encode(), found.gate.deployment, branch=found.branch)
-            for proposer in found.gate.proposers
+            PushRelay(proposer.webhook, secrets[proposer.account].encode(), settings.deployment, branch=branch)
+            for proposer in settings.proposers
             if proposer.webhook
         ],
     )
 
 
-def build_publication(found: GateConfiguration, work: Path, gate: Gate, schemas: BoundedSchemas) -> PublicationLoop:
-    """Publication on adapters of its own, since it runs on a thread of its own; the gate hears of what is new."""
-    url, account, branch = found.forge.url, found.account, found.branch
-    settings, folder = found.publication, work / "publication"
+def build_publication(
+    configuration: GateConfiguration, work: Path, gate: Gate, schemas: BoundedSchemas
+) -> PublicationLoop:
+    """The publication loop on adapters of its own, since it runs on a thread of its own; it wakes the gate after each
+    publication."""
+    url = configuration.forge.url
+    account = configuration.account
+    branch = configuration.branch
+    settings = configuration.publication
+    folder = work / "publication"
     work.mkdir(parents=True, exist_ok=True)
-    clone = found.forge.clone(settings.catalogue, account, folder, branch)
-    forge = found.forge.pull_requests(settings.catalogue, account, branch)
-    signer, registry = KeyFile(found.key), OciRegistry(url, account.username, account.password, lock=threading.Lock())
-    runner: SuiteRunner = SuiteRunnerClient(found.suites_url, found.suites_token) if found.suites_url else _NoRunner()
+    clone = configuration.forge.clone(settings.catalogue, account, folder, branch)
+    forge = configuration.forge.pull_requests(settings.catalogue, account, branch)
+    signer = KeyFile(configuration.key)
+    registry = OciRegistry(url, account.username, account.password, lock=threading.Lock())
+    runner: SuiteRunner = _NoRunner()
+    if configuration.suites_url:
+        runner = SuiteRunnerClient(configuration.suites_url, configuration.suites_token)
     names = VerifyingSettings(
-        settings.staging, settings.verified, settings.charts_url, f"{url}/{settings.catalogue}", found.verifier
+        settings.staging, settings.verified, settings.charts_url, f"{url}/{settings.catalogue}", configuration.verifier
     )
     return PublicationLoop(
         forge,
         clone,
-        found.forge.writer(forge, folder, account, account.username, time.time, branch),
+        configuration.forge.writer(forge, folder, account, account.username, time.time, branch),
         registry,
-        ChartVerification(registry, signer, TrustedKeys(found.keys), runner, names, time.monotonic, _now),
+        ChartVerification(registry, signer, TrustedKeys(configuration.keys), runner, names, time.monotonic, _now),
         signer,
         settings,
         schemas.tools(),
@@ -222,28 +240,29 @@ def build_publication(found: GateConfiguration, work: Path, gate: Gate, schemas:
     )
 
 
-def build_notes(found: GateConfiguration, work: Path) -> NoteWriter:
-    """What copies managers' closing words to Git's notes, on adapters of its own as well."""
-    repository, account = found.gate.deployment, found.account
-    notes = GitNotes(found.forge.url, repository, account.username, account.password, work / "notes")
-    forge = found.forge.pull_requests(repository, account, found.branch)
-    return NoteWriter(forge, notes, found.gate.accounts, time.monotonic)
+def build_notes(configuration: GateConfiguration, work: Path) -> NoteWriter:
+    """The writer that copies managers' outcome comments to Git's notes, on adapters of its own as well."""
+    repository = configuration.gate.deployment
+    account = configuration.account
+    notes = GitNotes(configuration.forge.url, repository, account.username, account.password, work / "notes")
+    forge = configuration.forge.pull_requests(repository, account, configuration.branch)
+    return NoteWriter(forge, notes, configuration.gate.accounts, time.monotonic)
 
 
 def objects_posts(gate: Gate, repository: str, secrets: Mapping[str, str]) -> dict[str, Signed]:
-    """POST /objects/<account>, for each account that has a secret."""
+    """The posts `/objects/<account>`, one for each account that has a secret."""
     return {
-        f"{OBJECTS_PATH}/{account}": Signed(secret.encode(), _take_objects(gate, repository, account))
+        f"{OBJECTS_PATH}/{account}": Signed(secret.encode(), _receive_objects(gate, repository, account))
         for account, secret in secrets.items()
     }
 
 
-def _take_objects(gate: Gate, repository: str, account: str) -> Post:
-    """200, or 400 with what is wrong."""
+def _receive_objects(gate: Gate, repository: str, account: str) -> Post:
+    """The answer to commit objects of `account`: 200, or 400 with what is wrong."""
 
     def post(body: bytes) -> tuple[int, Mapping[str, Any]]:
         try:
-            gate.hand(account, read_objects(body, repository))
+            gate.add_objects(account, read_objects(body, repository))
         except DocumentError as error:
             return 400, {"problems": error.problems}
         return 200, {}
@@ -257,38 +276,40 @@ def _now() -> str:
 
 def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     """Serve webhooks, health and metrics; run both loops on threads until the process shall end."""
-    found = files.read_settings(files.settings_path(environment), read_configuration)
-    files.send_logs(process, found.log_level)
+    path = files.settings_path(environment)
+    configuration = files.read_settings(path, read_configuration)
+    files.send_logs(process, configuration.log_level)
+    files.warn_of_former_keys(path, configuration.former_keys, NEW_KEYS)
     work = Path(environment.get("ROBOTKUBE_WORK", "/tmp/gate"))  # noqa: S108 - the pod's own volume
-    deployment_schemas, catalogue_schemas = BoundedSchemas(), BoundedSchemas()  # neither loop waits for the other
-    gate = build_gate(found, work, deployment_schemas)
-    publication = build_publication(found, work, gate, catalogue_schemas)
-
-    notes = build_notes(found, work)
+    deployment_schemas = BoundedSchemas()
+    catalogue_schemas = BoundedSchemas()  # one each, so that neither loop waits for the other
+    gate = build_gate(configuration, work, deployment_schemas)
+    publication = build_publication(configuration, work, gate, catalogue_schemas)
+    notes = build_notes(configuration, work)
 
     def wake(delivery: WebhookDelivery) -> None:
         gate.wake(delivery.event, delivery.payload)
         number = (delivery.payload.get("issue") or {}).get("number")
-        if delivery.repository == found.gate.deployment and isinstance(number, int):
+        if delivery.repository == configuration.gate.deployment and isinstance(number, int):
             notes.commented(number)
         publication.wake(delivery.event, delivery.payload)
 
     server = WebServer(
-        found.listen.address,
-        found.listen.port,
+        configuration.listen.address,
+        configuration.listen.port,
         lambda: [*gate.reasons_not_ready(), *publication.reasons_not_ready()],
         MetricsPage(lambda: gate_metrics(gate.statistics), lambda: publication_metrics(publication.statistics)).text,
-        found.webhook_secret.encode(),
+        configuration.webhook_secret.encode(),
         wake,
-        signed=objects_posts(gate, found.gate.deployment, found.proposer_secrets),
+        signed=objects_posts(gate, configuration.gate.deployment, configuration.proposer_secrets),
     )
     server.start()
-    process.log("started", port=server.port, proposers=len(found.gate.proposers))
+    process.log("started", port=server.port, proposers=len(configuration.gate.proposers))
     stopping = threading.Event()
     loops = [threading.Thread(target=loop.run, args=(stopping,), daemon=True) for loop in (gate, publication, notes)]
     for thread in loops:
         thread.start()
-    while all(thread.is_alive() for thread in loops) and not process.stopping.wait(STOP_LOOK_SECONDS):
+    while all(thread.is_alive() for thread in loops) and not process.stopping.wait(STOP_POLL_SECONDS):
         pass
     gate.stop(stopping)
     publication.stop(stopping)
@@ -301,7 +322,7 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
 
 
 def main() -> None:
-    """Run until SIGTERM or the end of the work; exit codes as in `foundation.runtime.process`."""
+    """Run the process until SIGTERM or the end of the work; exit codes as in `foundation.runtime.process`."""
     run("gate", body, grace_seconds=GRACE_SECONDS)
 
 

@@ -1,12 +1,13 @@
-"""`python3 -m robotkube.delivery.manager`: the application manager.
+"""The process of the application manager.
 
-Settings: docs/reference/settings.md. Ends with 0 on SIGTERM, 2 when the settings are wrong, 3 when the API server does
-not answer within a minute of the start. The clones stand below ROBOTKUBE_WORK (default /tmp/manager); they can be lost
-at any time.
+Started by `robotkube-manager` or `python3 -m robotkube.delivery.manager`. Settings: docs/reference/settings.md. Ends
+with 0 on SIGTERM, 2 when the settings are wrong, 3 when the API server does not answer within a minute of the start.
+The clones of the repositories are below ROBOTKUBE_WORK (default /tmp/manager); they can be lost at any time.
 """
 
 from __future__ import annotations
 
+import logging
 import os
 import socket
 import threading
@@ -26,19 +27,13 @@ from robotkube.delivery.manager.loops.explain import Explainer
 from robotkube.delivery.manager.loops.main_reader import MainReader
 from robotkube.delivery.manager.loops.planner import ManagerSettings, Planner
 from robotkube.delivery.manager.loops.proposals.plan_observer import PlanObserver
-from robotkube.delivery.manager.loops.reconciler import (
-    CATALOGUE,
-    DEPLOYMENT,
-    NODES,
-    TASKS,
-    ApplicationManager,
-    ManagerPorts,
-)
+from robotkube.delivery.manager.loops.reconciler import CATALOGUE, DEPLOYMENT, NODES, TASKS, ApplicationManager
+from robotkube.delivery.manager.ports.manager_ports import ManagerPorts
 from robotkube.delivery.manager.scope_settings import read_operators, read_seconds
-from robotkube.delivery.manager.task_gateways import STOP_SECONDS_MAX, BrokerSettings, read_broker, task_door
+from robotkube.delivery.manager.task_gateways import STOP_SECONDS_MAX, BrokerSettings, read_broker, task_gateway
 from robotkube.delivery.manager.telemetry import ManagerTelemetry, read_traces
 from robotkube.delivery.tasks.loops.device_holds import DeviceHolds
-from robotkube.delivery.tasks.loops.mqtt_gateway import MqttTaskGateway, door_metrics
+from robotkube.delivery.tasks.loops.mqtt_gateway import MqttTaskGateway, gateway_metrics
 from robotkube.errors import UnavailableError
 from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
 from robotkube.foundation.documents.core.patterns import CHARTS_URL, HTTP_URL, REPOSITORY, WORD
@@ -61,11 +56,16 @@ from robotkube.registry.evidence.adapters.dsse import TrustedKeys
 GRACE_SECONDS = 5.0
 SYNC_SECONDS_MAX = 60.0
 COMMIT_AUTHOR = "robotkube-manager"
+NEW_KEYS = {"registry": "oci_registry"}
+"""Former key of the settings -> the key of today; former ones are still taken, with a warning."""
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class ManagerConfiguration:
-    """Everything the process needs, secrets included."""
+    """Everything the process needs, secrets included; `former_keys` are the keys of the file that have another name
+    today."""
 
     listen: files.Listen
     log_level: str
@@ -88,16 +88,17 @@ class ManagerConfiguration:
     evidence_keys: Path
     traces: str
     manager: ManagerSettings
+    former_keys: tuple[str, ...] = ()
 
 
 def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ManagerConfiguration:
-    """The settings document of the manager."""
-    keys = ["listen", "log_level", "forge", "registry", "evidence", "argocd", "hook", "webhook"]
+    """Read the settings document of the manager."""
+    keys = ["listen", "log_level", "forge", "oci_registry", "evidence", "argocd", "hook", "webhook"]
     keys += ["agents", "lease", "scope", "operators", "node_lost_seconds"]
-    root = reader.mapping(document, "", keys, ["broker", "traces", "gate", "managers"])
+    root = reader.mapping(_under_new_keys(reader, document), "", keys, ["broker", "traces", "gate", "managers"])
     forge_keys = ["url", "credentials", "deployment", "catalogue", "branch"]
     forge = reader.mapping(root.get("forge") or {}, "forge", forge_keys, ["kind", "api"])
-    registry = reader.mapping(root.get("registry") or {}, "registry", ["charts"])
+    oci_registry = reader.mapping(root.get("oci_registry") or {}, "oci_registry", ["charts"])
     argocd = reader.mapping(root.get("argocd") or {}, "argocd", ["url", "credentials", "namespace", "project"])
     hook = reader.mapping(root.get("hook") or {}, "hook", ["url", "secret"])
     lease = reader.mapping(root.get("lease") or {}, "lease", ["namespace", "name"])
@@ -128,21 +129,36 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ManagerCo
         traces=read_traces(reader, root.get("traces")),
         manager=ManagerSettings(
             agents=agents,
-            charts_url=reader.word(registry.get("charts"), "registry.charts", CHARTS_URL),
+            charts_url=reader.word(oci_registry.get("charts"), "oci_registry.charts", CHARTS_URL),
             operators=read_operators(reader, root, [agent.name for agent in agents]),
             node_lost_seconds=read_seconds(reader, root.get("node_lost_seconds"), "node_lost_seconds"),
         ),
+        former_keys=tuple(key for key in NEW_KEYS if key in document),
     )
 
 
+def warn_of_former_keys(configuration: ManagerConfiguration, path: Path) -> None:
+    """Log each key of the settings file that has another name today."""
+    for key in configuration.former_keys:
+        log.warning("settings have a former key file=%s key=%s new_key=%s", path, key, NEW_KEYS[key])
+
+
+def _under_new_keys(reader: Reader, document: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The document with its former keys under their names of today; having both is a problem."""
+    for key, new_key in NEW_KEYS.items():
+        if key in document and new_key in document:
+            reader.problems.append(f"{key}: is the former name of {new_key}, which is there as well; remove {key}")
+    return {NEW_KEYS.get(key, key): value for key, value in document.items()}
+
+
 def _agents(reader: Reader, value: Any) -> tuple[Agent, ...]:
-    found = []
+    agents = []
     for index, item in enumerate(reader.sequence(value, "agents")):
         path = f"agents[{index}]"
         agent = reader.mapping(item, path, ["name", "role", "namespace", "records"])
-        words = [reader.word(agent.get(key), f"{path}.{key}", WORD) for key in ("name", "role", "namespace")]
-        found.append(Agent(*words))
-    return tuple(found)
+        values = [reader.word(agent.get(key), f"{path}.{key}", WORD) for key in ("name", "role", "namespace")]
+        agents.append(Agent(*values))
+    return tuple(agents)
 
 
 class BackgroundCall:
@@ -164,7 +180,7 @@ class BackgroundCall:
 
 
 def build_manager(
-    found: ManagerConfiguration,
+    configuration: ManagerConfiguration,
     cluster: KubernetesCluster,
     work: Path,
     schemas: BoundedSchemas,
@@ -172,29 +188,32 @@ def build_manager(
     holds: DeviceHolds,
 ) -> ApplicationManager:
     """The manager on its adapters; nothing is asked of the forge yet."""
-    url, account, branch = found.forge.url, found.account, found.branch
+    account = configuration.account
+    branch = configuration.branch
     work.mkdir(parents=True, exist_ok=True)
-    deployment = found.forge.clone(found.deployment, account, work / "deployment", branch)
-    forge = found.forge.pull_requests(found.deployment, account, branch)
-    gate, secret = found.gate_objects_url, found.webhook_secret.encode()
-    hand = ObjectsRelay(gate, secret, found.deployment).hand if gate else None
-    proposals = found.forge.writer(forge, work / "deployment", account, COMMIT_AUTHOR, time.time, branch, hand)
-    clone = found.forge.clone(found.catalogue, account, work / "catalogue", branch)
-    catalogue = AssuredCatalogue(clone, TrustedKeys(found.evidence_keys))
+    deployment = configuration.forge.clone(configuration.deployment, account, work / "deployment", branch)
+    forge = configuration.forge.pull_requests(configuration.deployment, account, branch)
+    secret = configuration.webhook_secret.encode()
+    gate_url = configuration.gate_objects_url
+    send = ObjectsRelay(gate_url, secret, configuration.deployment).send if gate_url else None
+    proposals = configuration.forge.writer(forge, work / "deployment", account, COMMIT_AUTHOR, time.time, branch, send)
+    clone = configuration.forge.clone(configuration.catalogue, account, work / "catalogue", branch)
+    catalogue = AssuredCatalogue(clone, TrustedKeys(configuration.evidence_keys))
     main = MainReader(deployment)
-    hook = SignedPushHook(found.hook_url, found.hook_secret.encode(), f"{url}/{found.deployment}", branch=found.branch)
-    argocd_account = (found.argocd_account.username, found.argocd_account.password)
-    argocd = ArgoCDServer(found.argocd_url, *argocd_account, hook, found.argocd_project)
+    deployment_url = f"{configuration.forge.url}/{configuration.deployment}"
+    hook = SignedPushHook(configuration.hook_url, configuration.hook_secret.encode(), deployment_url, branch=branch)
+    argocd_account = (configuration.argocd_account.username, configuration.argocd_account.password)
+    argocd = ArgoCDServer(configuration.argocd_url, *argocd_account, hook, configuration.argocd_project)
     render = Jinja2Templates().render
-    planner = Planner(found.manager, cluster, cluster, catalogue, main, render, schemas.validate, holds)
+    planner = Planner(configuration.manager, cluster, cluster, catalogue, main, render, schemas.validate, holds)
     observer = PlanObserver(cluster, argocd, BackgroundCall(), time.time_ns, time.monotonic)
-    world = ManagerPorts(cluster, cluster, deployment, proposals, forge, leadership, found.account.username)
-    rest = Sweeper(time.monotonic)
-    return ApplicationManager(world, catalogue, main, planner, observer, time.time_ns, time.monotonic, rest)
+    ports = ManagerPorts(cluster, cluster, deployment, proposals, forge, leadership, account.username)
+    sweeper = Sweeper(time.monotonic)
+    return ApplicationManager(ports, catalogue, main, planner, observer, time.time_ns, time.monotonic, sweeper)
 
 
 class Waker:
-    """Passes on what changed once there is a manager to wake."""
+    """A callable that passes on what changed, once there is a manager to wake."""
 
     def __init__(self) -> None:
         self.manager: ApplicationManager | None = None
@@ -206,38 +225,41 @@ class Waker:
 
 
 def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
-    """Watch, serve webhooks and pages, run the manager's steps until the process shall end."""
-    found = files.read_settings(files.settings_path(environment), read_configuration)
-    files.send_logs(process, found.log_level)
+    """Run the manager's steps beside its watches, webhooks and pages until the process shall end."""
+    path = files.settings_path(environment)
+    configuration = files.read_settings(path, read_configuration)
+    files.send_logs(process, configuration.log_level)
+    warn_of_former_keys(configuration, path)
     kubeconfig = environment.get("KUBECONFIG")
     api = api_client(kubeconfig, in_cluster=kubeconfig is None)
     waker = Waker()
-    scope, home = found.manager.operators.manager, found.lease_namespace
-    cluster = KubernetesCluster(api, found.argocd_namespace, waker, time.time, scope.named_namespaces, home)
+    namespaces = configuration.manager.operators.manager.named_namespaces
+    home = configuration.lease_namespace
+    cluster = KubernetesCluster(api, configuration.argocd_namespace, waker, time.time, namespaces, home)
     work = Path(environment.get("ROBOTKUBE_WORK", "/tmp/manager"))  # noqa: S108 - the pod's own volume
     schemas = BoundedSchemas()
-    election = _election(found, api, waker, environment)
+    election = _election(configuration, api, waker, environment)
     holds = DeviceHolds(time.time_ns, lambda: waker(NODES))
-    manager = build_manager(found, cluster, work, schemas, election, holds)
-    door = _door(found, api, cluster, election, holds)
-    names = [agent.name for agent in found.manager.agents]
-    account = found.account.username
-    telemetry = ManagerTelemetry(manager, cluster, cluster, names, holds, found.traces, account)
+    manager = build_manager(configuration, cluster, work, schemas, election, holds)
+    gateway = _task_gateway(configuration, api, cluster, election, holds)
+    names = [agent.name for agent in configuration.manager.agents]
+    account = configuration.account.username
+    telemetry = ManagerTelemetry(manager, cluster, cluster, names, holds, configuration.traces, account)
     leader = LeaderRequests(election)
-    server = _server(found, manager, cluster, door, telemetry, leader)
+    server = _server(configuration, manager, cluster, gateway, telemetry, leader)
     server.start()
     cluster.start()
     election.start()
-    process.log("started", port=server.port, agents=len(found.manager.agents))
+    process.log("started", port=server.port, agents=len(configuration.manager.agents))
     if not cluster.wait_until_synced(SYNC_SECONDS_MAX):
         raise UnavailableError("; ".join(cluster.complaints()))
     waker.manager = manager
-    if door is not None:
-        door.start()
+    if gateway is not None:
+        gateway.start()
     threading.Thread(target=_stop_with, args=(process, manager), daemon=True).start()
     manager.run(process.stopping)
-    if door is not None:
-        door.stop(STOP_SECONDS_MAX)
+    if gateway is not None:
+        gateway.stop(STOP_SECONDS_MAX)
     election.stop()
     cluster.stop()
     server.stop()
@@ -247,22 +269,29 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
 
 
 def _election(
-    found: ManagerConfiguration, api: ApiClient, waker: Waker, environment: Mapping[str, str]
+    configuration: ManagerConfiguration, api: ApiClient, waker: Waker, environment: Mapping[str, str]
 ) -> LeaseElection:
     """The election between the pods of this manager."""
-    pod, host = environment.get("POD_NAME") or socket.gethostname(), environment.get("POD_IP") or found.listen.address
-    identity = identity_of(pod, host, found.listen.port)
-    lease = (found.lease_namespace, found.lease_name)
+    pod = environment.get("POD_NAME") or socket.gethostname()
+    host = environment.get("POD_IP") or configuration.listen.address
+    identity = identity_of(pod, host, configuration.listen.port)
+    lease = (configuration.lease_namespace, configuration.lease_name)
     return LeaseElection(api, *lease, identity, time.monotonic, lambda: datetime.now(UTC), lambda: waker(TASKS))
 
 
-def _door(
-    found: ManagerConfiguration, api: ApiClient, cluster: KubernetesCluster, leadership: Leadership, holds: DeviceHolds
+def _task_gateway(
+    configuration: ManagerConfiguration,
+    api: ApiClient,
+    cluster: KubernetesCluster,
+    leadership: Leadership,
+    holds: DeviceHolds,
 ) -> MqttTaskGateway | None:
-    """The MQTT door for the agents of this manager's scope, when the settings name a broker."""
-    scope = found.manager.operators.manager
-    operators = {agent.name: agent.namespace for agent in found.manager.agents if scope.covers_agent(agent.name)}
-    return task_door(found.broker, operators, api, cluster, leadership, holds) if found.broker else None
+    """The MQTT task gateway for the agents of this manager's scope; None when the settings name no broker."""
+    scope = configuration.manager.operators.manager
+    agents = [agent for agent in configuration.manager.agents if scope.covers_agent(agent.name)]
+    operators = {agent.name: agent.namespace for agent in agents}
+    broker = configuration.broker
+    return task_gateway(broker, operators, api, cluster, leadership, holds) if broker else None
 
 
 def _stop_with(process: Process, manager: ApplicationManager) -> None:
@@ -270,9 +299,10 @@ def _stop_with(process: Process, manager: ApplicationManager) -> None:
     manager.stop(process.stopping)
 
 
-def news(delivery: WebhookDelivery, catalogue: str) -> tuple[str, str] | None:
-    """What to wake the manager with: what may have changed, and main's new tip when the delivery says it. None for what
-    is no news, such as that a proposal was opened, or that one was merged: the push that did it is told for itself."""
+def changed_by(delivery: WebhookDelivery, catalogue: str) -> tuple[str, str] | None:
+    """The arguments of ApplicationManager.wake for a delivery: what may have changed, and main's new tip when the
+    delivery names it. None when nothing has changed by it, as when a proposal was opened, or merged: the push of the
+    merge has a delivery of its own."""
     moved = delivery.event == "push" and delivery.payload.get("ref") == "refs/heads/main"
     merged = (delivery.payload.get("pull_request") or {}).get("merged") is True
     if not moved and (delivery.payload.get("action") != "closed" or merged):
@@ -282,35 +312,35 @@ def news(delivery: WebhookDelivery, catalogue: str) -> tuple[str, str] | None:
 
 
 def _server(
-    found: ManagerConfiguration,
+    configuration: ManagerConfiguration,
     manager: ApplicationManager,
     cluster: KubernetesCluster,
-    door: MqttTaskGateway | None,
+    gateway: MqttTaskGateway | None,
     telemetry: ManagerTelemetry,
     leader: LeaderRequests,
 ) -> WebServer:
     def deliver(delivery: WebhookDelivery) -> None:
-        if heard := news(delivery, found.catalogue):
-            manager.wake(*heard)
+        if change := changed_by(delivery, configuration.catalogue):
+            manager.wake(*change)
 
     def metrics() -> str:
-        return telemetry.text() + (series_text(door_metrics(door)) if door else "")
+        return telemetry.text() + (series_text(gateway_metrics(gateway)) if gateway else "")
 
     return WebServer(
-        found.listen.address,
-        found.listen.port,
+        configuration.listen.address,
+        configuration.listen.port,
         lambda: [*manager.reasons_not_ready(), *cluster.complaints()],
         metrics,
-        found.webhook_secret.encode(),
+        configuration.webhook_secret.encode(),
         deliver,
         {"/plans": manager.records.as_json, "/catalogue": manager.catalogue_page},
         posts={"/explain": Explainer(manager.what_if, cluster)},
-        elsewhere=leader,
+        forward=leader,
     )
 
 
 def main() -> None:
-    """Run until SIGTERM or the end of the work; exit codes as in `foundation.runtime.process`."""
+    """Run the manager until SIGTERM; exit codes as in `foundation.runtime.process`."""
     run("manager", body, grace_seconds=GRACE_SECONDS)
 
 

@@ -21,10 +21,12 @@ SECONDS_MAX = 86_400
 
 
 def read_operators(reader: Reader, root: Mapping[str, Any], agents: Iterable[str]) -> Operators:
-    """The manager's scope, and those of operators by the namespace of their tasks. What they say together with the
-    declared `agents` and the other managers is a problem as well: such a manager must not begin."""
-    scope, declared = _scope(reader, root.get("scope"), "scope"), _declared(reader, root.get("operators"))
-    managers, names = _managers(reader, root.get("managers")), list(agents)
+    """Read the manager's scope, and those of operators by the namespace of their tasks. Contradictions between them,
+    the declared `agents` and the other managers are problems of the settings: such a manager must not begin."""
+    scope = _scope(reader, root.get("scope"), "scope")
+    declared = _declared(reader, root.get("operators"))
+    managers = _managers(reader, root.get("managers"))
+    names = list(agents)
     if not reader.problems:
         reader.problems += [*overlaps(managers), *(left_out(managers, names) if managers else [])]
         reader.problems += [*split_agents(scope, names), *excesses(scope, declared)]
@@ -32,33 +34,33 @@ def read_operators(reader: Reader, root: Mapping[str, Any], agents: Iterable[str
 
 
 def _scope(reader: Reader, value: Any, path: str) -> Scope:
-    found = reader.mapping(value or {}, path, ["agents", "namespaces", "applications"])
+    scope = reader.mapping(value or {}, path, ["agents", "namespaces", "applications"])
     keys = ("agents", "namespaces", "applications")
-    return Scope(**{key: _names(reader, found.get(key), f"{path}.{key}") for key in keys})
+    return Scope(**{key: _names(reader, scope.get(key), f"{path}.{key}") for key in keys})
 
 
 def _managers(reader: Reader, value: Any) -> list[DeclaredManager]:
-    found = []
+    managers = []
     for index, item in enumerate(reader.sequence(value, "managers")):
         path = f"managers[{index}]"
         manager = reader.mapping(item, path, ["name", "scope"])
         name = reader.word(manager.get("name"), f"{path}.name", WORD)
-        found.append(DeclaredManager(name, _scope(reader, manager.get("scope"), f"{path}.scope")))
-    return found
+        managers.append(DeclaredManager(name, _scope(reader, manager.get("scope"), f"{path}.scope")))
+    return managers
 
 
 def _declared(reader: Reader, value: Any) -> dict[str, dict[str, frozenset[str]]]:
-    found: dict[str, dict[str, frozenset[str]]] = {}
+    declared: dict[str, dict[str, frozenset[str]]] = {}
     for index, item in enumerate(reader.sequence(value, "operators")):
         path = f"operators[{index}]"
         operator = reader.mapping(item, path, ["namespace"], ["agents", "applications"])
         named = [key for key in ("agents", "applications") if key in operator]
         parts = {key: _names(reader, operator[key], f"{path}.{key}") for key in named}
         namespace = reader.word(operator.get("namespace"), f"{path}.namespace", WORD)
-        if namespace in found:
+        if namespace in declared:
             reader.problems.append(f"{path}: operator {namespace!r} is declared twice; remove one")
-        found[namespace] = parts
-    return found
+        declared[namespace] = parts
+    return declared
 
 
 def _names(reader: Reader, value: Any, path: str) -> frozenset[str]:
@@ -66,7 +68,7 @@ def _names(reader: Reader, value: Any, path: str) -> frozenset[str]:
 
 
 def read_seconds(reader: Reader, value: Any, path: str) -> float:
-    """A time above 0, at most SECONDS_MAX."""
+    """Read a time in seconds: above 0, at most SECONDS_MAX."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= SECONDS_MAX:
         reader.problems.append(f"{path}: must be a number of seconds above 0, at most {SECONDS_MAX}")
         return 0.0

@@ -1,4 +1,4 @@
-"""The manager's MQTT door: its settings, and its adapters."""
+"""The manager's MQTT task gateway: its settings, and its adapters."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ STOP_SECONDS_MAX = 2.0
 
 @dataclass(frozen=True)
 class BrokerSettings:
-    """Where the broker is, and the manager's account there."""
+    """The address of the broker, and the manager's account there."""
 
     host: str
     port: int
@@ -34,19 +34,19 @@ class BrokerSettings:
 
 
 def read_broker(reader: Reader, value: Any) -> BrokerSettings | None:
-    """The optional key `broker`; without it there is no MQTT door."""
+    """Read the optional key `broker`; None without it: then there is no MQTT task gateway."""
     if value is None:
         return None
-    found = reader.mapping(value, "broker", ["host", "port", "credentials"])
-    port = found.get("port")
+    broker = reader.mapping(value, "broker", ["host", "port", "credentials"])
+    port = broker.get("port")
     if not isinstance(port, int) or isinstance(port, bool) or not 1 <= port <= files.PORT_MAX:
         reader.problems.append(f"broker.port: must be a whole number from 1 to {files.PORT_MAX}")
         port = 0
-    account = files.credentials(reader, found.get("credentials"), "broker.credentials")
-    return BrokerSettings(reader.word(found.get("host"), "broker.host", WORD), port, account)
+    account = files.credentials(reader, broker.get("credentials"), "broker.credentials")
+    return BrokerSettings(reader.word(broker.get("host"), "broker.host", WORD), port, account)
 
 
-def task_door(
+def task_gateway(
     settings: BrokerSettings,
     operators: Mapping[str, str],
     api: ApiClient,
@@ -54,7 +54,7 @@ def task_door(
     leadership: Leadership,
     holds: DeviceHolds,
 ) -> MqttTaskGateway:
-    """The door for `operators` (name -> namespace of its tasks), not open yet."""
+    """The MQTT task gateway for `operators` (name -> namespace of its tasks); it does not connect before its start."""
     account = settings.account
     session = f"{account.username}-task-door"
     channel = PahoGateway(settings.host, settings.port, account.username, account.password, session)

@@ -19,15 +19,15 @@ from robotkube.foundation.documents.core.reader import Reader
 
 
 def read_traces(reader: Reader, value: Any) -> str:
-    """The collector's address; empty when traces are off."""
+    """Read the collector's address; empty when traces are off."""
     if value is None:
         return ""
-    found: Mapping[str, Any] = reader.mapping(value, "traces", ["endpoint"])
-    return reader.word(found.get("endpoint"), "traces.endpoint", HTTP_URL)
+    traces: Mapping[str, Any] = reader.mapping(value, "traces", ["endpoint"])
+    return reader.word(traces.get("endpoint"), "traces.endpoint", HTTP_URL)
 
 
 class ManagerTelemetry:
-    """Listens to one manager; `text` is the page /metrics, `close` sends the traces that wait."""
+    """The metrics and traces of one manager; `text` is the page /metrics, `close` sends the traces that wait."""
 
     def __init__(
         self,
@@ -45,7 +45,7 @@ class ManagerTelemetry:
             by_label = {node.agent for node in cluster.nodes() if node.hold is not None}
             return len(by_label | {hold.agent for hold in holds()})
 
-        figures = GaugeReader(
+        gauges = GaugeReader(
             store,
             cluster,
             frozenset(agents),
@@ -53,8 +53,9 @@ class ManagerTelemetry:
             holds=held,
             leading=lambda: statistics.term > 0,
         )
-        metrics = PrometheusMetrics(figures.read)
-        self.text, self.close = metrics.text, _nothing
+        metrics = PrometheusMetrics(gauges.read)
+        self.text = metrics.text
+        self.close = _close_nothing
         statistics.listeners = (metrics,)
         if endpoint:
             from robotkube.delivery.manager.adapters.opentelemetry import (
@@ -62,8 +63,9 @@ class ManagerTelemetry:
             )
 
             traces = OpenTelemetryTraces(endpoint, name)
-            statistics.listeners, self.close = (metrics, traces), traces.close
+            statistics.listeners = (metrics, traces)
+            self.close = traces.close
 
 
-def _nothing() -> None:
-    """Without traces nothing waits."""
+def _close_nothing() -> None:
+    """Do nothing: without traces no span waits."""

@@ -23,7 +23,8 @@ AnyForge = GiteaForge | github.GitHubForge | gitlab.GitLabForge
 
 @dataclass(frozen=True)
 class ForgeAddress:
-    """`url` is where Git is spoken; `api` where GitHub's or GitLab's API is when it is not their public one."""
+    """The address of a forge: `url` is where Git is spoken; `api` where GitHub's or GitLab's API is when it is not
+    their public one."""
 
     url: str
     kind: str = GITEA
@@ -31,8 +32,8 @@ class ForgeAddress:
 
     def clone(self, repository: str, account: files.Credentials, folder: Path, branch: str) -> GitClone:
         """A bare clone of `<organisation>/<name>` in `folder`."""
-        name, password = account.username, account.password
-        return GitClone(self.url, repository, name, password, folder, branch=branch, heads=HEADS[self.kind])
+        heads = HEADS[self.kind]
+        return GitClone(self.url, repository, account.username, account.password, folder, branch=branch, heads=heads)
 
     def pull_requests(self, repository: str, account: files.Credentials, branch: str) -> AnyForge:
         """The port Forge for `<organisation>/<name>`; for GitHub and GitLab the password is an access token."""
@@ -50,12 +51,11 @@ class ForgeAddress:
         author: str,
         clock: Callable[[], float],
         branch: str,
-        hand: Callable[[CommitObjects], None] | None = None,
+        send_objects: Callable[[CommitObjects], None] | None = None,
     ) -> ProposalWriter:
         """The port Proposals on the clone in `folder`: by AGit where `forge` supports that, else by branches."""
         opens = None if isinstance(forge, GiteaForge) else forge.open_pull_request
-        name, password = account.username, account.password
-        return ProposalWriter(folder, name, password, author, clock, branch, opens, hand)
+        return ProposalWriter(folder, account.username, account.password, author, clock, branch, opens, send_objects)
 
 
 def read_address(reader: Reader, forge: Mapping[str, object]) -> ForgeAddress:

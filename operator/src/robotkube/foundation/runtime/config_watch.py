@@ -14,21 +14,21 @@ from robotkube.foundation.runtime.process import PodSettings, Process
 if TYPE_CHECKING:
     from robotkube.foundation.kubernetes.adapters.http_client import ConfigMapWatch
 
-Take = Callable[[Mapping[str, str]], None]
+ApplySettings = Callable[[Mapping[str, str]], None]
 
 
 def boot_seconds() -> float:
-    """A clock that goes on while the machine sleeps."""
+    """The seconds since the machine started, those while it slept included."""
     return time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
-def ownership_of(pod: PodSettings) -> Fencing:
+def fencing_of(pod: PodSettings) -> Fencing:
     """The fencing of the process in this pod, as the mounted settings say; nothing is fenced without a ConfigMap."""
     return Fencing(pod.node, pod.movable and pod.config_map is not None, boot_seconds)
 
 
-def follow_settings(process: Process, config_map: str, ownership: Fencing, take: Take) -> ConfigMapWatch:
-    """Watch `<namespace>/<name>` from now on; its data go to `take`, on another thread."""
+def watch_settings(process: Process, config_map: str, fencing: Fencing, apply: ApplySettings) -> ConfigMapWatch:
+    """Watch the ConfigMap `<namespace>/<name>` from now on; its data go to `apply`, on another thread."""
     from robotkube.foundation.kubernetes.adapters.http_client import (
         ApiServer,
         ConfigMapWatch,
@@ -38,30 +38,32 @@ def follow_settings(process: Process, config_map: str, ownership: Fencing, take:
     def failed(sentence: str) -> None:
         process.log("watch interrupted", error=sentence)
 
-    changed = until_removed(process, ownership, take)
+    changed = until_removed(process, fencing, apply)
     api = ApiServer.from_environment(os.environ)
     namespace, name = split_name(config_map)
     watch = ConfigMapWatch(api, namespace, name, changed, failed, boot_seconds)
-    ownership.follow(watch)
+    fencing.watch(watch)
     watch.start()
     return watch
 
 
-def until_removed(process: Process, ownership: Fencing, take: Take) -> Callable[[Mapping[str, str] | None], None]:
-    """The handler of changes of the process's ConfigMap: its data go to `take`; when it was there and is gone, or names
-    another node, the body is asked to return, and the process does nothing more until a signal ends it.
+def until_removed(
+    process: Process, fencing: Fencing, apply: ApplySettings
+) -> Callable[[Mapping[str, str] | None], None]:
+    """The handler of changes of the process's ConfigMap: its data go to `apply`; when it was there and is gone, or
+    names another node, the body is asked to return, and the process does nothing more until a signal ends it.
 
     Then its release was removed. Usually the kubelet says so; on a node that was cut off and is back, this process
     would go on publishing and recording next to its successor elsewhere until the kubelet knows."""
     seen = threading.Event()
 
     def changed(data: Mapping[str, str] | None) -> None:
-        own = ownership.told(data)
+        own = fencing.observe(data)
         if data is not None:
             seen.set()
         if own and data is not None:
-            take(data)
-        elif (seen.is_set() or ownership.lost) and not process.stopping.is_set():
+            apply(data)
+        elif (seen.is_set() or fencing.lost) and not process.stopping.is_set():
             reason = "gone" if data is None else "for another node"
             process.log("removed", reason=f"the ConfigMap of the release is {reason}")
             process.removed.set()

@@ -14,7 +14,8 @@ SWEEP_SECONDS = 60.0
 
 
 class Sweeper:
-    """Called between steps; the first call sweeps, and the first SWEEP_SECONDS after the last that did.
+    """Collector of garbage, called between steps; the first call sweeps, and the first SWEEP_SECONDS after the last
+    that did.
 
     `monotonic` is a clock in seconds that never goes back."""
 

@@ -1,4 +1,4 @@
-"""When a process's own settings were read."""
+"""Ports of a process: when its own settings were read, and what it counts."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from typing import Literal, Protocol
 
 
 class SettingsSource(Protocol):
-    """When a process's own settings were read. Times are seconds of one clock."""
+    """The source of a process's own settings, as far as it says when they were read. Times are seconds of one clock."""
 
     @property
     def read_at(self) -> float | None:
-        """When the last reading began that the API server answered, None before the first. What it brought was
-        reported before this says so."""
+        """The time at which the last reading began that the API server answered, None before the first. What it
+        brought was reported before this says so."""
         ...
 
     @property
     def interrupted_at(self) -> float | None:
-        """Since when the API server is out of reach; None while it answers."""
+        """The time since which the API server is out of reach; None while it answers."""
         ...
 
     def read_again(self) -> None:
-        """Read now; returns at once."""
+        """Read the settings now; returns at once."""
         ...
 
 

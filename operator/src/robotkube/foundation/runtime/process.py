@@ -1,4 +1,4 @@
-"""The frame of every robot process: settings of the pod, log lines, the end on SIGTERM.
+"""The life of every robot process: settings of the pod, log lines, the end on SIGTERM.
 
     def body(process: Process) -> None:
         process.log("started", agent="vehicle-00")
@@ -33,12 +33,15 @@ from robotkube.errors import InputError, UnavailableError
 from robotkube.foundation.runtime.loops.fencing import MOVABLE, NODE, is_movable
 
 LINGER_SECONDS_MAX = 600.0
-EXIT_DONE, EXIT_FAILED, EXIT_USAGE, EXIT_UNREACHABLE = 0, 1, 2, 3
+EXIT_DONE = 0
+EXIT_FAILED = 1
+EXIT_USAGE = 2
+EXIT_UNREACHABLE = 3
 
 
 @dataclass(frozen=True)
 class PodSettings:
-    """Places of a robot pod's inputs (see docs/reference/contracts.md); every path can be moved by a variable.
+    """The places of a robot pod's inputs (see docs/reference/contracts.md); every path can be moved by a variable.
     `node` is the one it runs on, `placed_node` the one its release names, empty when it names none."""
 
     config_file: Path
@@ -74,7 +77,7 @@ class PodSettings:
 
 
 def read_text(path: Path, what: str) -> str:
-    """A file's text; InputError names the file and what it is for."""
+    """The text of a file; InputError names the file and what it is for."""
     try:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -82,20 +85,20 @@ def read_text(path: Path, what: str) -> str:
 
 
 def read_secret(folder: Path, key: str) -> str:
-    """One key of a mounted Secret without a newline at its end; InputError names the file."""
+    """The value of one key of a mounted Secret without a newline at its end; InputError names the file."""
     return read_text(folder / key, f"key {key} of the mounted Secret").rstrip("\n")
 
 
 @dataclass
 class Process:
     """A running process: its name, its log and whether it shall end. `removed`: its release is gone, so that it must do
-    nothing any more, but not come back either; `told` when a signal asked it to end."""
+    nothing any more, but not come back either; `signalled`: a signal asked it to end."""
 
     name: str
     grace_seconds: float
     stopping: threading.Event = field(default_factory=threading.Event)
     removed: threading.Event = field(default_factory=threading.Event)
-    told: threading.Event = field(default_factory=threading.Event)
+    signalled: threading.Event = field(default_factory=threading.Event)
 
     def log(self, event: str, **fields: Any) -> None:
         """Write one canonical line to stderr: key=value on a terminal, JSON elsewhere."""
@@ -109,7 +112,7 @@ class Process:
 
 
 def write_line(fields: Mapping[str, Any]) -> None:
-    """One log line to stderr."""
+    """Write one log line to stderr."""
     if sys.stderr.isatty():
         line = " ".join(f"{key}={_plain(value)}" for key, value in fields.items())
     else:
@@ -133,7 +136,7 @@ def run(name: str, body: Callable[[Process], None], grace_seconds: float) -> NoR
     process = Process(name, grace_seconds)
 
     def handle(signal_number: int, frame: FrameType | None) -> None:
-        process.told.set()
+        process.signalled.set()
         process.stop()
 
     signal.signal(signal.SIGTERM, handle)
@@ -141,7 +144,8 @@ def run(name: str, body: Callable[[Process], None], grace_seconds: float) -> NoR
     code = _outcome(process, body)
     if process.removed.is_set():
         faulthandler.cancel_dump_traceback_later()
-        process.told.wait(LINGER_SECONDS_MAX)  # ended now, the kubelet would start it again from the mounted settings
+        # Ended now, the kubelet would start it again from the mounted settings.
+        process.signalled.wait(LINGER_SECONDS_MAX)
     sys.stderr.flush()
     sys.stdout.flush()
     os._exit(code)  # not sys.exit: the middleware's clean-up at the interpreter's end may hang

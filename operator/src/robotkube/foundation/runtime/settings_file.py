@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -22,6 +22,8 @@ from robotkube.foundation.runtime.process import Process, read_secret, read_text
 LOG_LEVELS = ("debug", "info", "warning", "error")
 PATH = re.compile(r"/[^\0]*")
 PORT_MAX = 65535
+
+log = logging.getLogger(__name__)
 
 _FIELD = re.compile(r" ([a-z_]+)=('(?:[^'\\]|\\.)*'|\"(?:[^\"\\]|\\.)*\"|\S+)")
 T = TypeVar("T")
@@ -62,14 +64,29 @@ def read_settings(path: Path, read: Callable[[Reader, Mapping[str, Any]], T]) ->
     return settings
 
 
+def under_new_keys(reader: Reader, document: Mapping[str, Any], new_keys: Mapping[str, str]) -> Mapping[str, Any]:
+    """The document with its former keys under their new names (`new_keys`: former key -> new key). Having both is a
+    problem."""
+    for key, new_key in new_keys.items():
+        if key in document and new_key in document:
+            reader.problems.append(f"{key}: is the former name of {new_key}, which is there as well; remove {key}")
+    return {new_keys.get(key, key): value for key, value in document.items()}
+
+
+def warn_of_former_keys(path: Path, former_keys: Iterable[str], new_keys: Mapping[str, str]) -> None:
+    """Log each former key of the settings file at `path`, with its new name."""
+    for key in former_keys:
+        log.warning("settings have a former key file=%s key=%s new_key=%s", path, key, new_keys[key])
+
+
 def credentials(reader: Reader, value: Any, path: str) -> Credentials:
-    """Account in the folder that `value` names."""
+    """The account in the folder that `value` names."""
     folder = reader.word(value, path, PATH)
     return Credentials(_secret(reader, folder, "username", path), _secret(reader, folder, "password", path))
 
 
 def secret(reader: Reader, value: Any, path: str) -> str:
-    """Content of the secret file that `value` names."""
+    """The content of the secret file that `value` names."""
     place = Path(reader.word(value, path, PATH))
     return _secret(reader, str(place.parent), place.name, path)
 
@@ -106,7 +123,7 @@ def log_level(reader: Reader, value: Any, path: str = "log_level") -> str:
 
 
 def agent_namespaces(reader: Reader, value: Any, path: str = "agents") -> frozenset[str]:
-    """Namespaces of the declared agents."""
+    """The namespaces of the declared agents."""
     namespaces = set()
     for index, item in enumerate(reader.sequence(value, path)):
         agent = reader.mapping(item, f"{path}[{index}]", ["name", "role", "namespace", "records"])

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from robotkube.errors import DocumentError, InputError
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.foundation.runtime.adapters.health_server import HealthServer
-from robotkube.foundation.runtime.config_watch import follow_settings, ownership_of
+from robotkube.foundation.runtime.config_watch import fencing_of, watch_settings
 from robotkube.foundation.runtime.loops.fencing import Fencing
 from robotkube.foundation.runtime.process import PodSettings, Process, read_secret, read_text, run
 from robotkube.robots.bridge.core.settings import BULK, check_agent, read_bridge_settings
@@ -46,7 +46,7 @@ def body(process: Process) -> None:
         return channels[name]
 
     sender = SendingSession(session, time.time_ns, definition_of, trace)
-    fencing = ownership_of(pod)
+    fencing = fencing_of(pod)
     bridge = Bridge(RosNode(NODE_NAME), channel, sender, process.log, fencing)
     settings = SettingsWatch(bridge, process, fencing)
     HealthServer(ready=lambda: settings.complaint, metrics=settings.metrics, port=pod.health_port).start()
@@ -110,11 +110,11 @@ class SettingsWatch:
             if KEY in data:
                 self._changes.append((data[KEY], where))
 
-        follow_settings(self._process, config_map, self._fencing, changed)
+        watch_settings(self._process, config_map, self._fencing, changed)
 
     def apply_changes(self) -> None:
         """Apply the changes that the watch reported, then let the bridge send if it may, on the loop's thread."""
-        held = not self._fencing.sure  # read first: what made it sure is among the changes by then
+        held = self._fencing.fenced  # read first: what lifted it is among the changes by then
         while self._changes:
             self.apply(*self._changes.popleft())
         self._bridge.hold(held)

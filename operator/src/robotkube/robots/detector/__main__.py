@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 from robotkube.errors import InputError, RobotKubeError
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.foundation.runtime.adapters.health_server import HealthServer
-from robotkube.foundation.runtime.config_watch import follow_settings, ownership_of
+from robotkube.foundation.runtime.config_watch import fencing_of, watch_settings
 from robotkube.foundation.runtime.process import PodSettings, Process, read_text, run
 from robotkube.robots.detector import wiring
 from robotkube.robots.detector.adapters.expression_checks import CachedExpressionCheck
@@ -94,7 +94,7 @@ class DetectorProcess:
     def __init__(self, process: Process, pod: PodSettings) -> None:
         self._process = process
         self._pod = pod
-        self._fencing = ownership_of(pod)
+        self._fencing = fencing_of(pod)
         self._node = RosNode("event_detector")
         self._ros = RosTopics(self._node)
         self._broker: Broker | None = None
@@ -188,7 +188,7 @@ class DetectorProcess:
             if CONFIG_KEY in data:
                 self._change(data[CONFIG_KEY])
 
-        return follow_settings(self._process, self._pod.config_map, self._fencing, receive)
+        return watch_settings(self._process, self._pod.config_map, self._fencing, receive)
 
     def receive(self) -> None:
         """Run the detector's turns until the process shall end."""

@@ -13,7 +13,7 @@ from typing import Any, Protocol, TypeVar
 from robotkube.errors import DocumentError
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.foundation.runtime.adapters.health_server import HealthServer
-from robotkube.foundation.runtime.config_watch import follow_settings, ownership_of
+from robotkube.foundation.runtime.config_watch import fencing_of, watch_settings
 from robotkube.foundation.runtime.process import PodSettings, Process, read_text
 from robotkube.robots.perception.loops.service import Log, MessageProcessor
 from robotkube.robots.ros.adapters.rclpy_node import RosNode
@@ -52,7 +52,7 @@ def serve(
     )
     service = make(RosNode(node), process.log)
     processor = service.processor
-    fencing = ownership_of(pod)
+    fencing = fencing_of(pod)
     HealthServer(
         ready=lambda: processor.complaint,
         metrics=lambda: processor.metrics() + fencing.metrics(),
@@ -61,14 +61,14 @@ def serve(
     service.configure(settings)
     changes: deque[str] = deque(maxlen=1)
     if pod.config_map is not None:
-        follow_settings(process, pod.config_map, fencing, lambda data: _note(changes, data))
+        watch_settings(process, pod.config_map, fencing, lambda data: _note(changes, data))
     process.log("ready", complaint=processor.complaint)
     gc.freeze()
     while not process.stopping.wait(PERIOD_SECONDS):
-        sure = fencing.sure  # read first: what made it sure is among the changes by then
+        fenced = fencing.fenced  # read first: what lifted it is among the changes by then
         if changes:
             _apply(process, service, read, changes.popleft())
-        if sure:
+        if not fenced:
             processor.turn()
     processor.close()
 

@@ -49,9 +49,9 @@ def application(services: Sequence[Mapping[str, Any]], *links: tuple[str, str]) 
 
 
 def catalogue(*files: tuple[str, str]) -> Catalogue:
-    found = read_catalogue({"policies/release.yaml": "assurance: none\n", **dict([chart("worker"), *files])})
-    assert found.problems == ()
-    return found
+    read = read_catalogue({"policies/release.yaml": "assurance: none\n", **dict([chart("worker"), *files])})
+    assert read.problems == ()
+    return read
 
 
 AGENTS = [Agent(f"edge-{i}", "edge", f"edge-{i}") for i in range(3)] + [Agent("cloud-0", "cloud", "cloud-0")]
@@ -62,13 +62,13 @@ NODES = [
 
 
 def composed(
-    found: Catalogue,
+    applications: Catalogue,
     present: Mapping[str, Release] | None = None,
     nodes: Sequence[NodeState] = NODES,
     **parameters: Any,
 ) -> Composition:
     return compose(
-        [Demand("d", "app", parameters)], Inputs(found, fleet(AGENTS, nodes), present or {}, RENDER, validate)
+        [Demand("d", "app", parameters)], Inputs(applications, fleet(AGENTS, nodes), present or {}, RENDER, validate)
     )
 
 
@@ -130,13 +130,13 @@ def test_a_group_follows_a_named_agent() -> None:
 
 def test_a_group_stays_where_most_of_it_runs() -> None:
     services = [service("a"), service("b"), service("c")]
-    found = catalogue(application(services, ("a", "b"), ("b", "c")))
+    applications = catalogue(application(services, ("a", "b"), ("b", "c")))
     present = {
         f"releases/{namespace}/{name}.yaml": Release(namespace, name, "worker", "0.1.0", "sha256:" + "0" * 64, {})
         for name, namespace in (("a", "edge-0"), ("b", "edge-2"), ("c", "edge-2"))
     }
     away = [replace(node, ready=node.name != "edge-2") for node in NODES]
-    assert set(places(composed(found, present, away)).values()) == {"edge-2"}
+    assert set(places(composed(applications, present, away)).values()) == {"edge-2"}
 
 
 def test_pairs_of_a_loop_have_a_node_each() -> None:
@@ -145,8 +145,8 @@ def test_pairs_of_a_loop_have_a_node_each() -> None:
         {**service("a", {"agent": "{{ agent_name }}"}), **loop, "release": "a-{{ agent_name }}"},
         {**service("b"), **loop, "release": "b-{{ agent_name }}"},
     ]
-    found = places(composed(catalogue(application(services, ("a", "b"))), agents=["edge-2", "edge-1"]))
-    assert found == {"a-edge-1": "edge-1", "b-edge-1": "edge-1", "a-edge-2": "edge-2", "b-edge-2": "edge-2"}
+    placed = places(composed(catalogue(application(services, ("a", "b"))), agents=["edge-2", "edge-1"]))
+    assert placed == {"a-edge-1": "edge-1", "b-edge-1": "edge-1", "a-edge-2": "edge-2", "b-edge-2": "edge-2"}
     alone = [services[0], service("b")]
     outcome = refused(composed(catalogue(application(alone, ("a", "b"))), agents=["edge-2", "edge-1"]))
     assert "a names edge-2, a names edge-1" in outcome.message

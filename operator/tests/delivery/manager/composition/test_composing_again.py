@@ -21,16 +21,16 @@ from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templ
 from robotkube.foundation.documents.adapters.json_schema import validate
 from robotkube.registry.catalogue.core.guarantees import GuaranteeRequirement
 from robotkube.testing.synthetic import Synthetic, demands, synthetic
-from tests.stages.delivery.placement import ONE, application, catalogue, chart, demand, task, world
+from tests.stages.delivery.placement import ONE, application, catalogue, chart, demand, inputs, task
 
 RENDER = Jinja2Templates().render
-SMALL = synthetic(RENDER, validate, charts=7, versions=3, nodes=24, standing=6)
+SMALL = synthetic(RENDER, validate, charts=7, versions=3, nodes=24, task_count=6)
 STEPS = 25
 
 
 @dataclass
 class History:
-    """A world to which random things happen."""
+    """Inputs of composition to which random things happen."""
 
     chance: random.Random
     tasks: dict[str, TaskDescription] = field(default_factory=lambda: dict(SMALL.tasks))
@@ -42,10 +42,10 @@ class History:
     now_ns: int = 0
     made: int = 0
 
-    def world(self) -> Inputs:
+    def inputs(self) -> Inputs:
         machines = fleet(SMALL.agents, list(self.nodes.values()), self.now_ns)
-        found = replace(SMALL.inputs(RENDER, validate, self.present), fleet=machines)
-        return replace(found, others=self.others, pins=dict(self.pins), withheld=dict(self.withheld))
+        composed = replace(SMALL.inputs(RENDER, validate, self.present), fleet=machines)
+        return replace(composed, others=self.others, pins=dict(self.pins), withheld=dict(self.withheld))
 
     def demands(self) -> list[Demand]:
         return [replace(d, roles=("cloud",)) if d.key.endswith("3") else d for d in demands(list(self.tasks.values()))]
@@ -122,13 +122,13 @@ class History:
 def test_what_is_remembered_changes_nothing(seed: int, kept_max: int) -> None:
     history, memo = History(random.Random(seed)), Memo(kept_max)  # noqa: S311 - a case is named by its number
     for _ in range(STEPS):
-        asked, world = history.demands(), history.world()
-        found = compose(asked, world, memo)
-        assert found == compose(asked, world)
+        asked, given = history.demands(), history.inputs()
+        composition = compose(asked, given, memo)
+        assert composition == compose(asked, given)
         if history.chance.random() < 0.3 and asked:  # a trial, as conflicts are settled by them
             trial = [d for d in asked if history.chance.random() < 0.8]
-            assert compose(trial, world, memo) == compose(trial, world)
-        history.happen(found)
+            assert compose(trial, given, memo) == compose(trial, given)
+        history.happen(composition)
 
 
 def test_histories_meet_and_refuse_for_many_reasons() -> None:
@@ -136,9 +136,9 @@ def test_histories_meet_and_refuse_for_many_reasons() -> None:
     for seed in range(12):
         history = History(random.Random(seed))  # noqa: S311
         for _ in range(STEPS):
-            found = compose(history.demands(), history.world())
-            reasons |= {"Met" if isinstance(o, Met) else o.reason for o in found.outcomes.values()}
-            history.happen(found)
+            composition = compose(history.demands(), history.inputs())
+            reasons |= {"Met" if isinstance(o, Met) else o.reason for o in composition.outcomes.values()}
+            history.happen(composition)
     assert reasons >= {"Met", "NoCapableNode", "GuaranteeNotMet"}
 
 
@@ -173,7 +173,7 @@ def test_states_of_prefixes_are_bounded() -> None:
 
 def test_values_of_a_release_are_checked_again_when_they_have_changed() -> None:
     schema = {"type": "object", "properties": {"x": {"type": "integer"}}}
-    selector = Memo().index(world(schema=lambda chart, version: schema)).selector
+    selector = Memo().index(inputs(schema=lambda chart, version: schema)).selector
     worker = selector.catalogue.charts["worker"][0]
     selector.check_values(worker, {"x": 1}, "edge-0/a")
     selector.check_values(worker, {"x": 1}, "edge-0/a")
@@ -192,22 +192,22 @@ def test_composing_the_same_again_expands_nothing(monkeypatch: pytest.MonkeyPatc
 @pytest.mark.parametrize("version", ["0.2.0", "0.1.0"])
 def test_what_has_come_to_main_keeps_the_version_that_main_has(version: str) -> None:
     memo, asked = Memo(), [demand(task())]
-    inputs = world(catalogue(application(ONE), chart(version="0.2.0")))
-    composed = compose(asked, inputs, memo)
+    given = inputs(catalogue(application(ONE), chart(version="0.2.0")))
+    composed = compose(asked, given, memo)
     key = next(release.key for release in composed.releases.values())
-    merged = replace(inputs, present=composed.releases, pins={key: ("worker", version)})
+    merged = replace(given, present=composed.releases, pins={key: ("worker", version)})
     again = compose(asked, merged, memo)
     assert again == compose(asked, merged)
     assert [release.version for release in again.releases.values()] == [version]
 
 
-def test_a_large_world_is_answered_the_same_again_and_again() -> None:
-    world: Synthetic = synthetic(RENDER, validate, charts=10, versions=2, nodes=120, standing=130)
-    memo, standing = Memo(), list(world.tasks.values())
-    scene: Any = world.inputs(RENDER, validate)
+def test_large_inputs_are_answered_the_same_again_and_again() -> None:
+    case: Synthetic = synthetic(RENDER, validate, charts=10, versions=2, nodes=120, task_count=130)
+    memo, standing = Memo(), list(case.tasks.values())
+    given: Any = case.inputs(RENDER, validate)
     for number in (1, 2, 3):
-        asked = demands([*standing, world.new_task(number)])
-        assert compose(asked, scene, memo) == compose(asked, scene)
+        asked = demands([*standing, case.new_task(number)])
+        assert compose(asked, given, memo) == compose(asked, given)
     fewer = demands([*standing[:100], *standing[101:]])
-    assert compose(fewer, scene, memo) == compose(fewer, scene)
-    assert compose([], scene, memo) == Composition({}, {})
+    assert compose(fewer, given, memo) == compose(fewer, given)
+    assert compose([], given, memo) == Composition({}, {})

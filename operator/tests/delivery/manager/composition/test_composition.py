@@ -63,7 +63,7 @@ def make_fleet(vehicles: int = 3, clouds: int = 1, **changes: Any) -> Fleet:
 def task(
     name: str = "meeting", vehicles: Sequence[str] = ("vehicle-00", "vehicle-01"), **changes: Any
 ) -> TaskDescription:
-    found = TaskDescription(
+    description = TaskDescription(
         "cloud-0",
         name,
         1,
@@ -76,11 +76,11 @@ def task(
         "pose-point-cloud-recording",
         {"vehicles": list(vehicles)},
     )
-    return replace(found, **changes)
+    return replace(description, **changes)
 
 
-def demand(found: TaskDescription) -> Demand:
-    return Demand(found.key, found.application, found.parameters, task=found)
+def demand(description: TaskDescription) -> Demand:
+    return Demand(description.key, description.application, description.parameters, task=description)
 
 
 def compute(
@@ -200,16 +200,16 @@ def test_equal_tasks_share_a_recorder() -> None:
     assert read_tree(two).releases[recorder].values == read_tree(one).releases[recorder].values
 
 
-def outcome_of(found: TaskDescription, **options: Any) -> Refused:
-    desired = compute([found], **options)
-    outcome = desired.outcomes[found.key]
+def outcome_of(description: TaskDescription, **options: Any) -> Refused:
+    desired = compute([description], **options)
+    outcome = desired.outcomes[description.key]
     assert isinstance(outcome, Refused)
     assert desired.releases == compute(**options).releases  # a refused demand leaves no trace
     return outcome
 
 
 @pytest.mark.parametrize(
-    ("found", "options", "reason", "text"),
+    ("description", "options", "reason", "text"),
     [
         (task(application="nothing"), {}, "UnknownApplication", "'nothing'"),
         (task(parameters={}), {}, "InvalidParameters", "'vehicles' is a required property"),
@@ -222,8 +222,8 @@ def outcome_of(found: TaskDescription, **options: Any) -> Refused:
         (task(), {"catalogue": WITHDRAWN}, "NoVerifiedVersion", "state withdrawn"),
     ],
 )  # fmt: skip
-def test_refusals(found: TaskDescription, options: dict[str, Any], reason: str, text: str) -> None:
-    outcome = outcome_of(found, **options)
+def test_refusals(description: TaskDescription, options: dict[str, Any], reason: str, text: str) -> None:
+    outcome = outcome_of(description, **options)
     assert outcome.reason == reason
     assert text in outcome.message
 
@@ -328,7 +328,7 @@ def test_any_history_ends_where_its_last_demands_lead(history: list[dict[str, li
     options = {"on": make_fleet(4, 2)}
     files: dict[str, str] = {}
     for step in history:
-        files = settle([task(name, found) for name, found in step.items()], files, **options)
+        files = settle([task(name, listed) for name, listed in step.items()], files, **options)
         for release in read_tree(files).releases.values():
             topics = [t["name"] for d in ("in", "out") for t in release.values.get("bridge", {}).get(d, [])]
             assert len(topics) == len(set(topics))
@@ -338,9 +338,9 @@ def test_any_history_ends_where_its_last_demands_lead(history: list[dict[str, li
 
 @given(task_sets, st.randoms(use_true_random=False))
 def test_the_order_of_tasks_decides_whose_words_stand_in_a_shared_release_and_nothing_else(
-    found: dict[str, list[str]], random: Any
+    vehicles_by_task: dict[str, list[str]], random: Any
 ) -> None:
-    tasks = [task(name, listed) for name, listed in found.items()]
+    tasks = [task(name, listed) for name, listed in vehicles_by_task.items()]
     shuffled = list(tasks)
     random.shuffle(shuffled)
     first, second = compute(tasks, on=make_fleet(4)), compute(shuffled, on=make_fleet(4))
@@ -348,4 +348,4 @@ def test_the_order_of_tasks_decides_whose_words_stand_in_a_shared_release_and_no
     assert {p: r.values.get("bridge") for p, r in first.releases.items()} == {
         p: r.values.get("bridge") for p, r in second.releases.items()
     }
-    assert all(isinstance(second.outcomes[found.key], Met) for found in tasks)
+    assert all(isinstance(second.outcomes[vehicles_by_task.key], Met) for vehicles_by_task in tasks)

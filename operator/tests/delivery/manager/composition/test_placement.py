@@ -12,7 +12,7 @@ from robotkube.delivery.manager.core.composition.composer import compose
 from robotkube.delivery.manager.core.composition.release_merge import merged_release
 from robotkube.delivery.manager.core.placement.capacity import Resources
 from robotkube.delivery.manager.core.placement.placement import Agent, NodeState, fleet, next_loss_ns
-from robotkube.delivery.manager.core.plans import differences, lost_words
+from robotkube.delivery.manager.core.plans import differences, lost_node_text
 from robotkube.delivery.tasks.core.task_description import TaskPlacement
 from tests.stages.delivery.placement import (
     NODES,
@@ -24,20 +24,20 @@ from tests.stages.delivery.placement import (
     catalogue,
     choices,
     demand,
+    inputs,
     places,
     refusal,
     several,
     task,
-    world,
 )
 
 # -- room -------------------------------------------------------------------------------------------------------------
 
 
 def test_a_node_takes_what_fits_and_the_rest_is_refused_with_every_reason() -> None:
-    found = compose(several(7), world())
-    assert sorted(r.namespace for r in found.releases.values()) == sorted(["edge-0", "edge-1", "edge-2"] * 2)
-    outcome = refusal(found, "ops/t6")
+    composition = compose(several(7), inputs())
+    assert sorted(r.namespace for r in composition.releases.values()) == sorted(["edge-0", "edge-1", "edge-2"] * 2)
+    outcome = refusal(composition, "ops/t6")
     assert outcome.reason == "InsufficientResources"
     assert "no agent for role edge has room: edge-0: has not enough room: cpu 500m of 0m free;" in outcome.message
     assert outcome.message.endswith("ask for less, or withdraw something that runs there")
@@ -45,25 +45,25 @@ def test_a_node_takes_what_fits_and_the_rest_is_refused_with_every_reason() -> N
 
 def test_memory_counts_as_well_and_nobody_knows_of_a_node_without_numbers() -> None:
     small = [replace(node, allocatable=Resources(4000, 300 * 2**20)) for node in NODES]
-    found = compose(several(4), world(nodes=small))
-    assert refusal(found, "ops/t3").message.count("memory 256Mi of 44Mi free") == 3
+    composition = compose(several(4), inputs(nodes=small))
+    assert refusal(composition, "ops/t3").message.count("memory 256Mi of 44Mi free") == 3
     unknown = [replace(node, allocatable=None) for node in NODES]
-    assert len(places(compose(several(40), world(nodes=unknown)))) == 40
+    assert len(places(compose(several(40), inputs(nodes=unknown)))) == 40
 
 
 def test_releases_of_others_take_room() -> None:
-    mine = compose(several(6), world()).releases
-    found = compose([demand(task())], world(others=mine))
-    assert refusal(found).reason == "InsufficientResources"
-    assert found.releases == {}
+    mine = compose(several(6), inputs()).releases
+    composition = compose([demand(task())], inputs(others=mine))
+    assert refusal(composition).reason == "InsufficientResources"
+    assert composition.releases == {}
     unknown = {path: replace(release, chart="stranger") for path, release in mine.items()}
-    assert places(compose([demand(task())], world(others=unknown))) == {"a-t": "edge-0"}
+    assert places(compose([demand(task())], inputs(others=unknown))) == {"a-t": "edge-0"}
 
 
 def test_what_runs_keeps_its_place_before_anything_new_even_when_there_is_too_little_room() -> None:
-    before = compose(several(6), world())
+    before = compose(several(6), inputs())
     small = [replace(node, allocatable=Resources(400, 2**30)) for node in NODES]
-    after = compose([*several(6), demand(task())], world(nodes=small, present=before.releases))
+    after = compose([*several(6), demand(task())], inputs(nodes=small, present=before.releases))
     assert after.releases == before.releases
     assert refusal(after).reason == "InsufficientResources"
 
@@ -71,25 +71,25 @@ def test_what_runs_keeps_its_place_before_anything_new_even_when_there_is_too_li
 def test_a_group_needs_room_for_all_of_it_on_one_node() -> None:
     linked = [{"kind": "ros", "from": {"service": "a"}, "to": {"service": "b"}}]
     pair = catalogue(application(ONE, {**ONE, "name": "b", "release": "b-{{ task.name }}"}, links=linked))
-    found = compose(several(4), world(pair))
-    assert {r.name: r.namespace for r in found.releases.values()} == {
+    composition = compose(several(4), inputs(pair))
+    assert {r.name: r.namespace for r in composition.releases.values()} == {
         f"{letter}-t{number}": f"edge-{number}" for number in range(3) for letter in "ab"
     }
-    assert "(a, b: on one node, linked by ros) has room" in refusal(found, "ops/t3").message
+    assert "(a, b: on one node, linked by ros) has room" in refusal(composition, "ops/t3").message
 
 
 def test_a_pod_must_fit_on_one_of_the_nodes_of_an_agent() -> None:
     twins = [replace(NODES[0], name=f"n{i}", allocatable=Resources(600, 2**30)) for i in range(2)]
-    found = compose(several(3), world(nodes=twins))
-    assert places(replace(found, outcomes={})) == {"a-t0": "edge-0", "a-t1": "edge-0"}
+    composition = compose(several(3), inputs(nodes=twins))
+    assert places(replace(composition, outcomes={})) == {"a-t0": "edge-0", "a-t1": "edge-0"}
     thin = [replace(node, allocatable=Resources(400, 2**30)) for node in twins]
-    message = refusal(compose([demand(task())], world(nodes=thin))).message
+    message = refusal(compose([demand(task())], inputs(nodes=thin))).message
     assert "edge-0 (Node n0): has not enough room: cpu 500m of 400m free" in message
 
 
 def test_a_named_agent_needs_room_too_and_so_does_its_bridge() -> None:
     named = catalogue(application({**ONE, "placement": {"agent": "edge-1"}}))
-    outcome = refusal(compose(several(3), world(named)), "ops/t2")
+    outcome = refusal(compose(several(3), inputs(named)), "ops/t2")
     assert outcome.reason == "InsufficientResources"
     assert "edge-1: has not enough room" in outcome.message
     topic = {
@@ -106,11 +106,11 @@ def test_a_named_agent_needs_room_too_and_so_does_its_bridge() -> None:
     )
     linked = catalogue(application(ONE, links=[link]), bridge)
     full = [replace(node, allocatable=Resources(900, 2**30)) for node in NODES]
-    found = compose([demand(task())], world(linked, full))
-    assert refusal(found).reason == "InsufficientResources"
-    assert "edge-0 has no room for its bridge (cpu 500m of 400m free)" in refusal(found).message
-    assert found.releases == {}
-    assert places(compose([demand(task())], world(linked)))["bridge"] in ("cloud-0", "edge-0")
+    composition = compose([demand(task())], inputs(linked, full))
+    assert refusal(composition).reason == "InsufficientResources"
+    assert "edge-0 has no room for its bridge (cpu 500m of 400m free)" in refusal(composition).message
+    assert composition.releases == {}
+    assert places(compose([demand(task())], inputs(linked)))["bridge"] in ("cloud-0", "edge-0")
 
 
 # -- what a task says -------------------------------------------------------------------------------------------------
@@ -128,75 +128,75 @@ def test_a_named_agent_needs_room_too_and_so_does_its_bridge() -> None:
     ],
 )  # fmt: skip
 def test_a_task_narrows_the_rule_and_never_widens_it(placement: TaskPlacement, agent: str, text: str) -> None:
-    found = compose([demand(task(placement=placement))], world())
+    composition = compose([demand(task(placement=placement))], inputs())
     if agent:
-        assert places(found) == {"a-t": agent}
+        assert places(composition) == {"a-t": agent}
     else:
-        assert refusal(found).reason == "NoCapableNode"
-        assert text in refusal(found).message
+        assert refusal(composition).reason == "NoCapableNode"
+        assert text in refusal(composition).message
 
 
 def test_a_demand_that_is_offloaded_goes_to_other_roles_with_the_same_capabilities() -> None:
-    assert places(compose([demand(task(), roles=("cloud",))], world())) == {"a-t": "cloud-0"}
+    assert places(compose([demand(task(), roles=("cloud",))], inputs())) == {"a-t": "cloud-0"}
     needs = catalogue(application({**ONE, "placement": {"role": "edge", "capabilities": ["gpu"]}}))
     bare = [replace(node, capabilities=frozenset()) for node in NODES]
-    found = compose([demand(task(), roles=("cloud",))], world(needs, bare))
-    assert "one of the roles cloud capability gpu: cloud-0: lacks capability gpu" in refusal(found).message
+    composition = compose([demand(task(), roles=("cloud",))], inputs(needs, bare))
+    assert "one of the roles cloud capability gpu: cloud-0: lacks capability gpu" in refusal(composition).message
 
 
 def test_tasks_keep_away_from_others_in_both_directions() -> None:
     first, away = task("t0"), task("t1", placement=TaskPlacement(agents=("edge-0", "edge-1"), anti_affinity=("t0",)))
-    assert places(compose([demand(first), demand(away)], world())) == {"a-t0": "edge-0", "a-t1": "edge-1"}
+    assert places(compose([demand(first), demand(away)], inputs())) == {"a-t0": "edge-0", "a-t1": "edge-1"}
     late = task("t0", placement=TaskPlacement(agents=("edge-0",)))
     backward = compose(
-        [demand(replace(away, placement=replace(away.placement, agents=("edge-0",)))), demand(late)], world()
+        [demand(replace(away, placement=replace(away.placement, agents=("edge-0",)))), demand(late)], inputs()
     )
     assert "edge-0: runs what keeps away from ops/t0" in refusal(backward, "ops/t0").message
     only = replace(away, placement=TaskPlacement(agents=("edge-0",), anti_affinity=("a-t0",)))
     assert (
         "edge-0: runs a-t0, which the task keeps away from"
-        in refusal(compose([demand(first), demand(only)], world()), "ops/t1").message
+        in refusal(compose([demand(first), demand(only)], inputs()), "ops/t1").message
     )
-    taken = compose([demand(first)], world()).releases
-    assert refusal(compose([demand(only)], world(others=taken)), "ops/t1").reason == "NoCapableNode"
+    taken = compose([demand(first)], inputs()).releases
+    assert refusal(compose([demand(only)], inputs(others=taken)), "ops/t1").reason == "NoCapableNode"
 
 
 def test_instances_of_a_service_are_spread_where_the_application_asks_for_it() -> None:
     spread = catalogue(application({**ONE, "placement": {"role": "edge", "spread": True}}))
-    found = compose(several(4), world(spread))
-    assert sorted(r.namespace for r in found.releases.values()) == ["edge-0", "edge-1", "edge-2"]
-    assert refusal(found, "ops/t3").reason == "NoCapableNode"
-    assert "edge-1: runs another instance, and instances are spread" in refusal(found, "ops/t3").message
+    composition = compose(several(4), inputs(spread))
+    assert sorted(r.namespace for r in composition.releases.values()) == ["edge-0", "edge-1", "edge-2"]
+    assert refusal(composition, "ops/t3").reason == "NoCapableNode"
+    assert "edge-1: runs another instance, and instances are spread" in refusal(composition, "ops/t3").message
 
 
 # -- nodes that go ----------------------------------------------------------------------------------------------------
 
 
 def test_a_service_leaves_a_lost_node_and_the_commit_says_why() -> None:
-    before = compose([demand(task())], world()).releases
+    before = compose([demand(task())], inputs()).releases
     gone = [replace(NODES[0], ready=False, not_ready_since=0, silent_since=0), *NODES[1:]]
-    waiting = world(nodes=gone, now=40, present=before)
+    waiting = inputs(nodes=gone, now=40, present=before)
     assert compose([demand(task())], waiting).releases == before
     assert next_loss_ns(gone, 40.0, 30 * SECOND) == 40 * SECOND + 1
-    lost = world(nodes=gone, now=41, present=before)
+    lost = inputs(nodes=gone, now=41, present=before)
     after = compose([demand(task())], lost)
     assert places(after) == {"a-t": "edge-1"}
     assert "edge-0: its Node is lost: edge-0" in choices(after)
     changes = differences(after.releases, before)
-    assert lost_words(changes, lost.fleet, 41 * SECOND) == "node edge-0 lost for 41 s: a-t moved to edge-1"
+    assert lost_node_text(changes, lost.fleet, 41 * SECOND) == "node edge-0 lost for 41 s: a-t moved to edge-1"
     assert next_loss_ns(gone, 40.0, 41 * SECOND) is None
-    back = world(present=after.releases)
+    back = inputs(present=after.releases)
     assert compose([demand(task())], back).releases == after.releases  # it does not move again
-    assert lost_words(differences(after.releases, before), back.fleet, 0) == ""
+    assert lost_node_text(differences(after.releases, before), back.fleet, 0) == ""
 
 
 def test_a_service_whose_node_was_deleted_moves_at_once() -> None:
-    before = compose([demand(task())], world()).releases
-    without = world(nodes=NODES[1:], present=before)
+    before = compose([demand(task())], inputs()).releases
+    without = inputs(nodes=NODES[1:], present=before)
     after = compose([demand(task())], without)
     assert places(after) == {"a-t": "edge-1"}
     assert (
-        lost_words(differences(after.releases, before), without.fleet, 0)
+        lost_node_text(differences(after.releases, before), without.fleet, 0)
         == "agent edge-0 has no node: a-t moved to edge-1"
     )
 
@@ -204,29 +204,29 @@ def test_a_service_whose_node_was_deleted_moves_at_once() -> None:
 def test_bound_services_wait_for_their_agent_and_others_when_nobody_else_can_take_them() -> None:
     lost = [replace(node, ready=False, not_ready_since=0) for node in NODES]
     named = catalogue(application({**ONE, "placement": {"agent": "edge-1"}}))
-    assert places(compose([demand(task())], world(named, lost, now=99))) == {"a-t": "edge-1"}
-    before = compose([demand(task())], world()).releases
-    stays = compose([demand(task())], world(nodes=lost, now=99, present=before))
+    assert places(compose([demand(task())], inputs(named, lost, now=99))) == {"a-t": "edge-1"}
+    before = compose([demand(task())], inputs()).releases
+    stays = compose([demand(task())], inputs(nodes=lost, now=99, present=before))
     assert stays.releases == before
     assert "edge-0: its Node is lost, and nobody else can take it: it waits" in choices(stays)
-    elsewhere = compose([demand(task(conflict_policy="Offload"))], world(nodes=lost, now=99, present=before))
+    elsewhere = compose([demand(task(conflict_policy="Offload"))], inputs(nodes=lost, now=99, present=before))
     assert refusal(elsewhere).reason == "NoCapableNode"
-    assert refusal(compose([demand(task())], world(nodes=lost, now=99))).reason == "NoCapableNode"
+    assert refusal(compose([demand(task())], inputs(nodes=lost, now=99))).reason == "NoCapableNode"
 
 
 def test_a_cordoned_node_keeps_what_it_has_and_takes_nothing_new() -> None:
-    before = compose([demand(task())], world()).releases
+    before = compose([demand(task())], inputs()).releases
     cordoned = [replace(NODES[0], cordoned=True), *NODES[1:]]
-    found = compose([demand(task()), demand(task("u"))], world(nodes=cordoned, present=before))
-    assert places(found) == {"a-t": "edge-0", "a-u": "edge-1"}
+    composition = compose([demand(task()), demand(task("u"))], inputs(nodes=cordoned, present=before))
+    assert places(composition) == {"a-t": "edge-0", "a-u": "edge-1"}
 
 
 def test_one_of_two_nodes_is_enough_for_an_agent() -> None:
     twins = [replace(NODES[0], name="old", ready=False, not_ready_since=0), replace(NODES[0], name="new")]
-    found = world(nodes=twins, now=99)
-    assert places(compose([demand(task())], found)) == {"a-t": "edge-0"}
-    assert found.fleet.loss("edge-0", 99 * SECOND) == ""
-    assert found.fleet.capacities["edge-0"].total == ROOM  # a lost node gives no room
+    one_lost = inputs(nodes=twins, now=99)
+    assert places(compose([demand(task())], one_lost)) == {"a-t": "edge-0"}
+    assert one_lost.fleet.loss("edge-0", 99 * SECOND) == ""
+    assert one_lost.fleet.capacities["edge-0"].total == ROOM  # a lost node gives no room
 
 
 # -- values and shared releases ---------------------------------------------------------------------------------------
@@ -239,14 +239,16 @@ def test_values_that_break_the_charts_schema_are_refused_before_anything_is_writ
         "additionalProperties": False,
         "properties": {"rate": {"type": "number"}, "placement": {}, "global": {}},
     }
-    found = compose([demand(task())], world(catalogue(application(service)), schema=lambda chart, version: schema))
-    assert refusal(found).reason == "CompositionFailed"
+    composition = compose(
+        [demand(task())], inputs(catalogue(application(service)), schema=lambda chart, version: schema)
+    )
+    assert refusal(composition).reason == "CompositionFailed"
     assert (
         "chart worker 0.1.0: values: Additional properties are not allowed ('odd' was unexpected)"
-        in refusal(found).message
+        in refusal(composition).message
     )
-    assert "values.rate: 't' is not of type 'number'" in refusal(found).message
-    assert found.releases == {}
+    assert "values.rate: 't' is not of type 'number'" in refusal(composition).message
+    assert composition.releases == {}
 
 
 def test_without_a_schema_nothing_verified_is_written() -> None:
@@ -254,24 +256,24 @@ def test_without_a_schema_nothing_verified_is_written() -> None:
         PLAIN.charts["worker"][0], state="verified", evidence="sha256:" + "e" * 64, assured=True, evidence_problem=""
     )
     strict = replace(PLAIN, charts={"worker": (version,)}, assurance="verified")
-    found = compose([demand(task())], world(strict, schema=lambda chart, version: None))
+    composition = compose([demand(task())], inputs(strict, schema=lambda chart, version: None))
     assert (
         "has no charts/worker/0.1.0.schema.json to check the values by; submit the chart again"
-        in refusal(found).message
+        in refusal(composition).message
     )
-    assert places(compose([demand(task())], world(schema=lambda chart, version: None))) == {"a-t": "edge-0"}
+    assert places(compose([demand(task())], inputs(schema=lambda chart, version: None))) == {"a-t": "edge-0"}
 
 
 def test_demands_share_a_release_by_uniting_the_lists_that_may_be_united() -> None:
     shared = {**ONE, "release": "shared", "values": {"topics": ["{{ task.name }}", "both"], "depth": 1}}
     two = several(2)
-    found = compose(two, world(catalogue(application({**shared, "unite": ["topics"]}))))
-    release = next(iter(found.releases.values()))
-    assert len(found.releases) == 1
+    composition = compose(two, inputs(catalogue(application({**shared, "unite": ["topics"]}))))
+    release = next(iter(composition.releases.values()))
+    assert len(composition.releases) == 1
     assert release.values["topics"] == ["both", "t0", "t1"]
     assert [cause.task for cause in release.causes] == ["ops/t0", "ops/t1"]
     apart = catalogue(application({**shared, "placement": {"agent": "edge-0"}}))
-    outcome = refusal(compose([demand(task("t0")), demand(task("t1"))], world(apart)), "ops/t1")
+    outcome = refusal(compose([demand(task("t0")), demand(task("t1"))], inputs(apart)), "ops/t1")
     assert outcome.reason == "ReleaseInUse"
     assert outcome.message == "release edge-0/shared is made by ops/t0 with other content"
 
@@ -290,8 +292,8 @@ def test_demands_share_a_release_by_uniting_the_lists_that_may_be_united() -> No
 def test_what_can_be_united(first: dict[str, Any], second: dict[str, Any], both: dict[str, Any] | None) -> None:
     one, two = (Release("n", "r", "c", "0.1.0", "d", values) for values in (first, second))
     for left, right in ((one, two), (two, one)):
-        found = merged_release(left, right, ["a.x"])
-        assert (found and found.values) == both
+        merged = merged_release(left, right, ["a.x"])
+        assert (merged and merged.values) == both
     assert merged_release(one, replace(two, version="0.2.0"), ["a.x"]) is None
     assert merged_release(one, two, []) is None
 
@@ -299,9 +301,9 @@ def test_what_can_be_united(first: dict[str, Any], second: dict[str, Any], both:
 def test_a_release_that_is_shared_asks_for_room_once() -> None:
     shared = {**ONE, "release": "shared", "values": {"topics": ["{{ task.name }}"]}, "unite": ["topics"]}
     wanted = several(9)
-    found = compose(wanted, world(catalogue(application(shared))))
-    assert places(found) == {"shared": "edge-0"}
-    assert len(next(iter(found.releases.values())).values["topics"]) == 9
+    composition = compose(wanted, inputs(catalogue(application(shared))))
+    assert places(composition) == {"shared": "edge-0"}
+    assert len(next(iter(composition.releases.values())).values["topics"]) == 9
 
 
 # -- many -------------------------------------------------------------------------------------------------------------
@@ -312,7 +314,7 @@ def test_the_reasons_of_many_candidates_are_counted() -> None:
     nodes = [
         NodeState(a.name, a.name, a.role, frozenset(), i % 2 == 0, allocatable=ROOM) for i, a in enumerate(agents[:900])
     ]
-    crowd = replace(world(), fleet=fleet(agents, nodes))
+    crowd = replace(inputs(), fleet=fleet(agents, nodes))
     text = "; ".join(choices(compose([demand(task())], crowd)))
     assert "449 agents (edge-0002, edge-0004, edge-0006, edge-0008, edge-0010, ...): possible" in text
     assert (
@@ -328,5 +330,5 @@ def test_the_reasons_of_many_candidates_are_counted() -> None:
 
 def test_release_files_of_others_are_never_composed() -> None:
     stranger = Release("edge-0", "stranger", "worker", "0.1.0", "sha256:" + "0" * 64, {})
-    found = compose([demand(task())], world(others={stranger.path: stranger}))
-    assert places(found) == {"a-t": "edge-1"}  # the emptiest
+    composition = compose([demand(task())], inputs(others={stranger.path: stranger}))
+    assert places(composition) == {"a-t": "edge-1"}  # the emptiest

@@ -61,8 +61,8 @@ def test_a_subset_covers_nothing_else(one: Scope, other: Scope) -> None:
 
 
 @given(st.lists(scopes, max_size=4))
-def test_managers_overlap_when_two_cover_one_name(found: list[Scope]) -> None:
-    managers = [DeclaredManager(f"m-{index}", scope) for index, scope in enumerate(found)]
+def test_managers_overlap_when_two_cover_one_name(scopes: list[Scope]) -> None:
+    managers = [DeclaredManager(f"m-{index}", scope) for index, scope in enumerate(scopes)]
     pairs = [(one, other) for index, one in enumerate(managers) for other in managers[index + 1 :]]
     shared = [
         (one.name, other.name, key)
@@ -95,8 +95,8 @@ def test_an_agent_and_its_namespace_have_one_manager() -> None:
 
 def test_an_operator_is_its_managers_and_never_more_than_it() -> None:
     assert excesses(ROAD, {"rsu-0": {"agents": frozenset({"rsu-0"}), "applications": EVERYTHING}}) == []
-    found = excesses(ROAD, {"v-0": {"agents": frozenset({"v-0", "rsu-0"})}, "rsu-0": {"agents": EVERYTHING}})
-    assert [problem.partition(":")[0] for problem in found] == [
+    problems = excesses(ROAD, {"v-0": {"agents": frozenset({"v-0", "rsu-0"})}, "rsu-0": {"agents": EVERYTHING}})
+    assert [problem.partition(":")[0] for problem in problems] == [
         "operator 'v-0' is not in scope.namespaces",
         "operator 'v-0' has v-0 in agents, more than its manager's scope.agents",
         "operator 'rsu-0' has * in agents, more than its manager's scope.agents",
@@ -114,14 +114,14 @@ def test_an_operator_in_a_chain_never_has_more_than_those_before_it(
 
 
 def test_an_agent_of_another_scope_is_refused_by_name() -> None:
-    found = scoped_fleet(fleet(AGENTS, NODES), ROAD)
-    assert found.agent("rsu-0").name == "rsu-0"
-    assert found.present("vehicle") == ()
+    scoped = scoped_fleet(fleet(AGENTS, NODES), ROAD)
+    assert scoped.agent("rsu-0").name == "rsu-0"
+    assert scoped.present("vehicle") == ()
     with pytest.raises(RefusalError, match="agent 'v-0' belongs to another scope; this one holds rsu-0") as caught:
-        found.agent("v-0")
+        scoped.agent("v-0")
     assert caught.value.reason == "OutsideScope"
     with pytest.raises(RefusalError) as caught:
-        found.agent("nobody")
+        scoped.agent("nobody")
     assert caught.value.reason == "NoCapableNode"
 
 

@@ -17,10 +17,10 @@ from tests.stages.delivery.placement import (
     chart,
     choices,
     demand,
+    inputs,
     places,
     refusal,
     task,
-    world,
 )
 
 # -- platforms and versions -------------------------------------------------------------------------------------------
@@ -30,11 +30,11 @@ ARM = {"platforms": ["linux/arm64"]}
 
 def test_a_chart_runs_on_nodes_of_its_platforms_only() -> None:
     mixed = [replace(node, platform="linux/arm64" if node.name == "edge-0" else "linux/amd64") for node in NODES]
-    found = compose([demand(task())], world(nodes=mixed))
-    assert places(found) == {"a-t": "edge-1"}
-    assert "edge-0: is linux/arm64, the chart runs on linux/amd64" in choices(found)
+    composition = compose([demand(task())], inputs(nodes=mixed))
+    assert places(composition) == {"a-t": "edge-1"}
+    assert "edge-0: is linux/arm64, the chart runs on linux/amd64" in choices(composition)
     foreign = [replace(node, platform="linux/arm64") for node in NODES]
-    outcome = refusal(compose([demand(task())], world(nodes=foreign)))
+    outcome = refusal(compose([demand(task())], inputs(nodes=foreign)))
     assert outcome.reason == "NoVerifiedVersion"
     assert "worker 0.1.0 (staged): runs on linux/amd64, the nodes are linux/arm64" in outcome.message
 
@@ -42,16 +42,16 @@ def test_a_chart_runs_on_nodes_of_its_platforms_only() -> None:
 def test_the_highest_version_that_runs_there_is_taken() -> None:
     both = catalogue(application(ONE), chart(version="0.2.0", **ARM))
     amd = [replace(node, platform="linux/amd64") for node in NODES]
-    found = compose([demand(task())], world(both, amd))
-    assert next(iter(found.releases.values())).version == "0.1.0"
-    assert "worker 0.2.0 (staged): runs on linux/arm64, the nodes are linux/amd64" in choices(found)
+    composition = compose([demand(task())], inputs(both, amd))
+    assert next(iter(composition.releases.values())).version == "0.1.0"
+    assert "worker 0.2.0 (staged): runs on linux/arm64, the nodes are linux/amd64" in choices(composition)
 
 
 def test_a_pinned_release_keeps_its_version_while_it_may() -> None:
     both = catalogue(application(ONE), chart(version="0.2.0"))
-    before = compose([demand(task())], world()).releases
+    before = compose([demand(task())], inputs()).releases
     pins = {"edge-0/a-t": ("worker", "0.1.0")}
-    kept = compose([demand(task())], world(both, present=before, pins=pins))
+    kept = compose([demand(task())], inputs(both, present=before, pins=pins))
     assert kept.releases == before
     assert "worker 0.1.0 (staged): kept: the release runs it" in choices(kept)
     assert "worker 0.2.0 (staged): possible; the release keeps its version" in choices(kept)
@@ -61,17 +61,17 @@ def test_a_pinned_release_keeps_its_version_while_it_may() -> None:
             "worker": tuple(replace(c, state="withdrawn") if c.version == "0.1.0" else c for c in both.charts["worker"])
         },
     )
-    moved = compose([demand(task())], world(gone, present=before, pins=pins))
+    moved = compose([demand(task())], inputs(gone, present=before, pins=pins))
     assert next(iter(moved.releases.values())).version == "0.2.0"
 
 
 def test_a_withheld_version_is_taken_by_nobody_who_is_not_pinned_to_it() -> None:
     both = catalogue(application(ONE), chart(version="0.2.0"))
     withheld = {("worker", "0.2.0"): "it failed on edge-1"}
-    found = compose([demand(task())], world(both, withheld=withheld))
-    assert next(iter(found.releases.values())).version == "0.1.0"
-    assert "worker 0.2.0 (staged): it failed on edge-1" in choices(found)
-    pinned = world(both, withheld=withheld, present=found.releases, pins={"edge-0/a-t": ("worker", "0.2.0")})
+    composition = compose([demand(task())], inputs(both, withheld=withheld))
+    assert next(iter(composition.releases.values())).version == "0.1.0"
+    assert "worker 0.2.0 (staged): it failed on edge-1" in choices(composition)
+    pinned = inputs(both, withheld=withheld, present=composition.releases, pins={"edge-0/a-t": ("worker", "0.2.0")})
     assert next(iter(compose([demand(task())], pinned).releases.values())).version == "0.2.0"
 
 
@@ -102,25 +102,25 @@ def provided(*requirements: GuaranteeRequirement, **more: Any) -> Demand:
 
 
 def test_the_application_with_the_highest_version_that_satisfies_everything_answers() -> None:
-    found = compose([provided()], world(SEEING))
-    outcome = found.outcomes["ops/t"]
+    composition = compose([provided()], inputs(SEEING))
+    outcome = composition.outcomes["ops/t"]
     assert isinstance(outcome, Met)
     assert outcome.application == "see-slow"
     assert outcome.choices[0] == "application see-slow: taken, it provides perception/detection"
-    release = next(iter(found.releases.values()))
+    release = next(iter(composition.releases.values()))
     assert [cause.application for cause in release.causes] == ["see-slow"]
-    strict = compose([provided(wants("delay", 20, "ms"))], world(SEEING))
+    strict = compose([provided(wants("delay", 20, "ms"))], inputs(SEEING))
     assert next(iter(strict.releases.values())).chart == "fast"
     assert any(text.startswith("application see-slow: GuaranteeNotMet") for text in choices(strict))
-    strictest = compose([provided(wants("delay", 7, "ms"))], world(SEEING))
+    strictest = compose([provided(wants("delay", 7, "ms"))], inputs(SEEING))
     assert next(iter(strictest.releases.values())).version == "0.1.0"
 
 
 def test_the_application_that_answers_already_stays() -> None:
     fast = catalogue(see("fast"), delayed("fast", "0.1.0", 5))
-    before = compose([provided()], world(fast)).releases
-    found = compose([provided()], world(SEEING, present=before))
-    assert {release.chart for release in found.releases.values()} == {"fast"}
+    before = compose([provided()], inputs(fast)).releases
+    composition = compose([provided()], inputs(SEEING, present=before))
+    assert {release.chart for release in composition.releases.values()} == {"fast"}
 
 
 @pytest.mark.parametrize(
@@ -132,6 +132,6 @@ def test_the_application_that_answers_already_stays() -> None:
     ],
 )  # fmt: skip
 def test_what_nobody_provides_is_refused(wanted: Demand, reason: str, text: str) -> None:
-    outcome = refusal(compose([wanted], world(SEEING)))
+    outcome = refusal(compose([wanted], inputs(SEEING)))
     assert outcome.reason == reason
     assert text in outcome.message

@@ -23,7 +23,7 @@ releases = st.builds(
     st.sampled_from([f"sha256:{digit * 64}" for digit in "01"]),
     st.just({}),
 )
-by_path = st.lists(releases, max_size=5).map(lambda found: {release.path: release for release in found})
+by_path = st.lists(releases, max_size=5).map(lambda drawn: {release.path: release for release in drawn})
 urls = st.sampled_from([CHARTS, "oci://elsewhere.example/verified"])
 others = st.lists(st.tuples(releases, urls), max_size=3)
 
@@ -32,8 +32,8 @@ def source(release: Release, url: str) -> Source:
     return Source(release.namespace, release.chart, release.digest, f"{url}/{release.chart}")
 
 
-def needed(found: Mapping[str, Release]) -> dict[str, str]:
-    sources = [source_of((r.namespace, r.chart, r.digest), CHARTS) for r in found.values()]
+def needed(releases: Mapping[str, Release]) -> dict[str, str]:
+    sources = [source_of((r.namespace, r.chart, r.digest), CHARTS) for r in releases.values()]
     return {one.path: write_source(one) for one in sources}
 
 

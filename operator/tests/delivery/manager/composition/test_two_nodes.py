@@ -13,7 +13,7 @@ from robotkube.delivery.deployment.core.releases import Release
 from robotkube.delivery.manager.core.composition.composer import Composition, Demand, Inputs, Memo, Met, compose
 from robotkube.delivery.manager.core.placement.capacity import Resources
 from robotkube.delivery.manager.core.placement.placement import NodeState, fleet
-from robotkube.delivery.manager.core.plans import differences, lost_words
+from robotkube.delivery.manager.core.plans import differences, lost_node_text
 from robotkube.foundation.documents.adapters.json_schema import validate
 from tests.stages.delivery.placement import (
     AGENTS,
@@ -25,11 +25,11 @@ from tests.stages.delivery.placement import (
     catalogue,
     chart,
     demand,
+    inputs,
     places,
     refusal,
     several,
     task,
-    world,
 )
 
 ROOM = Resources(1000, 2**30)
@@ -71,30 +71,30 @@ def placements(desired: Composition) -> dict[str, Mapping[str, Any]]:
 
 
 def nodes_of(desired: Composition) -> dict[str, str]:
-    return {name: found.get("node", "") for name, found in placements(desired).items()}
+    return {name: placement.get("node", "") for name, placement in placements(desired).items()}
 
 
 def spots(desired: Composition) -> dict[str, tuple[Any, Any]]:
-    found = {release.path: release.values["placement"] for release in desired.releases.values()}
-    return {path: (placed["agent"], placed.get("node")) for path, placed in found.items()}
+    by_path = {release.path: release.values["placement"] for release in desired.releases.values()}
+    return {path: (placed["agent"], placed.get("node")) for path, placed in by_path.items()}
 
 
 def test_with_one_node_no_node_is_named() -> None:
-    found = placements(compose([demand(task())], world(LINKED)))
-    assert found == {"a-t": {"agent": "edge-0", "movable": True}, "b-t": {"agent": "edge-0", "movable": True}}
-    bound = placements(compose([demand(task())], world(catalogue(application(BOUND)))))
+    composition = placements(compose([demand(task())], inputs(LINKED)))
+    assert composition == {"a-t": {"agent": "edge-0", "movable": True}, "b-t": {"agent": "edge-0", "movable": True}}
+    bound = placements(compose([demand(task())], inputs(catalogue(application(BOUND)))))
     assert bound == {"a-t": {"agent": "edge-0"}}
 
 
 def test_a_group_is_on_one_node_and_the_next_one_where_there_is_room() -> None:
-    found = placements(compose(several(2), world(LINKED, TWO)))
-    assert {name: (p["agent"], p["node"]) for name, p in found.items()} == {
+    composition = placements(compose(several(2), inputs(LINKED, TWO)))
+    assert {name: (p["agent"], p["node"]) for name, p in composition.items()} == {
         "a-t0": ("edge-0", "n1"),
         "b-t0": ("edge-0", "n1"),
         "a-t1": ("edge-0", "n2"),
         "b-t1": ("edge-0", "n2"),
     }
-    third = refusal(compose(several(3), world(LINKED, TWO)), "ops/t2")
+    third = refusal(compose(several(3), inputs(LINKED, TWO)), "ops/t2")
     assert third.reason == "InsufficientResources"
     assert "edge-0 (Node n1): has not enough room: cpu 1000m of 0m free" in third.message
     assert "edge-0 (Node n2): has not enough room" in third.message
@@ -102,57 +102,57 @@ def test_a_group_is_on_one_node_and_the_next_one_where_there_is_room() -> None:
 
 def test_a_group_must_fit_on_one_node_although_both_together_have_room() -> None:
     thin = [replace(node, allocatable=Resources(600, 2**30)) for node in TWO]
-    assert refusal(compose([demand(task())], world(LINKED, thin))).reason == "InsufficientResources"
-    assert len(places(compose([demand(task())], world(catalogue(application(*PAIR)), thin)))) == 2
+    assert refusal(compose([demand(task())], inputs(LINKED, thin))).reason == "InsufficientResources"
+    assert len(places(compose([demand(task())], inputs(catalogue(application(*PAIR)), thin)))) == 2
 
 
 def test_a_capability_is_that_of_a_node() -> None:
     able = [TWO[0], replace(TWO[1], capabilities=frozenset({"disk"}))]
     services = [PAIR[0], {**PAIR[1], "placement": {"role": "edge", "capabilities": ["disk"]}}]
-    found = compose([demand(task())], world(catalogue(application(*services, links=[ROS])), able))
-    assert nodes_of(found) == {"a-t": "n2", "b-t": "n2"}
+    composition = compose([demand(task())], inputs(catalogue(application(*services, links=[ROS])), able))
+    assert nodes_of(composition) == {"a-t": "n2", "b-t": "n2"}
 
 
 def test_what_runs_stays_when_nodes_come_and_go_that_it_is_not_on() -> None:
-    first = compose([demand(task())], world(LINKED, [TWO[1]]))
+    first = compose([demand(task())], inputs(LINKED, [TWO[1]]))
     assert nodes_of(first) == {"a-t": "", "b-t": ""}
     joined = [replace(TWO[0], created=5), TWO[1]]  # the Node that was there before is the older one
-    second = compose([demand(task())], world(LINKED, joined, present=standing(first)))
+    second = compose([demand(task())], inputs(LINKED, joined, present=standing(first)))
     assert nodes_of(second) == {"a-t": "n2", "b-t": "n2"}
     cordoned = [joined[0], replace(joined[1], cordoned=True)]
-    assert compose([demand(task())], world(LINKED, cordoned, present=standing(second))).releases == second.releases
-    alone = compose([demand(task())], world(LINKED, [TWO[1]], present=standing(second)))
+    assert compose([demand(task())], inputs(LINKED, cordoned, present=standing(second))).releases == second.releases
+    alone = compose([demand(task())], inputs(LINKED, [TWO[1]], present=standing(second)))
     assert alone.releases == second.releases  # no pod is started anew because the other Node is gone
 
 
 @pytest.mark.parametrize("gone", [False, True])
 def test_a_lost_node_of_two_gives_its_services_to_the_other_one(gone: bool) -> None:
     others = [node for node in NODES if node.agent != "edge-0"]
-    first = compose([demand(task())], world(LINKED, [*TWO, *others]))
+    first = compose([demand(task())], inputs(LINKED, [*TWO, *others]))
     assert set(nodes_of(first).values()) == {"n1"}
     left = [TWO[1], *others] if gone else [lost(TWO[0]), TWO[1], *others]
-    around = world(LINKED, left, now=50, present=standing(first))
+    around = inputs(LINKED, left, now=50, present=standing(first))
     second = compose([demand(task())], around)
     assert places(second) == {"a-t": "edge-0", "b-t": "edge-0"}
     assert set(nodes_of(second).values()) == {"" if gone else "n2"}
-    words = lost_words(differences(second.releases, standing(first)), around.fleet, 50 * SECOND)
+    words = lost_node_text(differences(second.releases, standing(first)), around.fleet, 50 * SECOND)
     why, where = ("agent edge-0 has no node n1", "its other node") if gone else ("node n1 lost for 50 s", "node n2")
     assert words == f"{why}: a-t moved to {where}, b-t moved to {where}"
     anew = [replace(TWO[0], created=60 if gone else 1), TWO[1]]
-    back = compose([demand(task())], world(LINKED, [*anew, *others], present=standing(second)))
+    back = compose([demand(task())], inputs(LINKED, [*anew, *others], present=standing(second)))
     assert set(nodes_of(back).values()) == {"n2"}
 
 
 def test_what_is_bound_moves_to_the_other_node_of_its_agent_and_stays_there() -> None:
-    found = catalogue(application(BOUND, links=[TO_CLOUD]), BRIDGE)
+    known = catalogue(application(BOUND, links=[TO_CLOUD]), BRIDGE)
     cloud = [node for node in NODES if node.agent == "cloud-0"]
-    first = compose([demand(task())], world(found, [*TWO, *cloud]))
+    first = compose([demand(task())], inputs(known, [*TWO, *cloud]))
     assert nodes_of(first) == {"a-t": "n1", "mqtt-bridge-n1": "n1", "mqtt-bridge": ""}
-    second = compose([demand(task())], world(found, [lost(TWO[0]), TWO[1], *cloud], 50, present=standing(first)))
+    second = compose([demand(task())], inputs(known, [lost(TWO[0]), TWO[1], *cloud], 50, present=standing(first)))
     assert nodes_of(second) == {"a-t": "n2", "mqtt-bridge-n2": "n2", "mqtt-bridge": ""}
-    third = compose([demand(task())], world(found, [*TWO, *cloud], present=standing(second)))
+    third = compose([demand(task())], inputs(known, [*TWO, *cloud], present=standing(second)))
     assert third.releases == second.releases
-    waiting = compose([demand(task())], world(found, [*map(lost, TWO), *cloud], 50, present=standing(second)))
+    waiting = compose([demand(task())], inputs(known, [*map(lost, TWO), *cloud], 50, present=standing(second)))
     assert waiting.releases == second.releases
 
 
@@ -160,11 +160,11 @@ TO_CLOUD = {"kind": "mqtt", "from": {"service": "a"}, "to": {"role": "cloud"}, "
 
 
 def test_the_bridge_is_on_the_node_of_whom_it_serves() -> None:
-    found = catalogue(
+    known = catalogue(
         application({**PAIR[0], "placement": {"role": "edge", "capabilities": ["disk"]}}, links=[TO_SERVICE]), BRIDGE
     )
     able = [TWO[0], replace(TWO[1], capabilities=frozenset({"disk"}))]
-    desired = compose([demand(task())], world(found, [replace(node, allocatable=None) for node in able]))
+    desired = compose([demand(task())], inputs(known, [replace(node, allocatable=None) for node in able]))
     assert nodes_of(desired) == {"a-t": "n2", "mqtt-bridge-n1": "n1", "mqtt-bridge-n2": "n2"}
     bridges = {release.name: release.values["bridge"] for release in desired.releases.values() if release.name != "a-t"}
     assert bridges == {
@@ -177,8 +177,8 @@ def test_the_bridge_is_on_the_node_of_whom_it_serves() -> None:
 
 def test_names_of_bridges_stay_short() -> None:
     far = replace(TWO[0], name="ip-10-0-0-1.somewhere.compute.internal")
-    found = catalogue(application(BOUND, links=[TO_CLOUD]), BRIDGE)
-    desired = compose([demand(task())], world(found, [far, TWO[1], NODES[-1]]))
+    known = catalogue(application(BOUND, links=[TO_CLOUD]), BRIDGE)
+    desired = compose([demand(task())], inputs(known, [far, TWO[1], NODES[-1]]))
     (name,) = [name for name, node in nodes_of(desired).items() if node == far.name and name != "a-t"]
     assert len(name) == len("mqtt-bridge-") + 8
 
@@ -186,16 +186,16 @@ def test_names_of_bridges_stay_short() -> None:
 def test_a_release_that_two_demands_share_is_on_one_node() -> None:
     shared = {**PAIR[0], "release": "shared"}
     other = application(shared, PAIR[1], name="other")
-    found = catalogue(application(shared), other, chart("worker", resources=HALF))
+    known = catalogue(application(shared), other, chart("worker", resources=HALF))
     demands = [demand(task("t")), demand(task("u", application="other"))]
-    desired = compose(demands, world(found, TWO))
+    desired = compose(demands, inputs(known, TWO))
     assert len({nodes_of(desired)[name] for name in ("shared",)}) == 1
     assert len(desired.releases) == 2
 
 
 def machines(chance: random.Random) -> list[NodeState]:
     """One to three Nodes for every agent, in any state."""
-    found = []
+    nodes = []
     for agent in AGENTS:
         for number in range(chance.randint(1, 3)):
             node = NodeState(
@@ -208,8 +208,8 @@ def machines(chance: random.Random) -> list[NodeState]:
                 allocatable=Resources(chance.choice([500, 1000, 1500]), 2**30),
                 created=number,
             )
-            found.append(lost(node) if chance.random() < 0.2 else node)
-    return found
+            nodes.append(lost(node) if chance.random() < 0.2 else node)
+    return nodes
 
 
 def check(desired: Composition, nodes: Sequence[NodeState], needs: Mapping[str, int]) -> None:
@@ -258,14 +258,14 @@ def test_groups_bridges_and_room_in_any_fleet(seed: int) -> None:
         name="bridge",
         word="link/mqtt",
     )
-    found = catalogue(
+    known = catalogue(
         application(*services, links=[ROS, TO_CLOUD]), bridge, chart(resources={"cpu": "200m", "memory": "64Mi"}), light
     )
     memo, present = Memo(), dict[str, Release]()
     asked: list[Demand] = several(chance.randint(1, 6))
     for _ in range(4):
         nodes = machines(chance)
-        around = Inputs(found, fleet(AGENTS, nodes, 50 * SECOND), {}, RENDER, validate)
+        around = Inputs(known, fleet(AGENTS, nodes, 50 * SECOND), {}, RENDER, validate)
         check(compose(asked, around), nodes, {"worker": 200, "light": 50})
         again = replace(around, present=present)
         desired = compose(asked, again, memo)

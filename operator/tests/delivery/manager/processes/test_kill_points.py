@@ -31,7 +31,7 @@ MANAGER = (  # what the manager writes in the story below
     "foundation.forge.adapters.hosts.gitea.GiteaForge.comment",
     "foundation.forge.adapters.hosts.gitea.GiteaForge.close",
     "delivery.manager.adapters.kubernetes_cluster.KubernetesCluster.patch_status",
-    "delivery.manager.adapters.kubernetes_cluster.KubernetesCluster.tell",
+    "delivery.manager.adapters.kubernetes_cluster.KubernetesCluster.report_on_task",
     "foundation.kubernetes.adapters.lease.LeaseElection._write",
 )
 CLUSTER = "delivery.manager.adapters.kubernetes_cluster.KubernetesCluster."
@@ -42,7 +42,7 @@ ELSEWHERE = {  # what other processes and tests answer for, by the start of the 
     f"{FORGE}edit_comment": "registry/publication/test_publication_on_forge.py",
     "foundation.forge.adapters.hosts.github.": "recorded protocol only",
     "foundation.forge.adapters.hosts.gitlab.": "recorded protocol only",
-    f"{CLUSTER}tell_node": "an Event about a Node: the same name every time",
+    f"{CLUSTER}report_on_node": "an Event about a Node: the same name every time",
     f"{CLUSTER}withdraw": "children of a chain, again at every step: delivery/manager/test_operators.py",
     "delivery.tasks.adapters.kubernetes_tasks.": "delivery/tasks/test_mqtt_gateway_processes.py",
     "delivery.tasks.adapters.paho_gateway.": "delivery/tasks/test_mqtt_gateway.py",
@@ -76,10 +76,10 @@ def loaded() -> tuple[frozenset[str], tuple[str, ...]]:
 
 
 def test_every_write_has_its_point() -> None:
-    found, _ = loaded()
-    unknown = {name for name in found if name not in MANAGER and not name.startswith(tuple(ELSEWHERE))}
+    marked, _ = loaded()
+    unknown = {name for name in marked if name not in MANAGER and not name.startswith(tuple(ELSEWHERE))}
     assert unknown == set()
-    assert set(MANAGER) <= found
+    assert set(MANAGER) <= marked
 
 
 def test_nothing_is_written_without_the_mark() -> None:
@@ -192,12 +192,12 @@ class Story:
     def plans(self, task: str) -> list[str]:
         """Plans on main that name the task."""
         clone = self.installation.clone("argocd")
-        at, found = clone.repository[clone.tip()], []
+        at, identifiers = clone.repository[clone.tip()], []
         while at is not None:
             if f"RobotKube-Task: cloud-0/{task}\n" in at.message:
-                found.append(read_message(at.message).plan)
+                identifiers.append(read_message(at.message).plan)
             at = at.parents[0] if at.parents else None
-        return found
+        return identifiers
 
     def clear(self) -> None:
         """Everything the story asked for is withdrawn, and its processes are gone."""
@@ -236,9 +236,9 @@ def begun(own_installation: Installation, manager_api: Api, tmp_path_factory: py
 def story(
     begun: Installation, manager_api: Api, controller: ApplicationSetController, tmp_path: Path
 ) -> Iterator[Story]:
-    found = Story(begun, manager_api, controller.url, tmp_path)
-    yield found
-    found.clear()
+    prepared = Story(begun, manager_api, controller.url, tmp_path)
+    yield prepared
+    prepared.clear()
 
 
 POINTS = [f"kill {when} {PACKAGE}{name}" for name in MANAGER for when in ("before", "after")]

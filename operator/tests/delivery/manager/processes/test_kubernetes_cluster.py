@@ -24,24 +24,24 @@ SOURCE = {"repoURL": "oci://forge/verified/mqtt-bridge", "targetRevision": "sha2
 
 
 class Seen:
-    """A world under watch, and what woke the manager."""
+    """A cluster under watch, and what woke the manager."""
 
     def __init__(self, api_server: ApiServerProcess) -> None:
         self.woken: list[str] = []
         self.client = api_client(str(api_server.kubeconfig))
-        self.world = KubernetesCluster(self.client, "argocd", self.woken.append, time.time)
-        self.world.start()
-        assert self.world.wait_until_synced(20)
+        self.cluster = KubernetesCluster(self.client, "argocd", self.woken.append, time.time)
+        self.cluster.start()
+        assert self.cluster.wait_until_synced(20)
 
     def task_names(self) -> list[str]:
-        return [task["metadata"]["name"] for task in self.world.tasks()]
+        return [task["metadata"]["name"] for task in self.cluster.tasks()]
 
 
 @pytest.fixture
 def seen(api_server: ApiServerProcess) -> Iterator[Seen]:
-    found = Seen(api_server)
-    yield found
-    found.world.stop()
+    watched = Seen(api_server)
+    yield watched
+    watched.cluster.stop()
 
 
 def application(**status: Any) -> dict[str, Any]:
@@ -61,28 +61,28 @@ def application(**status: Any) -> dict[str, Any]:
 def test_tasks_are_seen_and_their_statuses_written_without_waking_again(api: Api, seen: Seen) -> None:
     api.task("one")
     until(lambda: seen.task_names() == ["one"], "task seen")
-    assert read_task(seen.world.tasks()[0]).parameters == {"deep": {"x": 1}}
+    assert read_task(seen.cluster.tasks()[0]).parameters == {"deep": {"x": 1}}
     until(lambda: "tasks" in seen.woken, "the task told")
     condition = {"type": "Accepted", "status": "True", "reason": "Accepted", "message": "m"}
     condition["lastTransitionTime"] = "2026-11-21T10:00:00Z"
     status = {"conditions": [condition], "plan": "p1", "releases": ["cloud-0/a"]}
     seen.woken.clear()
-    assert seen.world.patch_status("cloud-0", "one", status)
-    until(lambda: seen.world.tasks()[0].get("status") == status, "status seen")
-    assert seen.world.patch_status("cloud-0", "one", {"plan": None, "releases": None})
-    until(lambda: seen.world.tasks()[0]["status"] == {"conditions": [condition]}, "fields removed")
+    assert seen.cluster.patch_status("cloud-0", "one", status)
+    until(lambda: seen.cluster.tasks()[0].get("status") == status, "status seen")
+    assert seen.cluster.patch_status("cloud-0", "one", {"plan": None, "releases": None})
+    until(lambda: seen.cluster.tasks()[0]["status"] == {"conditions": [condition]}, "fields removed")
     assert seen.woken == []
     api.delete(f"{TASKS}/one")
     until(lambda: seen.task_names() == [], "deletion seen")
     until(lambda: seen.woken, "the deletion told")
     assert seen.woken == ["tasks"]
-    assert not seen.world.patch_status("cloud-0", "one", status)
+    assert not seen.cluster.patch_status("cloud-0", "one", status)
 
 
 def test_a_status_that_the_definition_refuses_is_an_error_with_the_servers_words(api: Api, seen: Seen) -> None:
     api.task("strict")
     with pytest.raises(InputError, match=r"status\.commit"):
-        seen.world.patch_status("cloud-0", "strict", {"commit": "short"})
+        seen.cluster.patch_status("cloud-0", "strict", {"commit": "short"})
     api.delete(f"{TASKS}/strict")
 
 
@@ -96,7 +96,7 @@ def test_a_task_nested_too_deeply_blinds_nobody(api: Api, seen: Seen) -> None:
     api.task("beside")
     until(lambda: seen.task_names() == ["beside", "deep"], "both seen")
     with pytest.raises(DocumentError, match="nested deeper than 32"):
-        read_task(next(task for task in seen.world.tasks() if task["metadata"]["name"] == "deep"))
+        read_task(next(task for task in seen.cluster.tasks() if task["metadata"]["name"] == "deep"))
     for name in ("deep", "beside"):
         api.delete(f"{TASKS}/{name}")
     until(lambda: seen.task_names() == [], "gone")
@@ -110,64 +110,64 @@ def test_nodes_of_agents(api: Api, seen: Seen) -> None:
     }
     api.post("/api/v1/nodes", {"apiVersion": "v1", "kind": "Node", "metadata": {"name": "n1", "labels": labels}})
     api.post("/api/v1/nodes", {"apiVersion": "v1", "kind": "Node", "metadata": {"name": "other"}})
-    until(lambda: len(seen.world.nodes()) == 1, "node seen")
-    [node] = seen.world.nodes()
+    until(lambda: len(seen.cluster.nodes()) == 1, "node seen")
+    [node] = seen.cluster.nodes()
     assert (node.agent, node.role, node.capabilities, node.ready) == ("cloud-0", "cloud", {"recording"}, False)
     ready = {"type": "Ready", "status": "True", "lastTransitionTime": "2026-11-21T10:00:00Z"}
     api.merge("/api/v1/nodes/n1/status", {"status": {"conditions": [ready]}})
-    until(lambda: seen.world.nodes()[0].ready, "ready")
+    until(lambda: seen.cluster.nodes()[0].ready, "ready")
     until(lambda: seen.woken.count("nodes") == 2, "its coming and its readiness told")
     seen.woken.clear()
     heartbeat = {**ready, "lastHeartbeatTime": "2026-11-21T10:05:00Z"}
     api.merge("/api/v1/nodes/n1/status", {"status": {"conditions": [heartbeat]}})
     api.merge("/api/v1/nodes/n1", {"spec": {"unschedulable": True}})
-    until(lambda: seen.world.nodes()[0].cordoned, "cordoned")
+    until(lambda: seen.cluster.nodes()[0].cordoned, "cordoned")
     until(lambda: seen.woken, "the cordon told")
     assert seen.woken == ["nodes"]
     for name in ("n1", "other"):
         api.delete(f"/api/v1/nodes/{name}")
-    until(lambda: seen.world.nodes() == [], "gone")
+    until(lambda: seen.cluster.nodes() == [], "gone")
 
 
 def test_applications_and_pods_decide_what_is_observed(api: Api, seen: Seen) -> None:
     api.post(ARGOCD, application())
-    until(lambda: seen.world.applications(), "application seen")
-    found = seen.world.applications()["cloud-0-mqtt-bridge"]
-    assert judge_present(found, "p1").annotated
-    assert not judge_present(found, "p1").synced
+    until(lambda: seen.cluster.applications(), "application seen")
+    shown = seen.cluster.applications()["cloud-0-mqtt-bridge"]
+    assert judge_present(shown, "p1").annotated
+    assert not judge_present(shown, "p1").synced
     done = application(
         sync={"status": "Synced", "comparedTo": {"source": SOURCE}},
         health={"status": "Healthy"},
         operationState={"phase": "Succeeded", "syncResult": {"source": SOURCE}},
     )
     api.merge(f"{ARGOCD}/cloud-0-mqtt-bridge", {"status": done["status"]})
-    until(lambda: judge_present(seen.world.applications()["cloud-0-mqtt-bridge"], "p1").done, "observed")
-    assert not judge_present(seen.world.applications()["cloud-0-mqtt-bridge"], "p2").annotated
+    until(lambda: judge_present(seen.cluster.applications()["cloud-0-mqtt-bridge"], "p1").done, "observed")
+    assert not judge_present(seen.cluster.applications()["cloud-0-mqtt-bridge"], "p2").annotated
     labels = {"robotkube.io/agent": "cloud-0", "app.kubernetes.io/instance": "mqtt-bridge"}
     pod = {"apiVersion": "v1", "kind": "Pod", "metadata": {"name": "b-0", "labels": labels}}
     api.post(
         "/api/v1/namespaces/cloud-0/pods",
         {**pod, "spec": {"nodeName": "n1", "containers": [{"name": "a", "image": "a:1"}]}},
     )
-    until(lambda: [p.name for p in seen.world.pods("cloud-0/mqtt-bridge")] == ["b-0"], "pod seen")
-    assert seen.world.pods("cloud-0/other") == []
+    until(lambda: [p.name for p in seen.cluster.pods("cloud-0/mqtt-bridge")] == ["b-0"], "pod seen")
+    assert seen.cluster.pods("cloud-0/other") == []
     api.delete("/api/v1/namespaces/cloud-0/pods/b-0")
     api.delete(f"{ARGOCD}/cloud-0-mqtt-bridge")
-    until(lambda: not seen.world.pods("cloud-0/mqtt-bridge") and not seen.world.applications(), "gone")
+    until(lambda: not seen.cluster.pods("cloud-0/mqtt-bridge") and not seen.cluster.applications(), "gone")
 
 
 def test_a_server_that_goes_away_and_comes_back(api_server: ApiServerProcess, api: Api, seen: Seen) -> None:
     api.task("before")
     until(lambda: seen.task_names() == ["before"], "seen")
     api_server.stop_server()
-    until(lambda: len(seen.world.complaints()) == 4, "complaints")
+    until(lambda: len(seen.cluster.complaints()) == 4, "complaints")
     with pytest.raises(UnavailableError):
-        seen.world.patch_status("cloud-0", "before", {"plan": "p"})
+        seen.cluster.patch_status("cloud-0", "before", {"plan": "p"})
     assert seen.task_names() == ["before"]
     api_server.start_server()
     api.task("after")
     until(lambda: seen.task_names() == ["after", "before"], "both seen")
-    until(lambda: seen.world.complaints() == [], "no complaints")
+    until(lambda: seen.cluster.complaints() == [], "no complaints")
     for name in ("before", "after"):
         api.delete(f"{TASKS}/{name}")
 
@@ -175,13 +175,13 @@ def test_a_server_that_goes_away_and_comes_back(api_server: ApiServerProcess, ap
 def test_what_stands_in_a_tasks_way_is_an_event_once(api: Api, seen: Seen) -> None:
     api.task("held")
     until(lambda: seen.task_names() == ["held"], "task seen")
-    task, text = seen.world.tasks()[0], "the gate does not take this: é" + "x" * 2000
-    seen.world.tell(task, "ProposalRefused", text)
-    seen.world.tell(task, "ProposalRefused", text)
-    seen.world.tell(task, "GateUnavailable", "no verdict")
+    task, text = seen.cluster.tasks()[0], "the gate does not take this: é" + "x" * 2000
+    seen.cluster.report_on_task(task, "ProposalRefused", text)
+    seen.cluster.report_on_task(task, "ProposalRefused", text)
+    seen.cluster.report_on_task(task, "GateUnavailable", "no verdict")
     path = "/apis/events.k8s.io/v1/namespaces/cloud-0/events"
-    found = json.loads(call(api.client, "GET", path).data)["items"]
-    about = [event for event in found if event["regarding"]["uid"] == task["metadata"]["uid"]]
+    events = json.loads(call(api.client, "GET", path).data)["items"]
+    about = [event for event in events if event["regarding"]["uid"] == task["metadata"]["uid"]]
     assert sorted(event["reason"] for event in about) == ["GateUnavailable", "ProposalRefused"]
     refused = next(event for event in about if event["reason"] == "ProposalRefused")
     assert refused["regarding"]["kind"] == "TaskDescription"
@@ -199,12 +199,12 @@ def test_a_list_without_end_is_given_up(
     monkeypatch.setattr(kubernetes_client, "PAGE_OBJECTS", 1)
     monkeypatch.setattr(kubernetes_client, "PAGES_MAX", 2)
     client = api_client(str(api_server.kubeconfig))
-    world = KubernetesCluster(client, "argocd", lambda what: None, time.time)
-    world.start()
+    cluster = KubernetesCluster(client, "argocd", lambda what: None, time.time)
+    cluster.start()
     try:
-        until(lambda: any("more than 2 objects; remove old ones" in text for text in world.complaints()), "given up")
+        until(lambda: any("more than 2 objects; remove old ones" in text for text in cluster.complaints()), "given up")
     finally:
-        world.stop()
+        cluster.stop()
         client.rest_client.pool_manager.clear()
         for name in ("a", "b", "c"):
             api.delete(f"{TASKS}/{name}")

@@ -33,7 +33,7 @@ pytestmark = [
 ]
 TAKE_OVER_SECONDS_MAX = 15.0
 TERM_OF_MAIN = 41
-GRACE = 1.0  # seconds that looking itself may take
+GRACE = 1.0  # seconds that observing itself may take
 PROPOSE = "robotkube.foundation.forge.adapters.git.proposals.ProposalWriter.propose"
 MEETING = {"application": "pose-point-cloud-recording", "parameters": {"vehicles": ["vehicle-00", "vehicle-01"]}}
 
@@ -98,9 +98,9 @@ class Replicas:
 def replicas(
     own_installation: Installation, own_gate: RunningGate, manager_api: Api, tmp_path: Path
 ) -> Iterator[Replicas]:
-    found = Replicas(own_installation, manager_api, tmp_path)
-    yield found
-    found.stop()
+    started = Replicas(own_installation, manager_api, tmp_path)
+    yield started
+    started.stop()
     for item in manager_api.get(TASKS)["items"]:
         manager_api.delete(f"{TASKS}/{item['metadata']['name']}")
 
@@ -121,12 +121,12 @@ def delivered(pod: Pod, secret: str) -> bool:
 def terms_on_main(installation: Installation, task: str) -> list[int]:
     """Terms of the plans that name a task, oldest first."""
     clone = installation.clone("argocd")
-    at, found = clone.repository[clone.tip()], []
+    at, terms = clone.repository[clone.tip()], []
     while at is not None:
         if f"RobotKube-Task: {task}\n" in at.message:
-            found.append(read_message(at.message).term)
+            terms.append(read_message(at.message).term)
         at = at.parents[0] if at.parents else None
-    return found[::-1]
+    return terms[::-1]
 
 
 def test_a_leader_that_stood_still_before_its_push_is_refused_afterwards(
@@ -145,8 +145,8 @@ def test_a_leader_that_stood_still_before_its_push_is_refused_afterwards(
     pulls = own_installation.client("gate")
 
     def refused() -> list[str]:
-        found = pulls.get("/pulls", params={"state": "closed", "poster": "manager", "limit": 50}).json()
-        unmerged = [int(item["number"]) for item in found if not item["merged"]]
+        closed = pulls.get("/pulls", params={"state": "closed", "poster": "manager", "limit": 50}).json()
+        unmerged = [int(item["number"]) for item in closed if not item["merged"]]
         return [own_installation.comments(number) for number in unmerged]
 
     until(refused, "the first one's proposal is refused")

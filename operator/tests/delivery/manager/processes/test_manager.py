@@ -38,8 +38,8 @@ def releases(installation: Installation) -> dict[str, Release]:
     tree = clone.repository[clone.tip()].tree
     files: dict[str, str] = {}
 
-    def collect(found: Any, prefix: str) -> None:
-        for entry in found:
+    def collect(entries: Any, prefix: str) -> None:
+        for entry in entries:
             path = f"{prefix}{entry.name}"
             if entry.type_str == "tree":
                 collect(entry, f"{path}/")
@@ -47,20 +47,20 @@ def releases(installation: Installation) -> dict[str, Release]:
                 files[path] = entry.data.decode()
 
     collect(tree, "")
-    found = read_tree(files)
-    assert found.problems == ()
-    return dict(found.releases)
+    main = read_tree(files)
+    assert main.problems == ()
+    return dict(main.releases)
 
 
 @pytest.fixture
 def manager(installation: Installation, gate: RunningGate, tmp_path: Path) -> Iterator[RunningManager]:
-    found = start_manager(installation, tmp_path, MemoryTasks())
-    until(lambda: found.manager.reasons_not_ready() == [], "ready")
+    started = start_manager(installation, tmp_path, MemoryTasks())
+    until(lambda: started.manager.reasons_not_ready() == [], "ready")
     initial = {f"releases/{name}/mqtt-bridge.yaml" for name, _ in AGENTS}
     until(lambda: initial <= set(releases(installation)), "initial configuration merged")
-    until(lambda: all(p["on_main"] or p["error"] for p in found.plans()), "initial configuration seen")
-    yield found
-    found.stop()
+    until(lambda: all(p["on_main"] or p["error"] for p in started.plans()), "initial configuration seen")
+    yield started
+    started.stop()
 
 
 def ask(tasks: MemoryTasks) -> None:
@@ -120,8 +120,8 @@ def test_a_restarted_manager_finds_pull_request_and_commit_again(
     again = start_manager(installation, tmp_path / "again", manager.tasks)
     try:
         until(lambda: committed(again), "committed again")
-        found = again.tasks.objects[KEY]["status"]
-        assert {k: found[k] for k in ("plan", "commit", "pullRequest")} == {
+        status = again.tasks.objects[KEY]["status"]
+        assert {k: status[k] for k in ("plan", "commit", "pullRequest")} == {
             k: status[k] for k in ("plan", "commit", "pullRequest")
         }
         again.tasks.delete(KEY)
@@ -269,6 +269,6 @@ def test_an_edit_by_hand_is_reverted_by_a_commit_that_names_it(
     assert person.push(commit, "refs/heads/main") == ""
     manager.manager.wake(DEPLOYMENT)
     until(lambda: releases(installation)[path].same_but_plan(before), "reverted")
-    found = manager.deployment.log(commit, 10) or [manager.deployment.commit(installation.clone("gate").tip())]
-    message = read_message(found[-1].message)
+    commits = manager.deployment.log(commit, 10) or [manager.deployment.commit(installation.clone("gate").tip())]
+    message = read_message(commits[-1].message)
     assert ("revert" in message.kinds, message.reverts) == (True, (commit,))

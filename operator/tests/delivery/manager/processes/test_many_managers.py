@@ -17,7 +17,8 @@ from robotkube.delivery.manager.core.placement.scopes import Operators, Scope
 from robotkube.delivery.manager.loops.main_reader import MainReader
 from robotkube.delivery.manager.loops.planner import ManagerSettings, Planner
 from robotkube.delivery.manager.loops.proposals.plan_observer import PlanObserver
-from robotkube.delivery.manager.loops.reconciler import TASKS, ApplicationManager, ManagerPorts
+from robotkube.delivery.manager.loops.reconciler import TASKS, ApplicationManager
+from robotkube.delivery.manager.ports.manager_ports import ManagerPorts
 from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
 from robotkube.foundation.documents.adapters.json_schema import validate
 from robotkube.foundation.forge.adapters.git import GitClone, ProposalWriter
@@ -65,12 +66,12 @@ def managed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Installation]:
     setup = replace(setup, accounts=accounts, repositories=repositories)
     Bootstrap(30, time.monotonic, time.sleep).forge(setup, administration)
     administration.disconnect()
-    found = Installation(process.url, passwords, port, tmp_path_factory.mktemp("managed"), setup)
-    gate = found.clone("gate")
+    installed = Installation(process.url, passwords, port, tmp_path_factory.mktemp("managed"), setup)
+    gate = installed.clone("gate")
     policy = gate.commit({"policies/merge.yaml": MERGE_POLICY}, "policy\n", [gate.tip()])
     assert gate.push(policy, "refs/heads/main") == ""
-    yield found
-    found.disconnect()
+    yield installed
+    installed.disconnect()
     process.remove()
 
 
@@ -129,7 +130,7 @@ def make(installation: Installation, name: str, folder: Path) -> Running:
     url, account = installation.url, (name, installation.passwords[name])
     deployment = GitClone(url, "robotkube/deployment", *account, folder / "deployment")
     relay = objects_relay(installation, name)
-    proposals = ProposalWriter(folder / "deployment", *account, name, time.time, hand=relay.hand)
+    proposals = ProposalWriter(folder / "deployment", *account, name, time.time, send_objects=relay.send)
     catalogue = AssuredCatalogue(GitClone(url, "robotkube/catalogue", *account, folder / "catalogue"), trusted_keys())
     roles = [(f"{role}-{one}", role) for one in MANAGERS for role in ("cloud", "vehicle")]
     nodes = [NodeState(agent, agent, role, frozenset({"recording"}), True) for agent, role in roles]
@@ -140,8 +141,8 @@ def make(installation: Installation, name: str, folder: Path) -> Running:
     planner = Planner(settings, tasks, cluster, catalogue, main, Jinja2Templates().render, validate)
     observer = PlanObserver(cluster, MemoryArgoCD(), lambda call: call(), time.time_ns, time.monotonic)
     forge = GiteaForge(url, "robotkube/deployment", *account)
-    world = ManagerPorts(tasks, cluster, deployment, proposals, forge, MemoryLeadership(), name)
-    manager = ApplicationManager(world, catalogue, main, planner, observer, time.time_ns, time.monotonic)
+    ports = ManagerPorts(tasks, cluster, deployment, proposals, forge, MemoryLeadership(), name)
+    manager = ApplicationManager(ports, catalogue, main, planner, observer, time.time_ns, time.monotonic)
     return Running(name, manager, tasks, forge, relay)
 
 
@@ -149,11 +150,11 @@ def make(installation: Installation, name: str, folder: Path) -> Running:
 def managers(managed: Installation, controller: ApplicationSetController, tmp_path: Path) -> Iterator[list[Running]]:
     proposers = tuple(Proposer(name, frozenset({f"cloud-{name}", f"vehicle-{name}"})) for name in MANAGERS)
     gate = start_gate(managed, controller.url, tmp_path / "gate", proposers=proposers)
-    found = [make(managed, name, tmp_path / name) for name in MANAGERS]
-    for one in found:
+    started = [make(managed, name, tmp_path / name) for name in MANAGERS]
+    for one in started:
         one.start()
-    yield found
-    for one in found:
+    yield started
+    for one in started:
         one.stop()
     gate.stop()
 
@@ -188,11 +189,11 @@ def test_all_plans_of_three_managers_are_merged_exactly_once(
 def plans_on_main(installation: Installation) -> list[tuple[str, str, tuple[str, tuple[str, ...]]]]:
     """Id, manager, verb and tasks of every plan on main, oldest first."""
     clone = installation.clone("argocd")
-    at, found = clone.repository[clone.tip()], []
+    at, plans = clone.repository[clone.tip()], []
     while at is not None:
         if "\nRobotKube-Plan: " in at.message:
             message = read_message(at.message)
             tasks = tuple(cause.task for cause in message.causes)
-            found.append((message.plan, message.manager, (message.verb, tasks)))
+            plans.append((message.plan, message.manager, (message.verb, tasks)))
         at = at.parents[0] if at.parents else None
-    return found[::-1]
+    return plans[::-1]

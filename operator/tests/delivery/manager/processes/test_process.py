@@ -26,9 +26,11 @@ pytestmark = [pytest.mark.toolchain, pytest.mark.filterwarnings("ignore::urllib3
 def pod(installation: Installation, gate: RunningGate, manager_api: Api, tmp_path: Path) -> Iterator[Pod]:
     port = free_port()
     lease = manager_api.lease()
-    found = Pod(write_settings(outside(installation), tmp_path, port, lease), manager_api.kubeconfig, port, "manager-0")
-    yield found
-    found.kill()
+    started = Pod(
+        write_settings(outside(installation), tmp_path, port, lease), manager_api.kubeconfig, port, "manager-0"
+    )
+    yield started
+    started.kill()
 
 
 def test_a_task_of_the_api_server_is_on_main(pod: Pod, manager_api: Api, gate: RunningGate) -> None:
@@ -55,13 +57,13 @@ def test_a_task_of_the_api_server_is_on_main(pod: Pod, manager_api: Api, gate: R
     assert "robotkube_manager_plans_total" in httpx.get(f"{pod.url}/metrics").text
     manager_api.delete(f"{TASKS}/meeting")
     until(lambda: pod.plans()[-1]["cause"] == "withdrawal" and pod.plans()[-1]["on_main"], "withdrawn")
-    assert gate.gate.statistics.sources["handed"] > 0, "its objects were handed over"
+    assert gate.gate.statistics.sources["sent"] > 0, "its objects were sent"
     assert pod.end() == 0
 
 
 def status(manager_api: Api) -> tuple[dict[str, str], dict[str, Any]]:
-    found = json.loads(call(manager_api.client, "GET", f"{TASKS}/meeting").data).get("status", {})
-    return {c["type"]: c["status"] for c in found.get("conditions", [])}, found
+    written = json.loads(call(manager_api.client, "GET", f"{TASKS}/meeting").data).get("status", {})
+    return {c["type"]: c["status"] for c in written.get("conditions", [])}, written
 
 
 def test_wrong_settings_end_the_process_with_the_file_and_the_key(pod: Pod, tmp_path: Path) -> None:

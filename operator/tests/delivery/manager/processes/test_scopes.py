@@ -1,4 +1,4 @@
-"""A manager of few namespaces on a real API server, holds on Nodes, and what is said about Nodes."""
+"""A manager of few namespaces on a real API server, holds on Nodes, and what is reported about Nodes."""
 
 import time
 from collections.abc import Iterator
@@ -21,16 +21,16 @@ EVENTS = "/apis/events.k8s.io/v1/namespaces/argocd/events"
 
 @contextmanager
 def watching(api_server: ApiServerProcess, woken: list[str], *namespaces: str) -> Iterator[KubernetesCluster]:
-    """The world as a manager of these namespaces sees it."""
-    world = KubernetesCluster(api_client(str(api_server.kubeconfig)), "argocd", woken.append, time.time, namespaces)
-    world.start()
-    assert world.wait_until_synced(20)
-    yield world
-    world.stop()
+    """The cluster as a manager of these namespaces reads it."""
+    cluster = KubernetesCluster(api_client(str(api_server.kubeconfig)), "argocd", woken.append, time.time, namespaces)
+    cluster.start()
+    assert cluster.wait_until_synced(20)
+    yield cluster
+    cluster.stop()
 
 
-def names(world: KubernetesCluster) -> list[str]:
-    return [task["metadata"]["name"] for task in world.tasks()]
+def names(cluster: KubernetesCluster) -> list[str]:
+    return [task["metadata"]["name"] for task in cluster.tasks()]
 
 
 def test_only_the_namespaces_of_the_scope_are_seen(api_server: ApiServerProcess, api: Api) -> None:
@@ -49,23 +49,23 @@ def test_only_the_namespaces_of_the_scope_are_seen(api_server: ApiServerProcess,
 
 def test_a_nodes_hold_is_seen_wakes_the_manager_and_ends(api_server: ApiServerProcess, api: Api) -> None:
     woken: list[str] = []
-    with watching(api_server, woken) as world:
+    with watching(api_server, woken) as cluster:
         api.node("v1", "vehicle")
-        until(lambda: [node.ready for node in world.nodes()] == [True], "node seen")
+        until(lambda: [node.ready for node in cluster.nodes()] == [True], "node seen")
         until(lambda: woken.count("nodes") == 2, "its coming and its readiness told")
         woken.clear()
-        hold_and_release(api, world, woken)
+        hold_and_release(api, cluster, woken)
         api.delete("/api/v1/nodes/v1")
-        until(lambda: world.nodes() == [], "gone")
+        until(lambda: cluster.nodes() == [], "gone")
 
 
-def hold_and_release(api: Api, world: KubernetesCluster, woken: list[str]) -> None:
+def hold_and_release(api: Api, cluster: KubernetesCluster, woken: list[str]) -> None:
     def say(**annotations: str | None) -> None:
         keys = {f"robotkube.io/{key.replace('_', '-')}": text for key, text in annotations.items()}
         api.merge("/api/v1/nodes/v1", {"metadata": {"annotations": keys}})
 
     def held() -> DeviceHold | None:
-        return world.nodes()[0].hold
+        return cluster.nodes()[0].hold
 
     before = int(time.time())  # what the API server notes has no parts of a second
     until_time = datetime.fromtimestamp(before + 60, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
@@ -73,11 +73,11 @@ def hold_and_release(api: Api, world: KubernetesCluster, woken: list[str]) -> No
     until(lambda: held() is not None, "hold seen")
     until(lambda: woken, "hold told")
     assert woken == ["nodes"]
-    found = held()
-    assert found is not None
-    assert (found.reason, found.text.partition(": ")[0]) == ("driving", f"v1 holds changes until {until_time}")
+    hold = held()
+    assert hold is not None
+    assert (hold.reason, hold.text.partition(": ")[0]) == ("driving", f"v1 holds changes until {until_time}")
     say(hold_until=None)
-    until(lambda: held() not in (found, None), "hold without an end")
+    until(lambda: held() not in (hold, None), "hold without an end")
     endless = held()
     assert endless is not None
     assert before <= endless.until_ns / 1e9 - HOLD_SECONDS_MAX <= time.time(), "counted from when it was set"
@@ -85,13 +85,13 @@ def hold_and_release(api: Api, world: KubernetesCluster, woken: list[str]) -> No
     until(lambda: held() is None, "released")
 
 
-def test_what_is_said_about_a_node_stands_in_the_platforms_namespace_once(
+def test_a_report_on_a_node_is_written_into_the_platforms_namespace_once(
     api_server: ApiServerProcess, api: Api
 ) -> None:
     client = api_client(str(api_server.kubeconfig))
-    worlds = [KubernetesCluster(client, "argocd", lambda what: None, time.time, home="argocd") for _ in range(2)]
-    for world in (*worlds, worlds[0]):
-        world.tell_node("stranger", "UnknownAgent", "Node stranger says it is agent 'x', which is not declared")
+    clusters = [KubernetesCluster(client, "argocd", lambda what: None, time.time, home="argocd") for _ in range(2)]
+    for cluster in (*clusters, clusters[0]):
+        cluster.report_on_node("stranger", "UnknownAgent", "Node stranger says it is agent 'x', which is not declared")
     about = [event for event in api.get(EVENTS)["items"] if event["regarding"].get("name") == "stranger"]
     assert [(event["reason"], event["type"], event["regarding"]["kind"]) for event in about] == [
         ("UnknownAgent", "Warning", "Node")

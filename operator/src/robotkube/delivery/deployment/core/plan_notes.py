@@ -19,7 +19,7 @@ _CLOSE = "\n```"
 
 @dataclass(frozen=True)
 class ReleaseOutcome:
-    """The outcome of one release: Argo CD's words, the nodes of its pods, the digests of their images."""
+    """The outcome of one release: Argo CD's sync and health, the nodes of its pods, the digests of their images."""
 
     release: str
     sync: str
@@ -30,7 +30,7 @@ class ReleaseOutcome:
 
 @dataclass(frozen=True)
 class PlanOutcome:
-    """The outcome of one plan in the cluster; times are ns since 1970, None when nobody knows them."""
+    """The outcome of one plan in the cluster; times are ns since 1970, None where they are not known."""
 
     plan: str
     commit: str
@@ -42,7 +42,7 @@ class PlanOutcome:
     note: str = ""
 
 
-def closing_text(facts: PlanOutcome) -> str:
+def outcome_comment(facts: PlanOutcome) -> str:
     """The comment with a plan's outcome (Markdown)."""
     lines = [f"{FIRST_WORD}plan `{facts.plan}`, commit {facts.commit[:12]}.", ""]
     for release in facts.releases[:RELEASES_SHOWN_MAX]:

@@ -21,8 +21,8 @@ from robotkube.errors import DocumentError
 from robotkube.foundation.documents.core.patterns import (
     CHARTS_URL,
     DIGEST,
+    DOCUMENTS_CACHED_MAX,
     EVIDENCE,
-    FILES_KEPT_MAX,
     NAME,
     PLAN,
     TASK,
@@ -137,7 +137,7 @@ def chart_of(release: Release) -> ChartOf:
     return release.namespace, release.chart, release.digest
 
 
-@lru_cache(FILES_KEPT_MAX)
+@lru_cache(DOCUMENTS_CACHED_MAX)
 def source_of(chart: ChartOf, registry: str) -> Source:
     """The source that carries a chart; `registry` is oci://host/organisation."""
     return Source(*chart, f"{registry}/{chart[1]}")
@@ -202,7 +202,7 @@ def write_source(source: Source) -> str:
     return write_mapping({"apiVersion": SOURCE_API, "kind": "OCIRepository", "metadata": metadata, "spec": spec})
 
 
-@lru_cache(FILES_KEPT_MAX)
+@lru_cache(DOCUMENTS_CACHED_MAX)
 def read_release(text: str, path: str) -> Release:
     """The release in `text`, found at `path`; DocumentError lists every problem."""
     document = read_mapping(text, path)
@@ -302,7 +302,7 @@ def _objects(reader: Reader, value: Any, path: str) -> list[str]:
     return objects
 
 
-@lru_cache(FILES_KEPT_MAX)
+@lru_cache(DOCUMENTS_CACHED_MAX)
 def read_source(text: str, path: str) -> Source:
     """The source in `text`, found at `path`; DocumentError lists every problem."""
     document = read_mapping(text, path)
@@ -341,7 +341,7 @@ class Tree:
 
     @cached_property
     def users(self) -> Mapping[ChartOf, int]:
-        """How many releases of a namespace run each chart."""
+        """The number of releases in a namespace that run each chart."""
         return Counter(chart_of(release) for release in self.releases.values())
 
     def wrong_sources(self, registry: str) -> tuple[Mapping[ChartOf, Source], frozenset[str]]:

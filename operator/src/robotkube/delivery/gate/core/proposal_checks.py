@@ -94,7 +94,7 @@ def judge(proposal: ProposedCommit, tip: str, rules: Rules) -> ProposalVerdict:
         count = len(proposal.parents)
         return ProposalVerdict(problems=(f"the commit has {count} parents; it must have exactly one, main's tip",))
     message, unreadable = _read_message(proposal.message)
-    outdated = [*_standing(message, rules)] if message else []
+    outdated = [*_author_problems(message, rules)] if message else []
     if outdated:
         return ProposalVerdict(problems=tuple(outdated))
     if proposal.parents[0] != tip:
@@ -114,7 +114,7 @@ def _read_message(text: str) -> tuple[CommitMessage | None, Sequence[str]]:
         return None, [f"{error.where}: {problem}" for problem in error.problems]
 
 
-def _standing(message: CommitMessage, rules: Rules) -> Iterable[str]:
+def _author_problems(message: CommitMessage, rules: Rules) -> Iterable[str]:
     """Problems of who proposes: another account, or a process that no longer leads and may not write any more."""
     if message.manager != rules.account:
         yield f"RobotKube-Manager: {message.manager!r} must be the account that proposes, {rules.account!r}"
@@ -129,11 +129,11 @@ def _judge_repair(proposal: ProposedCommit, message: CommitMessage | None, rules
     """The verdict about a proposal while main is broken: only what main last had passes, without anybody's approval."""
     broken = ", ".join(proposal.before.suspects[:SUSPECTS_NAMED_MAX])
     if message is None or REPAIR not in message.kinds:
-        words = f"main is broken ({broken}): a plan with RobotKube-Cause: {REPAIR} comes first"
-        return ProposalVerdict(problems=(words,))
-    problems = [*_nothing(proposal), *(_irregular(path) for path in proposal.irregular)]
+        problem = f"main is broken ({broken}): a plan with RobotKube-Cause: {REPAIR} comes first"
+        return ProposalVerdict(problems=(problem,))
+    problems = [*_emptiness(proposal), *(_irregular(path) for path in proposal.irregular)]
     problems += [
-        f"{path}: a repair brings back what main last had, or takes away what it did not have; this is neither"
+        f"{path}: a repair brings back what main last had, or removes what it did not have; this is neither"
         for path, text in sorted(proposal.changes.items())
         if path not in rules.repair or rules.repair[path] != text
     ]
@@ -143,9 +143,9 @@ def _judge_repair(proposal: ProposedCommit, message: CommitMessage | None, rules
 
 def judge_person(proposal: ProposedCommit, tip: str, rules: Rules) -> ProposalVerdict:
     """The verdict about what a person proposes: files as `judge` asks of them, policies that can be read. The commit's
-    words are the person's; `stale` does not keep the other problems from being named."""
+    message is the person's; `stale` does not keep the other problems from being named."""
     problems = [_irregular(path) for path in proposal.irregular]
-    problems += _nothing(proposal)
+    problems += _emptiness(proposal)
     problems += [problem for path in sorted(proposal.changes) for problem in _place(path)]
     problems += [*_files(proposal, rules), *_policies(proposal, rules)]
     return ProposalVerdict(stale=proposal.parents != (tip,), problems=tuple(problems))
@@ -187,7 +187,7 @@ def _files(proposal: ProposedCommit, rules: Rules) -> Iterable[str]:
             yield from release_problems(path, proposal.after.releases[path], rules)
 
 
-def _nothing(proposal: ProposedCommit) -> Iterable[str]:
+def _emptiness(proposal: ProposedCommit) -> Iterable[str]:
     if not proposal.paths:
         yield "the commit changes nothing"
 
@@ -197,7 +197,7 @@ def _irregular(path: str) -> str:
 
 
 def _paths(proposal: ProposedCommit, rules: Rules) -> Iterable[str]:
-    yield from _nothing(proposal)
+    yield from _emptiness(proposal)
     yield from (_irregular(path) for path in proposal.irregular)
     for path in proposal.paths:
         top = path.split("/", 1)[0]

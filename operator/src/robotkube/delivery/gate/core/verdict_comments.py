@@ -13,9 +13,7 @@ PROBLEMS_SHOWN_MAX = 50
 
 def refusal_text(commit: str, problems: Sequence[str]) -> str:
     """The comment that explains to the author of a proposal why it was refused."""
-    return "\n".join(
-        [f"Refused {commit[:12]}: the gate does not take this commit to main.", "", *_listed(problems), ""]
-    )
+    return "\n".join([f"Refused {commit[:12]}: the gate does not merge this commit.", "", *_listed(problems), ""])
 
 
 def stale_text(parent: str, tip: str) -> str:
@@ -25,15 +23,16 @@ def stale_text(parent: str, tip: str) -> str:
 
 
 def waiting_text(commit: str, way: Way) -> str:
-    """The comment on a manager's proposal that holds, but that policies/merge.yaml does not let merge by itself."""
-    return f"{WAITS}: {commit[:12]} holds. {_next_step(way)}\n"
+    """The comment on a manager's proposal that passes the checks, but that policies/merge.yaml does not let merge by
+    itself."""
+    return f"{WAITS}: {commit[:12]} passes the checks. {_next_step(way)}\n"
 
 
 def checked_text(commit: str, verdict: ProposalVerdict, way: Way) -> str:
     """The comment on a person's pull request; the same first line for the same commit."""
     first = f"Checked {commit[:12]}: "
     if verdict.problems:
-        return "\n".join([f"{first}the gate would not take this to main.", "", *_listed(verdict.problems), ""])
+        return "\n".join([f"{first}the gate would not merge this.", "", *_listed(verdict.problems), ""])
     if verdict.stale and way != AUTOMATIC:
         rest = "It is not built on main's tip: the gate can merge it only after an update of the branch (by rebase)."
         return f"{first}nothing speaks against it.\n\n{_next_step(way)} {rest}\n"
@@ -42,7 +41,7 @@ def checked_text(commit: str, verdict: ProposalVerdict, way: Way) -> str:
     return f"{first}nothing speaks against it.\n\n{_next_step(way)}\n"
 
 
-def held_text(commit: str, verdict: ProposalVerdict) -> str:
+def unmergeable_text(commit: str, verdict: ProposalVerdict) -> str:
     """The comment on a person's pull request that is approved and still cannot be merged by the gate."""
     first = f"Approved {commit[:12]}, but the gate cannot merge it"
     if verdict.problems:

@@ -3,7 +3,7 @@
 Level-triggered: a round reads the open pull requests and main's tip, decides and acts; a webhook only brings the next
 round forward, and names the pull request to decide first. So lost webhooks, restarts and half-finished rounds are
 repaired by the next round. A pull request whose commit is in main already is left to the forge, which marks it merged
-by itself. Nobody's word about a commit counts (statuses, labels): what is judged is read from Git, by whom it was
+by itself. No statement about a commit counts (statuses, labels): what is judged is read from Git, by whom it was
 proposed from the forge. A manager may send its commit's objects, which saves fetching them: only a merge is decided on
 those, and only the forge makes it one, by accepting the push onto main's tip.
 """
@@ -23,7 +23,7 @@ from robotkube.delivery.gate.loops.pending_objects import PendingObjects
 from robotkube.delivery.gate.loops.rules import GateRules, GateSettings
 from robotkube.errors import DocumentError, InputError, RobotKubeError
 from robotkube.foundation.forge.core.commit_objects import CommitObjects
-from robotkube.foundation.forge.core.polling import LOOK_SECONDS, look_is_due
+from robotkube.foundation.forge.core.resync import RESYNC_SECONDS, resync_is_due
 from robotkube.foundation.forge.ports.pull_requests import Forge, PullRequest, PushHook
 from robotkube.foundation.forge.ports.repositories import Commit, MainBranch
 from robotkube.foundation.runtime.ports import Series, by_one
@@ -34,8 +34,8 @@ POLL_SECONDS = 2.0  # open pull requests, when no webhook came for so long
 SILENT_SECONDS_MAX = 30.0  # not ready when the forge was not seen for longer
 HINTS_MAX = 100
 VERDICTS = ("accepted", "refused", "stale", "checked", "failed")
-HOOKS = ("taken", "lost")
-SOURCES = ("handed", "fetched")
+HOOKS = ("received", "lost")
+SOURCES = ("sent", "fetched")
 WAKING_ACTIONS = frozenset({"opened", "reopened", "synchronized", "synchronize"})  # the last is GitHub's
 REVIEWED = "reviewed"
 
@@ -56,7 +56,7 @@ class GateStatistics:
 
 @dataclass(frozen=True)
 class _Case:
-    """One pull request under decision."""
+    """One pull request under decision, with everything that decides about it."""
 
     pull: PullRequest
     commit: Commit
@@ -99,14 +99,14 @@ class Gate:
         self._rules = GateRules(settings, main, catalogue, validate)
         self.statistics = GateStatistics()
         self._announced = ""
-        self._handed = PendingObjects()
+        self._pending_objects = PendingObjects()
         self._settled: dict[int, str] = {}
         self._waiting: set[int] = set()
         self._first_lines: dict[int, set[str]] = {}
         self._hints: dict[int, PullRequest] = {}
         self._lock = threading.Lock()
         self._woken = threading.Event()
-        self._look_due = True
+        self._resync_due = True
         self._catalogue_moved = False
         self._seen_at = monotonic() - SILENT_SECONDS_MAX - 1
 
@@ -120,15 +120,15 @@ class Gate:
         if repository == self._settings.catalogue:
             self._catalogue_moved = True
         if repository == self._settings.catalogue or moved_main or action == REVIEWED:
-            self._look_due = True
+            self._resync_due = True
             self._woken.set()
         elif action in WAKING_ACTIONS and repository == self._settings.deployment:
             self._hint(payload.get("pull_request") or {})
             self._woken.set()
 
-    def hand(self, account: str, handed: CommitObjects) -> None:
+    def add_objects(self, account: str, objects: CommitObjects) -> None:
         """Keep the objects of a commit that `account` may propose, from that proposer; they decide nothing."""
-        self._handed.keep(account, handed)
+        self._pending_objects.keep(account, objects)
 
     def _hint(self, pull_request: Mapping[str, Any]) -> None:
         """Remember what was proposed: the round need not ask the forge for all that is open first."""
@@ -142,9 +142,10 @@ class Gate:
                     pull_request["number"], "", "", author, "open", head, False
                 )
 
-    def _take_hints(self) -> list[PullRequest]:
+    def _pop_hints(self) -> list[PullRequest]:
         with self._lock:
-            hints, self._hints = self._hints, {}
+            hints = self._hints
+            self._hints = {}
         return [pull for _, pull in sorted(hints.items())]
 
     def stop(self, stopping: threading.Event) -> None:
@@ -159,7 +160,7 @@ class Gate:
 
     def run(self, stopping: threading.Event) -> None:
         """Run rounds until `stopping` is set; an error of forge or Git is logged, and the next round tries again."""
-        resynced_at = self._monotonic() - LOOK_SECONDS
+        resynced_at = self._monotonic() - RESYNC_SECONDS
         listed_at = resynced_at
         answered_at = resynced_at
         while not stopping.is_set():
@@ -170,11 +171,11 @@ class Gate:
                     listed_at = self._monotonic()
                     answered_at = listed_at
                 now = self._monotonic()
-                resync = self._look_due or look_is_due(now - resynced_at, now - answered_at)
+                resync = self._resync_due or resync_is_due(now - resynced_at, now - answered_at)
                 if resync or now - listed_at >= POLL_SECONDS:
                     listed_at = now
                     if resync:  # a push that is notified in this very moment is not for a round that only lists
-                        self._look_due = False
+                        self._resync_due = False
                         resynced_at = now
                     self.round(resync)
             except RobotKubeError as error:
@@ -186,7 +187,7 @@ class Gate:
     def answer_hints(self) -> int:
         """Decide the pull requests that webhooks named, by the catalogue as it was then, and return their number; what
         fails is still open in the next round."""
-        hints = self._take_hints()
+        hints = self._pop_hints()
         if hints and self._catalogue_moved:
             self._refresh()
         for pull in hints:
@@ -194,19 +195,20 @@ class Gate:
                 self._try_to_decide(pull)
         return len(hints)
 
-    def round(self, look_at_main: bool = True) -> None:
-        """Decide all open pull requests, oldest first, and announce main when it moved; `look_at_main` fetches it."""
+    def round(self, fetch_main: bool = True) -> None:
+        """Decide all open pull requests, oldest first, and announce main when it moved; it is fetched before when
+        `fetch_main`."""
         self.statistics.rounds += 1
         pulls = self._forge.pull_requests("open")
         self._seen_at = self._monotonic()
         self._forget_all_but({pull.number for pull in pulls})
-        if look_at_main:
+        if fetch_main:
             self._main.fetch()
-        if look_at_main or self._catalogue_moved:
+        if fetch_main or self._catalogue_moved:
             self._refresh()
         for pull in sorted(pulls, key=lambda pull: pull.number):
             waits = pull.number in self._waiting
-            if self._settled.get(pull.number) != pull.head or (waits and look_at_main):
+            if self._settled.get(pull.number) != pull.head or (waits and fetch_main):
                 self._try_to_decide(pull)
         if self._main.tip != self._announced:
             self._announce(self._announced, self._main.tip)
@@ -236,7 +238,7 @@ class Gate:
     def _decide(self, pull: PullRequest) -> None:
         started = self._monotonic()
         try:
-            case = self._handed_case(pull) or self._fetched_case(pull)
+            case = self._case_of_sent_objects(pull) or self._fetched_case(pull)
         except DocumentError as error:
             self._unreadable(pull, str(error))
             return
@@ -253,34 +255,34 @@ class Gate:
         if not merged:
             self._answer(case, verdict)
         decided = self._monotonic()
-        news = merged or self._settled.get(pull.number) != commit.id
+        newly_decided = merged or self._settled.get(pull.number) != commit.id
         self._settled[pull.number] = commit.id
         if merged:
             for manager in self._managers:
                 manager.hook(before, commit.id)
             self._announce(before, commit.id)
-        if news:
+        if newly_decided:
             self._record(case, verdict, merged, (started, judged, decided, self._monotonic()))
 
     def _unreadable(self, pull: PullRequest, problem: str) -> None:
         """Refuse a pull request that cannot even be read."""
         self.statistics.verdicts["refused"] += 1
         log.error("proposal unreadable number=%d problem=%r", pull.number, problem)
-        self._say(pull.number, verdict_comments.refusal_text(pull.head, [problem]))
+        self._comment_once(pull.number, verdict_comments.refusal_text(pull.head, [problem]))
         if self._settings.proposer(pull.author) is not None:
             self._forge.close(pull.number)
         self._settled[pull.number] = pull.head
 
-    def _handed_case(self, pull: PullRequest) -> _Case | None:
+    def _case_of_sent_objects(self, pull: PullRequest) -> _Case | None:
         """A manager's proposal as the objects that the same manager sent have it; None unless it may be merged. All
         else is judged on what the forge has: here main's tip may be an old one, and a refusal is not proved by any
         push."""
-        handed = self._handed.take(pull.author, pull.head)
-        if handed is None or self._settings.proposer(pull.author) is None:
+        objects = self._pending_objects.pop(pull.author, pull.head)
+        if objects is None or self._settings.proposer(pull.author) is None:
             return None
         try:
-            commit = self._main.take(handed)
-            case = self._case(pull, commit, "handed") if commit is not None else None
+            commit = self._main.receive(objects)
+            case = self._case(pull, commit, "sent") if commit is not None else None
         except InputError:
             return None
         return case if case is not None and case.mergeable else None
@@ -298,7 +300,7 @@ class Gate:
         catalogue was read again, since its webhook may have been lost."""
         began = self._monotonic()
         plans = self._settings.proposer(pull.author) is not None
-        commit = commit if plans else self._main.brought(commit.id)
+        commit = commit if plans else self._main.changes_since_branch(commit.id)
         proposal = self._rules.proposal(commit)
         verdict = self._rules.judge(pull.author, proposal)
         if verdict.problems and self._rules.refresh():
@@ -319,22 +321,24 @@ class Gate:
         commit = case.commit
         self._waiting.discard(number)
         if self._settings.proposer(case.pull.author) is None:
-            self._say(number, verdict_comments.checked_text(commit.id, case.verdict, case.way))
+            self._comment_once(number, verdict_comments.checked_text(commit.id, case.verdict, case.way))
             if case.approved:
-                self._say(number, verdict_comments.held_text(commit.id, verdict))
+                self._comment_once(number, verdict_comments.unmergeable_text(commit.id, verdict))
             if case.way == APPROVAL:
                 self._waiting.add(number)
         elif verdict.accepted:
-            self._say(number, verdict_comments.waiting_text(commit.id, case.way))
+            self._comment_once(number, verdict_comments.waiting_text(commit.id, case.way))
             self._waiting.add(number)
         else:
             parent = commit.parents[0] if commit.parents else ""
             stale = verdict_comments.stale_text(parent, self._main.tip)
-            self._say(number, stale if verdict.stale else verdict_comments.refusal_text(commit.id, verdict.problems))
+            refusal = verdict_comments.refusal_text(commit.id, verdict.problems)
+            self._comment_once(number, stale if verdict.stale else refusal)
             self._forge.close(number)
 
-    def _say(self, number: int, text: str) -> None:
-        """Comment on a pull request, once per first line, also across restarts."""
+    def _comment_once(self, number: int, text: str) -> None:
+        """Comment on a pull request unless a comment with the same first line is there, also from before a
+        restart."""
         first = text.partition("\n")[0]
         if number not in self._first_lines:
             own = [c.text for c in self._forge.comments(number) if c.author == self._settings.account]
@@ -347,7 +351,7 @@ class Gate:
         """Notify Argo CD that main moved; what it did not receive is sent again in the next round."""
         if self._push_hook.hook(before or after, after):
             self._announced = after
-            self.statistics.hooks["taken"] += 1
+            self.statistics.hooks["received"] += 1
             log.info("announced before=%s after=%s", before[:12], after[:12])
         else:
             self.statistics.hooks["lost"] += 1
@@ -399,8 +403,8 @@ def gate_metrics(statistics: GateStatistics) -> Sequence[Series]:
         Series(
             f"{prefix}decision_seconds_total",
             "counter",
-            "Time from looking at proposals to decisions.",
+            "Time from reading proposals to decisions.",
             {(): statistics.decision_seconds},
         ),
-        Series(f"{prefix}rounds_total", "counter", "Looks at the open proposals.", {(): statistics.rounds}),
+        Series(f"{prefix}rounds_total", "counter", "Rounds over the open proposals.", {(): statistics.rounds}),
     )

@@ -14,22 +14,22 @@ KEPT_MAX = 4  # of each proposer, of BYTES_MAX each at most; of more, the oldest
 
 
 class PendingObjects:
-    """The last objects of each account, by commit; from any thread."""
+    """The newest objects of each account, by commit; for any thread."""
 
     def __init__(self) -> None:
         self._kept: dict[str, dict[str, CommitObjects]] = {}  # account -> commit
         self._lock = threading.Lock()
 
-    def keep(self, account: str, handed: CommitObjects) -> None:
+    def keep(self, account: str, objects: CommitObjects) -> None:
         """Keep objects as what `account` sent."""
         with self._lock:
             kept = self._kept.setdefault(account, {})
-            kept.pop(handed.commit, None)
-            kept[handed.commit] = handed
+            kept.pop(objects.commit, None)
+            kept[objects.commit] = objects
             while len(kept) > KEPT_MAX:
                 del kept[next(iter(kept))]
 
-    def take(self, account: str, commit: str) -> CommitObjects | None:
+    def pop(self, account: str, commit: str) -> CommitObjects | None:
         """Remove and return what `account` sent with that commit; None when there is nothing."""
         with self._lock:
             return self._kept.get(account, {}).pop(commit, None)

@@ -1,8 +1,8 @@
-"""The cluster as the manager sees it, kept up to date by one watch per kind; and the statuses of tasks it writes.
+"""The cluster as the manager reads it, kept up to date by one watch per kind; and the statuses of tasks it writes.
 
-A watch lists, then follows the changes from there; a watch that ends in order is taken up where it ended, anything else
-(lost connection, expired position) by listing again after a pause. Until the first list of every kind is complete
-nothing may be decided: see `wait_until_synced`.
+A watch lists, then receives the changes from there; one that ends in order is resumed where it ended, anything else
+(lost connection, expired position) begins with a list again after a pause. Until the first list of every kind is
+complete nothing may be decided: see `wait_until_synced`.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ log = logging.getLogger(__name__)
 
 class KubernetesCluster:
     """The ports TaskStore and Cluster. `wake` gets `tasks`, `nodes` or `applications` when something that
-    matters changed; `now` is the wall clock in seconds. Tasks and pods are seen in `namespaces` (none: in all); `home`
-    is the platform's namespace, where Events about Nodes stand."""
+    matters changed; `now` is the wall clock in seconds. Tasks and pods are read in `namespaces` (none: in all); `home`
+    is the platform's namespace, where Events about Nodes are written."""
 
     def __init__(
         self,
@@ -124,13 +124,13 @@ class KubernetesCluster:
         return True
 
     @writes("event")
-    def tell(self, task: Object, reason: str, text: str) -> None:
+    def report_on_task(self, task: Object, reason: str, text: str) -> None:
         """Write a warning on the task as an Event. Its name is made from task, reason and text: a second one is a
         conflict, since the Event is there already."""
         self._write_event(task_event(task, reason, text, datetime.fromtimestamp(self._now(), UTC)))
 
     @writes("event")
-    def tell_node(self, node: str, reason: str, text: str) -> None:
+    def report_on_node(self, node: str, reason: str, text: str) -> None:
         """Write a warning about a Node as an Event in the platform's namespace: a Node has none, and may not be
         written. A second one is a conflict, as with tasks; it does not matter which manager writes it."""
         regarding = {"apiVersion": "v1", "kind": "Node", "namespace": self._home, "name": node, "uid": node}

@@ -60,13 +60,13 @@ METRICS = (
 
 
 class PrometheusMetrics:
-    """The port Telemetry as Prometheus metrics; `text` is the page. `figures` is called at every reading of the
+    """The port Telemetry as Prometheus metrics; `text` is the page. `read_gauges` is called at every reading of the
     page."""
 
-    def __init__(self, figures: Callable[[], ManagerGauges]) -> None:
+    def __init__(self, read_gauges: Callable[[], ManagerGauges]) -> None:
         self._registry = CollectorRegistry()
         ProcessCollector(registry=self._registry)
-        self._registry.register(_Gauges(figures))
+        self._registry.register(_Gauges(read_gauges))
         self._plans = Counter(*_named("plans_total"), ("kind", "outcome"), registry=self._registry)
         self._steps = Counter(*_named("steps_total"), registry=self._registry)
         self._failures = Counter(*_named("step_failures_total"), registry=self._registry)
@@ -101,8 +101,8 @@ class PrometheusMetrics:
 class _Gauges(Collector):
     """The manager's gauges, read anew for every page."""
 
-    def __init__(self, figures: Callable[[], ManagerGauges]) -> None:
-        self._read = figures
+    def __init__(self, read_gauges: Callable[[], ManagerGauges]) -> None:
+        self._read_gauges = read_gauges
 
     def describe(self) -> Iterable[Metric]:
         """The names of the gauges, without their values."""
@@ -110,7 +110,7 @@ class _Gauges(Collector):
 
     def collect(self) -> Iterable[Metric]:
         """The gauges of this moment."""
-        gauges = self._read()
+        gauges = self._read_gauges()
         families = {metric.name: _gauge(metric) for metric in METRICS if metric.kind == "gauge"}
         for labels, count in sorted(gauges.tasks.items()):
             families["tasks"].add_metric(list(labels), count)

@@ -1,4 +1,4 @@
-"""Conflicts between demands: who is refused, who waits, who runs elsewhere, who gives way.
+"""Conflicts between demands: which are refused, which wait, which run elsewhere, which are pre-empted.
 
 A conflict is a demand that could run if others did not: its requests do not fit beside theirs, or they have a release
 that it needs with other content. Its own policy says what becomes of it. Reject: refused. Postpone: it waits in
@@ -32,8 +32,8 @@ from robotkube.delivery.tasks.core.task_description import (
 
 QUEUE_MAX = 100
 AGING_SECONDS = 1.0  # a waiting demand gains one point of priority in this time
-PREEMPTIONS_MAX = 10  # decided at once; the others are decided by the next look
-VICTIMS_MAX = 256  # demands of lower priority that are looked at for one pre-emption
+PREEMPTIONS_MAX = 10  # decided at once; the others are decided by the next step
+VICTIMS_MAX = 256  # demands of lower priority that are considered for one pre-emption
 AWAY_REASONS = CONFLICT_REASONS | {NO_CAPABLE_NODE}  # for which another place or another time may help
 
 Compose = Callable[[Sequence[Demand]], Composition]
@@ -77,12 +77,12 @@ class History:
 @dataclass(frozen=True)
 class Resolution:
     """The answer: what should be on main, and an outcome per demand. `next_due_ns` is when a waiting demand's time ends
-    (None: nobody waits); `left` are demands that were not decided, to be looked at again at once."""
+    (None: nobody waits); `undecided` are demands to be decided by the next step, which is due at once."""
 
     desired: Composition
     outcomes: Mapping[str, DemandOutcome]
     offloaded: frozenset[str] = frozenset()
-    left: frozenset[str] = frozenset()
+    undecided: frozenset[str] = frozenset()
     next_due_ns: int | None = None
 
 
@@ -93,16 +93,19 @@ def resolve(demands: Sequence[Demand], compose: Compose, history: History, now_n
     wanted = [_offloaded(d) if d.key in history.offloaded else d for d in wanted]
     desired = compose(wanted)
     wanted, desired, why = _offload(wanted, desired, compose)
-    wanted, desired, gave_way, left = _preempt(wanted, desired, compose)
+    wanted, desired, preempted_by, undecided = _preempt(wanted, desired, compose)
     outcomes: dict[str, DemandOutcome] = {
-        d.key: _worded(d, desired.outcomes[d.key], why, gave_way, settled) for d in wanted if d.key not in left
+        d.key: _with_conflict(d, desired.outcomes[d.key], why, preempted_by, settled)
+        for d in wanted
+        if d.key not in undecided
     }
-    outcomes |= {k: Refused(PREEMPTED, _gave_way(by)) for k, by in gave_way.items() if not _met(outcomes.get(k))}
+    preempted = {k: by for k, by in preempted_by.items() if not _met(outcomes.get(k))}
+    outcomes |= {k: Refused(PREEMPTED, _preempted_text(by)) for k, by in preempted.items()}
     queue = _queue([d for d in demands if d.key in outcomes], outcomes, history, now_ns)
     outcomes |= {**settled, **queue}
     offloaded = frozenset(d.key for d in wanted if d.roles and _met(outcomes[d.key]))
     due = min((o.until_ns for o in queue.values() if isinstance(o, Postponed)), default=None)
-    return Resolution(desired, outcomes, offloaded, frozenset(left), due)
+    return Resolution(desired, outcomes, offloaded, frozenset(undecided), due)
 
 
 def _order(demand: Demand, history: History, now_ns: int) -> tuple[int, float, str, str]:
@@ -154,29 +157,32 @@ def _offload(
     return moved, compose(moved), why
 
 
-# -- giving way ---------------------------------------------------------------------------------------------------
+# -- pre-emption --------------------------------------------------------------------------------------------------
 
 
 def _preempt(
     wanted: list[Demand], desired: Composition, compose: Compose
 ) -> tuple[list[Demand], Composition, dict[str, Demand], set[str]]:
-    """Let demands of lower priority give way to those that may pre-empt; who gave way to whom, and who was left."""
-    claims = [d for d in wanted if _policy(d) == PREEMPT and _reason(desired, d) in CONFLICT_REASONS]
-    gave_way: dict[str, Demand] = {}
+    """Let demands of lower priority give way to those that may pre-empt; which gave way to which, and those that are
+    not decided yet."""
+    preemptors = [d for d in wanted if _policy(d) == PREEMPT and _reason(desired, d) in CONFLICT_REASONS]
+    preempted_by: dict[str, Demand] = {}
     accepted = [d for d in wanted if _met(desired.outcomes[d.key])]
-    for claim in claims[:PREEMPTIONS_MAX]:
-        victims = _victims(claim, accepted, compose)
+    for preemptor in preemptors[:PREEMPTIONS_MAX]:
+        victims = _victims(preemptor, accepted, compose)
         if victims:
-            gave_way |= {victim.key: claim for victim in victims}
-            accepted = [d for d in accepted if d.key not in gave_way] + [claim]
-    if gave_way:
-        before, wanted = desired.outcomes, _again(wanted, accepted, gave_way)
+            preempted_by |= {victim.key: preemptor for victim in victims}
+            accepted = [d for d in accepted if d.key not in preempted_by] + [preemptor]
+    if preempted_by:
+        before = desired.outcomes
+        wanted = _order_after_preemption(wanted, accepted, preempted_by)
         desired = compose(wanted)
-        stuck = {key for key in gave_way if key in desired.outcomes and _same_place(before[key], desired.outcomes[key])}
+        after = desired.outcomes
+        stuck = {key for key in preempted_by if key in after and _same_place(before[key], after[key])}
         if stuck:
             wanted = [d for d in wanted if d.key not in stuck]
             desired = compose(wanted)
-    return wanted, desired, gave_way, {d.key for d in claims[PREEMPTIONS_MAX:]} - {d.key for d in accepted}
+    return wanted, desired, preempted_by, {d.key for d in preemptors[PREEMPTIONS_MAX:]} - {d.key for d in accepted}
 
 
 def _reason(desired: Composition, demand: Demand) -> str:
@@ -189,24 +195,26 @@ def _same_place(before: Met | Refused, after: Met | Refused) -> bool:
     return isinstance(before, Met) and isinstance(after, Met) and before.releases == after.releases
 
 
-def _again(wanted: Iterable[Demand], accepted: list[Demand], gave_way: Mapping[str, Demand]) -> list[Demand]:
+def _order_after_preemption(
+    wanted: Iterable[Demand], accepted: list[Demand], preempted_by: Mapping[str, Demand]
+) -> list[Demand]:
     """Those that have a place, then the refused ones, then those that gave way and may run elsewhere."""
     placed = {d.key for d in accepted}
-    others = [d for d in wanted if d.key not in placed and d.key not in gave_way]
-    elsewhere = [_offloaded(d) for d in wanted if d.key in gave_way and _policy(d) == OFFLOAD and not d.roles]
+    others = [d for d in wanted if d.key not in placed and d.key not in preempted_by]
+    elsewhere = [_offloaded(d) for d in wanted if d.key in preempted_by and _policy(d) == OFFLOAD and not d.roles]
     return [*accepted, *others, *elsewhere]
 
 
-def _victims(claim: Demand, accepted: Sequence[Demand], compose: Compose) -> list[Demand]:
-    """A smallest set of demands of lower priority without which `claim` fits and everybody else stays (QuickXplain,
+def _victims(preemptor: Demand, accepted: Sequence[Demand], compose: Compose) -> list[Demand]:
+    """A smallest set of demands of lower priority without which `preemptor` fits and everybody else stays (QuickXplain,
     Junker 2004, which prefers the first candidates); empty when none is enough."""
-    candidates = [d for d in accepted if d.task is not None and _priority(d) < _priority(claim)]
+    candidates = [d for d in accepted if d.task is not None and _priority(d) < _priority(preemptor)]
     candidates.sort(key=lambda d: (_priority(d), d.key))
     del candidates[VICTIMS_MAX:]
 
     def fits(victims: Iterable[Demand]) -> bool:
         away = {d.key for d in victims}
-        trial = [*(d for d in accepted if d.key not in away), claim]
+        trial = [*(d for d in accepted if d.key not in away), preemptor]
         outcomes = compose(trial).outcomes
         return all(_met(outcomes[d.key]) for d in trial)
 
@@ -223,39 +231,39 @@ def _victims(claim: Demand, accepted: Sequence[Demand], compose: Compose) -> lis
     return smallest([], False, candidates) if candidates and fits(candidates) else []
 
 
-def _by(refused: Refused, claim: Demand) -> bool:
-    return refused.reason == PREEMPTED and refused.message == _gave_way(claim)
+def _by(refused: Refused, preemptor: Demand) -> bool:
+    return refused.reason == PREEMPTED and refused.message == _preempted_text(preemptor)
 
 
-def _gave_way(claim: Demand) -> str:
-    return f"gave way to {claim.key} of priority {_priority(claim)}"
+def _preempted_text(preemptor: Demand) -> str:
+    return f"gave way to {preemptor.key} of priority {_priority(preemptor)}"
 
 
-# -- words and the queue ------------------------------------------------------------------------------------------
+# -- messages and the queue ---------------------------------------------------------------------------------------
 
 
-def _worded(
+def _with_conflict(
     demand: Demand,
     outcome: Met | Refused,
     why: Mapping[str, Refused],
-    gave_way: Mapping[str, Demand],
+    preempted_by: Mapping[str, Demand],
     settled: Mapping[str, Refused],
 ) -> Met | Refused:
-    """The outcome with what was decided about its conflict."""
-    if not (why or gave_way or settled or demand.roles):
+    """The outcome with what was decided about its conflict in its message or choices."""
+    if not (why or preempted_by or settled or demand.roles):
         return outcome
     refusal = why.get(demand.key)
     if isinstance(outcome, Refused):
         text = f"{refusal.message}; on {_elsewhere(demand)} instead: {outcome.message}" if refusal else outcome.message
         return replace(outcome, message=text)
     before = [key for key, earlier in settled.items() if _by(earlier, demand)]
-    now = [key for key, claim in gave_way.items() if claim.key == demand.key]
-    words = [f"{key} gave way to it" for key in sorted({*before, *now})]
+    now = [key for key, preemptor in preempted_by.items() if preemptor.key == demand.key]
+    choices = [f"{key} gave way to it" for key in sorted({*before, *now})]
     if demand.roles:
         reason = f": {refusal.reason}: {refusal.message}" if refusal else ""
-        by = f"; it {_gave_way(gave_way[demand.key])}" if demand.key in gave_way else ""
-        words.append(f"offloaded to {_elsewhere(demand)}{by}{reason}")
-    return replace(outcome, choices=(*words, *outcome.choices)) if words else outcome
+        by = f"; it {_preempted_text(preempted_by[demand.key])}" if demand.key in preempted_by else ""
+        choices.append(f"offloaded to {_elsewhere(demand)}{by}{reason}")
+    return replace(outcome, choices=(*choices, *outcome.choices)) if choices else outcome
 
 
 def _elsewhere(demand: Demand) -> str:
@@ -270,37 +278,37 @@ def _queue(
     if not waiting:
         return {}
     end = {t.key: history.waiting.get(t.key, now_ns) + t.queue_seconds_max * 1_000_000_000 for t in waiting}
-    found: dict[str, DemandOutcome] = {t.key: _too_long(t, outcomes[t.key]) for t in waiting if end[t.key] <= now_ns}
+    queued: dict[str, DemandOutcome] = {t.key: _too_long(t, outcomes[t.key]) for t in waiting if end[t.key] <= now_ns}
     as_new = replace(history, answered=frozenset())
     by_order = {d.key: _order(d, as_new, now_ns) for d in demands}
-    line = sorted((t for t in waiting if t.key not in found), key=lambda t: by_order[t.key])
+    line = sorted((t for t in waiting if t.key not in queued), key=lambda t: by_order[t.key])
     known = [t for t in line if t.key in history.waiting]
     places = {t.key for t in [*known, *(t for t in line if t.key not in history.waiting)][:QUEUE_MAX]}
-    found |= {t.key: _full(outcomes[t.key]) for t in line if t.key not in places}
+    queued |= {t.key: _full(outcomes[t.key]) for t in line if t.key not in places}
     line = [t for t in line if t.key in places]
     for position, task in enumerate(line, 1):
         since = history.waiting.get(task.key, now_ns)
-        found[task.key] = _postponed(outcomes[task.key], position, len(line), since, end[task.key])
-    return found
+        queued[task.key] = _postponed(outcomes[task.key], position, len(line), since, end[task.key])
+    return queued
 
 
 def _waits(demand: Demand, outcome: DemandOutcome) -> bool:
     return _policy(demand) == POSTPONE and isinstance(outcome, Refused) and outcome.reason in AWAY_REASONS | {PREEMPTED}
 
 
-def _words(outcome: DemandOutcome) -> tuple[str, str]:
+def _reason_and_message(outcome: DemandOutcome) -> tuple[str, str]:
     return (outcome.reason, outcome.message) if isinstance(outcome, Refused) else ("", "")
 
 
 def _too_long(task: TaskDescription, outcome: DemandOutcome) -> Refused:
-    return Refused(QUEUE_TOO_LONG, f"waited for {task.queue_seconds_max} s: {': '.join(_words(outcome))}")
+    return Refused(QUEUE_TOO_LONG, f"waited for {task.queue_seconds_max} s: {': '.join(_reason_and_message(outcome))}")
 
 
 def _full(outcome: DemandOutcome) -> Refused:
-    return Refused(QUEUE_FULL, f"{QUEUE_MAX} demands wait already: {': '.join(_words(outcome))}")
+    return Refused(QUEUE_FULL, f"{QUEUE_MAX} demands wait already: {': '.join(_reason_and_message(outcome))}")
 
 
 def _postponed(outcome: DemandOutcome, position: int, length: int, since_ns: int, until_ns: int) -> Postponed:
-    reason, message = _words(outcome)
+    reason, message = _reason_and_message(outcome)
     text = f"waits at position {position} of {length} until {moment(until_ns)}: {reason}: {message}"
     return Postponed(reason, text, position, since_ns, until_ns)

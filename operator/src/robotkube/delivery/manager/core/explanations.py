@@ -58,7 +58,7 @@ def explain(
 
 def _verdict(outcome: DemandOutcome | None) -> str:
     if outcome is None:
-        return "is not looked at yet"
+        return "is not decided yet"
     if isinstance(outcome, Met):
         return f"is accepted; its releases: {', '.join(outcome.releases) or 'none'}"
     if isinstance(outcome, Postponed):
@@ -67,8 +67,8 @@ def _verdict(outcome: DemandOutcome | None) -> str:
 
 
 def _changed(changes: Iterable[Change]) -> list[str]:
-    words = {"add": "starts", "change": "changes", "remove": "stops"}
-    lines = [f"{words[c.kind]} {c.release.key} ({c.release.chart} {c.release.version})" for c in changes]
+    verbs = {"add": "starts", "change": "changes", "remove": "stops"}
+    lines = [f"{verbs[c.kind]} {c.release.key} ({c.release.chart} {c.release.version})" for c in changes]
     return lines or ["changes nothing in the deployment repository"]
 
 

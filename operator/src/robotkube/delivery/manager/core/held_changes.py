@@ -14,7 +14,7 @@ from robotkube.delivery.manager.core.plans import ADD, REMOVE, Change
 from robotkube.delivery.tasks.core.holds import DeviceHold
 
 
-def standing(holds: Iterable[DeviceHold], now_ns: int) -> dict[str, DeviceHold]:
+def active_holds(holds: Iterable[DeviceHold], now_ns: int) -> dict[str, DeviceHold]:
     """The holds that last, by agent: of several (two Nodes, Node and message) the one that ends last."""
     return {hold.agent: hold for hold in sorted(holds) if hold.until_ns > now_ns}
 
@@ -23,8 +23,8 @@ def held(
     changes: Sequence[Change], holds: Iterable[DeviceHold], agents: Mapping[str, str], now_ns: int
 ) -> tuple[tuple[Change, ...], dict[str, DeviceHold]]:
     """The changes that may be made now, and the hold of each that waits, by path. `agents` is namespace -> agent."""
-    lasting = standing(holds, now_ns)
-    waiting = {c.path: lasting[agent] for c in changes if (agent := agents.get(c.release.namespace, "")) in lasting}
+    active = active_holds(holds, now_ns)
+    waiting = {c.path: active[agent] for c in changes if (agent := agents.get(c.release.namespace, "")) in active}
     leaving = [change for change in changes if change.kind == REMOVE and change.path in waiting]
     for change in changes:
         origin = next((left for left in leaving if change.kind == ADD and _moves(left, change)), None)

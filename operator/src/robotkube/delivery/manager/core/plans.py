@@ -148,7 +148,7 @@ def _source_files(users: Mapping[ChartOf, int], tree: Tree, registry: str) -> di
     return files | {path: None for path in sorted(gone - paths) if path in tree.sources}
 
 
-def lost_words(changes: Iterable[Change], fleet: Fleet, now_ns: int) -> str:
+def lost_node_text(changes: Iterable[Change], fleet: Fleet, now_ns: int) -> str:
     """The moves away from lost nodes, for the commit's subject: `node vehicle-03 lost for 41 s: recorder moved to
     cloud-1`; empty when nothing moves for that."""
     changes = tuple(changes)
@@ -169,7 +169,7 @@ def lost_words(changes: Iterable[Change], fleet: Fleet, now_ns: int) -> str:
     return "; ".join(f"{why}: {', '.join(moves)}" for why, moves in sorted(moved.items()))
 
 
-def come_and_go(changes: Iterable[Change]) -> tuple[frozenset[Cause], frozenset[Cause]]:
+def answered_and_withdrawn(changes: Iterable[Change]) -> tuple[frozenset[Cause], frozenset[Cause]]:
     """The tasks that the changes newly answer, and those that they no longer answer anywhere among changed releases."""
     after = {c for change in changes if change.after for c in change.after.causes}
     before = {c for change in changes if change.before for c in change.before.causes}
@@ -183,7 +183,7 @@ def _message(
     catalogue: Catalogue,
     plan: str,
 ) -> CommitMessage:
-    come, go = come_and_go(changes)
+    come, go = answered_and_withdrawn(changes)
     causes = set(come | go)
     initial = False
     for change in changes:
@@ -239,7 +239,7 @@ def describe(
     """The pull request's body (Markdown): what was asked, every choice with its reason, what changes, the evidence.
     `suites` are those of the verification policy."""
     lines = [f"Plan `{plan.id}` on `{plan.base[:12]}`.", "", "## Asked", ""]
-    come, go = come_and_go(plan.changes)
+    come, go = answered_and_withdrawn(plan.changes)
     for cause in sorted(come):
         task = tasks.get(cause.task)
         reason = f": {_quoted(task.reason)}" if task else ""

@@ -48,7 +48,7 @@ class PastDecision:
 
 
 _Read = tuple[Mapping[str, Any], Any, Any, TaskDescription | Refused]
-"""A document, its metadata and spec, and what they say."""
+"""A document, its metadata and spec, and the task that was read from them, or why none was."""
 
 
 class TaskReader:
@@ -102,7 +102,7 @@ def _task(document: Mapping[str, Any]) -> TaskDescription | Refused:
         return Refused(INVALID_PARAMETERS, str(error))
 
 
-def standing(tasks: Mapping[str, TaskDescription | Refused], now_ns: int) -> StandingDemands:
+def demands_at(tasks: Mapping[str, TaskDescription | Refused], now_ns: int) -> StandingDemands:
     """The demands among the tasks that stand at `now_ns` (ns since 1970)."""
     readable = sorted((t for t in tasks.values() if isinstance(t, TaskDescription)), key=lambda t: (t.created, t.key))
     refused = {key: task for key, task in tasks.items() if isinstance(task, Refused)}
@@ -130,7 +130,7 @@ def moment(time_ns_: int) -> str:
     return datetime.fromtimestamp(time_ns_ // 1_000_000_000, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
-def remembered(document: Mapping[str, Any]) -> PastDecision:
+def past_decision(document: Mapping[str, Any]) -> PastDecision:
     """The earlier decisions in the status of a task; none when the status is about an older generation."""
     status = document.get("status") or {}
     if status.get("observedGeneration") != document.get("metadata", {}).get("generation", 1):

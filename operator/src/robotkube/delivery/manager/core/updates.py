@@ -2,8 +2,8 @@
 
 A new version moves nothing by itself: every release keeps the version that main gives it (`Updates.pins`) until its
 chart's rule lets it move, one chart at a time, in a plan of its own; neighbours of other charts are not part of it.
-With a canary the releases of one agent go first, the others when those have succeeded. An update that fails is taken
-back to exactly the versions it replaced, and its digest is not tried again until people change the policy. An agent
+With a canary the releases of one agent go first, the others when those have succeeded. An update that fails is reverted
+to exactly the versions it replaced, and its digest is not tried again until people change the policy. An agent
 that is offline neither decides nor waits for anybody: its releases move when it is back.
 
 Nothing is remembered here: `UpdateMemory` is read from main's commits, health and times from the cluster.
@@ -93,8 +93,8 @@ class ReleaseHealth:
 
 @dataclass(frozen=True)
 class ClusterHealth:
-    """The cluster as updates see it: `health` by release key; `online`: namespace -> since when (ns; 0 = always) a node
-    of its agent is ready."""
+    """The cluster as far as updates depend on it: `health` by release key; `online`: namespace -> since when (ns; 0 =
+    always) a node of its agent is ready."""
 
     health: Mapping[str, ReleaseHealth] = field(default_factory=dict)
     online: Mapping[str, int] = field(default_factory=dict)
@@ -102,9 +102,9 @@ class ClusterHealth:
 
 @dataclass(frozen=True)
 class Move:
-    """The one step that may be taken now, of `cause` update or revert: `keys` are the releases that go to `version` or
-    leave it; `pins` those of all releases with this step taken; `reason` for commit and pull request; `undone` the
-    commits that a revert takes back."""
+    """The one step that may be made now, of `cause` update or revert: `keys` are the releases that go to `version` or
+    leave it; `pins` those of all releases with this step made; `reason` for commit and pull request; `undone` the
+    commits that a revert undoes."""
 
     cause: str
     chart: str
@@ -118,12 +118,12 @@ class Move:
 @dataclass(frozen=True)
 class Updates:
     """The decision about updates. `pins`: release key -> what it keeps; `withheld`: (chart, version) -> why nothing new
-    may use it; `words` say what waits for what."""
+    may use it; `messages` say what waits for what."""
 
     pins: Mapping[str, Pin] = field(default_factory=dict)
     withheld: Mapping[Pin, str] = field(default_factory=dict)
     move: Move | None = None
-    words: tuple[str, ...] = ()
+    messages: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -202,32 +202,32 @@ def decide(
     targets: Targets,
     policy: UpdatePolicy,
     memory: UpdateMemory,
-    sight: Callable[[], ClusterHealth],
+    observe: Callable[[], ClusterHealth],
     now_ns: int,
     fixed: frozenset[str] = frozenset(),
 ) -> Updates:
     """The version that every release on main (`present`, by path) keeps, and the one update or revert that may be made
     now: reverts first, then by chart. `fixed`: release keys that cannot move (a newer version does not suit them).
-    `sight` is called only when something is under way."""
+    `observe` is called only when something is under way."""
     pins = {release.key: (release.chart, release.version) for release in present.values()}
     withheld = _withheld(targets.catalogue, memory)
     moves = list(_left_over(present.values(), memory, pins))
-    words: list[str] = []
+    messages: list[str] = []
     rollouts = _rollouts(present.values(), targets, policy, memory)
-    observed = sight() if rollouts else ClusterHealth()
+    cluster_health = observe() if rollouts else ClusterHealth()
     for rollout in rollouts:
-        tally = _tally(rollout, memory.runs.get(rollout.chart), observed, now_ns)
+        tally = _tally(rollout, memory.runs.get(rollout.chart), cluster_health, now_ns)
         if rollout.behind and rollout.rule.canary and not tally.succeeded(rollout.rule):
             on_trial = f"{rollout.target.chart} {rollout.target.version} is on trial"
-            withheld[rollout.chart, rollout.target.version] = f"{on_trial}; it is taken when its canary has succeeded"
+            withheld[rollout.chart, rollout.target.version] = f"{on_trial}; it is used when its canary has succeeded"
         if tally.failed(rollout.rule):
             step, text = _failed(rollout, tally, memory.runs[rollout.chart], present.values(), pins)
         else:
-            step, text = _forward(rollout, tally, observed, fixed, pins)
+            step, text = _forward(rollout, tally, cluster_health, fixed, pins)
         moves += [step] if step else []
-        words += [text] if text else []
+        messages += [text] if text else []
     chosen = min(moves, key=lambda move: (move.cause != REVERT, move.chart), default=None)
-    return Updates(pins, withheld, chosen, tuple(words))
+    return Updates(pins, withheld, chosen, tuple(messages))
 
 
 def _withheld(catalogue: Catalogue, memory: UpdateMemory) -> dict[Pin, str]:
@@ -266,14 +266,14 @@ def _rollouts(
     return [rollouts[place] for place in sorted(rollouts)]
 
 
-def _tally(rollout: _Rollout, run: ChartUpdate | None, sight: ClusterHealth, now_ns: int) -> _Tally:
+def _tally(rollout: _Rollout, run: ChartUpdate | None, cluster_health: ClusterHealth, now_ns: int) -> _Tally:
     verdicts: dict[str, list[str]] = {"good": [], "bad": [], "pending": []}
     for release in rollout.updated:
-        online = sight.online.get(release.namespace)
+        online = cluster_health.online.get(release.namespace)
         if run is not None and online is not None:
             at_ns = run.at_ns[release.key]
             begin_ns = max(at_ns, online, plan_ns(release.plan))
-            verdict = _verdict(sight.health.get(release.key), at_ns, begin_ns, rollout.rule, now_ns)
+            verdict = _verdict(cluster_health.health.get(release.key), at_ns, begin_ns, rollout.rule, now_ns)
             verdicts[verdict].append(release.key)
     return _Tally(*(tuple(verdicts[name]) for name in ("good", "bad", "pending")))
 
@@ -305,8 +305,8 @@ def plan_ns(plan: str) -> int:
 def _failed(
     rollout: _Rollout, tally: _Tally, run: ChartUpdate, present: Iterable[Release], pins: Mapping[str, Pin]
 ) -> tuple[Move | None, str]:
-    """The revert of an update, for every release that it moved, under whatever rule; only words when the rule forbids
-    it."""
+    """The revert of an update, for every release that it moved, under whatever rule; only a message when the rule
+    forbids it."""
     rule = rollout.rule
     name = f"{rollout.chart} {rollout.target.version}"
     bad = ", ".join(tally.bad)
@@ -317,7 +317,7 @@ def _failed(
     back = {key: run.before[key] for key in keys}
     reason = f"{name} back: {fault}"
     move = Move(REVERT, rollout.chart, rollout.target.version, keys, {**pins, **back}, reason, run.commits)
-    return move, f"{name} has failed ({fault}) and is taken back"
+    return move, f"{name} has failed ({fault}) and is reverted"
 
 
 def _left_over(present: Iterable[Release], memory: UpdateMemory, pins: Mapping[str, Pin]) -> Iterable[Move]:
@@ -332,13 +332,13 @@ def _left_over(present: Iterable[Release], memory: UpdateMemory, pins: Mapping[s
 
 
 def _forward(
-    rollout: _Rollout, tally: _Tally, sight: ClusterHealth, fixed: frozenset[str], pins: Mapping[str, Pin]
+    rollout: _Rollout, tally: _Tally, cluster_health: ClusterHealth, fixed: frozenset[str], pins: Mapping[str, Pin]
 ) -> tuple[Move | None, str]:
     """The next step of an update, and who waits for what."""
     name = f"{rollout.chart} {rollout.target.version}"
     free = [release for release in rollout.behind if release.key not in fixed]
-    online = [release for release in free if release.namespace in sight.online]
-    offline = sorted({release.namespace for release in free} - set(sight.online))
+    online = [release for release in free if release.namespace in cluster_health.online]
+    offline = sorted({release.namespace for release in free} - set(cluster_health.online))
     text = f"{name} waits for {', '.join(offline)}, which is offline" if offline else ""
     if not online:
         return None, text
@@ -346,15 +346,15 @@ def _forward(
     if on_trial and (tally.good or tally.pending or tally.bad):
         waiting = ", ".join((*tally.pending, *tally.bad))
         return None, f"{name} is on trial: {waiting} must be healthy for {rollout.rule.success_seconds} s"
-    first = min(online, key=lambda r: (_state(r, sight) != HEALTHY, r.key)).namespace
+    first = min(online, key=lambda r: (_state(r, cluster_health) != HEALTHY, r.key)).namespace
     keys = tuple(release.key for release in online if not on_trial or release.namespace == first)
     reason = f"{name}, first on {first}" if on_trial else name
     target = (rollout.chart, rollout.target.version)
     return Move(UPDATE, *target, keys, {**pins, **dict.fromkeys(keys, target)}, reason), text
 
 
-def _state(release: Release, sight: ClusterHealth) -> str:
-    return sight.health[release.key].state if release.key in sight.health else PROGRESSING
+def _state(release: Release, cluster_health: ClusterHealth) -> str:
+    return cluster_health.health[release.key].state if release.key in cluster_health.health else PROGRESSING
 
 
 def moved(

@@ -1,4 +1,4 @@
-"""What the scopes of manager and operators, chains of tasks and vetoes of devices leave of the manager's decisions."""
+"""Constraints of the manager's decisions: scopes of manager and operators, chains of tasks, holds of devices."""
 
 from __future__ import annotations
 
@@ -35,22 +35,25 @@ class Constraints:
     """What one manager must stay within: scopes, chains of tasks, held changes; `agents` are all that are declared."""
 
     def __init__(self, agents: Sequence[Agent], operators: Operators) -> None:
-        self._agents, self._operators, self._unbounded = agents, operators, operators.unbounded
+        self._agents = agents
+        self._operators = operators
+        self._unbounded = operators.unbounded
         self._names = {agent.namespace: agent.name for agent in agents}
-        self._said: Mapping[str, DeviceHold] = {}
+        self._logged: Mapping[str, DeviceHold] = {}
         self._fleet: tuple[Fleet, Fleet] | None = None
         self._own: tuple[Tree, Tree] | None = None
         self.waiting_tasks: Mapping[str, str] = {}
         self.holds_end_ns: int | None = None
 
     def fleet(self, whole: Fleet) -> Fleet:
-        """The agents that this manager answers for; the same object for the same one."""
+        """The agents that this manager answers for, with their nodes; the same object for the same fleet."""
         if self._fleet is None or self._fleet[0] is not whole:
             self._fleet = whole, scoped_fleet(whole, self._operators.manager)
         return self._fleet[1]
 
     def own(self, tree: Tree) -> Tree:
-        """What of main this manager answers for; everything else it leaves as it is. The same object for the same."""
+        """The part of main that this manager answers for; it leaves everything else as it is. The same object for the
+        same tree."""
         scope = self._operators.manager
         if not scope.is_narrow:
             return tree
@@ -65,12 +68,12 @@ class Constraints:
     ) -> dict[str, Refused]:
         """The tasks that need not be composed: out of their chain, or for an application out of their scope. `live` are
         all that stand, `gone` says why others do not, `releases` are main's."""
-        found = self._out_of_chain(live, gone, releases)
+        refusals = self._out_of_chain(live, gone, releases)
         for task in () if self._unbounded else tasks:
-            if task.application and task.key not in found:
+            if task.application and task.key not in refusals:
                 refusal = self._outside(task, live, task.application, ())
-                found |= {task.key: refusal} if refusal else {}
-        return {task.key: found[task.key] for task in tasks if task.key in found} if found else {}
+                refusals |= {task.key: refusal} if refusal else {}
+        return {task.key: refusals[task.key] for task in tasks if task.key in refusals} if refusals else {}
 
     def refused_after(
         self,
@@ -81,18 +84,18 @@ class Constraints:
         outcomes: Mapping[str, DemandOutcome],
     ) -> dict[str, Refused]:
         """The tasks that have to go after all: they led out of their scope, or a task above them was refused."""
-        found: dict[str, Refused] = {}
+        refusals: dict[str, Refused] = {}
         for task in () if self._unbounded else tasks:
             outcome = outcomes.get(task.key)
             refusal = None
             if isinstance(outcome, Met):
                 places = [name.partition("/")[0] for name in outcome.releases]
                 refusal = self._outside(task, live, outcome.application or task.application, places)
-            found |= {task.key: refusal} if refusal else {}
-        chains = self._out_of_chain(live, {**gone, **{key: r.message for key, r in found.items()}}, releases)
-        if not found and not chains:
+            refusals |= {task.key: refusal} if refusal else {}
+        chains = self._out_of_chain(live, {**gone, **{key: r.message for key, r in refusals.items()}}, releases)
+        if not refusals and not chains:
             return {}
-        return {task.key: r for task in tasks if (r := found.get(task.key) or chains.get(task.key))}
+        return {task.key: r for task in tasks if (r := refusals.get(task.key) or chains.get(task.key))}
 
     def _outside(
         self, task: TaskDescription, live: Tasks, application: str, namespaces: Sequence[str]
@@ -114,24 +117,25 @@ class Constraints:
     def _out_of_chain(self, live: Tasks, gone: Mapping[str, str], releases: Iterable[Release]) -> dict[str, Refused]:
         if not any(task.parent for task in live.values()):
             return {}
-        found = judge(_chain(live), gone, releases)
-        return {key: Refused(refusal.reason, refusal.message) for key, refusal in found.items()}
+        refusals = judge(_chain(live), gone, releases)
+        return {key: Refused(refusal.reason, refusal.message) for key, refusal in refusals.items()}
 
     def waits(self, changes: Sequence[Change], holds: Iterable[DeviceHold], now_ns: int) -> Mapping[str, str]:
-        """What each task would wait for if exactly these changes were wanted; nothing is kept."""
+        """The holds that each task would wait for, in words, if exactly these changes were wanted; changes nothing
+        here."""
         return waiting_tasks(changes, held(changes, holds, self._names, now_ns)[1])
 
-    def going(self, changes: tuple[Change, ...], holds: Iterable[DeviceHold], now_ns: int) -> tuple[Change, ...]:
+    def unheld(self, changes: tuple[Change, ...], holds: Iterable[DeviceHold], now_ns: int) -> tuple[Change, ...]:
         """The changes that no device holds. `waiting_tasks` says of the others' tasks what they wait for,
         `holds_end_ns` when the first of the holds that matter ends (None: none does)."""
-        going, waiting = held(changes, holds, self._names, now_ns)
+        unheld, waiting = held(changes, holds, self._names, now_ns)
         self.waiting_tasks = waiting_tasks(changes, waiting)
         self.holds_end_ns = min((hold.until_ns for hold in waiting.values()), default=None)
-        if waiting != self._said:
+        if waiting != self._logged:
             for path, hold in waiting.items():
                 log.info("change waits path=%s agent=%s reason=%r", path, hold.agent, hold.text)
-            self._said = waiting
-        return going
+            self._logged = waiting
+        return unheld
 
 
 def _chain(live: Tasks) -> dict[str, ChainTask]:

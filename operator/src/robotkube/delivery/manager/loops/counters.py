@@ -27,18 +27,18 @@ class ManagerStatistics:
             listener.plan(facts, outcome)
 
     def step(self, failed: bool = False) -> None:
-        """Pass on that a step has ended."""
+        """Report to the listeners that a step has ended."""
         for listener in self.listeners:
             listener.step(failed)
 
     def decided(self, seconds: float) -> None:
-        """Pass on that a decision was made."""
+        """Report to the listeners how long a decision took."""
         for listener in self.listeners:
             listener.decided(seconds)
 
 
 def facts_of(record: PlanRecord) -> PlanFacts:
-    """The record as listeners get it: what no event asked for stands in a trace of the plan's own."""
+    """The record as listeners get it; a plan that no event asked for has a trace of its own."""
     return PlanFacts(
         id=record.id,
         kind=record.cause,

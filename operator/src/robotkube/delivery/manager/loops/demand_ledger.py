@@ -1,6 +1,6 @@
 """The manager's ledger: the demands that stand now, and what was decided about each of them before.
 
-Earlier decisions are kept for one generation of one object; after a restart they are found in the tasks' statuses.
+Earlier decisions are kept for one generation of one object; after a restart they are read from the tasks' statuses.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from robotkube.delivery.manager.core.standing_demands import (
     PastDecision,
     StandingDemands,
     TaskReader,
+    demands_at,
     moment,
-    remembered,
-    standing,
+    past_decision,
 )
 from robotkube.delivery.tasks.core.task_description import SETTLED_REASONS, SUPERSEDED, TaskDescription
 
 _Stamp = tuple[str, int]
 
-USUAL = PastDecision()
+NOTHING_TO_REMEMBER = PastDecision()
 
 
 class DemandLedger:
@@ -36,45 +36,43 @@ class DemandLedger:
         self._causes: Collection[Cause] = ()
         self._answered: frozenset[str] = frozenset()
         self._asked: frozenset[tuple[str, str]] = frozenset()
-        self.standing = StandingDemands()
+        self.demands = StandingDemands()
 
-    def look(self, documents: Sequence[Mapping[str, Any]], now_ns: int) -> StandingDemands:
+    def read(self, documents: Sequence[Mapping[str, Any]], now_ns: int) -> StandingDemands:
         """Read the tasks, and return the demands that stand at `now_ns`."""
-        self.standing = standing(self._reader.read(documents), now_ns)
+        self.demands = demands_at(self._reader.read(documents), now_ns)
         known: dict[str, tuple[_Stamp, PastDecision]] = {}
-        for key, task in self.standing.live.items():
+        for key, task in self.demands.live.items():
             stamp = (task.identity, task.generation)
             memory = self._known.get(key)
             if memory is not None and memory[0] == stamp:
                 known[key] = memory
             else:
-                known[key] = stamp, remembered(self._reader.document(key))
+                known[key] = stamp, past_decision(self._reader.document(key))
                 self._outcomes.pop(key, None)
         self._known = known
         self._outcomes = {key: outcome for key, outcome in self._outcomes.items() if key in known}
-        return self.standing
+        return self.demands
 
     def foresee(self, document: Mapping[str, Any], now_ns: int) -> TaskDescription | Refused:
         """The demand that a document would make at `now_ns`, which is its creation unless it states another."""
         metadata = {"creationTimestamp": moment(now_ns), "generation": 1, **document.get("metadata", {})}
         entries = TaskReader().read([{**document, "metadata": metadata}])
-        demands = standing(entries, now_ns)
+        demands = demands_at(entries, now_ns)
         for key in entries:
             return demands.live.get(key) or demands.refused[key]
         return Refused(SUPERSEDED, "it is being deleted")
 
     def history(self, causes: Collection[Cause]) -> History:
         """Earlier decisions about the demands that stand; `causes` are those of main's releases."""
-        decided = [(key, memory) for key, (_, memory) in self._known.items() if memory is not USUAL]
+        decided = [(key, memory) for key, (_, memory) in self._known.items() if memory is not NOTHING_TO_REMEMBER]
         answered, parameters = self._asked_for(causes)
         return History(
             {key: m.waiting_since_ns for key, m in decided if m.waiting_since_ns is not None},
             {key: m.settled for key, m in decided if m.settled is not None},
             frozenset(key for key, memory in decided if memory.offloaded),
             answered,
-            frozenset(
-                key for key, task in self.standing.live.items() if (key, task.cause.parameters) not in parameters
-            ),
+            frozenset(key for key, task in self.demands.live.items() if (key, task.cause.parameters) not in parameters),
         )
 
     def _asked_for(self, causes: Collection[Cause]) -> tuple[frozenset[str], frozenset[tuple[str, str]]]:
@@ -103,7 +101,7 @@ class DemandLedger:
     @property
     def outcomes(self) -> Mapping[str, DemandOutcome]:
         """The last outcome of every demand that stands and was decided, and the refusals of tasks that are none."""
-        return {**self._outcomes, **self.standing.refused}
+        return {**self._outcomes, **self.demands.refused}
 
     def split(self, tasks: Iterable[TaskDescription]) -> tuple[list[TaskDescription], list[TaskDescription]]:
         """The tasks that are new to the ledger or met, and those that were refused or postponed and may be decided
@@ -122,4 +120,4 @@ def _memory(outcome: DemandOutcome, offloaded: bool) -> PastDecision:
         return PastDecision(waiting_since_ns=outcome.since_ns)
     if isinstance(outcome, Refused) and outcome.reason in SETTLED_REASONS:
         return PastDecision(settled=outcome)
-    return PastDecision(offloaded=True) if offloaded else USUAL
+    return PastDecision(offloaded=True) if offloaded else NOTHING_TO_REMEMBER

@@ -37,8 +37,8 @@ def catalogue_page(catalogue: Catalogue, tip: str) -> dict[str, Any]:
 class MainReader:
     """Main of the deployment repository: its releases and sources, policies/initial.yaml and policies/edits.yaml.
 
-    `edits` are the releases whose file a person was the last to change: path -> the person's commit. `news` are the
-    commits that the last reading brought, oldest first, at most COMMITS_READ_MAX."""
+    `edits` are the releases whose file a person was the last to change: path -> the person's commit. `new_commits` are
+    those that the last reading brought, oldest first, at most COMMITS_READ_MAX."""
 
     def __init__(self, repository: DeploymentRepository) -> None:
         self._repository = repository
@@ -49,7 +49,7 @@ class MainReader:
         self.edits_policy: EditsPolicy = REVERT
         self.edits: dict[str, str] = {}
         self._editors: dict[str, str] = {}
-        self.news: Sequence[Commit] = ()
+        self.new_commits: Sequence[Commit] = ()
         self._files: Mapping[str, str] = {}
         self._wanted_first: dict[str, str] = {}
         self._policy_good = False
@@ -74,8 +74,8 @@ class MainReader:
         self._read_edits_policy(policies.get(EDITS_PATH, ""), newest)
         self._files = release_files(self._repository, newest)
         self.tree = read_tree(self._files)
-        self.news = self._repository.log(self.tip or None, COMMITS_READ_MAX)
-        self._note_edits(self.news)
+        self.new_commits = self._repository.log(self.tip or None, COMMITS_READ_MAX)
+        self._note_edits(self.new_commits)
         self.tip = newest
         for problem in self.tree.problems:
             log.error("main has a broken file commit=%s problem=%r", newest[:12], problem)

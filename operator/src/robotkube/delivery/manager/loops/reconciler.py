@@ -1,10 +1,10 @@
 """The application manager: from tasks, nodes and catalogue to proposals, and from merged plans to the tasks' statuses.
 
 Level-triggered and single-threaded: a step reads everything again, computes what should be on main, proposes the
-difference, looks at the decision about an earlier proposal and at the cluster. Webhooks and watches only bring the next
-step forward; after a restart the next step finds everything in Git, in the tasks and in the cluster. Tasks that arrive
-while a proposal waits for its decision are answered together by the next plan. Only the process that leads writes; the
-others fetch main from time to time, so that they know that they could take over.
+difference, polls the decision about an earlier proposal and observes the cluster. Webhooks and watches only bring the
+next step forward; after a restart the next step reads everything in Git, in the tasks and in the cluster. Tasks that
+arrive while a proposal waits for its decision are answered together by the next plan. Only the process that leads
+writes; the others fetch main from time to time, so that they know that they could take over.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import logging
 import random
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 from robotkube.backoffs import Random, backoff
@@ -32,89 +32,80 @@ from robotkube.delivery.manager.loops.proposals.plan_records import PlanRecord, 
 from robotkube.delivery.manager.loops.proposals.repairs import MainRepair
 from robotkube.delivery.manager.loops.task_status import Situation, StatusWriter
 from robotkube.delivery.manager.loops.upkeep import Upkeep
-from robotkube.delivery.manager.ports.cluster import Cluster
+from robotkube.delivery.manager.ports.manager_ports import ManagerPorts
 from robotkube.delivery.tasks.core.task_description import FORGE_BUSY, FORGE_UNAVAILABLE, MAIN_BROKEN
-from robotkube.delivery.tasks.ports.store import TaskStore
 from robotkube.errors import RefusalError, RobotKubeError, UnavailableError
-from robotkube.foundation.forge.core.polling import LOOK_SECONDS, is_quiet, look_is_due
-from robotkube.foundation.forge.ports.pull_requests import Forge
-from robotkube.foundation.forge.ports.repositories import DeploymentRepository, Proposals
-from robotkube.foundation.kubernetes.ports import Leadership
+from robotkube.foundation.forge.core.resync import RESYNC_SECONDS, is_quiet, resync_is_due
 from robotkube.registry.catalogue.loops.verified_catalogue import AssuredCatalogue, read_policy
 
 DECISION_POLL_SECONDS = 1.0  # the forge's webhook is the normal way; asking costs the forge what the gate needs
 DECISION_EAGER_SECONDS = 5.0
 DECISION_POLL_SECONDS_LATER = 2.0
-ATTEMPTS_MAX = 10  # how often a plan is built again at once; then its tasks are told, and it is tried again later
+ATTEMPTS_MAX = 10  # how often a plan is built again at once; then its tasks say so, and it is tried again later
 PAUSE_SECONDS = 5.0
 MAIN_SECONDS = 5.0  # a file broken by hand is named within 10 s, also when the forge's delivery is lost
 STANDBY_SECONDS = 0.5
 OBSERVE_POLL_SECONDS = 1.0
 FAILURE_SECONDS_FIRST, FAILURE_SECONDS_MAX = 1.0, 2.0
 SILENT_SECONDS_MAX = 30.0
-SAID_SECONDS = 3.0  # after so long without the forge the tasks are told
+REPORT_AFTER_SECONDS = 3.0  # after so long without the forge the tasks' statuses say so
 TASKS, NODES, APPLICATIONS, DEPLOYMENT, CATALOGUE = "tasks", "nodes", "applications", "deployment", "catalogue"
 PLANNED_FOR = frozenset({TASKS, NODES, DEPLOYMENT, CATALOGUE})
 
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True)
-class ManagerPorts:
-    """The ports that the manager works with; `name` is its own, which is its account at the forge."""
-
-    tasks: TaskStore
-    cluster: Cluster
-    deployment: DeploymentRepository
-    proposals: Proposals
-    forge: Forge
-    leadership: Leadership
-    name: str = "manager"
-
-
 class ApplicationManager:
     """One manager for one deployment repository; `run` on one thread, `wake` from any.
 
-    `now_ns` is the wall clock in ns since 1970, `monotonic` a clock in seconds that never goes back; `rest` is called
-    after each step: what has to be done now and then, and must not be done within one.
+    `now_ns` is the wall clock in ns since 1970, `monotonic` a clock in seconds that never goes back; `after_step` is
+    called after each step: what has to be done now and then, and must not be done within one.
     """
 
     def __init__(
         self,
-        world: ManagerPorts,
+        ports: ManagerPorts,
         catalogue: AssuredCatalogue,
         main: MainReader,
         planner: Planner,
         observer: PlanObserver,
         now_ns: Callable[[], int],
         monotonic: Callable[[], float],
-        rest: Callable[[], None] = lambda: None,
+        after_step: Callable[[], None] = lambda: None,
         jitter: Random = random.random,
     ) -> None:
         self._jitter = jitter
-        self._world, self._catalogue, self._main, self._planner = world, catalogue, main, planner
-        self._observer, self._now_ns, self._monotonic, self._rest = observer, now_ns, monotonic, rest
-        self._statuses = StatusWriter(world.tasks, now_ns)
+        self._ports = ports
+        self._catalogue = catalogue
+        self._main = main
+        self._planner = planner
+        self._observer = observer
+        self._now_ns = now_ns
+        self._monotonic = monotonic
+        self._after_step = after_step
+        self._statuses = StatusWriter(ports.tasks, now_ns)
         self.statistics = ManagerStatistics()
         self.records = PlanRecords(now_ns())
         self._flags = {TASKS, DEPLOYMENT, CATALOGUE}
-        self._lock, self._woken = threading.Lock(), threading.Event()
-        self._told_tip = ""
+        self._lock = threading.Lock()
+        self._woken = threading.Event()
+        self._webhook_tip = ""
         self._demand_seen: int | None = None
-        self._decisions = GateDecisions(world.deployment, world.forge, monotonic)
-        self._open = OpenProposals(world.deployment, world.forge, world.name)
+        self._decisions = GateDecisions(ports.deployment, ports.forge, monotonic)
+        self._open = OpenProposals(ports.deployment, ports.forge, ports.name)
         self._repairing = MainRepair(main, planner.foreign)
-        self._telling = PlanOutcomeComments(world.cluster, world.forge)
-        self._upkeep = Upkeep(world.cluster, world.tasks, planner.agents, monotonic)
-        self._terms = Terms(world.deployment, [world.name])
+        self._outcome_comments = PlanOutcomeComments(ports.cluster, ports.forge)
+        self._upkeep = Upkeep(ports.cluster, ports.tasks, planner.agents, monotonic)
+        self._terms = Terms(ports.deployment, [ports.name])
         self._term: int | None = None
         self._proposal: PendingProposal | None = None
         self._undecided: list[PlanRecord] = []
-        self._attempts, self._exhausted = 0, False
+        self._attempts = 0
+        self._exhausted = False
         self._begun = False
-        self._not_before = self._looked_at = self._main_looked_at = self._seen_at = float("-inf")
+        self._not_before = self._resynced_at = self._main_read_at = self._forge_seen_at = float("-inf")
         self._planned_at = float("-inf")
-        self._problem = "has not looked at the world yet"
+        self._problem = "has not read main and the cluster yet"
 
     def catalogue_page(self) -> dict[str, Any]:
         """The document of GET /catalogue."""
@@ -127,14 +118,14 @@ class ApplicationManager:
     # -- waking ---------------------------------------------------------------------------------------------------
 
     def wake(self, what: str, tip: str = "") -> None:
-        """Something may have changed: TASKS, NODES, APPLICATIONS, DEPLOYMENT or CATALOGUE. `tip`: main's new tip when
-        the forge said it under its signature, which saves fetching what was proposed from here; it is no news when it
-        was read already, as when the forge tells later what the gate had told."""
+        """Bring the next step forward: TASKS, NODES, APPLICATIONS, DEPLOYMENT or CATALOGUE may have changed. `tip` is
+        main's new tip when a signed webhook names it, which saves fetching what was proposed from here; one that was
+        read already changes nothing, as when the forge's webhook comes after the gate's."""
         if what == DEPLOYMENT and tip and tip == self._main.tip:
             return
         with self._lock:
             self._flags.add(what)
-            self._told_tip = tip or self._told_tip
+            self._webhook_tip = tip or self._webhook_tip
             if what in PLANNED_FOR and self._demand_seen is None:
                 self._demand_seen = self._now_ns()
         self._woken.set()
@@ -145,35 +136,39 @@ class ApplicationManager:
         self._woken.set()
 
     def reasons_not_ready(self) -> list[str]:
-        """Empty when the forge was seen lately, and nothing stops planning: here when this process leads, else it could
-        take over from the one that does."""
-        leadership = self._world.leadership
+        """The reasons why the process is not ready: the forge did not answer lately, or something stops planning. None
+        of them means that this process leads, or could take over from the one that does."""
+        leadership = self._ports.leadership
         if leadership.term() is None and leadership.leader() is None:
             return ["no process of this manager is known to lead"]
-        silent = self._monotonic() - self._seen_at
+        silent = self._monotonic() - self._forge_seen_at
         late = [f"the forge was not seen for {silent:.0f} s"] if SILENT_SECONDS_MAX < silent < float("inf") else []
         return late + ([self._problem] if self._problem else [])
 
     def run(self, stopping: threading.Event) -> None:
-        """Steps until `stopping` is set; errors of the world are logged and met again after a pause."""
-        pause, failures = 0.0, 0
+        """Run steps until `stopping` is set; a step that failed is logged, and the next one follows after a pause."""
+        pause = 0.0
+        failures = 0
         while not stopping.is_set():
             self._woken.wait(pause)
             self._woken.clear()
             try:
-                pause, failures = self.step(), 0
-                self._rest()
+                pause = self.step()
+                failures = 0
+                self._after_step()
             except RobotKubeError as error:
                 self._failed(error)
                 stopping.wait(backoff(failures, FAILURE_SECONDS_FIRST, FAILURE_SECONDS_MAX, self._jitter))
-                pause, failures = 0.0, failures + 1
+                pause = 0.0
+                failures += 1
 
     def _leads(self) -> bool:
         """Whether this process may write now. One that is newly elected begins like one that was started."""
-        term = self._world.leadership.term()
+        term = self._ports.leadership.term()
         if term is not None and term != self._term:
-            log.info("leading manager=%s term=%d", self._world.name, term)
-            self._proposal, self._begun = None, False
+            log.info("leading manager=%s term=%d", self._ports.name, term)
+            self._proposal = None
+            self._begun = False
             self._term = term
             self._again(DEPLOYMENT, CATALOGUE)
         self.statistics.term = term or 0
@@ -185,12 +180,12 @@ class ApplicationManager:
             log.error("step failed reason=%r", str(error))
         self._problem = str(error)
         self._again(DEPLOYMENT, CATALOGUE)
-        late = self._monotonic() - self._seen_at > SAID_SECONDS
-        if late and isinstance(error, UnavailableError) and self._world.leadership.term() is not None:
-            self._say_forge_unavailable()
+        late = self._monotonic() - self._forge_seen_at > REPORT_AFTER_SECONDS
+        if late and isinstance(error, UnavailableError) and self._ports.leadership.term() is not None:
+            self._report_forge_unavailable()
 
-    def _say_forge_unavailable(self) -> None:
-        """The statuses are in the cluster, which may well answer while the forge does not."""
+    def _report_forge_unavailable(self) -> None:
+        """Write into the tasks' statuses that the forge does not answer; the cluster may well answer meanwhile."""
         text = "the forge does not answer; the task waits, and goes on when the forge is back"
         try:
             self._statuses.write(replace(self._situation(), obstacle=(FORGE_UNAVAILABLE, text)))
@@ -198,66 +193,66 @@ class ApplicationManager:
             log.error("statuses not written reason=%r", str(error))
 
     def _again(self, *what: str) -> None:
-        """The next step plans again, whatever was seen before."""
+        """Make the next step plan again, whatever was read before."""
         with self._lock:
             self._flags |= {TASKS, *what}
 
     # -- one step -------------------------------------------------------------------------------------------------
 
     def step(self) -> float:
-        """Look, decide, plan, observe, report; the seconds until the next step is due without being woken.
-        Nothing of that while another process leads."""
+        """Do one step: read, plan, observe, report; return the seconds until the next one is due without being woken.
+        While another process leads, only stand by."""
         if not self._leads():
             return self._stand_by()
         with self._lock:
             flags, self._flags = self._flags, set()
-            told, self._told_tip = self._told_tip, ""
-        if look_is_due(self._monotonic() - self._looked_at, self._idle_seconds()):
+            webhook_tip, self._webhook_tip = self._webhook_tip, ""
+        if resync_is_due(self._monotonic() - self._resynced_at, self._idle_seconds()):
             flags |= {TASKS, DEPLOYMENT, CATALOGUE}
-            self._looked_at = self._monotonic()
+            self._resynced_at = self._monotonic()
         if self._seconds_until_due() <= 0:
             flags |= {TASKS}
-        if self._monotonic() - self._main_looked_at >= MAIN_SECONDS:
+        if self._monotonic() - self._main_read_at >= MAIN_SECONDS:
             flags |= {DEPLOYMENT}
         reads = DEPLOYMENT in flags or self._decision_is_due(flags)
-        self._look(flags, reads, told)
+        self._read(flags, reads, webhook_tip)
         if self._proposal is not None and reads:
-            self._follow(self._proposal)
+            self._poll_decision(self._proposal)
         closed = self._proposal is not None and TASKS in flags and self._supersede(self._proposal)
         if closed:
             pass  # main is read first: the gate may have been faster
         elif flags & PLANNED_FOR or self._flags & PLANNED_FOR:
             self._plan_if_free()
         if flags & PLANNED_FOR:
-            self._upkeep.look()
-        for record in self._observer.look(self._main.tree.releases, self._main.tip):
+            self._upkeep.resync()
+        for record in self._observer.observe(self._main.tree.releases, self._main.tip):
             self._observed(record)
         for record in self._observer.given_up():
             self.statistics.plan(record, "unobserved")
         self._statuses.write(self._situation())
         if is_quiet(self._idle_seconds()):
-            self._telling.tell_one()
+            self._outcome_comments.send_oldest()
         self.statistics.step()
         self._problem = ""
         return self._pause()
 
     def _idle_seconds(self) -> float:
-        """Since the forge had work with a plan of this manager."""
+        """The seconds since the forge had work with a plan of this manager."""
         return 0.0 if self._proposal is not None else self._monotonic() - self._planned_at
 
     def _decision_is_due(self, flags: set[str]) -> bool:
-        """Whether it is looked for although nobody has told of one. Not for every task or node that changes meanwhile:
-        the forge has enough to do for the gate. Before a proposal is closed it is."""
+        """Whether the gate's decision is polled although no webhook reported one: when it is late, and before a
+        proposal is closed. Not for every task or node that changes: the forge has enough to do for the gate."""
         if self._proposal is None:
             return False
-        late = self._monotonic() - max(self._main_looked_at, self._proposal.since) >= DECISION_POLL_SECONDS
-        return late or (TASKS in flags and superseded(self._proposal.asked, self._world.tasks.tasks()))
+        late = self._monotonic() - max(self._main_read_at, self._proposal.since) >= DECISION_POLL_SECONDS
+        return late or (TASKS in flags and superseded(self._proposal.asked, self._ports.tasks.tasks()))
 
     def _stand_by(self) -> float:
         """Fetch main now and then: whoever leads next can, and need not fetch much."""
-        if self._monotonic() - self._looked_at >= LOOK_SECONDS:
-            self._world.deployment.fetch()
-            self._looked_at = self._seen_at = self._monotonic()
+        if self._monotonic() - self._resynced_at >= RESYNC_SECONDS:
+            self._ports.deployment.fetch()
+            self._resynced_at = self._forge_seen_at = self._monotonic()
             self._problem = ""
         return STANDBY_SECONDS
 
@@ -266,39 +261,40 @@ class ApplicationManager:
             eager = self._monotonic() - self._proposal.since < DECISION_EAGER_SECONDS
             return DECISION_POLL_SECONDS if eager else DECISION_POLL_SECONDS_LATER
         if self._flags & PLANNED_FOR:
-            return min(max(self._not_before - self._monotonic(), 0.0), LOOK_SECONDS)
-        pause = OBSERVE_POLL_SECONDS if self._observer.waiting or self._telling.waiting else MAIN_SECONDS
+            return min(max(self._not_before - self._monotonic(), 0.0), RESYNC_SECONDS)
+        pause = OBSERVE_POLL_SECONDS if self._observer.waiting or self._outcome_comments.waiting else MAIN_SECONDS
         held = self._statuses.seconds_until_due()
         return min(pause, max(self._seconds_until_due(), 0.0), pause if held is None else held)
 
     def _seconds_until_due(self) -> float:
-        """Until time alone changes what is wanted: a lease or a place in the queue ends."""
+        """The seconds until time alone changes what is wanted: a lease or a place in the queue ends."""
         due = self._planner.next_due_ns
-        return LOOK_SECONDS if due is None else (due - self._now_ns()) / 1e9
+        return RESYNC_SECONDS if due is None else (due - self._now_ns()) / 1e9
 
-    def _look(self, flags: set[str], reads: bool, told: str) -> None:
-        """Read the catalogue when it may have changed, and main when `reads`; `told` is main's tip as last told."""
+    def _read(self, flags: set[str], reads: bool, webhook_tip: str) -> None:
+        """Read the catalogue when it may have changed, and main when `reads`; `webhook_tip` is main's tip as the last
+        webhook named it."""
         if CATALOGUE in flags:
             self._catalogue.read()
         if reads:
-            self._main_looked_at = self._monotonic()
-            own = self._proposal is not None and told == self._proposal.record.commit
-            if self._main.read(told if own else ""):
+            self._main_read_at = self._monotonic()
+            own = self._proposal is not None and webhook_tip == self._proposal.record.commit
+            if self._main.read(webhook_tip if own else ""):
                 self._again()
                 self._settle_undecided()
                 self._remember()
             self.statistics.broken_files = len(self._main.tree.suspects)
-        self._seen_at = self._monotonic()
+        self._forge_seen_at = self._monotonic()
 
     def _remember(self) -> None:
-        """Plans on main that this process has no record of: after a start, or when an answer of the forge was lost."""
+        """Make records of plans on main that have none: after a start, or when an answer of the forge was lost."""
         mine = self._proposal.record.id if self._proposal else ""
         unknown = [
             r
-            for r in records_of(self._main.news, self._world.name)
+            for r in records_of(self._main.new_commits, self._ports.name)
             if r.id != mine and not self.records.has_merged(r.id)
         ]
-        pulls = {pull.head: pull for pull in self._world.forge.pull_requests("all")} if unknown else {}
+        pulls = {pull.head: pull for pull in self._ports.forge.pull_requests("all")} if unknown else {}
         for record in unknown:
             self._decisions.name(record, pulls.get(record.commit))
             self.records.add(record)
@@ -306,15 +302,17 @@ class ApplicationManager:
         if unknown:
             self._observer.forget_observed(self._main.tree.releases)
 
-    # -- following a proposal ---------------------------------------------------------------------------------------
+    # -- the decision about a proposal ------------------------------------------------------------------------------
 
-    def _follow(self, proposal: PendingProposal) -> None:
-        """Merged, outdated, refused, or no decision yet: then it waits as long as it takes, since the gate decides what
-        it finds open whenever it comes back."""
-        outcome, text = self._decisions.look(proposal, self._main.tip)
+    def _poll_decision(self, proposal: PendingProposal) -> None:
+        """Act on the gate's decision: merged, outdated or refused. Without one the proposal waits as long as it takes,
+        since the gate decides what it finds open whenever it comes back."""
+        outcome, text = self._decisions.poll(proposal, self._main.tip)
         if outcome == "merged":
             self._merged(proposal.record)
-            self._proposal, self._attempts, self._exhausted = None, 0, False
+            self._proposal = None
+            self._attempts = 0
+            self._exhausted = False
             self._planner.accepted()
             self._again()
         elif outcome == "outdated":
@@ -324,7 +322,8 @@ class ApplicationManager:
 
     def _merged(self, record: PlanRecord) -> None:
         record.times.setdefault("merged", self._now_ns())
-        record.error, record.on_main = None, True
+        record.error = None
+        record.on_main = True
         if not record.url:
             self._decisions.pull_request(record)
         self.statistics.plan(record, "merged")
@@ -332,15 +331,15 @@ class ApplicationManager:
         log.info("plan merged plan=%s commit=%s pull_request=%s", record.id, record.commit[:12], record.pull_request)
 
     def _settle_undecided(self) -> None:
-        """A proposal that was put aside may have been merged after all."""
-        for record in [r for r in self._undecided if self._world.deployment.contains(r.commit)]:
+        """Note the proposals that were put aside and merged after all."""
+        for record in [r for r in self._undecided if self._ports.deployment.contains(r.commit)]:
             self._undecided.remove(record)
             self._merged(record)
 
     def _supersede(self, proposal: PendingProposal) -> bool:
         """Close a proposal when none of its tasks is wanted as it was; should the gate have been faster, it is on main,
         and the next plan takes it away again."""
-        if not superseded(proposal.asked, self._world.tasks.tasks()):
+        if not superseded(proposal.asked, self._ports.tasks.tasks()):
             return False
         pull = self._decisions.pull_request(proposal.record)
         if pull is not None and not pull.merged:
@@ -357,7 +356,8 @@ class ApplicationManager:
         self.statistics.plan(proposal.record, "outdated")
         log.info("plan outdated plan=%s attempts=%d", proposal.plan.id, self._attempts)
         if exhausted := self._attempts >= ATTEMPTS_MAX:
-            self._attempts, self._exhausted = 0, True
+            self._attempts = 0
+            self._exhausted = True
         self._put_aside(proposal, PAUSE_SECONDS if exhausted else 0.0)
 
     def _put_aside(self, proposal: PendingProposal, pause: float) -> None:
@@ -381,25 +381,26 @@ class ApplicationManager:
         self._again(DEPLOYMENT)
 
     def _is_behind(self) -> bool:
-        """Whether main has a higher term of this manager than this process: another one leads, and the election will
-        say so; or the Lease was lost with its cluster, and this one has to be elected with a higher one."""
-        last = self._terms.last(self._world.name, self._main.tip)
+        """Whether main has a higher term of this manager than this process: another one leads, as the election will
+        show; or the Lease was lost with its cluster, and this one has to be elected with a higher one."""
+        last = self._terms.last(self._ports.name, self._main.tip)
         if self._term is None or last <= self._term:
             return False
-        self._world.leadership.overtake(last)
+        self._ports.leadership.overtake(last)
         return True
 
     # -- planning -------------------------------------------------------------------------------------------------
 
     def _plan_if_free(self) -> None:
-        """One proposal at a time; what comes meanwhile is answered by the next."""
+        """Plan and propose unless a proposal is open; what comes meanwhile is answered by the next."""
         if self._proposal is not None or self._monotonic() < self._not_before:
             self._again()
             return
         with self._lock:
             self._flags -= PLANNED_FOR
             seen, self._demand_seen = self._demand_seen, None
-        started, begun = self._now_ns(), self._monotonic()
+        started = self._now_ns()
+        begun = self._monotonic()
         plan = self._planner.plan(started) if not self._main.tree.problems else self._repairing.plan(started)
         self.statistics.decided(self._monotonic() - begun)
         if self._took_over(plan, seen or started, started) or plan is None:
@@ -408,20 +409,21 @@ class ApplicationManager:
         self._propose(named, record_of(named, seen or started, started))
 
     def _took_over(self, plan: Plan | None, seen: int, started: int) -> bool:
-        """Once per term: whether a proposal that is open already does what `plan` does; it is followed as if it had
-        been made here. A process that is behind main proposes nothing either."""
+        """Whether a proposal that is open already does what `plan` does, asked once per term; its decision is polled as
+        if it had been made here. A process that is behind main proposes nothing either."""
         if self._begun:
             return False
         if self._is_behind():
             return True
-        found = self._open.find(plan)
+        same_proposal = self._open.find(plan)
         self._begun = True
-        if plan is None or found is None:
+        if plan is None or same_proposal is None:
             return False
-        pull, identifier = found
+        pull, identifier = same_proposal
         record = record_of(plan, seen, started)
-        record.id, record.commit = identifier, pull.head
-        record.pull_request, record.url = pull.number, pull.url
+        record.id = identifier
+        record.commit = pull.head
+        self._decisions.name(record, pull)
         record.times["proposed"] = started
         self.records.add(record)
         self.statistics.plan(record, "taken_over")
@@ -430,22 +432,23 @@ class ApplicationManager:
         return True
 
     def _propose(self, plan: Plan, record: PlanRecord) -> None:
-        if self._term is None or self._world.leadership.term() != self._term:
+        if self._term is None or self._ports.leadership.term() != self._term:
             self._again()
             return
-        message = write_message(plan.message.signed(self._world.name, self._term))
-        record.commit = self._world.proposals.commit(plan.base, plan.files, message)
+        message = write_message(plan.message.signed(self._ports.name, self._term))
+        record.commit = self._ports.proposals.commit(plan.base, plan.files, message)
         proposal = PendingProposal(plan, record, self._monotonic(), asked=asked_for(plan, self._planner.tasks))
         self.records.add(record)
         try:
-            number = self._world.proposals.propose(record.commit, plan.id, plan.title, self._body(plan))
+            number = self._ports.proposals.propose(record.commit, plan.id, plan.title, self._body(plan))
             record.pull_request = number
         except RefusalError as error:
             self._refused(proposal, error.message)
             return
         record.times["proposed"] = self._now_ns()
         self.statistics.plan(record, "proposed")
-        self._proposal, self._planned_at = proposal, self._monotonic()
+        self._proposal = proposal
+        self._planned_at = self._monotonic()
         log.info(
             "plan proposed plan=%s pull_request=%s created=%d changed=%d removed=%d milliseconds=%.0f subject=%r",
             *(plan.id, record.pull_request, len(record.created), len(record.changed), len(record.removed)),
@@ -468,7 +471,7 @@ class ApplicationManager:
             held=self._planner.held,
             waiting=self._planner.waiting,
             present=self._main.tree.releases,
-            applications=self._world.cluster.applications(),
+            applications=self._ports.cluster.applications(),
             proposed=self._proposal.record if self._proposal else None,
             committed=self.records.committed,
             edited=self._main.standing_edits(),
@@ -476,7 +479,7 @@ class ApplicationManager:
         )
 
     def _obstacle(self) -> tuple[str, str] | None:
-        """Reason and words of what holds every plan of this manager."""
+        """Reason and message of what holds every plan of this manager."""
         if broken := self._repairing.broken:
             return MAIN_BROKEN, broken
         if self._exhausted:
@@ -485,9 +488,9 @@ class ApplicationManager:
         return None
 
     def _observed(self, record: PlanRecord) -> None:
-        """The one line per plan."""
+        """Count and log a plan that is observed, and note its outcome for its pull request."""
         self.statistics.plan(record, "observed")
-        self._telling.observed(record)
+        self._outcome_comments.observed(record)
         begin = record.times.get("demand_seen", 0)
         steps = " ".join(f"{name}_ms={(at - begin) / 1e6:.0f}" for name, at in record.times.items() if begin)
         log.info(

@@ -36,13 +36,13 @@ from robotkube.foundation.documents.core.times import time_text
 from robotkube.foundation.kubernetes.core.objects import is_withdrawn, object_identity, object_key
 
 MESSAGE_CHARACTERS_MAX = 4096
-NOTHING: Mapping[str, Any] = dict.fromkeys(("plan", "pullRequest", "commit", "releases", "queue", "offloaded"))
-UNSEEN = {"Accepted": "Unknown", "Committed": "False"}  # conditions of a task that could not be decided yet
-TOLD = frozenset({*REFUSAL_REASONS, PROPOSAL_REFUSED, EDITED_BY_HAND, *OBSTACLES})
+CLEARED: Mapping[str, Any] = dict.fromkeys(("plan", "pullRequest", "commit", "releases", "queue", "offloaded"))
+UNDECIDED = {"Accepted": "Unknown", "Committed": "False"}  # conditions of a task that could not be decided yet
+REPORTED_REASONS = frozenset({*REFUSAL_REASONS, PROPOSAL_REFUSED, EDITED_BY_HAND, *OBSTACLES})
 
 WRITERS = 4
 ALONE_MAX = 3  # so few statuses are written one after the other
-PROGRESS_NS = 1_000_000_000  # nothing but words of progress changed: written this often. A deployment has twenty in 5 s
+PROGRESS_NS = 1_000_000_000  # how often mere messages of progress are written: a deployment has twenty in 5 s
 
 log = logging.getLogger(__name__)
 
@@ -96,7 +96,7 @@ class StatusWriter:
         self._held_until_ns: int | None = None
 
     def write(self, situation: Situation) -> None:
-        """Bring the statuses of all tasks up to date; words of progress may be held back, see `seconds_until_due`."""
+        """Bring the statuses of all tasks up to date; mere messages may be held back, see `seconds_until_due`."""
         documents = {object_key(d): d for d in self._tasks.tasks() if not is_withdrawn(d)}
         kept = self._written.items()
         self._written = {key: written for key, written in kept if written.identity == _identity(documents.get(key))}
@@ -138,11 +138,11 @@ class StatusWriter:
         }
         if all(before.get(name) == value for name, value in status.items()):
             return None
-        if written and _is_progress(before, status) and self._hold(written.at_ns):
+        if written and _is_progress(before, status) and self._is_too_early(written.at_ns):
             return None
         return _Due(key, document, conditions, status, before.get("conditions", []))
 
-    def _hold(self, since_ns: int) -> bool:
+    def _is_too_early(self, since_ns: int) -> bool:
         """Whether it is too early to write again; keeps the time when it will be. A clock put back holds nothing."""
         if not 0 <= self._now_ns() - since_ns < PROGRESS_NS:
             return False
@@ -154,8 +154,8 @@ class StatusWriter:
         self._report(due.document, due.conditions, due.before)  # first: a status that stands is not compared again
         if self._patch(due.key, due.status):
             self._written[due.key] = _Written(object_identity(due.document), due.status, self._now_ns())
-            words = [f"task={due.key}", *(f"{c.type}={c.status}/{c.reason}" for c in due.conditions)]
-            log.info("task %s", " ".join(words))
+            fields = [f"task={due.key}", *(f"{c.type}={c.status}/{c.reason}" for c in due.conditions)]
+            log.info("task %s", " ".join(fields))
 
     def _report(
         self, document: Mapping[str, Any], conditions: Sequence[StatusCondition], before: Sequence[Mapping[str, Any]]
@@ -163,10 +163,11 @@ class StatusWriter:
         """Report new obstacles of a task as Events as well; the status does not depend on that."""
         known = {_event(c.get("type"), c.get("reason"), c.get("message")) for c in before}
         for condition in conditions:
-            if condition.reason not in TOLD or _event(condition.type, condition.reason, condition.message) in known:
+            event = _event(condition.type, condition.reason, condition.message)
+            if condition.reason not in REPORTED_REASONS or event in known:
                 continue
             try:
-                self._tasks.tell(document, condition.reason, condition.message)
+                self._tasks.report_on_task(document, condition.reason, condition.message)
             except RobotKubeError as error:
                 log.error("event not written task=%s reason=%s", object_key(document), error)
 
@@ -182,10 +183,10 @@ class StatusWriter:
 
 def _is_progress(before: Mapping[str, Any], after: Mapping[str, Any]) -> bool:
     """Whether the same conditions stand for the same reasons, and only their messages differ."""
-    return _without_words(before) == _without_words(after)
+    return _without_messages(before) == _without_messages(after)
 
 
-def _without_words(status: Mapping[str, Any]) -> dict[str, Any]:
+def _without_messages(status: Mapping[str, Any]) -> dict[str, Any]:
     conditions = [{key: value for key, value in c.items() if key != "message"} for c in status.get("conditions", [])]
     return {**status, "conditions": conditions}
 
@@ -204,12 +205,12 @@ def derive(key: str, situation: Situation) -> tuple[list[StatusCondition], dict[
     outcome = situation.outcomes.get(key)
     if outcome is None:
         obstacle = _obstacle(situation)
-        return [StatusCondition(kind, status, *obstacle) for kind, status in UNSEEN.items() if obstacle], {}
+        return [StatusCondition(kind, status, *obstacle) for kind, status in UNDECIDED.items() if obstacle], {}
     if isinstance(outcome, Refused):
-        return [StatusCondition("Accepted", "False", outcome.reason, _bounded(outcome.message))], dict(NOTHING)
+        return [StatusCondition("Accepted", "False", outcome.reason, _bounded(outcome.message))], dict(CLEARED)
     if isinstance(outcome, Postponed):
         queue = {"since": time_text(outcome.since_ns), "until": moment(outcome.until_ns), "position": outcome.position}
-        return [StatusCondition("Accepted", "False", POSTPONED, _bounded(outcome.message))], {**NOTHING, "queue": queue}
+        return [StatusCondition("Accepted", "False", POSTPONED, _bounded(outcome.message))], {**CLEARED, "queue": queue}
     accepted = StatusCondition("Accepted", "True", "Accepted", _bounded("; ".join(outcome.choices)))
     committed, record = _committed(key, outcome, situation)
     verdicts = _verdicts(outcome, situation)

@@ -11,7 +11,7 @@ from robotkube.delivery.manager.ports.cluster import Cluster
 from robotkube.errors import RobotKubeError
 
 UNKNOWN_AGENT = "UnknownAgent"
-TOLD_AT_ONCE_MAX = 10  # Events of one resync; the others follow with the next ones
+EVENTS_AT_ONCE_MAX = 10  # Events of one resync; the others follow with the next ones
 
 log = logging.getLogger(__name__)
 
@@ -24,12 +24,12 @@ class UnknownAgents:
         self._names = frozenset(agent.name for agent in agents)
         self._reported: set[tuple[str, str]] = set()
 
-    def look(self) -> tuple[NodeState, ...]:
-        """Report new Nodes of undeclared agents, at most TOLD_AT_ONCE_MAX at once, and return all that are there now.
+    def resync(self) -> tuple[NodeState, ...]:
+        """Report new Nodes of undeclared agents, at most EVENTS_AT_ONCE_MAX at once, and return all that are there now.
         What the API server does not accept is tried again with the next resync."""
         unknown = unknown_nodes(self._cluster.nodes(), self._names)
         self._reported &= {(node.name, node.agent) for node in unknown}
-        for node in [n for n in unknown if (n.name, n.agent) not in self._reported][:TOLD_AT_ONCE_MAX]:
+        for node in [n for n in unknown if (n.name, n.agent) not in self._reported][:EVENTS_AT_ONCE_MAX]:
             self._report(node)
         return unknown
 
@@ -39,7 +39,7 @@ class UnknownAgents:
             "declare it (charts/robotkube, values agents), or correct the Node's label robotkube.io/agent"
         )
         try:
-            self._cluster.tell_node(node.name, UNKNOWN_AGENT, text)
+            self._cluster.report_on_node(node.name, UNKNOWN_AGENT, text)
         except RobotKubeError as error:
             log.error("event not written node=%s reason=%s", node.name, error)
             return

@@ -1,6 +1,6 @@
 """The course of updates: what they did to main, and the health of their releases in the cluster.
 
-Nothing stands only here: a new process reads the same from main's history and from the cluster.
+Nothing is kept only here: a new process reads the same from main's history and from the cluster.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ from robotkube.registry.catalogue.core.catalogue import Catalogue
 from robotkube.registry.catalogue.loops.verified_catalogue import AssuredCatalogue
 
 COMMITS_MAX = 10_000
-WORDS = (f"RobotKube-Cause: {UPDATE}\n", f"RobotKube-Cause: {REVERT}\n")
+CAUSE_TRAILERS = (f"RobotKube-Cause: {UPDATE}\n", f"RobotKube-Cause: {REVERT}\n")
 PLAN_TRAILER = re.compile(rf"^RobotKube-Plan: ({PLAN.pattern})$", re.MULTILINE)
 REVERTS_TRAILER = re.compile(rf"^RobotKube-Reverts: ({COMMIT.pattern})$", re.MULTILINE)
-PASSED_MAX = 5
+POSTPONEMENTS_MAX = 5
 NO_POLICY = UpdatePolicy()
 UNREADABLE = f"{PATH} cannot be read; nothing is updated"
 
@@ -64,7 +64,7 @@ class UpdateHistory:
     def read(self, tip: str) -> UpdateMemory:
         """The memory at main's tip, which was fetched."""
         if tip != self._tip:
-            for commit in self._repository.touching(self._tip or None, COMMITS_MAX, PATH, WORDS):
+            for commit in self._repository.touching(self._tip or None, COMMITS_MAX, PATH, CAUSE_TRAILERS):
                 self._memory = self._after(commit)
             self._tip = tip
         return self._memory
@@ -78,7 +78,7 @@ class UpdateHistory:
             for chart in undone:
                 keys = [release.key for release in changed if release.chart == chart]
                 memory = memory.reverted(chart, keys, f"{subject} ({commit.id[:12]}); change {PATH} to try it again")
-        elif WORDS[0] in commit.message:
+        elif CAUSE_TRAILERS[0] in commit.message:
             before = self._before(commit, changed)
             for target in {(release.chart, release.version, release.digest) for release in changed}:
                 moved = [r for r in changed if (r.chart, r.version, r.digest) == target and r.key in before]
@@ -131,20 +131,20 @@ class UpdatePlanner:
         self._unfit: tuple[str, frozenset[str]] = ("", frozenset())
         self._logged: frozenset[str] = frozenset()
         self._targets = Targets(Catalogue())
-        self._passed = 0
+        self._postponements = 0
         self._steady: tuple[_Inputs, Updates] | None = None
         self.updates = Updates()
 
-    def look(
+    def decide(
         self,
         present: Mapping[str, Release],
         tip: str,
         catalogue: AssuredCatalogue,
-        machines: Fleet,
+        fleet: Fleet,
         held: Collection[str],
         now_ns: int,
     ) -> Updates:
-        """Decide about main's releases (`present`, by path) at its `tip`; its words are logged when they are new.
+        """Decide about main's releases (`present`, by path) at its `tip`; messages of the decision are logged once.
         Agents that hold changes (`held`) count like those that are offline."""
         tips = f"{tip} {catalogue.tip}"
         self._unfit = self._unfit if self._unfit[0] == tips else (tips, frozenset())
@@ -153,30 +153,30 @@ class UpdatePlanner:
         if self._targets.catalogue is not catalogue.catalogue:
             self._targets = Targets(catalogue.catalogue)
 
-        def sight() -> ClusterHealth:
-            return sight_of(present, self._cluster.applications(), machines, held)
+        def observe() -> ClusterHealth:
+            return cluster_health_of(present, self._cluster.applications(), fleet, held)
 
         inputs = present, self._targets, policy or NO_POLICY, memory, self._unfit[1]
-        updates = self._decided(inputs, sight, now_ns)
-        self.updates = updates if policy else replace(updates, move=None, words=(UNREADABLE,))
-        for text in sorted(frozenset(self.updates.words) - self._logged):
+        updates = self._decided(inputs, observe, now_ns)
+        self.updates = updates if policy else replace(updates, move=None, messages=(UNREADABLE,))
+        for text in sorted(frozenset(self.updates.messages) - self._logged):
             log.info("update text=%r", text)
-        self._logged = frozenset(self.updates.words)
+        self._logged = frozenset(self.updates.messages)
         return self.updates
 
-    def _decided(self, inputs: _Inputs, sight: Callable[[], ClusterHealth], now_ns: int) -> Updates:
-        """The decision of `decide`. When nothing is under way (then it does not call `sight`), neither time nor cluster
-        count: the decision is the same for the same objects."""
+    def _decided(self, inputs: _Inputs, observe: Callable[[], ClusterHealth], now_ns: int) -> Updates:
+        """The decision of `core.updates.decide`. When nothing is under way (then it does not call `observe`), neither
+        time nor cluster count: the decision is the same for the same objects."""
         if self._steady and all(before is now for before, now in zip(self._steady[0], inputs, strict=True)):
             return self._steady[1]
         observed: list[ClusterHealth] = []
 
-        def observe() -> ClusterHealth:
-            observed.append(sight())
+        def observe_and_note() -> ClusterHealth:
+            observed.append(observe())
             return observed[0]
 
         present, targets, policy, memory, unfit = inputs
-        updates = decide(present, targets, policy, memory, observe, now_ns, unfit)
+        updates = decide(present, targets, policy, memory, observe_and_note, now_ns, unfit)
         self._steady = None if observed else (inputs, updates)
         return updates
 
@@ -189,15 +189,15 @@ class UpdatePlanner:
     ) -> tuple[Move, tuple[Change, ...]] | None:
         """The move that was decided and its changes, tried by composing with its pins. None when there is none, when it
         does not fit (which is logged, and not tried again before main or catalogue change), and while changes that
-        tasks ask for wait: these come before an update, though not more than PASSED_MAX times; a revert waits for
+        tasks ask for wait: these come before an update, though at most POSTPONEMENTS_MAX times; a revert waits for
         nothing."""
         move = self.updates.move
         if move is None:
             return None
-        if others_wait and move.cause == UPDATE and self._passed < PASSED_MAX:
-            self._passed += 1
+        if others_wait and move.cause == UPDATE and self._postponements < POSTPONEMENTS_MAX:
+            self._postponements += 1
             return None
-        self._passed = 0
+        self._postponements = 0
         changes, problem = moved(move, compose(move.pins), steady, present)
         if not changes:
             log.warning("update not made text=%r", problem)
@@ -224,7 +224,7 @@ def commit_ns(message: str) -> int:
     return plan_ns(match[1]) if match else 0
 
 
-def sight_of(
+def cluster_health_of(
     present: Mapping[str, Release],
     applications: Mapping[str, ApplicationState],
     fleet: Fleet,

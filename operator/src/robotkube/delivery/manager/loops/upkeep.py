@@ -27,7 +27,7 @@ class Orphans:
         self._monotonic = monotonic
         self._since: dict[str, float] = {}
 
-    def look(self) -> None:
+    def resync(self) -> None:
         """Delete tasks that have been without their parent for ORPHAN_SECONDS, at most DELETED_AT_ONCE_MAX at once. A
         deletion that fails is tried again with the next resync."""
         parents = {
@@ -64,7 +64,7 @@ class Upkeep:
         self._unknown = UnknownAgents(cluster, agents)
         self._orphans = Orphans(tasks, monotonic)
 
-    def look(self) -> None:
+    def resync(self) -> None:
         """Do what is due."""
-        self._unknown.look()
-        self._orphans.look()
+        self._unknown.resync()
+        self._orphans.resync()

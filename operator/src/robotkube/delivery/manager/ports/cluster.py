@@ -10,7 +10,7 @@ from robotkube.delivery.manager.core.placement.placement import NodeState
 
 
 class Cluster(Protocol):
-    """The cluster as the manager sees it; values are snapshots kept up to date by watches."""
+    """The cluster; its values are snapshots kept up to date by watches."""
 
     def nodes(self) -> Sequence[NodeState]:
         """Nodes of agents."""
@@ -24,6 +24,6 @@ class Cluster(Protocol):
         """Pods of a release, named `<namespace>/<release>` (label app.kubernetes.io/instance)."""
         ...
 
-    def tell_node(self, node: str, reason: str, text: str) -> None:
-        """Put a warning beside a Node (a Kubernetes Event in the platform's namespace); the same text once."""
+    def report_on_node(self, node: str, reason: str, text: str) -> None:
+        """Write a warning about a Node (a Kubernetes Event in the platform's namespace); the same text once."""
         ...

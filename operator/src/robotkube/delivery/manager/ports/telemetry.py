@@ -1,4 +1,4 @@
-"""What processes say of themselves while they work: counted, timed, traced by whoever listens."""
+"""Telemetry of the manager's work: steps, decisions and plans, for whoever counts, times or traces them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ OUTCOMES = ("proposed", "taken_over", "merged", "refused", "outdated", "supersed
 @dataclass(frozen=True)
 class PlanFacts:
     """One plan as far as it has come. `kind` is its cause (task, withdrawal, initial, update, node, repair, revert);
-    `times` are ns since 1970 by step (manager_records.TIMES); `traces` those of its events, 32 hexadecimal digits."""
+    `times` are ns since 1970 by step (plan_records.TIMES); `traces` those of its events, 32 hexadecimal digits."""
 
     id: str
     kind: str
@@ -25,16 +25,17 @@ class PlanFacts:
 
 
 class Telemetry(Protocol):
-    """Calls return at once and never raise."""
+    """A listener to the manager's work; its calls return at once and never raise."""
 
     def step(self, failed: bool) -> None:
-        """One step of the loop has ended."""
+        """Note that one step of the loop has ended."""
         ...
 
     def decided(self, seconds: float) -> None:
-        """A decision was made: from what was read to the finished plan, or to the knowledge that there is none."""
+        """Note the time of a decision: from what was read to the finished plan, or to its being known that there is
+        none."""
         ...
 
     def plan(self, plan: PlanFacts, outcome: str) -> None:
-        """A plan has come one step further (one of OUTCOMES)."""
+        """Note that a plan has come one step further (one of OUTCOMES)."""
         ...

@@ -28,7 +28,8 @@ from robotkube.writes import writes
 SESSION_SECONDS = 24 * 3600
 KEEPALIVE_SECONDS = 15
 CONNECT_SECONDS_MAX = 5.0
-PAUSE_SECONDS_MIN, PAUSE_SECONDS_MAX = 1, 10
+PAUSE_SECONDS_MIN = 1
+PAUSE_SECONDS_MAX = 10
 UNACKNOWLEDGED_MAX = 16
 WAITING_MAX = 1000
 WAITING_BYTES_MAX = 32 * 1024 * 1024
@@ -64,7 +65,7 @@ class PahoGateway:
 
     @property
     def complaint(self) -> str:
-        """Why there is no session, as the port says."""
+        """The reason why there is no session, as the port says."""
         return self._complaint
 
     def start(self, topics: Sequence[str]) -> None:
@@ -76,7 +77,7 @@ class PahoGateway:
         self._client.connect_async(self._host, self._port, KEEPALIVE_SECONDS, clean_start=False, properties=properties)
         self._client.loop_start()
 
-    def take(self, seconds: float) -> GatewayMessage | None:
+    def receive(self, seconds: float) -> GatewayMessage | None:
         """Receive the next message, as the port says."""
         try:
             message = self._waiting.get(block=seconds > 0, timeout=seconds)
@@ -123,7 +124,7 @@ class PahoGateway:
 
     def _connected(self, client: Any, userdata: Any, flags: Any, reason: Any, properties: Any) -> None:
         if reason.is_failure:
-            self._complain(f"the broker refuses the connection: {reason}; look at its account")
+            self._complain(f"the broker refuses the connection: {reason}; check its account")
             return
         with self._lock:
             self._begin()
@@ -133,7 +134,7 @@ class PahoGateway:
         pairs = zip(self._topics, reasons, strict=False)
         refused = [topic for topic, reason in pairs if reason.value >= FAILURE]
         if refused:
-            self._complain(f"the broker refuses {', '.join(refused)}; look at its ACL")
+            self._complain(f"the broker refuses {', '.join(refused)}; check its ACL")
         else:
             self._complaint = ""
 
@@ -157,7 +158,7 @@ class PahoGateway:
     def _forget(self) -> None:
         """Drop what waits: what was not acknowledged comes again with the next connection."""
         while not self._waiting.empty():
-            self.take(0.0)
+            self.receive(0.0)
 
     def _received(self, client: Any, userdata: Any, message: Any) -> None:
         size = len(message.payload)

@@ -1,6 +1,6 @@
 """A device's hold: an agent that is `driving` keeps what runs on it until it parks, bounded by an expiry.
 
-Two ways to say it: on the agent's Node, label or annotation `robotkube.io/hold=<reason>` with the annotation
+It is set in one of two ways: on the agent's Node, label or annotation `robotkube.io/hold=<reason>` with the annotation
 `robotkube.io/hold-until=<RFC 3339 time>`, or the retained MQTT message `robotkube/holds/<agent>` with the JSON object
 `{"reason": "driving", "until": "<RFC 3339 time>"}`; an empty message, or none, releases. On a Node the expiry may be
 left out: then the hold ends HOLD_SECONDS_MAX after it was set. No hold lasts longer than that unless it is set anew.
@@ -26,7 +26,7 @@ HOLDS_TOPIC = "robotkube/holds/"
 
 @dataclass(frozen=True, order=True)
 class DeviceHold:
-    """A hold on changes: agent `agent` wants none until `until_ns` (ns since 1970), and why."""
+    """A hold on changes: agent `agent` wants none until `until_ns` (ns since 1970), for `reason`."""
 
     agent: str
     until_ns: int

@@ -1,11 +1,11 @@
-"""What operators say through the MQTT door, and what it answers: pure reading and writing of JSON.
+"""Messages of the MQTT task gateway: what operators send and what it answers, read and written as JSON.
 
     robotkube/tasks/<operator>         {"metadata": {"name": <id>}, "spec": {...}}     ask, or change what was asked
                                        {"withdraw": <id>}                              the demand ends
                                        {"renew": <id>}                                 the lease begins anew
     robotkube/task_status/<operator>   {"id", "conditions": [...], "plan", ...}        what became of it
 
-An answer to what never became a custom resource has one condition, Accepted=False, with one of DOOR_REASONS.
+An answer to what never became a custom resource has one condition, Accepted=False, with one of GATEWAY_REASONS.
 """
 
 from __future__ import annotations
@@ -23,13 +23,18 @@ from robotkube.foundation.documents.core.patterns import SUBDOMAIN
 from robotkube.foundation.documents.core.reader import Reader
 from robotkube.foundation.documents.core.yaml_codec import json_problems
 
-TASKS_TOPIC, STATUS_TOPIC = "robotkube/tasks/", "robotkube/task_status/"
+TASKS_TOPIC = "robotkube/tasks/"
+STATUS_TOPIC = "robotkube/task_status/"
 MESSAGE_BYTES_MAX = 256 * 1024
 TEXT_CHARACTERS_MAX = 2000
-NOT_READABLE, TOO_LARGE, NOT_ACCEPTED, UNKNOWN_TASK = "NotReadable", "TooLarge", "NotAccepted", "UnknownTask"
+NOT_READABLE = "NotReadable"
+TOO_LARGE = "TooLarge"
+NOT_ACCEPTED = "NotAccepted"
+UNKNOWN_TASK = "UnknownTask"
 NOT_REACHED = "NotReached"
-DOOR_REASONS = (NOT_READABLE, TOO_LARGE, NOT_ACCEPTED, UNKNOWN_TASK, NOT_REACHED)
-DOOR_LABEL, DOOR = f"{GROUP}/door", "mqtt"
+GATEWAY_REASONS = (NOT_READABLE, TOO_LARGE, NOT_ACCEPTED, UNKNOWN_TASK, NOT_REACHED)
+GATEWAY_LABEL = f"{GROUP}/door"  # published under this name
+GATEWAY = "mqtt"
 LEASE_ANNOTATION = f"{GROUP}/lease-renewed"
 RULE = "asked"  # the rule of a demand that names no event
 
@@ -46,21 +51,22 @@ class TaskRequest:
 
 @dataclass(frozen=True)
 class TaskWithdrawal:
-    """The demand of a task ends."""
+    """The end of a task's demand."""
 
     id: str
 
 
 @dataclass(frozen=True)
 class LeaseRenewal:
-    """The lease of a task begins anew."""
+    """The renewal of a task's lease."""
 
     id: str
 
 
 @dataclass(frozen=True)
 class RejectedMessage:
-    """What cannot become a custom resource: a reason of DOOR_REASONS and what to change; `id` where it can be told."""
+    """A message that cannot become a custom resource: a reason of GATEWAY_REASONS and what to change; `id` where it is
+    known."""
 
     reason: str
     message: str
@@ -93,10 +99,10 @@ def read_message(payload: bytes, size: int) -> TaskRequest | TaskWithdrawal | Le
 
 
 def _pairs(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) != len(pairs):
+    document = dict(pairs)
+    if len(document) != len(pairs):
         raise ValueError("a key stands twice in one object")
-    return found
+    return document
 
 
 def _no_number(text: str) -> float:
@@ -113,16 +119,16 @@ def _order(document: Mapping[str, Any]) -> TaskRequest | TaskWithdrawal | LeaseR
             name = reader.word(document[word], word, SUBDOMAIN)
             reader.finish()
             return kind(name)
-    return _ask(reader, document)
+    return _task_request(reader, document)
 
 
-def _ask(reader: Reader, document: Mapping[str, Any]) -> TaskRequest:
-    found = reader.mapping(document, "", ["metadata", "spec"], ["apiVersion", "kind"])
-    reader.equal(found.get("apiVersion"), "apiVersion", f"{GROUP}/{VERSION}")
-    reader.equal(found.get("kind"), "kind", "TaskDescription")
-    metadata = reader.mapping(found.get("metadata", {}), "metadata", ["name"])
+def _task_request(reader: Reader, document: Mapping[str, Any]) -> TaskRequest:
+    task = reader.mapping(document, "", ["metadata", "spec"], ["apiVersion", "kind"])
+    reader.equal(task.get("apiVersion"), "apiVersion", f"{GROUP}/{VERSION}")
+    reader.equal(task.get("kind"), "kind", "TaskDescription")
+    metadata = reader.mapping(task.get("metadata", {}), "metadata", ["name"])
     name = reader.text(metadata.get("name"), "metadata.name", SUBDOMAIN)
-    spec = found.get("spec", {})
+    spec = task.get("spec", {})
     if not isinstance(spec, Mapping):
         reader.problems.append("spec: must be an object")
         spec = {}
@@ -136,31 +142,31 @@ def _id_of(document: Mapping[str, Any]) -> str:
     """The id that a refused document means, when it is a name at all."""
     metadata = document.get("metadata")
     named = metadata.get("name") if isinstance(metadata, Mapping) else None
-    found = named or document.get("withdraw") or document.get("renew")
-    return found if isinstance(found, str) and SUBDOMAIN.fullmatch(found) else ""
+    identifier = named or document.get("withdraw") or document.get("renew")
+    return identifier if isinstance(identifier, str) and SUBDOMAIN.fullmatch(identifier) else ""
 
 
-def task_document(operator: str, namespace: str, ask: TaskRequest, now: str) -> dict[str, Any]:
-    """The custom resource of a demand: asked for by the operator, in its namespace. A demand that names no event gets
-    one, made from its own name."""
-    spec = {**ask.spec, "requester": operator}
-    spec.setdefault("event", own_event(namespace, ask.id, now))
+def task_document(operator: str, namespace: str, request: TaskRequest, now: str) -> dict[str, Any]:
+    """The custom resource of a demand of the operator, in its namespace. A demand that names no event gets one, made
+    from its own name."""
+    spec = {**request.spec, "requester": operator}
+    spec.setdefault("event", own_event(namespace, request.id, now))
     return {
         "apiVersion": f"{GROUP}/{VERSION}",
         "kind": "TaskDescription",
-        "metadata": {"namespace": namespace, "name": ask.id, "labels": {DOOR_LABEL: DOOR}},
+        "metadata": {"namespace": namespace, "name": request.id, "labels": {GATEWAY_LABEL: GATEWAY}},
         "spec": spec,
     }
 
 
-def changed_spec(present: Mapping[str, Any], operator: str, ask: TaskRequest, now: str) -> dict[str, Any]:
-    """The spec that an existing task shall have now: what was asked, with the event it has where none is named."""
-    spec = {**ask.spec, "requester": operator}
-    found = present.get("spec", {})
+def changed_spec(present: Mapping[str, Any], operator: str, request: TaskRequest, now: str) -> dict[str, Any]:
+    """The new spec of an existing task: what is asked now, with the event it has where none is named."""
+    spec = {**request.spec, "requester": operator}
+    present_spec = present.get("spec", {})
     if "event" not in spec:
-        spec["event"] = found.get("event") or own_event(str(present["metadata"]["namespace"]), ask.id, now)
-    if "chain" in found:
-        spec["chain"] = found["chain"]
+        spec["event"] = present_spec.get("event") or own_event(str(present["metadata"]["namespace"]), request.id, now)
+    if "chain" in present_spec:
+        spec["chain"] = present_spec["chain"]
     return spec
 
 
@@ -171,24 +177,24 @@ def own_event(namespace: str, name: str, now: str) -> dict[str, Any]:
 
 
 def status_topic(operator: str) -> str:
-    """Where an operator hears what became of its tasks."""
+    """The topic on which an operator receives what became of its tasks."""
     return STATUS_TOPIC + operator
 
 
 def status_answer(task: Mapping[str, Any]) -> bytes:
-    """What became of a task, in the words of its status."""
+    """The answer with a task's status."""
     status = task.get("status", {})
-    found = {key: status[key] for key in _ANSWERED if key in status}
-    return _json({"id": task["metadata"]["name"], "conditions": [], **found})
+    fields = {key: status[key] for key in _ANSWERED if key in status}
+    return _json({"id": task["metadata"]["name"], "conditions": [], **fields})
 
 
 def gone_answer(name: str) -> bytes:
-    """The task is no longer there: nothing is demanded by it."""
+    """The answer about a task that is no longer there: nothing is demanded by it."""
     return _json({"id": name, "conditions": [], "withdrawn": True})
 
 
 def refusal_answer(refused: RejectedMessage) -> bytes:
-    """Why a message did not become a task."""
+    """The answer to a message that did not become a task: why."""
     condition = {"type": "Accepted", "status": "False", "reason": refused.reason, "message": refused.message}
     return _json({"id": refused.id or None, "conditions": [condition]})
 

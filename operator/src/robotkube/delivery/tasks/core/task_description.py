@@ -53,7 +53,7 @@ REFUSAL_TEXTS: Mapping[str, str] = {
     SUPERSEDED: "the task changed or was withdrawn before its plan was merged",
 }
 REFUSAL_REASONS = tuple(REFUSAL_TEXTS)
-CONFLICT_REASONS = frozenset({INSUFFICIENT_RESOURCES, RELEASE_IN_USE})  # what only other demands cause
+CONFLICT_REASONS = frozenset({INSUFFICIENT_RESOURCES, RELEASE_IN_USE})  # only other demands cause these
 SETTLED_REASONS = CONFLICT_REASONS | {QUEUE_FULL, QUEUE_TOO_LONG, PREEMPTED}
 """Reasons of conflicts that are decided once: such a refusal stands until the task's spec changes or the task is made
 anew."""
@@ -137,8 +137,9 @@ _OPTIONAL = (
 
 @dataclass(frozen=True)
 class TaskPlacement:
-    """Where the task's services may run, besides the application's rules: on one of `agents`, of one of `roles`, with
-    all `capabilities`, on no node of the tasks (`<name>` or `<namespace>/<name>`) or releases in `anti_affinity`."""
+    """The places where the task's services may run, besides the application's rules: on one of `agents`, of one of
+    `roles`, with all `capabilities`, on no node of the tasks (`<name>` or `<namespace>/<name>`) or releases in
+    `anti_affinity`."""
 
     agents: tuple[str, ...] = ()
     roles: tuple[str, ...] = ()
@@ -241,9 +242,7 @@ def _task(reader: Reader, document: Mapping[str, Any]) -> TaskDescription:
         reason=reader.prose(spec.get("reason", ""), "spec.reason"),
         application=application,
         parameters=parameters,
-        event_details={
-            k: reader.prose(event[k], f"spec.event.{k}") for k in ("rule", "id", "trace", "time", "stamp") if k in event
-        },
+        event_details=_event_details(reader, event),
         identity=object_identity(document),
         provides=provides,
         requirements=read_requirements(reader, spec.get("requirements"), "spec.requirements"),
@@ -258,6 +257,11 @@ def _task(reader: Reader, document: Mapping[str, Any]) -> TaskDescription:
         queue_seconds_max=_queue(reader, spec.get("queue") or {}),
         chain=_chain(reader, spec.get("chain") or {}),
     )
+
+
+def _event_details(reader: Reader, event: Mapping[str, Any]) -> dict[str, str]:
+    keys = ("rule", "id", "trace", "time", "stamp")
+    return {key: reader.prose(event[key], f"spec.event.{key}") for key in keys if key in event}
 
 
 def _wanted(reader: Reader, spec: Mapping[str, Any]) -> tuple[str, str]:

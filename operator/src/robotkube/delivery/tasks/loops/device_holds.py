@@ -42,7 +42,7 @@ class DeviceHolds:
             self._changed()
 
     def __call__(self) -> Sequence[DeviceHold]:
-        """The holds that last."""
+        """The holds that have not expired."""
         now = self._now_ns()
         with self._lock:
             self._holds = {agent: hold for agent, hold in self._holds.items() if hold.until_ns > now}

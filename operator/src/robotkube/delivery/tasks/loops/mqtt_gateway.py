@@ -1,6 +1,6 @@
-"""The MQTT door of the manager: messages of operators become custom resources, and their statuses go back.
+"""The MQTT task gateway of the manager: messages of operators become custom resources, and their statuses go back.
 
-One thread takes a message, writes the object, then acknowledges the message: what was not written comes again, also
+One thread receives a message, writes the object, then acknowledges the message: what was not written comes again, also
 after a crash, and the same id twice is one task. So nothing is kept here that could be lost. While the API server is
 away the message under way is tried again for at most TRY_SECONDS_MAX; the broker keeps the others.
 """
@@ -17,9 +17,9 @@ from typing import Any
 from robotkube.backoffs import Random, backoff
 from robotkube.delivery.tasks.core.holds import HOLDS_TOPIC
 from robotkube.delivery.tasks.core.mqtt_messages import (
-    DOOR,
-    DOOR_LABEL,
-    DOOR_REASONS,
+    GATEWAY,
+    GATEWAY_LABEL,
+    GATEWAY_REASONS,
     LEASE_ANNOTATION,
     NOT_ACCEPTED,
     NOT_REACHED,
@@ -46,29 +46,30 @@ from robotkube.foundation.kubernetes.core.objects import object_key
 from robotkube.foundation.kubernetes.ports import Leadership
 from robotkube.foundation.runtime.ports import Series, by_one
 
-TAKE_SECONDS = 0.2
+RECEIVE_SECONDS = 0.2
 STATUS_SECONDS = 0.25
-RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX = 0.2, 5.0
+RETRY_SECONDS_FIRST = 0.2
+RETRY_SECONDS_MAX = 5.0
 TRY_SECONDS_MAX = 3600.0
 LOGGED_CHARACTERS_MAX = 200
-WRITES_MAX = 5  # a task that comes and goes between two calls is looked at so often
+WRITES_MAX = 5  # attempts at a task that comes and goes between two calls
 
 log = logging.getLogger(__name__)
 
 
 @dataclass
 class GatewayStatistics:
-    """Messages since the start, by what came of them."""
+    """Counters since the start: messages by what came of them, and answers."""
 
     outcomes: dict[str, int] = field(
-        default_factory=lambda: dict.fromkeys(("created", "changed", "withdrawn", "renewed", *DOOR_REASONS), 0)
+        default_factory=lambda: dict.fromkeys(("created", "changed", "withdrawn", "renewed", *GATEWAY_REASONS), 0)
     )
     answers: int = 0
 
 
 class MqttTaskGateway:
-    """The door for `operators` (name -> namespace of its tasks). `now_ns`: wall clock in ns since 1970; `monotonic`: a
-    clock in seconds that never goes back; `holds` gets agent, payload and size of messages in which devices hold
+    """The gateway for `operators` (name -> namespace of its tasks). `now_ns`: wall clock in ns since 1970; `monotonic`:
+    a clock in seconds that never goes back; `holds` gets agent, payload and size of messages in which devices hold
     changes."""
 
     def __init__(
@@ -83,19 +84,26 @@ class MqttTaskGateway:
         holds: Callable[[str, bytes, int], None] = lambda agent, payload, size: None,
         jitter: Random = random.random,
     ) -> None:
-        self._holds, self._jitter = holds, jitter
-        self._operators, self._channel, self._store, self._writer = dict(operators), channel, store, writer
-        self._leadership, self._now_ns, self._monotonic = leadership, now_ns, monotonic
+        self._operators = dict(operators)
+        self._channel = channel
+        self._store = store
+        self._writer = writer
+        self._leadership = leadership
+        self._now_ns = now_ns
+        self._monotonic = monotonic
+        self._holds = holds
+        self._jitter = jitter
         self._open = False
         self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="task-door", daemon=True)
-        self._told: dict[str, bytes] = {}
-        self._told_at = float("-inf")
+        self._thread = threading.Thread(target=self._run, name="task-gateway", daemon=True)
+        self._answered: dict[str, bytes] = {}
+        self._answered_at = float("-inf")
         self.statistics = GatewayStatistics()
 
     @property
     def complaint(self) -> str:
-        """Empty while the door is open, or another process of this manager has it."""
+        """The reason why operators are not heard; empty while the gateway is open, or another process of this manager
+        has it open."""
         return self._channel.complaint if self._open else ""
 
     @property
@@ -104,7 +112,7 @@ class MqttTaskGateway:
         return self._open and not self._channel.complaint
 
     def start(self) -> None:
-        """Open the door whenever this process leads."""
+        """Begin on a thread of its own: the gateway is open whenever this process leads."""
         self._thread.start()
 
     def stop(self, seconds: float) -> None:
@@ -116,9 +124,9 @@ class MqttTaskGateway:
 
     def _run(self) -> None:
         while not self._stopping.is_set():
-            self.turn(TAKE_SECONDS)
+            self.turn(RECEIVE_SECONDS)
             if not self._open:
-                self._stopping.wait(TAKE_SECONDS)
+                self._stopping.wait(RECEIVE_SECONDS)
 
     def _set_open(self, wanted: bool) -> None:
         if wanted and not self._open:
@@ -126,21 +134,21 @@ class MqttTaskGateway:
             self._channel.start([prefix + name for prefix in (TASKS_TOPIC, HOLDS_TOPIC) for name in names])
         elif self._open and not wanted:
             self._channel.close()
-            self._told.clear()
+            self._answered.clear()
         self._open = wanted
 
     def turn(self, seconds: float) -> None:
-        """Handle the next message, if one comes within `seconds`; then tell operators what changed. Only one process of
-        a manager has the session at the broker: the one that leads."""
+        """Handle the next message, if one comes within `seconds`; then answer operators what changed. Only one process
+        of a manager has the session at the broker: the one that leads."""
         self._set_open(self._leadership.term() is not None)
         if not self._open:
             return
-        message = self._channel.take(seconds)
+        message = self._channel.receive(seconds)
         if message is not None:
             self._handle(message)
-        if self._monotonic() - self._told_at >= STATUS_SECONDS:
-            self._told_at = self._monotonic()
-            self._tell_changes()
+        if self._monotonic() - self._answered_at >= STATUS_SECONDS:
+            self._answered_at = self._monotonic()
+            self._publish_changes()
 
     # -- orders ---------------------------------------------------------------------------------------------------
 
@@ -156,20 +164,23 @@ class MqttTaskGateway:
             self._channel.acknowledge(message)  # of a session older than our settings
             return
         order = read_message(message.payload, message.size)
-        found = order if isinstance(order, RejectedMessage) else self._persist(operator, order)
-        if found is None:
+        outcome = order if isinstance(order, RejectedMessage) else self._persist(operator, order)
+        if outcome is None:
             return  # the process ends: it comes again
-        if isinstance(found, RejectedMessage):
-            if not self._channel.publish(status_topic(operator), refusal_answer(found)):
+        if isinstance(outcome, RejectedMessage):
+            if not self._channel.publish(status_topic(operator), refusal_answer(outcome)):
                 self._channel.leave(message)
                 return
-            words = found.message[:LOGGED_CHARACTERS_MAX]
-            log.warning("order refused operator=%s task=%s cause=%s reason=%s", operator, found.id, found.reason, words)
-            self._count(found.reason)
+            self._record_refusal(operator, outcome)
         else:
-            log.info("order carried out operator=%s task=%s outcome=%s", operator, getattr(order, "id", ""), found)
-            self._count(found)
+            log.info("order carried out operator=%s task=%s outcome=%s", operator, getattr(order, "id", ""), outcome)
+            self._count(outcome)
         self._channel.acknowledge(message)
+
+    def _record_refusal(self, operator: str, refused: RejectedMessage) -> None:
+        text = refused.message[:LOGGED_CHARACTERS_MAX]
+        log.warning("order refused operator=%s task=%s cause=%s reason=%s", operator, refused.id, refused.reason, text)
+        self._count(refused.reason)
 
     def _count(self, outcome: str) -> None:
         self.statistics.outcomes[outcome] += 1
@@ -178,7 +189,8 @@ class MqttTaskGateway:
         self, operator: str, order: TaskRequest | TaskWithdrawal | LeaseRenewal
     ) -> str | RejectedMessage | None:
         """Carry the order out, trying again while the API server is away; None when the process ends before."""
-        began, attempts = self._monotonic(), 0
+        began = self._monotonic()
+        attempts = 0
         while not self._stopping.is_set():
             try:
                 return self._carry_out(operator, self._operators[operator], order)
@@ -197,7 +209,7 @@ class MqttTaskGateway:
         self, operator: str, namespace: str, order: TaskRequest | TaskWithdrawal | LeaseRenewal
     ) -> str | RejectedMessage:
         if isinstance(order, TaskRequest):
-            return self._ask(operator, namespace, order)
+            return self._create_or_change(operator, namespace, order)
         if isinstance(order, TaskWithdrawal):
             if self._writer.delete(namespace, order.id):
                 return "withdrawn"
@@ -205,7 +217,7 @@ class MqttTaskGateway:
             return "renewed"
         return RejectedMessage(UNKNOWN_TASK, f"there is no task {namespace}/{order.id}", order.id)
 
-    def _ask(self, operator: str, namespace: str, order: TaskRequest) -> str:
+    def _create_or_change(self, operator: str, namespace: str, order: TaskRequest) -> str:
         for _ in range(WRITES_MAX):
             if self._writer.create(task_document(operator, namespace, order, self._now())):
                 return "created"
@@ -222,34 +234,35 @@ class MqttTaskGateway:
 
     # -- answers --------------------------------------------------------------------------------------------------
 
-    def _tell_changes(self) -> None:
-        """Publish what differs from what was told; what the broker did not take is told the next time."""
+    def _publish_changes(self) -> None:
+        """Publish the answers that differ from those sent before; what the broker did not accept is published the next
+        time."""
         owners = {namespace: operator for operator, namespace in self._operators.items()}
-        found = {object_key(task): task for task in self._store.tasks() if _is_ours(task, owners)}
-        answers = {key: status_answer(task) for key, task in found.items()}
-        for key in sorted({*self._told, *answers}):
+        answers = {object_key(task): status_answer(task) for task in self._store.tasks() if _is_ours(task, owners)}
+        for key in sorted({*self._answered, *answers}):
             namespace, _, name = key.partition("/")
             answer = answers.get(key) or gone_answer(name)
-            if self._told.get(key) == answer:
+            if self._answered.get(key) == answer:
                 continue
             if not self._channel.publish(status_topic(owners[namespace]), answer):
                 return
             self.statistics.answers += 1
             if key in answers:
-                self._told[key] = answer
+                self._answered[key] = answer
             else:
-                self._told.pop(key)
+                self._answered.pop(key)
 
 
 def _is_ours(task: Mapping[str, Any], owners: Mapping[str, str]) -> bool:
-    """Whether the task was asked for through this door."""
+    """Whether the task was asked for through this gateway."""
     metadata = task["metadata"]
-    return metadata.get("namespace") in owners and metadata.get("labels", {}).get(DOOR_LABEL) == DOOR
+    return metadata.get("namespace") in owners and metadata.get("labels", {}).get(GATEWAY_LABEL) == GATEWAY
 
 
-def door_metrics(door: MqttTaskGateway) -> Sequence[Series]:
-    """What the door counts, as metrics."""
-    prefix, statistics = "robotkube_task_door_", door.statistics
+def gateway_metrics(gateway: MqttTaskGateway) -> Sequence[Series]:
+    """The gateway's counters as metrics."""
+    prefix = "robotkube_task_gateway_"
+    statistics = gateway.statistics
     return (
         Series(
             f"{prefix}messages_total",
@@ -259,5 +272,5 @@ def door_metrics(door: MqttTaskGateway) -> Sequence[Series]:
             ("outcome",),
         ),
         Series(f"{prefix}answers_total", "counter", "Answers that were given.", {(): statistics.answers}),
-        Series(f"{prefix}connected", "gauge", "1 while the door is open, else 0.", {(): int(door.is_open)}),
+        Series(f"{prefix}connected", "gauge", "1 while the gateway is open, else 0.", {(): int(gateway.is_open)}),
     )

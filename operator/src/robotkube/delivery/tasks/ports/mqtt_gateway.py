@@ -23,14 +23,14 @@ class GatewayChannel(Protocol):
 
     @property
     def complaint(self) -> str:
-        """Why there is no session; empty while connected and subscribed."""
+        """The reason why there is no session; empty while connected and subscribed."""
         ...
 
     def start(self, topics: Sequence[str]) -> None:
         """Connect, now and after every loss, and subscribe to exactly these topics."""
         ...
 
-    def take(self, seconds: float) -> GatewayMessage | None:
+    def receive(self, seconds: float) -> GatewayMessage | None:
         """Receive the next message, oldest first; None when none came within the time."""
         ...
 

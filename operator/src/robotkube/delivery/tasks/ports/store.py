@@ -11,7 +11,7 @@ class TaskStore(Protocol):
 
     def tasks(self) -> Sequence[Mapping[str, Any]]:
         """The objects as Kubernetes holds them now (those being deleted included). Nobody changes metadata or spec of
-        one that was given: a task that changed is another object."""
+        such an object: a task that changed is another object."""
         ...
 
     def patch_status(self, namespace: str, name: str, status: Mapping[str, Any]) -> bool:
@@ -22,6 +22,6 @@ class TaskStore(Protocol):
         """Delete a task; False when it is gone already."""
         ...
 
-    def tell(self, task: Mapping[str, Any], reason: str, text: str) -> None:
+    def report_on_task(self, task: Mapping[str, Any], reason: str, text: str) -> None:
         """Put a warning on the task (a Kubernetes Event); the same text on the same task once."""
         ...

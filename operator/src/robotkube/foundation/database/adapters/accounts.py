@@ -30,11 +30,12 @@ class MongoAccounts:
         )  # fmt: skip
 
     def disconnect(self) -> None:
-        """Give the connections back."""
+        """Close the connections."""
         self._administrator.close()
 
     def answers(self) -> bool:
-        """False once it serves and accepts the administrator's password; UnavailableError before."""
+        """Check that the database serves and accepts the administrator's password: then False, nothing was changed;
+        UnavailableError before."""
         try:
             self._administrator["admin"].command("usersInfo", 1)
         except PyMongoError as error:
@@ -42,7 +43,8 @@ class MongoAccounts:
         return False
 
     def make_account(self, database: str, username: str, password: str) -> bool:
-        """An account of `database` with readWrite on it and nothing else; set when something differs."""
+        """Make an account of `database` with readWrite on it and nothing else, or set what differs; whether something
+        was changed."""
         roles = [{"role": "readWrite", "db": database}]
         account: dict[str, Any] = {"pwd": password, "roles": roles}
         try:

@@ -23,7 +23,7 @@ _ACCOUNT_KEYS = ("username", "password", "host", "port", "database", "authentica
 
 @dataclass(frozen=True)
 class DatabaseLogin:
-    """Where the database is and with which account. `authentication_database`: where the account is known."""
+    """The address of the database and an account of it. `authentication_database`: the one that knows the account."""
 
     host: str
     port: int
@@ -57,17 +57,18 @@ def read_account(folder: Path) -> DatabaseLogin:
 
 
 class _PlainInteger(TypeDecoder):
-    """Long integers come as int: the library's own kind is one that others, such as YAML, do not write."""
+    """A decoder of long integers to int: the library's own kind is one that others, such as YAML, do not write."""
 
     bson_type = Int64
 
     def transform_bson(self, value: Any) -> int:
-        """See TypeDecoder."""
+        """The int."""
         return int(value)
 
 
 @contextmanager
 def translated(doing: str) -> Iterator[None]:
+    """Translate the library's errors in the block into this package's; `doing` is what the block does."""
     try:
         yield
     except (DocumentTooLarge, BSONError) as error:

@@ -17,7 +17,7 @@ TEMPLATE_CHARACTERS_MAX = 4096
 RESULT_CHARACTERS_MAX = 64 * 1024
 ITEMS_MAX = 20_000
 DEPTH_MAX = 32
-TEMPLATES_KEPT_MAX = 1024
+TEMPLATES_CACHED_MAX = 1024
 
 _TESTS = ("defined", "undefined", "none", "string", "number", "mapping", "sequence", "in", "eq", "ne")
 _FILTERS = ("default", "first", "int", "float", "last", "length", "lower", "sort", "upper")
@@ -111,15 +111,16 @@ def _refusals(text: str) -> Iterator[None]:
 
 
 class Jinja2Templates:
-    """`render` fills every text of a JSON value; keys are not templates. DocumentError names the template."""
+    """Templates by Jinja2: `render` renders every text of a JSON value; keys are not templates. DocumentError names the
+    template."""
 
     def __init__(self) -> None:
         self._environment = _make_environment()
-        self._compiled = lru_cache(TEMPLATES_KEPT_MAX)(self._compile)
-        self._referred = lru_cache(TEMPLATES_KEPT_MAX)(self._refer)
+        self._compiled = lru_cache(TEMPLATES_CACHED_MAX)(self._compile)
+        self._referred = lru_cache(TEMPLATES_CACHED_MAX)(self._refer)
 
     def render(self, value: Any, names: Mapping[str, Any]) -> Any:
-        """`value` with all templates filled from `names`."""
+        """`value` with all templates rendered with `names`."""
         budget = [ITEMS_MAX]
         return self._render(value, names, budget, 0)
 
@@ -145,14 +146,14 @@ class Jinja2Templates:
         if budget[0] < 0 or depth > DEPTH_MAX:
             raise DocumentError("template", [f"more than {ITEMS_MAX} values or nested deeper than {DEPTH_MAX}"])
         if isinstance(value, str):
-            return self._fill(value, names) if "{" in value else value
+            return self._render_text(value, names) if "{" in value else value
         if isinstance(value, Mapping):
             return {key: self._render(item, names, budget, depth + 1) for key, item in value.items()}
         if isinstance(value, (list, tuple)):
             return [self._render(item, names, budget, depth + 1) for item in value]
         return value
 
-    def _fill(self, text: str, names: Mapping[str, Any]) -> Any:
+    def _render_text(self, text: str, names: Mapping[str, Any]) -> Any:
         with _refusals(text):
             result = self._compiled(text).render(**names)
             if isinstance(result, jinja2.Undefined):

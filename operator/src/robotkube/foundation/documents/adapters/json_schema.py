@@ -18,13 +18,13 @@ from jsonschema.validators import validator_for
 from referencing import Registry
 
 PROBLEMS_MAX = 20
-SCHEMAS_KEPT_MAX = 512
-ITEMS_KEPT_MAX = 20_000
-OBJECTS_KEPT_MAX = 64
+SCHEMAS_CACHED_MAX = 512
+ITEMS_CACHED_MAX = 20_000
+OBJECTS_CACHED_MAX = 64
 
 
 def check_schema(schema: Mapping[str, Any]) -> Sequence[str]:
-    """What is wrong with the schema itself."""
+    """The problems of the schema itself."""
     try:
         validator_for(schema, default=Draft202012Validator).check_schema(dict(schema))
     except jsonschema.SchemaError as error:
@@ -34,9 +34,9 @@ def check_schema(schema: Mapping[str, Any]) -> Sequence[str]:
     return []
 
 
-@lru_cache(SCHEMAS_KEPT_MAX)
+@lru_cache(SCHEMAS_CACHED_MAX)
 def _compiled(text: str) -> tuple[Any, Sequence[str]]:
-    """The validator of a schema's JSON text, None when something is wrong with the schema, and what."""
+    """The validator of a schema's JSON text, and the schema's problems; None when it has any."""
     schema = json.loads(text)
     broken = check_schema(schema)
     if broken:
@@ -59,7 +59,7 @@ def _items_once(plain: Any) -> Any:
             if key not in valid:
                 errors = list(validator.descend(item, items, path=index))
                 yield from errors
-                if not errors and len(valid) < ITEMS_KEPT_MAX:
+                if not errors and len(valid) < ITEMS_CACHED_MAX:
                     valid[key] = None
 
     return check
@@ -69,10 +69,11 @@ _validators: dict[int, tuple[Mapping[str, Any], Any, Sequence[str]]] = {}
 
 
 def _validator(schema: Mapping[str, Any]) -> tuple[Any, Sequence[str]]:
-    """As _compiled; the same object is asked for again and again, and need not be written out each time."""
+    """The same as _compiled, by object: the same one is asked for again and again, and need not be written out each
+    time."""
     known = _validators.get(id(schema))
     if known is None or known[0] is not schema:
-        while len(_validators) >= OBJECTS_KEPT_MAX:
+        while len(_validators) >= OBJECTS_CACHED_MAX:
             _validators.pop(next(iter(_validators)))
         known = _validators[id(schema)] = (schema, *_compiled(json.dumps(schema, sort_keys=True)))
     return known[1], known[2]

@@ -8,10 +8,10 @@ from typing import Any
 
 
 def sha256(data: bytes) -> str:
-    """Digest in OCI form."""
+    """The SHA-256 digest of `data` in OCI form."""
     return "sha256:" + hashlib.sha256(data).hexdigest()
 
 
 def canonical_json(document: Any) -> bytes:
-    """The bytes that are hashed: keys sorted, no spaces."""
+    """The JSON of a document as it is hashed: keys sorted, no spaces."""
     return json.dumps(document, sort_keys=True, separators=(",", ":")).encode()

@@ -13,7 +13,7 @@ ITEMS_MAX = 256  # of any list
 
 
 class EntryReader(Reader):
-    """Reads entries of the catalogue, in which a key is left out and never null."""
+    """A reader of the catalogue's entries, in which a key is left out and never null."""
 
     def mapping(
         self, value: Any, path: str, required: Iterable[str], optional: Iterable[str] = ()
@@ -35,7 +35,7 @@ class EntryReader(Reader):
 
 
 def read_words(reader: Reader, value: Any, path: str, pattern: re.Pattern[str]) -> tuple[str, ...]:
-    """A list of texts, each once."""
+    """The texts of a list, each of which may stand there once."""
     words = [reader.word(item, f"{path}[{i}]", pattern) for i, item in enumerate(reader.sequence(value, path))]
     twice = sorted({word for word in words if word and words.count(word) > 1})
     reader.problems += [f"{path}: {word!r} stands twice; keep one of them" for word in twice]
@@ -43,7 +43,7 @@ def read_words(reader: Reader, value: Any, path: str, pattern: re.Pattern[str]) 
 
 
 def read_one_of(reader: Reader, value: Any, path: str, words: Iterable[str]) -> str:
-    """One word of a closed list."""
+    """The value, which must be one word of a closed list."""
     allowed = tuple(words)
     if not isinstance(value, str) or value not in allowed:
         reader.problems.append(f"{path}: {value!r:.40} must be one of {', '.join(allowed)}")

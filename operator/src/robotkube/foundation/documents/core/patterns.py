@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 
-FILES_KEPT_MAX = 4096  # files read once stay read: a plan needs all of them
+DOCUMENTS_CACHED_MAX = 4096  # documents that were read stay in memory: a plan needs all of them
 
 _LABEL = r"[a-z0-9]([a-z0-9-]{0,61}[a-z0-9])?"
 _SUBDOMAIN = r"[a-z0-9]([a-z0-9.-]{0,251}[a-z0-9])?"

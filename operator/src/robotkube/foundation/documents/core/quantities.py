@@ -16,7 +16,7 @@ QUANTITY = re.compile(r"([0-9]+(?:\.[0-9]+)?)([A-Za-z]*)")
 
 
 def quantity(value: Any) -> Decimal | None:
-    """A Kubernetes quantity as a number (cores, bytes); None when it is none."""
+    """The number (cores, bytes) that a Kubernetes quantity stands for; None when it is none."""
     if isinstance(value, bool) or not isinstance(value, (int, float, str)):
         return None
     match = QUANTITY.fullmatch(str(value))

@@ -29,6 +29,7 @@ class Reader:
     def mapping(
         self, value: Any, path: str, required: Iterable[str], optional: Iterable[str] = ()
     ) -> Mapping[str, Any]:
+        """The mapping `value`; empty when it is none. Missing and unknown keys are problems."""
         if not isinstance(value, Mapping):
             return self._no_mapping(path)
         required = set(required)
@@ -42,6 +43,7 @@ class Reader:
         return MappingReader(self, value if isinstance(value, Mapping) else self._no_mapping(path), path)
 
     def text(self, value: Any, path: str, pattern: re.Pattern[str]) -> str:
+        """The text `value`, which must match `pattern`; empty when it is missing or a problem."""
         if isinstance(value, str) and pattern.fullmatch(value):
             return value
         if value is not None:
@@ -49,14 +51,17 @@ class Reader:
         return ""
 
     def equal(self, value: Any, path: str, expected: Any) -> None:
+        """Note a value that is there and not the expected one."""
         if value is not None and value != expected:
             self.problems.append(f"{path}: {value!r} must be {expected!r}")
 
     def finish(self) -> None:
+        """Refuse the document with DocumentError when it has any problem."""
         if self.problems:
             raise DocumentError(self.where, self.problems)
 
     def word(self, value: Any, path: str, pattern: re.Pattern[str], default: str | None = None) -> str:
+        """The text `value`, which must match `pattern`; when it is missing, `default`, or a problem without one."""
         if value is None and default is not None:
             return default
         if value is None:
@@ -64,12 +69,14 @@ class Reader:
         return self.text(value, path, pattern)
 
     def prose(self, value: Any, path: str) -> str:
+        """The text `value`, whatever it says."""
         if not isinstance(value, str):
             self.problems.append(f"{path}: must be text")
             return ""
         return value
 
     def sequence(self, value: Any, path: str) -> list[Any]:
+        """The list `value`; empty when it is missing or a problem."""
         if value is None:
             return []
         if not isinstance(value, list):

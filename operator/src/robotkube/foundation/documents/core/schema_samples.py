@@ -29,7 +29,7 @@ _BOUNDS = (("minimum", 0), ("exclusiveMinimum", 1), ("maximum", 0), ("exclusiveM
 
 
 class Sampler:
-    """Samples of the parts of one schema; asks `validate` at most TRIALS_MAX times."""
+    """The sampler of one schema and its parts; asks `validate` at most TRIALS_MAX times."""
 
     def __init__(self, root: Mapping[str, Any], validate: Validate) -> None:
         self._root = root

@@ -21,7 +21,7 @@ from robotkube.errors import DocumentError
 TEXT_BYTES_MAX = 256 * 1024
 DEPTH_MAX = 32
 KEY_CHARACTERS_MAX = 100  # beyond, YAML writes keys in another form
-TEXTS_KEPT_MAX = 8192
+SCALARS_CACHED_MAX = 8192
 INTEGER_MAX = 2**53  # the ApplicationSet controller reads numbers as doubles
 
 _PLAIN = re.compile(r"[A-Za-z_/][A-Za-z0-9_./@-]*( [A-Za-z0-9_./@-]+)*", re.ASCII)
@@ -154,7 +154,7 @@ def write_with_library(document: Mapping[str, Any]) -> str:
 
 
 class _UnusualError(Exception):
-    """A value that is left to the library."""
+    """A value whose writing is left to the library."""
 
 
 def _write_mapping(mapping: Mapping[str, Any], first: str, rest: str, lines: list[str]) -> None:
@@ -202,7 +202,7 @@ def _scalar(value: Any) -> str:
     raise _UnusualError
 
 
-@lru_cache(TEXTS_KEPT_MAX)
+@lru_cache(SCALARS_CACHED_MAX)
 def _quoted(text: str) -> str:
     if _PLAIN.fullmatch(text) and text.lower() not in _YAML_1_1_WORDS:
         return text
@@ -213,7 +213,8 @@ def _quoted(text: str) -> str:
 
 
 def json_problems(value: Any, path: str, depth: int = 0) -> list[str]:
-    """What in `value` JSON and a Go reader would not carry unchanged; `path` is the key so far (`spec.values.x`)."""
+    """The parts of `value` that JSON and a Go reader would not carry unchanged; `path` is the key so far
+    (`spec.values.x`)."""
     if depth > DEPTH_MAX:
         return [f"{path}: nested deeper than {DEPTH_MAX}"]
     if value is None or isinstance(value, bool):
@@ -222,20 +223,21 @@ def json_problems(value: Any, path: str, depth: int = 0) -> list[str]:
         broken = not value.isascii() and _HALF_CHARACTER.search(value)
         return [f"{path}: text with half a character (a lone surrogate), which UTF-8 has not"] if broken else []
     if isinstance(value, int):
-        return (
-            []
-            if abs(value) <= INTEGER_MAX
-            else [f"{path}: {value} is beyond 2^53 and would lose digits; write it as text"]
-        )
+        too_large = abs(value) > INTEGER_MAX
+        return [f"{path}: {value} is beyond 2^53 and would lose digits; write it as text"] if too_large else []
     if isinstance(value, float):
         return [] if math.isfinite(value) else [f"{path}: {value} is not a JSON number"]
     if isinstance(value, Mapping):
         problems = [f"{path}: key {key!r} is not text" for key in value if not isinstance(key, str)]
         return problems + [
-            p for key, item in value.items() for p in json_problems(item, join(path, str(key)), depth + 1)
+            problem for key, item in value.items() for problem in json_problems(item, join(path, str(key)), depth + 1)
         ]
     if isinstance(value, Sequence) and not isinstance(value, (bytes, bytearray)):
-        return [p for index, item in enumerate(value) for p in json_problems(item, f"{path}[{index}]", depth + 1)]
+        return [
+            problem
+            for index, item in enumerate(value)
+            for problem in json_problems(item, f"{path}[{index}]", depth + 1)
+        ]
     return [f"{path}: {type(value).__name__} is not a JSON value"]
 
 

@@ -46,7 +46,7 @@ class _PushEvents:
         self._client = httpx.Client(timeout=seconds_max)
 
     def disconnect(self) -> None:
-        """Give the connection back."""
+        """Close the connection."""
         self._client.close()
 
     def hook(self, before: str, after: str) -> bool:
@@ -91,8 +91,8 @@ class PushRelay(_PushEvents):
 
 
 class ObjectsRelay:
-    """Sends commit objects for `repository` (`<organisation>/<name>`) to the gate at `url`; `secret` is the manager's
-    own. One at a time, on a thread of its own: the push does not wait for it, nor it for the push."""
+    """A sender of commit objects for `repository` (`<organisation>/<name>`) to the gate at `url`; `secret` is the
+    manager's own. One at a time, on a thread of its own: the push does not wait for it, nor it for the push."""
 
     def __init__(self, url: str, secret: bytes, repository: str) -> None:
         self._url = url
@@ -102,17 +102,17 @@ class ObjectsRelay:
         self._free = threading.Semaphore(1)
 
     def disconnect(self) -> None:
-        """Give the connection back."""
+        """Close the connection."""
         self._client.close()
 
-    def hand(self, handed: CommitObjects) -> None:
+    def send(self, objects: CommitObjects) -> None:
         """Send the objects; returns at once. While others are still under way these are dropped: the gate fetches
         them."""
         if self._free.acquire(blocking=False):
-            threading.Thread(target=self._send, args=(handed,), daemon=True).start()
+            threading.Thread(target=self._deliver, args=(objects,), daemon=True).start()
 
-    def _send(self, handed: CommitObjects) -> None:
-        body = write_objects(handed, self._repository)
+    def _deliver(self, objects: CommitObjects) -> None:
+        body = write_objects(objects, self._repository)
         signature = hmac.new(self._secret, body, hashlib.sha256).hexdigest()
         headers = {"Content-Type": "application/json", "X-Gitea-Signature": signature}
         try:

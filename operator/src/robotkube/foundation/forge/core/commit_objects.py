@@ -21,7 +21,7 @@ from robotkube.foundation.documents.core.json_codec import read_json
 KINDS = ("commit", "tree", "blob")
 OBJECTS_MAX = 1000  # a plan for 100 tasks has about 300
 BYTES_MAX = 1024 * 1024  # of all contents
-WHERE = "handed objects"
+WHERE = "commit objects"
 
 
 @dataclass(frozen=True)
@@ -37,10 +37,10 @@ def object_id(kind: str, content: bytes) -> str:
     return hashlib.sha1(b"%s %d\0%s" % (kind.encode(), len(content), content), usedforsecurity=False).hexdigest()
 
 
-def write_objects(handed: CommitObjects, repository: str) -> bytes:
+def write_objects(sent: CommitObjects, repository: str) -> bytes:
     """The JSON; `repository` is `<organisation>/<name>`."""
-    objects = [{"kind": kind, "content": base64.b64encode(content).decode()} for kind, content in handed.objects]
-    return json.dumps({"repository": repository, "commit": handed.commit, "objects": objects}).encode()
+    objects = [{"kind": kind, "content": base64.b64encode(content).decode()} for kind, content in sent.objects]
+    return json.dumps({"repository": repository, "commit": sent.commit, "objects": objects}).encode()
 
 
 def read_objects(body: bytes, repository: str) -> CommitObjects:
@@ -55,21 +55,23 @@ def read_objects(body: bytes, repository: str) -> CommitObjects:
     if not isinstance(items, list) or not 0 < len(items) <= OBJECTS_MAX:
         raise DocumentError(WHERE, [f"objects: must be a list of 1 to {OBJECTS_MAX} objects; let the rest be fetched"])
     problems: list[str] = []
-    handed = CommitObjects(str(document.get("commit")), tuple(_objects(items, problems)))
+    received = CommitObjects(str(document.get("commit")), tuple(_objects(items, problems)))
     if document.get("repository") != repository:
         problems.append(f"repository: must be {repository}")
-    if sum(len(content) for _, content in handed.objects) > BYTES_MAX:
+    if sum(len(content) for _, content in received.objects) > BYTES_MAX:
         problems.append(f"objects: more than {BYTES_MAX} bytes; let them be fetched")
-    if not problems and handed.commit not in (object_id(*pair) for pair in handed.objects if pair[0] == "commit"):
+    if not problems and received.commit not in (object_id(*pair) for pair in received.objects if pair[0] == "commit"):
         problems.append("commit: must be the id of one of objects, of kind commit")
     if problems:
         raise DocumentError(WHERE, problems)
-    return handed
+    return received
 
 
 def _objects(items: list[Any], problems: list[str]) -> Iterator[tuple[str, bytes]]:
     for index, item in enumerate(items):
-        kind, content = (item.get("kind"), item.get("content")) if isinstance(item, Mapping) else (None, None)
+        entry = item if isinstance(item, Mapping) else {}
+        kind = entry.get("kind")
+        content = entry.get("content")
         if kind not in KINDS:
             problems.append(f"objects[{index}].kind: must be one of {', '.join(KINDS)}")
             continue

@@ -35,7 +35,7 @@ class RepositoryFiles(Protocol):
 
 
 class MainHistory(RepositoryFiles, Protocol):
-    """Main with what was there before."""
+    """Main with its history."""
 
     def irregular(self, commit: str, folders: Sequence[str]) -> Sequence[str]:
         """Paths of the files below `folders` in `commit` that `files` leaves out: no ordinary text files."""
@@ -51,10 +51,10 @@ class CatalogueRepository(RepositoryFiles, Protocol):
 
 
 class DeploymentRepository(MainHistory, Protocol):
-    """Main of the deployment repository as the manager reads it."""
+    """The deployment repository's main as the manager reads it."""
 
     def moved_to(self, commit: str) -> None:
-        """Main is known to stand at `commit`, which is here: as if it had been fetched."""
+        """Note that main stands at `commit`, which is here: as if it had been fetched."""
         ...
 
     def proposal(self, number: int) -> Commit:
@@ -118,8 +118,8 @@ class MainBranch(MainHistory, Protocol):
         """The head commit of a pull request, fetched together with main."""
         ...
 
-    def take(self, handed: CommitObjects) -> Commit | None:
-        """Store commit objects: the commit, when it stands on main's tip as it is known here and everything that it
+    def receive(self, objects: CommitObjects) -> Commit | None:
+        """Store commit objects; their commit, when it stands on main's tip as it is known here and everything that it
         brings is here now; None: it has to be fetched."""
         ...
 
@@ -127,8 +127,8 @@ class MainBranch(MainHistory, Protocol):
         """Whether `commit` is main's tip or one of its ancestors."""
         ...
 
-    def brought(self, commit: str) -> Commit:
-        """`commit`, which is here, with everything it brings since it left main: as if that were its only parent."""
+    def changes_since_branch(self, commit: str) -> Commit:
+        """`commit`, which is here, with everything it changes since it left main: as if that were its only parent."""
         ...
 
     def push_main(self, commit: str) -> bool:

@@ -1,4 +1,4 @@
-"""The Kubernetes API by its Python client: requests with our errors, and watches that last."""
+"""The Kubernetes API by its Python client: requests with the errors of this package, and watches that last."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ log = logging.getLogger(__name__)
 REQUEST_SECONDS_MAX = 10.0
 WATCH_SECONDS = 240
 SILENCE_SECONDS_MAX = WATCH_SECONDS + 20
-BACKOFF_SECONDS_MIN, BACKOFF_SECONDS_MAX = 0.25, 10.0
+BACKOFF_SECONDS_MIN = 0.25
+BACKOFF_SECONDS_MAX = 10.0
 PAGE_OBJECTS = 500
 PAGES_MAX = 200
 CONFLICT = 409
@@ -31,7 +32,8 @@ Object = Mapping[str, Any]
 
 
 def api_client(kubeconfig: str | None = None, context: str | None = None, in_cluster: bool = False) -> client.ApiClient:
-    """A client of the API server: the pod's own account, or a kubeconfig (default: KUBECONFIG or ~/.kube/config)."""
+    """A client of the API server, as the pod's own account or by a kubeconfig (default: KUBECONFIG or
+    ~/.kube/config)."""
     configuration = client.Configuration()
     try:
         if in_cluster:
@@ -53,8 +55,8 @@ def call(
     content_type: str = "application/json",
     seconds: float = REQUEST_SECONDS_MAX,
 ) -> Any:
-    """The open answer of one request. UnavailableError when nobody answers or the fault passes, InputError when it is
-    refused, KeyError when there is no such object."""
+    """The open answer of one request to the API server. UnavailableError when nobody answers or the fault passes,
+    InputError when it is refused, KeyError when there is no such object."""
     headers = {"Accept": "application/json", "Content-Type": content_type}
     try:
         return api.call_api(
@@ -74,8 +76,8 @@ def call(
 
 
 def send(api: client.ApiClient, method: str, path: str, body: Object, content_type: str = "application/json") -> None:
-    """A request whose answer says nothing more. It is read to its end, which keeps the connection for the next one: a
-    new one would cost more than the request."""
+    """Send a request whose answer says nothing more. It is read to its end, which keeps the connection for the next
+    one: a new one would cost more than the request."""
     call(api, method, path, body=body, content_type=content_type).read()
 
 
@@ -95,7 +97,7 @@ def _message(error: client.ApiException) -> str:
 
 
 class ResourceWatch:
-    """All objects of one kind, reduced by `reduce`, by `<namespace>/<name>`.
+    """The watch of all objects below one path: each, reduced by `reduce`, by `<namespace>/<name>`.
 
     `changed` is called with key, value before and value now (None: not there) from the watch's thread, only when the
     reduced value differs.
@@ -110,8 +112,12 @@ class ResourceWatch:
         changed: Callable[[str, Any, Any], None],
         jitter: Random = random.random,
     ) -> None:
-        self._api, self._path, self._selector, self._jitter = api, path, selector, jitter
-        self._reduce, self._changed = reduce, changed
+        self._api = api
+        self._path = path
+        self._selector = selector
+        self._reduce = reduce
+        self._changed = changed
+        self._jitter = jitter
         self._values: dict[str, Any] = {}
         self._lock = threading.Lock()
         self._stopping = threading.Event()
@@ -119,24 +125,26 @@ class ResourceWatch:
         self.complaint = f"{path} was not listed yet"
 
     def values(self) -> dict[str, Any]:
-        """A snapshot."""
+        """The values now, as a copy."""
         with self._lock:
             return dict(self._values)
 
     def start(self) -> None:
-        """Begin on a thread of its own."""
+        """Begin to watch, on a thread of its own."""
         threading.Thread(target=self._run, name=f"watch {self._path}", daemon=True).start()
 
     def stop(self) -> None:
-        """End within the silence of a watch; the thread does not hold the process."""
+        """End the watch, within SILENCE_SECONDS_MAX; its thread does not keep the process."""
         self._stopping.set()
 
     def _run(self) -> None:
-        failures, version = 0, ""
+        failures = 0
+        version = ""
         while not self._stopping.is_set():
             try:
-                version = self._follow(version or self._list())
-                self.complaint, failures = "", 0
+                version = self._watch(version or self._list())
+                self.complaint = ""
+                failures = 0
             except (UnavailableError, InputError, KeyError, ValueError) as error:
                 self.complaint = f"{self._path}: {error}"
                 log.warning("watch interrupted path=%s reason=%s", self._path, error)
@@ -145,27 +153,29 @@ class ResourceWatch:
                 failures += 1
 
     def _list(self) -> str:
-        """Replace all values; the position from which changes follow."""
-        found: dict[str, Any] = {}
-        query, version = [("limit", str(PAGE_OBJECTS)), ("labelSelector", self._selector)], ""
+        """Read all objects anew, and return the version from which changes follow."""
+        values: dict[str, Any] = {}
+        query = [("limit", str(PAGE_OBJECTS)), ("labelSelector", self._selector)]
+        version = ""
         token = ""
         for _ in range(PAGES_MAX):
             answer = read_json(call(self._api, "GET", self._path, [*query, ("continue", token)]).data)
-            found |= {object_key(item): self._reduce(item) for item in answer.get("items", [])}
-            version, token = answer["metadata"]["resourceVersion"], answer["metadata"].get("continue", "")
+            values |= {object_key(item): self._reduce(item) for item in answer.get("items", [])}
+            version = answer["metadata"]["resourceVersion"]
+            token = answer["metadata"].get("continue", "")
             if not token:
                 break
         else:
             raise InputError(f"more than {PAGES_MAX * PAGE_OBJECTS} objects; remove old ones")
         before = self.values()
-        for key in sorted({*before, *found}):
-            self._set(key, found.get(key))
+        for key in sorted({*before, *values}):
+            self._set(key, values.get(key))
         self.complaint = ""
         self.synced.set()
         return str(version)
 
-    def _follow(self, version: str) -> str:
-        """Changes until the server ends the watch; the position reached."""
+    def _watch(self, version: str) -> str:
+        """Apply changes until the server ends the watch, and return the version reached."""
         query = [
             ("watch", "true"),
             ("allowWatchBookmarks", "true"),

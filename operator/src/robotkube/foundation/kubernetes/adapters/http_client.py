@@ -1,4 +1,4 @@
-"""The few calls a robot pod makes to the API server, on the standard library's HTTP client.
+"""A small client of the API server for robot pods: a few calls and one watch, on the standard library's HTTP client.
 
 The full client costs a second of import and 60 MB in every pod; fifteen pods start at once on two cores.
 
@@ -37,27 +37,31 @@ SERVER_VARIABLE = "ROBOTKUBE_API_SERVER"
 ACCOUNT_FOLDER = Path("/var/run/secrets/kubernetes.io/serviceaccount")
 TIMEOUT_SECONDS = 10.0
 WATCH_SECONDS = 240
-BACKOFF_SECONDS_MIN, BACKOFF_SECONDS_MAX = 0.5, 10.0
+BACKOFF_SECONDS_MIN = 0.5
+BACKOFF_SECONDS_MAX = 10.0
 EVENT_BYTES_MAX = 4 * 1024 * 1024
-EVENT_NOTE_BYTES_MAX, EVENT_INSTANCE_MAX = 1024, 128  # of an Event, by the API
-KEEPALIVE_IDLE_SECONDS, KEEPALIVE_INTERVAL_SECONDS, KEEPALIVE_PROBES = 20, 5, 3
+EVENT_NOTE_BYTES_MAX = 1024  # of an Event, by the API
+EVENT_INSTANCE_CHARACTERS_MAX = 128  # as well
+KEEPALIVE_IDLE_SECONDS = 20
+KEEPALIVE_INTERVAL_SECONDS = 5
+KEEPALIVE_PROBES = 3
 
 ConfigMapData = Mapping[str, str]
 
 
 def config_map_path(namespace: str, name: str = "") -> str:
-    """Path of a ConfigMap, or of the namespace's list."""
+    """The path of a ConfigMap, or of the namespace's list."""
     return f"/api/v1/namespaces/{quote(namespace)}/configmaps" + (f"/{quote(name)}" if name else "")
 
 
 def custom_path(group: str, version: str, namespace: str, plural: str, name: str = "") -> str:
-    """Path of a custom resource, or of the namespace's list."""
+    """The path of a custom resource, or of the namespace's list."""
     base = f"/apis/{group}/{version}/namespaces/{quote(namespace)}/{plural}"
     return f"{base}/{quote(name)}" if name else base
 
 
 def event_path(namespace: str) -> str:
-    """Path of the namespace's Events."""
+    """The path of the namespace's Events."""
     return f"/apis/events.k8s.io/v1/namespaces/{quote(namespace)}/events"
 
 
@@ -75,14 +79,14 @@ def config_map_warning(
         "note": message.encode()[:EVENT_NOTE_BYTES_MAX].decode(errors="ignore"),
         "type": "Warning",
         "reportingController": f"robotkube.io/{component}",
-        "reportingInstance": f"{namespace}.{name}"[:EVENT_INSTANCE_MAX],
+        "reportingInstance": f"{namespace}.{name}"[:EVENT_INSTANCE_CHARACTERS_MAX],
         "eventTime": now,
     }
 
 
 @dataclass
 class ApiServer:
-    """Where the API server is and who asks. The token is read anew for every request: kubelets replace it hourly.
+    """The API server as one account calls it. The token is read anew for every request: kubelets replace it hourly.
 
     `get`, `create`, `patch` and `delete` share one kept-alive connection and may be called from any thread."""
 
@@ -95,19 +99,18 @@ class ApiServer:
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str]) -> ApiServer:
-        """The server of this pod; ROBOTKUBE_API_SERVER names another one, which is asked without an account."""
+        """The server of this pod; ROBOTKUBE_API_SERVER names another one, which is called without an account."""
         if SERVER_VARIABLE in environment:
             return cls(environment[SERVER_VARIABLE].rstrip("/"))
-        host, port = environment.get("KUBERNETES_SERVICE_HOST"), environment.get("KUBERNETES_SERVICE_PORT", "443")
+        host = environment.get("KUBERNETES_SERVICE_HOST")
+        port = environment.get("KUBERNETES_SERVICE_PORT", "443")
         if not host:
-            raise InputError(
-                f"no API server: this is not a pod; set {SERVER_VARIABLE} or take ROBOTKUBE_CONFIGMAP away"
-            )
+            raise InputError(f"no API server: this is not a pod; set {SERVER_VARIABLE} or remove ROBOTKUBE_CONFIGMAP")
         host = f"[{host}]" if ":" in host else host
         return cls(f"https://{host}:{port}", ACCOUNT_FOLDER / "token", ACCOUNT_FOLDER / "ca.crt")
 
     def get(self, path: str) -> dict[str, Any] | None:
-        """The object, or None when there is none."""
+        """Read an object, or a list; None when there is none."""
         status, document = self._call("GET", path)
         return None if status == 404 else document
 
@@ -134,7 +137,7 @@ class ApiServer:
                 self._connection = None
 
     def open(self, timeout_seconds: float) -> http.client.HTTPConnection:
-        """A connection of its own, not connected yet."""
+        """Make a connection of its own, not connected yet."""
         parts = urlsplit(self.url)
         if parts.scheme == "http":
             return http.client.HTTPConnection(parts.netloc, timeout=timeout_seconds)
@@ -144,7 +147,7 @@ class ApiServer:
         return http.client.HTTPSConnection(parts.netloc, timeout=timeout_seconds, context=context)
 
     def headers(self, content_type: str = "application/json") -> dict[str, str]:
-        """Headers of a request, with the account's token of this moment."""
+        """The headers of a request, with the account's token of this moment."""
         headers = {"Accept": "application/json", "Content-Type": content_type}
         if self.token_file is not None:
             headers["Authorization"] = f"Bearer {self.token_file.read_text().strip()}"
@@ -183,6 +186,7 @@ class ApiServer:
 
 
 def _checked(status: int, text: bytes, call: str) -> tuple[int, dict[str, Any]]:
+    """Status and document of an answer; 404 and 409 are for the caller, any other error is raised."""
     try:
         document = read_json(text)
     except ValueError:
@@ -197,7 +201,8 @@ def _checked(status: int, text: bytes, call: str) -> tuple[int, dict[str, Any]]:
 
 
 class ConfigMapWatch:
-    """Follows one ConfigMap: `changed` gets its data after every change and at the beginning, None when there is none.
+    """The watch of one ConfigMap: `changed` gets its data after every change and at the beginning, None when there is
+    none.
 
     Runs on a thread of its own and never gives up: a lost connection is taken up again after 0.5 to 10 s. An exception
     in `changed` is reported by `failed` (a sentence) and the watch goes on. `complaint` is None while it is connected.
@@ -214,10 +219,15 @@ class ConfigMapWatch:
         clock: Callable[[], float] = time.monotonic,
         jitter: Random = random.random,
     ) -> None:
+        self._api = api
+        self._namespace = namespace
+        self._name = name
+        self._changed = changed
+        self._failed = failed
+        self._clock = clock
         self._jitter = jitter
-        self._api, self._namespace, self._name = api, namespace, name
-        self._changed, self._failed, self._clock = changed, failed, clock
-        self._stopping, self._again = threading.Event(), threading.Event()
+        self._stopping = threading.Event()
+        self._again = threading.Event()
         self.read_at: float | None = None
         self.interrupted_at: float | None = None
         self._socket: socket.socket | None = None
@@ -225,7 +235,7 @@ class ConfigMapWatch:
         self.complaint: str | None = f"ConfigMap {namespace}/{name} was not read yet"
 
     def start(self) -> None:
-        """Begin on a thread of its own."""
+        """Begin to watch, on a thread of its own."""
         threading.Thread(target=self._run, name=f"watch-{self._name}", daemon=True).start()
 
     def stop(self) -> None:
@@ -246,7 +256,7 @@ class ConfigMapWatch:
         while not self._stopping.is_set():
             begin = time.monotonic()
             try:
-                self._follow()
+                self._watch()
             except (OSError, http.client.HTTPException, ValueError, InputError, UnavailableError) as error:
                 if self._again.is_set():
                     continue  # ended by `read_again`, or to be tried at once
@@ -258,7 +268,7 @@ class ConfigMapWatch:
                 self._again.wait(backoff(failures, BACKOFF_SECONDS_MIN, BACKOFF_SECONDS_MAX, self._jitter))
                 failures += 1
 
-    def _follow(self) -> None:
+    def _watch(self) -> None:
         """Read the list, then its changes, until the server ends the watch (after WATCH_SECONDS at most)."""
         self._again.clear()
         begin = self._clock()
@@ -268,7 +278,7 @@ class ConfigMapWatch:
         if listed is None:
             raise InputError(f"namespace {self._namespace} has no ConfigMaps")
         self._api.close()  # the watch has a connection of its own
-        self._tell(listed["items"][0] if listed.get("items") else None)
+        self._notify(listed["items"][0] if listed.get("items") else None)
         self.complaint = self.interrupted_at = None
         self.read_at = begin
         version = listed["metadata"]["resourceVersion"]
@@ -276,7 +286,7 @@ class ConfigMapWatch:
         for event in self._events(f"{path}?{urlencode(query)}"):
             if event["type"] == "ERROR":
                 return
-            self._tell(None if event["type"] == "DELETED" else event["object"])
+            self._notify(None if event["type"] == "DELETED" else event["object"])
 
     def _events(self, path: str) -> Iterator[dict[str, Any]]:
         connection = self._api.open(TIMEOUT_SECONDS)
@@ -296,19 +306,21 @@ class ConfigMapWatch:
             self._socket = None
             connection.close()
 
-    def _tell(self, found: Mapping[str, Any] | None) -> None:
-        data = None if found is None else dict(found.get("data") or {})
+    def _notify(self, config_map: Mapping[str, Any] | None) -> None:
+        """Call `changed` with the data of the ConfigMap, unless they are the same as the last time."""
+        data = None if config_map is None else dict(config_map.get("data") or {})
         if self._last == (data,):
             return
         self._last = (data,)
         try:
             self._changed(data)
-        except Exception as error:  # the follower's fault must not end the watch
+        except Exception as error:  # a fault of the receiver must not end the watch
             self._failed(f"ConfigMap {self._namespace}/{self._name}: {type(error).__name__}: {error}")
 
 
 def _keep_alive(connection: socket.socket) -> None:
-    """A vanished server is noticed after 35 s although a watch may be silent for minutes."""
+    """Have TCP probe the connection: a vanished server is noticed after 35 s although a watch may be silent for
+    minutes."""
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, KEEPALIVE_IDLE_SECONDS)
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, KEEPALIVE_INTERVAL_SECONDS)
@@ -316,7 +328,7 @@ def _keep_alive(connection: socket.socket) -> None:
 
 
 def split_name(text: str) -> tuple[str, str]:
-    """`<namespace>/<name>` in two; InputError when it is not that."""
+    """The two parts of `<namespace>/<name>`; InputError when it is not that."""
     namespace, _, name = text.partition("/")
     if not namespace or not name or "/" in name:
         raise InputError(f"ROBOTKUBE_CONFIGMAP is {text!r}; write it as <namespace>/<name>")

@@ -14,15 +14,17 @@ import httpx
 from robotkube.foundation.kubernetes.ports import Leadership
 
 ANSWER_SECONDS_MAX = 20.0
-HANDED_ON = "x-robotkube-handed-on"
-KEPT = ("content-type", "x-gitea-", "x-github-", "x-gitlab-", "x-hub-")  # the headers that name and sign a delivery
+FORWARDED = "x-robotkube-forwarded"
+FORWARDED_FORMERLY = "x-robotkube-handed-on"  # of processes of the version before, during an upgrade
+# How the names of the headers begin that name and sign a delivery.
+DELIVERY_HEADERS = ("content-type", "x-gitea-", "x-github-", "x-gitlab-", "x-hub-")
 TEXT = "text/plain; charset=utf-8"
 
 log = logging.getLogger(__name__)
 
 
 class LeaderRequests:
-    """Answers requests through the leader; a call is safe from any thread."""
+    """Requests answered by the leader; a call is safe from any thread."""
 
     def __init__(self, leadership: Leadership, seconds_max: float = ANSWER_SECONDS_MAX) -> None:
         self._leadership = leadership
@@ -35,12 +37,12 @@ class LeaderRequests:
         if self._leadership.term() is not None:
             return None
         address = self._leadership.leader()
-        if address is None or HANDED_ON in headers:
+        if address is None or FORWARDED in headers or FORWARDED_FORMERLY in headers:
             return 503, "no process of this manager leads at this moment; ask again\n", TEXT
-        kept = {name: value for name, value in headers.items() if name.startswith(KEPT)}
+        delivery = {name: value for name, value in headers.items() if name.startswith(DELIVERY_HEADERS)}
         try:
             answer = self._client.request(
-                method, f"http://{address}{path}", content=body, headers={**kept, HANDED_ON: "1"}
+                method, f"http://{address}{path}", content=body, headers={**delivery, FORWARDED: "1"}
             )
         except httpx.HTTPError as error:
             reason = f"the process that leads does not answer at {address}: {error or type(error).__name__}"
@@ -49,5 +51,5 @@ class LeaderRequests:
         return answer.status_code, answer.text, answer.headers.get("content-type", TEXT)
 
     def close(self) -> None:
-        """Give connections back."""
+        """Close the connections."""
         self._client.close()

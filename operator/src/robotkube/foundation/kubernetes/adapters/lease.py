@@ -30,13 +30,15 @@ LEASE_SECONDS = 8
 HOLD_SECONDS = 6.0
 RENEW_SECONDS = 2.0
 REQUEST_SECONDS_MAX = 3.0
-NOT_FOUND, CONFLICT = 404, 409
+NOT_FOUND = 404
+CONFLICT = 409
 
 log = logging.getLogger(__name__)
 
 
 def identity_of(pod: str, host: str, port: int) -> str:
-    """What a pod that serves HTTP at `host` (an address of IPv4 or IPv6, or a name) writes as holder."""
+    """The identity that a pod that serves HTTP at `host` (an address of IPv4 or IPv6, or a name) writes
+    as holder."""
     return f"{pod}_[{host}]:{port}" if ":" in host else f"{pod}_{host}:{port}"
 
 
@@ -89,7 +91,7 @@ class LeaseElection:
         return self._term if leads else None
 
     def leader(self) -> str | None:
-        """Where the holder serves, as long as its Lease lasts."""
+        """The address at which the holder serves, as long as its Lease lasts."""
         seen = self._seen
         if seen is None or seen.holder == self._identity or self._monotonic() - seen.at > LEASE_SECONDS:
             return None
@@ -107,7 +109,7 @@ class LeaseElection:
         self._thread.start()
 
     def stop(self) -> None:
-        """End; a leader gives its Lease back, so that the next one need not wait for its end."""
+        """End the election; a leader gives its Lease back, so that the next one need not wait for its end."""
         self._stopping.set()
         self._woken.set()
         if self._thread is not None:
@@ -156,7 +158,8 @@ class LeaseElection:
         lease = self._call(self._leases.read_namespaced_lease, self._name, self._namespace)
         if lease is None:
             raise UnavailableError(f"lease {self._namespace}/{self._name} is missing; charts/robotkube makes it")
-        spec, version = lease.spec, lease.metadata.resource_version
+        spec = lease.spec
+        version = lease.metadata.resource_version
         if self._seen is not None and self._seen.version == version:
             return self._seen
         if spec is None:

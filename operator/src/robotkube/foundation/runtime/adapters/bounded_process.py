@@ -31,7 +31,8 @@ SUBJECTS_KEPT_MAX = 64
 
 
 class BoundedProcess:
-    """Starts `command`, which calls `serve`, now and again whenever it ended. Several threads may use it."""
+    """A process of `command`, which calls `serve`; started now, and again whenever it ended. Several threads may use
+    it."""
 
     def __init__(self, command: Sequence[str]) -> None:
         self._command = list(command)
@@ -57,14 +58,14 @@ class BoundedProcess:
                 self._end()
                 self._process = self._start()
             try:
-                place, news = self._placed(subject)
-                return self._ask(f'{news}["{name}", {place}, {text}]\n'.encode())
+                place, introduction = self._placed(subject)
+                return self._ask(f'{introduction}["{name}", {place}, {text}]\n'.encode())
             except Exception:
                 self._end()
                 raise
 
     def _placed(self, subject: Any) -> tuple[int, str]:
-        """Where the process has the subject, and the line that puts it there; empty when it is there."""
+        """The place at which the process has the subject, and the line that puts it there; empty when it is there."""
         known = self._places.get(id(subject))
         if known is not None:
             return known[0], ""
@@ -97,7 +98,7 @@ class BoundedProcess:
 
     @staticmethod
     def _read(answer: IO[bytes], deadline: float) -> bytes:
-        """What is there next; empty when the process ended."""
+        """The next bytes of the answer; empty when the process ended."""
         poll = select.poll()
         poll.register(answer, select.POLLIN)
         if not poll.poll(1000 * max(deadline - time.monotonic(), 0.0)):

@@ -35,7 +35,8 @@ def always_well() -> str | None:
 
 
 class HealthServer:
-    """Serves until the process ends or `close` is called. `port` 0 takes a free one; see `port` after construction."""
+    """The HTTP server of a robot pod; serves until the process ends or `close` is called. `port` 0 is a free one; see
+    `port` after construction."""
 
     def __init__(
         self,
@@ -93,7 +94,7 @@ class HealthServer:
 
     def _obey(self, path: str, sent: bytes, address: str) -> tuple[int, str, str]:
         if address not in LOOPBACK:
-            return 403, "text/plain", "commands are taken from within the pod only: kubectl exec or port-forward\n"
+            return 403, "text/plain", "commands are accepted from within the pod only: kubectl exec or port-forward\n"
         status, text = self._commands[path](sent)
         return status, "application/json", text + "\n"
 

@@ -11,8 +11,8 @@
     PUT  <path>     what `put` answers, where a process has one
 
 A delivery only wakes its receiver: what happened is read from the forge afterwards, so a lost, doubled or replayed
-delivery does no harm. A process that waits for its turn to lead passes deliveries, pages and questions on to the one
-that leads (`elsewhere`).
+delivery does no harm. A process that waits for its turn to lead forwards deliveries, pages and questions to the one
+that leads (`forward`).
 """
 
 from __future__ import annotations
@@ -48,13 +48,13 @@ Put = Callable[[str, Mapping[str, str], bytes], tuple[int, Mapping[str, Any]]]
 """Path, headers and body -> status and JSON document."""
 Post = Callable[[bytes], tuple[int, Mapping[str, Any]]]
 """Body -> status and JSON document."""
-Elsewhere = Callable[[str, str, Mapping[str, str], bytes], tuple[int, str, str] | None]
+Forward = Callable[[str, str, Mapping[str, str], bytes], tuple[int, str, str] | None]
 """Method, path, headers (lower-case names) and body -> status, text and content type of another process's answer; None:
 this one answers itself."""
 
 
 class Signed(NamedTuple):
-    """What answers a post whose body is signed with `secret`, and with no other."""
+    """The answering of a post whose body is signed with `secret`, and with no other."""
 
     secret: bytes
     answer: Post
@@ -130,13 +130,14 @@ def _of_gitlab(payload: Mapping[str, Any]) -> WebhookDelivery:
 
 
 class WebServer:
-    """Serves on a thread of its own, at most CONNECTIONS_MAX requests at a time; `start()`, then `stop()`.
+    """The HTTP server of a process, on a thread of its own, at most CONNECTIONS_MAX requests at a time; `start()`, then
+    `stop()`.
 
     `deliver` must return at once (it wakes a loop); `ready` gives the reasons why the process is not ready (empty = it
     is); `metrics` gives Prometheus text; `pages` are JSON documents by path, `posts` answer questions by path. Port 0
-    takes a free one, see `port`. `secret` is that of deliveries; without one there is no /webhook. `signed` are posts
+    is a free one, see `port`. `secret` is that of deliveries; without one there is no /webhook. `signed` are posts
     by path, each with its own secret. `put` gets path, headers (lower-case names) and body of a PUT, and gives status
-    and JSON. `elsewhere` may answer genuine deliveries, pages and questions instead.
+    and JSON. `forward` may let another process answer genuine deliveries, pages and questions instead.
     """
 
     def __init__(
@@ -150,7 +151,7 @@ class WebServer:
         pages: Mapping[str, Callable[[], Mapping[str, Any]]] | None = None,
         put: Put | None = None,
         posts: Mapping[str, Post] | None = None,
-        elsewhere: Elsewhere | None = None,
+        forward: Forward | None = None,
         signed: Mapping[str, Signed] | None = None,
     ) -> None:
         self._server = _Server((address, port), _Handler)
@@ -161,7 +162,7 @@ class WebServer:
         self._server.pages = pages or {}
         self._server.put = put
         self._server.posts = posts or {}
-        self._server.elsewhere = elsewhere
+        self._server.forward = forward
         self._server.signed = signed or {}
         self._thread = threading.Thread(target=self._server.serve_forever, kwargs={"poll_interval": 0.2}, daemon=True)
 
@@ -194,7 +195,7 @@ class _Server(ThreadingHTTPServer):
     pages: Mapping[str, Callable[[], Mapping[str, Any]]]
     put: Put | None
     posts: Mapping[str, Post]
-    elsewhere: Elsewhere | None
+    forward: Forward | None
     signed: Mapping[str, Signed]
 
     def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
@@ -203,21 +204,21 @@ class _Server(ThreadingHTTPServer):
         self._lock = threading.Lock()
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Drops a connection beyond the bound, and ends the oldest one, so that no client can hold all places: the next
-        try of the forge or the kubelet has one."""
+        """Serve a connection; drop one beyond the bound and end the oldest, so that no client can hold all places: the
+        next try of the forge or the kubelet has one."""
         with self._lock:
-            taken = len(self._connections) < CONNECTIONS_MAX
-            if taken:
+            accepted = len(self._connections) < CONNECTIONS_MAX
+            if accepted:
                 self._connections[request] = None
             else:
                 _end(next(iter(self._connections)))
-        if taken:
+        if accepted:
             super().process_request(request, client_address)
         else:
             self.shutdown_request(request)
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """Gives the place back when the connection ends."""
+        """Serve a connection on its thread, and give its place back at the end."""
         try:
             super().process_request_thread(request, client_address)
         finally:
@@ -230,14 +231,14 @@ class _Server(ThreadingHTTPServer):
             log.error("request failed client=%s", client_address, exc_info=True)
 
     def end_connections(self) -> None:
-        """Kept connections end now: a delivery must not go to a process that has stopped listening."""
+        """End kept connections: a delivery must not go to a process that has stopped listening."""
         with self._lock:
             for connection in self._connections:
                 _end(connection)
 
 
 def _end(connection: Any) -> None:
-    """Its thread ends by itself, and gives the place back."""
+    """End a connection; its thread ends by itself, and gives the place back."""
     with contextlib.suppress(OSError):
         connection.shutdown(socket.SHUT_RDWR)
 
@@ -250,7 +251,7 @@ class _Handler(BaseHTTPRequestHandler):
     sys_version = ""
 
     def do_GET(self) -> None:
-        """Health and metrics."""
+        """Answer health, metrics and pages."""
         if self.path == "/livez":
             self._answer(200, "ok\n")
         elif self.path == "/readyz":
@@ -260,11 +261,11 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer(200, self.server.metrics())
         elif self.path not in self.server.pages:
             self._answer(404, "not found\n")
-        elif not self._handed_on(b""):
+        elif not self._forwarded(b""):
             self._answer(200, json.dumps(self.server.pages[self.path]()) + "\n", "application/json")
 
     def do_POST(self) -> None:
-        """A delivery, or a question."""
+        """Answer a delivery, or a question."""
         if self.path in self.server.posts:
             self._reply(self.server.posts[self.path])
             return
@@ -283,17 +284,17 @@ class _Handler(BaseHTTPRequestHandler):
             self._refuse(error.status, str(error))
             return
         log.debug("delivery event=%s action=%s", delivery.event, delivery.payload.get("action", ""))
-        if not self._handed_on(body):
+        if not self._forwarded(body):
             self.server.deliver(delivery)
             self._answer(204, "")
 
     def do_PUT(self) -> None:
-        """A request, where the process has `put`."""
+        """Answer a request, where the process has `put`."""
         if self.server.put is None:
             self._refuse(404, "not found")
             return
         put = self.server.put
-        headers = self._names()
+        headers = self._lower_case_headers()
         self._reply(lambda body: put(self.path, headers, body))
 
     def _reply(self, reply: Post, secret: bytes | None = None) -> None:
@@ -301,24 +302,24 @@ class _Handler(BaseHTTPRequestHandler):
         try:
             body = self._body()
             if secret is not None:
-                _check(self._names(), body, secret)
+                _check(self._lower_case_headers(), body, secret)
         except _DeliveryError as error:
             self._refuse(error.status, str(error))
             return
-        if self._handed_on(body):
+        if self._forwarded(body):
             return
         status, document = reply(body)
         self._answer(status, json.dumps(document) + "\n", "application/json")
 
-    def _handed_on(self, body: bytes) -> bool:
+    def _forwarded(self, body: bytes) -> bool:
         """Whether another process has answered this request."""
-        elsewhere = self.server.elsewhere
-        answer = elsewhere(self.command, self.path, self._names(), body) if elsewhere is not None else None
+        forward = self.server.forward
+        answer = forward(self.command, self.path, self._lower_case_headers(), body) if forward is not None else None
         if answer is not None:
             self._answer(*answer)
         return answer is not None
 
-    def _names(self) -> dict[str, str]:
+    def _lower_case_headers(self) -> dict[str, str]:
         return {name.lower(): value for name, value in self.headers.items()}
 
     def _body(self) -> bytes:

@@ -4,13 +4,13 @@ A node that was cut off keeps its pods running, and after a stated time another 
 When the node is back, the old process must do nothing that both would do before it has read its own settings anew. It
 is fenced
 
-- after a connection was lost and made again (`doubt`), unless they were read within FRESH_SECONDS before: no release is
-  taken over as fast as that;
+- after a connection was lost and made again (`interrupted`), unless they were read within FRESH_SECONDS before: no
+  release is taken over as fast as that;
 - while the API server has been out of reach for longer than GAP_SECONDS_MAX;
 - at its start, until they were read for the first time.
 
 A release that cannot be taken over (its settings do not say `movable`) is fenced at most BOUND_SECONDS_MAX, and only
-after `doubt`: a vehicle may be without the API server for hours while it has the broker.
+after `interrupted`: a vehicle may be without the API server for hours while it has the broker.
 """
 
 from __future__ import annotations
@@ -28,8 +28,9 @@ if TYPE_CHECKING:  # the ports know every part's domain: 25 ms of a start
 FRESH_SECONDS = 10.0
 GAP_SECONDS_MAX = 30.0
 BOUND_SECONDS_MAX = 5.0
-ASKED_SECONDS_MIN = 1.0
-NODE, MOVABLE = "node", "movable"
+REQUEST_SECONDS_MIN = 1.0
+NODE = "node"
+MOVABLE = "movable"
 
 
 def is_movable(settings: Mapping[str, str]) -> bool:
@@ -38,22 +39,23 @@ def is_movable(settings: Mapping[str, str]) -> bool:
 
 
 class Fencing:
-    """The fencing of one process on `node`; without `movable` and `follow` it is never fenced. All methods may be
+    """The fencing of one process on `node`; without `movable` and `watch` it is never fenced. All methods may be
     called from any thread. `clock` counts seconds, also while the machine sleeps."""
 
     def __init__(self, node: str = "", movable: bool = False, clock: Callable[[], float] = time.monotonic) -> None:
         self._node = node
         self._movable = movable
         self._clock = clock
-        self._reading: SettingsSource | None = None
+        self._settings: SettingsSource | None = None
         self._lock = threading.Lock()
         self._needed: float | None = None
-        self._doubted_at = self._asked_at = float("-inf")
+        self._interrupted_at = float("-inf")
+        self._requested_at = float("-inf")
         self._lost = False
 
-    def follow(self, reading: SettingsSource) -> None:
-        """Use `reading` from now on, which says when the settings were read."""
-        self._reading = reading
+    def watch(self, settings: SettingsSource) -> None:
+        """Use `settings` from now on, which says when the settings were read."""
+        self._settings = settings
 
     @property
     def lost(self) -> bool:
@@ -61,50 +63,51 @@ class Fencing:
         return self._lost
 
     @property
-    def sure(self) -> bool:
-        """Whether the process may act: it is not fenced."""
+    def fenced(self) -> bool:
+        """Whether the process must not act now."""
         if self._lost:
-            return False
-        if self._reading is None:
-            return not self._movable
+            return True
+        if self._settings is None:
+            return self._movable
         if not self._movable:
-            return self._was_read or self._clock() - self._doubted_at >= BOUND_SECONDS_MAX
-        since = self._reading.interrupted_at
+            return not self._was_read and self._clock() - self._interrupted_at < BOUND_SECONDS_MAX
+        since = self._settings.interrupted_at
         reached = since is None or self._clock() - since <= GAP_SECONDS_MAX
-        return reached and self._reading.read_at is not None and self._was_read
+        return not (reached and self._settings.read_at is not None and self._was_read)
 
     def check(self) -> None:
-        """UnavailableError when the process may not act now."""
-        if not self.sure:
+        """Refuse with UnavailableError while the process is fenced."""
+        if self.fenced:
             raise UnavailableError("the settings have to be read anew first: another node may run this release by now")
 
     @property
     def _was_read(self) -> bool:
         """Whether the settings were read as late as the last interruption needs it."""
         needed = self._needed
-        read_at = self._reading.read_at if self._reading is not None else None
+        read_at = self._settings.read_at if self._settings is not None else None
         return needed is None or (read_at is not None and read_at >= needed)
 
-    def doubt(self) -> None:
-        """Fence the process after an interruption: have the settings read anew, unless that has just been done."""
-        if self._reading is None:
+    def interrupted(self) -> None:
+        """Fence the process after an interruption of its connection: have the settings read anew, unless that has just
+        been done."""
+        if self._settings is None:
             return
         with self._lock:
             now = self._clock()
-            if self.sure:
-                self._doubted_at = now
+            if not self.fenced:
+                self._interrupted_at = now
             self._needed = now - FRESH_SECONDS
-            ask = not self._was_read and now - self._asked_at >= ASKED_SECONDS_MIN
-            if ask:
-                self._asked_at = now
-        if ask:
-            self._reading.read_again()
+            request = not self._was_read and now - self._requested_at >= REQUEST_SECONDS_MIN
+            if request:
+                self._requested_at = now
+        if request:
+            self._settings.read_again()
 
-    def told(self, settings: Mapping[str, str] | None) -> bool:
-        """Note what the ConfigMap holds now, None when there is none; whether the release is still that of this
+    def observe(self, settings: Mapping[str, str] | None) -> bool:
+        """Note the content of the ConfigMap, None when there is none; return whether the release is still that of this
         process."""
         own = settings is not None and self._node in ("", settings.get(NODE, self._node))
-        if not own and not self.sure:
+        if not own and self.fenced:
             self._lost = True
         if settings is not None:
             self._movable = is_movable(settings)
@@ -112,4 +115,4 @@ class Fencing:
 
     def metrics(self) -> str:
         """The state in Prometheus' text format."""
-        return f"robotkube_settings_unsure {int(not self.sure)}\n"
+        return f"robotkube_settings_fenced {int(self.fenced)}\n"

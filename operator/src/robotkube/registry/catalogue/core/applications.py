@@ -8,7 +8,7 @@ from functools import lru_cache
 from typing import Any
 
 from robotkube.foundation.documents.core.entry_reader import EntryReader, read_one_of, read_words
-from robotkube.foundation.documents.core.patterns import CAPABILITY, FILES_KEPT_MAX, NAME, ROS_TYPE, VALUES_PATH
+from robotkube.foundation.documents.core.patterns import CAPABILITY, DOCUMENTS_CACHED_MAX, NAME, ROS_TYPE, VALUES_PATH
 from robotkube.foundation.documents.core.reader import Reader
 from robotkube.registry.catalogue.core.entries import read_description, read_for_each, read_head
 from robotkube.registry.catalogue.core.guarantees import GuaranteeRequirement, read_requirements
@@ -104,7 +104,7 @@ class Application:
         return tuple(word.removeprefix("link/") for word in self.provides if word.startswith("link/"))
 
 
-@lru_cache(FILES_KEPT_MAX)
+@lru_cache(DOCUMENTS_CACHED_MAX)
 def read_application(text: str, path: str) -> Application:
     """An application of the catalogue; its name is the file's name. DocumentError names every problem."""
     reader = EntryReader(path)

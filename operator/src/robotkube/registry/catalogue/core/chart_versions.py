@@ -13,7 +13,7 @@ from robotkube.foundation.documents.core.entry_reader import EntryReader, read_o
 from robotkube.foundation.documents.core.patterns import (
     CAPABILITY,
     DIGEST,
-    FILES_KEPT_MAX,
+    DOCUMENTS_CACHED_MAX,
     IMAGE_BY_DIGEST,
     NAME,
     VERSION,
@@ -76,7 +76,7 @@ class ChartVersion:
         return ChartReference(self.chart, self.version, self.digest)
 
 
-@lru_cache(FILES_KEPT_MAX)
+@lru_cache(DOCUMENTS_CACHED_MAX)
 def read_chart_version(text: str, path: str, published: bool = True) -> ChartVersion:
     """The chart version in `text`; its path says chart and version. DocumentError names every problem.
 

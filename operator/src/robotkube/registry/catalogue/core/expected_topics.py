@@ -14,7 +14,7 @@ from typing import Any
 
 from robotkube.errors import DocumentError
 from robotkube.foundation.documents.core.patterns import COLLECTION, MQTT_TOPIC, ROS_TOPIC, ROS_TYPE, VARIABLE
-from robotkube.foundation.documents.core.value_templates import Render, loop
+from robotkube.foundation.documents.core.value_templates import Render, expand_for_each
 from robotkube.registry.catalogue.core.interface_declarations import DURABILITIES, ENCODINGS, QOS_MAX, RELIABILITIES
 from robotkube.registry.evidence.core.statements import Check
 
@@ -98,7 +98,7 @@ def expected_topics(
 
 def _topics(interface: Mapping[str, Any], values: Mapping[str, Any], render: Render) -> Iterator[ExpectedTopic]:
     variables = interface.get("forEach") or {}
-    for names in loop(variables, {"values": values}, render):
+    for names in expand_for_each(variables, {"values": values}, render):
         element = json.dumps([names[variable] for variable in variables], sort_keys=True, default=str)
         rendered = {
             key: render(interface[key], names) for key in ("topic", "type", "qos", "encoding") if key in interface

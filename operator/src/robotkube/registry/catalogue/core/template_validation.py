@@ -13,7 +13,7 @@ from robotkube.errors import DocumentError
 from robotkube.foundation.documents.core.defaults import with_defaults
 from robotkube.foundation.documents.core.patterns import NAME
 from robotkube.foundation.documents.core.schema_samples import Sampler
-from robotkube.foundation.documents.core.value_templates import LOOP_KEYS, loop
+from robotkube.foundation.documents.core.value_templates import FOR_EACH_KEYS, expand_for_each
 from robotkube.foundation.documents.core.yaml_codec import join
 from robotkube.registry.catalogue.core.applications import Application, Link, Service
 from robotkube.registry.catalogue.core.sources import ChartFolder, Tools, dotted
@@ -132,7 +132,7 @@ def template_texts(value: Any, path: str, variables: frozenset[str]) -> Iterator
     if isinstance(value, str):
         yield path, value, variables
     elif isinstance(value, Mapping):
-        inner = value.get("forEach") if set(value) == LOOP_KEYS else None
+        inner = value.get("forEach") if set(value) == FOR_EACH_KEYS else None
         more = variables | frozenset(inner if isinstance(inner, Mapping) else ())
         for key, item in value.items():
             yield from template_texts(item, join(path, str(key)), variables if key == "forEach" else more)
@@ -167,7 +167,7 @@ class _Trial:
         if "topics" not in names:
             parameters = with_defaults(self.application.parameters, self.sample)
             names |= {"parameters": parameters, "placement": self.placed}
-        return list(islice(loop(for_each, names, self.tools.render), LOOPS_TRIED_MAX))
+        return list(islice(expand_for_each(for_each, names, self.tools.render), LOOPS_TRIED_MAX))
 
     def _service(self, service: Service, path: str) -> Iterator[Problem]:
         try:
@@ -232,7 +232,7 @@ def _fill(value: Any, path: str, names: Mapping[str, Any], tools: Tools, problem
 
 
 def _items(item: Any, path: str, names: Mapping[str, Any], tools: Tools, problems: list[Problem]) -> Iterator[Any]:
-    if not (isinstance(item, Mapping) and set(item) == LOOP_KEYS):
+    if not (isinstance(item, Mapping) and set(item) == FOR_EACH_KEYS):
         yield _fill(item, path, names, tools, problems)
         return
     for_each, each = item["forEach"], item["each"]
@@ -240,7 +240,7 @@ def _items(item: Any, path: str, names: Mapping[str, Any], tools: Tools, problem
         problems.append((path, "forEach needs one variable and `each` needs a list; write both"))
         return
     try:
-        scopes = list(islice(loop(for_each, names, tools.render), LOOPS_TRIED_MAX))
+        scopes = list(islice(expand_for_each(for_each, names, tools.render), LOOPS_TRIED_MAX))
     except DocumentError as error:
         problems.append((f"{path}.forEach", f"{error}; give a list"))
         return

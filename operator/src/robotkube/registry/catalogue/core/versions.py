@@ -9,7 +9,7 @@ from functools import lru_cache
 
 from semver import Version
 
-from robotkube.foundation.documents.core.patterns import FILES_KEPT_MAX, VERSION
+from robotkube.foundation.documents.core.patterns import DOCUMENTS_CACHED_MAX, VERSION
 
 Precedence = tuple[int, int, int, bool, tuple[tuple[bool, int, str], ...]]
 LOWEST = "0.0.0-0"  # no version comes before this one
@@ -18,7 +18,7 @@ _COMPARATOR = re.compile(rf"(>=|<=|>|<|=)({VERSION.pattern})")
 _HOLDS = {">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt, "=": operator.eq}
 
 
-@lru_cache(FILES_KEPT_MAX)
+@lru_cache(DOCUMENTS_CACHED_MAX)
 def version_key(version: str) -> Precedence:
     """Sorts versions by precedence (item 11 of the specification); ValueError when `version` is none.
 

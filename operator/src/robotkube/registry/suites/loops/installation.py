@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from robotkube.errors import InputError
-from robotkube.foundation.documents.core.value_templates import Render, fill
+from robotkube.foundation.documents.core.value_templates import Render, render_templates
 from robotkube.registry.suites.core.namespace_contents import BROKER_SECRET, DATABASE_SECRET
 from robotkube.registry.suites.core.requests import TestSet
 from robotkube.registry.suites.ports.suites import Object, Subject, SuiteNamespace
@@ -42,7 +42,7 @@ def filled_sets(entry: Mapping[str, Any], agent: str, start_ns: int, render: Ren
     sets = ((entry.get("spec") or {}).get("suites") or {}).get("sets") or []
     if not sets:
         raise InputError("the entry has no test values; write spec.suites.sets with two sets")
-    return [_test_set(fill(document, {"agent": agent, "start_ns": start_ns}, render)) for document in sets]
+    return [_test_set(render_templates(document, {"agent": agent, "start_ns": start_ns}, render)) for document in sets]
 
 
 def _test_set(document: Mapping[str, Any]) -> TestSet:

@@ -38,8 +38,8 @@ class SendPause:
 
     def interrupted(self) -> None:
         """Pause, for a connection was made anew, unless the settings were read a moment ago."""
-        self.fencing.doubt()
-        self.held = self.held or not self.fencing.sure
+        self.fencing.interrupted()
+        self.held = self.held or self.fencing.fenced
 
 
 class BrokerConnection:

@@ -200,7 +200,7 @@ class Broker:
         while self._waiting and now - self._waiting[0].begun > self._waiting[0].sender.retry_seconds:
             message = self._waiting.popleft()
             message.sender.give_up(message.delivery, self.unreachable or "the broker has not acknowledged it")
-        while self._waiting and self._fencing.sure:
+        while self._waiting and not self._fencing.fenced:
             message = self._waiting[0]
             token = self._channel.publish(message.topic, message.body, message.retained, message.properties)
             if token is None:
@@ -239,7 +239,7 @@ class Broker:
         """See the port ChannelEvents."""
         log.info("broker: connected session_kept=%s", session_kept)
         if self._connected_before:
-            self._fencing.doubt()
+            self._fencing.interrupted()
         self._connected_before = True
         self.refusals.clear()
         self._channel.subscribe(self._filters)

@@ -229,7 +229,7 @@ class Journal:
         try:
             if self.store is None:
                 self._open_store()
-            if not self._place.fencing.sure:
+            if self._place.fencing.fenced:
                 self._unreachable_since = min(self._unreachable_since, self._place.monotonic())
                 return
             self._unconfirmed.clear()
@@ -237,7 +237,7 @@ class Journal:
                 self._write_urgent(self.store)
                 self._recover(self.store)
                 self._introduce(self.store)
-                while self._waiting and self._place.fencing.sure:
+                while self._waiting and not self._place.fencing.fenced:
                     self._write_part(self.store)
                 self._ready = self._repaired and not self._to_introduce
         except UnavailableError as error:
@@ -246,7 +246,7 @@ class Journal:
             self._failures += 1
             self._retry_at = self._place.monotonic() + pause
             self._unreachable_since = min(self._unreachable_since, self._place.monotonic())
-            self._place.fencing.doubt()
+            self._place.fencing.interrupted()
             self._log_problem(str(error))
         except OSError as error:
             self._log_problem(f"volume claim {self._place.volume}: {error}")

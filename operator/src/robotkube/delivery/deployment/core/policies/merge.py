@@ -29,21 +29,25 @@ Way = Literal["automatic", "approval", "forge"]
 
 def is_approved(reviews: Iterable[Review], commit: str, author: str, proposers: Iterable[str]) -> bool:
     """Whether a person other than the author approved exactly `commit`, and nobody who may is against it. The last
-    word of each person counts; `reviews` are oldest first."""
+    review of each person counts; `reviews` are oldest first."""
     excluded = {author, *proposers}
-    last = {r.author: r for r in reviews if r.official and r.commit == commit and r.author not in excluded}
+    counting = [
+        review for review in reviews if review.official and review.commit == commit and review.author not in excluded
+    ]
+    last = {review.author: review for review in counting}
     return bool(last) and all(review.approved for review in last.values())
 
 
 @dataclass(frozen=True)
 class MergePolicy:
-    """`automatic` is account -> prefixes, `person` the prefixes that an approval opens."""
+    """The content of policies/merge.yaml: `automatic` is account -> prefixes, `person` the prefixes that an approval
+    opens."""
 
     automatic: Mapping[str, tuple[str, ...]]
     person: tuple[str, ...]
 
     def way(self, author: str, paths: Iterable[str]) -> Way:
-        """How a pull request of `author` that touches `paths` becomes main."""
+        """The way in which a pull request of `author` that touches `paths` is merged."""
         touched = list(paths)
         if _cover(self.automatic.get(author, ()), touched):
             return AUTOMATIC
@@ -51,7 +55,9 @@ class MergePolicy:
 
 
 def _cover(prefixes: Sequence[str], paths: Sequence[str]) -> bool:
-    return all(any(path == p or (p.endswith("/") and path.startswith(p)) for p in prefixes) for path in paths)
+    """Whether each path is one of the prefixes, or below one that is a folder."""
+    folders = tuple(prefix for prefix in prefixes if prefix.endswith("/"))
+    return all(path in prefixes or path.startswith(folders) for path in paths)
 
 
 def read_merge_policy(text: str, path: str = PATH) -> MergePolicy:
@@ -60,9 +66,9 @@ def read_merge_policy(text: str, path: str = PATH) -> MergePolicy:
     document = reader.mapping(read_mapping(text, path), "", [], ["automatic", "person"])
     automatic: dict[str, tuple[str, ...]] = {}
     for where, item in _entries(reader, document, "automatic"):
-        found = reader.mapping(item, where, ["author", "paths"])
-        author = reader.word(found.get("author"), f"{where}.author", WORD)
-        automatic[author] = automatic.get(author, ()) + _paths(reader, found, where)
+        entry = reader.mapping(item, where, ["author", "paths"])
+        author = reader.word(entry.get("author"), f"{where}.author", WORD)
+        automatic[author] = automatic.get(author, ()) + _paths(reader, entry, where)
     person: tuple[str, ...] = ()
     for where, item in _entries(reader, document, "person"):
         person += _paths(reader, reader.mapping(item, where, ["paths"]), where)
@@ -71,12 +77,13 @@ def read_merge_policy(text: str, path: str = PATH) -> MergePolicy:
 
 
 def _entries(reader: Reader, document: Mapping[str, Any], key: str) -> Iterable[tuple[str, Any]]:
-    found = reader.sequence(document.get(key), key)
-    if len(found) > ENTRIES_MAX:
-        reader.problems.append(f"{key}: {len(found)} entries, at most {ENTRIES_MAX} are allowed")
-    return [(f"{key}[{index}]", item) for index, item in enumerate(found[:ENTRIES_MAX])]
+    """The entries of one key, each with its path; only the first ENTRIES_MAX of a longer list, which is refused."""
+    entries = reader.sequence(document.get(key), key)
+    if len(entries) > ENTRIES_MAX:
+        reader.problems.append(f"{key}: {len(entries)} entries, at most {ENTRIES_MAX} are allowed")
+    return [(f"{key}[{index}]", entry) for index, entry in enumerate(entries[:ENTRIES_MAX])]
 
 
-def _paths(reader: Reader, found: Mapping[str, Any], where: str) -> tuple[str, ...]:
-    listed = reader.sequence(found.get("paths"), f"{where}.paths")
-    return tuple(reader.text(path, f"{where}.paths", PATH_PREFIX) for path in listed)
+def _paths(reader: Reader, entry: Mapping[str, Any], where: str) -> tuple[str, ...]:
+    prefixes = reader.sequence(entry.get("paths"), f"{where}.paths")
+    return tuple(reader.text(prefix, f"{where}.paths", PATH_PREFIX) for prefix in prefixes)

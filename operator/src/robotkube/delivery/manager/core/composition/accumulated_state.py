@@ -11,7 +11,7 @@ from robotkube.delivery.manager.core.composition.assignments import Assignments
 from robotkube.delivery.manager.core.composition.expansion import Expansion
 from robotkube.delivery.manager.core.composition.index import Index
 from robotkube.delivery.manager.core.composition.inputs import Demand, Met, Refused
-from robotkube.delivery.manager.core.composition.topic_unions import End, MergedTopics
+from robotkube.delivery.manager.core.composition.topic_merge import End, MergedTopics
 from robotkube.delivery.manager.core.placement.capacity import read_resources
 from robotkube.delivery.tasks.core.task_description import INSUFFICIENT_RESOURCES, RELEASE_IN_USE
 from robotkube.errors import RefusalError
@@ -37,7 +37,7 @@ class Contribution:
 
     @property
     def choices(self) -> tuple[str, ...]:
-        """Every choice in words."""
+        """Every choice, as a sentence."""
         return (f"shares the releases of {self.shares}",) if self.shares else self.expansion.choices
 
 
@@ -59,9 +59,12 @@ class AccumulatedState:
     def copy(self) -> AccumulatedState:
         """A state that can grow without changing this one."""
         copied = AccumulatedState(self.assignments.copy())
-        copied.outcomes, copied.first = dict(self.outcomes), dict(self.first)
-        copied.releases, copied.contributions = dict(self.releases), dict(self.contributions)
-        copied.topics, copied.bridged = self.topics.copy(), dict(self.bridged)
+        copied.outcomes = dict(self.outcomes)
+        copied.first = dict(self.first)
+        copied.releases = dict(self.releases)
+        copied.contributions = dict(self.contributions)
+        copied.topics = self.topics.copy()
+        copied.bridged = dict(self.bridged)
         return copied
 
     def add(self, contribution: Contribution, index: Index, merge: Merge) -> None:
@@ -90,19 +93,21 @@ class AccumulatedState:
         return merged
 
     def _reserve_bridges(self, expansion: Expansion, index: Index) -> None:
-        """Assign the bridges that nobody asked for yet; those that run already keep their place though it is full."""
+        """Reserve the bridges that nobody asked for yet; those that run already keep their place though it is full."""
         occupancy = self.assignments.occupancy
         for end in expansion.topics.ends:
             if end in self.bridged:
                 continue
             kind, place = end
             chart = index.bridge(kind)[1][0]
-            need, capacity = read_resources(chart.resources), index.fleet.capacities.get(place)
+            need = read_resources(chart.resources)
+            capacity = index.fleet.capacities.get(place)
             if capacity and not occupancy.fits(place, capacity, need) and not index.runs(place, chart.chart):
-                shortage, agent = occupancy.shortage(place, capacity, need), index.fleet.at[place]
+                shortage = occupancy.shortage(place, capacity, need)
+                agent = index.fleet.at[place]
                 text = f"{agent} has no room for its bridge ({shortage}); withdraw something that runs there"
                 raise RefusalError(INSUFFICIENT_RESOURCES, text)
-            occupancy.take(place, need, releases=0)
+            occupancy.reserve(place, need, releases=0)
 
 
 def release_keys(expansion: Expansion, bridges: Mapping[End, str]) -> set[str]:

@@ -19,7 +19,7 @@ _NOWHERE: frozenset[str] = frozenset()
 
 
 class Assignments:
-    """Grows as demands are placed; `mark` and `undo` take back what a refused demand had taken.
+    """Assignments that grow as demands are placed; `mark` and `undo` release what a refused demand had reserved.
 
     `watched`: words that some demand keeps away from (Demand.keeps_away): only these are written down."""
 
@@ -32,17 +32,19 @@ class Assignments:
         self._journal: list[tuple[Words, str, frozenset[str]]] = []
         self.occupancy = index.occupied.copy() if index else Occupancy()
         if index and watched:
-            self._see_others(index)
+            self._note_others(index)
 
     def copy(self) -> Assignments:
         """Assignments that can grow without changing these; nothing before them can be undone in them."""
         copied = Assignments(None, self._watched)
-        copied._named, copied._near = dict(self._named), dict(self._near)
-        copied._kept_away, copied._apart = dict(self._kept_away), dict(self._apart)
+        copied._named = dict(self._named)
+        copied._near = dict(self._near)
+        copied._kept_away = dict(self._kept_away)
+        copied._apart = dict(self._apart)
         copied.occupancy = self.occupancy.copy()
         return copied
 
-    def _see_others(self, index: Index) -> None:
+    def _note_others(self, index: Index) -> None:
         for release in index.others.values():
             agent = index.fleet.by_namespace.get(release.namespace, ("",))[0]
             self._write(self._near, [release.name, release.key, *(c.task for c in release.causes)], agent)
@@ -52,7 +54,7 @@ class Assignments:
         return self.occupancy.mark(), len(self._journal)
 
     def undo(self, mark: tuple[int, int]) -> None:
-        """Take back everything since `mark`."""
+        """Undo everything since `mark`."""
         self.occupancy.undo(mark[0])
         while len(self._journal) > mark[1]:
             words, word, agents = self._journal.pop()
@@ -86,7 +88,7 @@ class Assignments:
         here = placement.agent.place
         for name, request in zip(names, group.requests, strict=True):
             if name not in shared.get(here, ()):
-                self.occupancy.take(here, request.need)
+                self.occupancy.reserve(here, request.need)
                 self._note(self._named, str(name), here)
         for word in group.apart:
             self._note(self._apart, word, placement.agent.name)
@@ -118,7 +120,7 @@ class Assignments:
             return _NOBODY
         beside: dict[str, str] = {}
         for name in names:
-            for here in [fleet.at[taken] for taken in self._named.get(str(name), ()) if taken in fleet.at]:
+            for here in [fleet.at[planned] for planned in self._named.get(str(name), ()) if planned in fleet.at]:
                 why = f"is beside Node {here.node}, where {name} is planned"
                 beside.update({other.place: why for other in fleet.places(here) if other != here})
         return beside

@@ -1,7 +1,7 @@
-"""Which instances of an application's services share a node: those that links of kind ros connect.
+"""Groups of instances of an application's services that share a node: those that links of kind ros connect.
 
 DDS does not cross nodes. Two instances belong together when a ros link joins their services and they have the same
-values of the loop variables that both have: with the same `forEach` at both ends each pair has its own node.
+values of the `forEach` variables that both have: with the same `forEach` at both ends each pair has its own node.
 """
 
 from __future__ import annotations
@@ -10,13 +10,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from robotkube.foundation.documents.core.value_templates import Render, loop
+from robotkube.foundation.documents.core.value_templates import Render, expand_for_each
 from robotkube.registry.catalogue.core.applications import Application, Link, Service
 
 
 @dataclass(frozen=True)
 class Instance:
-    """A service once per element of its loop; `scope` are the names its templates may use."""
+    """A service for one element of its `forEach`; `scope` are the names its templates may use."""
 
     service: Service
     scope: dict[str, Any]
@@ -24,27 +24,29 @@ class Instance:
 
 def instances(application: Application, names: Mapping[str, Any], render: Render) -> list[Instance]:
     """Every instance, in the order of the services and of their lists."""
-    found = application.services
-    return [Instance(service, scope) for service in found for scope in loop(service.for_each, names, render)]
+    services = application.services
+    return [
+        Instance(service, scope) for service in services for scope in expand_for_each(service.for_each, names, render)
+    ]
 
 
-def groups(found: Sequence[Instance], links: Sequence[Link]) -> list[list[int]]:
+def groups(every: Sequence[Instance], links: Sequence[Link]) -> list[list[int]]:
     """Per instance the indices of all instances that share its node, itself among them, in order."""
-    group = list(range(len(found)))
-    for first, second in _joined(found, links):
+    group = list(range(len(every)))
+    for first, second in _joined(every, links):
         old, new = sorted((group[first], group[second]), reverse=True)
         group = [new if number == old else number for number in group]
     return [[index for index, number in enumerate(group) if number == mine] for mine in group]
 
 
-def _joined(found: Sequence[Instance], links: Sequence[Link]) -> Iterator[tuple[int, int]]:
+def _joined(every: Sequence[Instance], links: Sequence[Link]) -> Iterator[tuple[int, int]]:
     for link in links:
         if link.kind != "ros":
             continue
         ends = [
-            [i for i, x in enumerate(found) if x.service.name == end["service"]] for end in (link.source, link.target)
+            [i for i, x in enumerate(every) if x.service.name == end["service"]] for end in (link.source, link.target)
         ]
-        yield from ((a, b) for a in ends[0] for b in ends[1] if _agree(found[a], found[b]))
+        yield from ((a, b) for a in ends[0] for b in ends[1] if _agree(every[a], every[b]))
 
 
 def _agree(first: Instance, second: Instance) -> bool:

@@ -18,7 +18,7 @@ from robotkube.delivery.manager.core.composition.bridges import ImpossibleBridge
 from robotkube.delivery.manager.core.composition.index import Index
 from robotkube.delivery.manager.core.composition.inputs import Composition, Demand, Inputs, Met, Refused
 from robotkube.delivery.manager.core.composition.memo import Memo
-from robotkube.delivery.manager.core.composition.topic_unions import End
+from robotkube.delivery.manager.core.composition.topic_merge import End
 from robotkube.errors import DocumentError, RefusalError
 from robotkube.registry.charts.core.values_schemas import Validate
 
@@ -27,7 +27,8 @@ __all__ = ["Composition", "Demand", "Inputs", "Memo", "Met", "Refused", "Validat
 
 def compose(demands: Iterable[Demand], inputs: Inputs, memo: Memo | None = None) -> Composition:
     """Meet the demands in this order. The composition has one outcome for each; nothing is raised."""
-    wanted, memo = list(demands), memo or Memo(kept_max=0)
+    wanted = list(demands)
+    memo = memo or Memo(kept_max=0)
     index = memo.index(inputs)
     impossible: dict[str, Refused] = {}
     while True:  # a bridge that cannot be made: each time at least one demand more is refused
@@ -41,7 +42,7 @@ def compose(demands: Iterable[Demand], inputs: Inputs, memo: Memo | None = None)
 def _accumulated(
     demands: Sequence[Demand], impossible: Mapping[str, Refused], index: Index, memo: Memo
 ) -> AccumulatedState:
-    """Every demand met or refused, one after the other."""
+    """The state after every demand was met or refused, one after the other."""
     number, state = memo.prefix(demands, impossible, index)
     for demand in demands[number:]:
         memo.note(number, state)
@@ -67,7 +68,7 @@ def _outcome(demand: Demand, state: AccumulatedState, index: Index, memo: Memo) 
 
 
 def _composition(state: AccumulatedState, index: Index, memo: Memo) -> Composition:
-    """Make the bridges, write the causes of every release, and say how each demand is met."""
+    """The composition of a state: bridges are made, every release gets its causes, every demand its outcome."""
     bridges, made = memo.bridges(state, index)
     releases = {**state.releases, **made}
     contributions = {**state.contributions, **dict(zip(bridges.values(), state.bridged.values(), strict=True))}

@@ -16,12 +16,12 @@ from robotkube.delivery.manager.core.composition.co_location import Instance, gr
 from robotkube.delivery.manager.core.composition.index import Index, Lookup
 from robotkube.delivery.manager.core.composition.inputs import Demand
 from robotkube.delivery.manager.core.composition.selection import Chosen
-from robotkube.delivery.manager.core.composition.topic_unions import IN, OUT, MergedTopics
+from robotkube.delivery.manager.core.composition.topic_merge import IN, OUT, MergedTopics
 from robotkube.delivery.manager.core.placement.capacity import read_resources
 from robotkube.delivery.manager.core.placement.placement import Agent, Group, Placement, PlacementRequest, group
 from robotkube.errors import RefusalError
 from robotkube.foundation.documents.core.patterns import NAME
-from robotkube.foundation.documents.core.value_templates import fill, loop
+from robotkube.foundation.documents.core.value_templates import expand_for_each, render_templates
 from robotkube.registry.catalogue.core.applications import TOPIC_KEYS, Link
 from robotkube.registry.catalogue.core.catalogue import Pin
 from robotkube.registry.catalogue.core.chart_versions import ChartVersion
@@ -49,22 +49,22 @@ class Expansion:
     merged_lists: dict[str, tuple[str, ...]] = field(default_factory=dict)
     topics: MergedTopics = field(default_factory=MergedTopics)
     groups: list[PlacedGroup] = field(default_factory=list)
-    words: list[tuple[str, ...] | int] = field(default_factory=list)
+    choice_parts: list[tuple[str, ...] | int] = field(default_factory=list)
     lookups: list[tuple[Lookup, Any]] = field(default_factory=list)
     kept: list[tuple[Any, frozenset[str]]] = field(default_factory=list)
     pins: list[tuple[str, Pin | None]] = field(default_factory=list)
     choices: tuple[str, ...] = ()
 
-    def placed(self, placements: Iterable[Placement]) -> Expansion:
+    def with_placements(self, placements: Iterable[Placement]) -> Expansion:
         """The same with other reasons for the same places."""
         placed = [replace(one, placement=now) for one, now in zip(self.groups, placements, strict=True)]
-        return replace(self, groups=placed, choices=choices_of(self.words, placed))
+        return replace(self, groups=placed, choices=choices_of(self.choice_parts, placed))
 
 
-def choices_of(words: Sequence[tuple[str, ...] | int], placed: Sequence[PlacedGroup]) -> tuple[str, ...]:
-    """Every choice in words: texts as they are, and the reasons of the group with that number."""
-    parts = [(placed[word].placement.reasons if isinstance(word, int) else word) for word in words]
-    return tuple(text for part in parts for text in part)
+def choices_of(parts: Sequence[tuple[str, ...] | int], placed: Sequence[PlacedGroup]) -> tuple[str, ...]:
+    """Every choice, as a sentence: texts as they are, and for a number the reasons of the group with that number."""
+    texts = [(placed[part].placement.reasons if isinstance(part, int) else part) for part in parts]
+    return tuple(text for group_texts in texts for text in group_texts)
 
 
 def expand(demand: Demand, index: Index, assignments: Assignments) -> Expansion:
@@ -76,25 +76,28 @@ class _Expander:
     """Expands one demand."""
 
     def __init__(self, demand: Demand, index: Index, assignments: Assignments) -> None:
-        self._demand, self._index, self._assignments = demand, index, assignments
+        self._demand = demand
+        self._index = index
+        self._assignments = assignments
         self._render = index.render
         self._placements: dict[str, str] = {}
 
     def expanded(self) -> Expansion:
-        """As `expand` says it."""
-        demand, index = self._demand, self._index
+        """The expansion, as `expand` returns it."""
+        demand = self._demand
+        index = self._index
         kept = index.kept_application(demand) if demand.provides else ""
         choice = index.selector.application(demand, kept)
         cause = replace(demand.task.cause, application=choice.application.name) if demand.task else None
-        self._expansion = Expansion(demand, choice.application.name, cause, words=[choice.reasons])
+        self._expansion = Expansion(demand, choice.application.name, cause, choice_parts=[choice.reasons])
         names = _names(demand, choice.parameters, self._placements)
         placed = self._add_services(choice.application, names)
         for link in choice.application.links:
             if link.kind != "ros":
                 index.bridge(link.kind)
-                for scope in loop(link.for_each, names, self._render):
+                for scope in expand_for_each(link.for_each, names, self._render):
                     self._add_link(link, scope, placed)
-        self._expansion.choices = choices_of(self._expansion.words, self._expansion.groups)
+        self._expansion.choices = choices_of(self._expansion.choice_parts, self._expansion.groups)
         return self._expansion
 
     def _add_services(self, application: Any, names: Mapping[str, Any]) -> dict[str, list[Agent]]:
@@ -157,20 +160,22 @@ class _Expander:
         return answer
 
     def _add_service(self, instance: Instance, agent: Agent, chosen: Chosen, group_number: int) -> None:
-        service, scope = instance.service, instance.scope
+        service = instance.service
+        scope = instance.scope
         self._placements[service.name] = agent.name
         name = self._render(service.release, scope)
-        expansion, chart = self._expansion, chosen[0]
+        expansion = self._expansion
+        chart = chosen[0]
         movable = not expansion.groups[group_number].group.wanted.named
         its_chart = {"name": chart.chart, "version": chart.version, "digest": chart.digest}
-        values = fill(service.values, {**scope, "chart": its_chart}, self._render)
+        values = render_templates(service.values, {**scope, "chart": its_chart}, self._render)
         release = make_release(agent, name, chart, values, self._index, movable)
         key = release.key
         if key in expansion.releases:
             raise RefusalError("CompositionFailed", f"two services of {expansion.application} make the release {key}")
         expansion.releases[key] = release
         expansion.merged_lists[key] = service.unite
-        expansion.words += [(f"{service.name} -> {key}", *chosen[1]), group_number]
+        expansion.choice_parts += [(f"{service.name} -> {key}", *chosen[1]), group_number]
 
     def _add_link(self, link: Link, scope: Mapping[str, Any], placed: Mapping[str, list[Agent]]) -> None:
         sources, targets = self._ends(link.source, scope, placed), self._ends(link.target, scope, placed)
@@ -190,7 +195,7 @@ class _Expander:
         self, end: Mapping[str, str], scope: Mapping[str, Any], placed: Mapping[str, list[Agent]]
     ) -> Sequence[Agent | None]:
         """An agent by name; every agent of a role that has a node; the agents a service was placed on; None for the
-        medium itself, where somebody else than an agent takes or gives the topics."""
+        medium itself, where somebody else than an agent receives or sends the topics."""
         if "medium" in end:
             return [None]
         if "service" in end:

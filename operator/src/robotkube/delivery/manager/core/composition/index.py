@@ -24,12 +24,14 @@ _NOWHERE: frozenset[str] = frozenset()
 
 
 class Index:
-    """The inputs with what can be looked up in them. `fleet` has homes, `occupied` is what releases of others take."""
+    """The inputs with what can be looked up in them. `fleet` has homes, `occupied` what releases of others reserve."""
 
     def __init__(self, inputs: Inputs, fleet: Fleet, selector: Selector, occupied: Occupancy) -> None:
         self.render: Render = inputs.render
         self.pins: Mapping[str, Pin] = inputs.pins
-        self.fleet, self.selector, self.occupied = fleet, selector, occupied
+        self.fleet = fleet
+        self.selector = selector
+        self.occupied = occupied
         self.present: Mapping[str, Release] = dict(inputs.present)
         self.others: Mapping[str, Release] = dict(inputs.others)
         self._places: dict[tuple[str, str], frozenset[str]] = {}
@@ -77,7 +79,7 @@ class Index:
         return {cause.task: cause.application for release in self.present.values() for cause in release.causes}
 
     def lookup(self, lookup: Lookup) -> Any:
-        """What the fleet says; RefusalError as the fleet raises it."""
+        """The fleet's answer; RefusalError as the fleet raises it."""
         if lookup[0] == "agent":
             return self.fleet.agent(lookup[1])
         if lookup[0] == "role":
@@ -153,15 +155,15 @@ def _home(nodes: Sequence[NodeState], votes: Mapping[str, int]) -> str:
 
 
 def occupied(others: Mapping[str, Release], fleet: Fleet, catalogue: Catalogue) -> Occupancy:
-    """What releases of others take on their places."""
+    """The capacity that releases of others reserve on their places."""
     occupancy = Occupancy()
     for release in others.values():
         for place in places_of(release, fleet)[:1]:
-            occupancy.take(place, need_of(release, catalogue))
+            occupancy.reserve(place, need_of(release, catalogue))
     return occupancy
 
 
 def need_of(release: Release, catalogue: Catalogue) -> Resources:
-    """What a release asks for, as the catalogue says it of its chart version; nothing when it is not known there."""
+    """The resources that a release asks for, by the catalogue's chart version; none when it is not known there."""
     version = catalogue.version(release.chart, release.version)
     return read_resources(version.resources) if version else NOTHING

@@ -38,12 +38,12 @@ class Demand:
 
     @property
     def provides(self) -> str:
-        """What the task asks for when it names no application."""
+        """The capability that the task asks for when it names no application."""
         return self.task.provides if self.task else ""
 
     @property
     def narrowing(self) -> Narrowing:
-        """What the task says about places."""
+        """The bounds that the task sets to the places of its services."""
         if self.task is None:
             return Narrowing(instead=self.roles)
         asked = self.task.placement
@@ -75,8 +75,8 @@ class Refused:
 
 @dataclass(frozen=True)
 class Met:
-    """How a demand is met: the releases (`<namespace>/<name>`), every choice in words, and the application (chosen by
-    what it provides when the task names none)."""
+    """The way in which a demand is met: the releases (`<namespace>/<name>`), every choice as a sentence, and the
+    application (chosen by what it provides when the task names none)."""
 
     releases: tuple[str, ...]
     choices: tuple[str, ...]
@@ -98,7 +98,7 @@ class Inputs:
 
     `present` are main's releases (by path) that this manager answers for, `others` those that it does not: they are
     never composed, but what they ask for is counted. `pins`: release key -> the chart version that it keeps as long as
-    requirement and policy allow it; `withheld`: chart versions that nothing takes unless it is pinned to them, with
+    requirement and policy allow it; `withheld`: chart versions that nothing uses unless it is pinned to them, with
     why. `schema` gives the values schemas that composed values are checked by; None: values are not checked."""
 
     catalogue: Catalogue

@@ -1,7 +1,7 @@
 """Memo of composition: results that are computed again only when the inputs that they follow from have changed.
 
 Everything that composition remembers is here, bounded. A result is kept with the inputs that it was computed from and
-taken again when these are the same, so that composing with a memo gives what composing without one gives. Results hold
+used again when these are the same, so that composing with a memo gives what composing without one gives. Results hold
 for one catalogue: with another one (or other versions withheld) all of them are dropped.
 """
 
@@ -25,7 +25,7 @@ from robotkube.delivery.manager.core.composition.index import Index, housed, occ
 from robotkube.delivery.manager.core.composition.inputs import Demand, Inputs, Met, Refused
 from robotkube.delivery.manager.core.composition.release_merge import merged_release
 from robotkube.delivery.manager.core.composition.selection import Chosen, Selector
-from robotkube.delivery.manager.core.composition.topic_unions import End
+from robotkube.delivery.manager.core.composition.topic_merge import End
 from robotkube.delivery.manager.core.placement.placement import Agent, Fleet, Placement
 from robotkube.errors import RefusalError
 from robotkube.registry.catalogue.core.applications import ChartRequirement
@@ -130,7 +130,7 @@ class _Run:
     index: Index
     watched: frozenset[str]
     demands: Sequence[Demand]
-    news: int
+    first_new: int
     states: dict[int, AccumulatedState] = field(default_factory=dict)
 
     def common(self, demands: Sequence[Demand]) -> int:
@@ -142,7 +142,7 @@ class _Run:
 
     def note(self, number: int, state: AccumulatedState) -> None:
         """Keep the state after `number` demands where the next pass may begin; between regular numbers the last few."""
-        if number not in (self.news, len(self.demands)) and number % PREFIXES_APART:
+        if number not in (self.first_new, len(self.demands)) and number % PREFIXES_APART:
             return
         if number and number not in self.states:
             self.states[number] = state.copy()
@@ -189,7 +189,8 @@ class Memo:
             occupancy = occupied(inputs.others, fleet, inputs.catalogue)
         selector = before.selector if before else RecentSelector(inputs, self._kept_max)
         index = Index(inputs, fleet, selector, occupancy)
-        self._fleet, self._index = inputs.fleet, before if before is not None and before.same(index) else index
+        self._fleet = inputs.fleet
+        self._index = before if before is not None and before.same(index) else index
         return self._index
 
     # -- prefixes of the demands ----------------------------------------------------------------------------------
@@ -206,9 +207,11 @@ class Memo:
         watched = frozenset(word for demand in demands for word in demand.keeps_away)
         last, self._run = self._run, None
         if self._kept_max and not impossible:
-            seen, self._seen = self._seen, frozenset(demand.key for demand in demands)
-            news = next((number for number, demand in enumerate(demands) if demand.key not in seen), len(demands))
-            self._run = _Run(index, watched, demands, news)
+            seen = self._seen
+            self._seen = frozenset(demand.key for demand in demands)
+            numbers = (number for number, demand in enumerate(demands) if demand.key not in seen)
+            first_new = next(numbers, len(demands))
+            self._run = _Run(index, watched, demands, first_new)
             if last is not None and last.watched == watched and last.index is index:
                 common = last.common(demands)
                 self._run.states = {number: state for number, state in last.states.items() if number <= common}
@@ -245,7 +248,7 @@ class Memo:
         return contribution
 
     def merged_release(self, first: Release, second: Release, paths: Sequence[str]) -> Release | None:
-        """As release_merge.merged_release."""
+        """Both releases as one, as release_merge.merged_release returns it."""
         key = (id(first), id(second))  # of releases that the memo itself holds
         known = self._merged.get(key)
         if known is not None and known[2] == paths:
@@ -267,7 +270,7 @@ class Memo:
                 known is None
                 or known.contributions != contributions
                 or known.pin != index.pins.get(known.key)
-                or (known.fleet is not index.fleet and not _stands(known, end, index))
+                or (known.fleet is not index.fleet and not _still_holds(known, end, index))
             ):
                 release = bridge_release(end, contributions, state.topics, index)
                 pin = index.pins.get(release.key)
@@ -301,7 +304,7 @@ class Memo:
         return written
 
     def outcomes(self, state: AccumulatedState, bridges: Mapping[End, str]) -> dict[str, Met | Refused]:
-        """How every demand is met, as accumulated_state.met says it, or why it is refused."""
+        """The outcome of every demand: how it is met, by accumulated_state.met, or why it is refused."""
         outcomes: dict[str, Met | Refused] = {}
         for key, outcome in state.outcomes.items():
             outcomes[key] = outcome if isinstance(outcome, Refused) else self._met_by(key, outcome, bridges)
@@ -337,7 +340,7 @@ def _assigned(known: _KnownContribution | None, index: Index, assignments: Assig
     pairs = zip(placements, before.expansion.groups, strict=True)
     if all(now is then.placement or now.reasons == then.placement.reasons for now, then in pairs):
         return before
-    return Contribution(before.demand, before.expansion.placed(placements))
+    return Contribution(before.demand, before.expansion.with_placements(placements))
 
 
 def _answered_alike(known: _KnownContribution, index: Index) -> bool:
@@ -357,7 +360,8 @@ def _answered_alike(known: _KnownContribution, index: Index) -> bool:
 
 def _placements(expansion: Expansion, index: Index, assignments: Assignments) -> list[Placement] | None:
     """Where the groups of an expansion are placed now; None, and nothing assigned, when it is elsewhere."""
-    mark, placements = assignments.mark(), []
+    mark = assignments.mark()
+    placements = []
     try:
         for one in expansion.groups:
             placement = assignments.assign(expansion.demand, one.group, one.names, index)
@@ -372,12 +376,12 @@ def _placements(expansion: Expansion, index: Index, assignments: Assignments) ->
 
 
 def _surroundings(end: End, index: Index) -> tuple[Agent | None, Agent, frozenset[str]]:
-    """What a bridge depends on in the fleet: its place, the home of its agent, and the platforms of its agent."""
+    """The part of the fleet that a bridge depends on: its place, and the home and the platforms of its agent."""
     agent = index.fleet.at[end[1]]
     return agent, index.fleet.home(agent), index.platforms(agent.name)
 
 
-def _stands(known: _KnownBridge, end: End, index: Index) -> bool:
+def _still_holds(known: _KnownBridge, end: End, index: Index) -> bool:
     """Whether a bridge is the same in another fleet."""
     if end[1] not in index.fleet.at or _surroundings(end, index) != known.surroundings:
         return False

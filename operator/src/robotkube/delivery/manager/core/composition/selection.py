@@ -1,4 +1,4 @@
-"""Which application answers a demand, and which chart version each of its services runs: choices with their reasons."""
+"""Selection: the application that answers a demand, and the chart version of each of its services, with reasons."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Chosen = tuple[ChartVersion, tuple[str, ...]]
 
 @dataclass(frozen=True)
 class Choice:
-    """The application for a demand, its parameters with their defaults, and why it was taken."""
+    """The application for a demand, its parameters with their defaults, and why it was chosen."""
 
     application: Application
     parameters: Mapping[str, Any]
@@ -31,12 +31,15 @@ class Choice:
 
 
 class Selector:
-    """Selects from one catalogue; `withheld`, `validate` and `schema` as Inputs say them."""
+    """The selector of one catalogue; `withheld`, `validate` and `schema` are as in Inputs."""
 
     def __init__(
         self, catalogue: Catalogue, withheld: Mapping[Pin, str], validate: Validate, schema: Schema | None
     ) -> None:
-        self.catalogue, self.withheld, self.validate, self.schema = catalogue, dict(withheld), validate, schema
+        self.catalogue = catalogue
+        self.withheld = dict(withheld)
+        self.validate = validate
+        self.schema = schema
 
     def serves(self, inputs: Inputs) -> bool:
         """Whether it selects for these inputs as for its own."""
@@ -78,15 +81,15 @@ class Selector:
                     "UnknownApplication", f"the catalogue has no application {demand.application!r}; it has {known}"
                 )
             return Choice(named, self._checked(named, demand))
-        found = [a for _, a in sorted(self.catalogue.applications.items()) if demand.provides in a.provides]
-        if not found:
+        candidates = [a for _, a in sorted(self.catalogue.applications.items()) if demand.provides in a.provides]
+        if not candidates:
             raise RefusalError("UnknownApplication", f"no application of the catalogue provides {demand.provides}")
-        return self._best(found, demand, kept)
+        return self._best(candidates, demand, kept)
 
-    def _best(self, found: Sequence[Application], demand: Demand, kept: str) -> Choice:
+    def _best(self, candidates: Sequence[Application], demand: Demand, kept: str) -> Choice:
         good: list[tuple[Application, Mapping[str, Any], Any]] = []
         refused: list[tuple[str, RefusalError]] = []
-        for application in found:
+        for application in candidates:
             try:
                 parameters = self._checked(application, demand)
                 good.append((application, parameters, self._rank(application, demand)))
@@ -129,8 +132,8 @@ class Selector:
         return parameters
 
     def check_values(self, chart: ChartVersion, values: Mapping[str, Any], key: str) -> None:
-        """RefusalError(CompositionFailed) when composed values of the release `key` could not be carried by a file, or
-        break the chart's schema: every problem with its path in the values."""
+        """Check composed values of the release `key`: RefusalError(CompositionFailed) with every problem and its path,
+        when no file could carry them, or when they break the chart's schema."""
         problems = json_problems(values, "values")
         if not problems and self.schema is not None:
             problems = self._schema_problems(chart, values, self.schema)

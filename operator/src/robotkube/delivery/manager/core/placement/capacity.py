@@ -1,4 +1,4 @@
-"""What services ask for, what nodes have, and what is planned on each agent so far."""
+"""Resources: what services ask for, what nodes have, and what is planned on each agent so far."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ NOTHING = Resources()
 
 @dataclass(frozen=True)
 class Capacity:
-    """What the nodes of one agent have: together, and the largest single node, on which each pod must fit."""
+    """Resources of the nodes of one agent: together, and of the largest single node, on which each pod must fit."""
 
     total: Resources
     largest: Resources
@@ -46,7 +46,7 @@ def _resources(cpu: str, memory: str) -> Resources:
 
 
 class Occupancy:
-    """What is planned on each agent, by name; `mark` and `undo` take back what a refused demand had taken."""
+    """Resources that are reserved on each agent, by name; `mark` and `undo` release those of a refused demand."""
 
     def __init__(self) -> None:
         self._millicores: dict[str, int] = {}
@@ -56,23 +56,24 @@ class Occupancy:
 
     def copy(self) -> Occupancy:
         """An occupancy that can grow without changing this one; its journal starts empty."""
-        found = Occupancy()
-        found._millicores, found._bytes = dict(self._millicores), dict(self._bytes)
-        found._releases = dict(self._releases)
-        return found
+        copied = Occupancy()
+        copied._millicores = dict(self._millicores)
+        copied._bytes = dict(self._bytes)
+        copied._releases = dict(self._releases)
+        return copied
 
     def mark(self) -> int:
         """A point to go back to."""
         return len(self._journal)
 
     def undo(self, mark: int) -> None:
-        """Take back everything since `mark`."""
+        """Undo everything since `mark`."""
         while len(self._journal) > mark:
             agent, need, releases = self._journal.pop()
             self._add(agent, Resources(-need.cpu_millicores, -need.memory_bytes), -releases)
 
-    def take(self, agent: str, need: Resources, releases: int = 1) -> None:
-        """Plan `releases` releases on an agent; 0 for one that does not count as load, such as a bridge."""
+    def reserve(self, agent: str, need: Resources, releases: int = 1) -> None:
+        """Reserve resources on an agent for `releases` releases; 0 for one that is no load, such as a bridge."""
         self._journal.append((agent, need, releases))
         self._add(agent, need, releases)
 
@@ -98,16 +99,16 @@ class Occupancy:
         )
 
     def shortage(self, agent: str, capacity: Capacity, need: Resources) -> str:
-        """What is missing, in words; for something that does not fit."""
+        """The resources that are missing, as text; for something that does not fit."""
         free = Resources(
             capacity.total.cpu_millicores - self._millicores.get(agent, 0),
             capacity.total.memory_bytes - self._bytes.get(agent, 0),
         )
         parts = []
         if need.cpu_millicores > min(free.cpu_millicores, capacity.largest.cpu_millicores):
-            found = max(min(free.cpu_millicores, capacity.largest.cpu_millicores), 0)
-            parts.append(f"cpu {need.cpu_millicores}m of {found}m free")
+            free_millicores = max(min(free.cpu_millicores, capacity.largest.cpu_millicores), 0)
+            parts.append(f"cpu {need.cpu_millicores}m of {free_millicores}m free")
         if need.memory_bytes > min(free.memory_bytes, capacity.largest.memory_bytes):
-            found = max(min(free.memory_bytes, capacity.largest.memory_bytes), 0)
-            parts.append(f"memory {need.memory_bytes // MEBIBYTE}Mi of {found // MEBIBYTE}Mi free")
+            free_bytes = max(min(free.memory_bytes, capacity.largest.memory_bytes), 0)
+            parts.append(f"memory {need.memory_bytes // MEBIBYTE}Mi of {free_bytes // MEBIBYTE}Mi free")
         return ", ".join(parts)

@@ -1,4 +1,4 @@
-"""Which agent a service runs on, with the reason for every candidate (docs/explanation/placement.md)."""
+"""Placement: the agent that a service runs on, with the reason for every candidate (docs/explanation/placement.md)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CANDIDATES_KEPT_MAX = 256
 SECOND_NS = 1_000_000_000
 
 Reason = tuple[str, str]
-"""Why a candidate is taken or not: what many have in common, and the rest of the sentence."""
+"""Why a candidate is chosen or not: what many have in common, and the rest of the sentence."""
 
 LOST = "its Node is lost"
 POSSIBLE: Reason = ("possible", "")
@@ -52,7 +52,7 @@ class NodeState:
 
     `allocatable` None and `platform` "" are not known and bound nothing. Times are ns since 1970, from the condition
     Ready: `ready_since`; `not_ready_since` while it is not; `silent_since` while nothing is heard of the kubelet.
-    `hold`: the agent's veto, as its Node says it. `lost` is set by `fleet`: not ready for longer than is waited for.
+    `hold`: the agent's hold, as its Node has it. `lost` is set by `fleet`: not ready for longer than is waited for.
     `created`: when the Node joined, ns since 1970."""
 
     name: str
@@ -77,7 +77,7 @@ class NodeState:
 
 @dataclass(frozen=True)
 class PlacementRequest:
-    """What an instance of a service asks of placement: its rule, the agent it names (rendered; None: it names none),
+    """Request of an instance of a service for a place: its rule, the agent it names (rendered; None: it names none),
     the agents that run its release already, what it asks for, the platforms it runs on (none: any), and a word for
     services that must not share an agent with each other. `merged`: it shares a release of its name with others."""
 
@@ -93,7 +93,7 @@ class PlacementRequest:
 
 @dataclass(frozen=True)
 class Narrowing:
-    """What a task says about the places of its services: among `agents`, in one of `roles`, with `capabilities`.
+    """Bounds that a task sets to the places of its services: among `agents`, in one of `roles`, with `capabilities`.
     `instead`: roles that stand in for those of the rules."""
 
     agents: tuple[str, ...] = ()
@@ -115,7 +115,7 @@ class Placement:
 
 @dataclass(frozen=True)
 class AgentCriteria:
-    """What decides, apart from time and neighbours, whether an agent can carry a group; empty is no condition."""
+    """Conditions, apart from time and neighbours, on which an agent can carry a group; empty is no condition."""
 
     role: str
     roles: tuple[str, ...]
@@ -134,7 +134,7 @@ class AgentCriteria:
 
 @dataclass(frozen=True)
 class Candidates:
-    """Places for one `AgentCriteria`: who can take something new, who may keep what it has, and why not; `lost` are
+    """Places for one `AgentCriteria`: who can run something new, who may keep what it has, and why not; `lost` are
     those that have nothing against them but that their nodes are lost."""
 
     free: tuple[Agent, ...]
@@ -177,8 +177,8 @@ class Fleet:
 
     def machines(self, agent: Agent) -> tuple[NodeState, ...]:
         """The Nodes of a place."""
-        found = self.nodes.get(agent.name, ())
-        return tuple(node for node in found if node.name == agent.node) if agent.node else found
+        nodes = self.nodes.get(agent.name, ())
+        return tuple(node for node in nodes if node.name == agent.node) if agent.node else nodes
 
     @cached_property
     def _divided(self) -> Mapping[str, tuple[Agent, ...]]:
@@ -187,7 +187,7 @@ class Fleet:
     @cached_property
     def at(self) -> Mapping[str, Agent]:
         """Places by their names, and declared agents by theirs."""
-        return {**self.agents, **{place.place: place for found in self._divided.values() for place in found}}
+        return {**self.agents, **{place.place: place for places in self._divided.values() for place in places}}
 
     def agent(self, name: object) -> Agent:
         """A declared agent that has a node; RefusalError(NoCapableNode) says which of both it lacks."""
@@ -200,7 +200,7 @@ class Fleet:
     def loss(self, agent: str, now_ns: int, node: str = "") -> str:
         """Why nothing of an agent, or of its Node of that name, can be reached for longer than is waited for; empty
         when it can."""
-        nodes = [found for found in self.nodes.get(agent, ()) if node in ("", found.name)]
+        nodes = [known for known in self.nodes.get(agent, ()) if node in ("", known.name)]
         if not nodes:
             return f"agent {agent} has no node{f' {node}' if node else ''}"
         if not all(node.lost for node in nodes):
@@ -211,29 +211,29 @@ class Fleet:
     @cached_property
     def of_role(self) -> Mapping[str, tuple[Agent, ...]]:
         """Declared agents by role, by name; all of them under the empty role."""
-        found: dict[str, list[Agent]] = {"": []}
+        by_role: dict[str, list[Agent]] = {"": []}
         for _, agent in sorted(self.agents.items()):
-            found[""].append(agent)
-            found.setdefault(agent.role, []).append(agent)
-        return {role: tuple(agents) for role, agents in found.items()}
+            by_role[""].append(agent)
+            by_role.setdefault(agent.role, []).append(agent)
+        return {role: tuple(agents) for role, agents in by_role.items()}
 
     @cached_property
     def by_namespace(self) -> Mapping[str, tuple[str, ...]]:
         """Names of the declared agents by the namespace of their releases."""
-        found: dict[str, tuple[str, ...]] = {}
+        names: dict[str, tuple[str, ...]] = {}
         for name, agent in sorted(self.agents.items()):
-            found[agent.namespace] = (*found.get(agent.namespace, ()), name)
-        return found
+            names[agent.namespace] = (*names.get(agent.namespace, ()), name)
+        return names
 
     @cached_property
     def capacities(self) -> Mapping[str, Capacity]:
         """Capacity of the places of which it is known: of their nodes that are not lost."""
-        found = {name: nodes for name, nodes in self.nodes.items() if name not in self.homes}
-        found |= {p.place: self.machines(p) for places in self._divided.values() for p in places}
-        return {name: capacity for name, nodes in found.items() if (capacity := _capacity(nodes)) is not None}
+        nodes_of_places = {name: nodes for name, nodes in self.nodes.items() if name not in self.homes}
+        nodes_of_places |= {p.place: self.machines(p) for places in self._divided.values() for p in places}
+        return {name: capacity for name, nodes in nodes_of_places.items() if (capacity := _capacity(nodes)) is not None}
 
     def candidates(self, wanted: AgentCriteria) -> Candidates:
-        """Everybody who is looked at for `wanted`, with what stands against it."""
+        """The candidates for `wanted`, with what stands against each."""
         known = self._candidates
         candidates = known.get(wanted)
         if candidates is None:
@@ -255,19 +255,19 @@ def fleet(
     for node in sorted(nodes, key=lambda n: n.name):
         is_lost = node.not_ready_since is not None and now_ns - node.not_ready_since > lost_seconds * SECOND_NS
         by_agent.setdefault(node.agent, []).append(replace(node, lost=True) if is_lost else node)
-    return Fleet({a.name: a for a in agents}, {name: tuple(found) for name, found in by_agent.items()})
+    return Fleet({a.name: a for a in agents}, {name: tuple(of_agent) for name, of_agent in by_agent.items()})
 
 
 def next_loss_ns(nodes: Iterable[NodeState], lost_seconds: float, now_ns: int) -> int | None:
-    """When the next node will be lost if nothing is heard: nobody says so at that moment. None when none will."""
+    """The time (ns) when the next node will be lost if it stays silent, which no watch reports; None when none will."""
     moments = [n.not_ready_since + int(lost_seconds * SECOND_NS) + 1 for n in nodes if n.not_ready_since is not None]
     return min((moment for moment in moments if moment > now_ns), default=None)
 
 
 def _capacity(nodes: Sequence[NodeState]) -> Capacity | None:
-    found = [node.allocatable for node in nodes if not node.lost]
-    known = [resources for resources in found if resources is not None]
-    if not known or len(known) < len(found):
+    allocatable = [node.allocatable for node in nodes if not node.lost]
+    known = [resources for resources in allocatable if resources is not None]
+    if not known or len(known) < len(allocatable):
         return None
     largest = Resources(max(r.cpu_millicores for r in known), max(r.memory_bytes for r in known))
     return Capacity(sum(known, NOTHING), largest)
@@ -297,11 +297,11 @@ class Group:
     @cached_property
     def kept(self) -> Mapping[str, int]:
         """Places that run some of the releases already, with how many."""
-        found: dict[str, int] = {}
+        kept: dict[str, int] = {}
         for request in self.requests:
             for name in request.kept:
-                found[name] = found.get(name, 0) + 1
-        return found
+                kept[name] = kept.get(name, 0) + 1
+        return kept
 
     @cached_property
     def need(self) -> Resources:
@@ -332,9 +332,9 @@ def group(requests: Sequence[PlacementRequest], fleet: Fleet, narrowing: Narrowi
 
 @dataclass(frozen=True)
 class Circumstances:
-    """What counts beside the group itself: what is planned on each place, what the group asks for (`special`: less on
-    these places, where others asked for a part of it), and `avoided` agents and places with why they must not be taken.
-    `waits`: what runs on a lost node stays there when nobody else can take it."""
+    """Circumstances of a group: what is planned on each place, what the group asks for (`special`: less on
+    these places, where others asked for a part of it), and `avoided` agents and places with why they must not be used.
+    `waits`: what runs on a lost node stays there when nobody else can run it."""
 
     fleet: Fleet
     occupancy: Occupancy
@@ -344,18 +344,18 @@ class Circumstances:
     waits: bool = True
 
     def avoids(self, agent: Agent) -> str:
-        """Why a place must not be taken; empty when it may."""
+        """Why a place must not be used; empty when it may."""
         return self.avoided.get(agent.name) or self.avoided.get(agent.place, "") if self.avoided else ""
 
-    def takes(self, agent: Agent) -> bool:
+    def allows(self, agent: Agent) -> bool:
         """Whether nothing of this stands against a place."""
         if self.avoids(agent):
             return False
         name = agent.place
         return self.occupancy.fits(name, self.fleet.capacities.get(name), self.special.get(name, self.need))
 
-    def against(self, agent: Agent) -> Reason:
-        """What stands against a place that does not take it; else how much is planned there."""
+    def reason(self, agent: Agent) -> Reason:
+        """The reason against a place that is not allowed; else how much is planned there."""
         if why := self.avoids(agent):
             return why, ""
         name = agent.place
@@ -368,19 +368,21 @@ class Circumstances:
 def place(asked: Group, around: Circumstances, kept: Mapping[str, int] | None = None) -> Placement:
     """The one place for a group; it runs in part on the places `kept` (default: as its requests say).
 
-    A named agent is taken; else the agents of the role that is asked for, or all, are candidates. One that runs most of
-    the releases already stays, even when it is not ready at the moment, as long as it is not lost. Else another Node of
-    the same agent is taken, else the agent with the least releases placed so far, then the first by name. What runs is
-    not taken away because room has become too little, or because its node is lost, when there is no better place.
+    A named agent is chosen; else the agents of the role that is asked for, or all, are candidates. One that runs most
+    of the releases already stays, even when it is not ready at the moment, as long as it is not lost. Else another Node
+    of the same agent is chosen, else the agent with the least releases placed so far, then the first by name. What runs
+    is not moved away because room has become too little, or because its node is lost, when there is no better place.
     RefusalError(NoCapableNode or InsufficientResources) gives the reasons.
     """
-    candidates, fleet = around.fleet.candidates(asked.wanted), around.fleet
-    kept, load = asked.kept if kept is None else kept, around.occupancy.load
+    fleet = around.fleet
+    candidates = fleet.candidates(asked.wanted)
+    kept = asked.kept if kept is None else kept
+    load = around.occupancy.load
     running = [fleet.at[n] for n in sorted(kept, key=lambda n: (-kept[n], load(n), n)) if n in candidates.stay]
     for agent in running:
-        if around.takes(agent):
+        if around.allows(agent):
             return candidates.stays(agent, asked.together)
-    free = _homes_first([agent for agent in candidates.free if around.takes(agent)], fleet)
+    free = _homes_first([agent for agent in candidates.free if around.allows(agent)], fleet)
     if free:
         near = {fleet.at[name].name for name in kept if name in fleet.at}
         chosen = min(free, key=lambda agent: (agent.name not in near, load(agent.place), agent.place))
@@ -395,7 +397,7 @@ def place(asked: Group, around: Circumstances, kept: Mapping[str, int] | None = 
 
 
 def _homes_first(free: list[Agent], fleet: Fleet) -> list[Agent]:
-    """Without the other Nodes of agents whose home takes it: those are for what has no room there."""
+    """The free places without the other Nodes of agents whose home is free: those are for what has no room there."""
     if not fleet.homes:
         return free
     homes = {agent.name for agent in free if agent.node == fleet.homes.get(agent.name)}
@@ -411,12 +413,12 @@ def _reasons(asked: Group, chosen: Agent, candidates: Candidates, around: Circum
 
 
 def _reason(agent: Agent, candidates: Candidates, around: Circumstances) -> tuple[str, Reason]:
-    return str(agent), candidates.obstacles.get(agent.place) or around.against(agent)
+    return str(agent), candidates.obstacles.get(agent.place) or around.reason(agent)
 
 
 def _refusal(asked: Group, candidates: Candidates, around: Circumstances) -> RefusalError:
-    found = [_reason(agent, candidates, around) for agent in candidates.agents]
-    detail = "; ".join(listed(found)) or "no such agent is declared"
+    reasons = [_reason(agent, candidates, around) for agent in candidates.agents]
+    detail = "; ".join(listed(reasons)) or "no such agent is declared"
     group = f"{asked.wanted}{''.join(f' ({text})' for text in asked.together)}"
     if any(not around.avoids(agent) for agent in candidates.free):
         text = f"no agent for {group} has room: {detail}; ask for less, or withdraw something that runs there"
@@ -425,8 +427,8 @@ def _refusal(asked: Group, candidates: Candidates, around: Circumstances) -> Ref
 
 
 def _candidates(fleet: Fleet, wanted: AgentCriteria) -> Candidates:
-    """A named agent is looked at alone, or those that the task names, or else those of the role or of the roles, with
-    all their places; what these lack are obstacles."""
+    """The candidates: a named agent alone, or those that the task names, or else those of the role or of the roles,
+    with all their places; what these lack are obstacles."""
     if wanted.named:
         agents: Sequence[Agent] = [fleet.agents[wanted.named]]
     elif wanted.agents:
@@ -454,12 +456,13 @@ def _candidates(fleet: Fleet, wanted: AgentCriteria) -> Candidates:
 
 
 def _places(fleet: Fleet, agent: Agent, wanted: AgentCriteria) -> tuple[Agent, ...]:
-    """Where an agent can take a group: what is bound to it goes to its home."""
+    """The places of an agent that a group can go to: what is bound to the agent goes to its home."""
     return (fleet.home(agent),) if wanted.named else fleet.places(agent)
 
 
 def _lack(agent: Agent, nodes: Sequence[NodeState], wanted: AgentCriteria) -> Reason | None:
-    """What an agent lacks for good, or because its nodes are lost; a bound service waits for a lost one."""
+    """The reason why an agent cannot run a group, for good or because its nodes are lost; a bound service waits for a
+    lost one."""
     if wanted.role not in ("", agent.role):
         return f"has role {agent.role}, not {wanted.role}", ""
     if wanted.roles and agent.role not in wanted.roles:

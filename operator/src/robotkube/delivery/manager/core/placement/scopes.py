@@ -111,19 +111,18 @@ class DeclaredManager:
 
 
 def overlaps(managers: Sequence[DeclaredManager]) -> list[str]:
-    """What more than one manager answers for, in agents or namespaces: a sentence for each pair, with both names and
-    the way out."""
-    found = []
+    """Overlaps of managers, in agents or namespaces: a sentence for each pair, with both names and the way out."""
+    sentences = []
     for one, other in combinations(managers, 2):
         parts = {"agents": (one.scope.agents, other.scope.agents)}
         parts["namespaces"] = (one.scope.namespaces, other.scope.namespaces)
         for key, (mine, theirs) in parts.items():
             if both := _both(mine, theirs):
-                found.append(
+                sentences.append(
                     f"managers {one.name!r} and {other.name!r} both have {_listed(both)} in scope.{key}: a release "
                     f"would have two authors, a bridge two publishers; name each in one manager only {VALUES}"
                 )
-    return found
+    return sentences
 
 
 def left_out(managers: Sequence[DeclaredManager], agents: Iterable[str]) -> list[str]:
@@ -139,35 +138,36 @@ def left_out(managers: Sequence[DeclaredManager], agents: Iterable[str]) -> list
 def split_agents(scope: Scope, agents: Iterable[str]) -> list[str]:
     """The agents whose namespace is another manager's, or the other way round: a sentence for each, with the way
     out. What an operator on such an agent asked for would be answered by a manager that may not touch it."""
-    found = []
+    sentences = []
     for name in agents:
         agent, namespace = scope.covers_agent(name), scope.covers_namespace(name)
         if agent != namespace:
             there, missing = ("agents", "namespaces") if agent else ("namespaces", "agents")
-            found.append(
+            sentences.append(
                 f"{name!r} is in scope.{there}, but not in scope.{missing}: operators launched there would have "
                 f"another manager; name it in both {VALUES}"
             )
-    return found
+    return sentences
 
 
 def excesses(manager: Scope, declared: Mapping[str, Mapping[str, frozenset[str]]]) -> list[str]:
     """Where a declared operator is not the manager's, or is named more than it has: a sentence for each, with the way
     out. `declared`: namespace of its tasks -> the names given for agents and applications."""
-    found, whole = [], {"agents": manager.agents, "applications": manager.applications}
+    sentences = []
+    whole = {"agents": manager.agents, "applications": manager.applications}
     for namespace, given in declared.items():
         if not manager.covers_namespace(namespace):
-            found.append(
+            sentences.append(
                 f"operator {namespace!r} is not in scope.namespaces: declare it at the manager that answers it, or add "
                 f"the namespace {VALUES}"
             )
         for key, names in given.items():
             if ALL not in whole[key] and (more := names - whole[key]):
-                found.append(
+                sentences.append(
                     f"operator {namespace!r} has {_listed(more)} in {key}, more than its manager's scope.{key}: an "
                     f"operator may never do more than its manager; take it out {VALUES}"
                 )
-    return found
+    return sentences
 
 
 def check_application(scope: Scope, task: str, application: str) -> None:

@@ -1,5 +1,4 @@
-"""The gate's decisions about proposals, read from Git and the forge; why one still waits, in words for task
-statuses."""
+"""The gate's decisions about proposals, read from Git and the forge; and for task statuses, why one still waits."""
 
 from __future__ import annotations
 
@@ -14,7 +13,7 @@ from robotkube.delivery.tasks.core.task_description import GATE_UNAVAILABLE, WAI
 from robotkube.foundation.forge.ports.pull_requests import Forge, PullRequest
 from robotkube.foundation.forge.ports.repositories import DeploymentRepository
 
-VERDICT_SECONDS_MAX = 15.0  # without a verdict for longer, the gate is said to be unavailable
+VERDICT_SECONDS_MAX = 15.0  # without a verdict for longer, the gate is reported as unavailable
 COMMENTS_SECONDS = 10.0  # how often the comments of a proposal that waits longer are read
 
 ProposalOutcome = Literal["merged", "outdated", "refused", "waiting"]
@@ -22,13 +21,13 @@ ProposalOutcome = Literal["merged", "outdated", "refused", "waiting"]
 
 @dataclass
 class PendingProposal:
-    """A plan that waits for the gate; `since` and `read` (when its comments were) in monotonic seconds; `asked`: what
-    of its tasks it answers (see open_proposals.asked_for)."""
+    """A plan that waits for the gate; `since` and `comments_read_at` in monotonic seconds; `asked`: what of its tasks
+    it answers (see open_proposals.asked_for)."""
 
     plan: Plan
     record: PlanRecord
     since: float
-    read: float = float("-inf")
+    comments_read_at: float = float("-inf")
     asked: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -40,7 +39,7 @@ class GateDecisions:
         self._forge = forge
         self._monotonic = monotonic
 
-    def look(self, proposal: PendingProposal, tip: str) -> tuple[ProposalOutcome, str]:
+    def poll(self, proposal: PendingProposal, tip: str) -> tuple[ProposalOutcome, str]:
         """The outcome while main stands at `tip`, and the gate's words when it refused. A proposal that waits for
         longer than VERDICT_SECONDS_MAX gets into its record what it waits for."""
         record = proposal.record
@@ -50,7 +49,7 @@ class GateDecisions:
             return "outdated", ""
         pull = self.pull_request(record)
         if pull is not None and pull.state == "closed" and not pull.merged:
-            text = self._last_word(pull.number) or "closed without a comment"
+            text = self._last_comment(pull.number) or "closed without a comment"
             return ("outdated", "") if STALE in text.partition("\n")[0] else ("refused", text)
         if self._monotonic() - proposal.since > VERDICT_SECONDS_MAX:
             self._record_wait(proposal)
@@ -72,19 +71,19 @@ class GateDecisions:
             record.pull_request = pull.number
             record.url = pull.url
 
-    def _last_word(self, number: int) -> str:
+    def _last_comment(self, number: int) -> str:
         """The gate's last comment, else anybody's."""
         texts = [comment.text.strip() for comment in self._forge.comments(number)]
         return next((text for text in reversed(texts) if text.startswith(FIRST_WORDS)), texts[-1] if texts else "")
 
     def _record_wait(self, proposal: PendingProposal) -> None:
         number = proposal.record.pull_request
-        if number is None or self._monotonic() - proposal.read < COMMENTS_SECONDS:
+        if number is None or self._monotonic() - proposal.comments_read_at < COMMENTS_SECONDS:
             return
-        proposal.read = self._monotonic()
-        text = self._last_word(number)
+        proposal.comments_read_at = self._monotonic()
+        text = self._last_comment(number)
         if text.startswith(WAITS):
             proposal.record.waits = (WAITS_FOR_APPROVAL, f"pull request {number}: {text}")
         else:
-            words = f"no verdict of the gate about pull request {number} within {VERDICT_SECONDS_MAX:.0f} s"
-            proposal.record.waits = (GATE_UNAVAILABLE, f"{words}; it waits, and goes on when the gate answers")
+            text = f"no verdict of the gate about pull request {number} within {VERDICT_SECONDS_MAX:.0f} s"
+            proposal.record.waits = (GATE_UNAVAILABLE, f"{text}; it waits, and goes on when the gate answers")

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from robotkube.delivery.deployment.core.commit_messages import read_message
-from robotkube.delivery.manager.core.plans import Plan, come_and_go
+from robotkube.delivery.manager.core.plans import Plan, answered_and_withdrawn
 from robotkube.delivery.tasks.core.task_description import TaskDescription
 from robotkube.errors import InputError
 from robotkube.foundation.forge.ports.pull_requests import Forge, PullRequest
@@ -64,7 +64,7 @@ class OpenProposals:
 
 def asked_for(plan: Plan, tasks: Mapping[str, TaskDescription]) -> dict[str, str]:
     """The parts of tasks that a plan answers, by task; empty for a plan that does more than answer tasks."""
-    come, go = come_and_go(plan.changes)
+    come, go = answered_and_withdrawn(plan.changes)
     if go or plan.message.kinds or any(cause.task not in tasks for cause in come):
         return {}
     return {cause.task: _answered(tasks[cause.task].identity, tasks[cause.task].generation) for cause in come}

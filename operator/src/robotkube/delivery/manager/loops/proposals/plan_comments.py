@@ -8,14 +8,14 @@ from __future__ import annotations
 import logging
 from collections import deque
 
-from robotkube.delivery.deployment.core.plan_notes import PlanOutcome, ReleaseOutcome, closing_text
+from robotkube.delivery.deployment.core.plan_notes import PlanOutcome, ReleaseOutcome, outcome_comment
 from robotkube.delivery.deployment.core.releases import application_name
 from robotkube.delivery.manager.loops.proposals.plan_records import PlanRecord
 from robotkube.delivery.manager.ports.cluster import Cluster
 from robotkube.errors import InputError
 from robotkube.foundation.forge.ports.pull_requests import Forge
 
-UNTOLD_MAX = 500  # of more, the oldest are not sent
+UNSENT_MAX = 500  # of more, the oldest are not sent
 
 log = logging.getLogger(__name__)
 
@@ -26,7 +26,7 @@ class PlanOutcomeComments:
     def __init__(self, cluster: Cluster, forge: Forge) -> None:
         self._cluster = cluster
         self._forge = forge
-        self._unsent: deque[tuple[int, str]] = deque(maxlen=UNTOLD_MAX)
+        self._unsent: deque[tuple[int, str]] = deque(maxlen=UNSENT_MAX)
 
     @property
     def waiting(self) -> bool:
@@ -36,9 +36,9 @@ class PlanOutcomeComments:
     def observed(self, record: PlanRecord) -> None:
         """Note the outcome of a plan that is observed, as the cluster shows it now."""
         if record.pull_request is not None:
-            self._unsent.append((record.pull_request, closing_text(self._facts(record))))
+            self._unsent.append((record.pull_request, outcome_comment(self._facts(record))))
 
-    def tell_one(self) -> None:
+    def send_oldest(self) -> None:
         """Send the oldest outcome; UnavailableError: it stays. What the forge refuses is dropped."""
         if not self._unsent:
             return

@@ -22,19 +22,19 @@ log = logging.getLogger(__name__)
 
 
 class PlanObserver:
-    """Follows merged plans. `aside` runs a call without holding up the caller, or drops it while one is running."""
+    """The observer. `in_background` runs a call without holding up the caller, or drops it while one is running."""
 
     def __init__(
         self,
         cluster: Cluster,
         argocd: ArgoCD,
-        aside: Callable[[Callable[[], None]], None],
+        in_background: Callable[[Callable[[], None]], None],
         now_ns: Callable[[], int],
         monotonic: Callable[[], float],
     ) -> None:
         self._cluster = cluster
         self._argocd = argocd
-        self._aside = aside
+        self._in_background = in_background
         self._now_ns = now_ns
         self._monotonic = monotonic
         self._watched: dict[str, tuple[PlanRecord, float]] = {}
@@ -78,8 +78,8 @@ class PlanObserver:
         while len(self._open) > PLANS_MAX:
             self._open.pop(next(iter(self._open)))
 
-    def look(self, present: Mapping[str, Release], tip: str) -> list[PlanRecord]:
-        """Compare every followed plan with the cluster; return those now observed. `present` are main's releases."""
+    def observe(self, present: Mapping[str, Release], tip: str) -> list[PlanRecord]:
+        """Compare every watched plan with the cluster; return those now observed. `present` are main's releases."""
         applications = self._cluster.applications()
         for record in list(self._open.values()):
             self._leave_open(record, self._verdicts(record, present))
@@ -156,4 +156,4 @@ class PlanObserver:
             for name in chosen:
                 self._argocd.refresh(name)
 
-        self._aside(ask)
+        self._in_background(ask)

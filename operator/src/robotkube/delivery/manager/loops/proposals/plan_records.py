@@ -9,7 +9,7 @@ from typing import Any
 
 from robotkube.delivery.deployment.core.commit_messages import INITIAL, CommitMessage, read_message
 from robotkube.delivery.deployment.core.releases import RELEASES
-from robotkube.delivery.manager.core.plans import ADD, CHANGE, REMOVE, Plan, come_and_go
+from robotkube.delivery.manager.core.plans import ADD, CHANGE, REMOVE, Plan, answered_and_withdrawn
 from robotkube.errors import DocumentError
 from robotkube.foundation.forge.ports.repositories import Commit
 
@@ -97,7 +97,7 @@ class PlanRecords:
 def record_of(plan: Plan, demand_seen: int, started: int) -> PlanRecord:
     """The record of a new plan."""
     keys = {kind: tuple(c.release.key for c in plan.changes if c.kind == kind) for kind in (ADD, CHANGE, REMOVE)}
-    come, go = come_and_go(plan.changes)
+    come, go = answered_and_withdrawn(plan.changes)
     return PlanRecord(
         id=plan.id,
         subject=plan.title,

@@ -14,13 +14,13 @@ import pygit2
 from pygit2.enums import FileMode
 
 from robotkube.errors import DocumentError, InputError, UnavailableError
-from robotkube.foundation.forge.adapters.git.commit_objects import LOOSE_MAX, pack_loose, take_in
+from robotkube.foundation.forge.adapters.git.commit_objects import LOOSE_MAX, pack_loose, store_objects
 from robotkube.foundation.forge.adapters.git.connection import GitConnection, look_up, open_clone
 from robotkube.foundation.forge.core.commit_objects import CommitObjects
 from robotkube.foundation.forge.ports.repositories import Commit
 from robotkube.writes import writes
 
-TEXTS_KEPT_MAX = 4096
+FILES_CACHED_MAX = 4096
 FILE_BYTES_MAX = 1024 * 1024
 CHANGED_FILES_MAX = 1000
 CHANGED_CHARACTERS_MAX = 16 * 1024 * 1024  # of all texts that a commit brings
@@ -51,7 +51,7 @@ class GitClone:
         self._account = (username, password)
         self._branch = branch
         self._repository = open_clone(folder, url, repository)
-        self._text = lru_cache(TEXTS_KEPT_MAX)(self._read_text)
+        self._text = lru_cache(FILES_CACHED_MAX)(self._read_text)
         self._loose = 0  # objects that were stored since the last pack was made
 
     @property
@@ -69,7 +69,7 @@ class GitClone:
         return self.tip
 
     def moved_to(self, commit: str) -> None:
-        """The branch is known to stand at `commit`, which is here: as if it had been fetched."""
+        """Note that the branch stands at `commit`, which is here: as if it had been fetched."""
         self._repository.references.create(f"refs/heads/{self._branch}", self._lookup(commit).id, force=True)
 
     def proposal(self, number: int) -> Commit:
@@ -80,11 +80,11 @@ class GitClone:
             raise InputError(f"{self._where}: {self._heads.format(number)} is not there")
         return self.commit(str(reference.target))
 
-    def take(self, handed: CommitObjects) -> Commit | None:
-        """Store commit objects: the commit, when it stands on the branch's tip as it is known here and everything that
-        it brings is here now; None: it has to be fetched."""
-        self._loose += len(handed.objects)
-        return self.commit(handed.commit) if take_in(self._repository, handed, self.tip) else None
+    def receive(self, objects: CommitObjects) -> Commit | None:
+        """Store commit objects; their commit, when it stands on the branch's tip as it is known here and everything
+        that it brings is here now; None: it has to be fetched."""
+        self._loose += len(objects.objects)
+        return self.commit(objects.commit) if store_objects(self._repository, objects, self.tip) else None
 
     def contains(self, commit: str) -> bool:
         """Whether `commit` is the branch's tip or one of its ancestors."""
@@ -113,8 +113,8 @@ class GitClone:
         parents = tuple(str(parent) for parent in git_commit.parent_ids)
         return self._with_changes(git_commit, parents, self._lookup(parents[0]).tree if parents else None)
 
-    def brought(self, commit: str) -> Commit:
-        """A commit that is here, with everything it brings since it left the branch, as if that were its parent."""
+    def changes_since_branch(self, commit: str) -> Commit:
+        """A commit that is here, with everything it changes since it left the branch, as if that were its parent."""
         git_commit = self._lookup(commit)
         base = self._repository.merge_base(git_commit.id, self._lookup(self.tip).id) if self.tip else None
         if base is None:
@@ -265,12 +265,12 @@ class GitClone:
         commit = self.tip
         count = 0
         while commit and commit != since and count < commits_max:
-            at = self._lookup(commit)
-            parent = self._lookup(str(at.parent_ids[0])) if at.parent_ids else None
-            if any(word in at.message for word in words) or _entry(at, path) != _entry(parent, path):
+            git_commit = self._lookup(commit)
+            parent = self._lookup(str(git_commit.parent_ids[0])) if git_commit.parent_ids else None
+            if any(word in git_commit.message for word in words) or _entry(git_commit, path) != _entry(parent, path):
                 commits.append(self.commit(commit))
-            commit = str(at.parent_ids[0]) if at.parent_ids else ""
-            count = count + 1
+            commit = str(git_commit.parent_ids[0]) if git_commit.parent_ids else ""
+            count += 1
         return commits[::-1]
 
     def _lookup(self, commit: str) -> pygit2.Commit:

@@ -19,7 +19,7 @@ LOOSE_MAX = 500  # objects that were stored as files of their own; of more, a pa
 def new_objects(repository: pygit2.Repository, commit: pygit2.Commit) -> CommitObjects | None:
     """`commit` and what it brings that its first parent has not; None when that is more than may be sent."""
     before = commit.parents[0].tree if commit.parents else None
-    identifiers = [commit.id, *islice(_brought(commit.tree, before), OBJECTS_MAX)]
+    identifiers = [commit.id, *islice(_new_ids(commit.tree, before), OBJECTS_MAX)]
     if len(identifiers) > OBJECTS_MAX:
         return None
     objects = []
@@ -33,25 +33,25 @@ def new_objects(repository: pygit2.Repository, commit: pygit2.Commit) -> CommitO
     return CommitObjects(str(commit.id), tuple(objects))
 
 
-def take_in(repository: pygit2.Repository, handed: CommitObjects, tip: str) -> bool:
+def store_objects(repository: pygit2.Repository, received: CommitObjects, tip: str) -> bool:
     """Store the objects: whether their commit stands on `tip` alone and everything that it brings is here now. The
     commit itself is written last: what has it asks the forge for nothing below it, so that what is missing would stay
     so."""
     odb = repository.odb
-    content = next(content for kind, content in handed.objects if object_id(kind, content) == handed.commit)
+    content = next(content for kind, content in received.objects if object_id(kind, content) == received.commit)
     tree, parents = _header(content)
     if parents != [tip] or tree is None:
         return False
     try:
-        for kind, other in handed.objects:
+        for kind, other in received.objects:
             if kind != "commit":
                 odb.write(TYPES[kind], other)
         after = repository[tree]
         before = repository[tip]
         if not isinstance(after, pygit2.Tree) or not isinstance(before, pygit2.Commit):
             return False
-        brought = list(islice(_brought(after, before.tree), OBJECTS_MAX + 1))
-        if len(brought) > OBJECTS_MAX or not all(identifier in odb for identifier in brought):
+        identifiers = list(islice(_new_ids(after, before.tree), OBJECTS_MAX + 1))
+        if len(identifiers) > OBJECTS_MAX or not all(identifier in odb for identifier in identifiers):
             return False
         odb.write(TYPES["commit"], content)
     except (KeyError, ValueError, pygit2.GitError):  # what is missing, or no object of its kind
@@ -66,7 +66,7 @@ def _header(commit: bytes) -> tuple[str | None, list[str]]:
     return lines[0].removeprefix("tree ") if lines[0].startswith("tree ") else None, parents
 
 
-def _brought(after: pygit2.Tree, before: pygit2.Tree | None) -> Iterator[pygit2.Oid]:
+def _new_ids(after: pygit2.Tree, before: pygit2.Tree | None) -> Iterator[pygit2.Oid]:
     """Ids of `after` and of everything below it that does not stand at the same place in `before`; some twice."""
     yield after.id
     for entry in after:
@@ -75,7 +75,7 @@ def _brought(after: pygit2.Tree, before: pygit2.Tree | None) -> Iterator[pygit2.
         if was is not None and was.id == entry.id:
             continue
         if isinstance(entry, pygit2.Tree):
-            yield from _brought(entry, was if isinstance(was, pygit2.Tree) else None)
+            yield from _new_ids(entry, was if isinstance(was, pygit2.Tree) else None)
         else:
             yield entry.id
 

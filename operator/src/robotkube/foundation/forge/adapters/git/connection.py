@@ -11,7 +11,7 @@ import pygit2
 from robotkube.errors import InputError
 
 TIMEOUT_MILLISECONDS = 10_000
-SAID_CHARACTERS_MAX = 16_384
+SERVER_OUTPUT_CHARACTERS_MAX = 16_384
 EMAIL_DOMAIN = "robotkube.invalid"
 
 pygit2.settings.server_connect_timeout = TIMEOUT_MILLISECONDS
@@ -20,14 +20,14 @@ pygit2.settings.server_timeout = TIMEOUT_MILLISECONDS
 
 class GitConnection(pygit2.RemoteCallbacks):
     """One connection of an account (name and password). The password is given once: libgit2 would ask for ever. The
-    server's other output is in `said`; `refusal` is its reason against a pushed reference, empty when it accepted
+    server's other output is in `output`; `refusal` is its reason against a pushed reference, empty when it accepted
     that."""
 
     def __init__(self, account: tuple[str, str]) -> None:
         super().__init__()
         self._account = account
         self._asked = 0
-        self.said = self.refusal = ""
+        self.output = self.refusal = ""
 
     def credentials(self, url: str, username_from_url: str | None, allowed_types: Any) -> Any:
         """Name and password; PermissionError when the forge asks again."""
@@ -37,8 +37,8 @@ class GitConnection(pygit2.RemoteCallbacks):
         return pygit2.UserPass(*self._account)
 
     def sideband_progress(self, string: str) -> None:
-        """Keep the newest SAID_CHARACTERS_MAX of the server's output."""
-        self.said = (self.said + string)[-SAID_CHARACTERS_MAX:]
+        """Keep the newest SERVER_OUTPUT_CHARACTERS_MAX of the server's output."""
+        self.output = (self.output + string)[-SERVER_OUTPUT_CHARACTERS_MAX:]
 
     def push_update_reference(self, refname: str, message: str | None) -> None:
         """Keep why a reference was refused."""

@@ -32,8 +32,8 @@ class ProposalWriter:
     """The port Proposals on the bare clone in `folder`. `author` is the name in the commits; `clock` gives seconds.
 
     `open_pull_request(branch, title, body)` is for forges without AGit: the commit goes to `robotkube/<topic>` and that
-    opens its pull request; such an account must be allowed to push branches. `hand` gets the commit objects of a
-    proposal before it is pushed; it returns at once, and what becomes of that changes nothing here."""
+    opens its pull request; such an account must be allowed to push branches. `send_objects` gets the commit
+    objects of a proposal before it is pushed; it returns at once, and what becomes of that changes nothing here."""
 
     def __init__(
         self,
@@ -44,7 +44,7 @@ class ProposalWriter:
         clock: Callable[[], float],
         branch: str = "main",
         open_pull_request: Callable[[str, str, str], int] | None = None,
-        hand: Callable[[CommitObjects], None] | None = None,
+        send_objects: Callable[[CommitObjects], None] | None = None,
     ) -> None:
         self._repository = pygit2.Repository(str(folder))
         self._account = (username, password)
@@ -52,7 +52,7 @@ class ProposalWriter:
         self._clock = clock
         self._branch = branch
         self._open = open_pull_request
-        self._hand = hand
+        self._send_objects = send_objects
 
     def commit(self, parent: str, changes: Mapping[str, str | None], message: str, merged: str = "") -> str:
         """Make a commit on `parent` and return its id; nothing outside the object store changes. `merged`: a second
@@ -92,8 +92,8 @@ class ProposalWriter:
         UnavailableError when the forge does not answer; RefusalError when it refuses the push."""
         git_commit = self._lookup(commit)
         self._repository.references.create(PROPOSAL_REFERENCE, git_commit.id, force=True)
-        if self._hand is not None and (brought := new_objects(self._repository, git_commit)) is not None:
-            self._hand(brought)
+        if self._send_objects is not None and (objects := new_objects(self._repository, git_commit)) is not None:
+            self._send_objects(objects)
         text = body.encode()[:DESCRIPTION_BYTES_MAX].decode(errors="ignore")
         if self._open is None:
             options = [
@@ -116,7 +116,7 @@ class ProposalWriter:
             raise UnavailableError(f"proposal {topic}: push: {error}") from error
         if connection.refusal:
             raise RefusalError("ProposalRefused", f"the forge refused proposal {topic}: {connection.refusal}")
-        return connection.said
+        return connection.output
 
     def _lookup(self, commit: str) -> pygit2.Commit:
         return look_up(self._repository, commit, "proposals")

@@ -38,7 +38,7 @@ class ForgeConnection:
         )
 
     def disconnect(self) -> None:
-        """Give the connections back."""
+        """Close the connections."""
         self._client.close()
 
     def call(self, method: str, path: str, **arguments: Any) -> Any:

@@ -31,7 +31,7 @@ class GiteaForge:
         )
 
     def disconnect(self) -> None:
-        """Give the connections back."""
+        """Close the connections."""
         self._connection.disconnect()
 
     def pull_request(self, number: int) -> PullRequest:

@@ -20,7 +20,7 @@ PULL_REQUESTS_MAX = 50
 COMMENTS_MAX = 100
 REVIEWS_MAX = 50
 WRITERS = frozenset({"OWNER", "MEMBER", "COLLABORATOR"})
-VERDICTS = {"APPROVED": True, "CHANGES_REQUESTED": False}
+REVIEW_STATES = {"APPROVED": True, "CHANGES_REQUESTED": False}
 
 
 class GitHubForge:
@@ -41,7 +41,7 @@ class GitHubForge:
         )
 
     def disconnect(self) -> None:
-        """Give the connections back."""
+        """Close the connections."""
         self._connection.disconnect()
 
     def pull_request(self, number: int) -> PullRequest:
@@ -86,11 +86,11 @@ class GitHubForge:
             Review(
                 author=_login(item),
                 commit=str(item.get("commit_id") or ""),
-                approved=VERDICTS[item["state"]],
+                approved=REVIEW_STATES[item["state"]],
                 official=item.get("author_association") in WRITERS,
             )
             for item in documents
-            if item.get("state") in VERDICTS
+            if item.get("state") in REVIEW_STATES
         ]
 
     @writes("forge")

@@ -39,7 +39,7 @@ class GitLabForge:
         )
 
     def disconnect(self) -> None:
-        """Give the connections back."""
+        """Close the connections."""
         self._connection.disconnect()
 
     def pull_request(self, number: int) -> PullRequest:

@@ -41,7 +41,7 @@ class MemoryGatewayChannel:
         """Subscribe to topics."""
         self.topics = list(topics)
 
-    def take(self, seconds: float) -> GatewayMessage | None:
+    def receive(self, seconds: float) -> GatewayMessage | None:
         """The next message; waits for none."""
         return self.waiting.popleft() if self.waiting else None
 

@@ -1,7 +1,7 @@
 """The resync of gate and manager: when they poll the forge without a notification."""
 
-LOOK_SECONDS = 10.0
-LOOK_SECONDS_BUSY = 30.0
+RESYNC_SECONDS = 10.0
+RESYNC_SECONDS_BUSY = 30.0
 QUIET_SECONDS = 1.0
 
 
@@ -10,7 +10,7 @@ def is_quiet(idle_seconds: float) -> bool:
     return idle_seconds > QUIET_SECONDS
 
 
-def look_is_due(looked_seconds: float, idle_seconds: float) -> bool:
+def resync_is_due(resynced_seconds: float, idle_seconds: float) -> bool:
     """Whether a resync is due. While plan follows plan each merge says what main is, and polling only delays the next
-    one: it can wait, but not for ever. `looked_seconds`: since the last resync."""
-    return looked_seconds >= (LOOK_SECONDS if is_quiet(idle_seconds) else LOOK_SECONDS_BUSY)
+    one: it can wait, but not for ever. `resynced_seconds`: since the last resync."""
+    return resynced_seconds >= (RESYNC_SECONDS if is_quiet(idle_seconds) else RESYNC_SECONDS_BUSY)

@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import pytest
 
-from robotkube.delivery.deployment.core.plan_notes import PlanOutcome, ReleaseOutcome, closing_text, note_text
+from robotkube.delivery.deployment.core.plan_notes import PlanOutcome, ReleaseOutcome, note_text, outcome_comment
 from robotkube.delivery.gate.loops import plan_notes
 from robotkube.delivery.gate.loops.plan_notes import NoteWriter
 from robotkube.errors import UnavailableError
@@ -35,7 +35,7 @@ FACTS = PlanOutcome(
 
 
 class Forge:
-    """One merged pull request with its closing words; the next `away` requests are not answered."""
+    """One merged pull request with its outcome comment; the next `away` requests are not answered."""
 
     away = 0
 
@@ -49,7 +49,7 @@ class Forge:
         return []  # so many have been closed since that it is not among the newest
 
     def comments(self, number: int) -> list[Comment]:
-        return [Comment("manager", closing_text(FACTS))]
+        return [Comment("manager", outcome_comment(FACTS))]
 
 
 class Notes:
@@ -67,34 +67,34 @@ class Notes:
         self.written.set()
 
 
-def keeper(forge: Forge, notes: Notes) -> NoteWriter:
+def note_writer(forge: Forge, notes: Notes) -> NoteWriter:
     return NoteWriter(cast(Any, forge), cast(Any, notes), ["manager"], lambda: 0.0)
 
 
 def test_what_failed_is_due_again() -> None:
     forge, notes = Forge(), Notes()
-    kept = keeper(forge, notes)
-    kept.commented(1)
+    writer = note_writer(forge, notes)
+    writer.commented(1)
     forge.away = 1
     with pytest.raises(UnavailableError):
-        kept.round(look=False)
+        writer.round(resync=False)
     assert notes.known == {}
-    kept.round(look=False)
+    writer.round(resync=False)
     assert notes.known == {COMMIT: note_text(FACTS)}
-    kept.round(look=False)
-    assert kept.written == 1
+    writer.round(resync=False)
+    assert writer.written == 1
 
 
 def test_a_round_that_failed_is_repeated_soon(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(plan_notes, "RETRY_SECONDS_FIRST", 0.01)
     monkeypatch.setattr(plan_notes, "GATHER_SECONDS", 0.0)
     forge, notes, stopping = Forge(), Notes(), threading.Event()
-    kept = keeper(forge, notes)
-    kept.commented(1)
+    writer = note_writer(forge, notes)
+    writer.commented(1)
     forge.away = 3
-    thread = threading.Thread(target=kept.run, args=(stopping,))
+    thread = threading.Thread(target=writer.run, args=(stopping,))
     thread.start()
     assert notes.written.wait(30), "nobody comments any more"
-    kept.stop(stopping)
+    writer.stop(stopping)
     thread.join(30)
     assert (thread.is_alive(), forge.away) == (False, 0)

@@ -1,4 +1,4 @@
-"""What a person can look at after a run, as commands that can be pasted."""
+"""Commands with which a person inspects the cluster after a run, to be pasted."""
 
 from __future__ import annotations
 
@@ -12,22 +12,19 @@ from scenarios.runner.access import Endpoint
 PASSWORD = "$(kubectl -n robotkube get secret forge-account-{person} -o jsonpath={{.data.password}} | base64 -d)"  # noqa: S105
 WEB_PAGES = (
     "The web pages of the forge and of Argo CD need front ends that are not built here yet; their APIs and the "
-    "commands "
-    "above show the same."
+    "commands above show the same."
 )
-
-
 ROBOTKUBE = "ci/python -m robotkube.cli"
 
 
 def kubectl_folder() -> Path | None:
     """The folder of the tool chain's kubectl that was used last; None when there is none."""
-    found = [path.parent for path in (user_cache() / "toolchain").glob("*/bin/kubectl")]
-    return max(found, key=lambda folder: folder.parent.stat().st_mtime, default=None)
+    folders = [path.parent for path in (user_cache() / "toolchain").glob("*/bin/kubectl")]
+    return max(folders, key=lambda folder: folder.parent.stat().st_mtime, default=None)
 
 
 def commands(scenario: Scenario, kubeconfig: Path, forge: Endpoint) -> Iterator[tuple[str, str]]:
-    """Pairs of what is seen and the command; each ends by itself."""
+    """Pairs of what a command shows and the command; each ends by itself."""
     person, agent = scenario.story.person, scenario.story.recording_agent
     clone = f"http://{person}:{PASSWORD.format(person=person)}@{forge.host}:{forge.port}/robotkube/deployment.git"
     programs = kubectl_folder()
@@ -50,8 +47,8 @@ def commands(scenario: Scenario, kubeconfig: Path, forge: Endpoint) -> Iterator[
 
 
 def lines(scenario: Scenario, kubeconfig: Path, forge: Endpoint) -> Iterator[str]:
-    """The commands as text, and what cannot be looked at."""
-    yield "To look around:"
+    """The commands as text, and what cannot be inspected."""
+    yield "To inspect the cluster:"
     for what, command in commands(scenario, kubeconfig, forge):
         yield f"  # {what}"
         yield f"  {command}"
