@@ -349,4 +349,4 @@ def test_a_hook_that_nobody_took_is_sent_again(installation: Installation, tmp_p
         until(lambda: running.gate.statistics.hooks["lost"] >= 2, "sent again after a failure")
     finally:
         running.stop()
-    assert running.gate.statistics.hooks["taken"] == 0
+    assert running.gate.statistics.hooks["received"] == 0
