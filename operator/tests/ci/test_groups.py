@@ -67,7 +67,7 @@ def counted(folder: Path, name: str, text: str, processes: int = 1) -> tuple[int
 def test_a_test_of_any_marks_is_in_one_group(marks: tuple[str, ...]) -> None:
     chosen = [
         group.name
-        for group in (*groups.GROUPS, groups.THOROUGH)
+        for group in (*groups.GROUPS, *groups.THOROUGH)
         if group.marker and Expression.compile(group.marker).evaluate(lambda name, **_: name in marks)
     ]
     assert len(chosen) == 1
