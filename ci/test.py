@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -76,12 +76,12 @@ def run_checks(group: Group) -> results.Counts:
     return results.Counts(1, 0, 0) if done.returncode == 0 else results.Counts(0, 1, 0)
 
 
-def run_pytest(group: Group) -> results.Counts:
-    """Run a group's tests. A run that ends badly without a failed test counts as one failure."""
+def run_pytest(group: Group, places: Sequence[str] = (TESTS,)) -> results.Counts:
+    """Run a group's tests below some places. A run that ends badly without a failed test counts as one failure."""
     with temporary_folder(group) as (folder, environment):
         report = folder / "results"
         command = [sys.executable, "-m", "pytest", "-c", "operator/pyproject.toml", "-m", group.marker]
-        command += ["--durations=10", "-p", "ci.results", "-p", "no:cacheprovider", *spread(group.processes), TESTS]
+        command += ["--durations=10", "-p", "ci.results", "-p", "no:cacheprovider", *spread(group.processes), *places]
         process = subprocess.Popen(command, cwd=TOP, env={**environment, results.VARIABLE: str(report)})
         code = wait(process, group)
         counts = results.read(report)
@@ -134,11 +134,11 @@ def end(process: subprocess.Popen[bytes]) -> None:
         process.wait()
 
 
-def run(group: Group) -> Result:
+def run(group: Group, places: Sequence[str]) -> Result:
     print(f"\n== {group.name}", flush=True)
     preparing.prepare(group.needs)
     began = time.monotonic()
-    counts = run_pytest(group) if group.marker else run_checks(group)
+    counts = run_pytest(group, places) if group.marker else run_checks(group)
     return Result(group, counts.passed, counts.failed, counts.skipped, time.monotonic() - began)
 
 
@@ -160,6 +160,7 @@ def main() -> int:
     parser.add_argument("--thorough", action="store_true", help="run the slower proofs")
     every = (*GROUPS, *THOROUGH)
     parser.add_argument("--only", action="append", choices=[group.name for group in every], help="run only this group")
+    parser.add_argument("places", nargs="*", default=[TESTS], help=f"folders or files of tests; all of {TESTS} if none")
     arguments = parser.parse_args()
     if arguments.fast:
         os.environ.setdefault("ROBOTKUBE_EXAMPLES", FAST_EXAMPLES)
@@ -171,7 +172,7 @@ def main() -> int:
         if any(one.needs != "nothing" for one in groups):
             preflight.require()
         for group in groups:
-            finished.append(run(group))
+            finished.append(run(group, arguments.places))
     except SetUpError as error:
         finished.append(Result(group, 0, 1, 0, 0.0))
         print(f"error: {group.name} cannot be run, nor what comes after it: {error}", file=sys.stderr)

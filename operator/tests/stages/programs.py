@@ -1,4 +1,4 @@
-"""Programs of the tool chain, as `make test` names their folder, else as they are built (or found built) here."""
+"""Programs of the tool chain, in the folder that `make test` names, else where `make toolchain` has built them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ci import preparing, toolchain
 def folder() -> Path:
     """The folder of all programs."""
     given = os.environ.get(preparing.TOOLCHAIN_VARIABLE)
-    return Path(given) if given else toolchain.ensure().binaries
+    return Path(given) if given else toolchain.Toolchain(toolchain.key()).binaries
 
 
 def program(name: str) -> str:

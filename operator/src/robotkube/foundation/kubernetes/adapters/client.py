@@ -41,7 +41,10 @@ def api_client(kubeconfig: str | None = None, context: str | None = None, in_clu
         else:
             config.load_kube_config(config_file=kubeconfig, context=context, client_configuration=configuration)
     except config.ConfigException as error:
-        raise InputError(f"no access to a cluster: {error}; name a kubeconfig by --kubeconfig or KUBECONFIG") from error
+        reason = str(error).rstrip(".")
+        raise InputError(
+            f"no access to a cluster: {reason}; run in a pod, or name a kubeconfig in KUBECONFIG"
+        ) from error
     configuration.retries = False
     return client.ApiClient(configuration)
 

@@ -1,4 +1,4 @@
-"""The manager's own commits: made in memory on a fetched commit, proposed as pull requests by one AGit push.
+"""Commits that are proposed: made in memory on a fetched commit, opened as pull requests by one AGit push.
 
 `git push origin <commit>:refs/for/main -o topic=... -o title=... -o description=...` opens the pull request;
 the account needs read access to the repository only. Works on the bare clone that a GitClone keeps up to date.
