@@ -77,6 +77,17 @@ def test_the_first_page_has_the_contents() -> None:
         "<style>@import 'https://example.org/x.css';</style>",
         '<p style="background: url(//example.org/x.png)">',
         '<svg><use href="https://example.org/x.svg#y"/></svg>',
+        "<style>@import url(https://example.org/x.css);</style>",
+        '<style>a { background: image-set("https://example.org/x.png" 1x, "y.png" 2x) }</style>',
+        '<script>import("https://example.org/x.js")</script>',
+        '<script type="module">import x from "https://example.org/x.js"</script>',
+        "<script>fetch('//example.org/x.json').then(show)</script>",
+        "<script>request.open('GET', 'https://example.org/x')</script>",
+        '<meta http-equiv="Refresh" content="0; url=https://example.org/">',
+        '<base href="https://example.org/">',
+        '<frameset><frame src="https://example.org/"></frameset>',
+        "<iframe srcdoc='<img src=\"https://example.org/x.png\">'></iframe>",
+        """<p onclick="location = 'https://example.org/'">""",
     ],
 )
 def test_what_is_loaded_from_elsewhere_is_found(html: str, tmp_path: Path) -> None:
@@ -95,16 +106,38 @@ def test_what_is_loaded_from_elsewhere_is_found(html: str, tmp_path: Path) -> No
         '<script src="../assets/x.js"></script><img src="data:image/png;base64,AA==">',
         "<code>url(https://example.org)</code>",
         "<style>.a { background: url(x.png) }</style>",
+        "<style>/* @import url(https://example.org/x.css) */ @import url(x.css); @import 'y.css';</style>",
+        "<script>import('./x.js'); fetch('/x.json'); let spec = 'https://example.org/'</script>",
+        '<meta http-equiv="refresh" content="0; url=other.html"><meta name="x" content="url=https://example.org">',
     ],
 )
 def test_what_is_not_loaded_is_no_finding(html: str) -> None:
     assert loading.in_page(html) == []
 
 
-def test_style_sheets_are_read(tmp_path: Path) -> None:
+def test_style_sheets_and_scripts_are_read(tmp_path: Path) -> None:
     (tmp_path / "good.css").write_text("a { background: url(data:image/svg+xml;x) } b { src: url(../f.woff2) }")
     (tmp_path / "wrong.css").write_text('@font-face { src: url("https://fonts.example.org/f.woff2") }')
-    assert list(loading.findings(tmp_path)) == ["wrong.css: https://fonts.example.org/f.woff2"]
+    (tmp_path / "wrong.js").write_text("import x from 'https://example.org/x.js'\n")
+    assert list(loading.findings(tmp_path)) == [
+        "wrong.css: https://fonts.example.org/f.woff2",
+        "wrong.js: https://example.org/x.js",
+    ]
+
+
+@pytest.mark.parametrize(
+    "rule",
+    [
+        "@import url(https://fonts.example/a.css);",
+        "@import url( 'https://fonts.example/a.css' );",
+        '@import "https://fonts.example/a.css" screen;',
+        "@import'https://fonts.example/a.css';",
+        "a { background: image-set(url(https://fonts.example/a.css) 1x) }",
+        "a { background: -webkit-image-set('https://fonts.example/a.css' 1x) }",
+    ],
+)
+def test_every_form_of_an_address_in_a_style_sheet_is_found_once(rule: str) -> None:
+    assert loading.in_style(rule) == ["https://fonts.example/a.css"]
 
 
 def generator(monkeypatch: pytest.MonkeyPatch, folder: Path, script: str) -> None:
