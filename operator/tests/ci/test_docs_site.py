@@ -9,7 +9,7 @@ import pytest
 from ci import links
 from ci.docs import __main__ as docs
 from ci.docs import loading, pages
-from ci.errors import InputError
+from ci.errors import InputError, SetUpError
 
 pytestmark = pytest.mark.processes
 
@@ -39,6 +39,13 @@ def test_links_between_pages_and_to_elsewhere_stay() -> None:
         ("[top](../README.md#x)", "[top](../index.md#x)", "[top](../index.md#x)"),
         ("[chart](../charts/app)", "[chart](../charts/app/index.md)", "[chart](../charts/app/index.md)"),
         ("[chart](../charts/app/)", "[chart](../charts/app/index.md)", "[chart](../charts/app/index.md)"),
+        ("[chart](../charts/app#x)", "[chart](../charts/app/index.md#x)", "[chart](../charts/app/index.md#x)"),
+        (
+            "[t][a] `[t][a]`\n\n[a]: ../README.md",
+            "[t](../index.md) `[t][a]`\n\n[a]: ../README.md",
+            "[t](../index.md) `[t][a]`\n\n[a]: ../README.md",
+        ),
+        ("[t](<../a b.py>)", "t (`a b.py`)", f"[t](<{FORGE}/a b.py>)"),
         ("a [test](../operator/x.py#L3) b", "a test (`operator/x.py`) b", f"a [test]({FORGE}/operator/x.py) b"),
         ("[`operator/x.py`](../operator/x.py)", "`operator/x.py`", f"[`operator/x.py`]({FORGE}/operator/x.py)"),
     ],
@@ -55,6 +62,11 @@ def test_every_page_of_this_repository_is_in_the_contents_once() -> None:
     found = pages.contents(names)
     assert list(found) == list(pages.SECTIONS)
     assert sorted([pages.TOP, *(name for section in found.values() for name in section)]) == sorted(names)
+
+
+def test_a_repository_without_its_first_page_is_refused_in_words() -> None:
+    with pytest.raises(SetUpError, match=r"no README\.md, the first page of the site; add it"):
+        pages.site(pages.Repository(FILES - {"README.md"}), lambda name: "")
 
 
 def test_the_first_page_has_the_contents() -> None:
