@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from html.parser import HTMLParser
-from itertools import accumulate, pairwise
+from itertools import pairwise
 from typing import Any
 
 from markdown_it import MarkdownIt
@@ -20,6 +20,7 @@ from markdown_it.token import Token
 
 WIDTH = 120
 
+NEWLINE = re.compile(r"\r\n?|\n")
 ITEM = re.compile(r"^(?P<prefix> *(?:[-*+]|\d{1,9}[.)]) +)\S")
 CODE_SPAN = re.compile(r"(?<!`)(`+)(?!`)(?:(?!\n[ \t]*\n).)+?(?<!`)\1(?!`)", re.DOTALL)
 UNBREAKABLE = re.compile(rf"{CODE_SPAN.pattern}|\]\([^()\n]*\)", re.DOTALL)
@@ -283,8 +284,8 @@ def links(text: str) -> list[Link]:
 
 def _written(text: str, parsed: _Parsed) -> Iterator[Link]:
     """Links and images in the text of a page, with their places; one within another follows it."""
-    rows = text.split("\n")
-    starts = [0, *accumulate(len(row) + 1 for row in rows)]
+    rows = NEWLINE.split(text)
+    starts = [0, *(newline.end() for newline in NEWLINE.finditer(text))]
     cell_end = 0  # behind the cell before, in a table
     for before, token in pairwise(parsed.tokens):
         if before.type == "tr_open":

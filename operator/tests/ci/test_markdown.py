@@ -150,6 +150,7 @@ def test_lines_have_the_kind_that_a_reader_of_markdown_gives_them(text: str, kin
         "## [a](b) ##",
         "> - one\n>   two [a](b)\n",
         "[![a](b)",
+        "one\r\n\r\ntwo\r\n[a](b)\r\n",
     ],
 )
 def test_a_link_has_its_place_in_the_text(text: str) -> None:
