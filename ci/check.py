@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from ci import links, markdown
+from ci.errors import InputError
 
 TOP = Path(__file__).resolve().parent.parent
 CODE = ["operator/src", "operator/tests", "benchmarks", "ci", "scenarios"]
@@ -44,13 +45,18 @@ def repository_rules() -> list[str]:
     machine = re.compile(r"(?<![\w.}])/(?:root|home/\w+|tmp/\w+)/[A-Za-z.]")
     registries = re.compile(r"https?://[\w.-]*(?:pypi|pythonhosted|npmjs|proxy\.golang|mirror|deb\.debian)[\w.-]*")
     for name in tracked("*.py", "*.md", "*.yaml", "*.txt", "*.toml", "Makefile", "*.sh", "*.mod"):
-        for number, line in enumerate((TOP / name).read_text(encoding="utf-8").splitlines(), 1):
+        try:
+            text = links.text(name, TOP)
+        except InputError as error:
+            findings.append(str(error))
+            continue
+        for number, line in enumerate(text.splitlines(), 1):
             if machine.search(line) and "ci/check.py" not in name:
                 findings.append(f"{name}:{number}: absolute path of one machine: {line.strip()[:100]}")
             if registries.search(line) and "ci/check.py" not in name:
                 findings.append(f"{name}:{number}: address of a package registry: {line.strip()[:100]}")
     for name in tracked("*.py"):
-        lines = (TOP / name).read_text(encoding="utf-8").count("\n")
+        lines = (TOP / name).read_bytes().count(b"\n")
         if lines > LONGEST_MODULE_LINES:
             findings.append(
                 f"{name}: {lines} lines; a module of more than {LONGEST_MODULE_LINES} is more than one idea"
@@ -74,7 +80,7 @@ def long_lines() -> list[str]:
         f"{name}:{line.number}: {len(line.text)} characters; a line of text has at most {markdown.WIDTH}"
         for name in tracked("*.md")
         if not name.startswith(AS_PUBLISHED)
-        for line in markdown.too_long((TOP / name).read_text(encoding="utf-8"))
+        for line in markdown.too_long((TOP / name).read_text(encoding="utf-8-sig", errors="replace"))
     ]
 
 

@@ -41,7 +41,7 @@ def generator() -> Path:
 def assemble(address: str) -> Path:
     """Write the pages and the generator's settings into the output folder; returns their folder."""
     repository = pages.Repository(frozenset(links.files()), address)
-    texts = pages.site(repository, lambda name: (PROJECT / name).read_text(encoding="utf-8"))
+    texts = pages.site(repository, links.text)
     shutil.rmtree(OUTPUT, ignore_errors=True)
     folder = OUTPUT / "pages"
     for name, text in texts.items():

@@ -9,10 +9,12 @@ from pathlib import Path
 
 LOADED = {
     "script": ("src",),
-    "link": ("href",),
+    "link": ("href", "imagesrcset"),
     "img": ("src", "srcset"),
     "source": ("src", "srcset"),
     "iframe": ("src",),
+    "frame": ("src",),
+    "base": ("href",),
     "embed": ("src",),
     "object": ("data",),
     "video": ("src", "poster"),
@@ -29,31 +31,51 @@ SHOWN_ONLY = {"canonical", "alternate", "author", "license", "next", "prev", "ed
 """Relations of a `link` that are not fetched."""
 
 ELSEWHERE = re.compile(r"^\s*(?:[a-z][a-z0-9+.-]*:)?//", re.IGNORECASE)
-OF_STYLES = re.compile(r"(?:url\(\s*|@import\s+)[\"']?([^\"')\s;]+)", re.IGNORECASE)
+COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
+OF_STYLES = re.compile(r"(?:url\(\s*|@import\s*(?=[\"']))[\"']?\s*([^\"')\s;]+)", re.IGNORECASE)
+"""Addresses in a style sheet: `url(...)` with and without quotes, wherever it stands, and the text of an `@import`."""
+
+IMAGE_SET = re.compile(r"image-set\(([^;}]*)", re.IGNORECASE)
+QUOTED = re.compile(r"[\"']([^\"']*)[\"']")
+OF_SCRIPTS = re.compile(
+    r"(?:\b(?:import|from|fetch|importScripts|Worker|WebSocket|EventSource|sendBeacon)\s*\(?"
+    r"|\.open\(\s*[\"'`]\w+[\"'`]\s*,|\.(?:src|href|action)\s*=|\blocation\s*=)\s*[\"'`]([^\"'`]+)"
+)
+"""Addresses that a script writes out where it imports, fetches, connects, or sets what an element loads."""
+
+REFRESH = re.compile(r"\burl\s*=\s*[\"']?([^\"']+)", re.IGNORECASE)
 
 
 class _Page(HTMLParser):
     def __init__(self) -> None:
         super().__init__()
         self.found: list[str] = []
-        self.styling = False
+        self.within = ""
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         given = {name: value or "" for name, value in attrs}
-        self.styling = tag == "style"
-        self.found += _foreign(OF_STYLES.findall(given.get("style", "")))
+        self.within = tag
+        self.found += in_style(given.get("style", "")) + in_page(given.get("srcdoc", ""))
+        self.found += [
+            address for name, value in given.items() if name.startswith("on") for address in in_script(value)
+        ]
+        if tag == "meta" and given.get("http-equiv", "").strip().lower() == "refresh":
+            self.found += _foreign(REFRESH.findall(given.get("content", "")))
         if tag == "link" and set(given.get("rel", "").split()) <= SHOWN_ONLY:
             return
         for attribute in LOADED.get(tag, ()):
-            addresses = given.get(attribute, "").split(",") if attribute == "srcset" else [given.get(attribute, "")]
+            value = given.get(attribute, "")
+            addresses = value.split(",") if attribute.endswith("srcset") else [value]
             self.found += [f"<{tag} {attribute}> {address}" for address in _foreign(addresses)]
 
     def handle_endtag(self, tag: str) -> None:
-        self.styling = self.styling and tag != "style"
+        self.within = ""
 
     def handle_data(self, data: str) -> None:
-        if self.styling:
-            self.found += _foreign(OF_STYLES.findall(data))
+        if self.within == "style":
+            self.found += in_style(data)
+        if self.within == "script":
+            self.found += in_script(data)
 
 
 def _foreign(addresses: list[str]) -> list[str]:
@@ -70,12 +92,21 @@ def in_page(html: str) -> list[str]:
 
 def in_style(css: str) -> list[str]:
     """What a style sheet would load from elsewhere."""
-    return _foreign(OF_STYLES.findall(css))
+    rules = COMMENT.sub(" ", css)
+    quoted = [
+        address for images in IMAGE_SET.findall(rules) for address in QUOTED.findall(re.sub(r"url\(.*?\)", "", images))
+    ]
+    return _foreign(OF_STYLES.findall(rules) + quoted)
+
+
+def in_script(code: str) -> list[str]:
+    """What a script would load from elsewhere, as far as it writes addresses out."""
+    return _foreign(OF_SCRIPTS.findall(code))
 
 
 def findings(site: Path) -> Iterator[str]:
-    """`file: what` for everything that the pages and style sheets below a folder would load from elsewhere."""
-    for suffix, foreign_in in ((".html", in_page), (".css", in_style)):
+    """`file: what` for everything that the pages, style sheets and scripts below a folder would load from elsewhere."""
+    for suffix, foreign_in in ((".html", in_page), (".css", in_style), (".js", in_script)):
         for path in sorted(site.rglob(f"*{suffix}")):
             for address in foreign_in(path.read_text(encoding="utf-8")):
                 yield f"{path.relative_to(site)}: {address}"

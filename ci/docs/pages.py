@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from posixpath import basename, dirname
 
 from ci import markdown
+from ci.errors import SetUpError
 from ci.links import ELSEWHERE, resolved
 
 Read = Callable[[str], str]
@@ -54,6 +55,10 @@ class Repository:
 def site(repository: Repository, read: Read) -> dict[str, str]:
     """Path in the site -> text of every page; the first page also has the contents."""
     pages = repository.pages()
+    if TOP not in pages:
+        raise SetUpError(
+            f"the repository has no {TOP}, the first page of the site; add it, or run in the whole checkout"
+        )
     texts = {place(name): linked(name, read(name), frozenset(pages), repository.address) for name in pages}
     for title, names in contents(pages).items():
         texts[place(TOP)] += CONTENTS.format(title=title, entries="\n".join(map(_entry, names)))
@@ -69,9 +74,9 @@ def place(name: str) -> str:
 def linked(page: str, text: str, pages: frozenset[str], address: str = "") -> str:
     """The text of a page with links that lead somewhere in the site."""
     parts, end = [], 0
-    for link in markdown.links(text):
-        new = _link(page, link, pages, address)
-        if new and text[link.start] == "[" and link.start >= end:
+    for link in sorted(markdown.links(text), key=lambda link: link.start):
+        new = _link(page, link, pages, address) if link.kind in ("inline", "reference") else ""
+        if new and link.start >= end:
             parts += [text[end : link.start], new]
             end = link.end
     return "".join([*parts, text[end:]])
@@ -84,12 +89,18 @@ def _link(page: str, link: markdown.Link, pages: frozenset[str], address: str) -
         return ""
     path, _ = resolved(page, link.target)
     if path in pages:
-        return f"[{link.label}]({place(file)}{hash_sign}{anchor})"
+        return f"[{link.label}]({_target(place(file) + hash_sign + anchor)})"
     if f"{path}/{TOP}".removeprefix("./") in pages:
-        return f"[{link.label}]({file.rstrip('/')}/{place(TOP)})"
+        index = f"{file.rstrip('/')}/{place(TOP)}{hash_sign}{anchor}"
+        return f"[{link.label}]({_target(index)})"
     if address:
-        return f"[{link.label}]({address.rstrip('/')}/{path})"
+        return f"[{link.label}]({_target(address.rstrip('/') + '/' + path)})"
     return f"`{path}`" if link.label.strip("`") == path else f"{link.label} (`{path}`)"
+
+
+def _target(address: str) -> str:
+    """An address as it stands in a link."""
+    return f"<{address}>" if set(address) & set(" ()") else address
 
 
 def contents(pages: Iterable[str]) -> dict[str, list[str]]:

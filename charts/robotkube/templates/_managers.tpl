@@ -60,7 +60,7 @@
 {{- end }}
 
 {{- /* What is wrong with each of `managers` by itself, one line each. Whether they fit together is said by the managers and the gate
-       when they start (robotkube.domain.scopes). */ -}}
+       when they start (robotkube.delivery.manager.core.placement.scopes). */ -}}
 {{- define "robotkube.managerRefusals" -}}
 {{- $taken := list "administrator" "argocd" "bootstrap" "broker" "database" "default" "forge" "gate" "observer" "operator-team" "publisher" "suite-runner" "teardown" }}
 {{- $declared := list }}{{ range .Values.agents }}{{ $declared = append $declared .name }}{{ end }}

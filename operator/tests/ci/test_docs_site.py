@@ -9,7 +9,7 @@ import pytest
 from ci import links
 from ci.docs import __main__ as docs
 from ci.docs import loading, pages
-from ci.errors import InputError
+from ci.errors import InputError, SetUpError
 
 pytestmark = pytest.mark.processes
 
@@ -39,6 +39,13 @@ def test_links_between_pages_and_to_elsewhere_stay() -> None:
         ("[top](../README.md#x)", "[top](../index.md#x)", "[top](../index.md#x)"),
         ("[chart](../charts/app)", "[chart](../charts/app/index.md)", "[chart](../charts/app/index.md)"),
         ("[chart](../charts/app/)", "[chart](../charts/app/index.md)", "[chart](../charts/app/index.md)"),
+        ("[chart](../charts/app#x)", "[chart](../charts/app/index.md#x)", "[chart](../charts/app/index.md#x)"),
+        (
+            "[t][a] `[t][a]`\n\n[a]: ../README.md",
+            "[t](../index.md) `[t][a]`\n\n[a]: ../README.md",
+            "[t](../index.md) `[t][a]`\n\n[a]: ../README.md",
+        ),
+        ("[t](<../a b.py>)", "t (`a b.py`)", f"[t](<{FORGE}/a b.py>)"),
         ("a [test](../operator/x.py#L3) b", "a test (`operator/x.py`) b", f"a [test]({FORGE}/operator/x.py) b"),
         ("[`operator/x.py`](../operator/x.py)", "`operator/x.py`", f"[`operator/x.py`]({FORGE}/operator/x.py)"),
     ],
@@ -55,6 +62,11 @@ def test_every_page_of_this_repository_is_in_the_contents_once() -> None:
     found = pages.contents(names)
     assert list(found) == list(pages.SECTIONS)
     assert sorted([pages.TOP, *(name for section in found.values() for name in section)]) == sorted(names)
+
+
+def test_a_repository_without_its_first_page_is_refused_in_words() -> None:
+    with pytest.raises(SetUpError, match=r"no README\.md, the first page of the site; add it"):
+        pages.site(pages.Repository(FILES - {"README.md"}), lambda name: "")
 
 
 def test_the_first_page_has_the_contents() -> None:
@@ -77,6 +89,17 @@ def test_the_first_page_has_the_contents() -> None:
         "<style>@import 'https://example.org/x.css';</style>",
         '<p style="background: url(//example.org/x.png)">',
         '<svg><use href="https://example.org/x.svg#y"/></svg>',
+        "<style>@import url(https://example.org/x.css);</style>",
+        '<style>a { background: image-set("https://example.org/x.png" 1x, "y.png" 2x) }</style>',
+        '<script>import("https://example.org/x.js")</script>',
+        '<script type="module">import x from "https://example.org/x.js"</script>',
+        "<script>fetch('//example.org/x.json').then(show)</script>",
+        "<script>request.open('GET', 'https://example.org/x')</script>",
+        '<meta http-equiv="Refresh" content="0; url=https://example.org/">',
+        '<base href="https://example.org/">',
+        '<frameset><frame src="https://example.org/"></frameset>',
+        "<iframe srcdoc='<img src=\"https://example.org/x.png\">'></iframe>",
+        """<p onclick="location = 'https://example.org/'">""",
     ],
 )
 def test_what_is_loaded_from_elsewhere_is_found(html: str, tmp_path: Path) -> None:
@@ -95,16 +118,38 @@ def test_what_is_loaded_from_elsewhere_is_found(html: str, tmp_path: Path) -> No
         '<script src="../assets/x.js"></script><img src="data:image/png;base64,AA==">',
         "<code>url(https://example.org)</code>",
         "<style>.a { background: url(x.png) }</style>",
+        "<style>/* @import url(https://example.org/x.css) */ @import url(x.css); @import 'y.css';</style>",
+        "<script>import('./x.js'); fetch('/x.json'); let spec = 'https://example.org/'</script>",
+        '<meta http-equiv="refresh" content="0; url=other.html"><meta name="x" content="url=https://example.org">',
     ],
 )
 def test_what_is_not_loaded_is_no_finding(html: str) -> None:
     assert loading.in_page(html) == []
 
 
-def test_style_sheets_are_read(tmp_path: Path) -> None:
+def test_style_sheets_and_scripts_are_read(tmp_path: Path) -> None:
     (tmp_path / "good.css").write_text("a { background: url(data:image/svg+xml;x) } b { src: url(../f.woff2) }")
     (tmp_path / "wrong.css").write_text('@font-face { src: url("https://fonts.example.org/f.woff2") }')
-    assert list(loading.findings(tmp_path)) == ["wrong.css: https://fonts.example.org/f.woff2"]
+    (tmp_path / "wrong.js").write_text("import x from 'https://example.org/x.js'\n")
+    assert list(loading.findings(tmp_path)) == [
+        "wrong.css: https://fonts.example.org/f.woff2",
+        "wrong.js: https://example.org/x.js",
+    ]
+
+
+@pytest.mark.parametrize(
+    "rule",
+    [
+        "@import url(https://fonts.example/a.css);",
+        "@import url( 'https://fonts.example/a.css' );",
+        '@import "https://fonts.example/a.css" screen;',
+        "@import'https://fonts.example/a.css';",
+        "a { background: image-set(url(https://fonts.example/a.css) 1x) }",
+        "a { background: -webkit-image-set('https://fonts.example/a.css' 1x) }",
+    ],
+)
+def test_every_form_of_an_address_in_a_style_sheet_is_found_once(rule: str) -> None:
+    assert loading.in_style(rule) == ["https://fonts.example/a.css"]
 
 
 def generator(monkeypatch: pytest.MonkeyPatch, folder: Path, script: str) -> None:

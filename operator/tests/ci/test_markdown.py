@@ -21,8 +21,13 @@ KEPT = {
     "a forced break": f"{LONG}  \nnext\n",
     "one long word": f"{'x' * 200}\n",
     "one long link": f"[{'x' * 100}](https://example.org/{'y' * 100})\n",
+    "a comment": f"<!--\n{LONG}\n{LONG}\n-->\n",
+    "definitions": f"[a]: {'x' * 60}.md\n[b]: {'x' * 120}.md\n",
     "lines that fit": "one\ntwo\n  three\n",
 }
+TOO_LONG = ("a heading", "a forced break", "a comment", "definitions")
+"""What is kept, and is to be written shorter by hand."""
+
 SHOWN = {
     "a paragraph": f"{LONG}[a link to somewhere](page.md#there) {LONG}\n",
     "a list": f"- {LONG}\n  {LONG}\n- short\n\n1. {LONG}\n   - {LONG}\n2. {LONG}\n",
@@ -93,7 +98,10 @@ def test_any_page_is_shown_as_before(blocks: list[tuple[str, list[str]]]) -> Non
         (f"<!-- {LONG} -->\n", [1]),
         (f"see {'x' * 200}\n", [1]),
         (f"- {'x' * 200}\n", []),
-        *((text, []) for name, text in KEPT.items() if name not in ("a heading", "a forced break")),
+        (f"```text```\n\n{LONG}\n", [3]),
+        (f"- ```\n  {LONG}\n  ```\n\n{LONG}\n", [5]),
+        (f"> ```\n> {LONG}\n> ```\n", []),
+        *((text, []) for name, text in KEPT.items() if name not in TOO_LONG),
     ],
 )
 def test_lines_that_are_too_long_are_told(text: str, numbers: list[int]) -> None:
@@ -115,3 +123,38 @@ def test_the_check_tells_long_lines_but_not_of_what_is_published(
 def test_anchors_are_those_of_forges() -> None:
     text = '# A `b`, c: [d](e.md)\n## Same\n## Same\n### build/x.json\n```\n# no\n```\n<a id="own"></a>\n'
     assert markdown.anchors(text) == {"a-b-c-d", "same", "same-1", "buildxjson", "own"}
+
+
+@pytest.mark.parametrize(
+    ("text", "kinds"),
+    [
+        ("one\n===\ntwo\n---\n\n***\n", ["heading"] * 4 + ["blank", "rule"]),
+        ("- one\n  two\n\n      code\n- # three\n", ["item", "text", "blank", "code", "heading"]),
+        ("> one\ntwo\n\n[a]:\n  b.md\n", ["quote", "quote", "blank", "definition", "definition"]),
+        ("````\n```\n\n````\n<p>\none\n", ["code"] * 4 + ["html"] * 2),
+        ("| a |\n| - |\n| b |\nbehind\n", ["table"] * 4),
+        ("", []),
+    ],
+)
+def test_lines_have_the_kind_that_a_reader_of_markdown_gives_them(text: str, kinds: list[str]) -> None:
+    assert [line.kind for line in markdown.lines(text)] == kinds
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "`[a](b)` and [a](b)",
+        "> quoted\n> [a](b)",
+        "- one\n  - [a](b)",
+        "| [a] | `[a](b)` | x \\| [a](b) |\n| - | - | - |\n",
+        "## [a](b) ##",
+        "> - one\n>   two [a](b)\n",
+        "[![a](b)",
+        "one\r\n\r\ntwo\r\n[a](b)\r\n",
+    ],
+)
+def test_a_link_has_its_place_in_the_text(text: str) -> None:
+    (link,) = markdown.links(text)
+    assert (text[link.start : link.end], link.label, link.target, link.kind) == ("[a](b)", "a", "b", "inline")
+    assert link.start == text.rindex("[a](b)")
+    assert link.line == text.count("\n", 0, link.start) + 1
