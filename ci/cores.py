@@ -33,8 +33,10 @@ PARTS = {  # standard modules that read files, the clock or the process too: wha
     "tarfile": ("AREGTYPE", "BLOCKSIZE", "HeaderError", "REGTYPE", "TarInfo", "USTAR_FORMAT"),
 }
 REFUSED_NAMES = frozenset(
-    ["__builtins__", "__import__", "__loader__", "__spec__", "breakpoint", "compile", "eval", "exec", "input", "open"]
-    + ["print"]
+    [
+        *("__builtins__", "__import__", "__loader__", "__spec__", "breakpoint", "compile", "eval", "exec", "input"),
+        *("open", "print"),
+    ]
 )
 REFUSED_OBJECTS = tuple(vars(builtins)[name] for name in sorted(REFUSED_NAMES & set(vars(builtins))))
 CLOCKS = ("now", "today", "utcnow")
