@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from ci import links, markdown
+from ci import boundaries, cores, links, markdown
 from ci.errors import InputError
 
 TOP = Path(__file__).resolve().parent.parent
@@ -37,7 +37,8 @@ def tracked(*patterns: str) -> list[str]:
 
 def repository_rules() -> list[str]:
     """Rules that no tool knows: no absolute paths of one machine, no registry addresses, no module of more than 500
-    lines, no page with lines that do not fit into a window.
+    lines, no folder with too many of them, no page with lines that do not fit into a window, no core that is not pure,
+    no package outside of the import contracts.
     """
     findings = []
     if (TOP / "operator/__init__.py").exists():
@@ -61,7 +62,8 @@ def repository_rules() -> list[str]:
             findings.append(
                 f"{name}: {lines} lines; a module of more than {LONGEST_MODULE_LINES} is more than one idea"
             )
-    return findings + crowded_folders(tracked("operator/src/*.py")) + long_lines()
+    findings += crowded_folders(tracked("operator/src/*.py")) + long_lines()
+    return findings + cores.findings(TOP / "operator/src/robotkube") + boundaries.findings(TOP)
 
 
 def crowded_folders(names: Iterable[str]) -> list[str]:

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from ci.imports import imports, module_name, package_of
+
 TOP = Path(__file__).resolve().parents[3]
 SOURCES = TOP / "operator" / "src"
 PLATFORM = (
@@ -35,28 +37,25 @@ ROBOT = (
     "robotkube.robots.bags.sample_bag",
     "robotkube.registry.suites.observer",
 )
+NATIVE_TOO = frozenset(["robotkube", "robotkube_rcl"])  # the second is built from operator/native
 COMMAND_LINE = ("robotkube.cli.__main__",)
 
 
-def imported(source: str) -> Iterator[str]:
-    """Every module that a text of Python imports, anywhere in it; of `from a import b` both `a` and `a.b`."""
-    for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            yield node.module
-            yield from (f"{node.module}.{alias.name}" for alias in node.names)
-
-
-def module_name(path: Path) -> str:
-    parts = path.relative_to(SOURCES).with_suffix("").parts
-    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+def imported(source: str, package: str = "") -> Iterator[str]:
+    """Every module that a text of Python in `package` imports, anywhere in it; of `from a import b` both `a` and `a.b`.
+    Relative ones have their whole name, and a literal name in a call of `import_module` or `__import__` counts."""
+    for one in imports(ast.parse(source), package):
+        yield from (one.module, one.whole)
 
 
 @cache
 def modules() -> Mapping[str, frozenset[str]]:
     """Every module of the package and what it imports."""
-    return {module_name(path): frozenset(imported(path.read_text())) for path in SOURCES.rglob("*.py")}
+    return {module_name(path, SOURCES): imported_by(path, SOURCES) for path in SOURCES.rglob("*.py")}
+
+
+def imported_by(path: Path, root: Path) -> frozenset[str]:
+    return frozenset(imported(path.read_text(), package_of(path, root)))
 
 
 def reachable(start: str) -> frozenset[str]:
@@ -98,34 +97,35 @@ def undeclared(names: frozenset[str], known: frozenset[str], own: frozenset[str]
 
 def own_packages() -> frozenset[str]:
     """What is imported by name and is part of the repository: its packages."""
-    return frozenset(["robotkube", "benchmarks", "ci", "scenarios", "gitops", "tests"])
+    return NATIVE_TOO | {"benchmarks", "ci", "scenarios", "gitops", "tests"}
 
 
 @pytest.mark.parametrize("process", PLATFORM)
 def test_what_a_process_of_the_platform_imports_is_declared_for_the_platform(process: str) -> None:
-    assert undeclared(reachable(process), declared("platform"), frozenset(["robotkube"])) == {}
+    assert undeclared(reachable(process), declared("platform"), NATIVE_TOO) == {}
 
 
 @pytest.mark.parametrize("process", ROBOT)
 def test_what_a_process_on_a_robot_imports_is_declared_for_robots(process: str) -> None:
-    assert undeclared(reachable(process), declared("robot"), frozenset(["robotkube"])) == {}
+    assert undeclared(reachable(process), declared("robot"), NATIVE_TOO) == {}
 
 
 @pytest.mark.parametrize("process", COMMAND_LINE)
 def test_what_the_command_line_imports_is_declared_for_the_platform_or_for_robots(process: str) -> None:
-    assert undeclared(reachable(process), declared("platform", "robot"), frozenset(["robotkube"])) == {}
+    assert undeclared(reachable(process), declared("platform", "robot"), NATIVE_TOO) == {}
 
 
 @pytest.mark.parametrize("folder", ["operator/src", "operator/tests", "benchmarks", "ci", "scenarios"])
 def test_what_a_folder_imports_is_declared_in_some_extra(folder: str) -> None:
-    names = frozenset(name for path in (TOP / folder).rglob("*.py") for name in imported(path.read_text()))
+    root = SOURCES if folder == "operator/src" else (TOP / folder).parent
+    names = frozenset(name for path in (TOP / folder).rglob("*.py") for name in imported_by(path, root))
     assert undeclared(names, every_extra(), own_packages()) == {}
 
 
 def test_every_module_that_runs_as_a_process_is_looked_at() -> None:
     """A new process has to be put into one of the lists above."""
     guards = (path for path in SOURCES.rglob("*.py") if "\nif __name__ ==" in path.read_text())
-    runs = {module_name(path) for path in guards if "skeletons" not in path.parts}
+    runs = {module_name(path, SOURCES) for path in guards if "skeletons" not in path.parts}
     assert runs == {*PLATFORM, *ROBOT, *COMMAND_LINE}
 
 
@@ -135,3 +135,19 @@ def test_every_package_that_is_declared_for_the_platform_is_imported() -> None:
     names = {name.partition(".")[0] for process in (*PLATFORM, *COMMAND_LINE) for name in reachable(process)}
     used = {distribution(one) for name in names for one in homes.get(name, [])}
     assert declared("platform") - used == set()
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        ("from . import c", "robotkube.a.b.c"),
+        ("from .c import d", "robotkube.a.b.c.d"),
+        ("from ..c import d", "robotkube.a.c"),
+        ("from ... import errors", "robotkube.errors"),
+        ("import importlib\nimportlib.import_module('numpy')", "numpy"),
+        ("from importlib import import_module\nimport_module(name='..c', package=__package__)", "robotkube.a.c"),
+        ("x = __import__('numpy.linalg')", "numpy.linalg"),
+    ],
+)
+def test_relative_imports_and_calls_with_a_literal_name_are_seen(text: str, name: str) -> None:
+    assert name in set(imported(text, "robotkube.a.b"))

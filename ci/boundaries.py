@@ -1,0 +1,104 @@
+"""Boundaries that the import contracts draw by lists: nothing on the disk is outside of the lists, and ROS and the
+tests are imported where they may be alone.
+"""
+
+from __future__ import annotations
+
+import ast
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from ci.imports import imports, module_name, package_of
+
+FLOORS = ("foundation", "robots", "registry", "delivery")  # packages of subjects; every other package is a subject
+KINDS = ("core", "ports", "loops", "adapters")
+ROOTS = {"benchmarks": ".", "ci": ".", "gitops": ".", "scenarios": ".", "robotkube": "operator/src"}
+SKELETONS = "skeletons"  # files for others to start from, no modules
+ROS = ("rclpy", "rosbag2_py", "rosidl_runtime_py")
+ROS_HOME = "operator/src/robotkube/robots/ros/adapters/"
+ROS_ELSEWHERE = {
+    "benchmarks/naive_bridge.py": "a baseline: stands for what other people write",
+    "benchmarks/naive_detector.py": "a baseline: stands for what other people write",
+}
+
+
+def findings(top: Path) -> list[str]:
+    root = top / "operator/src/robotkube"
+    project = tomllib.loads((top / "operator/pyproject.toml").read_text(encoding="utf-8"))
+    return [*no_packages(root), *outside_of_contracts(root, project), *forbidden_imports(top)]
+
+
+def no_packages(root: Path) -> list[str]:
+    """Folders with modules and without `__init__.py`, which import-linter does not see; those above them too."""
+    folders = {
+        folder
+        for path in modules(root)
+        for folder in path.parents
+        if folder.is_relative_to(root) and not (folder / "__init__.py").is_file()
+    }
+    return [
+        f"{folder.relative_to(root.parent).as_posix()}: has modules and no __init__.py: the import contracts miss it"
+        for folder in sorted(folders)
+    ]
+
+
+def modules(root: Path) -> list[Path]:
+    return [path for path in sorted(root.rglob("*.py")) if SKELETONS not in path.parts]
+
+
+def outside_of_contracts(root: Path, project: dict[str, Any]) -> list[str]:
+    """Packages on the disk that a list of the import contracts lacks."""
+    listed = {contract["name"]: contract for contract in project["tool"]["importlinter"]["contracts"]}
+    return [
+        f"operator/pyproject.toml: contract {name!r}: {key} lacks {missing}"
+        for beginning, (key, names) in demanded(root).items()
+        for name, contract in listed.items()
+        if name.startswith(beginning)
+        for missing in sorted(names - {part for entry in contract[key] for part in entry.split(" | ")})
+    ]
+
+
+def demanded(root: Path) -> dict[str, tuple[str, set[str]]]:
+    """What the name of a contract begins with -> its key with a list, and what has to stand there."""
+    names = {module_name(path, root.parent) for path in modules(root)} | packages(root)
+    floors = {f"robotkube.{floor}" for floor in FLOORS} & names
+    first = {name for name in names if name.count(".") == 1}
+    subjects = {name for name in names if name.rpartition(".")[0] in floors} | (first - floors)
+    ros = "robotkube.robots.ros"
+    of_ros = {f"{ros}.{kind}" for kind in KINDS if kind != "adapters"} & names
+    layered = {name for name in subjects for kind in KINDS if f"{name}.{kind}" in names}
+    running = first - {"robotkube.testing"}
+    return {
+        "Floors": ("layers", running),
+        "Subjects form no circle": ("ancestors", floors | {"robotkube"}),
+        "Inside a subject": ("containers", layered),
+        "ROS is known": ("source_modules", subjects - {ros} | of_ros | {"ci", "scenarios"}),
+        "Nothing that runs": ("source_modules", running),
+    }
+
+
+def packages(root: Path) -> set[str]:
+    folders = {folder for path in modules(root) for folder in path.parents if folder.is_relative_to(root)}
+    return {".".join(folder.relative_to(root.parent).parts) for folder in folders}
+
+
+def forbidden_imports(top: Path) -> list[str]:
+    """Imports of ROS outside of its adapter, and of the tests anywhere."""
+    found = []
+    for package, place in ROOTS.items():
+        for path in modules(top / place / package):
+            name = path.relative_to(top).as_posix()
+            for line, imported in _first_parts(path, top / place):
+                if imported in ROS and not name.startswith(ROS_HOME) and name not in ROS_ELSEWHERE:
+                    found.append(f"{name}:{line}: imports {imported}; only {ROS_HOME} knows ROS")
+                if imported == "tests":
+                    found.append(f"{name}:{line}: imports tests; only tests do")
+    return found
+
+
+def _first_parts(path: Path, root: Path) -> Iterator[tuple[int, str]]:
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    for one in imports(tree, package_of(path, root)):
+        yield one.line, one.module.partition(".")[0]
