@@ -40,7 +40,7 @@ def changed(envelope: bytes, **values: Any) -> bytes:
     return canonical_json({**json.loads(envelope), **values})
 
 
-def payload(statement: Mapping[str, Any]) -> str:
+def payload(statement: Any) -> str:
     return base64.b64encode(canonical_json(statement)).decode()
 
 
@@ -97,8 +97,18 @@ def test_a_summary_is_about_one_chart(subjects: list[Any]) -> None:
     assert evidence.summaries({PATH: b"x"}, lambda _: VerifiedStatement(found, "", "")) == {sha256(b"x"): ""}
 
 
-@pytest.mark.parametrize("data", [b"", b"\xff\xfe", b"[]", b"{}", b'{"payload": 1}', b"[" * 100_000])
+@pytest.mark.parametrize(
+    "data",
+    [b"", b"\xff\xfe", b"[]", b"{}", b'{"payload": 1}', b'{"payload": "no base64"}', b"[" * 100_000],
+)
 def test_a_broken_summary_is_about_nothing(keys: TrustedKeys, data: bytes) -> None:
+    assert evidence.summaries({PATH: data}, keys.verify) == {sha256(data): ""}
+
+
+@pytest.mark.parametrize("content", [[], {"subject": []}, {"subject": [{"digest": {}}]}, {"subject": ["a", "b"]}])
+def test_a_summary_with_a_broken_statement_is_about_nothing(key: KeyFile, keys: TrustedKeys, content: Any) -> None:
+    """The envelope is of the right form."""
+    data = changed(summary(key), payload=payload(content), signatures=[])
     assert evidence.summaries({PATH: data}, keys.verify) == {sha256(data): ""}
 
 

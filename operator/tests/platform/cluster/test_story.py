@@ -23,6 +23,7 @@ def test_every_expectation_holds(story: Story) -> None:
     rows = story.report["expectations"]
     failed = [row for row in rows if not row["passed"]]
     assert failed == [], f"{story.talk[-3000:]}\n{story.output[-3000:]}"
+    assert [row["name"] for row in rows if row["measured"] is None] == []
     assert len(rows) >= 14
     assert story.report["passed"]
     assert story.code == 0

@@ -27,6 +27,7 @@ def test_every_expectation_holds(overlapping: Story) -> None:
     assert {"recordings", "demands_on_shared_release_max", "shared_release_kept", "lost"} <= set(rows), overlapping.talk
     failed = [row for row in rows.values() if not row["passed"]]
     assert failed == [], f"{overlapping.talk[-3000:]}\n{overlapping.output[-3000:]}"
+    assert [name for name, row in rows.items() if row["measured"] is None] == []
 
 
 def test_the_shared_uplink_answers_two_tasks_in_one_commit(overlapping: Story) -> None:

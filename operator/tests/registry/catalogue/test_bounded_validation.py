@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,13 @@ DOUBLING = {
         "d40": True,
     },
 }
+PROCESSOR_SECONDS_MAX = 10.0  # the process that checks ends after 1 s of it; its start before counts as well
+
+
+def processor_seconds() -> float:
+    """What this process and its ended children have used of the processor."""
+    usages = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(usage.ru_utime + usage.ru_stime for usage in usages)
 
 
 @pytest.fixture(scope="module")
@@ -50,8 +58,10 @@ def test_answers_are_those_of_the_library(schemas: BoundedSchemas, value: Any) -
 def test_what_takes_for_ever_is_refused_and_the_next_is_checked(
     schemas: BoundedSchemas, schema: dict[str, Any], value: Any
 ) -> None:
+    began = processor_seconds()
     [problem] = schemas.validate(schema, value, "spec.values")
     assert problem.startswith(f"spec.values: {TOO_MUCH}")
+    assert processor_seconds() - began < PROCESSOR_SECONDS_MAX
     assert schemas.validate(GOOD, {"name": "abc"}) == []
     with pytest.raises(InputError, match="simplify patterns"):
         schemas.tools().validate(schema, value)

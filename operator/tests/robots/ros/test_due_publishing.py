@@ -32,7 +32,9 @@ def test_messages_are_published_when_they_are_due(start: Callable[..., subproces
 
     assert results["past"] == [3, 1, ""]
     assert results["signal"]["outcome"] == [1, 0, ""]
-    assert results["signal"]["seen"], "the interpreter got the signal"
+    assert len(results["signal"]["seen"]) == 1, "the interpreter got the signal, and the call waited for it"
+    assert results["signal"]["turns"] > 10, "another thread ran between the first message and the end of the call"
+    assert results["signal"]["seconds"] < 600, "the call did not wait for the second message"
     assert results["none"] == [0, 0, ""]
     assert results["wrong"] == "TypeError"
     assert results["closed"] == [1, 1, "the publisher is closed"]

@@ -20,6 +20,7 @@ from robotkube.robots.ros.adapters.rclpy_node import RosNode, RosPublisher, RosS
 from tests.stages.ros.self_receiver import TYPE, message, number_of, rounds
 
 COUNT, STEP_NS, SECOND_NS = 20, 10_000_000, 1_000_000_000
+TURNS = 11
 LATE_NS = SECOND_NS
 
 
@@ -34,7 +35,7 @@ def main(topic: str, file: Path) -> None:
     results = {
         "in_turns": in_turns(node, publishers, subscriptions),
         "past": past(node, publishers[0]),
-        "signal": signalled(node, publishers[0]),
+        "signal": signalled(node, publishers[0], subscriptions[0]),
         "none": node.publish_due([], LATE_NS),
         "wrong": wrong(lambda: node.publish_due([(publishers[0], 0, "text")], LATE_NS)),  # type: ignore[list-item]
         "closed": closed(node, publishers),
@@ -74,14 +75,31 @@ def past(node: RosNode, publisher: RosPublisher) -> Any:
     return node.publish_due([(publisher, due, message(0)) for due in dues], LATE_NS)
 
 
-def signalled(node: RosNode, publisher: RosPublisher) -> dict[str, Any]:
-    """A signal comes between the first and the second."""
+def signalled(node: RosNode, publisher: RosPublisher, subscription: RosSubscription) -> dict[str, Any]:
+    """A signal comes between the first and the second, which is due in ten minutes: another thread sends it when it has
+    received the first one and taken TURNS turns after that, all while the call waits."""
     seen: list[int] = []
+    turns: list[int] = []
     signal.signal(signal.SIGALRM, lambda number, _: seen.append(number))
+    first = message(COUNT)
+
+    def interrupt() -> None:
+        for _ in rounds():
+            if any(data == first for data, _, _ in subscription.take_sent()):
+                break
+        while len(turns) < TURNS:
+            time.sleep(0.001)
+            turns.append(len(seen))
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGALRM)
+
     now = time.time_ns()
-    signal.setitimer(signal.ITIMER_REAL, 0.3)
-    outcome = node.publish_due([(publisher, now + k * 10 * SECOND_NS, message(k)) for k in range(2)], LATE_NS)
-    return {"outcome": outcome, "seen": seen}
+    other = threading.Thread(target=interrupt)
+    other.start()
+    dues = [(publisher, now, first), (publisher, now + 600 * SECOND_NS, message(COUNT + 1))]
+    outcome = node.publish_due(dues, 60 * SECOND_NS)
+    at_return = {"seen": list(seen), "turns": len(turns), "seconds": (time.time_ns() - now) / SECOND_NS}
+    other.join()
+    return {"outcome": outcome, **at_return}
 
 
 def closed(node: RosNode, publishers: list[RosPublisher]) -> Any:
