@@ -27,7 +27,7 @@ RULE = "default: {canary: true, successSeconds: 5, failureSeconds: 20, threshold
 SUBMIT_SECONDS_MAX = 420
 UPDATED_SECONDS_MAX = 180.0
 WATCHED_SECONDS = 30.0
-COMMAND = "command: [python3, -m, robotkube.robots.perception.object_detection]\n"
+COMMAND = "command: [robotkube-object-detection]\n"
 FIELD_ONLY = (
     '{{- if hasPrefix "/vehicles/vehicle_" .Values.detection.cloud }}\n'
     'command: [python3, -c, "raise SystemExit(1)"]\n'
