@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
@@ -61,7 +62,7 @@ def test_results_stand_beside_their_rows() -> None:
 def test_a_run_of_the_tests_leaves_the_page_as_it_is(
     place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def run(group: test.Group) -> test.Result:
+    def run(group: test.Group, places: Sequence[str]) -> test.Result:
         principles.RESULTS.write_text('{"p02": "failed"}')
         return test.Result(group, 1, 0, 0, 1.0)
 
