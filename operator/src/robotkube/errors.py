@@ -5,6 +5,7 @@
     │   └── DocumentError      a YAML document (file, task, catalogue entry) breaks its rules
     ├── RefusalError           terminal for these inputs: a decision said no; carries a reason from a closed list
     └── UnavailableError       passing: a part of the world did not answer; the caller may try again within its bound
+        └── AccountRefusedError    the account is not known there, or not yet: a process waits, a person need not
 
 Library errors are translated at the adapter and chained; `retriable` says which ones a loop may try again.
 """
@@ -49,3 +50,7 @@ class UnavailableError(RobotKubeError):
     """A part of the world (forge, API server, Argo CD) did not answer or answered with a passing fault."""
 
     retriable = True
+
+
+class AccountRefusedError(UnavailableError):
+    """The other side answers and refuses the account: its password is wrong, or it is not made yet."""

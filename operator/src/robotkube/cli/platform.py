@@ -6,13 +6,13 @@ import argparse
 import base64
 import contextlib
 import functools
-import json
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from robotkube.delivery.tasks.adapters.kubernetes_tasks import KubernetesTasks
 from robotkube.delivery.tasks.core.task_description import GROUP, PLURAL, VERSION
 from robotkube.errors import InputError, RefusalError, UnavailableError
+from robotkube.foundation.documents.core.json_codec import read_json_shortened
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.foundation.kubernetes.adapters import client
 
@@ -168,7 +168,7 @@ class Platform:
     def _read(
         self, method: str, path: str, query: Sequence[tuple[str, str]] = (), body: Any = None
     ) -> Mapping[str, Any]:
-        answer: Mapping[str, Any] = json.loads(client.call(self._api, method, path, query, body).data)
+        answer: Mapping[str, Any] = read_json_shortened(client.call(self._api, method, path, query, body).data)
         return answer
 
 

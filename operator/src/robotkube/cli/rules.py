@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import sys
 import time
@@ -20,6 +19,7 @@ from typing import Any
 from robotkube.cli.output import Table, lines
 from robotkube.cli.platform import Platform
 from robotkube.errors import DocumentError, InputError, RefusalError
+from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.foundation.documents.core.yaml_codec import read_mapping, read_mappings
 from robotkube.robots.bags.adapters.command_line_bags import Bags
 from robotkube.robots.detector.adapters.event_pages import events_page
@@ -168,7 +168,7 @@ def _expectations(path: Path) -> Mapping[str, Any]:
 
 def _result(path: Path) -> Mapping[str, Any]:
     try:
-        document = json.loads(_text(path))
+        document = read_json(_text(path))
     except ValueError as error:
         raise InputError(f"{path}: is no result of `rule test --output json`: {error}") from error
     return document if isinstance(document, dict) else {}

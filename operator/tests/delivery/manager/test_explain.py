@@ -17,6 +17,7 @@ from robotkube.errors import UnavailableError
 from robotkube.testing.clusters import MemoryTasks
 from tests.stages.delivery.manager_in_memory import START_NS, Stage
 
+METADATA = b'{"metadata": {"name": "new", "namespace": "cloud-0", %s}}'
 EVENT = {"rule": "asked", "id": "x", "trace": "b" * 32, "time": "2026-11-21T10:00:00Z"}
 
 
@@ -118,6 +119,10 @@ def test_a_task_whose_changes_would_wait_for_a_vehicle_that_drives(stage: Stage,
         (b'{"x": NaN}', 400, "not a JSON number"),
         (b'{"spec": {}}', 400, "needs name and namespace"),
         (b'{"metadata": {"name": 3, "namespace": "a"}}', 400, "needs name and namespace"),
+        (METADATA % b'"annotations": 7', 400, "metadata.annotations: must be an object with texts"),
+        (METADATA % b'"annotations": "a"', 400, "metadata.annotations: must be an object with texts"),
+        (METADATA % b'"annotations": {"a": 7}', 400, "metadata.annotations: must be an object with texts"),
+        (METADATA % b'"generation": "1"', 400, "metadata.generation: must be a whole number"),
         (b'{"task": ["a"]}', 404, "there is no task ['a']"),
         (b" " * 300_000, 413, "at most 262144"),
     ],

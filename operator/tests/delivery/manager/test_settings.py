@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
 
-from robotkube.delivery.manager.__main__ import read_configuration, warn_of_former_keys
+from robotkube.delivery.manager.__main__ import NEW_KEYS, read_configuration
 from robotkube.errors import DocumentError
-from robotkube.foundation.runtime.settings_file import read_settings
+from robotkube.foundation.runtime.settings_file import read_settings, warn_of_former_keys
 from tests.stages.delivery.manager_process import Outside, write_settings
 
 FORGE, CHARTS = "http://forge.example:3000", "oci://forge.example:3000/verified"
@@ -25,20 +24,20 @@ def settings(folder: Path, **changes: Any) -> Path:
 
 def test_a_former_key_is_taken_with_a_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = settings(tmp_path)
-    today = read_settings(path, read_configuration)
-    warn_of_former_keys(today, path)
+    today = read_settings(path, read_configuration, NEW_KEYS)
+    warn_of_former_keys(path, NEW_KEYS)
     assert caplog.messages == []
     document = yaml.safe_load(path.read_text())
     document["registry"] = document.pop("oci_registry")
     path.write_text(yaml.safe_dump(document))
-    former = read_settings(path, read_configuration)
+    former = read_settings(path, read_configuration, NEW_KEYS)
     assert former.manager.charts_url == OUTSIDE.charts_url
-    assert replace(former, former_keys=()) == today
-    warn_of_former_keys(former, path)
+    assert former == today
+    warn_of_former_keys(path, NEW_KEYS)
     assert caplog.messages == [f"settings have a former key file={path} key=registry new_key=oci_registry"]
 
 
 def test_a_key_under_both_names_is_refused(tmp_path: Path) -> None:
     path = settings(tmp_path, registry={"charts": OUTSIDE.charts_url})
     with pytest.raises(DocumentError, match="registry: is the former name of oci_registry, which is there as well"):
-        read_settings(path, read_configuration)
+        read_settings(path, read_configuration, NEW_KEYS)

@@ -7,7 +7,9 @@ import tracemalloc
 from typing import Any
 
 import pytest
+from hypothesis import given
 
+from robotkube.delivery.tasks.core.holds import DeviceHold, message_hold
 from robotkube.delivery.tasks.core.mqtt_messages import (
     GATEWAY_REASONS,
     MESSAGE_BYTES_MAX,
@@ -16,17 +18,20 @@ from robotkube.delivery.tasks.core.mqtt_messages import (
     NOT_READABLE,
     TOO_LARGE,
     UNKNOWN_TASK,
+    LeaseRenewal,
     RejectedMessage,
     TaskRequest,
+    TaskWithdrawal,
     read_message,
 )
 from robotkube.delivery.tasks.loops import mqtt_gateway
 from robotkube.delivery.tasks.loops.mqtt_gateway import MqttTaskGateway, gateway_metrics
-from robotkube.errors import InputError, UnavailableError
+from robotkube.errors import DocumentError, InputError, UnavailableError
 from robotkube.foundation.runtime.adapters.prometheus_series import series_text
 from robotkube.testing.clusters import MemoryTasks
 from robotkube.testing.task_gateways import MemoryGatewayChannel, MemoryTaskWriter
 from tests.stages.delivery.random_messages import ASKED, SPEC, random_message
+from tests.stages.random_json import mistaken
 
 START_NS = 1795250000_000000000
 RANDOM_MESSAGES, THOROUGH_MESSAGES = 200, 5000
@@ -265,3 +270,29 @@ def test_random_messages_are_accepted_or_refused_with_a_reason_in_bounded_memory
     assert {"TaskRequest", NOT_READABLE, TOO_LARGE} <= set(outcomes)
     assert peak < 64 * 1024 * 1024
     assert 'outcome="TooLarge"' in series_text(gateway_metrics(stage.gateway))
+
+
+@given(mistaken(ASKED) | mistaken({"withdraw": "look"}) | mistaken({"renew": "look"}))
+def test_any_document_is_an_order_or_refused_with_words(document: Any) -> None:
+    payload = json.dumps(document).encode()
+    order = read_message(payload, len(payload))
+    assert isinstance(order, (TaskRequest, TaskWithdrawal, LeaseRenewal, RejectedMessage))
+    if isinstance(order, RejectedMessage):
+        assert order.reason == NOT_READABLE
+        assert order.message
+
+
+@pytest.mark.parametrize("payload", [b"[" * 100_000, b"[" * 101 + b"]" * 101, b'{"spec":' * 10_000])
+def test_a_deep_message_is_refused_with_words(payload: bytes) -> None:
+    order = read_message(payload, len(payload))
+    words = "no JSON in UTF-8: nested deeper than 100 levels; write it flatter; send one JSON object"
+    assert order == RejectedMessage(NOT_READABLE, words)
+
+
+@given(mistaken({"reason": "driving", "until": "2026-11-21T10:00:00Z"}))
+def test_any_document_is_a_hold_or_refused_with_words(document: Any) -> None:
+    try:
+        held: DeviceHold | tuple[str, ...] | None = message_hold("vehicle-00", json.dumps(document).encode(), START_NS)
+    except DocumentError as error:
+        held = error.problems
+    assert held

@@ -109,7 +109,7 @@ def test_files_of_single_objects_become_a_pack(stage: Stage, tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("body", "problem"),
     [
-        (b"{", "the body is not JSON"),
+        (b"{", "the body is not readable as JSON"),
         (b"[]", "the body must be a JSON object"),
         (b"{}", "objects: must be a list of 1 to 1000 objects"),
         (b'{"objects": [1]}', "objects[0].kind: must be one of commit, tree, blob"),

@@ -7,7 +7,8 @@ import pytest
 from robotkube.delivery.manager.__main__ import changed_by
 from robotkube.delivery.manager.loops.reconciler import CATALOGUE, DEPLOYMENT
 from robotkube.foundation.forge.adapters.push_hooks import PushRelay
-from robotkube.foundation.runtime.adapters.webhook_server import WebhookDelivery, WebServer
+from robotkube.foundation.runtime.adapters.webhook_server import WebServer
+from robotkube.foundation.runtime.core.webhook_deliveries import WebhookDelivery
 
 SECRET = b"shared"
 BEFORE, AFTER = "1" * 40, "2" * 40

@@ -1,11 +1,18 @@
 """What the forge itself refuses: the manager proposes and nothing else, nobody passes the gate by."""
 
+import secrets
+import subprocess
+
 import httpx
 import pytest
 
-from tests.stages.forge.installation import Installation, message, release_files
+from tests.stages.forge.gitea import HOOKS
+from tests.stages.forge.installation import ACCOUNTS, Installation, message, release_files
 
 pytestmark = pytest.mark.toolchain
+
+REPOSITORIES = ("robotkube/deployment", "robotkube/catalogue")
+RESERVED = ("refs/notes/robotkube", "refs/notes/commits", "refs/drafts/main", "refs/headed/main")
 
 
 @pytest.mark.parametrize(
@@ -117,3 +124,74 @@ def test_the_gate_does_not_force_main_of_the_catalogue(installation: Installatio
     root = str(gate.repository.create_commit(None, who, who, "anew\n", tree, []))
     assert gate.push(root, "refs/heads/main", force=True) != ""
     assert gate.tip() == tip
+
+
+@pytest.mark.parametrize("repository", [*REPOSITORIES, "RobotKube/Deployment"])
+@pytest.mark.parametrize("reference", RESERVED)
+def test_a_person_writes_nothing_but_branches(installation: Installation, repository: str, reference: str) -> None:
+    person = installation.clone("operator-team", repository)
+    commit = person.commit({"README.md": reference}, "mine\n", [person.tip()])
+    refused = person.push(commit, reference, force=True)
+    assert f"{reference}: only the account gate writes notes, tags and whatever else is no branch" in refused
+    assert "not operator-team; push a branch (refs/heads/<name>) or propose (refs/for/<branch>)" in refused
+    branch = f"refs/heads/person-{secrets.token_hex(3)}"
+    assert (person.push(commit, branch), person.delete(branch)) == ("", "")
+
+
+@pytest.mark.parametrize("repository", REPOSITORIES)
+def test_notes_and_tags_of_the_gate_stay(installation: Installation, repository: str) -> None:
+    gate, person = (installation.clone(account, repository) for account in ("gate", "operator-team"))
+    mine = person.commit({"README.md": "mine"}, "mine\n", [person.tip()])
+    for reference in (f"refs/{kind}/reserved-{secrets.token_hex(3)}" for kind in ("notes", "tags")):
+        assert gate.push(gate.tip(), reference) == ""
+        assert person.push(mine, reference, force=True) != ""
+        assert person.delete(reference) != ""
+        assert gate.delete(reference) == ""  # it was there
+
+
+def update_hook(reference: str, **environment: str) -> tuple[int, str]:
+    """Exit code and words of the hook, where no program can be found that it could start."""
+    given = {"PATH": "/nowhere", **environment}
+    command = ["/bin/sh", str(HOOKS / "update"), reference, "0" * 40, "1" * 40]
+    done = subprocess.run(command, env=given, capture_output=True, text=True, timeout=10, check=False)
+    return done.returncode, done.stderr
+
+
+def test_the_hook_starts_no_program_and_refuses_whom_it_does_not_know() -> None:
+    person = {"GITEA_PUSHER_NAME": "operator-team"}
+    for reference in ("refs/heads/main", "refs/heads/of/mine"):
+        assert update_hook(reference, **person) == (0, "")
+    for reference in (*RESERVED, "refs/tags/v1", "refs/heads", "refs/heads/", "refs/for", ""):
+        assert update_hook(reference, GITEA_PUSHER_NAME="gate") == (0, "")
+        for pusher in ("operator-team", "Gate", "gate ", ""):
+            code, words = update_hook(reference, GITEA_PUSHER_NAME=pusher)
+            assert (code, "only the account gate" in words) == (1, True), words
+        code, words = update_hook(reference)
+        assert (code, "not who pushes without a name;" in words) == (1, True), words
+    for pusher in ("gate", "operator-team"):
+        code, words = update_hook("refs/pull/1/head", GITEA_PUSHER_NAME=pusher)
+        assert (code, "only the forge writes heads of pull requests" in words) == (1, True)
+    assert update_hook("refs/pull/1/head", GITEA_INTERNAL_PUSH="true") == (0, "")
+
+
+@pytest.mark.parametrize("account", ACCOUNTS)
+def test_nobody_makes_repositories_or_organisations(installation: Installation, account: str) -> None:
+    name = f"own-{secrets.token_hex(3)}"
+    who = (account, installation.passwords[account])
+    with httpx.Client(base_url=f"{installation.url}/api/v1", auth=who, timeout=30) as forge:
+        for path, body in (
+            ("/user/repos", {"name": name}),
+            ("/orgs/robotkube/repos", {"name": name}),
+            ("/repos/robotkube/deployment/forks", {"name": name}),
+            ("/repos/robotkube/catalogue/forks", {"name": name}),
+            ("/repos/migrate", {"repo_name": name, "clone_addr": f"{installation.url}/robotkube/catalogue.git"}),
+            ("/orgs", {"username": name}),
+        ):
+            answer = forge.post(path, json=body)
+            assert answer.status_code in (403, 404, 409, 422), (path, answer.status_code, answer.text)
+        assert [
+            repository["full_name"]
+            for repository in forge.get("/user/repos").json()
+            if repository["owner"]["login"] == account
+        ] == []
+        assert forge.get(f"/orgs/{name}").status_code == 404

@@ -9,7 +9,8 @@ import pytest
 
 from robotkube.foundation.kubernetes.adapters.leader_proxy import LeaderRequests
 from robotkube.foundation.kubernetes.adapters.lease import identity_of
-from robotkube.foundation.runtime.adapters.webhook_server import WebhookDelivery, WebServer, sign
+from robotkube.foundation.runtime.adapters.webhook_server import WebServer
+from robotkube.foundation.runtime.core.webhook_deliveries import WebhookDelivery, sign
 from robotkube.testing.leadership import MemoryLeadership
 from tests.stages.programs import free_port
 
@@ -94,6 +95,13 @@ def test_what_was_forwarded_is_not_forwarded_again(leader: Process, waiting: Pro
     """The second name is that of a process of the version before, during an upgrade."""
     assert httpx.get(f"http://{waiting.address}/plans", headers={name: "1"}).status_code == 503
     assert httpx.get(f"http://{leader.address}/plans", headers={name: "1"}).status_code == 200
+
+
+def test_headers_that_are_no_ascii_are_forwarded(waiting: Process) -> None:
+    answer = httpx.post(
+        f"http://{waiting.address}/explain", content=b"{}", headers={"Content-Type": b"application/json; \xfc"}
+    )
+    assert (answer.status_code, answer.json()) == (404, {"by": "leader", "asked": {}})
 
 
 def test_health_and_metrics_are_a_process_s_own(waiting: Process) -> None:

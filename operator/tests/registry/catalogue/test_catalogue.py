@@ -22,11 +22,13 @@ from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templ
 from robotkube.foundation.documents.adapters.json_schema import check_schema, validate
 from robotkube.foundation.documents.core.yaml_codec import write_mapping
 from robotkube.registry.catalogue.core.catalogue import (
+    PERSON,
     ChartRequirement,
+    ReleasePolicy,
     read_application,
-    read_assurance,
     read_catalogue,
     read_chart_version,
+    read_release_policy,
 )
 from robotkube.registry.catalogue.core.versions import in_range
 from robotkube.robots.detector.core.settings import read_detector_settings
@@ -76,9 +78,12 @@ def test_chart_versions_are_valid_with_and_without_a_status(path: Path) -> None:
 def test_the_release_policy_is_valid() -> None:
     path = REGISTRY / "policies" / "release.yaml"
     assert validate(schema("release-policy"), load(path)) == []
-    assert read_assurance(path.read_text(), "policies/release.yaml") == "verified"
+    assert read_release_policy(path.read_text(), "policies/release.yaml") == ReleasePolicy("verified", PERSON)
+    assert read_release_policy("assurance: verified\n", "policies/release.yaml").initial_for == PERSON
     with pytest.raises(DocumentError, match="must be one of none, verified"):
-        read_assurance("assurance: some\n", "policies/release.yaml")
+        read_release_policy("assurance: some\n", "policies/release.yaml")
+    with pytest.raises(DocumentError, match=r"initialFor: .*must be one of person, automatic"):
+        read_release_policy("assurance: verified\ninitialFor: nobody\n", "policies/release.yaml")
 
 
 BREAKS: list[tuple[str, Any]] = [

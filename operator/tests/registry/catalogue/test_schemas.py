@@ -12,7 +12,7 @@ import pytest
 from robotkube.errors import DocumentError
 from robotkube.foundation.documents.adapters.json_schema import check_schema, validate
 from robotkube.registry.catalogue.core.applications import LINK_KINDS, read_application
-from robotkube.registry.catalogue.core.catalogue import read_assurance
+from robotkube.registry.catalogue.core.catalogue import read_release_policy
 from robotkube.registry.catalogue.core.chart_versions import read_chart_version
 from robotkube.registry.catalogue.core.guarantees import UNITS
 from robotkube.registry.evidence.core.verification_policy import read_verification_policy
@@ -152,7 +152,10 @@ POLICY = {
 KINDS: dict[str, tuple[Any, Callable[[str], object]]] = {
     "application": (APPLICATION, lambda text: read_application(text, "applications/app.yaml")),
     "chart-version": (CHART, lambda text: read_chart_version(text, "charts/c/0.2.0.yaml")),
-    "release-policy": ({"assurance": "none"}, lambda text: read_assurance(text, "policies/release.yaml")),
+    "release-policy": (
+        {"assurance": "none", "initialFor": "person"},
+        lambda text: read_release_policy(text, "policies/release.yaml"),
+    ),
     "verification-policy": (POLICY, lambda text: read_verification_policy(text, "policies/verification.yaml")),
 }
 BEYOND_SCHEMAS = (

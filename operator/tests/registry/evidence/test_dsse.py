@@ -169,14 +169,14 @@ def test_another_form_is_refused(
 
 
 NO_ENVELOPES = {
-    "empty": (b"", "it is not JSON"),
+    "empty": (b"", "it is not readable as JSON"),
     "other encoding": (b"\xff\xfe{}", "it is not UTF-8"),
     "list": (b"[]", "it must be a JSON object"),
     "null": (b"null", "it must be a JSON object"),
-    "no number": (b'{"payload":NaN}', "it is not JSON"),
-    "endless number": (b'{"payload":' + b"9" * 5000 + b"}", "it is not JSON"),
-    "deep list": (b"[" * 100_000, "it is nested too deep"),
-    "deep mapping": (b'{"a":' * 20_000, "it is nested too deep"),
+    "no number": (b'{"payload":NaN}', "it is not readable as JSON"),
+    "endless number": (b'{"payload":' + b"9" * 5000 + b"}", "it is not readable as JSON"),
+    "deep list": (b"[" * 100_000, "it is not readable as JSON: nested deeper than 100 levels"),
+    "deep mapping": (b'{"a":' * 20_000, "it is not readable as JSON: nested deeper than 100 levels"),
     "huge": (b"x" * (ENVELOPE_BYTES_MAX + 1), f"it is no envelope: {ENVELOPE_BYTES_MAX + 1} bytes"),
 }
 

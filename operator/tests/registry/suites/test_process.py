@@ -40,14 +40,14 @@ def configuration(installation: Installation, monkeypatch: pytest.MonkeyPatch) -
 
 
 @pytest.fixture
-def publisher(installation: Installation) -> Iterator[OciRegistry]:
-    with OciRegistry(installation.url, "publisher", installation.passwords["publisher"]) as found:
+def gate_registry(installation: Installation) -> Iterator[OciRegistry]:
+    with OciRegistry(installation.url, "gate", installation.passwords["gate"]) as found:
         yield found
 
 
 @pytest.fixture
-def request_(publisher: OciRegistry) -> SuiteRequest:
-    digest = publisher.push_chart(
+def request_(gate_registry: OciRegistry) -> SuiteRequest:
+    digest = gate_registry.push_chart(
         "staging", pack(REPOSITORY / "charts" / "apps" / CHART, IMAGES, ENTRY["spec"]), "suite"
     )
     artefact = Artefact(CHART, "0.2.1", digest, "linux/amd64")

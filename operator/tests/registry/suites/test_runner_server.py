@@ -4,7 +4,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,15 +12,19 @@ from typing import Any
 import httpx
 import pytest
 import yaml
+from hypothesis import given
 
 from robotkube.errors import DocumentError, InputError, UnavailableError
 from robotkube.foundation.runtime.adapters.webhook_server import BODY_BYTES_MAX, WebServer
-from robotkube.foundation.runtime.settings_file import read_settings
+from robotkube.foundation.runtime.settings_file import read_settings, warn_of_former_keys
+from robotkube.registry.suites.__main__ import needs_namespace
 from robotkube.registry.suites.adapters.runner_protocol import REQUEST_BYTES_MAX, RunsEndpoint, SuiteRunnerClient
 from robotkube.registry.suites.core.requests import SuiteProgress, SuiteRequest, request_document
+from robotkube.registry.suites.loops.queue import SuiteQueue
 from robotkube.registry.suites.loops.static import StaticSuite
-from robotkube.registry.suites.settings import read_configuration, warn_of_former_keys
-from robotkube.testing.suites import make_request, passed
+from robotkube.registry.suites.settings import NEW_KEYS, read_configuration
+from robotkube.testing.suites import MemoryExecutor, make_request, passed
+from tests.stages.random_json import mistaken
 from tests.stages.waiting import until
 
 pytestmark = pytest.mark.processes
@@ -30,10 +34,10 @@ START_SECONDS_MAX = 60.0
 
 
 class Runner:
-    def __init__(self) -> None:
+    def __init__(self, put: Callable[[SuiteRequest], SuiteProgress] | None = None) -> None:
         self.asked: list[SuiteRequest] = []
         self.error: Exception | None = None
-        endpoint = RunsEndpoint(TOKEN, self.take)
+        endpoint = RunsEndpoint(TOKEN, put or self.take)
         self.server = WebServer("127.0.0.1", 0, list, str, put=endpoint.put)
         self.server.start()
         self.url = f"http://127.0.0.1:{self.server.port}"
@@ -78,8 +82,9 @@ BODY = json.dumps(request_document(make_request())).encode()
 @pytest.mark.parametrize(
     ("path", "content", "status", "words"),
     [
-        (f"/runs/{make_request().key}", b"{", 400, "not JSON"),
-        (f"/runs/{make_request().key}", b"[" * 100_000, 400, "not JSON"),
+        (f"/runs/{make_request().key}", b"{", 400, "not readable as JSON"),
+        (f"/runs/{make_request().key}", b"[" * 100_000, 400, "nested deeper than 100 levels"),
+        (f"/runs/{make_request().key}", b"[" * 101 + b"]" * 101, 400, "nested deeper than 100 levels"),
         (f"/runs/{make_request().key}", b"{}", 400, "artefact: missing"),
         (f"/runs/{'0' * 32}", BODY, 400, "the key of this request is"),
         ("/runs/", BODY, 404, "not found"),
@@ -96,6 +101,22 @@ def test_requests_that_are_refused(runner: Runner, path: str, content: bytes, st
         return
     assert (answer.status_code, words in answer.text) == (status, True), answer.text
     assert runner.asked == []
+
+
+@pytest.fixture(scope="module")
+def waiting() -> Iterator[Runner]:
+    """A runner that puts what it is asked for into its queue, where it waits."""
+    queue = SuiteQueue(MemoryExecutor(), [], needs_namespace)
+    found = Runner(queue.put)
+    yield found
+    found.server.stop()
+
+
+@given(mistaken(request_document(make_request())))
+def test_any_request_is_put_into_the_queue_or_refused(waiting: Runner, document: Any) -> None:
+    answer = waiting.put(f"/runs/{make_request().key}", json.dumps(document).encode())
+    assert answer.status_code in (200, 400)
+    assert "status" in answer.json() if answer.status_code == 200 else answer.json()["message"]
 
 
 @pytest.mark.parametrize("token", ["x", "guessed", "shared wor"])
@@ -135,8 +156,10 @@ def settings(folder: Path, **more: Any) -> Path:
 
 
 @pytest.fixture
-def process(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
-    environment = {**os.environ, "ROBOTKUBE_CONFIG": str(settings(tmp_path))}
+def process(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], str, str]]:
+    """The process, and the URLs of its port and of its port for health."""
+    listen = {"address": "127.0.0.1", "port": 0, "health_port": 0}
+    environment = {**os.environ, "ROBOTKUBE_CONFIG": str(settings(tmp_path, listen=listen))}
     with (tmp_path / "log").open("wb") as log:
         command = [sys.executable, "-m", "robotkube.registry.suites"]
         found = subprocess.Popen(command, env=environment, stderr=log)
@@ -149,14 +172,15 @@ def process(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
 
     try:
         until(started, "the suite-runner started", START_SECONDS_MAX)
-        yield found, f"http://127.0.0.1:{next(line['port'] for line in lines if line['event'] == 'started')}"
+        started_line = next(line for line in lines if line["event"] == "started")
+        yield found, *(f"http://127.0.0.1:{started_line[name]}" for name in ("port", "health_port"))
     finally:
         found.kill()
         found.wait(10)
 
 
-def test_the_process_runs_suites_and_ends_on_sigterm(process: tuple[subprocess.Popen[bytes], str]) -> None:
-    running, url = process
+def test_the_process_runs_suites_and_ends_on_sigterm(process: tuple[subprocess.Popen[bytes], str, str]) -> None:
+    running, url, health = process
     client = SuiteRunnerClient(url, "word")
     request = make_request("static")
     request = replace(request, rule=replace(request.rule, version=StaticSuite.version))
@@ -170,9 +194,10 @@ def test_the_process_runs_suites_and_ends_on_sigterm(process: tuple[subprocess.P
     assert "must be in staging" in str(client.run(elsewhere).result)
     assert "without a pool" in client.run(make_request("install")).reason
     client.disconnect()
-    assert httpx.get(f"{url}/livez").status_code == 200
-    assert httpx.get(f"{url}/readyz").status_code == 200
-    assert '{outcome="unfinished",suite="static"} 2' in httpx.get(f"{url}/metrics").text
+    for place in (url, health):
+        assert httpx.get(f"{place}/livez").status_code == 200
+        assert httpx.get(f"{place}/readyz").status_code == 200
+        assert '{outcome="unfinished",suite="static"} 2' in httpx.get(f"{place}/metrics").text
     running.terminate()
     assert running.wait(10) == 0
 
@@ -192,16 +217,16 @@ def test_wrong_settings_are_named_at_once(tmp_path: Path) -> None:
 
 def test_former_keys_are_taken_with_a_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = settings(tmp_path, test_namespaces=[{"namespace": "robotkube-suite-0", "domain_id": 90}])
-    today = read_settings(path, read_configuration)
-    warn_of_former_keys(today, path)
+    today = read_settings(path, read_configuration, NEW_KEYS)
+    warn_of_former_keys(path, NEW_KEYS)
     assert caplog.messages == []
     document = yaml.safe_load(path.read_text())
     document["rooms"] = document.pop("test_namespaces")
     document["registry"] = document.pop("oci_registry")
     path.write_text(yaml.safe_dump(document))
-    former = read_settings(path, read_configuration)
-    assert replace(former, former_keys=()) == today
-    warn_of_former_keys(former, path)
+    former = read_settings(path, read_configuration, NEW_KEYS)
+    assert former == today
+    warn_of_former_keys(path, NEW_KEYS)
     assert caplog.messages == [
         f"settings have a former key file={path} key=rooms new_key=test_namespaces",
         f"settings have a former key file={path} key=registry new_key=oci_registry",
@@ -211,4 +236,4 @@ def test_former_keys_are_taken_with_a_warning(tmp_path: Path, caplog: pytest.Log
 def test_a_key_under_both_names_is_refused(tmp_path: Path) -> None:
     path = settings(tmp_path, rooms=[])
     with pytest.raises(DocumentError, match="rooms: is the former name of test_namespaces, which is there as well"):
-        read_settings(path, read_configuration)
+        read_settings(path, read_configuration, NEW_KEYS)

@@ -13,6 +13,7 @@ import pytest
 
 from robotkube.cli import main as cli
 from robotkube.errors import DocumentError
+from robotkube.foundation.runtime.adapters.health_server import HealthServer
 from robotkube.robots.bags.adapters.writing import BagWriter
 from robotkube.robots.bags.core.playback import BagTopic
 from robotkube.robots.detector.core.settings import DetectorSettings, read_detector_settings
@@ -246,6 +247,20 @@ def test_an_event_is_explained_from_a_result(
     code, _, err = said(capsys, "rule", "explain", "ffffff", "--source", written(tmp_path / "x.json", {"a": 1}))
     assert code == 2
     assert "events: must be a list" in err
+
+
+def test_events_that_are_nested_deeply_are_no_result_and_no_page(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "result.json"
+    path.write_text("[" * 100_000)
+    code, _, err = said(capsys, "rule", "explain", "ffffff", "--source", str(path))
+    assert (code, "is no result of `rule test --output json`: nested deeper than 100 levels" in err) == (2, True)
+    server = HealthServer(pages={"/events": path.read_text}, port=0, address="127.0.0.1")
+    server.start()
+    code, _, err = said(capsys, "rule", "explain", "ffffff", "--source", f"http://127.0.0.1:{server.port}")
+    assert (code, "nested deeper than 100 levels" in err) == (3, True)
+    server.close()
 
 
 def test_wrong_rules_are_refused_with_every_problem(

@@ -150,6 +150,7 @@ def test_a_ledger_without_its_end_is_refused() -> None:
         ([text], "has no end line"),
         ([text, '{"end": true, "count": 2}'], "has 1 messages, says 2"),
         ([text[:20]], "line 1: is no ledger line"),
+        ([text, "[" * 100_000], "line 2: is no ledger line .nested deeper than 100 levels"),
     ]:
         with pytest.raises(DocumentError, match=problem):
             read_ledger(lines, "x")

@@ -76,6 +76,13 @@ class Wrong:
             from robotkube.robots.rules.core.events import Cause
             from robotkube.robots.rules.core.plugin_api import Holding
             return [Holding((arrival.agent,), True, {}, (Cause("/t", 1, {"x": b"no JSON"}),))]
+        if self.kind == "nests":
+            from robotkube.robots.rules.core.events import Cause
+            from robotkube.robots.rules.core.plugin_api import Holding
+            deep = []
+            for _ in range(900):
+                deep = [deep]
+            return [Holding((arrival.agent,), True, {}, (Cause("/t", 1, {"x": deep}),))]
         return []
 '''
 
@@ -258,6 +265,7 @@ def test_agents_that_come_and_go_do_not_end_a_rule() -> None:
         ("eats", "MemoryError"),
         ("lies", "AttributeError"),
         ("mumbles", "TypeError: Object of type bytes is not JSON serializable"),
+        ("nests", "its process said what is no reply: nested deeper than 100 levels; write it flatter"),
     ],
 )
 def test_a_rule_that_does_wrong_is_suspended_by_name(

@@ -46,7 +46,8 @@ from robotkube.foundation.kubernetes.adapters.lease import LeaseElection, identi
 from robotkube.foundation.kubernetes.ports import Leadership
 from robotkube.foundation.runtime import settings_file as files
 from robotkube.foundation.runtime.adapters.prometheus_series import series_text
-from robotkube.foundation.runtime.adapters.webhook_server import WebhookDelivery, WebServer
+from robotkube.foundation.runtime.adapters.webhook_server import WebServer
+from robotkube.foundation.runtime.core.webhook_deliveries import WebhookDelivery
 from robotkube.foundation.runtime.garbage_collection import Sweeper
 from robotkube.foundation.runtime.process import Process, run
 from robotkube.registry.catalogue.adapters.bounded_validation import BoundedSchemas
@@ -57,15 +58,14 @@ GRACE_SECONDS = 5.0
 SYNC_SECONDS_MAX = 60.0
 COMMIT_AUTHOR = "robotkube-manager"
 NEW_KEYS = {"registry": "oci_registry"}
-"""Former key of the settings -> the key of today; former ones are still taken, with a warning."""
+"""Former key of the settings file -> its new key; former ones are still accepted, with a warning."""
 
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class ManagerConfiguration:
-    """Everything the process needs, secrets included; `former_keys` are the keys of the file that have another name
-    today."""
+    """Everything the process needs, secrets included."""
 
     listen: files.Listen
     log_level: str
@@ -88,14 +88,13 @@ class ManagerConfiguration:
     evidence_keys: Path
     traces: str
     manager: ManagerSettings
-    former_keys: tuple[str, ...] = ()
 
 
 def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ManagerConfiguration:
     """Read the settings document of the manager."""
     keys = ["listen", "log_level", "forge", "oci_registry", "evidence", "argocd", "hook", "webhook"]
     keys += ["agents", "lease", "scope", "operators", "node_lost_seconds"]
-    root = reader.mapping(_under_new_keys(reader, document), "", keys, ["broker", "traces", "gate", "managers"])
+    root = reader.mapping(document, "", keys, ["broker", "traces", "gate", "managers"])
     forge_keys = ["url", "credentials", "deployment", "catalogue", "branch"]
     forge = reader.mapping(root.get("forge") or {}, "forge", forge_keys, ["kind", "api"])
     oci_registry = reader.mapping(root.get("oci_registry") or {}, "oci_registry", ["charts"])
@@ -133,22 +132,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ManagerCo
             operators=read_operators(reader, root, [agent.name for agent in agents]),
             node_lost_seconds=read_seconds(reader, root.get("node_lost_seconds"), "node_lost_seconds"),
         ),
-        former_keys=tuple(key for key in NEW_KEYS if key in document),
     )
-
-
-def warn_of_former_keys(configuration: ManagerConfiguration, path: Path) -> None:
-    """Log each key of the settings file that has another name today."""
-    for key in configuration.former_keys:
-        log.warning("settings have a former key file=%s key=%s new_key=%s", path, key, NEW_KEYS[key])
-
-
-def _under_new_keys(reader: Reader, document: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The document with its former keys under their names of today; having both is a problem."""
-    for key, new_key in NEW_KEYS.items():
-        if key in document and new_key in document:
-            reader.problems.append(f"{key}: is the former name of {new_key}, which is there as well; remove {key}")
-    return {NEW_KEYS.get(key, key): value for key, value in document.items()}
 
 
 def _agents(reader: Reader, value: Any) -> tuple[Agent, ...]:
@@ -227,9 +211,9 @@ class Waker:
 def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     """Run the manager's steps beside its watches, webhooks and pages until the process shall end."""
     path = files.settings_path(environment)
-    configuration = files.read_settings(path, read_configuration)
+    configuration = files.read_settings(path, read_configuration, NEW_KEYS)
     files.send_logs(process, configuration.log_level)
-    warn_of_former_keys(configuration, path)
+    files.warn_of_former_keys(path, NEW_KEYS)
     kubeconfig = environment.get("KUBECONFIG")
     api = api_client(kubeconfig, in_cluster=kubeconfig is None)
     waker = Waker()
@@ -246,11 +230,11 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     account = configuration.account.username
     telemetry = ManagerTelemetry(manager, cluster, cluster, names, holds, configuration.traces, account)
     leader = LeaderRequests(election)
-    server = _server(configuration, manager, cluster, gateway, telemetry, leader)
+    server = build_server(configuration, manager, cluster, gateway, telemetry, leader)
     server.start()
     cluster.start()
     election.start()
-    process.log("started", port=server.port, agents=len(configuration.manager.agents))
+    process.log("started", **server.ports, agents=len(configuration.manager.agents))
     if not cluster.wait_until_synced(SYNC_SECONDS_MAX):
         raise UnavailableError("; ".join(cluster.complaints()))
     waker.manager = manager
@@ -311,7 +295,7 @@ def changed_by(delivery: WebhookDelivery, catalogue: str) -> tuple[str, str] | N
     return CATALOGUE if delivery.repository == catalogue else DEPLOYMENT, tip if isinstance(tip, str) else ""
 
 
-def _server(
+def build_server(
     configuration: ManagerConfiguration,
     manager: ApplicationManager,
     cluster: KubernetesCluster,
@@ -319,6 +303,8 @@ def _server(
     telemetry: ManagerTelemetry,
     leader: LeaderRequests,
 ) -> WebServer:
+    """The web server: its deliveries wake the manager, its pages and answers are those of the one that leads."""
+
     def deliver(delivery: WebhookDelivery) -> None:
         if change := changed_by(delivery, configuration.catalogue):
             manager.wake(*change)
@@ -336,6 +322,7 @@ def _server(
         {"/plans": manager.records.as_json, "/catalogue": manager.catalogue_page},
         posts={"/explain": Explainer(manager.what_if, cluster)},
         forward=leader,
+        health_port=configuration.listen.health_port,
     )
 
 

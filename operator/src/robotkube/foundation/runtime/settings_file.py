@@ -8,9 +8,10 @@ from __future__ import annotations
 import logging
 import os
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 from robotkube.errors import DocumentError, InputError
@@ -22,6 +23,7 @@ from robotkube.foundation.runtime.process import Process, read_secret, read_text
 LOG_LEVELS = ("debug", "info", "warning", "error")
 PATH = re.compile(r"/[^\0]*")
 PORT_MAX = 65535
+NO_KEYS: Mapping[str, str] = MappingProxyType({})
 
 log = logging.getLogger(__name__)
 
@@ -39,10 +41,12 @@ class Credentials:
 
 @dataclass(frozen=True)
 class Listen:
-    """Address and port at which a process serves HTTP."""
+    """Address and ports at which a process serves HTTP: `health_port` answers health and metrics alone, None where
+    there is no such port."""
 
     address: str
     port: int
+    health_port: int | None = None
 
 
 def settings_path(environment: Mapping[str, str] = os.environ) -> Path:
@@ -50,33 +54,62 @@ def settings_path(environment: Mapping[str, str] = os.environ) -> Path:
     return Path(environment.get("ROBOTKUBE_CONFIG", "/etc/robotkube/config.yaml"))
 
 
-def read_settings(path: Path, read: Callable[[Reader, Mapping[str, Any]], T]) -> T:
-    """The settings in the file at `path`, as `read` makes them; DocumentError names the file and every problem."""
+def read_settings(
+    path: Path, read: Callable[[Reader, Mapping[str, Any]], T], new_keys: Mapping[str, str] = NO_KEYS
+) -> T:
+    """The settings in the file at `path`, as `read` makes them; DocumentError names the file and every problem.
+
+    `new_keys` (former key -> new key): top-level keys that are still accepted under their former name. Problems name
+    the key that stands in the file; both names in one file are a problem.
+    """
     reader = Reader(str(path))
-    document = read_mapping(read_text(path, "settings"), str(path))
+    document, names = _under_new_keys(reader, _document(path), new_keys)
     try:
         settings = read(reader, document)
     except (InputError, TypeError, ValueError, AttributeError, KeyError) as error:
         if not reader.problems:
             raise
-        raise DocumentError(str(path), reader.problems) from error
+        raise DocumentError(str(path), [_as_written(problem, names) for problem in reader.problems]) from error
+    reader.problems[:] = [_as_written(problem, names) for problem in reader.problems]
     reader.finish()
     return settings
 
 
-def under_new_keys(reader: Reader, document: Mapping[str, Any], new_keys: Mapping[str, str]) -> Mapping[str, Any]:
-    """The document with its former keys under their new names (`new_keys`: former key -> new key). Having both is a
-    problem."""
+def warn_of_former_keys(path: Path, new_keys: Mapping[str, str]) -> None:
+    """Log each former key that stands in the settings file at `path`, with its new name."""
+    document = _document(path)
     for key, new_key in new_keys.items():
-        if key in document and new_key in document:
+        if key in document:
+            log.warning("settings have a former key file=%s key=%s new_key=%s", path, key, new_key)
+
+
+def _document(path: Path) -> Mapping[str, Any]:
+    return read_mapping(read_text(path, "settings"), str(path))
+
+
+def _under_new_keys(
+    reader: Reader, document: Mapping[str, Any], new_keys: Mapping[str, str]
+) -> tuple[Mapping[str, Any], Mapping[str, str]]:
+    """The document with new keys only, and for each that was written under its former one: new key -> former key."""
+    renamed, names = dict(document), dict[str, str]()
+    for key, new_key in new_keys.items():
+        if key not in renamed:
+            continue
+        value = renamed.pop(key)
+        if new_key in renamed:
             reader.problems.append(f"{key}: is the former name of {new_key}, which is there as well; remove {key}")
-    return {new_keys.get(key, key): value for key, value in document.items()}
+        else:
+            renamed[new_key] = value
+            names[new_key] = key
+    return renamed, names
 
 
-def warn_of_former_keys(path: Path, former_keys: Iterable[str], new_keys: Mapping[str, str]) -> None:
-    """Log each former key of the settings file at `path`, with its new name."""
-    for key in former_keys:
-        log.warning("settings have a former key file=%s key=%s new_key=%s", path, key, new_keys[key])
+def _as_written(problem: str, names: Mapping[str, str]) -> str:
+    """A problem with the key that stands in the file."""
+    for new_key, key in names.items():
+        if problem.startswith((f"{new_key}:", f"{new_key}.", f"{new_key}[")):
+            return f"{key}{problem.removeprefix(new_key)} ({key} is the former name of {new_key})"
+    return problem
 
 
 def credentials(reader: Reader, value: Any, path: str) -> Credentials:
@@ -105,13 +138,21 @@ def _secret(reader: Reader, folder: str, name: str, path: str) -> str:
 
 
 def listen(reader: Reader, value: Any, path: str = "listen") -> Listen:
-    """Address and port."""
-    settings = reader.mapping(value or {}, path, ["address", "port"])
-    port = settings.get("port")
-    if not isinstance(port, int) or isinstance(port, bool) or not 0 <= port <= PORT_MAX:
-        reader.problems.append(f"{path}.port: must be a whole number from 0 to {PORT_MAX}")
-        port = 0
-    return Listen(reader.word(settings.get("address"), f"{path}.address", WORD), port)
+    """Address and ports; 0 is any free one."""
+    settings = reader.mapping(value or {}, path, ["address", "port"], ["health_port"])
+    port = _port(reader, settings.get("port"), f"{path}.port")
+    health = settings.get("health_port")
+    health_port = None if health is None else _port(reader, health, f"{path}.health_port")
+    if health_port and health_port == port:
+        reader.problems.append(f"{path}.health_port: is the same as {path}.port; give it a port of its own")
+    return Listen(reader.word(settings.get("address"), f"{path}.address", WORD), port, health_port)
+
+
+def _port(reader: Reader, value: Any, path: str) -> int:
+    if isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= PORT_MAX:
+        return value
+    reader.problems.append(f"{path}: must be a whole number from 0 to {PORT_MAX}")
+    return 0
 
 
 def log_level(reader: Reader, value: Any, path: str = "log_level") -> str:

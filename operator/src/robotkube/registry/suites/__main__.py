@@ -22,7 +22,7 @@ from robotkube.registry.suites.loops.images import ImagesSuite
 from robotkube.registry.suites.loops.namespace_cleanup import ClusterNamespaceCleaner
 from robotkube.registry.suites.loops.queue import SuiteQueue
 from robotkube.registry.suites.loops.static import StaticSuite
-from robotkube.registry.suites.settings import RunnerConfiguration, read_configuration, warn_of_former_keys
+from robotkube.registry.suites.settings import NEW_KEYS, RunnerConfiguration, read_configuration
 
 GRACE_SECONDS = 6.0
 STOP_POLL_SECONDS = 0.2
@@ -47,9 +47,9 @@ def build_queue(configuration: RunnerConfiguration, environment: Mapping[str, st
 def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     """Serve the protocol, health and metrics until the process shall end."""
     path = files.settings_path(environment)
-    configuration = files.read_settings(path, read_configuration)
+    configuration = files.read_settings(path, read_configuration, NEW_KEYS)
     files.send_logs(process, configuration.log_level)
-    warn_of_former_keys(configuration, path)
+    files.warn_of_former_keys(path, NEW_KEYS)
     queue = build_queue(configuration, environment)
     endpoint = RunsEndpoint(configuration.token, queue.put)
     server = WebServer(
@@ -58,10 +58,11 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
         queue.reasons_not_ready,
         MetricsPage(queue.metrics).text,
         put=endpoint.put,
+        health_port=configuration.listen.health_port,
     )
     queue.start()
     server.start()
-    process.log("started", port=server.port, test_namespaces=len(configuration.test_namespaces))
+    process.log("started", **server.ports, test_namespaces=len(configuration.test_namespaces))
     while not process.stopping.wait(STOP_POLL_SECONDS):
         pass
     server.stop()

@@ -18,6 +18,7 @@ from typing import Any
 
 from robotkube.errors import InputError
 from robotkube.foundation.database.adapters.connection import DatabaseLogin, connect
+from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.foundation.runtime.process import PodSettings, Process, read_secret, read_text, run
 from robotkube.registry.catalogue.core.expected_topics import MQTT, TEXT, ExpectedTopic
 from robotkube.registry.suites.adapters.broker_observer import PahoObserver
@@ -88,7 +89,7 @@ def body(process: Process) -> None:
 def read_config(text: str, where: str) -> Mapping[str, Any]:
     """The settings as `loops/interface.py` writes them; InputError when they are not."""
     try:
-        config = json.loads(text)
+        config = read_json(text)
         for key in ("topics", "node", "client", "broker", "database", "clear", "seconds_max", "bounds"):
             config[key]
     except (ValueError, KeyError, TypeError) as error:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from robotkube.foundation.documents.core.patterns import CHARTS_URL, HTTP_URL, IMAGE, NAME
@@ -17,15 +15,13 @@ TEST_NAMESPACES_MAX = 16
 DOMAIN_ID_MAX = 101  # above, ports of DDS collide with those that systems give away
 DATABASES = ("mongo", "ferretdb", "")
 NEW_KEYS = {"rooms": "test_namespaces", "registry": "oci_registry"}
-"""Former key -> the key of today; former ones are still taken, with a warning."""
-
-log = logging.getLogger(__name__)
+"""Former key of the settings file -> its new key; former ones are still accepted, with a warning."""
 
 
 @dataclass(frozen=True)
 class RunnerConfiguration:
-    """Everything the process needs, secrets included; `staging`, `verified`, `images_registry` are oci:// URLs,
-    `former_keys` the keys of the file that have another name today."""
+    """Everything the process needs, secrets included; `staging`, `verified`, `images_registry` are oci://
+    URLs."""
 
     listen: files.Listen
     log_level: str
@@ -37,13 +33,12 @@ class RunnerConfiguration:
     token: str
     test_namespaces: tuple[SuiteNamespaceSettings, ...]
     observer_image: str
-    former_keys: tuple[str, ...] = ()
 
 
 def read_configuration(reader: Reader, document: Mapping[str, Any]) -> RunnerConfiguration:
     """The settings document of the suite-runner."""
     keys = ["listen", "log_level", "forge", "oci_registry", "token", "test_namespaces", "agent", "images", "database"]
-    root = reader.mapping(_under_new_keys(reader, document), "", [*keys, "platform_namespace"])
+    root = reader.mapping(document, "", [*keys, "platform_namespace"])
     forge = reader.mapping(root.get("forge") or {}, "forge", ["url", "credentials"])
     oci_registry = reader.mapping(root.get("oci_registry") or {}, "oci_registry", ["staging", "verified", "images"])
     images = reader.mapping(root.get("images") or {}, "images", ["observer", "broker", "database"])
@@ -58,22 +53,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> RunnerCon
         token=files.secret(reader, root.get("token"), "token"),
         test_namespaces=_test_namespaces(reader, root, images),
         observer_image=reader.word(images.get("observer"), "images.observer", IMAGE),
-        former_keys=tuple(key for key in NEW_KEYS if key in document),
     )
-
-
-def warn_of_former_keys(configuration: RunnerConfiguration, path: Path) -> None:
-    """Log each key of the settings file that has another name today."""
-    for key in configuration.former_keys:
-        log.warning("settings have a former key file=%s key=%s new_key=%s", path, key, NEW_KEYS[key])
-
-
-def _under_new_keys(reader: Reader, document: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The document with its former keys under their names of today; having both is a problem."""
-    for key, new_key in NEW_KEYS.items():
-        if key in document and new_key in document:
-            reader.problems.append(f"{key}: is the former name of {new_key}, which is there as well; remove {key}")
-    return {NEW_KEYS.get(key, key): value for key, value in document.items()}
 
 
 def _test_namespaces(

@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robotkube.errors import InputError, RobotKubeError
+from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.foundation.runtime.adapters.health_server import HealthServer
 from robotkube.foundation.runtime.config_watch import fencing_of, watch_settings
@@ -293,8 +294,8 @@ class DetectorProcess:
     def _command(self, sent: bytes) -> tuple[int, str]:
         """Answer POST /state with a body such as `{"state": "active"}`."""
         try:
-            state = json.loads(sent)["state"]
-        except (ValueError, KeyError, TypeError, RecursionError):
+            state = read_json(sent)["state"]
+        except (ValueError, KeyError, TypeError):
             state = None
         if state not in STATES:
             return 400, json.dumps({"error": f'send {{"state": ...}} with one of {", ".join(STATES)}'})

@@ -10,9 +10,10 @@ from typing import Any
 
 import httpx
 import pytest
+import yaml
 
 from robotkube.foundation.kubernetes.adapters.client import call
-from robotkube.foundation.runtime.adapters.webhook_server import sign
+from robotkube.foundation.runtime.core.webhook_deliveries import sign
 from tests.stages.delivery.manager_process import Pod, write_settings
 from tests.stages.forge.installation import WEBHOOK_SECRET, Installation, RunningGate, manager_secret, outside
 from tests.stages.kubernetes.api_calls import TASKS, Api
@@ -25,15 +26,14 @@ pytestmark = [pytest.mark.toolchain, pytest.mark.filterwarnings("ignore::urllib3
 @pytest.fixture
 def pod(installation: Installation, gate: RunningGate, manager_api: Api, tmp_path: Path) -> Iterator[Pod]:
     port = free_port()
-    lease = manager_api.lease()
-    started = Pod(
-        write_settings(outside(installation), tmp_path, port, lease), manager_api.kubeconfig, port, "manager-0"
-    )
+    listen = {"address": "127.0.0.1", "port": port, "health_port": free_port()}
+    settings = write_settings(outside(installation), tmp_path, port, manager_api.lease(), listen=listen)
+    started = Pod(settings, manager_api.kubeconfig, port, "manager-0")
     yield started
     started.kill()
 
 
-def test_a_task_of_the_api_server_is_on_main(pod: Pod, manager_api: Api, gate: RunningGate) -> None:
+def test_a_task_of_the_api_server_is_on_main(pod: Pod, manager_api: Api, gate: RunningGate, tmp_path: Path) -> None:
     until(pod.ready, "ready", 30)
     until(lambda: all(p["on_main"] or p["error"] for p in pod.plans()), "initial configuration on main")
     manager_api.task(
@@ -54,7 +54,10 @@ def test_a_task_of_the_api_server_is_on_main(pod: Pod, manager_api: Api, gate: R
     headers["X-Gitea-Signature"] = sign(body, WEBHOOK_SECRET.encode())
     assert httpx.post(f"{pod.url}/webhook", content=body, headers=headers).status_code == 401, "signed for the gate"
     assert httpx.post(f"{pod.url}/webhook", content=body, headers={}).status_code == 401
-    assert "robotkube_manager_plans_total" in httpx.get(f"{pod.url}/metrics").text
+    health = yaml.safe_load((tmp_path / "config.yaml").read_text())["listen"]["health_port"]
+    for url in (pod.url, f"http://127.0.0.1:{health}"):
+        assert httpx.get(f"{url}/readyz").status_code == 200
+        assert "robotkube_manager_plans_total" in httpx.get(f"{url}/metrics").text
     manager_api.delete(f"{TASKS}/meeting")
     until(lambda: pod.plans()[-1]["cause"] == "withdrawal" and pod.plans()[-1]["on_main"], "withdrawn")
     assert gate.gate.statistics.sources["sent"] > 0, "its objects were sent"

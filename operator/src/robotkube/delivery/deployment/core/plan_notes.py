@@ -10,6 +10,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from robotkube.foundation.documents.core.json_codec import read_json
+
 FIRST_WORD = "Observed "
 NOTE_CHARACTERS_MAX = 32 * 1024
 RELEASES_SHOWN_MAX = 50
@@ -70,8 +72,8 @@ def read_note(comment: str, commit: str) -> str | None:
         return None
     note = comment.partition(_OPEN)[2].partition(_CLOSE)[0]
     try:
-        document: Any = json.loads(note)
-    except (ValueError, RecursionError):
+        document: Any = read_json(note)
+    except ValueError:
         return None
     if not isinstance(document, Mapping) or document.get("commit") != commit or len(note) > NOTE_CHARACTERS_MAX:
         return None

@@ -18,6 +18,7 @@ from functools import cached_property, lru_cache
 from typing import Any
 
 from robotkube.errors import DocumentError
+from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.foundation.documents.core.patterns import (
     CHARTS_URL,
     DIGEST,
@@ -292,9 +293,9 @@ def _objects(reader: Reader, value: Any, path: str) -> list[str]:
     if value is None:
         return []
     try:
-        parsed = json.loads(value) if isinstance(value, str) else None
+        parsed = read_json(value) if isinstance(value, str) else None
         objects = [canonical(item) for item in parsed] if isinstance(parsed, list) else []
-    except (ValueError, TypeError, RecursionError):
+    except (ValueError, TypeError):
         objects = []
     if not objects or not all(text.startswith("{") for text in objects) or value != "[" + ",".join(objects) + "]":
         reader.problems.append(f"{path}: must be a JSON list of objects, keys sorted, without spaces")

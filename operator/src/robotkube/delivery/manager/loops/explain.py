@@ -6,9 +6,8 @@ one that is not submitted yet. Nothing is changed by it. One question at a time,
 
 from __future__ import annotations
 
-import json
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from robotkube.delivery.manager.core.composition.inputs import Met
@@ -16,6 +15,7 @@ from robotkube.delivery.manager.core.conflicts import Postponed
 from robotkube.delivery.manager.core.explanations import Explanation
 from robotkube.delivery.tasks.ports.store import TaskStore
 from robotkube.errors import RobotKubeError
+from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.foundation.documents.core.yaml_codec import json_problems
 from robotkube.foundation.kubernetes.core.objects import object_key
 
@@ -40,8 +40,8 @@ class Explainer:
         if len(body) > QUESTION_BYTES_MAX:
             return 413, {"message": f"{len(body)} bytes; a task has at most {QUESTION_BYTES_MAX}"}
         try:
-            question = json.loads(body)
-        except (ValueError, RecursionError) as error:
+            question = read_json(body)
+        except ValueError as error:
             return 400, {"message": f"no JSON: {str(error)[:200]}"}
         return self._answer(question)
 
@@ -53,8 +53,9 @@ class Explainer:
         document = question if key is None else self._find(key)
         if document is None:
             return 404, {"message": f"there is no task {key!r:.400}"}
-        if not _is_named(document):
-            return 400, {"message": "metadata: needs name and namespace, both text"}
+        problem = _metadata_problem(document)
+        if problem:
+            return 400, {"message": problem}
         if not self._free.acquire(timeout=BUSY_SECONDS_MAX):
             return 429, {"message": "other questions are being answered; ask again"}
         try:
@@ -68,9 +69,21 @@ class Explainer:
         return next((task for task in self._store.tasks() if object_key(task) == key), None)
 
 
-def _is_named(document: Mapping[str, Any]) -> bool:
+def _metadata_problem(document: Mapping[str, Any]) -> str:
+    """What is wrong with the metadata, whose form the API server would have checked; empty when nothing is."""
     metadata = document.get("metadata")
-    return isinstance(metadata, Mapping) and all(isinstance(metadata.get(key), str) for key in ("name", "namespace"))
+    if not isinstance(metadata, Mapping) or not _are_texts(metadata.get(key) for key in ("name", "namespace")):
+        return "metadata: needs name and namespace, both text"
+    annotations = {} if metadata.get("annotations") is None else metadata["annotations"]
+    if not isinstance(annotations, Mapping) or not _are_texts(annotations.values()):
+        return "metadata.annotations: must be an object with texts"
+    if type(metadata.get("generation", 1)) is not int:
+        return "metadata.generation: must be a whole number"
+    return ""
+
+
+def _are_texts(values: Iterable[Any]) -> bool:
+    return all(isinstance(value, str) for value in values)
 
 
 def explanation_document(explanation: Explanation) -> dict[str, Any]:

@@ -7,13 +7,13 @@ fault passes (with the server's own error, and its status, as cause).
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 from urllib.parse import quote
 
 from robotkube.delivery.tasks.core.task_description import GROUP, PLURAL, VERSION
 from robotkube.errors import InputError, UnavailableError
+from robotkube.foundation.documents.core.json_codec import read_json_shortened
 from robotkube.writes import writes
 
 CONFLICT = 409
@@ -43,7 +43,7 @@ class KubernetesTasks:
     def find(self, namespace: str, name: str) -> Object | None:
         """Read one task, as the port says."""
         try:
-            task: Object = json.loads(self._call("GET", task_path(namespace, name)).data)
+            task: Object = read_json_shortened(self._call("GET", task_path(namespace, name)).data)
         except KeyError:
             return None
         return task

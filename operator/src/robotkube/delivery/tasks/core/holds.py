@@ -8,13 +8,13 @@ left out: then the hold ends HOLD_SECONDS_MAX after it was set. No hold lasts lo
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
 from robotkube.errors import DocumentError
+from robotkube.foundation.documents.core.json_codec import read_json
 
 HOLD_SECONDS_MAX = 4 * 3600
 PAYLOAD_BYTES_MAX = 4096
@@ -73,8 +73,8 @@ def message_hold(agent: str, payload: bytes, received_ns: int) -> DeviceHold | N
     if len(payload) > PAYLOAD_BYTES_MAX:
         raise DocumentError(where, [f"{len(payload)} bytes, at most {PAYLOAD_BYTES_MAX} are read"])
     try:
-        document = json.loads(payload)
-    except (ValueError, RecursionError) as error:
+        document = read_json(payload)
+    except ValueError as error:
         raise DocumentError(where, ['must be a JSON object such as {"reason": "driving", "until": "..."}']) from error
     message = document if isinstance(document, dict) else {}
     reason = message.get("reason")

@@ -19,6 +19,7 @@ from typing import Any
 
 from robotkube.delivery.tasks.core.task_description import GROUP, VERSION
 from robotkube.errors import DocumentError
+from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.foundation.documents.core.patterns import SUBDOMAIN
 from robotkube.foundation.documents.core.reader import Reader
 from robotkube.foundation.documents.core.yaml_codec import json_problems
@@ -85,8 +86,8 @@ def read_message(payload: bytes, size: int) -> TaskRequest | TaskWithdrawal | Le
             TOO_LARGE, f"{size} bytes; a task has at most {MESSAGE_BYTES_MAX}: put large data elsewhere"
         )
     try:
-        document = json.loads(payload.decode(), object_pairs_hook=_pairs, parse_constant=_no_number)
-    except (ValueError, RecursionError) as error:
+        document = read_json(payload.decode(), _pairs, _no_number)
+    except ValueError as error:
         return RejectedMessage(NOT_READABLE, f"no JSON in UTF-8: {_bounded(str(error))}; send one JSON object")
     if not isinstance(document, dict):
         return RejectedMessage(

@@ -1,24 +1,75 @@
-"""A reader of JSON that others wrote, whatever its depth: a reader that recurses must not be ended by one deep
-object."""
+"""JSON that others wrote, read to a bounded depth: no document may end a reader that recurses.
+
+This is the one place that knows what Python does with deep JSON. `read_json` refuses it; `read_json_shortened` is for
+lists and watches of the API server, where one deep object must not hide the others.
+"""
 
 from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable, Iterable
 from typing import Any
 
 LEVELS_MAX = 100  # beyond what any document here may have, and far below what ends a reader
+TOO_DEEP = f"nested deeper than {LEVELS_MAX} levels; write it flatter"
 
-_TOKEN = re.compile(r'"(?:[^"\\]|\\.)*"|[\[\]{}]', re.DOTALL)
+_TOKEN = re.compile(r'"(?:[^"\\]|\\.)*"?|[\[\]{}]', re.DOTALL)  # a text may lack its end: never looked for twice
 
 
-def read_json(text: str | bytes) -> Any:
-    """The value in `text`; in one that is nested too deeply for the reader, what lies below LEVELS_MAX is null.
-    ValueError when it is no JSON."""
+def read_json(
+    text: str | bytes,
+    pairs: Callable[[list[tuple[str, Any]]], Any] | None = None,
+    constant: Callable[[str], Any] | None = None,
+) -> Any:
+    """The value in `text`. ValueError when it is no JSON in a Unicode encoding, or has more than LEVELS_MAX levels.
+    `pairs` makes the value of an object, `constant` that of NaN and infinities, as with `json.loads`."""
     try:
-        return json.loads(text)
+        value = json.loads(text, object_pairs_hook=pairs, parse_constant=constant)
     except RecursionError:
-        return json.loads(_flattened(text if isinstance(text, str) else text.decode()))
+        raise ValueError(TOO_DEEP) from None
+    if _is_too_deep(text, value):
+        raise ValueError(TOO_DEEP)
+    return value
+
+
+def read_json_shortened(text: str | bytes) -> Any:
+    """The value in `text`; in one of more than LEVELS_MAX levels what lies below is null. ValueError when it is no
+    JSON."""
+    try:
+        value = json.loads(text)
+    except RecursionError:
+        return _shortened(text)
+    return _shortened(text) if _is_too_deep(text, value) else value
+
+
+def _is_too_deep(text: str | bytes, value: Any) -> bool:
+    """Whether `value`, which stands in `text`, has more than LEVELS_MAX levels."""
+    if _opened(text) <= LEVELS_MAX:
+        return False
+    level = [value]
+    for _ in range(LEVELS_MAX):
+        level = [inner for outer in level for inner in _items(outer) if isinstance(inner, (dict, list))]
+        if not level:
+            return False
+    return True
+
+
+def _opened(text: str | bytes) -> int:
+    """The most levels that `text` can have."""
+    if isinstance(text, bytes):
+        return text.count(b"[") + text.count(b"{")
+    return text.count("[") + text.count("{")
+
+
+def _items(value: Any) -> Iterable[Any]:
+    if isinstance(value, dict):
+        return value.values()
+    return value if isinstance(value, list) else ()
+
+
+def _shortened(text: str | bytes) -> Any:
+    return json.loads(_flattened(text if isinstance(text, str) else text.decode()))
 
 
 def _flattened(text: str) -> str:

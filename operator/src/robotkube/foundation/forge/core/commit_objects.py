@@ -48,7 +48,7 @@ def read_objects(body: bytes, repository: str) -> CommitObjects:
     try:
         document = read_json(body)
     except ValueError as error:
-        raise DocumentError(WHERE, [f"the body is not JSON: {error}"]) from error
+        raise DocumentError(WHERE, [f"the body is not readable as JSON: {error}"]) from error
     if not isinstance(document, Mapping):
         raise DocumentError(WHERE, ["the body must be a JSON object"])
     items = document.get("objects")

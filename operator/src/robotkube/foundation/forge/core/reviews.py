@@ -1,7 +1,8 @@
-"""A person's review of a pull request."""
+"""A person's review of a pull request, and when reviews approve it."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 
@@ -14,3 +15,14 @@ class Review:
     commit: str
     approved: bool
     official: bool
+
+
+def is_approved(reviews: Iterable[Review], commit: str, author: str, excluded: Iterable[str]) -> bool:
+    """Whether a person other than the author approved exactly `commit`, and nobody who may is against it. The last
+    review of each person counts; `reviews` are oldest first, `excluded` accounts whose reviews do not count."""
+    nobody = {author, *excluded}
+    counting = [
+        review for review in reviews if review.official and review.commit == commit and review.author not in nobody
+    ]
+    last = {review.author: review for review in counting}
+    return bool(last) and all(review.approved for review in last.values())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import random
 import threading
@@ -15,7 +14,7 @@ from kubernetes.watch.watch import iter_resp_lines
 
 from robotkube.backoffs import Random, backoff
 from robotkube.errors import InputError, UnavailableError
-from robotkube.foundation.documents.core.json_codec import read_json
+from robotkube.foundation.documents.core.json_codec import read_json, read_json_shortened
 from robotkube.foundation.kubernetes.core.objects import object_key
 
 log = logging.getLogger(__name__)
@@ -94,7 +93,7 @@ def _translated(error: client.ApiException, what: str) -> Exception:
 
 def _message(error: client.ApiException) -> str:
     try:
-        return str(json.loads(error.body)["message"])
+        return str(read_json(error.body)["message"])
     except (ValueError, KeyError, TypeError):
         return str(error.reason)
 
@@ -162,7 +161,7 @@ class ResourceWatch:
         version = ""
         token = ""
         for _ in range(PAGES_MAX):
-            answer = read_json(call(self._api, "GET", self._path, [*query, ("continue", token)]).data)
+            answer = read_json_shortened(call(self._api, "GET", self._path, [*query, ("continue", token)]).data)
             values |= {object_key(item): self._reduce(item) for item in answer.get("items", [])}
             version = answer["metadata"]["resourceVersion"]
             token = answer["metadata"].get("continue", "")
@@ -205,7 +204,7 @@ class ResourceWatch:
             for line in iter_resp_lines(answer):
                 if self._stopping.is_set():
                     return
-                yield read_json(line)
+                yield read_json_shortened(line)
         except (urllib3.exceptions.HTTPError, OSError) as error:
             raise UnavailableError(f"watch ended: {error}") from error
 

@@ -31,7 +31,7 @@ from urllib.parse import quote, urlencode, urlsplit
 
 from robotkube.backoffs import Random, backoff
 from robotkube.errors import InputError, UnavailableError
-from robotkube.foundation.documents.core.json_codec import read_json
+from robotkube.foundation.documents.core.json_codec import read_json_shortened
 
 SERVER_VARIABLE = "ROBOTKUBE_API_SERVER"
 ACCOUNT_FOLDER = Path("/var/run/secrets/kubernetes.io/serviceaccount")
@@ -188,7 +188,7 @@ class ApiServer:
 def _checked(status: int, text: bytes, call: str) -> tuple[int, dict[str, Any]]:
     """Status and document of an answer; 404 and 409 are for the caller, any other error is raised."""
     try:
-        document = read_json(text)
+        document = read_json_shortened(text)
     except ValueError:
         document = {}
     document = document if isinstance(document, dict) else {}
@@ -301,7 +301,7 @@ class ConfigMapWatch:
                 _checked(response.status, response.read(EVENT_BYTES_MAX), "watch")
                 return
             while not self._again.is_set() and (line := response.readline(EVENT_BYTES_MAX)):
-                yield read_json(line)
+                yield read_json_shortened(line)
         finally:
             self._socket = None
             connection.close()

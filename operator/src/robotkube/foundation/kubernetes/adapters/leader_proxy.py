@@ -39,11 +39,8 @@ class LeaderRequests:
         address = self._leadership.leader()
         if address is None or FORWARDED in headers or FORWARDED_FORMERLY in headers:
             return 503, "no process of this manager leads at this moment; ask again\n", TEXT
-        delivery = {name: value for name, value in headers.items() if name.startswith(DELIVERY_HEADERS)}
         try:
-            answer = self._client.request(
-                method, f"http://{address}{path}", content=body, headers={**delivery, FORWARDED: "1"}
-            )
+            answer = self._client.request(method, f"http://{address}{path}", content=body, headers=_forwarded(headers))
         except httpx.HTTPError as error:
             reason = f"the process that leads does not answer at {address}: {error or type(error).__name__}"
             log.warning("request not forwarded path=%s reason=%s", path, reason)
@@ -53,3 +50,10 @@ class LeaderRequests:
     def close(self) -> None:
         """Close the connections."""
         self._client.close()
+
+
+def _forwarded(headers: Mapping[str, str]) -> dict[bytes, bytes]:
+    """The headers that the leader needs, as bytes: what a client sent need not be ASCII."""
+    delivery = {name: value for name, value in headers.items() if name.startswith(DELIVERY_HEADERS)}
+    sent = {**delivery, FORWARDED: "1"}
+    return {name.encode("latin-1"): value.encode("latin-1") for name, value in sent.items()}

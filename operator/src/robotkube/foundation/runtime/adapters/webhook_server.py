@@ -1,7 +1,7 @@
 """The HTTP side of a process: signed webhooks in, health and metrics out.
 
     POST /webhook   a delivery of the forge: HMAC-SHA256 of the body in X-Gitea-Signature or X-Hub-Signature-256, or the
-                    secret in X-Gitlab-Token; 204, or 400/401/413
+                    secret in X-Gitlab-Token; 204, or 400/401/408/411/413
     GET  /livez     200 while the process serves
     GET  /readyz    200, or 503 with one reason per line
     GET  /metrics   Prometheus text
@@ -10,6 +10,9 @@
                     delivery is, each with a secret of its own: 401 otherwise
     PUT  <path>     what `put` answers, where a process has one
 
+The first three are also answered on a port of their own, for kubelet and Prometheus: clients of the other port cannot
+take its places. How many connections, and how much time, a client may take: `bounded_connections`.
+
 A delivery only wakes its receiver: what happened is read from the forge afterwards, so a lost, doubled or replayed
 delivery does no harm. A process that waits for its turn to lead forwards deliveries, pages and questions to the one
 that leads (`forward`).
@@ -17,29 +20,33 @@ that leads (`forward`).
 
 from __future__ import annotations
 
-import contextlib
-import hashlib
-import hmac
+import io
 import json
 import logging
-import socket
 import sys
 import threading
+import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any, NamedTuple
 
-GITLAB_ACTIONS = {
-    "open": "opened",
-    "reopen": "reopened",
-    "update": "synchronized",
-    "close": "closed",
-    "merge": "closed",
-}
+from robotkube.foundation.runtime.adapters.bounded_connections import (
+    HEAD_BYTES_MAX,
+    ConnectionBounds,
+    ConnectionPlaces,
+    HeadTooLongError,
+    RequestReader,
+)
+from robotkube.foundation.runtime.core.webhook_deliveries import (
+    RequestError,
+    WebhookDelivery,
+    check_signature,
+    read_delivery,
+)
+
 BODY_BYTES_MAX = 4 * 1024 * 1024
-CONNECTIONS_MAX = 32
-CONNECTION_SECONDS_MAX = 30.0
+LENGTH_DIGITS_MAX = 20  # of Content-Length
 SHUTDOWN_SECONDS_MAX = 5.0
 
 log = logging.getLogger(__name__)
@@ -61,83 +68,30 @@ class Signed(NamedTuple):
 
 
 @dataclass(frozen=True)
-class WebhookDelivery:
-    """A signed delivery: the forge's event name (push, pull_request, pull_request_sync, ...) and its decoded body."""
+class _Answers:
+    """What is answered on one port."""
 
-    event: str
-    payload: Mapping[str, Any]
-
-    @property
-    def repository(self) -> str:
-        """`<organisation>/<name>`, empty when the payload names none."""
-        return str((self.payload.get("repository") or {}).get("full_name", ""))
-
-
-def sign(body: bytes, secret: bytes) -> str:
-    """Hexadecimal HMAC-SHA256 of `body`, as the forge and GitHub compute it."""
-    return hmac.new(secret, body, hashlib.sha256).hexdigest()
-
-
-class _DeliveryError(Exception):
-    def __init__(self, status: int, message: str) -> None:
-        super().__init__(message)
-        self.status = status
-
-
-def read_delivery(headers: Mapping[str, str], body: bytes, secret: bytes) -> WebhookDelivery:
-    """The delivery in a request of Gitea, GitHub or GitLab; raises with the HTTP status when signature or body are
-    wrong. GitLab's events are translated into those of the other two."""
-    names = {name.lower(): value for name, value in headers.items()}
-    _check(names, body, secret)
-    try:
-        payload = json.loads(body)
-    except ValueError as error:
-        raise _DeliveryError(400, f"the body is not JSON: {error}") from error
-    if not isinstance(payload, dict):
-        raise _DeliveryError(400, "the body must be a JSON object")
-    if "x-gitlab-event" in names:
-        return _of_gitlab(payload)
-    return WebhookDelivery(names.get("x-gitea-event") or names.get("x-github-event", ""), payload)
-
-
-def _check(names: Mapping[str, str], body: bytes, secret: bytes) -> None:
-    if not _genuine(names, body, secret):
-        problem = "X-Gitea-Signature, X-Hub-Signature-256 or X-Gitlab-Token does not fit"
-        raise _DeliveryError(401, f"{problem}: both sides need the same webhook secret")
-
-
-def _genuine(names: Mapping[str, str], body: bytes, secret: bytes) -> bool:
-    """GitLab sends the secret itself instead of a signature."""
-    if "x-gitlab-token" in names:
-        return hmac.compare_digest(names["x-gitlab-token"].encode(), secret)
-    signature = names.get("x-gitea-signature") or names.get("x-hub-signature-256", "").removeprefix("sha256=")
-    return hmac.compare_digest(signature.encode(), sign(body, secret).encode())
-
-
-def _of_gitlab(payload: Mapping[str, Any]) -> WebhookDelivery:
-    """A push or merge request event of GitLab; everything else becomes an empty event."""
-    project = payload.get("project")
-    repository = {"full_name": project.get("path_with_namespace", "") if isinstance(project, dict) else ""}
-    if payload.get("object_kind") == "push":
-        return WebhookDelivery(
-            "push", {"ref": payload.get("ref"), "after": payload.get("after"), "repository": repository}
-        )
-    request = payload.get("object_attributes")
-    if payload.get("object_kind") != "merge_request" or not isinstance(request, dict):
-        return WebhookDelivery("", {"repository": repository})
-    action = GITLAB_ACTIONS.get(str(request.get("action")), "")
-    return WebhookDelivery("pull_request", {"action": action, "repository": repository})
+    live: Callable[[], bool]
+    ready: Callable[[], Sequence[str]]
+    metrics: Callable[[], str]
+    secret: bytes = b""
+    deliver: Callable[[WebhookDelivery], None] | None = None
+    pages: Mapping[str, Callable[[], Mapping[str, Any]]] = field(default_factory=dict)
+    put: Put | None = None
+    posts: Mapping[str, Post] = field(default_factory=dict)
+    forward: Forward | None = None
+    signed: Mapping[str, Signed] = field(default_factory=dict)
 
 
 class WebServer:
-    """The HTTP server of a process, on a thread of its own, at most CONNECTIONS_MAX requests at a time; `start()`, then
-    `stop()`.
+    """The HTTP server of a process, each connection on a thread of its own within `bounds`; `start()`, then `stop()`.
 
     `deliver` must return at once (it wakes a loop); `ready` gives the reasons why the process is not ready (empty = it
     is); `metrics` gives Prometheus text; `pages` are JSON documents by path, `posts` answer questions by path. Port 0
-    is a free one, see `port`. `secret` is that of deliveries; without one there is no /webhook. `signed` are posts
+    is a free one, see `ports`. `secret` is that of deliveries; without one there is no /webhook. `signed` are posts
     by path, each with its own secret. `put` gets path, headers (lower-case names) and body of a PUT, and gives status
-    and JSON. `forward` may let another process answer genuine deliveries, pages and questions instead.
+    and JSON. `forward` may let another process answer genuine deliveries, pages and questions instead. At
+    `health_port`, if there is one, only health and metrics are answered, in places of its own.
     """
 
     def __init__(
@@ -153,147 +107,204 @@ class WebServer:
         posts: Mapping[str, Post] | None = None,
         forward: Forward | None = None,
         signed: Mapping[str, Signed] | None = None,
+        health_port: int | None = None,
+        bounds: ConnectionBounds = ConnectionBounds(),  # noqa: B008 - it is frozen
+        monotonic: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._server = _Server((address, port), _Handler)
-        self._server.ready = ready
-        self._server.metrics = metrics
-        self._server.secret = secret
-        self._server.deliver = deliver
-        self._server.pages = pages or {}
-        self._server.put = put
-        self._server.posts = posts or {}
-        self._server.forward = forward
-        self._server.signed = signed or {}
-        self._thread = threading.Thread(target=self._server.serve_forever, kwargs={"poll_interval": 0.2}, daemon=True)
+        more = (secret, deliver, pages or {}, put, posts or {}, forward, signed or {})
+        answers = _Answers(self._is_serving, ready, metrics, *more)
+        self._servers = {"port": _Server(address, port, answers, bounds, monotonic)}
+        if health_port is not None:
+            health = _Answers(self._is_serving, ready, metrics)
+            self._servers["health_port"] = _Server(address, health_port, health, bounds, monotonic)
+
+    @property
+    def ports(self) -> Mapping[str, int]:
+        """The TCP ports it listens on: `port`, and `health_port` where it has one."""
+        return {name: server.port for name, server in self._servers.items()}
+
+    @property
+    def port(self) -> int:
+        """The TCP port of deliveries and questions."""
+        return self._servers["port"].port
+
+    def start(self) -> None:
+        """Begin to serve."""
+        for server in self._servers.values():
+            server.start()
+
+    def stop(self) -> None:
+        """End within SHUTDOWN_SECONDS_MAX for each port."""
+        for server in self._servers.values():
+            server.stop()
+
+    def _is_serving(self) -> bool:
+        return self._servers["port"].is_serving()
+
+
+class _Server(ThreadingHTTPServer):
+    """One port of a WebServer."""
+
+    daemon_threads = True
+    block_on_close = False
+
+    def __init__(
+        self,
+        address: str,
+        port: int,
+        answers: _Answers,
+        bounds: ConnectionBounds,
+        monotonic: Callable[[], float],
+    ) -> None:
+        self.answers = answers
+        self.bounds = bounds
+        self.monotonic = monotonic
+        self.request_queue_size = bounds.connections
+        self._places = ConnectionPlaces(bounds, monotonic)
+        super().__init__((address, port), _Handler)
+        self._thread = threading.Thread(target=self.serve_forever, kwargs={"poll_interval": 0.2}, daemon=True)
 
     @property
     def port(self) -> int:
         """The TCP port it listens on."""
-        return int(self._server.server_address[1])
+        return int(self.server_address[1])
 
     def start(self) -> None:
         """Begin to serve."""
         self._thread.start()
 
+    def is_serving(self) -> bool:
+        """Whether it accepts connections."""
+        return self._thread.is_alive()
+
     def stop(self) -> None:
-        """End within SHUTDOWN_SECONDS_MAX."""
+        """End, and end kept connections: a delivery must not go to a process that has stopped listening."""
         if self._thread.is_alive():
-            self._server.shutdown()
+            self.shutdown()
             self._thread.join(SHUTDOWN_SECONDS_MAX)
-        self._server.server_close()
-        self._server.end_connections()
-
-
-class _Server(ThreadingHTTPServer):
-    daemon_threads = True
-    block_on_close = False
-    request_queue_size = CONNECTIONS_MAX
-    ready: Callable[[], Sequence[str]]
-    metrics: Callable[[], str]
-    secret: bytes
-    deliver: Callable[[WebhookDelivery], None] | None
-    pages: Mapping[str, Callable[[], Mapping[str, Any]]]
-    put: Put | None
-    posts: Mapping[str, Post]
-    forward: Forward | None
-    signed: Mapping[str, Signed]
-
-    def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
-        super().__init__(address, handler)
-        self._connections: dict[Any, None] = {}  # oldest first
-        self._lock = threading.Lock()
+        self.server_close()
+        self._places.end_all()
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Serve a connection; drop one beyond the bound and end the oldest, so that no client can hold all places: the
-        next try of the forge or the kubelet has one."""
-        with self._lock:
-            accepted = len(self._connections) < CONNECTIONS_MAX
-            if accepted:
-                self._connections[request] = None
-            else:
-                _end(next(iter(self._connections)))
-        if accepted:
-            super().process_request(request, client_address)
-        else:
+        """Serve a connection that has a place, drop one that has none."""
+        source = str(client_address[0])
+        if not self._places.enter(request, source):
             self.shutdown_request(request)
+            return
+        try:
+            super().process_request(request, client_address)
+        except RuntimeError:  # there was no thread
+            self._places.leave(request, source)
+            raise
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
         """Serve a connection on its thread, and give its place back at the end."""
         try:
             super().process_request_thread(request, client_address)
         finally:
-            with self._lock:
-                self._connections.pop(request, None)
+            self._places.leave(request, str(client_address[0]))
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Log an error with its trace, but for clients that closed their connection."""
+        """Log an error with its trace, but for clients that closed their connection, or had it ended."""
         if not isinstance(sys.exception(), OSError):
             log.error("request failed client=%s", client_address, exc_info=True)
-
-    def end_connections(self) -> None:
-        """End kept connections: a delivery must not go to a process that has stopped listening."""
-        with self._lock:
-            for connection in self._connections:
-                _end(connection)
-
-
-def _end(connection: Any) -> None:
-    """End a connection; its thread ends by itself, and gives the place back."""
-    with contextlib.suppress(OSError):
-        connection.shutdown(socket.SHUT_RDWR)
 
 
 class _Handler(BaseHTTPRequestHandler):
     server: _Server
     protocol_version = "HTTP/1.1"
-    timeout = CONNECTION_SECONDS_MAX
     server_version = "robotkube"
     sys_version = ""
+    disable_nagle_algorithm = True  # head and body of an answer go one after the other: the second waited for 40 ms
+
+    def setup(self) -> None:
+        """Read what the client sends within the server's bounds."""
+        super().setup()
+        self.rfile.close()
+        self._incoming = RequestReader(self.connection, self.server.bounds.answer_seconds, self.server.monotonic)
+        self.rfile = io.BufferedReader(self._incoming)
+
+    def handle(self) -> None:
+        """Answer the requests of a connection, one after the other."""
+        self.close_connection = True
+        self._answer_one()
+        while not self.close_connection and self._next_begins():
+            self._answer_one()
+
+    def _answer_one(self) -> None:
+        self._incoming.allow(self.server.bounds.head_seconds, HEAD_BYTES_MAX)
+        self.handle_one_request()
+
+    def _next_begins(self) -> bool:
+        """Whether the client sends another request before it was idle for too long."""
+        self._incoming.allow(self.server.bounds.idle_seconds, HEAD_BYTES_MAX)
+        try:
+            return bool(self.rfile.peek(1))  # type: ignore[attr-defined]
+        except (TimeoutError, ConnectionError):
+            return False
+
+    def parse_request(self) -> bool:
+        """Read request line and headers; a client whose headers are late or too long is told so."""
+        try:
+            return super().parse_request()
+        except TimeoutError:
+            seconds = self.server.bounds.head_seconds
+            self._refuse(408, f"request line and headers did not come within {seconds:g} s; send them at once")
+        except HeadTooLongError as error:
+            self._refuse(431, str(error))
+        return False
 
     def do_GET(self) -> None:
         """Answer health, metrics and pages."""
+        answers = self.server.answers
         if self.path == "/livez":
-            self._answer(200, "ok\n")
+            self._answer_health(
+                [] if answers.live() else ["the port of deliveries and questions has stopped to answer"]
+            )
         elif self.path == "/readyz":
-            reasons = self.server.ready()
-            self._answer(503 if reasons else 200, "".join(f"{reason}\n" for reason in reasons) or "ok\n")
+            self._answer_health(answers.ready())
         elif self.path == "/metrics":
-            self._answer(200, self.server.metrics())
-        elif self.path not in self.server.pages:
+            self._answer(200, answers.metrics())
+        elif self.path not in answers.pages:
             self._answer(404, "not found\n")
         elif not self._forwarded(b""):
-            self._answer(200, json.dumps(self.server.pages[self.path]()) + "\n", "application/json")
+            self._answer(200, json.dumps(answers.pages[self.path]()) + "\n", "application/json")
+
+    def _answer_health(self, reasons: Sequence[str]) -> None:
+        self._answer(503 if reasons else 200, "".join(f"{reason}\n" for reason in reasons) or "ok\n")
 
     def do_POST(self) -> None:
         """Answer a delivery, or a question."""
-        if self.path in self.server.posts:
-            self._reply(self.server.posts[self.path])
-            return
-        if self.path in self.server.signed:
-            signed = self.server.signed[self.path]
-            self._reply(signed.answer, signed.secret)
-            return
-        if self.path != "/webhook" or self.server.deliver is None:
+        answers = self.server.answers
+        if self.path in answers.posts:
+            self._reply(answers.posts[self.path])
+        elif self.path in answers.signed:
+            self._reply(answers.signed[self.path].answer, answers.signed[self.path].secret)
+        elif self.path == "/webhook" and answers.deliver is not None:
+            self._receive(answers.deliver)
+        else:
             self._refuse(404, "not found")
-            return
+
+    def _receive(self, deliver: Callable[[WebhookDelivery], None]) -> None:
+        """Answer a delivery."""
         try:
             body = self._body()
-            delivery = read_delivery(dict(self.headers), body, self.server.secret)
-        except _DeliveryError as error:
+            delivery = read_delivery(self._lower_case_headers(), body, self.server.answers.secret)
+        except RequestError as error:
             log.warning("webhook refused status=%d reason=%s", error.status, error)
             self._refuse(error.status, str(error))
             return
         log.debug("delivery event=%s action=%s", delivery.event, delivery.payload.get("action", ""))
         if not self._forwarded(body):
-            self.server.deliver(delivery)
+            deliver(delivery)
             self._answer(204, "")
 
     def do_PUT(self) -> None:
         """Answer a request, where the process has `put`."""
-        if self.server.put is None:
+        put = self.server.answers.put
+        if put is None:
             self._refuse(404, "not found")
             return
-        put = self.server.put
         headers = self._lower_case_headers()
         self._reply(lambda body: put(self.path, headers, body))
 
@@ -302,8 +313,8 @@ class _Handler(BaseHTTPRequestHandler):
         try:
             body = self._body()
             if secret is not None:
-                _check(self._lower_case_headers(), body, secret)
-        except _DeliveryError as error:
+                check_signature(self._lower_case_headers(), body, secret)
+        except RequestError as error:
             self._refuse(error.status, str(error))
             return
         if self._forwarded(body):
@@ -313,7 +324,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _forwarded(self, body: bytes) -> bool:
         """Whether another process has answered this request."""
-        forward = self.server.forward
+        forward = self.server.answers.forward
         answer = forward(self.command, self.path, self._lower_case_headers(), body) if forward is not None else None
         if answer is not None:
             self._answer(*answer)
@@ -323,12 +334,18 @@ class _Handler(BaseHTTPRequestHandler):
         return {name.lower(): value for name, value in self.headers.items()}
 
     def _body(self) -> bytes:
+        """The body, whose length must be known, all of which must come in time."""
         length = self.headers.get("Content-Length") or ""
         if not length.isascii() or not length.isdigit():
-            raise _DeliveryError(411, "Content-Length is missing")
-        if int(length) > BODY_BYTES_MAX:
-            raise _DeliveryError(413, f"longer than {BODY_BYTES_MAX} bytes")
-        return self.rfile.read(int(length))
+            raise RequestError(411, "Content-Length is missing")
+        if len(length) > LENGTH_DIGITS_MAX or int(length) > BODY_BYTES_MAX:
+            raise RequestError(413, f"longer than {BODY_BYTES_MAX} bytes")
+        seconds = self.server.bounds.body_seconds
+        self._incoming.allow(seconds, BODY_BYTES_MAX + io.DEFAULT_BUFFER_SIZE)
+        try:
+            return self.rfile.read(int(length))
+        except TimeoutError as error:
+            raise RequestError(408, f"the body did not come within {seconds:g} s; send it at once") from error
 
     def _refuse(self, status: int, message: str) -> None:
         self.close_connection = True  # the body may not have been read

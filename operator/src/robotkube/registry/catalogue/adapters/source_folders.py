@@ -3,13 +3,13 @@ findings."""
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from robotkube.errors import DocumentError, InputError
+from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.foundation.documents.core.patterns import NAME, VERSION
 from robotkube.foundation.documents.core.yaml_codec import TEXT_BYTES_MAX, json_problems, read_mapping
 from robotkube.registry.catalogue.core.sources import CatalogueSources, ChartFolder, SourceProblem
@@ -116,8 +116,8 @@ def _schema(path: Path) -> Mapping[str, Any] | None:
     if not path.is_file():
         return None
     try:
-        schema = json.loads(_text(path))
-    except (ValueError, RecursionError) as error:
+        schema = read_json(_text(path))
+    except ValueError as error:
         raise DocumentError(str(path), [f"not readable as JSON: {error}; correct it"]) from error
     if not isinstance(schema, dict) or json_problems(schema, ""):
         raise DocumentError(str(path), ["must hold one JSON Schema, an object; correct it"])

@@ -2,7 +2,7 @@
 
     applications/<name>.yaml            what can be asked for
     charts/<chart>/<version>.yaml       what exists, in which state, by which digest
-    policies/release.yaml               which states may be deployed
+    policies/release.yaml               which states may be deployed, what waits for a person
     evidence/...                        signed envelopes: not read here; `with_evidence` gets what they prove
 
 A file that breaks its rules makes that one entry unusable and is named in `Catalogue.problems`; the others stay.
@@ -31,16 +31,18 @@ __all__ = [
     "Catalogue",
     "ChartRequirement",
     "ChartVersion",
+    "ReleasePolicy",
     "read_application",
-    "read_assurance",
     "read_catalogue",
     "read_chart_version",
+    "read_release_policy",
 ]
 
 FOLDERS = ("applications", "charts", "policies", "evidence")
 RELEASE_POLICY = "policies/release.yaml"
 VERIFICATION_POLICY = "policies/verification.yaml"
 REASONS_MAX = 20
+PERSON, AUTOMATIC = "person", "automatic"
 ASSURANCES: Mapping[str, frozenset[str]] = {
     "none": frozenset({"staged", "verified"}),
     "verified": frozenset({"verified"}),
@@ -233,7 +235,7 @@ def read_catalogue(files: Mapping[str, str], published: bool = True) -> Catalogu
             elif parts[0] == "charts" and len(parts) == 3:
                 charts.setdefault(parts[1], []).append(read_chart_version(files[path], path, published))
             elif path == RELEASE_POLICY:
-                assurance = read_assurance(files[path], path)
+                assurance = read_release_policy(files[path], path).assurance
         except DocumentError as error:
             problems += [f"{error.where}: {problem}" for problem in error.problems]
     return Catalogue(applications, {name: tuple(v) for name, v in charts.items()}, assurance, tuple(problems))
@@ -245,10 +247,22 @@ def _entries(files: Mapping[str, str]) -> Iterable[tuple[str, list[str]]]:
             yield path, path.removesuffix(".yaml").split("/")
 
 
-def read_assurance(text: str, path: str) -> str:
-    """The release policy: `assurance: none | verified`."""
+@dataclass(frozen=True)
+class ReleasePolicy:
+    """The content of policies/release.yaml. `assurance`: one of ASSURANCES; `initial_for`: whether applications that
+    run by themselves wait for a person's approval (PERSON, the default) or are published at once (AUTOMATIC)."""
+
+    assurance: str
+    initial_for: str = PERSON
+
+
+def read_release_policy(text: str, path: str) -> ReleasePolicy:
+    """The release policy in `text`; DocumentError names every problem."""
     reader = Reader(path)
-    document = reader.mapping(read_mapping(text, path), "", ["assurance"])
+    document = reader.mapping(read_mapping(text, path), "", ["assurance"], ["initialFor"])
     assurance = read_one_of(reader, document.get("assurance"), "assurance", ASSURANCES)
+    initial_for = PERSON
+    if "initialFor" in document:
+        initial_for = read_one_of(reader, document["initialFor"], "initialFor", (PERSON, AUTOMATIC))
     reader.finish()
-    return assurance
+    return ReleasePolicy(assurance, initial_for)

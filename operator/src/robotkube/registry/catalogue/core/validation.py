@@ -8,7 +8,7 @@ from typing import Any
 
 from robotkube.errors import DocumentError
 from robotkube.registry.catalogue.core.applications import Application, ChartRequirement, read_application
-from robotkube.registry.catalogue.core.catalogue import RELEASE_POLICY, VERIFICATION_POLICY, read_assurance
+from robotkube.registry.catalogue.core.catalogue import RELEASE_POLICY, VERIFICATION_POLICY, read_release_policy
 from robotkube.registry.catalogue.core.chart_validation import chart_problems, folder_findings
 from robotkube.registry.catalogue.core.chart_versions import ChartVersion, read_chart_version
 from robotkube.registry.catalogue.core.guarantees import shortfall
@@ -63,7 +63,7 @@ def _read(path: str, sources: CatalogueSources, readable: _Readable) -> list[Sou
             version = read_chart_version(text, path, published=False)
             readable.charts.setdefault(parts[1], []).append(version)
         elif path == RELEASE_POLICY:
-            read_assurance(text, path)
+            read_release_policy(text, path)
         elif path == VERIFICATION_POLICY:
             read_verification_policy(text, path)
         else:

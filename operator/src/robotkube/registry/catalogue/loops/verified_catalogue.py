@@ -6,7 +6,6 @@ piece of evidence takes the assurance from its own chart version and from nothin
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -15,6 +14,7 @@ from typing import Any
 
 from robotkube.errors import DocumentError, InputError
 from robotkube.foundation.documents.core.digests import sha256
+from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.foundation.forge.ports.repositories import RepositoryFiles
 from robotkube.registry.catalogue.core.catalogue import FOLDERS, Catalogue, ChartVersion, read_catalogue
 from robotkube.registry.evidence.core.statements import Artefact, Assessment, Listing, VerifiedStatement, assess
@@ -156,7 +156,7 @@ class AssuredCatalogue:
 @lru_cache(SCHEMAS_CACHED_MAX)
 def _read_schema(text: str) -> Mapping[str, Any] | None:
     try:
-        schema = json.loads(text)
-    except (ValueError, RecursionError):
+        schema = read_json(text)
+    except ValueError:
         return None
     return schema if isinstance(schema, dict) else None

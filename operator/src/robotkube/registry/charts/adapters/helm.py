@@ -16,6 +16,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from robotkube.errors import InputError, UnavailableError
+from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.foundation.documents.core.yaml_codec import read_mappings
 
 SECONDS_MAX = 20
@@ -103,8 +104,8 @@ def _refuse(files: Mapping[str, bytes]) -> None:
 
 def _refuse_references(path: str, data: bytes) -> None:
     try:
-        document = json.loads(data)
-    except (ValueError, RecursionError) as error:
+        document = read_json(data)
+    except ValueError as error:
         raise InputError(f"{path}: no JSON: {error}") from error
     for key, value in _references(document, 0):
         if key == "$schema" and DIALECTS in value:

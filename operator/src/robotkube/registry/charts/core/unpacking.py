@@ -6,7 +6,6 @@ paths that leave the folder and archives that grow beyond a bound are refused be
 
 from __future__ import annotations
 
-import json
 import tarfile
 import zlib
 from collections.abc import Mapping
@@ -14,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from robotkube.errors import DocumentError
+from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.foundation.documents.core.patterns import ARCHIVE_PART, CHART_NAME, CHART_VERSION, DIGEST
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.registry.charts.core.packing import CHART_CONFIG_TYPE, CHART_FILE, CHART_LAYER_TYPE, PulledChart
@@ -41,8 +41,8 @@ class Descriptor:
 def read_json_object(data: bytes, where: str) -> dict[str, Any]:
     """The JSON object in `data`; DocumentError when it is anything else."""
     try:
-        document = json.loads(data.decode("utf-8"))
-    except (ValueError, RecursionError):
+        document = read_json(data.decode("utf-8"))
+    except ValueError:
         raise DocumentError(where, ["not readable as JSON"]) from None
     if not isinstance(document, dict):
         raise DocumentError(where, ["must be a JSON object"])

@@ -10,7 +10,6 @@ from __future__ import annotations
 import base64
 import binascii
 import hashlib
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NoReturn
@@ -35,6 +34,7 @@ from securesystemslib.signer import CryptoSigner, Key, Signature, SSlibKey
 
 from robotkube.errors import InputError
 from robotkube.foundation.documents.core.digests import canonical_json, sha256
+from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.registry.evidence.core.statements import (
     ENVELOPE_MEDIA_TYPE,
     STATEMENT_TYPE,
@@ -211,14 +211,12 @@ def _decode(text: str, what: str) -> bytes:
 def _read_json(data: bytes, what: str) -> dict[str, Any]:
     """The mapping that `data` is the canonical JSON of."""
     try:
-        document = json.loads(data.decode("utf-8"), parse_constant=_no_constant)
+        document = read_json(data.decode("utf-8"), constant=_no_constant)
         canonical = canonical_json(document)
     except UnicodeDecodeError:
         raise InputError(f"{what} is not UTF-8") from None
-    except RecursionError:
-        raise InputError(f"{what} is nested too deep") from None
-    except ValueError:
-        raise InputError(f"{what} is not JSON") from None
+    except ValueError as error:
+        raise InputError(f"{what} is not readable as JSON: {error}") from None
     if not isinstance(document, dict):
         raise InputError(f"{what} must be a JSON object")
     if canonical != data:
@@ -242,8 +240,6 @@ def _check_statement(statement: Mapping[str, Any]) -> None:
         Statement.copy_from_pb(message).validate()
         predicate = _without_levels(statement["predicate"])
         json_format.ParseDict(predicate, form(), max_recursion_depth=DEPTH_MAX)
-    except RecursionError:
-        raise InputError("its statement is nested too deep") from None
     except (json_format.ParseError, ValueError, TypeError, AttributeError) as error:
         raise InputError(f"its statement is not in the form of in-toto: {' '.join(str(error).split())[:200]}") from None
 

@@ -5,7 +5,6 @@ nothing else. Processes are forked from a server that has everything imported, s
 from __future__ import annotations
 
 import contextlib
-import json
 import multiprocessing
 import os
 import resource
@@ -18,6 +17,7 @@ from multiprocessing.process import BaseProcess
 
 from robotkube.errors import InputError, UnavailableError
 from robotkube.foundation.documents.core.digests import canonical_json
+from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.registry.evidence.core.statements import SuiteResult
 from robotkube.registry.suites.core.requests import SuiteRequest, read_progress, request_document
 
@@ -45,7 +45,7 @@ class ForkedSuites:
         """Run the suite in a process; UnavailableError says how a process ended that gave no result."""
         seconds = request.rule.seconds + self._late_seconds
         data = self._run(canonical_json(request_document(request)), namespace, seconds, request.rule.seconds)
-        progress = read_progress(json.loads(data))
+        progress = read_progress(read_json(data))
         if progress.result is None:
             raise InputError("the suite's process gave no result")
         return progress.result

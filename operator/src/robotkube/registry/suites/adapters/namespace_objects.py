@@ -6,7 +6,6 @@ deleted by name, never read.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator, Sequence
 from typing import Any, Protocol
@@ -16,6 +15,7 @@ import urllib3
 from kubernetes.watch.watch import iter_resp_lines
 
 from robotkube.errors import InputError, UnavailableError
+from robotkube.foundation.documents.core.json_codec import read_json_shortened
 from robotkube.registry.suites.core.namespace_contents import KINDS
 from robotkube.registry.suites.ports.suites import Object
 
@@ -114,7 +114,7 @@ class KubernetesNamespaceObjects:
         answer = self._call("GET", self._path(kind), query, seconds=seconds + 1)
         try:
             for line in iter_resp_lines(answer):
-                event = json.loads(line)
+                event = read_json_shortened(line)
                 if event["type"] == "ERROR":
                     return
                 yield event["type"], event["object"]
@@ -141,7 +141,7 @@ class KubernetesNamespaceObjects:
             answer.release_conn()
         if len(data) > ANSWER_BYTES_MAX:
             raise UnavailableError(f"API server: {method} {path}: answered more than {ANSWER_BYTES_MAX} bytes")
-        document = json.loads(data)
+        document = read_json_shortened(data)
         return document if isinstance(document, dict) else {}
 
 

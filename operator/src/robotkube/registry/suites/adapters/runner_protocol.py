@@ -9,7 +9,6 @@ The key is that of the request (`SuiteRequest.key`), so that asking again never 
 from __future__ import annotations
 
 import hmac
-import json
 import logging
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -18,6 +17,7 @@ import httpx
 
 from robotkube.errors import InputError, UnavailableError
 from robotkube.foundation.documents.core.digests import canonical_json
+from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.foundation.documents.core.patterns import SUITE_RUN
 from robotkube.registry.suites.core.requests import (
     SuiteProgress,
@@ -73,15 +73,15 @@ class SuiteRunnerClient:
         if len(answer.content) > ANSWER_BYTES_MAX:
             raise UnavailableError(f"{what}: answered {len(answer.content)} bytes, at most {ANSWER_BYTES_MAX}")
         try:
-            return read_progress(answer.json())
-        except (InputError, ValueError, RecursionError) as error:
+            return read_progress(read_json(answer.content))
+        except (InputError, ValueError) as error:
             raise UnavailableError(f"{what}: its answer cannot be read: {error}") from error
 
 
 def _words(answer: httpx.Response) -> str:
     try:
-        body: Any = answer.json()
-    except (ValueError, RecursionError):
+        body: Any = read_json(answer.content)
+    except ValueError:
         return answer.text[:500].strip()
     return str(body.get("message", body) if isinstance(body, dict) else body)[:500]
 
@@ -115,9 +115,9 @@ class RunsEndpoint:
 
 def _read(key: str, body: bytes) -> SuiteRequest:
     try:
-        document = json.loads(body)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"the body is not JSON: {error}") from error
+        document = read_json(body)
+    except ValueError as error:
+        raise InputError(f"the body is not readable as JSON: {error}") from error
     request = read_request(document)
     if request.key != key:
         raise InputError(f"the key of this request is {request.key}; PUT /runs/{request.key}")

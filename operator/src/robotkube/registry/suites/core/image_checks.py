@@ -5,13 +5,13 @@ Everything here works on documents that were read from the registry: manifest, c
 
 from __future__ import annotations
 
-import json
 import re
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.foundation.documents.core.patterns import IMAGE_PARTS
 from robotkube.registry.suites.core.pod_security import items, mapping
 
@@ -142,8 +142,8 @@ def hands_over(script: str) -> bool:
 def bill_problems(data: bytes, digest: str) -> Iterator[str]:
     """A software bill of materials (CycloneDX, JSON) that was found attached to `digest`."""
     try:
-        document = json.loads(data)
-    except (ValueError, RecursionError) as error:
+        document = read_json(data)
+    except ValueError as error:
         yield f"is not readable as JSON: {error}"
         return
     bill = mapping(document)

@@ -7,12 +7,12 @@ last line of stdout   {"checks": [{"name", "passed", "found", "fix"}]}
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from robotkube.errors import DocumentError, InputError
 from robotkube.foundation.documents.core.digests import canonical_json
+from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.foundation.documents.core.reader import Reader
 from robotkube.foundation.documents.core.value_templates import Render
 from robotkube.registry.evidence.core.statements import Check
@@ -97,8 +97,8 @@ def _last_line(log: str, tail: str) -> Mapping[str, Any]:
     lines = [line.strip() for line in log.splitlines() if line.strip()]
     for line in reversed(lines[-STDERR_LINES_MAX:]):
         try:
-            document = json.loads(line)
-        except (ValueError, RecursionError):
+            document = read_json(line)
+        except ValueError:
             continue
         if isinstance(document, dict):
             return document

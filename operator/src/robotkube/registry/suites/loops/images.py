@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from robotkube.errors import InputError
+from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.foundation.documents.core.value_templates import Render as Fill
 from robotkube.registry.charts.ports import ImageRegistry
 from robotkube.registry.evidence.core.statements import Check
@@ -164,8 +164,8 @@ def _containers(test_set: str, objects: Sequence[Mapping[str, Any]]) -> list[Sta
 
 def _json(data: bytes, what: str) -> Mapping[str, Any]:
     try:
-        document = json.loads(data)
-    except (ValueError, RecursionError) as error:
+        document = read_json(data)
+    except ValueError as error:
         raise InputError(f"{what}: not readable as JSON: {error}") from error
     if not isinstance(document, Mapping):
         raise InputError(f"{what}: is no mapping")

@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from robotkube.errors import DocumentError, InputError
+from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.foundation.documents.core.value_templates import Render
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.registry.catalogue.core.expected_topics import (
@@ -171,7 +172,7 @@ def _read(log: str) -> Observation:
     for line in reversed(log.splitlines()):
         if line.startswith('{"observation":'):
             try:
-                return read_observation(json.loads(line)["observation"], "observation")
+                return read_observation(read_json(line)["observation"], "observation")
             except (ValueError, TypeError) as error:
                 raise InputError(f"the observer's last line is cut off: {error}; use fewer topics") from error
     raise InputError(f"the observer printed no observation: {log[-TEXT_CHARACTERS_MAX // 2 :]}")

@@ -12,11 +12,11 @@ from typing import Any
 from robotkube.errors import DocumentError, InputError
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.registry.charts.core.packing import IMAGES_FILE
-from robotkube.registry.charts.ports import ChartRegistry
+from robotkube.registry.charts.ports import ChartProgram, ChartRegistry
 from robotkube.registry.evidence.core.statements import FINISHED, Artefact, Check, Outcome, SuiteResult
 from robotkube.registry.evidence.core.verification_policy import SuiteRule
 from robotkube.registry.suites.core.requests import CHECKS_MAX, SuiteRequest, tidy
-from robotkube.registry.suites.ports.suites import ChartProgram, Subject, Suite, SuiteNamespace
+from robotkube.registry.suites.ports.suites import Subject, Suite, SuiteNamespace
 
 NO_NAMESPACE = "suite"  # the namespace for which charts are rendered where there is no test namespace
 

@@ -6,12 +6,12 @@ found, so that an author sees every problem at once.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from robotkube.errors import InputError
+from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.foundation.documents.core.value_templates import Render as Fill
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.registry.charts.core import values_schemas
@@ -175,7 +175,7 @@ def read_chart(files: Mapping[str, bytes]) -> Chart:
             document = parse(files[path].decode(), path)
         except KeyError:
             problems.append(f"{path}: missing")
-        except (InputError, ValueError, RecursionError) as error:
+        except (InputError, ValueError) as error:
             problems.append(
                 _short(error) if isinstance(error, InputError) else f"{path}: not readable: {_short(error)}"
             )
@@ -191,7 +191,7 @@ def read_chart(files: Mapping[str, bytes]) -> Chart:
     return Chart(
         metadata=read(CHART_FILE, read_mapping),
         values=read(VALUES_FILE, read_mapping),
-        schema=read(SCHEMA_FILE, lambda text, path: json.loads(text)),
+        schema=read(SCHEMA_FILE, lambda text, path: read_json(text)),
         problems=tuple(problems),
     )
 

@@ -10,7 +10,6 @@ from robotkube.registry.evidence.core.statements import Artefact, Check, SuiteRe
 from robotkube.registry.suites.core.requests import Replaced, SuiteProgress, SuiteRequest
 
 __all__ = [
-    "ChartProgram",
     "Executor",
     "NamespaceCleaner",
     "NamespaceObjects",
@@ -33,17 +32,6 @@ Object = Mapping[str, Any]
 
 Render = Callable[[Mapping[str, Any], str], list[dict[str, Any]]]
 """Values and release name -> the chart's objects, as `helm template` gives them; InputError with helm's words."""
-
-
-class ChartProgram(Protocol):
-    """A renderer of charts that are not trusted yet."""
-
-    def render(
-        self, files: Mapping[str, bytes], values: Mapping[str, Any], release: str, namespace: str
-    ) -> list[dict[str, Any]]:
-        """The objects of the chart in `files`, without network, bounded in time and size. InputError with the program's
-        words when the chart cannot be rendered, UnavailableError when the program cannot be run."""
-        ...
 
 
 class SuiteRunner(Protocol):

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import urllib.error
 import urllib.request
 from collections.abc import Mapping
 from typing import Any
 
 from robotkube.errors import InputError, UnavailableError
+from robotkube.foundation.documents.core.json_codec import read_json
 
 ANSWER_SECONDS_MAX = 10.0
 ANSWER_BYTES_MAX = 64 * 1024 * 1024
@@ -22,7 +22,7 @@ def events_page(address: str) -> Mapping[str, Any]:
         raise InputError(f"{address!r} must begin with http:// or https://")
     try:
         with urllib.request.urlopen(url, timeout=ANSWER_SECONDS_MAX) as answer:  # noqa: S310  # checked above
-            document = json.loads(answer.read(ANSWER_BYTES_MAX))
+            document = read_json(answer.read(ANSWER_BYTES_MAX))
     except (urllib.error.URLError, OSError, ValueError) as error:
         raise UnavailableError(f"{url}: {error}; is that the address of a running detector?") from error
     return document if isinstance(document, dict) else {}

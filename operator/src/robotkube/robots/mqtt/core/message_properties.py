@@ -13,6 +13,7 @@ import json
 from collections.abc import Sequence
 from typing import Any
 
+from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.robots.mqtt.core.batches import CONTENT_TYPE, BatchError
 from robotkube.robots.mqtt.core.properties import content_type, user_property
 from robotkube.robots.ros.core.gaps import Gap, read_gap
@@ -26,7 +27,7 @@ TYPES_PREFIX = "robotkube/types/"
 GAP_CHARACTERS_MAX = 4000
 GAPS_PER_MESSAGE_MAX = 4
 
-_WRONG = (ValueError, KeyError, TypeError, RecursionError)
+_WRONG = (ValueError, KeyError, TypeError)
 
 
 def types_topic(topic: str) -> str:
@@ -75,7 +76,7 @@ def read_gaps(text: str) -> list[Gap]:
 def _values(text: str) -> Any:
     if len(text) > GAP_CHARACTERS_MAX:
         raise ValueError(f"{len(text)} characters are more than {GAP_CHARACTERS_MAX}")
-    return json.loads(text)
+    return read_json(text)
 
 
 def _gap(values: Any) -> Gap:

@@ -18,6 +18,7 @@ from importlib.metadata import entry_points
 from typing import IO, Any
 
 from robotkube.errors import InputError, RobotKubeError, UnavailableError
+from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.robots.reactions.core.plugin_api import ENTRY_POINT_GROUP
 from robotkube.robots.reactions.ports.deliveries import EdgeDelivery
 
@@ -79,7 +80,7 @@ class ProcessSender:
         try:
             self._process.stdin.write(line + b"\n")
             self._process.stdin.flush()
-            answer = json.loads(self._answer(seconds))
+            answer = read_json(self._answer(seconds))
         except (OSError, ValueError) as error:
             self.close()
             raise UnavailableError(f"{self._plugin}: {error}") from error

@@ -14,6 +14,7 @@ from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
+from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.robots.reactions.ports.deliveries import EdgeDelivery, JournalEntry
 
 READ_BYTES_MAX = 64 * 1024 * 1024
@@ -132,7 +133,7 @@ def _entries(lines: Iterable[bytes]) -> list[JournalEntry]:
     entries: dict[tuple[str, str], JournalEntry] = {}
     for line in lines:
         with suppress(ValueError, KeyError, TypeError, AttributeError):
-            document = json.loads(line)
+            document = read_json(line)
             if "gone" in document:
                 reaction, identity = document["gone"]
                 entries.pop((reaction, identity), None)

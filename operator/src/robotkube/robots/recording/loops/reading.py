@@ -6,11 +6,11 @@ Everything is computed from the stored bytes: small messages from the buckets, l
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from robotkube.errors import DocumentError, UnavailableError
+from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.robots.recording.core.audits import AuditSum, add_up
 from robotkube.robots.recording.core.documents import (
     LedgerComparison,
@@ -109,7 +109,7 @@ def read_ledger(lines: Iterable[str], where: str) -> list[LedgerLine]:
     ledger: list[LedgerLine] = []
     for number, line in enumerate(lines, start=1):
         try:
-            values = json.loads(line)
+            values = read_json(line)
             if values.get("end"):
                 if values["count"] != len(ledger):
                     raise DocumentError(where, [f"line {number}: has {len(ledger)} messages, says {values['count']}"])

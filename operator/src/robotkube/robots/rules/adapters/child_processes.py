@@ -22,6 +22,7 @@ from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import entry_points
 from typing import IO, Any
 
+from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.robots.rules.core import Cause, RuleAnswer, RuleQuestion
 from robotkube.robots.rules.core.plugin_api import ENTRY_POINT_GROUP
 from robotkube.robots.rules.ports import Reply
@@ -105,7 +106,7 @@ class ChildProcess:
         assert stream is not None
         try:
             while (frame := read_frame(stream)) is not None:
-                self._receive(json.loads(frame))
+                self._receive(read_json(frame))
         except (ValueError, KeyError, TypeError, IndexError) as error:
             self._fail(f"its process said what is no reply: {error}")
         else:

@@ -16,7 +16,6 @@ from typing import Any, Final, Literal
 from robotkube.foundation.documents.core.patterns import PATH_PREFIX, WORD
 from robotkube.foundation.documents.core.reader import Reader
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
-from robotkube.foundation.forge.core.reviews import Review
 
 PATH = "policies/merge.yaml"
 ENTRIES_MAX = 50
@@ -25,17 +24,6 @@ APPROVAL: Final = "approval"
 FORGE: Final = "forge"
 
 Way = Literal["automatic", "approval", "forge"]
-
-
-def is_approved(reviews: Iterable[Review], commit: str, author: str, proposers: Iterable[str]) -> bool:
-    """Whether a person other than the author approved exactly `commit`, and nobody who may is against it. The last
-    review of each person counts; `reviews` are oldest first."""
-    excluded = {author, *proposers}
-    counting = [
-        review for review in reviews if review.official and review.commit == commit and review.author not in excluded
-    ]
-    last = {review.author: review for review in counting}
-    return bool(last) and all(review.approved for review in last.values())
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from pathlib import Path
 import pygit2
 from pygit2.enums import FileMode
 
-from robotkube.errors import DocumentError, InputError, UnavailableError
+from robotkube.errors import AccountRefusedError, DocumentError, InputError, UnavailableError
 from robotkube.foundation.forge.adapters.git.commit_objects import LOOSE_MAX, pack_loose, store_objects
 from robotkube.foundation.forge.adapters.git.connection import GitConnection, look_up, open_clone
 from robotkube.foundation.forge.core.commit_objects import CommitObjects
@@ -105,6 +105,7 @@ class GitClone:
         text = str(error)
         if isinstance(error, PermissionError) or "authentication" in text:
             text = f"the forge refuses account {self._account[0]}: its password is wrong, or it is not made yet"
+            return AccountRefusedError(f"{self._where}: {what}: {text}")
         return UnavailableError(f"{self._where}: {what}: {text}")
 
     def commit(self, commit: str) -> Commit:

@@ -6,7 +6,6 @@ releases that pin its digest would not find it again.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from typing import Any
 
@@ -14,6 +13,7 @@ import httpx
 
 from robotkube.errors import InputError, UnavailableError
 from robotkube.foundation.documents.core.digests import sha256
+from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.registry.charts.core.packing import MANIFEST_TYPE
 from robotkube.registry.charts.core.referrers import INDEX_TYPE
 
@@ -76,7 +76,7 @@ class RegistryConnection:
 
     def put_manifest(self, repository: str, reference: str, manifest: bytes) -> None:
         """Write a manifest or index under a tag or its digest."""
-        kind = json.loads(manifest).get("mediaType", MANIFEST_TYPE)
+        kind = read_json(manifest).get("mediaType", MANIFEST_TYPE)
         path = f"{repository}/manifests/{reference}"
         answer = self._call("PUT", path, content=manifest, headers={"Content-Type": kind})
         self._expect(answer, f"manifest {repository}:{reference}", httpx.codes.CREATED)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import tarfile
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -10,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from robotkube.errors import InputError
+from robotkube.foundation.documents.core.json_codec import read_json
 
 CHUNK_BYTES = 1 << 20
 INDEX_BYTES_MAX = 4 << 20
@@ -48,7 +48,7 @@ def read_layout(archive: Path) -> tuple[dict[str, ArchivedBlob], str]:
                     digest = "sha256:" + member.name.rpartition("/")[2]
                     blobs[digest] = ArchivedBlob(archive, member.offset_data, member.size)
                 elif member.name == "index.json" and member.size <= INDEX_BYTES_MAX:
-                    index = json.loads(tar.extractfile(member).read())  # type: ignore[union-attr]
+                    index = read_json(tar.extractfile(member).read())  # type: ignore[union-attr]
     except (OSError, tarfile.TarError, ValueError) as error:
         raise InputError(f"{archive}: no OCI layout archive: {error}") from error
     named = [entry["digest"] for entry in index.get("manifests", ())]

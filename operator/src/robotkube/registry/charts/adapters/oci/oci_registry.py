@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import threading
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -12,6 +11,7 @@ from typing import Any, Self
 
 from robotkube.errors import InputError
 from robotkube.foundation.documents.core.digests import sha256
+from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.registry.charts.adapters.oci.attachments import Attachments
 from robotkube.registry.charts.adapters.oci.connection import RegistryConnection
 from robotkube.registry.charts.adapters.oci.image_layouts import read_layout
@@ -66,7 +66,7 @@ class OciRegistry:
             self._connection.refuse_replacing(repository, tag, digest)
         if self.manifest_digest(repository, tag or digest) == digest:
             return digest
-        document = json.loads(manifest)
+        document = read_json(manifest)
         for entry in (document["config"], *document["layers"]):
             blob = blobs[entry["digest"]]
             self._connection.put_blob(repository, entry["digest"], blob.chunks(), blob.size)

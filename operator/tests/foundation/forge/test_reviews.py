@@ -1,0 +1,28 @@
+"""When reviews approve a commit."""
+
+from dataclasses import replace
+
+import pytest
+
+from robotkube.foundation.forge.core.reviews import Review, is_approved
+
+HEAD = "c" * 40
+APPROVED = Review("reviewer", HEAD, True, True)
+
+
+@pytest.mark.parametrize(
+    ("reviews", "approved"),
+    [
+        ([], False),
+        ([APPROVED], True),
+        ([replace(APPROVED, official=False)], False),
+        ([replace(APPROVED, commit="d" * 40)], False),
+        ([replace(APPROVED, author="author")], False),
+        ([replace(APPROVED, author="manager")], False),
+        ([APPROVED, Review("other", HEAD, False, True)], False),
+        ([Review("reviewer", HEAD, False, True), APPROVED], True),
+        ([APPROVED, Review("reviewer", HEAD, False, True)], False),
+    ],
+)
+def test_approval(reviews: list[Review], approved: bool) -> None:
+    assert is_approved(reviews, HEAD, "author", ["manager"]) is approved
