@@ -12,15 +12,18 @@ import subprocess
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import yaml
 
 from ci import evidence, toolchain
+from ci.client_certificates import client_certificate
 from ci.cluster.objects import SUITE_NAMESPACES
 from ci.cluster.topology import Topology
 from ci.errors import SetUpError
 from ci.folders import PROJECT
+from gitops.argocd import render
 
 NAMESPACE, ARGOCD = "robotkube", "argocd"
 CHART = PROJECT / "charts" / "robotkube"
@@ -28,6 +31,7 @@ INSTALL_TIMEOUT_SECONDS = 420
 ROLLOUT_TIMEOUT_SECONDS = 240
 RESTRICTED = {"pod-security.kubernetes.io/enforce": "restricted"}
 BAGS_SIZE = "2Gi"
+NO_VALUES: Mapping[str, Any] = MappingProxyType({})
 PLAYERS = ("vehicle", "roadside")  # roles whose agents play a bag
 PLATFORM_IMAGES = ("platform", "suites", "ros", "mosquitto", "gitea", "ferretdb")
 AGENT = "robotkube.io/agent"  # label of volume claims and volumes
@@ -63,32 +67,56 @@ class Installer:
 
     def argocd(self, references: Mapping[str, str]) -> None:
         """Apply Argo CD's own manifests, with our images, and wait until its definitions are known."""
-        from gitops.argocd import render
-
         source = toolchain.module_dir("github.com/argoproj/argo-cd/v3") / "manifests" / "install.yaml"
         manifests = render.render(source.read_text(encoding="utf-8"), references)
-        self.namespace(ARGOCD, {})
+        self.namespace(ARGOCD, RESTRICTED)
+        self.repo_server_clients()
         apply = ("apply", "--server-side", "--force-conflicts", "-n", ARGOCD, "-f", "-")
         self.kubectl(*apply, text=manifests, seconds=120)
         kinds = [f"crd/{kind}.argoproj.io" for kind in ("applications", "applicationsets", "appprojects")]
         self.kubectl("wait", "--for=condition=Established", "--timeout=60s", *kinds, seconds=70)
+
+    def repo_server_clients(self) -> None:
+        """The Secret with the certificate without which Argo CD's repo-server answers nobody; one that is there stays,
+        since the programs read it only when they start."""
+        if self.kubectl("-n", ARGOCD, "get", "secret", render.CLIENTS, "--ignore-not-found", "-o", "name"):
+            return
+        made = client_certificate("argocd")
+        secret = {
+            "apiVersion": "v1",
+            "kind": "Secret",
+            "metadata": {"name": render.CLIENTS, "namespace": ARGOCD},
+            "stringData": {
+                "client-ca.crt": made.certificate,
+                "client.crt": made.certificate,
+                "client.key": made.key,
+            },
+        }
+        self.kubectl("apply", "--server-side", "-f", "-", text=yaml.safe_dump(secret))
 
     def namespace(self, name: str, labels: Mapping[str, str]) -> None:
         """A namespace with labels, whether it is there or not."""
         namespace = {"apiVersion": "v1", "kind": "Namespace", "metadata": {"name": name, "labels": dict(labels)}}
         self.kubectl("apply", "--server-side", "--force-conflicts", "-f", "-", text=yaml.safe_dump(namespace))
 
-    def platform(self, references: Mapping[str, str], topology: Topology, chart: Path = CHART) -> None:
-        """`helm upgrade --install robotkube` with the embedded profile, the images and the agents of the topology.
+    def platform(
+        self,
+        references: Mapping[str, str],
+        topology: Topology,
+        chart: Path = CHART,
+        values: Mapping[str, Any] = NO_VALUES,
+    ) -> None:
+        """`helm upgrade --install robotkube` with the embedded profile, the images and the agents of the topology, and
+        further `values`.
 
         The namespace comes first: a chart cannot say that its own namespace takes only restricted pods.
         """
-        values = self.work / "values.yaml"
+        place = self.work / "values.yaml"
         self.work.mkdir(parents=True, exist_ok=True)
         self.namespace(NAMESPACE, RESTRICTED)
-        given = platform_values(references, topology) | {"evidence": self.signing_key()}
-        values.write_text(yaml.safe_dump(given), encoding="utf-8")
-        options = ["-n", NAMESPACE, "-f", str(chart / "values-embedded.yaml"), "-f", str(values)]
+        given = platform_values(references, topology) | {"evidence": self.signing_key()} | dict(values)
+        place.write_text(yaml.safe_dump(given), encoding="utf-8")
+        options = ["-n", NAMESPACE, "-f", str(chart / "values-embedded.yaml"), "-f", str(place)]
         try:
             self.helm(
                 "upgrade", "--install", NAMESPACE, str(chart), *options, "--timeout", f"{INSTALL_TIMEOUT_SECONDS}s"

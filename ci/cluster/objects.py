@@ -10,7 +10,7 @@ from ci.cluster.node_processes import Node
 from ci.errors import SetUpError
 
 STORAGE_CLASS = "local"
-SUITE_NAMESPACES = 2  # namespaces in which charts are tried, each with a volume claim on the cloud's node
+SUITE_NAMESPACES = 3  # namespaces in which charts are tried, each with a volume claim on the cloud's node
 VOLUME_SIZE = "20Gi"
 VOLUMES_PER_ROLE = {"platform": 6, "cloud": 4 + SUITE_NAMESPACES}
 VOLUMES_OTHERWISE = 3

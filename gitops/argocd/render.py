@@ -39,8 +39,21 @@ RESOURCES: dict[str, tuple[str, str, str]] = {  # container -> CPU and memory re
     "copyutil": ("10m", "16Mi", "256Mi"),
     "secret-init": ("10m", "16Mi", "256Mi"),
 }
+# What releases are made of, and what grows from it: group -> resources. The application controller may read these and
+# no others; what it may not read it does not watch (`resource.respectRBAC`). No other kind is overlooked: nothing of a
+# release that holds one is applied.
+READ: dict[str, list[str]] = {"": ["configmaps", "pods"], "apps": ["deployments", "replicasets"]}
+# The one account with rights outside of its namespace, and its ClusterRole. What it writes, it writes by a Role in each
+# agent's namespace, which charts/robotkube makes.
+READER = "argocd-application-controller"
+READER_RULES: list[Object] = [
+    {"apiGroups": [group], "resources": resources, "verbs": ["get", "list", "watch"]}
+    for group, resources in READ.items()
+]
 SETTINGS: dict[str, dict[str, str]] = {
     "argocd-cm": {
+        "resource.respectRBAC": "normal",
+        "admin.enabled": "false",  # nobody uses this account, and without it no password of it is made
         "application.resourceTrackingMethod": "annotation",
         # Charts are pinned by digest and Git notifies by its hook: polling is only the fallback, and one at a time.
         "timeout.reconciliation": "300s",
@@ -58,12 +71,6 @@ SETTINGS: dict[str, dict[str, str]] = {
         "reposerver.git.request.timeout": "5s",
     },
 }
-# Added to `resource.exclusions`. No chart may hold one of these, and they change with every step of every release: each
-# change was read, decoded and hashed a second time.
-EXCLUSIONS: list[Object] = [
-    {"apiGroups": ["argoproj.io", "robotkube.io"], "kinds": ["*"], "clusters": ["*"]},
-    {"apiGroups": [""], "kinds": ["Node"], "clusters": ["*"]},
-]
 # Full names of Services are asked for as they are, not below each of the search path's domains before.
 NAMES: Object = {"options": [{"name": "ndots", "value": "2"}]}
 READINESS = {"initialDelaySeconds": 1, "periodSeconds": 5}
@@ -83,6 +90,25 @@ ENVIRONMENT: dict[str, list[Object]] = {
     "argocd-applicationset-controller": [SERVER_KEY, *SMALL],
     "argocd-repo-server": [{"name": "ARGOCD_GPG_ENABLED", "value": "false"}, *IMPATIENT, *LARGE],
     "argocd-server": [{"name": "ARGOCD_GPG_ENABLED", "value": "false"}, *SMALL],
+}
+# The Secret with the one certificate that the repo-server's clients show: client-ca.crt for it, client.crt and
+# client.key for them. Who installs makes it before; a program that started without it would answer, or ask, without.
+CLIENTS = "argocd-repo-server-mtls"
+CLIENTS_KEYS = {"client-ca.crt", "client.crt", "client.key"}
+# Workloads whose account is needed by one init container alone: this one gets the token, what runs afterwards does not.
+TOKEN_WHILE_STARTING = {"argocd-redis": "secret-init"}
+TOKEN_FOLDER = "/var/run/secrets/kubernetes.io/serviceaccount"  # noqa: S105 - where every client looks for it
+TOKEN_SECONDS = 3607
+# As kubelet mounts it by itself, but that is into every container.
+TOKEN: Object = {
+    "name": "service-account-token",
+    "projected": {
+        "sources": [
+            {"serviceAccountToken": {"path": "token", "expirationSeconds": TOKEN_SECONDS}},
+            {"configMap": {"name": "kube-root-ca.crt", "items": [{"key": "ca.crt", "path": "ca.crt"}]}},
+            {"downwardAPI": {"items": [{"path": "namespace", "fieldRef": {"fieldPath": "metadata.namespace"}}]}},
+        ]
+    },
 }
 
 
@@ -107,8 +133,8 @@ def _rendered(documents: Iterator[Object], images: Mapping[str, str]) -> Iterato
             document["metadata"]["namespace"] = NAMESPACE
         if document["kind"] == "ConfigMap" and document["metadata"]["name"] in SETTINGS:
             document["data"] = {**document.get("data", {}), **SETTINGS[document["metadata"]["name"]]}
-            if "resource.exclusions" in document["data"]:
-                document["data"]["resource.exclusions"] += yaml.safe_dump(EXCLUSIONS)
+        if document["kind"] == "ClusterRole":
+            document["rules"] = READER_RULES
         if document["kind"] in {"Deployment", "StatefulSet"}:
             _adapt_workload(document, images)
         yield document
@@ -116,17 +142,35 @@ def _rendered(documents: Iterator[Object], images: Mapping[str, str]) -> Iterato
 
 def _kept(document: Object) -> bool:
     name: str = document["metadata"]["name"]
+    if document["kind"] in {"ClusterRole", "ClusterRoleBinding"}:
+        return name == READER
     return document["kind"] not in DROPPED_KINDS and not any(part in name for part in DROPPED_PARTS)
 
 
 def _adapt_workload(workload: Object, images: Mapping[str, str]) -> None:
+    name = workload["metadata"]["name"]
     pod = workload["spec"]["template"]["spec"]
     pod["nodeSelector"] = {**pod.get("nodeSelector", {}), **PLACE["nodeSelector"]}
     pod["tolerations"] = [*pod.get("tolerations", []), *PLACE["tolerations"]]
     pod["dnsConfig"] = NAMES
+    for volume in pod.get("volumes", []):
+        if volume["name"] == CLIENTS:
+            items = [item for item in volume["secret"]["items"] if item["key"] in CLIENTS_KEYS]
+            volume["secret"].update(items=items, optional=False)
     pod.pop("affinity", None)  # one node: spreading is work for the scheduler and no gain
     for container in [*pod.get("initContainers", []), *pod["containers"]]:
-        _adapt_container(workload["metadata"]["name"], container, images)
+        _adapt_container(name, container, images)
+    if name in TOKEN_WHILE_STARTING:
+        _withhold_token(pod, TOKEN_WHILE_STARTING[name])
+
+
+def _withhold_token(pod: Object, container: str) -> None:
+    """The token of the pod's account goes to this init container alone."""
+    pod["automountServiceAccountToken"] = False
+    pod["volumes"] = [*pod.get("volumes", []), TOKEN]
+    [starting] = [one for one in pod.get("initContainers", []) if one["name"] == container]
+    mount = {"name": TOKEN["name"], "mountPath": TOKEN_FOLDER, "readOnly": True}
+    starting["volumeMounts"] = [*starting.get("volumeMounts", []), mount]
 
 
 def _adapt_container(workload: str, container: Object, images: Mapping[str, str]) -> None:

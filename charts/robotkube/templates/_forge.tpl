@@ -1,6 +1,6 @@
 {{- /* Accounts besides the administrator; what each may do: docs/reference/settings.md. */ -}}
 {{- define "robotkube.forgeAccounts" -}}
-{{ include "robotkube.managerNames" . }} gate argocd publisher suite-runner operator-team
+{{ include "robotkube.managerNames" . }} gate argocd publisher image-publisher suite-runner operator-team
 {{- end }}
 
 {{- /* Who hears from the forge. Each has a secret of its own, so that none can speak to another in the forge's name. */ -}}
@@ -37,9 +37,7 @@ PASSWORD_HASH_ALGO = pbkdf2$1000$50
 [oauth2]
 ENABLED = false
 JWT_SECRET = {{ include "robotkube.password" (dict "root" . "purpose" "forge-key" "account" "jwt") | trunc 32 | b64enc | trimSuffix "=" }}
-[service]
-DISABLE_REGISTRATION = true
-REQUIRE_SIGNIN_VIEW = true
+{{ .Files.Get "files/forge-rights.ini" | required "files/forge-rights.ini is not in the chart" | trim }}
 [repository]
 ROOT = /data/repositories
 # Hooks start with every push, several at once: sh starts faster than bash.

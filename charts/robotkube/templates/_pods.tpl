@@ -51,11 +51,11 @@ securityContext:
   capabilities: {drop: [ALL]}
 {{- end }}
 
-{{- /* Probes of manager, gate and suite-runner, which serve /livez and /readyz on port 8080. */ -}}
+{{- /* Probes of manager, gate and suite-runner, at a port whose places clients of the other one cannot take. */ -}}
 {{- define "robotkube.probes" -}}
-startupProbe: {httpGet: {path: /livez, port: http}, periodSeconds: 1, failureThreshold: 60}
-readinessProbe: {httpGet: {path: /readyz, port: http}, periodSeconds: 5, timeoutSeconds: 3, failureThreshold: 2}
-livenessProbe: {httpGet: {path: /livez, port: http}, periodSeconds: 20, timeoutSeconds: 5, failureThreshold: 3}
+startupProbe: {httpGet: {path: /livez, port: health}, periodSeconds: 1, failureThreshold: 60}
+readinessProbe: {httpGet: {path: /readyz, port: health}, periodSeconds: 5, timeoutSeconds: 3, failureThreshold: 2}
+livenessProbe: {httpGet: {path: /livez, port: health}, periodSeconds: 20, timeoutSeconds: 5, failureThreshold: 3}
 {{- end }}
 
 {{- /* Credentials as a folder inside a projected volume. Argument: {secret, folder}. */ -}}

@@ -3,7 +3,7 @@
 {{- define "robotkube.managerSettings" -}}
 {{- $manager := .manager }}
 {{- with .root -}}
-listen: {address: 0.0.0.0, port: 8080}
+listen: {address: 0.0.0.0, port: 8080, health_port: 8081}
 log_level: {{ .Values.logLevel }}
 forge:
   {{- include "robotkube.forgeAddress" . | nindent 2 }}
@@ -48,7 +48,7 @@ traces: {endpoint: {{ . }}}
 {{- end }}
 
 {{- define "robotkube.gateSettings" -}}
-listen: {address: 0.0.0.0, port: 8080}
+listen: {address: 0.0.0.0, port: 8080, health_port: 8081}
 log_level: {{ .Values.logLevel }}
 forge:
   {{- include "robotkube.forgeAddress" . | nindent 2 }}
@@ -97,8 +97,9 @@ forge:
   - {name: {{ . }}, credentials: /var/run/secrets/robotkube/forge/{{ . }}}
   {{- end }}
   organisations:
-  - {name: robotkube, packages: {publisher: write, gate: read, suite-runner: read}}
-  - {name: staging, packages: {publisher: write, gate: write, suite-runner: read}}
+  - {name: robotkube, packages: {image-publisher: write, gate: read, suite-runner: read}}
+  - {name: staging-publisher, packages: {publisher: write, gate: read, suite-runner: read}}
+  - {name: staging, packages: {gate: write, suite-runner: read}}
   - {name: verified, packages: {gate: write, {{ $readers }}: read, argocd: read, suite-runner: read}}
   repositories:
   - name: robotkube/deployment
@@ -143,11 +144,11 @@ argocd:
     g, manager, role:robotkube-manager
   hook: {secret: /var/run/secrets/robotkube/hook/secret}
   closed_project: default
-  hook_reader: argocd-applicationset-controller
+  hook_readers: [argocd-server, argocd-applicationset-controller]
 {{- end }}
 
 {{- define "robotkube.suiteRunnerSettings" -}}
-listen: {address: 0.0.0.0, port: 8080}
+listen: {address: 0.0.0.0, port: 8080, health_port: 8081}
 log_level: {{ .Values.logLevel }}
 forge:
   url: {{ include "robotkube.forgeUrl" . }}

@@ -16,7 +16,7 @@ from robotkube.delivery.gate import __main__ as gate
 from robotkube.delivery.manager import __main__ as manager
 from robotkube.errors import InputError
 from robotkube.foundation.runtime.settings_file import read_settings
-from robotkube.registry.catalogue.core.catalogue import read_assurance
+from robotkube.registry.catalogue.core.catalogue import read_release_policy
 from robotkube.registry.charts.adapters.chart_folders import pack
 from robotkube.registry.evidence.core.verification_policy import read_verification_policy
 from robotkube.registry.suites import __main__ as suite_runner
@@ -25,6 +25,7 @@ from robotkube.robots.bridge.core.settings import read_bridge_settings
 from robotkube.robots.detector.core.settings import read_detector_settings
 from robotkube.robots.perception.core.settings import read_detection_settings, read_tracking_settings
 from robotkube.setup import bootstrap, teardown
+from tests.stages.forge.installation import ACCOUNTS, PACKAGES
 from tests.stages.paths import CHARTS
 from tests.stages.settings_mounted import mounted, write
 
@@ -56,6 +57,22 @@ def test_processes_read_the_settings_the_chart_writes(
     assert read_settings(path, PROCESSES[process].read_configuration)
 
 
+@pytest.mark.parametrize("profile", ["official", "embedded"])
+@pytest.mark.parametrize("process", ["gate", "manager", "suite-runner"])
+def test_probes_ask_the_port_for_health_and_services_the_other(
+    request: pytest.FixtureRequest, tmp_path: Path, process: str, profile: str
+) -> None:
+    rendered = request.getfixturevalue(profile)
+    listen = read_settings(mounted(rendered, process, tmp_path), PROCESSES[process].read_configuration).listen
+    [container] = dict(rendered.pods)[f"Deployment/{process}"]["containers"]
+    ports = {port["name"]: port["containerPort"] for port in container["ports"]}
+    assert ports == {"http": listen.port, "health": listen.health_port}
+    probes = [container[f"{kind}Probe"]["httpGet"] for kind in ("startup", "readiness", "liveness")]
+    assert [probe["port"] for probe in probes] == ["health"] * 3
+    [served] = rendered.one("Service", process)["spec"]["ports"]
+    assert (served["port"], served["targetPort"]) == (listen.port, "http")
+
+
 def test_the_bootstrap_gets_all_seeds_and_accounts(official: Any, tmp_path: Path) -> None:
     found = read_settings(mounted(official, "bootstrap", tmp_path), bootstrap.read_configuration)
     assert found.forge is not None
@@ -63,12 +80,19 @@ def test_the_bootstrap_gets_all_seeds_and_accounts(official: Any, tmp_path: Path
     deployment, catalogue = found.forge.setup.repositories
     assert {".gitkeep" in path for path in deployment.seed} == {True, False}
     assert {"README.md", "policies/initial.yaml", "bootstrap/applicationset.yaml"} <= set(deployment.seed)
-    assert read_assurance(catalogue.seed["policies/release.yaml"].decode(), "release.yaml") == "verified"
+    assert read_release_policy(catalogue.seed["policies/release.yaml"].decode(), "release.yaml").assurance == "verified"
     verification = catalogue.seed["policies/verification.yaml"].decode()
     assert read_verification_policy(verification, "verification.yaml").suites
     initial = read_initial_policy(deployment.seed["policies/initial.yaml"].decode(), "initial.yaml")
     assert initial == InitialPolicy()
     assert [account.database for account in found.database.accounts] == ["recordings_cloud_0"]
+
+
+def test_the_bootstrap_gives_the_package_rights_that_are_tried_on_a_forge(official: Any, tmp_path: Path) -> None:
+    found = read_settings(mounted(official, "bootstrap", tmp_path), bootstrap.read_configuration)
+    assert found.forge is not None
+    assert {one.name: one.packages for one in found.forge.setup.organisations} == PACKAGES
+    assert {one.name for one in found.forge.setup.accounts} == set(ACCOUNTS) - {"reviewer"}
 
 
 def test_each_webhook_has_a_secret_of_its_own_that_both_ends_know(helm: Any, tmp_path: Path) -> None:

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
 
+from ci import toolchain
+from ci.installation import Installer
 from gitops.argocd.render import render
+from tests.stages.kubernetes.installed_chart import Cluster, prepared_cluster
+from tests.stages.programs import program
 
 pytestmark = pytest.mark.toolchain
 
@@ -79,10 +86,109 @@ def test_leaves_to_the_bootstrap_job_what_it_patches(argocd: list[Object]) -> No
 
 def test_keeps_what_the_manifests_set(argocd: list[Object]) -> None:
     data = one(argocd, "ConfigMap", "argocd-cm")["data"]
-    excluded = {(tuple(e["apiGroups"]), *e["kinds"]) for e in yaml.safe_load(data["resource.exclusions"])}
-    assert {(("coordination.k8s.io",), "Lease"), (("argoproj.io", "robotkube.io"), "*"), (("",), "Node")} <= excluded
+    assert "coordination.k8s.io" in data["resource.exclusions"]
     assert data["timeout.reconciliation"] == "300s"
+    assert data["admin.enabled"] == "false"
     assert one(argocd, "ConfigMap", "argocd-cmd-params-cm")["data"]["server.insecure"] == "true"
+
+
+def test_the_controller_reads_what_releases_are_made_of_and_watches_no_more(argocd: list[Object]) -> None:
+    """A kind that it may not read would stop all releases if it were watched; one that settings leave out would not be
+    refused: the rest of its release would be applied."""
+    [role] = [o for o in argocd if o["kind"] == "ClusterRole"]
+    [binding] = [o for o in argocd if o["kind"] == "ClusterRoleBinding"]
+    account = {"kind": "ServiceAccount", "name": "argocd-application-controller", "namespace": "argocd"}
+    assert (binding["roleRef"]["name"], binding["subjects"]) == (role["metadata"]["name"], [account])
+    readable = {(group, kind) for rule in role["rules"] for group in rule["apiGroups"] for kind in rule["resources"]}
+    assert readable == {("", "configmaps"), ("", "pods"), ("apps", "deployments"), ("apps", "replicasets")}
+    assert {tuple(rule["verbs"]) for rule in role["rules"]} == {("get", "list", "watch")}
+    settings = one(argocd, "ConfigMap", "argocd-cm")["data"]
+    assert settings["resource.respectRBAC"] == "normal"
+    assert "resource.inclusions" not in settings
+
+
+def test_other_accounts_have_rights_in_their_namespace_only(argocd: list[Object]) -> None:
+    """As Argo CD's own namespace-install.yaml gives them."""
+    source = toolchain.module_dir("github.com/argoproj/argo-cd/v3") / "manifests" / "namespace-install.yaml"
+    given = {
+        o["metadata"]["name"]: o["rules"]
+        for o in yaml.load_all(source.read_text(encoding="utf-8"), Loader=yaml.CSafeLoader)
+        if o and o["kind"] == "Role"
+    }
+    roles = {o["metadata"]["name"]: o["rules"] for o in argocd if o["kind"] == "Role"}
+    assert set(roles) == {
+        "argocd-application-controller",
+        "argocd-applicationset-controller",
+        "argocd-redis",
+        "argocd-server",
+    }
+    assert roles == {name: given[name] for name in roles}
+
+
+def test_a_container_holds_a_token_only_if_it_asks_the_api_server(argocd: list[Object]) -> None:
+    pods = {
+        o["metadata"]["name"]: pod(argocd, o["metadata"]["name"]) for o in argocd if "template" in o.get("spec", {})
+    }
+    assert {name for name, spec in pods.items() if spec.get("automountServiceAccountToken", True)} == {
+        "argocd-application-controller",
+        "argocd-applicationset-controller",
+        "argocd-server",
+    }
+    holding = {
+        container["name"]: mount["mountPath"]
+        for spec in pods.values()
+        for container in [*spec.get("initContainers", []), *spec["containers"]]
+        for mount in container.get("volumeMounts", [])
+        if mount["name"] in token_volumes(spec)
+    }
+    assert holding == {"secret-init": "/var/run/secrets/kubernetes.io/serviceaccount"}
+
+
+def test_no_program_starts_without_the_certificate_of_the_repo_servers_clients(argocd: list[Object]) -> None:
+    workloads = [o["metadata"]["name"] for o in argocd if o["kind"] in {"Deployment", "StatefulSet"}]
+    volumes = {name: pod(argocd, name).get("volumes", []) for name in workloads}
+    secrets = {
+        name: volume["secret"]
+        for name, listed in volumes.items()
+        for volume in listed
+        if volume["name"] == "argocd-repo-server-mtls"
+    }
+    assert set(secrets) == set(workloads) - {"argocd-redis"}
+    assert {secret["optional"] for secret in secrets.values()} == {False}
+    asked = {name: {item["key"] for item in secret["items"]} for name, secret in secrets.items()}
+    assert asked.pop("argocd-repo-server") == {"client-ca.crt"}
+    assert set(map(frozenset, asked.values())) == {frozenset({"client.crt", "client.key"})}
+
+
+def token_volumes(spec: Object) -> set[str]:
+    """Names of the volumes that hold a token of the pod's account."""
+    sources = {volume["name"]: volume.get("projected", {}).get("sources", []) for volume in spec.get("volumes", [])}
+    return {name for name, parts in sources.items() if any("serviceAccountToken" in part for part in parts)}
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    """Argo CD as the installer brings it to a cluster, on an API server without nodes."""
+    folder = tmp_path_factory.mktemp("api")
+    with prepared_cluster(folder) as cluster:
+        Installer(Path(program("kubectl")).parent, cluster.kubeconfig, folder).argocd(IMAGES)
+        yield cluster
+
+
+def test_its_namespace_takes_restricted_pods_only_and_its_own_are(installed: Cluster, argocd: list[Object]) -> None:
+    def created(name: str, spec: Object) -> str:
+        """What the API server says to this pod."""
+        text = json.dumps({"apiVersion": "v1", "kind": "Pod", "metadata": {"name": name}, "spec": spec})
+        create = ("create", "-n", "argocd", "--dry-run=server", "-f", "-")
+        done = installed.run("kubectl", *create, text=text)
+        return done.stdout.strip() or done.stderr
+
+    workloads = [o["metadata"]["name"] for o in argocd if o["kind"] in {"Deployment", "StatefulSet"}]
+    assert len(workloads) == 5
+    for name in workloads:
+        assert created(name, pod(argocd, name)) == f"pod/{name} created (server dry run)"
+    redis = pod(argocd, "argocd-redis")
+    assert 'violates PodSecurity "restricted:latest"' in created("as-root", {**redis, "securityContext": {}})
 
 
 def test_refuses_a_missing_image() -> None:

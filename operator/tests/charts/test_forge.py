@@ -119,6 +119,17 @@ def test_the_registry_takes_the_account(served: Forge) -> None:
     assert token.json()["token"]
 
 
+def test_an_account_makes_no_repository_and_no_organisation(served: Forge) -> None:
+    account, base = ("somebody", "password-of-somebody"), f"http://127.0.0.1:{served.port}/api/v1"
+    new = {"username": account[0], "password": account[1], "email": "a@b.invalid", "must_change_password": False}
+    made = httpx.post(f"{base}/admin/users", json=new, auth=administrator(served), timeout=5)
+    assert made.status_code == 201, made.text
+    repository = httpx.post(f"{base}/user/repos", json={"name": "own"}, auth=account, timeout=5)
+    assert (repository.status_code, "maximum limit of repositories" in repository.text) == (403, True), repository.text
+    organisation = httpx.post(f"{base}/orgs", json={"username": "own"}, auth=account, timeout=5)
+    assert organisation.status_code == 403, organisation.text
+
+
 def test_the_settings_file_was_not_written_to(served: Forge) -> None:
     log = (served.folder / "log").read_text()
     assert (served.folder / "app.ini").stat().st_mode & 0o777 == 0o440

@@ -135,7 +135,6 @@ ACCOUNTS = [
     *(f"robotkube:{name}" for name in ("gate", "manager", "suite-runner", "bootstrap", "teardown", "default")),
     *(f"robotkube-suite-0:{name}" for name in ("application", "mqtt-bridge", "default")),
     *(f"cloud-0:{name}" for name in ("application", "event-detector")),
-    "argocd:argocd-application-controller",
 ]
 
 

@@ -151,6 +151,10 @@ REFUSALS: dict[str, tuple[list[dict[str, Any]], str]] = {
     ),
     "all and others": ([{"name": "a", "scope": {"agents": ["*", "cloud-0"]}}], "scope.agents names * and others."),
     "the name of a part": ([{"name": "gate"}], 'managers[0] "gate": this name belongs to a part of the platform.'),
+    "the name of an organisation": (
+        [{"name": "staging-publisher"}],
+        'managers[0] "staging-publisher": this name belongs to a part of the platform.',
+    ),
     "the name of an agent": ([{"name": "cloud-0"}], 'managers[0] "cloud-0": an agent has this name'),
     "a name that is no label": ([{"name": "North"}], "Use at most 30 lower case letters, digits and hyphens"),
     "one name twice": ([NORTH, {**SOUTH, "name": "north"}], 'managers[1] "north": declared twice.'),

@@ -102,6 +102,11 @@ REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
         {"images": {"mosquitto": ""}, "broker": {"kind": "external", "external": {"host": "mqtt.example"}}},
         "images.mosquitto, the broker that suites start, is empty.",
     ),
+    "no limits of test namespaces": ({"suites": {"testNamespace": None}}, "suites.testNamespace is empty: the pods of"),
+    "limits under both names": (
+        {"suites": {"testNamespace": {"cpu": "3"}, "room": {"cpu": "2"}}},
+        'suites.room.cpu is "2", but suites.testNamespace.cpu, its new name, is "3". Remove suites.room.',
+    ),
     "no agent for suites": (
         {"agents": [VEHICLE]},
         "no agent has role cloud and suites.agent is empty: suites need an agent to run on. Declare one, name one of",

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 from kubernetes import client, config
 
 from robotkube.foundation.documents.core.yaml_codec import write_mapping
@@ -35,6 +36,10 @@ NODES = {"nodes": READ}
 ANSWERS = {TASKS: "create delete get list patch watch", STATUS: "patch update", EVENTS: "create", "pods": READ}
 APPLICATIONS = {"applications.argoproj.io": READ}
 SETTINGS = {"configmaps": READ}
+CLUSTER_WIDE = {"configmaps": READ, "deployments.apps": READ, "pods": READ, "replicasets.apps": READ}
+RELEASES = dict.fromkeys(("configmaps", "deployments.apps"), "create delete get list patch watch")
+EVERY_VERB = "create delete get list patch update watch"
+OWN_OBJECTS = {f"{kind}.argoproj.io": EVERY_VERB for kind in ("applications", "applicationsets", "appprojects")}
 AUTHOR = {**SETTINGS, TASKS: "create delete get list patch watch", EVENTS: "create"}
 ROOM = {
     "configmaps": "create delete get list patch watch",
@@ -55,10 +60,24 @@ SET_UP = {
     "configmaps argocd-cm": "get patch",
     "configmaps argocd-rbac-cm": "get patch",
     "deployments.apps argocd-applicationset-controller": "get patch",
+    "deployments.apps argocd-server": "get patch",
     "secrets argocd-secret": "get patch",
 }
 TEARING_DOWN = {"applications.argoproj.io": "list", "applicationsets.argoproj.io releases": "delete get"}
+GENERATING = {
+    "applications.argoproj.io": EVERY_VERB,
+    "applicationsets.argoproj.io": EVERY_VERB,
+    "applicationsets/finalizers.argoproj.io": EVERY_VERB,
+    "applicationsets/status.argoproj.io": "get patch update",
+    "appprojects.argoproj.io": READ,
+    "configmaps": READ,
+    "events": "create get list patch watch",
+    LEASES: "create",
+    f"{LEASES} 58ac56fa.applicationsets.argoproj.io": "create get update",
+    "secrets": READ,
+}
 NAMESPACES = ("robotkube", "argocd", "default", "vehicle-00", "vehicle-01", "cloud-0", "robotkube-suite-0")
+AGENTS = ("vehicle-00", "vehicle-01", "cloud-0")
 # account -> namespace -> what it may do there; what it may do everywhere stands under "*"
 EXACTLY: dict[str, dict[str, Rights]] = {
     "robotkube:manager": {
@@ -89,13 +108,28 @@ EXACTLY: dict[str, dict[str, Rights]] = {
     "vehicle-00:mqtt-bridge": {"vehicle-00": SETTINGS},
     "vehicle-00:bag-player": {"vehicle-00": SETTINGS},
     "vehicle-00:default": {},
+    "argocd:default": {},
+    "argocd:argocd-application-controller": {
+        "*": CLUSTER_WIDE,
+        **dict.fromkeys(AGENTS, RELEASES),
+        "argocd": {**OWN_OBJECTS, "events": "create list", "secrets": READ},
+    },
+    "argocd:argocd-applicationset-controller": {"argocd": GENERATING},
+    "argocd:argocd-redis": {"argocd": {"secrets": "create", "secrets argocd-redis": "get"}},
+    "argocd:argocd-repo-server": {},
+    "argocd:argocd-server": {
+        "argocd": {**OWN_OBJECTS, "configmaps": EVERY_VERB, "events": "create list", "secrets": EVERY_VERB}
+    },
 }
+KEY = "gate-key"
 
 
 @pytest.fixture(scope="module")
-def installed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
-    """Two managers with disjoint scopes."""
+def installed(tmp_path_factory: pytest.TempPathFactory, argocd: list[dict[str, Any]]) -> Iterator[Cluster]:
+    """Argo CD as in the embedded cluster, and two managers with disjoint scopes."""
     with prepared_cluster(tmp_path_factory.mktemp("api")) as found:
+        manifests = yaml.dump_all([o for o in argocd if o["kind"] != "CustomResourceDefinition"])
+        found.kubectl("apply", "--server-side", "-n", "argocd", "-f", "-", text=manifests)
         files = [option for name in ("official", "managers") for option in ("-f", str(PROFILES / f"{name}.yaml"))]
         found.helm("install", "robotkube", str(CHART), *files, "--no-hooks")
         yield found
@@ -135,9 +169,59 @@ def test_an_account_may_do_exactly_this(installed: Cluster, everybody: Rights, a
 
 
 def test_every_account_of_the_platform_is_listed(installed: Cluster) -> None:
-    listed = installed.kubectl("get", "serviceaccounts", "-n", "robotkube", "-o", "name").split()
-    names = {name.partition("/")[2] for name in listed}
-    assert {f"robotkube:{name}" for name in names} <= set(EXACTLY)
+    assert {account for account in accounts(installed) if account.startswith(("robotkube:", "argocd:"))} <= set(EXACTLY)
+
+
+def accounts(cluster: Cluster) -> list[str]:
+    """Every service account as `<namespace>:<name>`; `default` is made by a controller, which does not run here."""
+    made = json.loads(cluster.kubectl("get", "serviceaccounts", "-A", "-o", "json"))["items"]
+    names = {f"{one['metadata']['namespace']}:{one['metadata']['name']}" for one in made}
+    return sorted(names | {f"{namespace}:default" for namespace in namespaces(cluster)})
+
+
+def namespaces(cluster: Cluster) -> list[str]:
+    return [name.partition("/")[2] for name in cluster.kubectl("get", "namespaces", "-o", "name").split()]
+
+
+@pytest.fixture
+def reviews(installed: Cluster) -> Iterator[client.AuthorizationV1Api]:
+    """The question behind `kubectl auth can-i`, asked often over one connection."""
+    connection = config.new_client_from_config(str(installed.kubeconfig))
+    yield client.AuthorizationV1Api(connection)
+    connection.close()
+
+
+def reads_secrets(reviews: client.AuthorizationV1Api, account: str, namespace: str, name: str = "") -> bool:
+    """Whether the account may read this Secret, or any of the namespace, by any verb."""
+    groups = ["system:serviceaccounts", f"system:serviceaccounts:{account.partition(':')[0]}", "system:authenticated"]
+    user = {"user": f"system:serviceaccount:{account}", "groups": groups}
+    for verb in ("get", "list", "watch"):
+        attributes = {"resource": "secrets", "verb": verb, "namespace": namespace, "name": name}
+        review = {"spec": {**user, "resourceAttributes": attributes}}
+        if reviews.create_subject_access_review(review).status.allowed:
+            return True
+    return False
+
+
+def test_no_account_at_all_may_read_the_key_of_the_gate(installed: Cluster, reviews: client.AuthorizationV1Api) -> None:
+    """The gate itself has it from its volume."""
+    everyone = accounts(installed)
+    assert len(everyone) > 30
+    assert [account for account in everyone if reads_secrets(reviews, account, "robotkube", KEY)] == []
+
+
+def test_argo_cd_reads_secrets_of_its_own_namespace_only(
+    installed: Cluster, reviews: client.AuthorizationV1Api
+) -> None:
+    own = [account for account in accounts(installed) if account.startswith("argocd:")]
+    assert reads_secrets(reviews, "argocd:argocd-server", "argocd")
+    reached = {
+        (account, namespace)
+        for account in own
+        for namespace in namespaces(installed)
+        if namespace != "argocd" and reads_secrets(reviews, account, namespace)
+    }
+    assert reached == set()
 
 
 @pytest.mark.parametrize(
@@ -149,6 +233,12 @@ def test_every_account_of_the_platform_is_listed(installed: Cluster) -> None:
         ("robotkube:manager", "create leases.coordination.k8s.io -n robotkube"),
         ("robotkube:manager-north", "patch taskdescriptions.robotkube.io --subresource=status -n cloud-0"),
         ("robotkube:manager-north", "patch nodes"),
+        ("argocd:argocd-application-controller", "create deployments.apps -n robotkube"),
+        ("argocd:argocd-application-controller", "patch configmaps -n robotkube"),
+        ("argocd:argocd-application-controller", "delete deployments.apps -n robotkube-suite-0"),
+        ("argocd:argocd-application-controller", "create pods -n vehicle-00"),
+        ("argocd:argocd-application-controller", "create rolebindings.rbac.authorization.k8s.io -n vehicle-00"),
+        ("argocd:argocd-server", "delete pods -n vehicle-00"),
         ("cloud-0:event-detector", "create taskdescriptions.robotkube.io -n vehicle-00"),
         ("cloud-0:event-detector", "patch taskdescriptions.robotkube.io --subresource=status -n cloud-0"),
     ],

@@ -39,6 +39,20 @@ def test_a_changed_password_is_set(installation: Installation, administration: G
     assert back.changed == ["account argocd"]
 
 
+def test_tags_become_the_gates_where_only_the_administrator_made_them(
+    installation: Installation, forge_process: ForgeProcess, administration: GiteaAdministration
+) -> None:
+    owner = (forge_process.administrator, forge_process.administrator_password)
+    path = f"{installation.url}/api/v1/repos/robotkube/catalogue/tag_protections"
+    [rule] = httpx.get(path, auth=owner).json()
+    former = {"whitelist_usernames": [forge_process.administrator]}
+    assert httpx.patch(f"{path}/{rule['id']}", json=former, auth=owner).status_code == 200
+    run = bootstrap()
+    run.forge(installation.setup, administration)
+    assert run.changed == ["protection of robotkube/catalogue"]
+    assert httpx.get(path, auth=owner).json()[0]["whitelist_usernames"] == ["gate"]
+
+
 def test_access_that_is_taken_back_is_gone(installation: Installation, administration: GiteaAdministration) -> None:
     deployment, catalogue = installation.setup.repositories
     access = {**catalogue.access, "argocd": "read", "publisher": "write"}
@@ -127,8 +141,9 @@ def test_teams_give_the_fewest_rights(installation: Installation) -> None:
     assert teams["robotkube/deployment-write"].members == {"gate", "operator-team", "reviewer"}
     assert teams["robotkube/catalogue-read"].members == {"manager", "publisher"}
     assert teams["robotkube/catalogue-write"].members == {"gate", "operator-team"}
-    assert teams["robotkube/packages-write"].members == {"publisher"}
-    assert teams["staging/packages-write"].members == {"publisher", "gate"}
+    assert teams["robotkube/packages-write"].members == {"image-publisher"}
+    assert teams["staging-publisher/packages-write"].members == {"publisher"}
+    assert teams["staging/packages-write"].members == {"gate"}
     assert teams["staging/packages-write"].units == {"repo.packages": "write"}
     assert teams["verified/packages-write"].members == {"gate"}
     assert teams["verified/packages-read"].members == {"manager", "argocd", "suite-runner"}

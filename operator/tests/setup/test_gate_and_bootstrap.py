@@ -35,11 +35,11 @@ from tests.stages.forge.installation import (
     ApplicationSetController,
     Installation,
     manager_secret,
-    message,
-    release_files,
 )
+from tests.stages.forge.real_charts import plan_of, published_bridge
 from tests.stages.kubernetes.api_server import ApiServerProcess
 from tests.stages.kubernetes.argocd_objects import NAMESPACE, bootstrap_kubeconfig, connect, install_argocd
+from tests.stages.programs import free_port, program
 from tests.stages.recording.database_server import SETUP_PASSWORD, SETUP_USER, DatabaseServer
 from tests.stages.registry.publications import write_sources
 from tests.stages.registry.signed_evidence import signing_key
@@ -117,20 +117,25 @@ def gate_settings(installation: Installation, folder: Path, hook_url: str) -> di
 def test_the_gate_process_takes_a_proposal_and_ends_when_asked(
     installation: Installation, controller: ApplicationSetController, tmp_path: Path
 ) -> None:
-    environment = write_settings(tmp_path, gate_settings(installation, tmp_path, controller.url))
+    settings = gate_settings(installation, tmp_path, controller.url)
+    settings["listen"]["health_port"] = health_port = free_port()
+    environment = {**write_settings(tmp_path, settings), "ROBOTKUBE_RENDERER": program("chart-renderer")}
     command = [sys.executable, "-m", "robotkube.delivery.gate"]
     with (tmp_path / "log").open("wb") as log:
         process = subprocess.Popen(command, env=environment, stderr=log)
     try:
         url = f"http://127.0.0.1:{installation.gate_port}"
-        until(lambda: answers(f"{url}/readyz") == 200, "ready")
+        until(lambda: answers(f"http://127.0.0.1:{health_port}/readyz") == 200, "ready")
+        assert answers(f"{url}/readyz") == 200
         manager, plan = installation.clone("manager"), installation.plan()
-        commit = manager.commit(release_files(plan, "by-process"), message(plan), [manager.tip()])
-        number = installation.propose(manager, commit, plan)
-        until(lambda: bool(installation.pull_request(number)["merged"]), "merged")
+        with published_bridge(installation, "0.12.0") as bridge:
+            commit = plan_of(manager, plan, bridge, "by-process", {})
+            number = installation.propose(manager, commit, plan)
+            until(lambda: bool(installation.pull_request(number)["merged"]), "merged")
         until(lambda: controller.announced(commit), "announced")
         counted = 'robotkube_gate_proposals_total{verdict="accepted"} 1'
         until(lambda: counted in httpx.get(f"{url}/metrics").text, "counted, which comes after the announcement")
+        assert counted in httpx.get(f"http://127.0.0.1:{health_port}/metrics").text
         process.send_signal(signal.SIGTERM)
         assert process.wait(PROCESS_SECONDS_MAX) == 0
     finally:
@@ -382,7 +387,7 @@ def bootstrap_settings(world: World, folder: Path, passwords: dict[str, str]) ->
             "rbac": "p, role:x, applications, get, robotkube-apps/*, allow\ng, manager, role:x\n",
             "hook": {"secret": secret_file(folder, "hook/secret", passwords["hook"])},
             "closed_project": "default",
-            "hook_reader": "argocd-applicationset-controller",
+            "hook_readers": ["argocd-server", "argocd-applicationset-controller"],
         },
     }
 
@@ -426,7 +431,8 @@ def test_the_bootstrap_process_makes_everything_once(world: World, tmp_path: Pat
     assert changed(third) == [
         "database account recordings_cloud_0",
         "password of manager",
-        "hook secret",
+        "hook secrets",
+        "deployment argocd-server",
         "deployment argocd-applicationset-controller",
     ]
     argocd_is_wired(world, rotated)

@@ -78,9 +78,8 @@ class BootstrapConfiguration:
 def read_configuration(reader: Reader, document: Mapping[str, Any]) -> BootstrapConfiguration:
     """Read the settings document of the Job."""
     root = reader.mapping(document, "", ["log_level", "wait_seconds", "argocd"], ["forge", "database"])
-    argocd = reader.mapping(
-        root.get("argocd") or {}, "argocd", ["namespace", "account", "rbac", "hook", "closed_project", "hook_reader"]
-    )
+    keys = ["namespace", "account", "rbac", "hook", "closed_project"]
+    argocd = reader.mapping(root.get("argocd") or {}, "argocd", keys, ["hook_readers", "hook_reader"])
     return BootstrapConfiguration(
         log_level=files.log_level(reader, root.get("log_level")),
         wait_seconds=_whole(reader, root.get("wait_seconds"), "wait_seconds", WAIT_SECONDS_MAX),
@@ -107,8 +106,18 @@ def _argocd(reader: Reader, argocd: Mapping[str, Any]) -> ArgoCDSetup:
         rbac=reader.prose(argocd.get("rbac"), "argocd.rbac"),
         hook_secret=files.secret(reader, hook.get("secret"), "argocd.hook.secret"),
         closed_project=reader.word(argocd.get("closed_project"), "argocd.closed_project", WORD),
-        hook_reader=reader.word(argocd.get("hook_reader"), "argocd.hook_reader", WORD),
+        hook_readers=_hook_readers(reader, argocd),
     )
+
+
+def _hook_readers(reader: Reader, argocd: Mapping[str, Any]) -> tuple[str, ...]:
+    """The Deployments; the chart of 0.1.0 names one, as `hook_reader`."""
+    if "hook_reader" in argocd and "hook_readers" not in argocd:
+        return (reader.word(argocd["hook_reader"], "argocd.hook_reader", WORD),)
+    names = reader.sequence(argocd.get("hook_readers"), "argocd.hook_readers")
+    if not names:
+        reader.problems.append("argocd.hook_readers: must name what restarts on a new hook secret")
+    return tuple(reader.word(name, "argocd.hook_readers", WORD) for name in names)
 
 
 def _database(reader: Reader, value: Any) -> DatabaseConfiguration:

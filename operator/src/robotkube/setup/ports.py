@@ -32,7 +32,7 @@ class ForgeAdministration(Protocol):
         ...
 
     def protect(self, repository: str, branch: str, pushers: Sequence[str]) -> bool:
-        """Protect the branch: only `pushers` push it, nobody by force; nobody makes tags."""
+        """Protect the branch: only `pushers` push it, nobody by force; only they make tags."""
         ...
 
     def make_team(
@@ -69,8 +69,8 @@ class ArgoCDConfiguration(Protocol):
         """Set keys of a ConfigMap."""
         ...
 
-    def patch_secret(self, data: Mapping[str, str]) -> bool:
-        """Set keys of argocd-secret."""
+    def set_hook_secrets(self, given: Mapping[str, str], unused: Sequence[str]) -> bool:
+        """Set keys of argocd-secret; each of `unused` without a value gets a random one that nobody keeps."""
         ...
 
     def set_password(self, account: str, password: str) -> bool:
@@ -81,8 +81,8 @@ class ArgoCDConfiguration(Protocol):
         """Make an AppProject allow nothing."""
         ...
 
-    def restart_on(self, deployment: str, secret: str) -> bool:
-        """Restart a Deployment when, and only when, `secret` differs from the one it was last restarted for."""
+    def restart_on_hook_secrets(self, deployment: str) -> bool:
+        """Restart a Deployment when, and only when, the hooks' secrets are not those it was last restarted for."""
         ...
 
 

@@ -30,7 +30,8 @@ def install_argocd(server: ApiServerProcess) -> None:
     core.create_namespaced_secret(NAMESPACE, {"metadata": {"name": "argocd-secret"}, "data": key})
     core.create_namespaced_config_map(NAMESPACE, {"metadata": {"name": "argocd-cm"}, "data": {"url": "http://x"}})
     core.create_namespaced_config_map(NAMESPACE, {"metadata": {"name": "argocd-rbac-cm"}})
-    client.AppsV1Api(api).create_namespaced_deployment(NAMESPACE, deployment("argocd-applicationset-controller"))
+    for name in ("argocd-server", "argocd-applicationset-controller"):
+        client.AppsV1Api(api).create_namespaced_deployment(NAMESPACE, deployment(name))
     client.ApiextensionsV1Api(api).create_custom_resource_definition(project_definition())
     make_project(client.CustomObjectsApi(api))
 

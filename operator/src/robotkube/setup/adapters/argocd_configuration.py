@@ -5,7 +5,9 @@ from __future__ import annotations
 import base64
 import contextlib
 import hashlib
-from collections.abc import Callable, Iterator, Mapping
+import json
+import secrets
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -19,6 +21,8 @@ SECRET = "argocd-secret"  # noqa: S105 - the object's name
 SECONDS_MAX = 10
 PROJECT_API = ("argoproj.io", "v1alpha1")
 HOOK_ANNOTATION = "robotkube.io/hook-secret"
+HOOK_KEYS = "webhook."  # with which keys of argocd-secret begin that check hooks
+RANDOM_BYTES = 32
 CLOSED: Mapping[str, Any] = {
     "sourceRepos": [],
     "destinations": [],
@@ -64,8 +68,13 @@ class KubernetesArgoCDConfiguration:
             secret = self._core.read_namespaced_secret(SECRET, self._namespace, _request_timeout=SECONDS_MAX)
         return {key: base64.b64decode(value).decode() for key, value in (secret.data or {}).items()}
 
-    def patch_secret(self, data: Mapping[str, str]) -> bool:
-        """Set keys of argocd-secret."""
+    def set_hook_secrets(self, given: Mapping[str, str], unused: Sequence[str]) -> bool:
+        """Set keys of argocd-secret; each of `unused` without a value gets a random one that nobody keeps."""
+        secret = self._secret()
+        random = {key: secrets.token_hex(RANDOM_BYTES) for key in unused if not secret.get(key)}
+        return self._patch_secret({**random, **given})
+
+    def _patch_secret(self, data: Mapping[str, str]) -> bool:
         secret = self._secret()
         if all(secret.get(key) == value for key, value in data.items()):
             return False
@@ -82,7 +91,7 @@ class KubernetesArgoCDConfiguration:
             if stored and bcrypt.checkpw(password.encode(), stored.encode()):
                 return False
         hashed = bcrypt.hashpw(password.encode(), bcrypt.gensalt(10)).decode()
-        return self.patch_secret({key: hashed, f"{key}Mtime": self._now().strftime("%Y-%m-%dT%H:%M:%SZ")})
+        return self._patch_secret({key: hashed, f"{key}Mtime": self._now().strftime("%Y-%m-%dT%H:%M:%SZ")})
 
     def close_project(self, name: str) -> bool:
         """Make an AppProject allow nothing."""
@@ -99,9 +108,10 @@ class KubernetesArgoCDConfiguration:
             )
         return True
 
-    def restart_on(self, deployment: str, secret: str) -> bool:
-        """Restart a Deployment when, and only when, `secret` differs from the one it was last restarted for."""
-        fingerprint = hashlib.sha256(secret.encode()).hexdigest()[:16]
+    def restart_on_hook_secrets(self, deployment: str) -> bool:
+        """Restart a Deployment when, and only when, the hooks' secrets are not those it was last restarted for."""
+        hooks = {key: value for key, value in self._secret().items() if key.startswith(HOOK_KEYS)}
+        fingerprint = hashlib.sha256(json.dumps(hooks, sort_keys=True).encode()).hexdigest()[:16]
         with self._errors(f"Deployment {deployment}"):
             present = self._apps.read_namespaced_deployment(deployment, self._namespace, _request_timeout=SECONDS_MAX)
             if (present.spec.template.metadata.annotations or {}).get(HOOK_ANNOTATION) == fingerprint:

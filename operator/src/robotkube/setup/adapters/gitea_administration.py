@@ -118,8 +118,7 @@ class GiteaAdministration:
         return True
 
     def protect(self, repository: str, branch: str, pushers: Sequence[str]) -> bool:
-        """Protect the branch: only `pushers` push it, nobody by force; who may write may merge; only the administrator
-        tags."""
+        """Protect the branch: only `pushers` push it, nobody by force; who may write may merge; only `pushers` tag."""
         rule = {
             "enable_push": True,
             "enable_push_whitelist": True,
@@ -130,7 +129,7 @@ class GiteaAdministration:
             "block_admin_merge_override": True,
         }
         changed = self._protect_branch(repository, branch, rule)
-        return self._protect_tags(repository) or changed
+        return self._protect_tags(repository, pushers) or changed
 
     def _protect_branch(self, repository: str, branch: str, rule: Mapping[str, Any]) -> bool:
         path = f"/repos/{repository}/branch_protections"
@@ -143,11 +142,16 @@ class GiteaAdministration:
             return False
         return True
 
-    def _protect_tags(self, repository: str) -> bool:
+    def _protect_tags(self, repository: str, taggers: Sequence[str]) -> bool:
         path = f"/repos/{repository}/tag_protections"
-        if any(rule.get("name_pattern") == "*" for rule in self._call("GET", path) or []):
+        rule = {"name_pattern": "*", "whitelist_usernames": sorted(taggers)}
+        present = next((r for r in self._call("GET", path) or [] if r.get("name_pattern") == "*"), None)
+        if present is None:
+            self._call("POST", path, rule)
+        elif _differences(present, rule):
+            self._call("PATCH", f"{path}/{present['id']}", rule)
+        else:
             return False
-        self._call("POST", path, {"name_pattern": "*", "whitelist_usernames": [self._username]})
         return True
 
     def make_team(

@@ -18,6 +18,16 @@ from robotkube.setup.ports import ArgoCDConfiguration, DatabaseAdministration, F
 
 RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX = 1.0, 2.0
 LEVELS = ("read", "write")
+HOOK_SECRET = "webhook.github.secret"  # noqa: S105 - the key; the gate sends hooks as GitHub does
+# Argo CD takes the hooks of these forges unsigned while their keys have no value.
+UNUSED_HOOKS = (
+    "webhook.gitlab.secret",
+    "webhook.gogs.secret",
+    "webhook.bitbucket.uuid",
+    "webhook.bitbucketserver.secret",
+    "webhook.azuredevops.username",
+    "webhook.azuredevops.password",
+)
 
 log = logging.getLogger(__name__)
 T = TypeVar("T")
@@ -89,14 +99,15 @@ class DatabaseAccount:
 @dataclass(frozen=True)
 class ArgoCDSetup:
     """Argo CD's side: `account` may log in with `password` and do what `rbac` (policy lines) says; `hook_secret` signs
-    push hooks; AppProject `closed_project` allows nothing; Deployment `hook_reader` restarts when it changes."""
+    push hooks; AppProject `closed_project` allows nothing; Deployments `hook_readers` restart when secrets of hooks
+    change."""
 
     account: str
     password: str
     rbac: str
     hook_secret: str
     closed_project: str
-    hook_reader: str
+    hook_readers: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -205,16 +216,18 @@ class Bootstrap:
             )
 
     def argocd(self, setup: ArgoCDSetup, argocd: ArgoCDConfiguration) -> None:
-        """Account, rights, hook secret, closed project; the restart of the hook's reader comes last."""
+        """Account, rights, hook secrets, closed project; the restart of the hooks' readers comes last."""
         self._step("Argo CD answers", argocd.answers)
         login = {f"accounts.{setup.account}": "login"}
         self._step("argocd-cm", lambda: argocd.patch_config_map("argocd-cm", login))
         rights = {"policy.robotkube.csv": setup.rbac}
         self._step("argocd-rbac-cm", lambda: argocd.patch_config_map("argocd-rbac-cm", rights))
         self._step(f"password of {setup.account}", lambda: argocd.set_password(setup.account, setup.password))
-        self._step("hook secret", lambda: argocd.patch_secret({"webhook.github.secret": setup.hook_secret}))
+        secrets = {HOOK_SECRET: setup.hook_secret}
+        self._step("hook secrets", lambda: argocd.set_hook_secrets(secrets, UNUSED_HOOKS))
         self._step(f"project {setup.closed_project}", lambda: argocd.close_project(setup.closed_project))
-        self._step(f"deployment {setup.hook_reader}", lambda: argocd.restart_on(setup.hook_reader, setup.hook_secret))
+        for reader in setup.hook_readers:
+            self._step(f"deployment {reader}", lambda r=reader: argocd.restart_on_hook_secrets(r))  # type: ignore[misc]
 
 
 def _make_team(forge: ForgeAdministration, team: Team) -> bool:

@@ -1,0 +1,99 @@
+"""The bootstrap closes Argo CD's hooks of forges that nobody uses, by the rights of its Job on a real API server."""
+
+from __future__ import annotations
+
+import base64
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import pytest
+from kubernetes import client, config
+
+from robotkube.setup.adapters.argocd_configuration import KubernetesArgoCDConfiguration
+from robotkube.setup.loops.bootstrap import ArgoCDSetup, Bootstrap
+from tests.stages.kubernetes.api_server import ApiServerProcess
+from tests.stages.kubernetes.argocd_objects import NAMESPACE, bootstrap_kubeconfig, connect, install_argocd
+
+pytestmark = [pytest.mark.toolchain, pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning")]
+
+READERS = ("argocd-server", "argocd-applicationset-controller")
+SETUP = ArgoCDSetup("manager", "password", "p, role:x\n", "secret of the gate", "default", READERS)
+RESTARTS = [f"deployment {reader}" for reader in READERS]
+UNUSED = {
+    "webhook.gitlab.secret",
+    "webhook.gogs.secret",
+    "webhook.bitbucket.uuid",
+    "webhook.bitbucketserver.secret",
+    "webhook.azuredevops.username",
+    "webhook.azuredevops.password",
+}
+
+
+@dataclass
+class ArgoCD:
+    """Argo CD's objects; `job` has the rights of the bootstrap Job, `core` all."""
+
+    core: client.CoreV1Api
+    job: KubernetesArgoCDConfiguration
+
+    def set_up(self, setup: ArgoCDSetup = SETUP) -> list[str]:
+        """What a run of the steps changed."""
+        run = Bootstrap(30, time.monotonic, time.sleep)
+        run.argocd(setup, self.job)
+        return run.changed
+
+    def write(self, key: str, value: str) -> None:
+        """A value that a person enters."""
+        self.core.patch_namespaced_secret("argocd-secret", NAMESPACE, {"stringData": {key: value}})
+
+    @property
+    def hooks(self) -> dict[str, str]:
+        """What Argo CD checks hooks with."""
+        data = self.core.read_namespaced_secret("argocd-secret", NAMESPACE).data
+        return {key: base64.b64decode(value).decode() for key, value in data.items() if key.startswith("webhook.")}
+
+
+@pytest.fixture
+def argocd(tmp_path: Path) -> Iterator[ArgoCD]:
+    server = ApiServerProcess(tmp_path)
+    try:
+        server.start()
+        install_argocd(server)
+        job = config.new_client_from_config(str(bootstrap_kubeconfig(server, tmp_path)))
+        everything = connect(server)
+        yield ArgoCD(client.CoreV1Api(everything), KubernetesArgoCDConfiguration(job, NAMESPACE))
+        job.close()
+        everything.close()
+    finally:
+        server.stop()
+
+
+def test_each_hook_has_a_secret_of_its_own_that_stays(argocd: ArgoCD) -> None:
+    assert {"hook secrets", *RESTARTS} <= set(argocd.set_up())
+    made = argocd.hooks
+    assert set(made) == UNUSED | {"webhook.github.secret"}
+    assert made["webhook.github.secret"] == SETUP.hook_secret
+    assert len(set(made.values())) == len(made)
+    assert {len(made[key]) for key in UNUSED} == {64}
+    assert argocd.set_up() == []
+    assert argocd.set_up(replace(SETUP, hook_secret="another")) == ["hook secrets", *RESTARTS]  # noqa: S106
+    assert argocd.hooks == made | {"webhook.github.secret": "another"}
+
+
+def test_a_hook_that_people_use_goes_on(argocd: ArgoCD) -> None:
+    argocd.write("webhook.gitlab.secret", "of a person")
+    argocd.set_up()
+    assert argocd.hooks["webhook.gitlab.secret"] == "of a person"
+    argocd.write("webhook.gitlab.secret", "another of a person")
+    assert argocd.set_up() == RESTARTS
+    assert argocd.hooks["webhook.gitlab.secret"] == "another of a person"
+
+
+def test_an_upgrade_closes_what_the_version_before_left_open(argocd: ArgoCD) -> None:
+    """That version set the gate's secret alone."""
+    argocd.write("webhook.github.secret", SETUP.hook_secret)
+    argocd.write("webhook.gogs.secret", "")
+    assert {"hook secrets", *RESTARTS} <= set(argocd.set_up())
+    assert all(argocd.hooks[key] for key in UNUSED)
