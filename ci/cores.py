@@ -22,7 +22,7 @@ LIBRARIES = ("yaml", "semver")  # pure ones, by name, of those that operator/pyp
 STANDARD = frozenset(
     [
         *("__future__", "abc", "array", "base64", "binascii", "bisect", "cmath", "collections", "collections.abc"),
-        *("copy", "dataclasses", "datetime", "decimal", "enum", "fractions", "functools", "hashlib", "heapq"),
+        *("copy", "dataclasses", "datetime", "decimal", "enum", "fractions", "functools", "hashlib", "heapq", "hmac"),
         *("ipaddress", "itertools", "json", "math", "operator", "re", "shlex", "statistics", "string", "struct"),
         *("textwrap", "types", "typing", "unicodedata", "zlib"),
     ]

@@ -1,8 +1,9 @@
 """Publishes what was built to the forge: images with their bills of materials, then charts and applications, as any
-publisher does: by a submission that the gate verifies.
+publisher does: by a submission that the gate verifies. The platform's images have an account of their own.
 
     python -m ci.publish --kubeconfig FILE                     the forge of that cluster, by its Service's address
-    python -m ci.publish --forge-url URL --password-file FILE  any forge that the bootstrap has set up
+    python -m ci.publish --forge-url URL --password-file FILE --image-password-file FILE
+                                                               any forge that the bootstrap has set up
     ... --chart object-detection --chart object-tracking@0.1.0 these charts, too
 
 Every chart costs the time of its suites, so only those that the platform needs are published (BASE) and those that
@@ -26,14 +27,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
+import httpx
+
 from ci import evidence
 from ci.cluster.images import Image, lock_file, read_lock
 from ci.errors import InputError, SetUpError
 from ci.folders import PROJECT
 from ci.images import bills
-from robotkube.cli.registry.submit import ACCOUNT, ForgeAccess, submit_sources
+from robotkube.cli.registry.submit import ACCOUNT, CATALOGUE, ForgeAccess, submit_sources
 from robotkube.errors import RobotKubeError, UnavailableError
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
+from robotkube.foundation.forge.ports.pull_requests import PullRequest
 from robotkube.registry.catalogue.core.catalogue import read_application
 from robotkube.registry.charts.adapters.oci import OciRegistry
 from robotkube.registry.charts.core.packing import CHART_FILE
@@ -42,7 +46,8 @@ from robotkube.registry.publication.loops.submitting import REFUSED, SubmissionO
 from robotkube.registry.publication.ports import ChartSource, SubmittedSources
 
 NAMESPACE, SERVICE, PORT = "robotkube", "forge", 3000
-ACCOUNT_SECRET = f"forge-account-{ACCOUNT}"
+IMAGE_ACCOUNT = "image-publisher"
+PERSON = "operator-team"
 CHARTS, REGISTRY = PROJECT / "charts" / "apps", PROJECT / "registry"
 EARLIER = PROJECT / "charts" / "earlier"
 BASE = ("bag-player", "event-detector", "mqtt-bridge")
@@ -52,6 +57,16 @@ RETRY_SECONDS = 1.0
 LANES = 2  # images on their way at once: the registry hashes each on one core
 
 T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class PublishingAccounts:
+    """Who publishes at the forge: `charts` submits, `images` pushes the platform's images, which no publisher may, and
+    `person` approves what runs by itself; without one, the submission waits until somebody does."""
+
+    charts: ForgeAccess
+    images: ForgeAccess
+    person: ForgeAccess | None = None
 
 
 @dataclass(frozen=True)
@@ -70,29 +85,37 @@ def publish(
 ) -> Published:
     """Publish to the forge of the cluster that `kubeconfig` names; SetUpError says what is in the way. `kept`: folder
     of evidence (default: the user's cache), `extra`: charts beside BASE, `<name>` or `<name>@<version>`."""
-    return publish_to(find_forge(kubeconfig), read_lock(lock_file()), kept or evidence.kept_folder(), progress, extra)
+    return publish_to(
+        find_accounts(kubeconfig), read_lock(lock_file()), kept or evidence.kept_folder(), progress, extra
+    )
 
 
-def find_forge(kubeconfig: Path) -> ForgeAccess:
-    """The forge's Service address, which the nodes' host can reach, and the publisher's account."""
+def find_accounts(kubeconfig: Path) -> PublishingAccounts:
+    """All accounts, of the cluster that `kubeconfig` names: who is its administrator approves what the folders have."""
+    return PublishingAccounts(*(find_forge(kubeconfig, name) for name in (ACCOUNT, IMAGE_ACCOUNT, PERSON)))
+
+
+def find_forge(kubeconfig: Path, account: str = ACCOUNT) -> ForgeAccess:
+    """The forge's Service address, which the nodes' host can reach, and an account of it."""
     from kubernetes import client, config
     from urllib3.exceptions import HTTPError
 
+    account_secret = f"forge-account-{account}"
     try:
         api = client.CoreV1Api(config.new_client_from_config(str(kubeconfig)))
         service = api.read_namespaced_service(SERVICE, NAMESPACE, _request_timeout=10)
-        secret = api.read_namespaced_secret(ACCOUNT_SECRET, NAMESPACE, _request_timeout=10)
+        secret = api.read_namespaced_secret(account_secret, NAMESPACE, _request_timeout=10)
     except client.ApiException as error:
-        what = f"namespace {NAMESPACE}: Service {SERVICE} or Secret {ACCOUNT_SECRET}: {error.reason}"
+        what = f"namespace {NAMESPACE}: Service {SERVICE} or Secret {account_secret}: {error.reason}"
         raise SetUpError(f"{what}; install the platform first (charts/robotkube)") from error
     except (config.ConfigException, HTTPError, OSError) as error:
         raise SetUpError(f"{kubeconfig}: no answer from this cluster: {error}") from error
     password = base64.b64decode(secret.data["password"]).decode()
-    return ForgeAccess(f"http://{service.spec.cluster_ip}:{PORT}", ACCOUNT, password)
+    return ForgeAccess(f"http://{service.spec.cluster_ip}:{PORT}", account, password)
 
 
 def publish_to(
-    forge: ForgeAccess,
+    accounts: PublishingAccounts,
     images: Sequence[Image],
     kept: Path,
     progress: Callable[[str], None] = lambda text: None,
@@ -100,15 +123,16 @@ def publish_to(
 ) -> Published:
     """The images that charts run, then the submission, which names only what is already there; all other images go
     beside it. `kept`: evidence of earlier publications, taken from and written to this folder. `extra`: as above."""
+    forge, pusher = accounts.charts, accounts.images
     try:
         references = {image.name: image.reference for image in images}
         submitted = read_all(references, kept, extra)
-        with OciRegistry(forge.url, forge.username, forge.password) as registry, ThreadPoolExecutor(LANES) as lanes:
+        with OciRegistry(pusher.url, pusher.username, pusher.password) as registry, ThreadPoolExecutor(LANES) as lanes:
             first, others = _needed_first(images, submitted)
             for image in first:
                 push_image(registry, image)
             pushed = [lanes.submit(push_image, registry, image) for image in others]
-            outcome = submit_sources(forge, submitted, progress, VERDICT_SECONDS_MAX)
+            outcome = submit_sources(forge, submitted, progress, VERDICT_SECONDS_MAX, opened=_approval(accounts.person))
             for push in pushed:
                 push.result()
         progress(f"{len(images)} images with their bills of materials")
@@ -140,6 +164,23 @@ def read_all(references: Mapping[str, str], kept: Path, extra: Sequence[str] = (
             older = [f"{chart.packed.name}@{version}" for version in (spec.get("replaces"), *spec.get("skips", ()))]
             waiting += [version for version in older if version in places and name not in BASE]
     return _checked([charts[key] for key in sorted(charts)], kept)
+
+
+def _approval(person: ForgeAccess | None) -> Callable[[PullRequest], None]:
+    """The approval of a submission by `person`, of exactly the commit that was submitted."""
+
+    def approve(pull: PullRequest) -> None:
+        if person is None:
+            return
+        url = f"{person.url}/api/v1/repos/{CATALOGUE}/pulls/{pull.number}/reviews"
+        review = {"event": "APPROVED", "commit_id": pull.head, "body": "What the folders of this installation have."}
+        try:
+            answer = httpx.post(url, json=review, auth=(person.username, person.password), timeout=WAIT_SECONDS_MAX)
+            answer.raise_for_status()
+        except httpx.HTTPError as error:
+            raise UnavailableError(f"{person.username} cannot approve {pull.url}: {error}") from error
+
+    return approve
 
 
 def _version(charts: Path, name: str) -> str:
@@ -199,15 +240,17 @@ def main() -> int:
     where = parser.add_mutually_exclusive_group(required=True)
     where.add_argument("--kubeconfig", type=Path)
     where.add_argument("--forge-url")
-    parser.add_argument("--password-file", type=Path, help="the publisher's password, with --forge-url")
+    parser.add_argument("--password-file", type=Path, help=f"password of {ACCOUNT}, with --forge-url")
+    parser.add_argument("--image-password-file", type=Path, help=f"password of {IMAGE_ACCOUNT}, with --forge-url")
+    parser.add_argument("--person-password-file", type=Path, help=f"of {PERSON}, who approves what runs by itself")
     parser.add_argument("--kept", type=Path, help="folder of evidence (default: the user's cache)")
     parser.add_argument("--chart", action="append", default=[], metavar="NAME[@VERSION]", help="publish it as well")
     given = parser.parse_args()
-    if given.forge_url and not given.password_file:
-        parser.error("--forge-url needs --password-file")
+    if given.forge_url and not (given.password_file and given.image_password_file):
+        parser.error("--forge-url needs --password-file and --image-password-file")
     try:
         images, kept = read_lock(lock_file()), given.kept or evidence.kept_folder()
-        published = publish_to(_access(given), images, kept, print, given.chart)
+        published = publish_to(_accounts(given), images, kept, print, given.chart)
     except OSError as error:
         print(f"error: {error}", file=sys.stderr)
         return SetUpError.exit_code
@@ -218,11 +261,19 @@ def main() -> int:
     return 0
 
 
-def _access(given: argparse.Namespace) -> ForgeAccess:
+def _accounts(given: argparse.Namespace) -> PublishingAccounts:
     if given.kubeconfig:
-        return find_forge(given.kubeconfig)
-    password = given.password_file.read_text(encoding="utf-8").strip()
-    return ForgeAccess(given.forge_url.rstrip("/"), ACCOUNT, password)
+        return find_accounts(given.kubeconfig)
+    approving = given.person_password_file
+    return PublishingAccounts(
+        _account(given.forge_url, ACCOUNT, given.password_file),
+        _account(given.forge_url, IMAGE_ACCOUNT, given.image_password_file),
+        _account(given.forge_url, PERSON, approving) if approving else None,
+    )
+
+
+def _account(url: str, name: str, password_file: Path) -> ForgeAccess:
+    return ForgeAccess(url.rstrip("/"), name, password_file.read_text(encoding="utf-8").strip())
 
 
 if __name__ == "__main__":

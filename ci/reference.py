@@ -29,8 +29,10 @@ and what `robotkube registry validate` checks besides: [catalogue](catalogue.md)
 METRICS_HEAD = """# Metrics of the application manager
 
 Written by `make reference` from the code; a test says when this page is not current. The manager serves them at
-`/metrics` of its port in Prometheus' text form, in base units. Labels take values of closed lists only, so that no
-task, plan or agent makes a series of its own. The process's own (`process_resident_memory_bytes`, ...) come with them.
+`/metrics` of its ports (`health`, 8081, is the one for Prometheus:
+[ports](settings.md#ports-of-manager-gate-and-suite-runner)) in Prometheus' text form, in base units. Labels take values
+of closed lists only, so that no task, plan or agent makes a series of its own. The process's own
+(`process_resident_memory_bytes`, ...) come with them.
 
 """
 

@@ -49,7 +49,7 @@ class Group:
 GROUPS = (
     Group("check", "", 60, "nothing"),
     Group("fast", "not processes and not toolchain and not platform and not thorough", 90, "tests", 2),
-    Group("processes", "(processes or toolchain) and not platform and not thorough", 320, "toolchain", 2),
+    Group("processes", "(processes or toolchain) and not platform and not thorough", 320, "toolchain", 3),
     Group("platform", "platform and not thorough", 620, "images"),
 )
 FAST = GROUPS[1]

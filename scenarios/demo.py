@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import argparse
 import sys
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from ci import preparing, publish
 from ci.cluster import topology
@@ -31,7 +33,8 @@ STEPS = {"cluster": 3, "platform": 6, "scenario": 7}
 @dataclass(frozen=True)
 class Request:
     """What is to be run: scenario folder, overrides of its parameters, cluster name, last step; `kept` is the folder of
-    evidence for the publication (default: the user's cache); `variant` is a named set of parameters or steps."""
+    evidence for the publication (default: the user's cache); `variant` is a named set of parameters or steps; `values`
+    are values of the platform's chart for this cluster."""
 
     scenario: Path
     settings: dict[str, str]
@@ -39,6 +42,7 @@ class Request:
     until: str
     kept: Path | None = None
     variant: str | None = None
+    values: Mapping[str, Any] = field(default_factory=dict)
 
     def settled(self) -> Scenario:
         """The scenario with its parameters; ScenarioError."""
@@ -69,7 +73,7 @@ def bring_up(request: Request, steps: Steps) -> Installer:
     with steps.step("Argo CD"):
         installer.argocd(prepared.references())
     with steps.step("platform"):
-        installer.platform(prepared.references(), wanted)
+        installer.platform(prepared.references(), wanted, values=request.values)
     with steps.step("catalogue") as step:
         published = publish.publish(folders.kubeconfig, step.progress, request.kept, settled.extra_charts)
         step.note = published.outcome.verdict

@@ -83,9 +83,10 @@ def _ros(_: Sources) -> tuple[Copied, ...]:
     )
 
 
-def _platform(_: Sources) -> tuple[Copied, ...]:
+def _platform(sources: Sources) -> tuple[Copied, ...]:
     return (
         _repository("operator/requirements/platform.txt"),
+        _program(sources, "chart-renderer"),
         *_package(),
         _repository("gitops", optional=True),
         _repository("registry/schemas", optional=True),

@@ -136,6 +136,13 @@ PROGRAMS = (
     Program("coredns", COREDNS, COREDNS, {"coredns": ("-version",)}),
     Program("helm", HELM, f"{HELM}/cmd/helm", {"helm": ("version",)}, stamps=helm_stamps),
     Program(
+        "chart-renderer",
+        HELM,
+        "./cmd/chart-renderer",
+        {"chart-renderer": VERSION},
+        stamps=lambda versions: {**helm_stamps(versions), "main.version": versions[HELM]},
+    ),
+    Program(
         "argocd",
         ARGO_CD,
         f"{ARGO_CD}/cmd",

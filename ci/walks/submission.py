@@ -26,7 +26,13 @@ from robotkube.registry.charts.core.packing import PackedChart, PulledChart, pac
 from robotkube.registry.evidence.adapters.dsse import KeyFile, TrustedKeys
 from robotkube.registry.evidence.core.statements import Check, SuiteResult, VerifiedStatement
 from robotkube.registry.publication.adapters.submission_folders import validation_tools
-from robotkube.registry.publication.core.submissions import Submission, SubmittedChart, VerifiedChart
+from robotkube.registry.publication.core.submissions import (
+    STAGING,
+    Submission,
+    SubmittedChart,
+    VerifiedChart,
+    publisher_place,
+)
 from robotkube.registry.publication.loops.publication import PublicationLoop
 from robotkube.registry.publication.loops.submission_reader import PublicationSettings, SubmissionInProgress
 from robotkube.registry.publication.loops.verification import ChartInProgress, ChartVerification, VerifyingSettings
@@ -48,7 +54,7 @@ from robotkube.registry.suites.settings import RunnerConfiguration
 from robotkube.testing.publishing import PUBLISHER, MemoryCatalogue, MemoryCatalogueForge, MemoryChartRegistry
 
 CHART, VERSION = "chart-of-the-walk", "0.1.0"
-STAGING, VERIFIED = "staging", "verified"
+VERIFIED = "verified"
 CHARTS = f"oci://forge.example/{VERIFIED}"
 TOKEN = "token of the walk"  # noqa: S105
 SECONDS_MAX, PAUSE_SECONDS = 30.0, 0.01
@@ -134,7 +140,7 @@ def run(recorder: Recorder) -> None:
         gate = _gate(Path(folder), forge, registry, Runner(RunsEndpoint(TOKEN, queue.put)))
         gate.round()  # writes the key
         packed, entry = _chart()
-        registry.push_chart(STAGING, packed, f"{VERSION}_{packed.digest[7:19]}")
+        registry.push_chart(publisher_place(STAGING, PUBLISHER), packed, f"{VERSION}_{packed.digest[7:19]}")
         submitted = catalogue.commit(catalogue.tip, {f"charts/{CHART}/{VERSION}.yaml": entry}, "submit")
         number = forge.open(submitted)
         deadline = time.monotonic() + SECONDS_MAX

@@ -5,6 +5,7 @@ import io
 import json
 import tarfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pygit2
@@ -21,7 +22,7 @@ from robotkube.registry.evidence.core.statements import Check
 from robotkube.registry.evidence.core.verification_policy import read_verification_policy
 from robotkube.registry.publication.loops.submitting import PUBLISHED, UNCHANGED
 from robotkube.registry.suites.core.image_checks import BILL_TYPE
-from tests.stages.forge.installation import Installation
+from tests.stages.forge.installation import Clone, Installation
 from tests.stages.registry.publications import Publishing
 from tests.stages.registry.signed_evidence import POLICY_TEXT
 
@@ -62,6 +63,13 @@ def descriptor(kind: str, data: bytes) -> dict[str, object]:
     return {"mediaType": kind, "digest": "sha256:" + hashlib.sha256(data).hexdigest(), "size": len(data)}
 
 
+def _index(clone: Clone) -> pygit2.Index:
+    """The files at main's tip."""
+    index = pygit2.Index()
+    index.read_tree(clone.repository[clone.tip()].tree)
+    return index
+
+
 @pytest.fixture(scope="module", autouse=True)
 def _catalogue_of_its_own(installation: Installation) -> Iterator[None]:
     """Only the policies, as in a new installation: the other tests of the session have charts in theirs that were
@@ -69,9 +77,7 @@ def _catalogue_of_its_own(installation: Installation) -> Iterator[None]:
     clone = installation.clone("gate", "robotkube/catalogue")
     tip = clone.tip()
     before = clone.repository[tip].tree
-    index = pygit2.Index()
-    index.read_tree(before)
-    gone = [entry.path for entry in index if entry.path.startswith(("applications/", "charts/", "evidence/"))]
+    gone = [entry.path for entry in _index(clone) if entry.path.startswith(("applications/", "charts/", "evidence/"))]
     assert clone.push(clone.commit(dict.fromkeys(gone), "begin\n", [tip]), "refs/heads/main") == ""
     yield
     who = pygit2.Signature("gate", "gate@forge.invalid")
@@ -81,8 +87,13 @@ def _catalogue_of_its_own(installation: Installation) -> Iterator[None]:
 
 
 @pytest.fixture
-def access(installation: Installation) -> publish.ForgeAccess:
-    return publish.ForgeAccess(installation.url, publish.ACCOUNT, installation.passwords[publish.ACCOUNT])
+def access(installation: Installation) -> publish.PublishingAccounts:
+    return publish.PublishingAccounts(
+        *(
+            publish.ForgeAccess(installation.url, name, installation.passwords[name])
+            for name in (publish.ACCOUNT, publish.IMAGE_ACCOUNT, publish.PERSON)
+        )
+    )
 
 
 @pytest.fixture
@@ -95,7 +106,7 @@ def publishing(installation: Installation, tmp_path: Path) -> Iterator[Publishin
 
 
 def test_what_was_built_is_published_once_and_its_evidence_kept(
-    installation: Installation, publishing: Publishing, access: publish.ForgeAccess, tmp_path: Path
+    installation: Installation, publishing: Publishing, access: publish.PublishingAccounts, tmp_path: Path
 ) -> None:
     ros, said, kept = image(tmp_path, "ros", b"one"), list[str](), tmp_path / "kept"
     first = publish.publish_to(access, [ros], kept, said.append)
@@ -118,7 +129,7 @@ def test_what_was_built_is_published_once_and_its_evidence_kept(
 
 
 def test_more_charts_come_with_what_they_replace_and_the_applications_they_run(
-    publishing: Publishing, access: publish.ForgeAccess, tmp_path: Path
+    publishing: Publishing, access: publish.PublishingAccounts, tmp_path: Path
 ) -> None:
     ros, kept = image(tmp_path, "ros", b"more"), tmp_path / "kept"
     older = publish.publish_to(access, [ros], kept, extra=["object-detection@0.1.1"])
@@ -133,13 +144,13 @@ def test_more_charts_come_with_what_they_replace_and_the_applications_they_run(
     assert found.problems == ()
 
 
-def test_a_chart_that_is_not_there_is_named(access: publish.ForgeAccess, tmp_path: Path) -> None:
+def test_a_chart_that_is_not_there_is_named(access: publish.PublishingAccounts, tmp_path: Path) -> None:
     with pytest.raises(SetUpError, match=r"no chart object-detection@0.9.0; there are bag-player, .*@0.1.1"):
         publish.publish_to(access, [image(tmp_path, "ros", b"x")], tmp_path / "kept", extra=["object-detection@0.9.0"])
 
 
 def test_another_image_gives_other_charts_and_the_old_ones_stay(
-    installation: Installation, publishing: Publishing, access: publish.ForgeAccess, tmp_path: Path
+    installation: Installation, publishing: Publishing, access: publish.PublishingAccounts, tmp_path: Path
 ) -> None:
     published = [
         publish.publish_to(access, [image(tmp_path, "ros", content)], tmp_path / "kept") for content in (b"a", b"b")
@@ -158,7 +169,7 @@ def test_another_image_gives_other_charts_and_the_old_ones_stay(
 
 
 def test_a_refusal_says_what_the_gate_found(
-    publishing: Publishing, access: publish.ForgeAccess, tmp_path: Path
+    publishing: Publishing, access: publish.PublishingAccounts, tmp_path: Path
 ) -> None:
     publishing.runner.checks["static"] = (Check("pods are restricted", False, "a privileged pod", "take it out"),)
     with pytest.raises(SetUpError, match=r"the gate refused to publish, see http(?s:.*)pods are restricted") as refusal:
@@ -167,22 +178,26 @@ def test_a_refusal_says_what_the_gate_found(
     assert not (tmp_path / "kept").exists()
 
 
-def test_an_image_that_no_one_built_is_named(access: publish.ForgeAccess, tmp_path: Path) -> None:
+def test_an_image_that_no_one_built_is_named(access: publish.PublishingAccounts, tmp_path: Path) -> None:
     with pytest.raises(SetUpError, match=r"spec.images: no reference of ros"):
         publish.publish_to(access, [image(tmp_path, "other", b"x")], tmp_path / "kept")
 
 
-def test_an_image_without_its_bill_is_refused(access: publish.ForgeAccess, tmp_path: Path) -> None:
+def test_an_image_without_its_bill_is_refused(access: publish.PublishingAccounts, tmp_path: Path) -> None:
     ros = image(tmp_path, "ros", b"no bill")
     ros.archive.with_name(bills.FILE).unlink()
     with pytest.raises(SetUpError, match=r"bill-.*: missing; build the images again: make images"):
         publish.publish_to(access, [ros], tmp_path / "kept")
 
 
-def test_a_wrong_password_is_named(installation: Installation, tmp_path: Path) -> None:
-    wrong = publish.ForgeAccess(installation.url, publish.ACCOUNT, "wrong")
-    with pytest.raises(SetUpError, match="publisher"):
-        publish.publish_to(wrong, [image(tmp_path, "ros", b"x")], tmp_path / "kept")
+@pytest.mark.parametrize("account", [publish.ACCOUNT, publish.IMAGE_ACCOUNT])
+def test_a_wrong_password_is_named(access: publish.PublishingAccounts, tmp_path: Path, account: str) -> None:
+    charts, images = (
+        replace(one, password="wrong") if one.username == account else one  # noqa: S106
+        for one in (access.charts, access.images)
+    )
+    with pytest.raises(SetUpError, match=rf"\b{account}\b"):
+        publish.publish_to(publish.PublishingAccounts(charts, images), [image(tmp_path, "ros", b"x")], tmp_path / "k")
 
 
 def test_the_key_is_made_once_for_its_user_alone(tmp_path: Path) -> None:
@@ -196,3 +211,27 @@ def test_the_key_is_made_once_for_its_user_alone(tmp_path: Path) -> None:
     path.write_text("broken")
     with pytest.raises(SetUpError, match=r"no PEM private key.*; remove the file to get a new key"):
         evidence.signing_key(tmp_path)
+
+
+class WaitingError(Exception):
+    """The gate reported that the submission waits."""
+
+
+def stop_when_waiting(line: str) -> None:
+    if line.startswith("Waiting: "):
+        raise WaitingError(line)
+
+
+def test_what_runs_by_itself_waits_for_a_person(
+    installation: Installation, publishing: Publishing, access: publish.PublishingAccounts, tmp_path: Path
+) -> None:
+    ros, path = image(tmp_path, "ros", b"unapproved"), "applications/proximity-operator.yaml"
+    catalogue = installation.clone("gate", "robotkube/catalogue")
+    if path in [entry.path for entry in _index(catalogue)]:
+        removal = catalogue.commit({path: None}, "away\n", [catalogue.tip()])
+        assert catalogue.push(removal, "refs/heads/main") == ""
+    with pytest.raises(WaitingError, match="application proximity-operator"):
+        publish.publish_to(replace(access, person=None), [ros], tmp_path / "kept", stop_when_waiting)
+    outcome = publish.publish_to(access, [ros], tmp_path / "kept").outcome
+    assert outcome.verdict == PUBLISHED
+    assert path in outcome.applications

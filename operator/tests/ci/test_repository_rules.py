@@ -133,7 +133,6 @@ def test_the_lists_of_what_is_pure_hold_nothing_that_no_core_could_import() -> N
         assert cores._loaded(name)
     for name, parts in cores.PARTS.items():
         assert all(hasattr(cores._loaded(name), part) for part in parts)
-    assert cores.findings(REPOSITORY / "operator/src/robotkube") == []
 
 
 def test_a_folder_without_init_is_a_finding(place: Path) -> None:

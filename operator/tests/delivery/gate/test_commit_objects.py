@@ -10,7 +10,7 @@ import pytest
 from robotkube.delivery.gate.core.proposal_checks import Proposer
 from robotkube.foundation.forge.adapters.git.commit_objects import new_objects
 from robotkube.foundation.forge.core.commit_objects import CommitObjects, write_objects
-from robotkube.foundation.runtime.adapters.webhook_server import sign
+from robotkube.foundation.runtime.core.webhook_deliveries import sign
 from tests.stages.forge.installation import (
     PROPOSERS,
     WEBHOOK_SECRET,

@@ -8,7 +8,7 @@ import httpx
 import pytest
 
 from robotkube.delivery.deployment.core.releases import Cause
-from robotkube.foundation.runtime.adapters.webhook_server import sign
+from robotkube.foundation.runtime.core.webhook_deliveries import sign
 from robotkube.registry.charts.core.references import ChartReference
 from tests.stages.forge.catalogue_evidence import published_chart
 from tests.stages.forge.installation import (

@@ -7,13 +7,12 @@ from typing import Any
 import pytest
 
 from robotkube.delivery.deployment.core.commit_messages import CommitMessage, write_message
-from robotkube.delivery.deployment.core.policies.merge import APPROVAL, AUTOMATIC, FORGE, is_approved, read_merge_policy
+from robotkube.delivery.deployment.core.policies.merge import APPROVAL, AUTOMATIC, FORGE, read_merge_policy
 from robotkube.delivery.deployment.core.releases import Cause, Release, Source, read_tree, write_release, write_source
 from robotkube.delivery.gate.core import proposal_checks, verdict_comments
 from robotkube.delivery.gate.core.release_checks import Rules
 from robotkube.errors import DocumentError
 from robotkube.foundation.documents.adapters.json_schema import validate
-from robotkube.foundation.forge.core.reviews import Review
 from robotkube.registry.catalogue.core.applications import Application
 from robotkube.registry.catalogue.core.catalogue import Catalogue, ChartVersion
 from robotkube.registry.charts.core.references import ChartReference
@@ -60,7 +59,16 @@ def schema(chart: str, version: str) -> Mapping[str, Any] | None:
     return SCHEMA if chart == "bridge" else None
 
 
-RULES = Rules("manager", frozenset({"cloud-0", "vehicle-00"}), URL, CATALOGUE, schema, validate, frozenset({"edge-0"}))
+RULES = Rules(
+    "manager",
+    frozenset({"cloud-0", "vehicle-00"}),
+    URL,
+    CATALOGUE,
+    schema,
+    validate,
+    lambda release: (),
+    frozenset({"edge-0"}),
+)
 BRIDGE = Release("cloud-0", "bridge", "bridge", "0.1.0", DIGEST, {"bridge": {"out": []}}, (), OLD_PLAN, SUMMARY)
 REFERENCE = ChartReference("bridge", "0.1.0", DIGEST)
 
@@ -454,25 +462,6 @@ def test_a_wrong_merge_policy_names_every_problem() -> None:
 
 
 HEAD = "c" * 40
-APPROVED = Review("reviewer", HEAD, True, True)
-
-
-@pytest.mark.parametrize(
-    ("reviews", "approved"),
-    [
-        ([], False),
-        ([APPROVED], True),
-        ([replace(APPROVED, official=False)], False),
-        ([replace(APPROVED, commit="d" * 40)], False),
-        ([replace(APPROVED, author="author")], False),
-        ([replace(APPROVED, author="manager")], False),
-        ([APPROVED, Review("other", HEAD, False, True)], False),
-        ([Review("reviewer", HEAD, False, True), APPROVED], True),
-        ([APPROVED, Review("reviewer", HEAD, False, True)], False),
-    ],
-)
-def test_approval(reviews: list[Review], approved: bool) -> None:
-    assert is_approved(reviews, HEAD, "author", ["manager"]) is approved
 
 
 def test_the_refusal_is_readable_and_bounded() -> None:

@@ -8,12 +8,13 @@ import pytest
 
 from scenarios.definition import pose_topic
 from scenarios.runner import collecting, storage
+from scenarios.runner.inputs import Plan
 from tests.stages.platform.running_platform import Platform
 from tests.stages.platform.story import BRIDGE, Story
 
 
 @pytest.fixture(scope="module")
-def plans(platform: Platform, story: Story) -> tuple[collecting.Plan, ...]:
+def plans(platform: Platform, story: Story) -> tuple[Plan, ...]:
     """Plans that this run's event led to."""
     events = {entry["event"] for entry in story.report["audit"] if entry["event"]}
     return tuple(
@@ -21,7 +22,7 @@ def plans(platform: Platform, story: Story) -> tuple[collecting.Plan, ...]:
     )
 
 
-def test_the_plans_changed_all_bridges_concerned(plans: tuple[collecting.Plan, ...]) -> None:
+def test_the_plans_changed_all_bridges_concerned(plans: tuple[Plan, ...]) -> None:
     bridges = {f"{agent}/{BRIDGE}" for agent in ("cloud-0", "vehicle-00", "vehicle-01")}
     assert [bridges <= set(plan.changed) for plan in plans] == [True, True]
 

@@ -14,6 +14,9 @@ from tests.stages.platform.running_platform import Platform
 
 MANAGER, GATE, RUNNER = "robotkube/manager", "robotkube/gate", "robotkube/suite-runner"
 CHART_UNDER_TEST = "robotkube-suite-0/application"
+SYNCING, GENERATING, SERVING = (
+    f"argocd/argocd-{name}" for name in ("application-controller", "applicationset-controller", "server")
+)
 KEY = f"secrets/{KEY_SECRET}"
 ACCOUNTS = (MANAGER, GATE, RUNNER, CHART_UNDER_TEST, "cloud-0/event-detector", "vehicle-00/mqtt-bridge")
 NAMESPACES = ("robotkube", "argocd", "cloud-0", "vehicle-00", "default")
@@ -67,6 +70,10 @@ ASKED = (
     (MANAGER, "patch taskdescriptions.robotkube.io --subresource=status -n cloud-0", "yes"),
     (GATE, "get pods", "no"),
     *((account, f"get {KEY} -n robotkube", "no") for account in (MANAGER, GATE, RUNNER, CHART_UNDER_TEST)),
+    *((account, f"get {KEY} -n robotkube", "no") for account in (SYNCING, GENERATING, SERVING)),
+    (SYNCING, "list secrets -n cloud-0", "no"),
+    (SYNCING, "create deployments.apps -n cloud-0", "yes"),
+    (SYNCING, "create deployments.apps -n robotkube", "no"),
     (RUNNER, "create deployments.apps -n robotkube-suite-0", "yes"),
     (RUNNER, "create pods -n robotkube-suite-1", "yes"),
     (RUNNER, "create secrets -n robotkube-suite-0", "yes"),

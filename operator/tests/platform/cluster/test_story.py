@@ -76,7 +76,7 @@ def test_all_our_namespaces_enforce_restricted_pods(platform: Platform) -> None:
     items = platform.get("namespaces")["items"]
     labels = {item["metadata"]["name"]: item["metadata"].get("labels", {}) for item in items}
     enforced = {name for name, found in labels.items() if found.get(ENFORCE) == "restricted"}
-    assert {"robotkube", *platform.agents} <= enforced
+    assert {"robotkube", "argocd", *platform.agents} <= enforced
 
 
 def test_every_pod_runs_as_an_ordinary_user_on_a_read_only_root(platform: Platform, story: Story) -> None:

@@ -15,7 +15,7 @@ from tests.stages.platform.table_one import Stage
 
 NAME = "object-detection-vehicle-02"
 OTHER = {"roadside-0": "edge-0", "edge-0": "roadside-0"}
-MOVED_SECONDS_MAX = 180.0  # 50 s until Kubernetes says that the node is not ready, 40 s until it counts as lost
+MOVED_SECONDS_MAX = 180.0  # 50 s until Kubernetes says that the node is not ready, 10 s until it counts as lost
 
 
 def test_what_ran_on_a_lost_node_runs_on_another(stage: Stage) -> None:

@@ -1,7 +1,6 @@
 """The publication loop with all but the keys in memory: verdicts and kept results."""
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -13,7 +12,6 @@ from robotkube.foundation.forge.ports.repositories import Commit
 from robotkube.foundation.runtime.adapters.prometheus_series import series_text
 from robotkube.registry.catalogue.core.catalogue import read_catalogue
 from robotkube.registry.charts.core.packing import PackedChart
-from robotkube.registry.charts.ports import Attachment
 from robotkube.registry.evidence.adapters.dsse import KeyFile
 from robotkube.registry.evidence.core.statements import Artefact, Check, SuiteResult, suite_statement
 from robotkube.registry.evidence.core.verification_policy import PATH as POLICY_PATH
@@ -238,18 +236,6 @@ def test_kept_evidence_is_used_in_another_cluster_with_the_same_key(world: World
     assert assured(fresh, packed[0])
 
 
-def test_a_chart_that_leaves_staging_while_its_suites_run_is_refused(world: World) -> None:
-    packed = chart()
-    world.runner.progress["install"] = SuiteProgress("running")
-    number = world.submit(packed)
-    world.gate.round()
-    del world.registry.charts["staging/relay"][packed[0].digest]
-    del world.runner.progress["install"]
-    world.registry.before = lambda method: world.registry.pull_chart("staging/relay", packed[0].digest) and None
-    assert f"staging/relay has no digest {packed[0].digest}; push it" in world.settle(number)
-    assert not world.merged(number)
-
-
 def test_a_commit_that_cannot_be_read_is_refused(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
     def unreadable(number: int) -> Commit:
         raise DocumentError(f"commit {number}", ["changes more than 1000 files; split it"])
@@ -257,37 +243,6 @@ def test_a_commit_that_cannot_be_read_is_refused(world: World, monkeypatch: pyte
     number = world.submit(chart())
     monkeypatch.setattr(world.catalogue, "proposal", unreadable)
     assert "changes more than 1000 files; split it" in world.settle(number)
-    assert not world.merged(number)
-
-
-@pytest.mark.parametrize("when", ["before", "while"])
-def test_attachments_in_staging_that_cannot_be_read_are_refused(
-    world: World, monkeypatch: pytest.MonkeyPatch, when: str
-) -> None:
-    """The publisher may write the tag in which attachments are listed."""
-    attachments = world.registry.attachments
-
-    def broken(repository: str, subject: str) -> Sequence[Attachment]:
-        if repository.startswith("staging/"):
-            raise InputError("no index of at most 256 artefacts")
-        return attachments(repository, subject)
-
-    def attaching(method: str) -> None:
-        if method == "attach":
-            broken("staging/relay", "")
-
-    if when == "before":
-        monkeypatch.setattr(world.registry, "attachments", broken)
-    world.runner.progress["install"] = SuiteProgress("running")
-    packed = chart()
-    number = world.submit(packed)
-    world.gate.round()
-    monkeypatch.setattr(world.registry, "attachments", broken)
-    world.registry.before = attaching
-    world.runner.progress.clear()
-    text = world.settle(number)
-    assert "cannot be read: no index of at most 256 artefacts" in text
-    assert f"delete the tag sha256-{packed[0].digest[7:]} of staging/relay" in text
     assert not world.merged(number)
 
 

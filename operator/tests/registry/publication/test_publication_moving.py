@@ -25,7 +25,7 @@ def test_a_pull_request_that_changes_while_suites_run_is_decided_anew(world: Wor
     number = world.submit(first)
     world.gate.round()
     commit = world.catalogue.commit(world.catalogue.tip, {entry_path(second[0]): entry(*second)}, "other")
-    world.registry.push_chart("staging", second[0], "other")
+    world.registry.push_chart("staging-publisher", second[0], "other")
     world.forge.update(number, commit)
     del world.runner.progress["install"]
     world.runner.checks["install"] = (Check("installs", False, "no", "yes"),)

@@ -15,6 +15,7 @@ from robotkube.errors import InputError
 from robotkube.foundation.documents.core.digests import sha256
 from robotkube.foundation.documents.core.yaml_codec import read_mapping, write_mapping
 from robotkube.registry.charts.adapters.oci import OciRegistry
+from robotkube.registry.charts.core.packing import PackedChart, build_tag
 from robotkube.registry.evidence.core.statements import Artefact, Check, SuiteResult, suite_statement
 from robotkube.registry.evidence.core.verification_policy import read_verification_policy
 from robotkube.registry.publication.loops.publication import PublicationLoop
@@ -29,6 +30,7 @@ from tests.stages.waiting import until
 
 pytestmark = pytest.mark.toolchain
 
+PLACE = "staging-publisher"
 SUITES = tuple(rule.name for rule in read_verification_policy(POLICY_TEXT).suites)
 
 
@@ -143,7 +145,7 @@ def test_forged_evidence_is_not_used(publishing: Publishing, name: str) -> None:
     rule = policy.suites[-1]
     result = SuiteResult(rule.name, rule.version, "passed", (Check("installs", True),), 1.0)
     forged = gate_key(OTHER_SEED).sign(suite_statement(artefact, policy.digest, result))
-    with registry_of(publishing.installation, "publisher") as registry:
+    with registry_of(publishing.installation, "gate") as registry:  # publishers could, before they had places
         registry.push_chart("staging", packed, "by-hand")
         kind = "application/vnd.in-toto+json"
         registry.attach(f"staging/{name}", packed.digest, kind, forged, {"robotkube.io/suite": rule.name})
@@ -167,6 +169,45 @@ def test_a_version_is_not_overwritten(publishing: Publishing, name: str) -> None
     with registry_of(publishing.installation, "argocd") as registry:
         for packed, _ in (first, second):
             assert registry.manifest_digest(f"verified/{name}", packed.digest) == packed.digest
+
+
+def overwrite(installation: Installation, name: str, tag: str, packed: PackedChart) -> None:
+    """The publisher writes its tag again with another chart, by which Gitea deletes the manifest from before."""
+    who = ("publisher", installation.passwords["publisher"])
+    with httpx.Client(base_url=f"{installation.url}/v2/{PLACE}/{name}", auth=who, timeout=30) as registry:
+        for data in (packed.config, packed.archive):
+            assert registry.post("/blobs/uploads/", params={"digest": sha256(data)}, content=data).status_code == 201
+        kind = {"Content-Type": "application/vnd.oci.image.manifest.v1+json"}
+        assert registry.put(f"/manifests/{tag}", content=packed.manifest, headers=kind).status_code == 201
+
+
+@pytest.mark.parametrize("when", ["tried", "checked"])
+def test_a_publisher_who_writes_a_tag_again_changes_nothing_that_is_tried(
+    publishing: Publishing, name: str, when: str
+) -> None:
+    (packed, spec), (other, _) = chart(name), chart(name, text="kind: Secret\n")
+    outcomes: list[SubmissionOutcome] = []
+    publishing.runner.progress[SUITES[-1]] = SuiteProgress("running")
+    if when == "checked":
+        publishing.stop()
+    thread = threading.Thread(target=lambda: outcomes.append(publishing.submit((packed, spec))))
+    thread.start()
+    until(lambda: any(line.startswith("pull request") for line in publishing.lines), "open")
+    if when == "tried":
+        until(lambda: bool(publishing.runner.requests), "its suites run")
+    overwrite(publishing.installation, name, build_tag("0.1.0", packed.digest), other)
+    with registry_of(publishing.installation, "gate") as registry:
+        assert registry.manifest_digest(f"{PLACE}/{name}", packed.digest) is None
+    publishing.runner.progress.clear()
+    if when == "checked":
+        publishing.start()
+    thread.join(2 * WAIT_SECONDS)
+    assert outcomes[0].verdict == (PUBLISHED if when == "tried" else REFUSED), outcomes[0].text
+    if when == "checked":
+        assert f"{PLACE}/{name} has no digest {packed.digest}; submit it again" in outcomes[0].text
+    else:
+        with registry_of(publishing.installation, "argocd") as registry:
+            assert registry.pull_chart(f"verified/{name}", packed.digest).digest == packed.digest
 
 
 def test_two_submissions_at_once_are_both_published(publishing: Publishing) -> None:

@@ -76,7 +76,7 @@ def test_everything_given_is_one_pull_request(publisher: Publisher) -> None:
     assert len(outcome.evidence) == 2 * (len(SUITES) + 1)
     title = publisher.world.forge.pulls[1].title
     assert title.startswith("submit: relay 0.1.0, other 0.1.0, application relaying (")
-    assert "relay 0.1.0: pushed to staging as sha256:" in publisher.lines[0]
+    assert "relay 0.1.0: pushed to staging-publisher as sha256:" in publisher.lines[0]
     assert "Verified: other 0.1.0, relay 0.1.0, application relaying" in publisher.lines
 
 
@@ -115,6 +115,15 @@ def test_what_is_not_decided_in_time_is_followed_by_the_next_call(publisher: Pub
     del publisher.world.runner.progress["install"]
     outcome = publisher.submit(SubmittedSources((source(),)))
     assert (outcome.verdict, outcome.number) == (PUBLISHED, 1)
+
+
+def test_what_it_waits_for_is_said_once(publisher: Publisher) -> None:
+    application_file = {"applications/relaying.yaml": application(initialFor="cloud")}
+    with pytest.raises(UnavailableError, match="not decided within the given time"):
+        publisher.submit(SubmittedSources((source(),), application_file), wait_seconds=20)
+    [waiting] = [line for line in publisher.lines if "It waits: " in line]
+    assert "applications/relaying.yaml runs by itself on every agent of role cloud (initialFor)" in waiting
+    assert "Somebody with write rights who is no publisher reviews this pull request and approves it" in waiting
 
 
 def test_only_kept_evidence_of_these_digests_is_carried(publisher: Publisher, tmp_path: Path) -> None:

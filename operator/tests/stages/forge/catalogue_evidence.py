@@ -10,6 +10,7 @@ import atexit
 import json
 import shutil
 import tempfile
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
@@ -67,10 +68,10 @@ def schema_file(chart: str, version: str) -> dict[str, str]:
     return {f"charts/{chart}/{version}.schema.json": json.dumps(schema, indent=1, sort_keys=True) + "\n"}
 
 
-def published_chart(chart: str, version: str, digest: str) -> dict[str, str]:
-    """Everything the gate publishes of a chart version that passed."""
+def published_chart(chart: str, version: str, digest: str, images: Sequence[str] = ()) -> dict[str, str]:
+    """Everything the gate publishes of a chart version that passed, with these images."""
     schema = "".join(schema_file(chart, version).values())
-    return published(gate_key(), artefact(chart, version, digest), schema=schema)
+    return published(gate_key(), artefact(chart, version, digest), schema=schema, images=images)
 
 
 def unproved_chart(chart: str, version: str, digest: str, state: str = "verified") -> dict[str, str]:

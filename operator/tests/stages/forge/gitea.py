@@ -17,7 +17,9 @@ from tests.stages.programs import free_port, program
 
 START_SECONDS_MAX = 60.0
 STOP_SECONDS_MAX = 10.0
-HOOKS = PROJECT / "charts" / "robotkube" / "files" / "forge-hooks"
+FILES = PROJECT / "charts" / "robotkube" / "files"
+HOOKS = FILES / "forge-hooks"
+RIGHTS = FILES / "forge-rights.ini"
 
 APP_INI = """\
 APP_NAME = forge
@@ -41,8 +43,7 @@ INSTALL_LOCK = true
 PASSWORD_HASH_ALGO = pbkdf2$1000$50
 SECRET_KEY = {secret}
 INTERNAL_TOKEN = {token}
-[service]
-DISABLE_REGISTRATION = true
+{rights}
 [repository]
 ROOT = {data}/repositories
 DEFAULT_BRANCH = main
@@ -135,7 +136,7 @@ class ForgeProcess:
         ).stdout.strip()  # fmt: skip
         text = APP_INI.format(
             user=user, data=self.data, port=self.port, url=self.url, static=toolchain.gitea_static("templates").parent,
-            secret=secrets.token_hex(32), token=token, hooks=HOOKS,
+            secret=secrets.token_hex(32), token=token, hooks=HOOKS, rights=RIGHTS.read_text().strip(),
         )  # fmt: skip
         (self.data / "app.ini").write_text(text)
 

@@ -29,6 +29,7 @@ from robotkube.foundation.runtime.adapters.prometheus_series import series_text
 from robotkube.foundation.runtime.adapters.webhook_server import WebServer
 from robotkube.registry.catalogue.loops.verified_catalogue import AssuredCatalogue
 from robotkube.registry.charts.core.references import ChartReference
+from robotkube.registry.charts.ports import RenderedImages
 from robotkube.setup.loops.bootstrap import ForgeAccount, ForgeSetup, Organisation, Repository, Webhook
 from tests.stages.delivery.manager_process import Outside
 from tests.stages.forge.catalogue_evidence import (
@@ -43,10 +44,14 @@ from tests.stages.paths import REPOSITORY
 from tests.stages.programs import free_port
 
 END_SECONDS_MAX = 20.0
-ACCOUNTS = ("manager", "gate", "argocd", "publisher", "suite-runner", "operator-team", "reviewer")
+ACCOUNTS = (
+    *("manager", "gate", "argocd", "publisher", "image-publisher", "suite-runner"),
+    *("operator-team", "reviewer"),
+)
 PACKAGES: Mapping[str, Mapping[str, str]] = {
-    "robotkube": {"publisher": "write", "gate": "read", "suite-runner": "read"},
-    "staging": {"publisher": "write", "gate": "write", "suite-runner": "read"},
+    "robotkube": {"image-publisher": "write", "gate": "read", "suite-runner": "read"},
+    "staging-publisher": {"publisher": "write", "gate": "read", "suite-runner": "read"},
+    "staging": {"gate": "write", "suite-runner": "read"},
     "verified": {"gate": "write", "manager": "read", "argocd": "read", "suite-runner": "read"},
 }
 CHARTS_URL = "oci://forge.robotkube.svc.cluster.local:3000/verified"
@@ -155,9 +160,13 @@ class _Account(pygit2.RemoteCallbacks):
     def __init__(self, username: str, password: str) -> None:
         super().__init__(credentials=pygit2.UserPass(username, password))
         self.refusal = ""
+        self.words = ""
 
     def push_update_reference(self, refname: str, message: str | None) -> None:
         self.refusal = message or ""
+
+    def sideband_progress(self, string: str) -> None:
+        self.words += string
 
 
 class Clone:
@@ -191,15 +200,21 @@ class Clone:
         return str(self.repository.create_commit(None, who, who, message, tree, parents))
 
     def push(self, commit: str, reference: str, options: list[str] | None = None, force: bool = False) -> str:
-        """Push; the server's refusal, or empty when it took it."""
+        """Push; the server's refusal with what its hooks said, or empty when it took it."""
         self.repository.references.create("refs/heads/pushed", commit, force=True)
+        return self._push(("+" if force else "") + f"refs/heads/pushed:{reference}", options)
+
+    def delete(self, reference: str) -> str:
+        """Delete it at the server; its refusal as above."""
+        return self._push(f":{reference}", None)
+
+    def _push(self, specification: str, options: list[str] | None) -> str:
         callbacks = _Account(*self._account)
-        specification = ("+" if force else "") + f"refs/heads/pushed:{reference}"
         try:
             self.repository.remotes["origin"].push([specification], callbacks=callbacks, push_options=options)
         except pygit2.GitError as error:
-            return str(error) or "refused"
-        return callbacks.refusal
+            return (str(error) or "refused") + callbacks.words
+        return callbacks.refusal and callbacks.refusal + callbacks.words
 
 
 @dataclass
@@ -320,6 +335,11 @@ def message(plan: str, **changes: Any) -> str:
     return write_message(CommitMessage(**{**fields, "evidence": evidence, **changes}))
 
 
+def no_images(*_: object) -> tuple[str, ...]:
+    """The port RenderedImages where charts have a digest and nothing else: their pods run nothing."""
+    return ()
+
+
 @dataclass
 class RunningGate:
     """The gate as its entry point wires it: web server, loop on a thread; `stop` ends both."""
@@ -345,9 +365,10 @@ def start_gate(
     webhooks: bool = True,
     managers: Sequence[str] = (),
     proposers: tuple[Proposer, ...] = PROPOSERS,
+    images: RenderedImages = no_images,
 ) -> RunningGate:
     """A new gate on `folder`; without `webhooks` it only polls; `managers` are the webhooks of account manager's
-    processes, which it tells of main."""
+    processes, which it tells of main; `images` renders releases."""
     account = ("gate", installation.passwords["gate"])
     forge = GiteaForge(installation.url, "robotkube/deployment", *account)
     hook = SignedPushHook(hook_url, HOOK_SECRET.encode(), f"{installation.url}/robotkube/deployment")
@@ -361,6 +382,7 @@ def start_gate(
         hook,
         GateSettings("gate", "robotkube/deployment", "robotkube/catalogue", proposers, CHARTS_URL),
         validate,
+        images,
         time.monotonic,
         relays,
     )

@@ -33,6 +33,7 @@ NAME = "test"
 VARIANT = "small"
 SCENARIO = PROJECT / "scenarios" / "pose-point-cloud-db-recording"
 STEPS = 6
+NODE_LOST_SECONDS = 10  # instead of 40: a story that loses a node waits for it
 DEPLOYMENT = "robotkube/deployment"
 WAIT_SECONDS_MAX = 60.0
 POLL_SECONDS = 0.5
@@ -131,7 +132,9 @@ def shared(config: pytest.Config) -> Platform:
     those of the small scenario."""
     with spoken(config):
         print(file=sys.stderr)
-        installer = demo.bring_up(demo.Request(WIDEST, {}, NAME, "platform"), Steps(STEPS))
+        values = {"managers": [{"name": "manager", "nodeLostSeconds": NODE_LOST_SECONDS}]}
+        request = demo.Request(WIDEST, {}, NAME, "platform", values=values)
+        installer = demo.bring_up(request, Steps(STEPS))
     access = Access(installer.kubeconfig)
     return Platform(installer, Embedded(NAME, installer.binaries), access, definition.load(SCENARIO, [], VARIANT))
 

@@ -76,7 +76,7 @@ class World:
         changes: dict[str, str | None] = {entry_path(packed): entry(packed, spec) for packed, spec in charts}
         changes |= files
         for packed, _ in charts if push else ():
-            self.registry.push_chart("staging", packed, f"{packed.version}_{packed.digest[7:19]}")
+            self.registry.push_chart("staging-publisher", packed, f"{packed.version}_{packed.digest[7:19]}")
         message = f"submit {len(self.forge.pulls)}"
         return self.forge.open(self.catalogue.commit(self.catalogue.tip, changes, message))
 

@@ -120,14 +120,20 @@ def spec(about: Artefact) -> dict[str, Any]:
     }
 
 
-def listing(about: Artefact, schema: str = "") -> Listing:
-    """What the catalogue says of a chart version with that entry and that values schema."""
-    return Listing(published_digest(spec(about), []), sha256(schema.encode()) if schema else "")
+def listing(about: Artefact, schema: str = "", images: Sequence[str] = ()) -> Listing:
+    """What the catalogue says of a chart version with that entry, that values schema and these images."""
+    return Listing(published_digest(spec(about), images), sha256(schema.encode()) if schema else "")
 
 
-def entry(about: Artefact, state: str = "verified", evidence: str = "", policy: str = POLICY.digest) -> dict[str, str]:
+def entry(
+    about: Artefact,
+    state: str = "verified",
+    evidence: str = "",
+    policy: str = POLICY.digest,
+    images: Sequence[str] = (),
+) -> dict[str, str]:
     """The catalogue's file of a chart version (path -> text)."""
-    status = {"state": state, "digest": about.digest, "images": []}
+    status = {"state": state, "digest": about.digest, "images": list(images)}
     if evidence:
         status |= {"evidence": evidence, "policy": policy}
     document = {
@@ -140,13 +146,19 @@ def entry(about: Artefact, state: str = "verified", evidence: str = "", policy: 
     return {f"charts/{about.chart}/{about.version}.yaml": write_mapping(document)}
 
 
-def published(key: KeyFile, about: Artefact, policy: VerificationPolicy = POLICY, schema: str = "") -> dict[str, str]:
+def published(
+    key: KeyFile,
+    about: Artefact,
+    policy: VerificationPolicy = POLICY,
+    schema: str = "",
+    images: Sequence[str] = (),
+) -> dict[str, str]:
     """The files of a chart version that was published with evidence: its entry, values schema and envelopes."""
-    envelopes = Signing(key, policy, schema).sign(about)
+    envelopes = Signing(key, policy, schema, listing(about, schema, images)).sign(about)
     files = {f"{about.folder}/{name}.json": data.decode() for name, data in envelopes.items()}
     if schema:
         files[f"charts/{about.chart}/{about.version}.schema.json"] = schema
-    return files | entry(about, evidence=sha256(envelopes["summary"]), policy=policy.digest)
+    return files | entry(about, evidence=sha256(envelopes["summary"]), policy=policy.digest, images=images)
 
 
 def catalogue(*parts: Mapping[str, str], assurance: str = "verified", policy: str = POLICY_TEXT) -> dict[str, str]:

@@ -76,8 +76,8 @@ def entry(packed: PackedChart, spec: Mapping[str, Any], **status: Any) -> str:
     )
 
 
-def application(name: str = "relaying", chart_name: str = "relay") -> str:
-    """An application with one service."""
+def application(name: str = "relaying", chart_name: str = "relay", **changes: Any) -> str:
+    """An application with one service; `changes` of its spec."""
     service = {
         "name": "relay",
         "release": "relay",
@@ -95,6 +95,7 @@ def application(name: str = "relaying", chart_name: str = "relay") -> str:
                 "provides": ["relaying"],
                 "parameters": {"type": "object", "additionalProperties": False, "properties": {}},
                 "services": [service],
+                **changes,
             },
         }
     )

@@ -1,4 +1,4 @@
-"""The command `robotkube registry submit CHART...`: pack, push to staging, propose to the catalogue, await the verdict.
+"""The command `robotkube registry submit CHART...`: pack, push, propose to the catalogue, await the verdict.
 
 Ends with 0 when everything is published, 1 when the gate refused (its report is on stderr), 2 when something in the
 sources is wrong, 3 when the forge is out of reach or the gate did not decide in time.
@@ -21,6 +21,7 @@ from robotkube.cli.platform import Platform
 from robotkube.errors import InputError
 from robotkube.foundation.forge.adapters.git import GitClone, ProposalWriter
 from robotkube.foundation.forge.adapters.hosts.gitea import GiteaForge
+from robotkube.foundation.forge.ports.pull_requests import PullRequest
 from robotkube.registry.charts.adapters.oci import OciRegistry
 from robotkube.registry.evidence.core.statements import NONE
 from robotkube.registry.publication.adapters import submission_folders as folders
@@ -87,14 +88,18 @@ def submit_sources(
     wait_seconds: float = WAIT_SECONDS,
     dry_run: bool = False,
     again: bool = False,
+    opened: Callable[[PullRequest], None] = lambda pull: None,
 ) -> SubmissionOutcome:
-    """Submit to the forge and wait for the verdict: the command without reading sources and showing results."""
-    with _connected(access, report_line) as submitter:
+    """Submit to the forge and wait for the verdict: the command without reading sources and showing results. `opened`
+    is called with the pull request before the verdict is waited for."""
+    with _connected(access, report_line, opened) as submitter:
         return submitter.submit(sources, wait_seconds, dry_run, again)
 
 
 @contextmanager
-def _connected(access: ForgeAccess, report_line: Callable[[str], None]) -> Iterator[Submitting]:
+def _connected(
+    access: ForgeAccess, report_line: Callable[[str], None], opened: Callable[[PullRequest], None]
+) -> Iterator[Submitting]:
     account = (access.username, access.password)
     with (
         tempfile.TemporaryDirectory(prefix="robotkube-submit-") as folder,
@@ -105,7 +110,7 @@ def _connected(access: ForgeAccess, report_line: Callable[[str], None]) -> Itera
         forge = GiteaForge(access.url, CATALOGUE, *account)
         try:
             yield Submitting(
-                clone, writer, forge, oci_registry, access.username, time.monotonic, time.sleep, report_line
+                clone, writer, forge, oci_registry, access.username, time.monotonic, time.sleep, report_line, opened
             )
         finally:
             forge.disconnect()

@@ -29,11 +29,15 @@ from robotkube.foundation.forge.connect import ForgeAddress, read_address
 from robotkube.foundation.forge.core.commit_objects import read_objects
 from robotkube.foundation.runtime import settings_file as files
 from robotkube.foundation.runtime.adapters.prometheus_series import MetricsPage
-from robotkube.foundation.runtime.adapters.webhook_server import Post, Signed, WebhookDelivery, WebServer
+from robotkube.foundation.runtime.adapters.webhook_server import Post, Signed, WebServer
+from robotkube.foundation.runtime.core.webhook_deliveries import WebhookDelivery
 from robotkube.foundation.runtime.process import Process, run
 from robotkube.registry.catalogue.adapters.bounded_validation import BoundedSchemas
 from robotkube.registry.catalogue.loops.verified_catalogue import AssuredCatalogue
+from robotkube.registry.charts.adapters.chart_renderer import ChartRenderer
 from robotkube.registry.charts.adapters.oci import OciRegistry
+from robotkube.registry.charts.loops.release_images import ReleaseImages
+from robotkube.registry.charts.ports import ChartProgram
 from robotkube.registry.evidence.adapters.dsse import KeyFile, TrustedKeys
 from robotkube.registry.publication.loops.publication import PublicationLoop, publication_metrics
 from robotkube.registry.publication.loops.submission_reader import PublicationSettings
@@ -45,6 +49,7 @@ from robotkube.registry.suites.ports.suites import SuiteRunner
 GRACE_SECONDS = 5.0
 STOP_POLL_SECONDS = 0.2
 OBJECTS_PATH = "/objects"
+RENDERER = "/usr/local/bin/chart-renderer"
 NEW_KEYS = {"registry": "oci_registry"}
 """Former key of the settings file -> its new key; former ones are still accepted, with a warning."""
 
@@ -52,8 +57,7 @@ NEW_KEYS = {"registry": "oci_registry"}
 @dataclass(frozen=True)
 class GateConfiguration:
     """The settings of the process, secrets included: `webhook_secret` is the forge's, `proposer_secrets` are what it
-    shares with each account. `suites_url` is empty when there is no suite-runner. `former_keys`: those keys of the file
-    that have a new name (NEW_KEYS)."""
+    shares with each account. `suites_url` is empty when there is no suite-runner."""
 
     listen: files.Listen
     log_level: str
@@ -71,13 +75,12 @@ class GateConfiguration:
     suites_token: str
     gate: GateSettings
     publication: PublicationSettings
-    former_keys: tuple[str, ...] = ()
 
 
 def read_configuration(reader: Reader, document: Mapping[str, Any]) -> GateConfiguration:
     """The configuration in the gate's settings document."""
     keys = ["listen", "log_level", "forge", "oci_registry", "local_builds", "evidence", "hook", "webhook"]
-    root = reader.mapping(files.under_new_keys(reader, document, NEW_KEYS), "", keys, ["suites"])
+    root = reader.mapping(document, "", keys, ["suites"])
     forge_keys = ["url", "credentials", "deployment", "catalogue", "branch", "proposers", "publishers"]
     forge = reader.mapping(root.get("forge") or {}, "forge", forge_keys, ["kind", "api"])
     registry = reader.mapping(root.get("oci_registry") or {}, "oci_registry", ["charts", "staging"])
@@ -121,7 +124,6 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> GateConfi
             charts_url=charts_url,
             local_builds=_yes_or_no(reader, root.get("local_builds"), "local_builds"),
         ),
-        former_keys=tuple(key for key in NEW_KEYS if key in document),
     )
 
 
@@ -179,7 +181,7 @@ class _NoRunner:
         raise UnavailableError("this installation has no suite-runner (charts/robotkube, values suites.enabled)")
 
 
-def build_gate(configuration: GateConfiguration, work: Path, schemas: BoundedSchemas) -> Gate:
+def build_gate(configuration: GateConfiguration, work: Path, schemas: BoundedSchemas, renderer: ChartProgram) -> Gate:
     """The gate of the deployment repository on its adapters; nothing is sent yet."""
     forge = configuration.forge
     account = configuration.account
@@ -189,6 +191,7 @@ def build_gate(configuration: GateConfiguration, work: Path, schemas: BoundedSch
     work.mkdir(parents=True, exist_ok=True)
     catalogue = forge.clone(settings.catalogue, account, work / "catalogue", branch)
     hook_secret = configuration.hook_secret.encode()
+    registry = OciRegistry(forge.url, account.username, account.password)
     return Gate(
         forge.pull_requests(settings.deployment, account, branch),
         forge.clone(settings.deployment, account, work / "deployment", branch),
@@ -196,6 +199,7 @@ def build_gate(configuration: GateConfiguration, work: Path, schemas: BoundedSch
         SignedPushHook(configuration.hook_url, hook_secret, f"{forge.url}/{settings.deployment}", branch=branch),
         settings,
         schemas.validate,
+        ReleaseImages(registry, configuration.publication.verified, renderer),
         time.monotonic,
         [
             PushRelay(proposer.webhook, secrets[proposer.account].encode(), settings.deployment, branch=branch)
@@ -270,6 +274,30 @@ def _receive_objects(gate: Gate, repository: str, account: str) -> Post:
     return post
 
 
+def build_server(
+    configuration: GateConfiguration, gate: Gate, publication: PublicationLoop, notes: NoteWriter
+) -> WebServer:
+    """The web server: its deliveries wake the loops that they concern."""
+
+    def deliver(delivery: WebhookDelivery) -> None:
+        gate.wake(delivery.event, delivery.payload)
+        number = (delivery.payload.get("issue") or {}).get("number")
+        if delivery.repository == configuration.gate.deployment and isinstance(number, int):
+            notes.commented(number)
+        publication.wake(delivery.event, delivery.payload)
+
+    return WebServer(
+        configuration.listen.address,
+        configuration.listen.port,
+        lambda: [*gate.reasons_not_ready(), *publication.reasons_not_ready()],
+        MetricsPage(lambda: gate_metrics(gate.statistics), lambda: publication_metrics(publication.statistics)).text,
+        configuration.webhook_secret.encode(),
+        deliver,
+        signed=objects_posts(gate, configuration.gate.deployment, configuration.proposer_secrets),
+        health_port=configuration.listen.health_port,
+    )
+
+
 def _now() -> str:
     return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
@@ -277,34 +305,19 @@ def _now() -> str:
 def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     """Serve webhooks, health and metrics; run both loops on threads until the process shall end."""
     path = files.settings_path(environment)
-    configuration = files.read_settings(path, read_configuration)
+    configuration = files.read_settings(path, read_configuration, NEW_KEYS)
     files.send_logs(process, configuration.log_level)
-    files.warn_of_former_keys(path, configuration.former_keys, NEW_KEYS)
+    files.warn_of_former_keys(path, NEW_KEYS)
     work = Path(environment.get("ROBOTKUBE_WORK", "/tmp/gate"))  # noqa: S108 - the pod's own volume
+    renderer = ChartRenderer(environment.get("ROBOTKUBE_RENDERER", RENDERER))
     deployment_schemas = BoundedSchemas()
     catalogue_schemas = BoundedSchemas()  # one each, so that neither loop waits for the other
-    gate = build_gate(configuration, work, deployment_schemas)
+    gate = build_gate(configuration, work, deployment_schemas, renderer)
     publication = build_publication(configuration, work, gate, catalogue_schemas)
     notes = build_notes(configuration, work)
-
-    def wake(delivery: WebhookDelivery) -> None:
-        gate.wake(delivery.event, delivery.payload)
-        number = (delivery.payload.get("issue") or {}).get("number")
-        if delivery.repository == configuration.gate.deployment and isinstance(number, int):
-            notes.commented(number)
-        publication.wake(delivery.event, delivery.payload)
-
-    server = WebServer(
-        configuration.listen.address,
-        configuration.listen.port,
-        lambda: [*gate.reasons_not_ready(), *publication.reasons_not_ready()],
-        MetricsPage(lambda: gate_metrics(gate.statistics), lambda: publication_metrics(publication.statistics)).text,
-        configuration.webhook_secret.encode(),
-        wake,
-        signed=objects_posts(gate, configuration.gate.deployment, configuration.proposer_secrets),
-    )
+    server = build_server(configuration, gate, publication, notes)
     server.start()
-    process.log("started", port=server.port, proposers=len(configuration.gate.proposers))
+    process.log("started", **server.ports, proposers=len(configuration.gate.proposers))
     stopping = threading.Event()
     loops = [threading.Thread(target=loop.run, args=(stopping,), daemon=True) for loop in (gate, publication, notes)]
     for thread in loops:
@@ -319,6 +332,7 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     server.stop()
     deployment_schemas.close()
     catalogue_schemas.close()
+    renderer.close()
 
 
 def main() -> None:

@@ -1,12 +1,14 @@
-"""The OCI registry as gate and suites use it: charts by digest, and what is attached to them."""
+"""Charts as gate and suites use them: the OCI registry, with charts by digest and what is attached to them, and
+programs that render them."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 from robotkube.registry.charts.core.packing import PulledChart
+from robotkube.registry.charts.core.references import ChartReference
 
 
 @dataclass(frozen=True)
@@ -68,4 +70,26 @@ class ImageRegistry(Protocol):
 
     def attachments(self, repository: str, subject: str) -> Sequence[Attachment]:
         """Everything attached to the manifest `subject`; empty when there is nothing."""
+        ...
+
+
+class ChartProgram(Protocol):
+    """A renderer of charts that are not trusted yet."""
+
+    def render(
+        self, files: Mapping[str, bytes], values: Mapping[str, Any], release: str, namespace: str
+    ) -> list[dict[str, Any]]:
+        """The objects of the chart in `files`, without network, bounded in time and size. InputError with the program's
+        words when the chart cannot be rendered, UnavailableError when the program cannot be run."""
+        ...
+
+
+class RenderedImages(Protocol):
+    """What a release's pods would run."""
+
+    def __call__(
+        self, chart: ChartReference, values: Mapping[str, Any], plan: str, release: str, namespace: str
+    ) -> Sequence[str]:
+        """References of all images of the release, deployed by `plan`, sorted. InputError when its chart cannot be
+        rendered with these values, UnavailableError when that cannot be tried now."""
         ...

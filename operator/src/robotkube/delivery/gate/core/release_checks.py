@@ -1,4 +1,4 @@
-"""The gate's checks of the release and source files that a change brings: chart, evidence, values, parameters.
+"""The gate's checks of the release and source files that a change brings: chart, evidence, values, images, parameters.
 
 Everything is looked up in the catalogue with its evidence assessed by the gate's own keys; nothing is taken from the
 branch but the files that are judged.
@@ -7,11 +7,12 @@ branch but the files that are judged.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from robotkube.delivery.deployment.core.releases import Cause, Release, Source
+from robotkube.errors import InputError
 from robotkube.foundation.documents.core.defaults import with_defaults
 from robotkube.registry.catalogue.core.catalogue import Catalogue
 from robotkube.registry.charts.core.references import ChartReference
@@ -22,7 +23,8 @@ from robotkube.registry.charts.core.values_schemas import Validate, deployed
 class Rules:
     """The rules for one account: the namespaces that it may touch and those that belong to `others`, where charts come
     from (`oci://host/organisation`), what the catalogue knows and proves; `schema` gives the values schema of
-    (chart, version), None when the catalogue has none; `last_term` is the account's highest term on main, `repair` what
+    (chart, version), None when the catalogue has none; `images` renders a release and gives the images of its pods,
+    InputError when it cannot be rendered; `last_term` is the account's highest term on main, `repair` what
     would bring a broken main back (path -> text, None removes), empty when nothing is broken."""
 
     account: str
@@ -31,6 +33,7 @@ class Rules:
     catalogue: Catalogue
     schema: Callable[[str, str], Mapping[str, Any] | None]
     validate: Validate
+    images: Callable[[Release], Sequence[str]]
     others: frozenset[str] = frozenset()
     last_term: int = 0
     repair: Mapping[str, str | None] = field(default_factory=dict)
@@ -43,10 +46,13 @@ def source_problems(path: str, source: Source, rules: Rules) -> Iterable[str]:
 
 
 def release_problems(path: str, release: Release, rules: Rules) -> Iterable[str]:
-    """Problems of a release: of chart and evidence first, since values mean nothing for a chart that may not run."""
+    """Problems of a release: of chart and evidence first, since values mean nothing for a chart that may not run, and
+    images last, since only valid values are rendered."""
     problems = list(_chart(release, rules))
     if not problems:
         problems = [*_values(release, rules), *_parameters(release, rules)]
+    if not problems:
+        problems = list(_images(release, rules))
     yield from (f"{path}: {problem}" for problem in problems)
 
 
@@ -76,6 +82,32 @@ def _values(release: Release, rules: Rules) -> Iterable[str]:
             )
         return
     yield from rules.validate(schema, deployed(schema, release.values, release.plan), "spec.values")
+
+
+def _images(release: Release, rules: Rules) -> Iterable[str]:
+    """Images that its pods would run and the evidence of its chart does not cover."""
+    chart = ChartReference(release.chart, release.version, release.digest)
+    version = next(version for version in rules.catalogue.charts[release.chart] if version.reference == chart)
+    if not version.image_references and rules.catalogue.assurance == "none":
+        return
+    covered = {_digest(reference) for reference in version.image_references}
+    try:
+        images = rules.images(release)
+    except InputError as error:
+        yield str(error)
+        return
+    for image in images:
+        if _digest(image) not in covered:
+            listed = ", ".join(version.image_references) or "none"
+            yield (
+                f"spec.values: a pod would run image {image or '(none)'}, which was not verified with chart {chart} "
+                f"(images: {listed}); leave out the values that name an image, or publish a version with this one"
+            )
+
+
+def _digest(reference: str) -> str:
+    """What an image reference pins; the reference itself, which nothing covers, when it pins nothing."""
+    return reference.rpartition("@")[2]
 
 
 def _parameters(release: Release, rules: Rules) -> Iterable[str]:

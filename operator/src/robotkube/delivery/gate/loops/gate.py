@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from robotkube.delivery.deployment.core.policies.merge import APPROVAL, AUTOMATIC, Way, is_approved
+from robotkube.delivery.deployment.core.policies.merge import APPROVAL, AUTOMATIC, Way
 from robotkube.delivery.gate.core import verdict_comments
 from robotkube.delivery.gate.core.proposal_checks import ProposalVerdict, ProposedCommit
 from robotkube.delivery.gate.loops.pending_objects import PendingObjects
@@ -24,11 +24,13 @@ from robotkube.delivery.gate.loops.rules import GateRules, GateSettings
 from robotkube.errors import DocumentError, InputError, RobotKubeError
 from robotkube.foundation.forge.core.commit_objects import CommitObjects
 from robotkube.foundation.forge.core.resync import RESYNC_SECONDS, resync_is_due
+from robotkube.foundation.forge.core.reviews import is_approved
 from robotkube.foundation.forge.ports.pull_requests import Forge, PullRequest, PushHook
 from robotkube.foundation.forge.ports.repositories import Commit, MainBranch
 from robotkube.foundation.runtime.ports import Series, by_one
 from robotkube.registry.catalogue.loops.verified_catalogue import AssuredCatalogue
 from robotkube.registry.charts.core.values_schemas import Validate
+from robotkube.registry.charts.ports import RenderedImages
 
 POLL_SECONDS = 2.0  # open pull requests, when no webhook came for so long
 SILENT_SECONDS_MAX = 30.0  # not ready when the forge was not seen for longer
@@ -75,8 +77,8 @@ class _Case:
 class Gate:
     """The gate of one deployment repository; `run` on one thread, `wake` from any.
 
-    `monotonic` is a clock in seconds that never goes back; `managers` are notified of every commit that was merged
-    here, sooner than by the forge.
+    `images` renders releases; `monotonic` is a clock in seconds that never goes back; `managers` are notified of every
+    commit that was merged here, sooner than by the forge.
     """
 
     def __init__(
@@ -87,6 +89,7 @@ class Gate:
         push_hook: PushHook,
         settings: GateSettings,
         validate: Validate,
+        images: RenderedImages,
         monotonic: Callable[[], float],
         managers: Sequence[PushHook] = (),
     ) -> None:
@@ -96,7 +99,7 @@ class Gate:
         self._managers = tuple(managers)
         self._settings = settings
         self._monotonic = monotonic
-        self._rules = GateRules(settings, main, catalogue, validate)
+        self._rules = GateRules(settings, main, catalogue, validate, images)
         self.statistics = GateStatistics()
         self._announced = ""
         self._pending_objects = PendingObjects()

@@ -12,7 +12,7 @@ from functools import lru_cache
 
 from robotkube.delivery.deployment.core.policies.merge import PATH as MERGE_PATH
 from robotkube.delivery.deployment.core.policies.merge import MergePolicy, read_merge_policy
-from robotkube.delivery.deployment.core.releases import Tree, read_tree
+from robotkube.delivery.deployment.core.releases import Release, Tree, read_tree
 from robotkube.delivery.deployment.core.repairs import repair
 from robotkube.delivery.deployment.loops.main_history import Terms, older_files, release_files
 from robotkube.delivery.gate.core import proposal_checks
@@ -20,7 +20,9 @@ from robotkube.delivery.gate.core.release_checks import Rules
 from robotkube.errors import DocumentError
 from robotkube.foundation.forge.ports.repositories import Commit, MainBranch
 from robotkube.registry.catalogue.loops.verified_catalogue import AssuredCatalogue
+from robotkube.registry.charts.core.references import ChartReference
 from robotkube.registry.charts.core.values_schemas import Validate
+from robotkube.registry.charts.ports import RenderedImages
 
 log = logging.getLogger(__name__)
 
@@ -60,12 +62,18 @@ class GateRules:
     """The rules for each account, while main stands where `main` has it."""
 
     def __init__(
-        self, settings: GateSettings, main: MainBranch, catalogue: AssuredCatalogue, validate: Validate
+        self,
+        settings: GateSettings,
+        main: MainBranch,
+        catalogue: AssuredCatalogue,
+        validate: Validate,
+        images: RenderedImages,
     ) -> None:
         self._settings = settings
         self._main = main
         self._catalogue = catalogue
         self._validate = validate
+        self._images = images
         self._terms = Terms(main, settings.accounts)
         self._main_now = _Main("", {}, Tree({}, {}), {})
 
@@ -85,10 +93,15 @@ class GateRules:
             catalogue=self._catalogue.catalogue,
             schema=self._catalogue.schema,
             validate=self._validate,
+            images=self._images_of,
             others=others,
             last_term=self._terms.last(account, self._main.tip),
             repair=self._known().repair,
         )
+
+    def _images_of(self, release: Release) -> Sequence[str]:
+        chart = ChartReference(release.chart, release.version, release.digest)
+        return self._images(chart, release.values, release.plan, release.name, release.namespace)
 
     def _known(self) -> _Main:
         """Main's files as they are, read once per tip; its history is read only when something is broken."""

@@ -18,6 +18,7 @@ TEXT_CHARACTERS_MAX = 600
 REPORT_CHARACTERS_MAX = 60_000  # of 65,535 that forges take
 
 CHECKING, WAITING, VERIFIED, REFUSED, UNCHANGED = "checking", "waiting", "verified", "refused", "unchanged"
+UNDECIDED = "Nothing is decided yet, the gate goes on by itself."
 HEADLINES: Mapping[str, str] = {
     CHECKING: "Checking",
     WAITING: "Waiting",
@@ -86,7 +87,7 @@ def _verdict(report: Report) -> str:
         what = f"{', '.join(failed)}. " if failed else ""
         return f"Nothing was published. {what}Change what is named below and submit again."
     if report.verdict == WAITING:
-        return f"Nothing is decided yet, the gate goes on by itself. It waits: {plain(report.waiting_for)}"
+        return f"{UNDECIDED} It waits: {plain(report.waiting_for)}"
     if report.verdict == VERIFIED:
         return "All that the policy asks for is met. It is published the moment this pull request shows as merged."
     if report.verdict == UNCHANGED:

@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from robotkube.errors import DocumentError
+from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.foundation.documents.core.patterns import NAME, SUITE_NAME
 from robotkube.foundation.documents.core.reader import Reader
 from robotkube.foundation.documents.core.yaml_codec import read_mapping, write_mapping
@@ -36,8 +37,17 @@ CHARTS_MAX = 50  # of one submission; further ones go into another
 SCHEMA_FILE, VALUES_FILE = "values.schema.json", "values.yaml"
 TOPIC = "submit-"
 
+STAGING = "staging"
+"""The organisation of the OCI registry from which charts are tried; the gate alone writes it."""
+
 _EVIDENCE_FILE = re.compile(rf"evidence/{NAME.pattern}/[^/]+_[0-9a-f]{{12}}/{SUITE_NAME.pattern}\.json", re.ASCII)
 _STATUS_KEYS = ("state", "digest", "images")
+
+
+def publisher_place(staging: str, account: str) -> str:
+    """The organisation of the OCI registry that this publisher alone writes: `staging-publisher`. What is submitted is
+    pushed there, and the gate copies it to `staging`."""
+    return f"{staging}-{account.lower()}"
 
 
 @dataclass(frozen=True)
@@ -275,7 +285,7 @@ def artefact_problems(chart: SubmittedChart, pulled: PulledChart) -> list[str]:
         schema_text(pulled.files)
     except DocumentError as error:
         problems += [f"{chart.path}: {error.where} of {chart.digest}: {problem}" for problem in error.problems]
-    annotations = json.loads(pulled.manifest).get("annotations") or {}
+    annotations = read_json(pulled.manifest).get("annotations") or {}
     if annotations.get(ENTRY_ANNOTATION) != entry_digest(chart.spec):
         problems.append(
             f"{chart.path}: {chart.digest} was packed with another entry; submit it with `robotkube registry submit`"
@@ -301,10 +311,10 @@ def schema_text(files: Mapping[str, bytes]) -> str:
     """The chart's values.schema.json with its values.yaml as `default`, so that a release's values can be checked as
     Helm merges them. DocumentError names the file that is missing or cannot be read."""
     try:
-        schema = json.loads(files[SCHEMA_FILE])
+        schema = read_json(files[SCHEMA_FILE])
     except KeyError as error:
         raise DocumentError(SCHEMA_FILE, ["missing; releases are checked against it, add it to the chart"]) from error
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise DocumentError(SCHEMA_FILE, [f"not readable as JSON: {error}"]) from error
     if not isinstance(schema, dict):
         raise DocumentError(SCHEMA_FILE, ["must hold a JSON object"])

@@ -1,9 +1,10 @@
 """The gate's publication loop: submissions to the catalogue repository are checked, verified, and published or refused.
 
 Level-triggered: a round reads the open pull requests of publishers, does for each what can be done now, and never
-waits for a suite. The order is: sign, attach to the chart's digest, copy chart and evidence to `verified`, push the
-publication commit to main. That push is the publication: whatever was done before it is read again or does no harm, so
-a gate that was killed anywhere goes on in its next start.
+waits for a suite. The order is: copy to `staging`, where no publisher writes; run the suites on that; sign, attach to
+the chart's digest, copy chart and evidence to `verified`, push the publication commit to main. That push is the
+publication: whatever was done before it is read again or does no harm, so a gate that was killed anywhere goes on in
+its next start.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from robotkube.errors import DocumentError, InputError, RobotKubeError, UnavailableError
+from robotkube.foundation.forge.core.reviews import is_approved
 from robotkube.foundation.forge.ports.pull_requests import Forge, PullRequest
 from robotkube.foundation.forge.ports.repositories import Commit, Commits, MainBranch
 from robotkube.foundation.runtime.ports import Series, by_one
@@ -37,7 +39,7 @@ POLL_SECONDS = 2.0  # open submissions, when no webhook came
 BUSY_SECONDS = 0.5  # while suites run
 SILENT_SECONDS_MAX = 30.0  # not ready when the forge was not seen for longer
 VERDICTS = ("published", "refused", "unchanged", "failed")
-WAKING_ACTIONS = frozenset({"opened", "reopened", "synchronized"})
+WAKING_ACTIONS = frozenset({"opened", "reopened", "synchronized", "reviewed"})
 
 log = logging.getLogger(__name__)
 
@@ -189,12 +191,12 @@ class PublicationLoop:
                 commit = self._main.proposal(pull.number)
             except DocumentError as error:
                 unread = Commit(pull.head, (), "", "", {}, ())
-                self._end(SubmissionInProgress(pull.number, unread, self._monotonic(), problems=[str(error)]), REFUSED)
+                self._end(self._begin(pull, unread, [str(error)]), REFUSED)
                 return
             if self._main.contains(commit.id):
                 self._settled[pull.number] = commit.id
                 return
-            underway = self._underway[pull.number] = SubmissionInProgress(pull.number, commit, self._monotonic())
+            underway = self._underway[pull.number] = self._begin(pull, commit, [])
         if underway.policy is None:  # a person may have repaired it meanwhile
             self._main.fetch()
         if underway.tip != self._main.tip or underway.policy is None:
@@ -207,12 +209,26 @@ class PublicationLoop:
                         "suite finished number=%d chart=%s suite=%s outcome=%s seconds=%.1f",
                         *(underway.number, chart.chart.chart, result.suite, result.outcome, result.seconds),
                     )
-        underway.waiting_for = self._policy_problem(underway)
+        underway.waiting_for = self._policy_problem(underway) or self._approval_missing(underway, pull)
         self._decide(underway)
+
+    def _begin(self, pull: PullRequest, commit: Commit, problems: list[str]) -> SubmissionInProgress:
+        return SubmissionInProgress(pull.number, pull.author, commit, self._monotonic(), problems=problems)
 
     @staticmethod
     def _policy_problem(underway: SubmissionInProgress) -> str:
         return "" if underway.policy else f"{POLICY_PATH} on main of the catalogue cannot be read; a person repairs it"
+
+    def _approval_missing(self, underway: SubmissionInProgress, pull: PullRequest) -> str:
+        """What a submission whose suites all passed waits for; empty when somebody else approved exactly this commit,
+        or need not."""
+        if underway.problems or not underway.approval or not all(chart.passed for chart in underway.charts):
+            return ""
+        machines = (*self._settings.publishers, self._settings.account)
+        if is_approved(self._forge.reviews(pull.number), underway.commit.id, pull.author, machines):
+            return ""
+        reasons = "; ".join(underway.approval)
+        return f"{reasons}. Somebody with write rights who is no publisher reviews this pull request and approves it"
 
     def _decide(self, underway: SubmissionInProgress) -> None:
         if underway.waiting_for:

@@ -11,18 +11,20 @@ from robotkube.errors import DocumentError, InputError
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.foundation.forge.ports.repositories import Commit, MainBranch
 from robotkube.registry.catalogue.core.sources import Tools
-from robotkube.registry.charts.core.packing import PulledChart
+from robotkube.registry.charts.core.packing import PulledChart, build_tag
 from robotkube.registry.charts.core.referrers import fallback_tag
 from robotkube.registry.charts.ports import ChartRegistry
 from robotkube.registry.evidence.core.statements import Artefact
 from robotkube.registry.evidence.core.verification_policy import PATH as POLICY_PATH
 from robotkube.registry.evidence.core.verification_policy import VerificationPolicy, read_verification_policy
+from robotkube.registry.publication.core.approvals import approval_reasons
 from robotkube.registry.publication.core.submissions import (
     READ_FOLDERS,
     Proposed,
     Submission,
     SubmittedChart,
     artefact_problems,
+    publisher_place,
     read_submission,
     schema_text,
 )
@@ -35,8 +37,9 @@ log = logging.getLogger(__name__)
 @dataclass(frozen=True)
 class PublicationSettings:
     """Settings of the publication. `catalogue`: `<organisation>/<name>`; `publishers`: accounts whose submissions are
-    accepted; `account`: the gate's own; `staging`, `verified`: organisations of the OCI registry; `charts_url`: of the
-    latter, oci://host/organisation; `local_builds`: a version may be published again with another digest."""
+    accepted; `account`: the gate's own; `staging`, `verified`: organisations of the OCI registry that the gate alone
+    writes, for what it tries and for what it published; `charts_url`: of the latter, oci://host/organisation;
+    `local_builds`: a version may be published again with another digest."""
 
     catalogue: str
     publishers: tuple[str, ...]
@@ -49,9 +52,11 @@ class PublicationSettings:
 
 @dataclass
 class SubmissionInProgress:
-    """A submission at one head, as it stood against main's tip `tip`."""
+    """A submission of `author` at one head, as it stood against main's tip `tip`; `approval`: why it needs a person's
+    approval."""
 
     number: int
+    author: str
     commit: Commit
     started: float
     tip: str = ""
@@ -59,6 +64,7 @@ class SubmissionInProgress:
     policy: VerificationPolicy | None = None
     charts: list[ChartInProgress] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
+    approval: tuple[str, ...] = ()
     waiting_for: str = ""
 
 
@@ -94,13 +100,14 @@ class SubmissionReader:
         problems = list(submission.problems)
         for chart in submission.charts if policy and not problems else ():
             known = before.get(chart.path)
-            begun, wrong = (known, []) if known else self._begin(chart, policy, underway.commit.id, submission, files)
+            begun, wrong = (known, []) if known else self._begin(chart, policy, underway, submission, files)
             problems += wrong
             charts += [begun] if begun else []
         underway.submission = submission
         underway.policy = policy
         underway.charts = charts
         underway.problems = problems
+        underway.approval = () if problems else approval_reasons(submission.applications, files)
         underway.tip = tip
 
     def _read(self, proposed: Proposed) -> Submission:
@@ -120,15 +127,16 @@ class SubmissionReader:
         self,
         chart: SubmittedChart,
         policy: VerificationPolicy | None,
-        attempt: str,
+        proposed: SubmissionInProgress,
         submission: Submission,
         files: Mapping[str, str],
     ) -> tuple[ChartInProgress | None, list[str]]:
         assert policy is not None
-        pulled, problems = self._pull(chart)
+        pulled, problems = self._pull(chart, proposed.author)
         if pulled is None or problems:
             return None, problems
-        underway = ChartInProgress(chart, schema_text(pulled.files), policy, attempt, self._replaced(chart, files))
+        replaced = self._replaced(chart, files)
+        underway = ChartInProgress(chart, schema_text(pulled.files), policy, proposed.commit.id, replaced)
         folder = chart.artefact.folder
         carried = [text.encode() for path, text in submission.evidence.items() if path.startswith(f"{folder}/")]
         self._verifying.begin(underway, carried)
@@ -141,25 +149,32 @@ class SubmissionReader:
     def _staging_problems(self, chart: SubmittedChart) -> list[str]:
         repository = f"{self._settings.staging}/{chart.chart}"
         if self._oci_registry.manifest_digest(repository, chart.digest) is None:
-            fix = "push it (`robotkube registry submit` does)"
-            return [f"{chart.path}: {repository} has no digest {chart.digest}; {fix}, and write no tag twice"]
-        try:  # the publisher writes there too: what is attached may be anything
+            return [f"{chart.path}: {repository} has no digest {chart.digest} any more; submit it again"]
+        try:  # what publishers attached before they had places of their own may be anything
             self._oci_registry.attachments(repository, chart.digest)
         except InputError as error:
             fix = f"delete the tag {fallback_tag(chart.digest)} of {repository}"
             return [f"{chart.path}: what is attached to it in {repository} cannot be read: {error}; {fix}"]
         return []
 
-    def _pull(self, chart: SubmittedChart) -> tuple[PulledChart | None, list[str]]:
-        problems = self._staging_problems(chart)
-        if problems:
-            return None, problems
-        repository = f"{self._settings.staging}/{chart.chart}"
+    def _pull(self, chart: SubmittedChart, author: str) -> tuple[PulledChart | None, list[str]]:
+        """The chart from `staging`, or from its author's place; then it is copied to `staging`, so that what is tried
+        and published stays whatever the author pushes or deletes from now on."""
+        staging = f"{self._settings.staging}/{chart.chart}"
+        place = f"{publisher_place(self._settings.staging, author)}/{chart.chart}"
+        places = (where for where in (staging, place) if self._oci_registry.manifest_digest(where, chart.digest))
+        source = next(places, "")
+        if not source:
+            fix = "submit it again (`robotkube registry submit` pushes it there), and write no tag twice"
+            return None, [f"{chart.path}: {place} has no digest {chart.digest}; {fix}"]
         try:
-            pulled = self._oci_registry.pull_chart(repository, chart.digest)
+            pulled = self._oci_registry.pull_chart(source, chart.digest)
         except InputError as error:
             return None, [f"{chart.path}: {chart.digest} is not a chart that can be read: {error}"]
-        return pulled, artefact_problems(chart, pulled)
+        problems = artefact_problems(chart, pulled)
+        if source == place and not problems:
+            self._oci_registry.copy_chart(place, staging, chart.digest, build_tag(chart.version, chart.digest), ())
+        return pulled, problems or self._staging_problems(chart)
 
     def _replaced(self, chart: SubmittedChart, files: Mapping[str, str]) -> Replaced | None:
         """The first published version of those that this one replaces or skips."""

@@ -1,4 +1,5 @@
-"""Submitting charts and applications: push to `staging`, propose to the catalogue, wait for the gate's decision.
+"""Submitting charts and applications: push to the publisher's place, propose to the catalogue, wait for the gate's
+decision.
 
 Everything is content-addressed: what the catalogue has already is not submitted again, and the same submission made
 twice is one pull request.
@@ -10,22 +11,23 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
 
-from robotkube.errors import InputError, UnavailableError
+from robotkube.errors import AccountRefusedError, InputError, UnavailableError
 from robotkube.foundation.documents.core.digests import canonical_json, sha256
 from robotkube.foundation.forge.ports.pull_requests import Forge, PullRequest
 from robotkube.foundation.forge.ports.repositories import Proposals, RepositoryFiles
 from robotkube.registry.charts.core.packing import PackedChart, build_tag
 from robotkube.registry.evidence.core.statements import FOLDER as EVIDENCE
-from robotkube.registry.publication.core.report import MARKER, readable_text
+from robotkube.registry.publication.core.report import MARKER, UNDECIDED, readable_text
 from robotkube.registry.publication.core.submissions import (
     READ_FOLDERS,
+    STAGING,
     TOPIC,
     SubmittedChart,
     is_published,
+    publisher_place,
 )
 from robotkube.registry.publication.ports import ChartSource, SubmittedSources
 
-STAGING = "staging"
 PUBLISHED, UNCHANGED, REFUSED, PLANNED = "published", "unchanged", "refused", "planned"
 POLL_SECONDS = 0.5  # at the pull request
 UNAVAILABLE_SECONDS_MAX = 60.0  # the forge may be silent this long
@@ -59,7 +61,7 @@ class SubmissionOutcome:
 
 class Submitting:
     """One publisher at one forge. `account` is the publisher's; `monotonic` and `sleep` are in seconds; `report_line`
-    gets progress, a line at a time."""
+    gets progress, a line at a time; `opened` is called with the pull request before its decision is waited for."""
 
     def __init__(
         self,
@@ -71,6 +73,7 @@ class Submitting:
         monotonic: Callable[[], float],
         sleep: Callable[[float], None],
         report_line: Callable[[str], None] = lambda line: None,
+        opened: Callable[[PullRequest], None] = lambda pull: None,
     ) -> None:
         self._catalogue = catalogue
         self._proposals = proposals
@@ -80,6 +83,7 @@ class Submitting:
         self._monotonic = monotonic
         self._sleep = sleep
         self._report_line = report_line
+        self._opened = opened
 
     def submit(
         self, sources: SubmittedSources, wait_seconds: float, dry_run: bool = False, again: bool = False
@@ -114,13 +118,15 @@ class Submitting:
         for chart in new:
             self._push(chart)
         pull = self._open(tip, changes, about)
+        self._opened(pull)
         return self._wait_for_decision(pull, about, sources, self._monotonic() + wait_seconds)
 
     def _push(self, chart: ChartSource) -> None:
         packed = chart.packed
         tag = build_tag(packed.version, packed.digest)
-        self._patiently(lambda: self._oci_registry.push_chart(STAGING, packed, tag))
-        self._report_line(f"{packed.name} {packed.version}: pushed to {STAGING} as {packed.digest}")
+        place = publisher_place(STAGING, self._account)
+        self._patiently(lambda: self._oci_registry.push_chart(place, packed, tag))
+        self._report_line(f"{packed.name} {packed.version}: pushed to {place} as {packed.digest}")
 
     def _open(self, tip: str, changes: Mapping[str, str], about: SubmissionOutcome) -> PullRequest:
         """The pull request of exactly these changes: the open one, or a new one."""
@@ -165,12 +171,12 @@ class Submitting:
         return _outcome(about, verdict, text=text, number=pull.number, url=pull.url, evidence=evidence)
 
     def _write_progress(self, text: str, printed: set[str]) -> None:
-        """Report each headline and each chart's suite once per state."""
+        """Report each headline, what the gate waits for, and each chart's suite once per state."""
         chart = ""
         for line in readable_text(text).splitlines():
             if line.startswith("### "):
                 chart = f"{line.strip('# ')}: "
-            shown = line.startswith(("## ", "| ")) and not line.startswith(("| suite", "| ---"))
+            shown = line.startswith(("## ", "| ", UNDECIDED)) and not line.startswith(("| suite", "| ---"))
             state = (chart if line.startswith("| ") else "") + line.strip("#| ").replace(" | ", "  ")
             if shown and state not in printed:
                 printed.add(state)
@@ -198,11 +204,14 @@ class Submitting:
         return {path: text for path, text in files.items() if path.startswith(folders)}
 
     def _patiently(self, call: Callable[[], T]) -> T:
-        """The call's answer; a forge that does not answer is asked again within UNAVAILABLE_SECONDS_MAX."""
+        """The call's answer; a forge that does not answer is asked again within UNAVAILABLE_SECONDS_MAX, one that
+        refuses the account is not."""
         end = self._monotonic() + UNAVAILABLE_SECONDS_MAX
         while True:
             try:
                 return call()
+            except AccountRefusedError:
+                raise
             except UnavailableError:
                 if self._monotonic() >= end:
                     raise
