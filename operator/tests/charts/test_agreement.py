@@ -124,17 +124,22 @@ def test_robot_processes_read_the_settings_their_charts_write(apps: Mapping[str,
     assert APPS[chart](yaml.safe_load(text), chart)
 
 
+def image_of(rendered: Any) -> str:
+    """The image of the one pod of an application."""
+    [(_, pod)] = rendered.pods
+    return str(pod["containers"][0]["image"])
+
+
 @pytest.mark.parametrize("chart", APPS)
 def test_helm_renders_a_packed_chart_as_the_folder(
     helm: Any, apps: Mapping[str, Any], chart: str, tmp_path: Path
 ) -> None:
-    profile = yaml.safe_load((PROFILES / f"{chart}.yaml").read_text())
-    image = profile.pop("image")["reference"]
-    packed = pack(CHARTS / "apps" / chart, {"ros": image})
-    assert packed.digest == pack(CHARTS / "apps" / chart, {"ros": image}).digest
+    images = {"ros": image_of(apps[chart])}
+    packed = pack(CHARTS / "apps" / chart, images)
+    assert packed.digest == pack(CHARTS / "apps" / chart, images).digest
     archive = tmp_path / f"{chart}.tgz"
     archive.write_bytes(packed.archive)
-    assert helm.template(archive, helm.values(profile), release=chart).objects == apps[chart].objects
+    assert helm.template(archive, PROFILES / f"{chart}.yaml", release=chart).objects == apps[chart].objects
 
 
 @pytest.mark.parametrize("chart", ["event-detector", "mqtt-bridge", "object-detection", "object-tracking"])
@@ -142,13 +147,11 @@ def test_an_earlier_version_is_packed_with_the_library_it_was_published_with(
     helm: Any, chart: str, tmp_path: Path
 ) -> None:
     own = PROFILES / "earlier" / f"{chart}.yaml"
-    profile = yaml.safe_load((own if own.exists() else PROFILES / f"{chart}.yaml").read_text())
-    image = profile.pop("image")["reference"]
+    profile = own if own.exists() else PROFILES / f"{chart}.yaml"
+    folder = helm.template(CHARTS / "earlier" / chart, profile, release=chart)
     archive = tmp_path / f"{chart}.tgz"
-    archive.write_bytes(pack(CHARTS / "earlier" / chart, {"ros": image}).archive)
-    values = {**profile, "image": {"reference": image}}
-    folder = helm.template(CHARTS / "earlier" / chart, helm.values(values), release=chart)
-    assert helm.template(archive, helm.values(profile), release=chart).objects == folder.objects
+    archive.write_bytes(pack(CHARTS / "earlier" / chart, {"ros": image_of(folder)}).archive)
+    assert helm.template(archive, profile, release=chart).objects == folder.objects
     assert "app.kubernetes.io/version" not in folder.one("Deployment", chart)["metadata"]["labels"]
 
 
@@ -169,7 +172,7 @@ def test_values_and_settings_of_the_earlier_version_are_still_read(
         newer = replace(newer, publish_gaps=False)
     assert older == newer
     packed = [pack(CHARTS / folder / chart, {"ros": "x@sha256:" + "5" * 64}) for folder in ("apps", "earlier")]
-    assert [one.version for one in packed] == ["0.2.1", "0.1.1"]
+    assert [one.version for one in packed] == ["0.2.2", "0.1.2"]
 
 
 @pytest.mark.parametrize("chart", ["object-detection", "object-tracking"])
@@ -181,5 +184,5 @@ def test_two_versions_of_a_chart_differ_in_what_they_run(helm: Any, apps: Mappin
     )
     assert newer != older
     packed = [pack(CHARTS / folder / chart, {"ros": "x@sha256:" + "5" * 64}) for folder in ("apps", "earlier")]
-    assert [one.version for one in packed] == ["0.2.1", "0.1.1"]
+    assert [one.version for one in packed] == ["0.2.2", "0.1.2"]
     assert len({one.digest for one in packed}) == 2

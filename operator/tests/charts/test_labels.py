@@ -122,7 +122,8 @@ def test_a_pod_has_the_version_of_its_image(helm: Any, image: str, version: str)
 def test_another_version_of_a_chart_alone_starts_no_pod_anew(helm: Any, chart: str, tmp_path: Path) -> None:
     """Else each upgrade would take forge, broker and database away for a while."""
     profile = PROFILES / ("official.yaml" if chart == "robotkube" else f"{Path(chart).name}.yaml")
-    charts = tmp_path / "charts"
+    charts = tmp_path / Path(chart).parent / "chart"
+    charts.parent.mkdir(exist_ok=True)
     subprocess.run(["cp", "-rL", str(CHARTS / chart), str(charts)], check=True, timeout=60)
     described = charts / "Chart.yaml"
     metadata = yaml.safe_load(described.read_text(encoding="utf-8"))

@@ -25,9 +25,9 @@ from tests.stages.registry.wrong_charts import MISTAKES, wrong_chart
 pytestmark = pytest.mark.toolchain
 
 PACKAGED = [
-    ("apps", "bag-player", "0.1.1"),
-    *(("apps", name, "0.2.1") for name in ("mqtt-bridge", "event-detector", "object-detection", "object-tracking")),
-    *(("earlier", name, "0.1.1") for name in ("mqtt-bridge", "event-detector", "object-detection", "object-tracking")),
+    ("apps", "bag-player", "0.1.2"),
+    *(("apps", name, "0.2.2") for name in ("mqtt-bridge", "event-detector", "object-detection", "object-tracking")),
+    *(("earlier", name, "0.1.2") for name in ("mqtt-bridge", "event-detector", "object-detection", "object-tracking")),
 ]
 STATIC = [name for name, mistake in MISTAKES.items() if mistake.suite == "static"]
 OTHERS = [name for name, mistake in MISTAKES.items() if mistake.suite != "static"]

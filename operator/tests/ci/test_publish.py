@@ -113,7 +113,7 @@ def test_what_was_built_is_published_once_and_its_evidence_kept(
     assert first.outcome.verdict == PUBLISHED
     assert {chart.name.split()[0] for chart in first.outcome.charts} == set(publish.BASE)
     assert len(publishing.runner.runs) == len(SUITES) * len(first.outcome.charts)
-    assert any(line.startswith("bag-player 0.1.1: static 1  passed") for line in said)
+    assert any(line.startswith("bag-player 0.1.2: static 1  passed") for line in said)
     with OciRegistry(installation.url, "argocd", installation.passwords["argocd"]) as registry:
         for chart in first.outcome.charts:
             digest = registry.manifest_digest(f"verified/{chart.artefact.chart}", chart.digest)
@@ -132,20 +132,20 @@ def test_more_charts_come_with_what_they_replace_and_the_applications_they_run(
     publishing: Publishing, access: publish.PublishingAccounts, tmp_path: Path
 ) -> None:
     ros, kept = image(tmp_path, "ros", b"more"), tmp_path / "kept"
-    older = publish.publish_to(access, [ros], kept, extra=["object-detection@0.1.1"])
-    assert "object-detection 0.1.1" in {chart.name for chart in older.outcome.charts}
+    older = publish.publish_to(access, [ros], kept, extra=["object-detection@0.1.2"])
+    assert "object-detection 0.1.2" in {chart.name for chart in older.outcome.charts}
     newer = publish.publish_to(access, [ros], kept, extra=["object-detection", "object-tracking"])
     names = {chart.name for chart in newer.outcome.charts}
-    assert names == {"object-detection 0.2.1", "object-tracking 0.1.1", "object-tracking 0.2.1"}
-    assert "object-detection 0.1.1" in newer.outcome.unchanged
+    assert names == {"object-detection 0.2.2", "object-tracking 0.1.2", "object-tracking 0.2.2"}
+    assert "object-detection 0.1.2" in newer.outcome.unchanged
     assert "applications/environment-perception.yaml" in newer.outcome.applications
     found = read_catalogue({path: text for path, text in publishing.main().items() if path.startswith(FOLDERS)})
-    assert [v.version for v in found.charts["object-detection"] if v.state == "verified"] == ["0.1.1", "0.2.1"]
+    assert [v.version for v in found.charts["object-detection"] if v.state == "verified"] == ["0.1.2", "0.2.2"]
     assert found.problems == ()
 
 
 def test_a_chart_that_is_not_there_is_named(access: publish.PublishingAccounts, tmp_path: Path) -> None:
-    with pytest.raises(SetUpError, match=r"no chart object-detection@0.9.0; there are bag-player, .*@0.1.1"):
+    with pytest.raises(SetUpError, match=r"no chart object-detection@0.9.0; there are bag-player, .*@0.1.2"):
         publish.publish_to(access, [image(tmp_path, "ros", b"x")], tmp_path / "kept", extra=["object-detection@0.9.0"])
 
 

@@ -74,10 +74,10 @@ app.kubernetes.io/instance: {{ .Release.Name | quote }}
 
 {{- define "robotkube-app.image" -}}
 {{- $packed := .root.Files.Get "images.yaml" | fromYaml -}}
-{{- with (.root.Values.image).reference | default (get $packed .image) -}}
+{{- with get $packed .image -}}
 {{ . }}
 {{- else -}}
-{{ fail (printf "\n\n%s: no image. Pack the chart with images.yaml (key %s), or give image.reference.\n" $.root.Chart.Name $.image) }}
+{{ fail (printf "\n\n%s: no image. Pack the chart with images.yaml (key %s).\n" $.root.Chart.Name $.image) }}
 {{- end -}}
 {{- end }}
 

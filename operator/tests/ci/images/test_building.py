@@ -131,7 +131,7 @@ def test_images_share_the_base_layer_and_stay_small(twice: list[dict[str, BuiltI
         if image.stands_on and image.name != "pause":
             assert next(iter(built[image.name].layers)) == base
     layers = {digest: size for image in built.values() for digest, size in image.layers.items()}
-    assert sum(layers.values()) < 800_000_000  # the suites bring helm, 60 MB
+    assert sum(layers.values()) < 836_000_000  # the suites bring helm, 60 MB, the gate chart-renderer, 36 MB
 
 
 @pytest.mark.thorough

@@ -167,8 +167,8 @@ def test_requirements_choose_the_version(tmp_path: Path) -> None:
         more = {"provides": "perception/detection", "requirements": [requirement], "placement": {"roles": ["roadside"]}}
         actor._step(read_steps([ask(name, sensor, **more)])[0])
     found = rehearsal.releases()
-    assert found["roadside-0/object-detection-vehicle-00"].version == "0.1.1"
-    assert found["roadside-0/object-detection-vehicle-01"].version == "0.2.1"
+    assert found["roadside-0/object-detection-vehicle-00"].version == "0.1.2"
+    assert found["roadside-0/object-detection-vehicle-01"].version == "0.2.2"
     refused = rehearsal.task("cloud-0", "impossible")["status"]["conditions"][0]
     assert (refused["reason"], "range" in refused["message"]) == ("GuaranteeNotMet", True)
 

@@ -19,7 +19,7 @@ from tests.stages.platform.table_one import Stage
 
 pytestmark = pytest.mark.thorough
 
-CHART, GOOD, BAD = "object-detection", "0.2.1", "0.2.5"
+CHART, GOOD, BAD = "object-detection", "0.2.2", "0.2.5"
 VEHICLES = ("vehicle-00", "vehicle-01", "vehicle-02")
 RELEASES = [f"{vehicle}/{CHART}-{vehicle}" for vehicle in VEHICLES]
 POLICY = "policies/updates.yaml"

@@ -94,8 +94,8 @@ print(json.dumps({"checks": checks}))
 
 
 def own(chart: str, place: str = "apps") -> tuple[Path, Path]:
-    """A chart of the platform and its entry; those of `earlier` are the versions 0.1.1."""
-    version = "0.2.1" if place == "apps" else "0.1.1"
+    """A chart of the platform and its entry; those of `earlier` are the versions 0.1.2."""
+    version = "0.2.2" if place == "apps" else "0.1.2"
     return PROJECT / "charts" / place / chart, PROJECT / "registry" / "charts" / chart / f"{version}.yaml"
 
 
@@ -111,7 +111,7 @@ def earlier(platform: Platform, chart: str) -> Replaced:
     forge = publish.find_forge(platform.installer.kubeconfig)
     with OciRegistry(forge.url, "gate", platform.password("gate")) as registry:
         digest = registry.push_chart(VERIFIED, pack(folder, suite_namespaces.images(), document["spec"]))
-    return Replaced(Artefact(chart, "0.1.1", digest, "linux/amd64"), f"{VERIFIED}/{chart}", document)
+    return Replaced(Artefact(chart, "0.1.2", digest, "linux/amd64"), f"{VERIFIED}/{chart}", document)
 
 
 def short_grace() -> str:
@@ -156,7 +156,7 @@ def more_results(platform: Platform, tmp_path_factory: pytest.TempPathFactory) -
 def upgraded(result: SuiteResult) -> None:
     assert (result.outcome, suite_namespaces.said(result)) == ("passed", "")
     assert {check.name for check in result.checks} == CHECKS
-    assert "from 0.1.1" in [check.found for check in result.checks]
+    assert "from 0.1.2" in [check.found for check in result.checks]
 
 
 def test_a_chart_of_the_platform_passes_and_upgrades(results: Mapping[str, SuiteResult]) -> None:

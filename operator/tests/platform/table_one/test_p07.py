@@ -14,7 +14,7 @@ from tests.stages.platform.running_platform import eventually
 from tests.stages.platform.table_one import BRIDGE, Stage
 
 DETECTION, TRACKING = "roadside-0/object-detection-roadside-0", "roadside-0/object-tracking-roadside-0"
-OLD, NEW = "0.1.1", "0.2.1"
+OLD, NEW = "0.1.2", "0.2.2"
 UPDATED_SECONDS_MAX = 120.0
 
 
@@ -33,7 +33,7 @@ def test_one_service_is_updated_and_the_others_stay(stage: Stage) -> None:
     publish.publish(stage.platform.access.kubeconfig, extra=("object-detection",))
 
     def updated() -> bool:
-        """Version 0.2.1 differs in its settings alone, which its pod watches: it need not be made anew."""
+        """Version 0.2.2 differs in its settings alone, which its pod watches: it need not be made anew."""
         found, text = stage.pods(DETECTION), stage.platform.get(*settings)["data"]["config.yaml"]
         version = stage.annotation(DETECTION, "chart-version")
         return version == NEW and "method: reflectance" in text and len(found) == 1 and found[0].ready

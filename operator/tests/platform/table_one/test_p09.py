@@ -34,13 +34,13 @@ def asked(stage: Stage, name: str, sensor: str, requirement: dict[str, Any]) -> 
 
 
 def test_requirements_meet_guarantees(stage: Stage) -> None:
-    publish.publish(stage.platform.access.kubeconfig, extra=("object-detection", "object-detection@0.1.1"))
+    publish.publish(stage.platform.access.kubeconfig, extra=("object-detection", "object-detection@0.1.2"))
     exact = asked(stage, "p09-exact", "vehicle-00", EXACT)
     fast = asked(stage, "p09-fast", "vehicle-01", FAST)
     impossible = asked(stage, "p09-impossible", "vehicle-02", IMPOSSIBLE)
     releases = ["roadside-0/object-detection-vehicle-00", "roadside-0/object-detection-vehicle-01"]
     stage.await_running(*releases)
-    assert [stage.annotation(release, "chart-version") for release in releases] == ["0.1.1", "0.2.1"]
+    assert [stage.annotation(release, "chart-version") for release in releases] == ["0.1.2", "0.2.2"]
     assert [stage.releases_of(key) for key in (exact, fast)] == [{releases[0]}, {releases[1]}]
     assert len({stage.annotation(release, "chart-digest") for release in releases}) == 2
     refusal = stage.await_reason(impossible, "GuaranteeNotMet")

@@ -83,11 +83,11 @@ def test_what_a_guarantee_is_worth(bound: str, number: float, unit: str, verifie
 def test_find() -> None:
     assert [(e["kind"], e.get("version", "")) for e in find(ENTRIES, "mqtt-bridge")] == [
         ("application", ""),
-        ("chart", "0.2.1"),
+        ("chart", "0.2.2"),
     ]
-    assert [e["kind"] for e in find(ENTRIES, "mqtt-bridge@0.1.1")] == ["chart"]
-    assert find(ENTRIES, "mqtt-bridge@0.1.1")[0]["guarantees"][0]["status"] == "declared"
-    with pytest.raises(RefusalError, match=r"versions of mqtt-bridge: 0\.1\.1, 0\.2\.1"):
+    assert [e["kind"] for e in find(ENTRIES, "mqtt-bridge@0.1.2")] == ["chart"]
+    assert find(ENTRIES, "mqtt-bridge@0.1.2")[0]["guarantees"][0]["status"] == "declared"
+    with pytest.raises(RefusalError, match=r"versions of mqtt-bridge: 0\.1\.2, 0\.2\.2"):
         find(ENTRIES, "mqtt-bridge@9.0.0")
     with pytest.raises(RefusalError, match="there are bag-player, "):
         find(ENTRIES, "nothing")

@@ -53,7 +53,7 @@ def folder(tmp_path: Path) -> Path:
     """A copy of the project's registry and charts, of the bridge without what its version replaces: a catalogue need
     not have the whole history."""
     shutil.copytree(REPOSITORY / "registry", tmp_path / "registry")
-    (tmp_path / "registry" / "charts" / "mqtt-bridge" / "0.1.1.yaml").unlink()
+    (tmp_path / "registry" / "charts" / "mqtt-bridge" / "0.1.2.yaml").unlink()
     shutil.copytree(REPOSITORY / "charts" / "apps", tmp_path / "charts")
     return tmp_path
 
@@ -115,7 +115,7 @@ def test_all_mistakes_come_at_once(folder: Path) -> None:
 def test_a_broken_file_does_not_make_others_dangle(folder: Path) -> None:
     (folder / BRIDGE).write_text("a: b\n")
     (folder / "registry" / "applications" / "mqtt-bridge.yaml").write_text("a: b\n")
-    assert {Path(f.file).name for f in findings(folder)} == {"0.2.1.yaml", "mqtt-bridge.yaml"}
+    assert {Path(f.file).name for f in findings(folder)} == {"0.2.2.yaml", "mqtt-bridge.yaml"}
 
 
 def test_a_folder_that_is_none(tmp_path: Path) -> None:
@@ -124,14 +124,14 @@ def test_a_folder_that_is_none(tmp_path: Path) -> None:
 
 
 def test_five_hundred_versions(folder: Path) -> None:
-    text = (folder / BRIDGE).read_text().replace("\n  replaces: 0.2.0\n  skips: [0.1.1]", "")
+    text = (folder / BRIDGE).read_text().replace("\n  replaces: 0.2.1\n  skips: [0.1.2]", "")
     for chart in range(50):
         place = folder / "registry" / "charts" / f"chart-{chart:02d}"
         place.mkdir()
         for number in range(10):
             before = f"\n  replaces: 0.{number - 1}.0" if number else ""
             named = text.replace("name: mqtt-bridge", f"name: {place.name}")
-            changed = named.replace("version: 0.2.1", f"version: 0.{number}.0{before}")
+            changed = named.replace("version: 0.2.2", f"version: 0.{number}.0{before}")
             (place / f"0.{number}.0.yaml").write_text(changed)
     began = time.process_time()
     assert findings(folder) == []

@@ -15,6 +15,7 @@ from robotkube.registry.charts.adapters.chart_renderer import ChartRenderer
 from robotkube.registry.charts.adapters.helm import HelmProgram
 from robotkube.registry.charts.core.pod_images import pod_images
 from robotkube.registry.charts.core.unpacking import unpack_chart
+from tests.stages.forge.real_charts import chart_with_image_value
 from tests.stages.paths import CHARTS
 from tests.stages.programs import program
 
@@ -39,14 +40,14 @@ def chart(template: str, **files: str) -> dict[str, bytes]:
     return {"Chart.yaml": METADATA, "templates/pod.yaml": template.encode(), **more}
 
 
-def packed(name: str) -> dict[str, bytes]:
-    archive = pack(CHARTS / "apps" / name, {"ros": IMAGE})
-    return dict(unpack_chart(name, archive.manifest, archive.config, archive.archive).files)
+def packed(folder: Path) -> dict[str, bytes]:
+    archive = pack(folder, {"ros": IMAGE})
+    return dict(unpack_chart(folder.name, archive.manifest, archive.config, archive.archive).files)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_it_renders_what_helm_renders(renderer: ChartRenderer, name: str, tmp_path: Path) -> None:
-    files, values = packed(name), yaml.safe_load((PROFILES / f"{name}.yaml").read_text())
+    files, values = packed(CHARTS / "apps" / name), yaml.safe_load((PROFILES / f"{name}.yaml").read_text())
     values = {**values, "global": {"plan": "20261121-100000-000001"}}
     by_helm = HelmProgram(program("helm"), tmp_path).render(files, values, "one", "vehicle-00")
     by_renderer = renderer.render(files, values, "one", "vehicle-00")
@@ -55,11 +56,17 @@ def test_it_renders_what_helm_renders(renderer: ChartRenderer, name: str, tmp_pa
     assert len(pod_images(by_renderer)) == 1
 
 
-def test_an_image_in_values_is_what_would_run(renderer: ChartRenderer) -> None:
-    files, values = packed("mqtt-bridge"), {"placement": {"agent": "vehicle-00"}}
+def test_an_image_in_values_is_what_would_run(renderer: ChartRenderer, tmp_path: Path) -> None:
+    files, values = packed(chart_with_image_value(tmp_path)), {"placement": {"agent": "vehicle-00"}}
     assert pod_images(renderer.render(files, values, "one", "vehicle-00")) == (IMAGE,)
     values = {**values, "image": {"reference": FOREIGN}}
     assert pod_images(renderer.render(files, values, "one", "vehicle-00")) == (FOREIGN,)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_no_value_of_a_chart_of_ours_names_an_image(renderer: ChartRenderer, name: str) -> None:
+    values = {**yaml.safe_load((PROFILES / f"{name}.yaml").read_text()), "image": {"reference": FOREIGN}}
+    assert pod_images(renderer.render(packed(CHARTS / "apps" / name), values, "one", "vehicle-00")) == (IMAGE,)
 
 
 HOSTILE: dict[str, tuple[dict[str, bytes], str]] = {

@@ -57,7 +57,7 @@ def suite(bounds: ObserverTimeouts = WHOLE) -> InterfaceSuite:
 
 
 def subject(chart: Path, entry: Mapping[str, Any], render: Render) -> Subject:
-    artefact = Artefact(chart.name, "0.1.1", "sha256:" + "0" * 64, "linux/amd64")
+    artefact = Artefact(chart.name, "0.1.2", "sha256:" + "0" * 64, "linux/amd64")
     values = (chart / "values.yaml").read_bytes()
     return Subject(artefact, entry, {"values.yaml": values}, b"", {"ros": "ros@sha256:0"}, render)
 
@@ -88,7 +88,7 @@ def said(checks: list[Check]) -> str:
 
 def test_the_bridge_is_what_its_entry_declares(namespace: LocalTestNamespace) -> None:
     chart = REPOSITORY / "charts" / "apps" / "mqtt-bridge"
-    entry = yaml.safe_load((REPOSITORY / "registry/charts/mqtt-bridge/0.2.1.yaml").read_text())
+    entry = yaml.safe_load((REPOSITORY / "registry/charts/mqtt-bridge/0.2.2.yaml").read_text())
     checks = list(suite().run(subject(chart, entry, bridge_objects), namespace))
     assert said([check for check in checks if not check.passed]) == ""
     names = {check.name for check in checks}
@@ -101,7 +101,7 @@ def test_the_bridge_is_what_its_entry_declares(namespace: LocalTestNamespace) ->
 def test_a_bridge_with_another_entry_is_refused(namespace: LocalTestNamespace) -> None:
     """Qualities, the type inside the frames, a topic that is not declared, at the broker."""
     chart = REPOSITORY / "charts" / "apps" / "mqtt-bridge"
-    entry = yaml.safe_load((REPOSITORY / "registry/charts/mqtt-bridge/0.2.1.yaml").read_text())
+    entry = yaml.safe_load((REPOSITORY / "registry/charts/mqtt-bridge/0.2.2.yaml").read_text())
     interfaces = {item["name"]: item for item in entry["spec"]["interfaces"]}
     interfaces["mqtt-out"] |= {"type": "nav_msgs/msg/Odometry", "qos": {"qos": 0, "retain": True}}
     interfaces["mqtt-in"] |= {"topic": "other{{ topic.name }}", "qos": {"qos": 2, "retain": False}}
@@ -128,7 +128,7 @@ def player_objects(values: Mapping[str, Any], name: str) -> list[dict[str, Any]]
 
 def test_the_player_opens_the_topics_of_a_bag_of_its_own_image(namespace: LocalTestNamespace) -> None:
     chart = REPOSITORY / "charts" / "apps" / "bag-player"
-    entry = yaml.safe_load((REPOSITORY / "registry/charts/bag-player/0.1.1.yaml").read_text())
+    entry = yaml.safe_load((REPOSITORY / "registry/charts/bag-player/0.1.2.yaml").read_text())
     checks = list(suite().run(subject(chart, entry, player_objects), namespace))
     assert said([check for check in checks if not check.passed]) == ""
     names = {check.name for check in checks}
@@ -145,7 +145,7 @@ OLDER: dict[str, dict[str, Any]] = {"object-detection": {"method": "size"}, "obj
 
 
 @pytest.mark.parametrize(
-    ("place", "version"), [("apps", "0.2.1"), pytest.param("earlier", "0.1.1", marks=pytest.mark.thorough)]
+    ("place", "version"), [("apps", "0.2.2"), pytest.param("earlier", "0.1.2", marks=pytest.mark.thorough)]
 )
 @pytest.mark.parametrize("name", PERCEPTION)
 def test_perception_is_what_its_entry_declares(

@@ -61,16 +61,18 @@ def signing(about: Artefact, seed: int = SEED) -> Signing:
     return Signing(gate_key(seed), schema="".join(schema_file(about.chart, about.version).values()))
 
 
-def schema_file(chart: str, version: str) -> dict[str, str]:
-    """The values schema of a chart of this project, with its values as default, as the gate publishes it."""
-    schema = json.loads((CHARTS / chart / "values.schema.json").read_text())
-    schema["default"] = yaml.safe_load((CHARTS / chart / "values.yaml").read_text())
+def schema_file(chart: str, version: str, charts: Path = CHARTS) -> dict[str, str]:
+    """The values schema of a chart of the folder `charts`, with its values as default, as the gate publishes it."""
+    schema = json.loads((charts / chart / "values.schema.json").read_text())
+    schema["default"] = yaml.safe_load((charts / chart / "values.yaml").read_text())
     return {f"charts/{chart}/{version}.schema.json": json.dumps(schema, indent=1, sort_keys=True) + "\n"}
 
 
-def published_chart(chart: str, version: str, digest: str, images: Sequence[str] = ()) -> dict[str, str]:
-    """Everything the gate publishes of a chart version that passed, with these images."""
-    schema = "".join(schema_file(chart, version).values())
+def published_chart(
+    chart: str, version: str, digest: str, images: Sequence[str] = (), charts: Path = CHARTS
+) -> dict[str, str]:
+    """Everything the gate publishes of a chart version of the folder `charts` that passed, with these images."""
+    schema = "".join(schema_file(chart, version, charts).values())
     return published(gate_key(), artefact(chart, version, digest), schema=schema, images=images)
 
 

@@ -29,6 +29,8 @@ class Mistake:
     fix: str = ""
 
 
+# In place of the library chart's template of this name.
+OWN_IMAGE = '{{ define "robotkube-app.image" }}forge.robotkube.svc.cluster.local:3000/ros:1{{ end }}'
 MISTAKES: Mapping[str, Mistake] = {
     "privileged-pod": Mistake(
         {
@@ -46,7 +48,7 @@ MISTAKES: Mapping[str, Mistake] = {
         "leave privileged out of every securityContext",
     ),
     "unpinned-image": Mistake(
-        {VALUES: [('image: {reference: ""} ', 'image: {reference: "forge.robotkube.svc.cluster.local:3000/ros:1"} ')]},
+        {DEPLOYMENT: [('(dict "root" .)) }}', f'(dict "root" .)) }}}}{OWN_IMAGE}')]},
         "static",
         "images-by-digest",
         "image forge.robotkube.svc.cluster.local:3000/ros:1 is not named by its digest: another one could run tomorrow",

@@ -292,11 +292,11 @@ def test_a_new_chart_version_changes_its_releases_for_the_configuration() -> Non
     before = settle((), {})
     files = catalogue_files()
     newer = (
-        files["charts/mqtt-bridge/0.2.1.yaml"]
-        .replace("version: 0.2.1", "version: 0.2.2")
+        files["charts/mqtt-bridge/0.2.2.yaml"]
+        .replace("version: 0.2.2", "version: 0.2.3")
         .replace("sha256:0000", "sha256:1111")
     )
-    catalogue = read_catalogue({**files, "charts/mqtt-bridge/0.2.2.yaml": newer})
+    catalogue = read_catalogue({**files, "charts/mqtt-bridge/0.2.3.yaml": newer})
     assert catalogue.problems == ()
     made, _ = plan((), read_tree(before), catalogue=catalogue)
     assert made is not None

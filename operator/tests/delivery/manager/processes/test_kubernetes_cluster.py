@@ -225,6 +225,7 @@ def test_a_position_that_has_expired_is_listed_anew(api_server: ApiServerProcess
     api_server.compact()
     api_server.stop_server()
     api_server.start_server()
+    until(lambda: serves_tasks(api), "tasks are served: a watch that meets another error first is listed anew for it")
     client = api_client(str(api_server.kubeconfig))
     seen: list[str] = []
     watch = ExpiredWatch(
@@ -243,6 +244,15 @@ def test_a_position_that_has_expired_is_listed_anew(api_server: ApiServerProcess
         client.rest_client.pool_manager.clear()
         for name in ("old", "newer", "newest"):
             api.delete(f"{TASKS}/{name}")
+
+
+def serves_tasks(api: Api) -> bool:
+    """Whether the API server, which says before that it is ready, has opened the storage of tasks."""
+    try:
+        api.get(TASKS)
+    except UnavailableError:
+        return False
+    return True
 
 
 class ExpiredWatch(kubernetes_cluster.ResourceWatch):
