@@ -5,11 +5,13 @@ tests are imported where they may be alone.
 from __future__ import annotations
 
 import ast
+import sys
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from ci import cores
 from ci.imports import imports, module_name, package_of
 
 FLOORS = ("foundation", "robots", "registry", "delivery")  # packages of subjects; every other package is a subject
@@ -70,13 +72,23 @@ def demanded(root: Path) -> dict[str, tuple[str, set[str]]]:
     of_ros = {f"{ros}.{kind}" for kind in KINDS if kind != "adapters"} & names
     layered = {name for name in subjects for kind in KINDS if f"{name}.{kind}" in names}
     running = first - {"robotkube.testing"}
+    libraries = adapter_libraries(root)
     return {
         "Floors": ("layers", running),
         "Subjects form no circle": ("ancestors", floors | {"robotkube"}),
         "Inside a subject": ("containers", layered),
+        "A core is pure": ("forbidden_modules", libraries),
+        "Ports and loops": ("forbidden_modules", libraries),
         "ROS is known": ("source_modules", subjects - {ros} | of_ros | {"ci", "scenarios"}),
         "Nothing that runs": ("source_modules", running),
     }
+
+
+def adapter_libraries(root: Path) -> set[str]:
+    """Libraries that adapters import, but for those that are pure: what they are called in an import."""
+    adapters = [path for path in modules(root) if "adapters" in path.relative_to(root).parts]
+    imported = {name for path in adapters for _, name in _first_parts(path, root.parent)}
+    return imported - sys.stdlib_module_names - {"robotkube", *cores.LIBRARIES}
 
 
 def packages(root: Path) -> set[str]:

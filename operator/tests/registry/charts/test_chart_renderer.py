@@ -117,7 +117,12 @@ def test_definitions_hooks_and_every_document_of_a_file_are_objects(renderer: Ch
 def test_no_name_of_a_file_hides_an_object_that_would_be_applied(renderer: ChartRenderer, tmp_path: Path) -> None:
     """helm takes a leading underscore for a partial in templates/ alone, and for notes whatever ends as they do."""
     pod = f"kind: Pod\nspec: {{containers: [{{image: {FOREIGN}}}]}}\n".encode()
-    files = {**chart("kind: A\n"), "crds/_pod.yaml": pod, "templates/_pod.yaml": pod, "templates/more-NOTES.txt": b"kind: Note"}
+    files = {
+        **chart("kind: A\n"),
+        "crds/_pod.yaml": pod,
+        "templates/_pod.yaml": pod,
+        "templates/more-NOTES.txt": b"kind: Note",
+    }
     found = renderer.render(files, {}, "one", "n")
     assert pod_images(found) == (FOREIGN,)
     assert sorted(found, key=json.dumps) == sorted(
