@@ -11,6 +11,7 @@ from robotkube.registry.publication.loops.submitting import (
     PLANNED,
     PUBLISHED,
     REFUSED,
+    RETRY_SECONDS_MAX,
     UNAVAILABLE_SECONDS_MAX,
     UNCHANGED,
     SubmissionOutcome,
@@ -30,6 +31,8 @@ class Publisher:
     def __init__(self, world: World) -> None:
         self.world, self.now = world, 0.0
         self.lines: list[str] = []
+        self.slept: list[float] = []
+        self.share = 1.0  # of a bound that is slept after a failure
         self.while_waiting: Callable[[], None] = lambda: None
         forge = world.forge
         self._submitting = Submitting(
@@ -41,10 +44,12 @@ class Publisher:
             lambda: self.now,
             self.sleep,
             self.lines.append,
+            jitter=lambda: self.share,
         )
 
     def sleep(self, seconds: float) -> None:
         self.now += seconds
+        self.slept.append(seconds)
         self.while_waiting()
         if not self.world.catalogue.away:
             self.world.gate.round()
@@ -178,6 +183,17 @@ def test_a_forge_that_is_away_for_a_moment_is_waited_for(publisher: Publisher) -
     publisher.while_waiting = lambda: None
     with pytest.raises(UnavailableError):
         publisher.submit(SubmittedSources((source("third"),)))
+
+
+def test_a_forge_that_is_away_is_asked_again_after_growing_pauses_with_jitter(publisher: Publisher) -> None:
+    for share in (1.0, 0.5):
+        publisher.share = share
+        publisher.slept.clear()
+        publisher.world.catalogue.away = True
+        with pytest.raises(UnavailableError):
+            publisher.submit(SubmittedSources((source(),)))
+        assert publisher.slept[:6] == [0.5 * share, share, 2 * share, 4 * share, 5 * share, 5 * share]
+        assert UNAVAILABLE_SECONDS_MAX <= sum(publisher.slept) < UNAVAILABLE_SECONDS_MAX + RETRY_SECONDS_MAX
 
 
 def test_a_chart_given_twice_is_refused(publisher: Publisher) -> None:
