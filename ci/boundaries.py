@@ -98,16 +98,16 @@ def packages(root: Path) -> set[str]:
 
 def forbidden_imports(top: Path) -> list[str]:
     """Imports of ROS outside of its adapter, and of the tests anywhere."""
-    found = []
+    problems = []
     for package, place in ROOTS.items():
         for path in modules(top / place / package):
             name = path.relative_to(top).as_posix()
             for line, imported in _first_parts(path, top / place):
                 if imported in ROS and not name.startswith(ROS_HOME) and name not in ROS_ELSEWHERE:
-                    found.append(f"{name}:{line}: imports {imported}; only {ROS_HOME} knows ROS")
+                    problems.append(f"{name}:{line}: imports {imported}; only {ROS_HOME} knows ROS")
                 if imported == "tests":
-                    found.append(f"{name}:{line}: imports tests; only tests do")
-    return found
+                    problems.append(f"{name}:{line}: imports tests; only tests do")
+    return problems
 
 
 def _first_parts(path: Path, root: Path) -> Iterator[tuple[int, str]]:

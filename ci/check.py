@@ -82,8 +82,8 @@ def ambiguous_classes(names: Iterable[str]) -> list[str]:
     """Names of public classes that stand for two things; names with an underscore are their modules' own."""
     places: dict[str, list[str]] = {}
     for name in names:
-        for found in PUBLIC_CLASS.finditer((TOP / name).read_text(encoding="utf-8")):
-            places.setdefault(found[1], []).append(name)
+        for declared in PUBLIC_CLASS.finditer((TOP / name).read_text(encoding="utf-8")):
+            places.setdefault(declared[1], []).append(name)
     return [
         f"{', '.join(where)}: class {name} stands for {len(where)} things; give each a name of its own"
         for name, where in sorted(places.items())

@@ -29,14 +29,14 @@ def test_pauses_grow_to_their_bound() -> None:
 
 
 def test_two_gateways_do_not_come_back_together() -> None:
-    one, other = (list(pauses(random.Random(seed).random, 50)) for seed in (1, 2))
+    one, other = (list(pauses(random.Random(seed).random, 50)) for seed in (1, 2))  # noqa: S311
     assert all(0.0 <= seconds <= BACKOFF_SECONDS_MAX for seconds in (*one, *other))
     assert not set(one) & set(other)
 
 
 def test_paho_waits_for_that_and_no_longer() -> None:
-    """Without a broker and with pauses of milliseconds, attempts follow each other at once; paho's own take a second each,
-    and more."""
+    """Without a broker and with pauses of milliseconds, attempts follow each other at once; paho's own take a second
+    each, and more."""
     asked: list[int] = []
 
     def next_to_nothing() -> float:

@@ -1,10 +1,10 @@
 """The task gateway's session at the broker (MQTT 5): messages are acknowledged only when the gateway says so.
 
 Port GatewayChannel. paho's own thread reads and connects again, after a bounded pause with jitter; the session stays at
-the broker for SESSION_SECONDS. The broker is asked to have at most UNACKNOWLEDGED_MAX messages under way, and of one that is too
-long for a task only its size is kept. Of a broker that sends more nevertheless, what comes beyond WAITING_MAX messages
-or WAITING_BYTES_MAX is left: when what waits is done with, the connection is broken off, and what was not acknowledged
-comes again with the next one, in its order.
+the broker for SESSION_SECONDS. The broker is asked to have at most UNACKNOWLEDGED_MAX messages under way, and of one
+that is too long for a task only its size is kept. Of a broker that sends more nevertheless, what comes beyond
+WAITING_MAX messages or WAITING_BYTES_MAX is left: when what waits is done with, the connection is broken off, and what
+was not acknowledged comes again with the next one, in its order.
 """
 
 from __future__ import annotations
