@@ -19,7 +19,7 @@ from robotkube.registry.publication.loops.submitting import (
 )
 from robotkube.registry.publication.ports import ChartSource, SubmittedSources
 from robotkube.registry.suites.core.requests import SuiteProgress
-from tests.stages.registry.publication_in_memory import World
+from tests.stages.registry.publication_in_memory import PublicationStage
 from tests.stages.registry.submissions import IMAGE, SUITES, application, chart, entry_path
 
 APPLICATION = {"applications/relaying.yaml": application()}
@@ -28,7 +28,7 @@ APPLICATION = {"applications/relaying.yaml": application()}
 class Publisher:
     """Submits to a world in which the gate does a round whenever the publisher sleeps."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: PublicationStage) -> None:
         self.world, self.now = world, 0.0
         self.lines: list[str] = []
         self.slept: list[float] = []
@@ -60,7 +60,7 @@ class Publisher:
 
 @pytest.fixture
 def publisher(tmp_path: Path) -> Publisher:
-    return Publisher(World(tmp_path))
+    return Publisher(PublicationStage(tmp_path))
 
 
 def source(name: str = "relay", version: str = "0.1.0", text: str = "kind: ConfigMap\n") -> ChartSource:
@@ -133,7 +133,7 @@ def test_what_it_waits_for_is_said_once(publisher: Publisher) -> None:
 
 def test_only_kept_evidence_of_these_digests_is_carried(publisher: Publisher, tmp_path: Path) -> None:
     kept = publisher.submit(SubmittedSources((source(), source("other")))).evidence
-    fresh = Publisher(World(tmp_path / "fresh"))
+    fresh = Publisher(PublicationStage(tmp_path / "fresh"))
     fresh.world.signer, fresh.world.verifier = publisher.world.signer, publisher.world.verifier
     fresh.world.start()
     outcome = fresh.submit(SubmittedSources((source(), source("other", text="kind: Secret\n")), kept=kept))
