@@ -17,8 +17,8 @@ from ci import boundaries, cores, links, markdown
 from ci.errors import InputError
 
 TOP = Path(__file__).resolve().parent.parent
-CODE = ["operator/src", "operator/tests", "benchmarks", "ci", "scenarios"]
-TYPED = ["operator/src/robotkube", "benchmarks", "ci", "scenarios"]
+CODE = ["operator/src", "operator/tests", "benchmarks", "ci", "scenarios", "gitops", "docs/examples"]
+TYPED = ["operator/src/robotkube", "benchmarks", "ci", "scenarios", "gitops"]
 LONGEST_MODULE_LINES = 500
 MODULES_MAX = 15  # of one folder below operator/src
 PUBLIC_CLASS = re.compile(r"^class ([A-Za-z]\w*)", re.MULTILINE)

@@ -190,6 +190,19 @@ def test_ros_and_the_tests_are_imported_where_they_may_be_alone(place: Path, nam
     assert "; only " in finding
 
 
+def test_the_templates_of_repositories_import_nothing_of_ours(place: Path) -> None:
+    name = "gitops/argocd/render.py"
+    write(place, name, "import yaml\n")
+    assert findings(place) == []
+    write(place, name, "import yaml\nfrom ci import toolchain\n")
+    assert findings(place) == [f"{name}:2: imports ci; gitops stands below everything, it imports none"]
+
+
+def test_every_module_is_formatted_and_read() -> None:
+    seen = tuple(f"{place}/" for place in check.CODE)
+    assert [name for name in check.tracked("*.py") if not name.startswith(seen)] == []
+
+
 def test_the_adapter_and_the_baselines_import_ros(place: Path) -> None:
     write(place, "benchmarks/naive_bridge.py", "import rclpy\n")
     path = place / boundaries.ROS_HOME / "node.py"
