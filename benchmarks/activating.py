@@ -53,7 +53,8 @@ class Activation(NamedTuple):
 
 def settings(state: str) -> dict[str, Any]:
     """The detector's settings."""
-    base, pose = detecting.settings(detecting.AGENTS), "/vehicles/vehicle_00/pose"
+    base = detecting.settings(detecting.AGENTS)
+    pose = "/vehicles/vehicle_00/pose"
     rule = {"name": "high", "kind": "cel", "topic": pose, "fields": {"z": "pose.position.z"}, "expression": "z > 1.0"}
     topics = [*base["topics"], {"name": pose, "type": POSE_TYPE}]
     return {**base, "topics": topics, "rules": [*base["rules"], rule], "state": state}

@@ -64,7 +64,9 @@ class Listener:
     """The events of a connection; batches go to `sink`."""
 
     def __init__(self, sink: Sink | None = None) -> None:
-        self.sink, self.unacknowledged, self.heard = sink, 0, False
+        self.sink = sink
+        self.unacknowledged = 0
+        self.heard = False
 
     def connected(self, session_kept: bool) -> None:
         """See the port."""
@@ -94,7 +96,8 @@ class Listener:
 
 def paced(process: Process, options: argparse.Namespace, period: float, send: Callable[[int, int], None]) -> Any:
     """`send(begin, end)` numbers of messages at the rate asked for; the result."""
-    first, done = time.monotonic_ns(), 0
+    first = time.monotonic_ns()
+    done = 0
     while done < options.count and not process.stopping.is_set():
         due = min(options.count, int((time.monotonic_ns() - first) * options.rate / 1e9) + 1)
         if due > done:

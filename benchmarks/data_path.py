@@ -201,7 +201,8 @@ def _items(tracks: list[bags.Track]) -> list[dict[str, object]]:
 
 def quantile(ages: Counter[int], part: float) -> int:
     """The age in ms below which `part` of all messages lie."""
-    wanted, so_far = part * sum(ages.values()), 0
+    wanted = part * sum(ages.values())
+    so_far = 0
     for age, count in sorted(ages.items()):
         so_far += count
         if so_far >= wanted:
@@ -224,7 +225,9 @@ def measure(testbed: DataPath) -> dict[str, object]:
     time.sleep(LEAD_SECONDS + 2)
     before, idle_before, moment = testbed.costs(), _idle_seconds(), time.monotonic()
     time.sleep(testbed.seconds - 4)
-    elapsed, after, idle_after = time.monotonic() - moment, testbed.costs(), _idle_seconds()
+    elapsed = time.monotonic() - moment
+    after = testbed.costs()
+    idle_after = _idle_seconds()
     memory = testbed.memory()
     time.sleep(4)
     testbed.close()

@@ -106,7 +106,9 @@ class Manager:
             raise ValueError(f"the inventory has {counts}, it must have {EXPECTED}")
 
     def _files(self) -> dict[str, str]:
-        tree, release, source = self._inventory.tree, imported("write_release"), imported("write_source")
+        tree = self._inventory.tree
+        release = imported("write_release")
+        source = imported("write_source")
         files = {path: release(known) for path, known in tree.releases.items()}
         return files | {path: source(known) for path, known in tree.sources.items()}
 

@@ -127,7 +127,8 @@ class DetectorTestbed:
 
     def wait(self, role: str, seconds: float) -> Any:
         """A role's result; SetUpError when it does not come."""
-        path, deadline = self.result_path(role), time.monotonic() + seconds
+        path = self.result_path(role)
+        deadline = time.monotonic() + seconds
         while not path.exists() or not path.read_text():
             if time.monotonic() > deadline:
                 logs = "".join(log.read_text()[-2000:] for log in self.folder.glob("*.log"))

@@ -73,7 +73,9 @@ def source(process: Process, options: argparse.Namespace) -> Mapping[str, Any]:
     while not options.early and not all(output.matched for output in outputs + clouds) and time.monotonic() < deadline:
         time.sleep(0.05)
     time.sleep(SETTLE_SECONDS)
-    began, first, done = time.monotonic(), time.time_ns(), 0
+    began = time.monotonic()
+    first = time.time_ns()
+    done = 0
     while done < options.count and not process.stopping.is_set():
         due = min(options.count, int((time.monotonic() - began) * options.rate) + 1)
         for number in range(done, due):

@@ -147,7 +147,8 @@ def trying() -> list[Comparison]:
         "rule_test_baseline_realtime_factor": round(tried.baseline_realtime_factor, 1),
     }
     record(RECORD, values)
-    ours, name = tried.seconds / tried.realtime_factor, f"rule test, bags of {tried.seconds:.0f} s"
+    ours = tried.seconds / tried.realtime_factor
+    name = f"rule test, bags of {tried.seconds:.0f} s"
     return [
         Comparison(name, "s", ours, tried.seconds / REALTIME_MIN, 1.0, "the goal"),
         Comparison(

@@ -229,7 +229,8 @@ class Broker:
         if shutil.which("mosquitto") is None:
             raise SetUpError("mosquitto is not installed; run: apt-get install -y --no-install-recommends mosquitto")
         self.folder.mkdir(parents=True, exist_ok=True)
-        acl, passwords = [], self.folder / "passwords"
+        acl = []
+        passwords = self.folder / "passwords"
         passwords.touch(mode=0o600)
         for account, lines in self.accounts.items():
             acl += [f"user {account}", *lines, ""]

@@ -63,7 +63,9 @@ def store_ten_seconds(repetitions: int = REPETITIONS) -> Stored:
     """Measure, in turns with the baseline, each time with a recording of its own. The first of each only warms up."""
     with tempfile.TemporaryDirectory() as text, _database(Path(text) / "database") as port:
         folder, messages = Path(text), list(ten_seconds())
-        ours, theirs, lost = [], [], 0
+        ours = []
+        theirs = []
+        lost = 0
         for number in range(repetitions + 1):
             theirs.append(_plain(folder / "plain", [sample.data for *_, sample in messages]))
             volume = folder / f"volume-{number}"

@@ -74,7 +74,8 @@ def picture(known: Mapping[str, set[str]]) -> Iterator[str]:
 
 def ordered(floor: str, known: Mapping[str, set[str]]) -> Sequence[str]:
     """The subjects of a floor: each before what it imports."""
-    left, line = set(subjects(floor)), []
+    left = set(subjects(floor))
+    line = []
     while left:
         free = sorted(n for n in left if not any(f"{floor}.{n}" in known.get(f"{floor}.{o}", ()) for o in left - {n}))
         line += free

@@ -5,11 +5,13 @@ tests are imported where they may be alone.
 from __future__ import annotations
 
 import ast
+import sys
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from ci import cores
 from ci.imports import imports, module_name, package_of
 
 FLOORS = ("foundation", "robots", "registry", "delivery")  # packages of subjects; every other package is a subject
@@ -70,13 +72,23 @@ def demanded(root: Path) -> dict[str, tuple[str, set[str]]]:
     of_ros = {f"{ros}.{kind}" for kind in KINDS if kind != "adapters"} & names
     layered = {name for name in subjects for kind in KINDS if f"{name}.{kind}" in names}
     running = first - {"robotkube.testing"}
+    libraries = adapter_libraries(root)
     return {
         "Floors": ("layers", running),
         "Subjects form no circle": ("ancestors", floors | {"robotkube"}),
         "Inside a subject": ("containers", layered),
+        "A core is pure": ("forbidden_modules", libraries),
+        "Ports and loops": ("forbidden_modules", libraries),
         "ROS is known": ("source_modules", subjects - {ros} | of_ros | {"ci", "scenarios"}),
         "Nothing that runs": ("source_modules", running),
     }
+
+
+def adapter_libraries(root: Path) -> set[str]:
+    """Libraries that adapters import, but for those that are pure: what they are called in an import."""
+    adapters = [path for path in modules(root) if "adapters" in path.relative_to(root).parts]
+    imported = {name for path in adapters for _, name in _first_parts(path, root.parent)}
+    return imported - sys.stdlib_module_names - {"robotkube", *cores.LIBRARIES}
 
 
 def packages(root: Path) -> set[str]:
@@ -86,16 +98,20 @@ def packages(root: Path) -> set[str]:
 
 def forbidden_imports(top: Path) -> list[str]:
     """Imports of ROS outside of its adapter, and of the tests anywhere."""
-    found = []
+    problems = []
     for package, place in ROOTS.items():
         for path in modules(top / place / package):
             name = path.relative_to(top).as_posix()
             for line, imported in _first_parts(path, top / place):
                 if imported in ROS and not name.startswith(ROS_HOME) and name not in ROS_ELSEWHERE:
-                    found.append(f"{name}:{line}: imports {imported}; only {ROS_HOME} knows ROS")
+                    problems.append(f"{name}:{line}: imports {imported}; only {ROS_HOME} knows ROS")
+                if package == "gitops" and imported in ROOTS:
+                    problems.append(
+                        f"{name}:{line}: imports {imported}; gitops stands below everything, it imports none"
+                    )
                 if imported == "tests":
-                    found.append(f"{name}:{line}: imports tests; only tests do")
-    return found
+                    problems.append(f"{name}:{line}: imports tests; only tests do")
+    return problems
 
 
 def _first_parts(path: Path, root: Path) -> Iterator[tuple[int, str]]:

@@ -17,10 +17,11 @@ from ci import boundaries, cores, links, markdown
 from ci.errors import InputError
 
 TOP = Path(__file__).resolve().parent.parent
-CODE = ["operator/src", "operator/tests", "benchmarks", "ci", "scenarios"]
-TYPED = ["operator/src/robotkube", "benchmarks", "ci", "scenarios"]
+CODE = ["operator/src", "operator/tests", "benchmarks", "ci", "scenarios", "gitops", "docs/examples"]
+TYPED = ["operator/src/robotkube", "benchmarks", "ci", "scenarios", "gitops"]
 LONGEST_MODULE_LINES = 500
 MODULES_MAX = 15  # of one folder below operator/src
+PUBLIC_CLASS = re.compile(r"^class ([A-Za-z]\w*)", re.MULTILINE)
 AS_PUBLISHED = "charts/earlier/"  # charts that stay byte for byte what was published
 
 
@@ -37,8 +38,8 @@ def tracked(*patterns: str) -> list[str]:
 
 def repository_rules() -> list[str]:
     """Rules that no tool knows: no absolute paths of one machine, no registry addresses, no module of more than 500
-    lines, no folder with too many of them, no page with lines that do not fit into a window, no core that is not pure,
-    no package outside of the import contracts.
+    lines, no folder with too many of them, no name of two public classes, no page with lines that do not fit into a
+    window, no core that is not pure, no package outside of the import contracts.
     """
     findings = []
     if (TOP / "operator/__init__.py").exists():
@@ -62,7 +63,8 @@ def repository_rules() -> list[str]:
             findings.append(
                 f"{name}: {lines} lines; a module of more than {LONGEST_MODULE_LINES} is more than one idea"
             )
-    findings += crowded_folders(tracked("operator/src/*.py")) + long_lines()
+    findings += crowded_folders(tracked("operator/src/*.py")) + ambiguous_classes(tracked("operator/src/*.py"))
+    findings += long_lines()
     return findings + cores.findings(TOP / "operator/src/robotkube") + boundaries.findings(TOP)
 
 
@@ -73,6 +75,19 @@ def crowded_folders(names: Iterable[str]) -> list[str]:
         f"{folder}: {count} modules; at most {MODULES_MAX}: give what belongs together a folder of its own"
         for folder, count in sorted(modules.items())
         if count > MODULES_MAX
+    ]
+
+
+def ambiguous_classes(names: Iterable[str]) -> list[str]:
+    """Names of public classes that stand for two things; names with an underscore are their modules' own."""
+    places: dict[str, list[str]] = {}
+    for name in names:
+        for declared in PUBLIC_CLASS.finditer((TOP / name).read_text(encoding="utf-8")):
+            places.setdefault(declared[1], []).append(name)
+    return [
+        f"{', '.join(where)}: class {name} stands for {len(where)} things; give each a name of its own"
+        for name, where in sorted(places.items())
+        if len(where) > 1
     ]
 
 

@@ -83,7 +83,8 @@ class _Tag:
 
 def _placed_link(state: StateInline, silent: bool) -> bool:
     """The rule for links, which also notes where each stands, and each reference that is defined nowhere."""
-    start, before = state.pos, len(state.tokens)
+    start = state.pos
+    before = len(state.tokens)
     shown = link(state, silent)
     if silent:
         return shown
@@ -96,7 +97,8 @@ def _placed_link(state: StateInline, silent: bool) -> bool:
 
 def _placed_image(state: StateInline, silent: bool) -> bool:
     """The rule for images, which also notes where each stands."""
-    start, before = state.pos + 1, len(state.tokens)
+    start = state.pos + 1
+    before = len(state.tokens)
     shown = image(state, silent)
     if shown and not silent:
         _note(state, start, before, "image")

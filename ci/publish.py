@@ -249,7 +249,8 @@ def main() -> int:
     if given.forge_url and not (given.password_file and given.image_password_file):
         parser.error("--forge-url needs --password-file and --image-password-file")
     try:
-        images, kept = read_lock(lock_file()), given.kept or evidence.kept_folder()
+        images = read_lock(lock_file())
+        kept = given.kept or evidence.kept_folder()
         published = publish_to(_accounts(given), images, kept, print, given.chart)
     except OSError as error:
         print(f"error: {error}", file=sys.stderr)

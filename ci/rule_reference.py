@@ -78,10 +78,10 @@ def _table(keys: Sequence[str], required: Sequence[str]) -> Iterator[str]:
     yield "| key | | value | default | meaning |"
     yield "| --- | --- | --- | --- | --- |"
     for key in keys:
-        found = PROPERTIES[key]
+        described = PROPERTIES[key]
         needed = "required" if key in required else ""
-        default = f"`{found['default']}`".lower() if found.get("default", "") != "" else ""
-        cells = (f"`{key}`", needed, _value(found), default, found.get("description", ""))
+        default = f"`{described['default']}`".lower() if described.get("default", "") != "" else ""
+        cells = (f"`{key}`", needed, _value(described), default, described.get("description", ""))
         yield "| " + " | ".join(cell.replace("|", "\\|") for cell in cells).replace("  ", " ") + " |"
     yield ""
 

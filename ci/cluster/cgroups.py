@@ -48,7 +48,7 @@ def top(cluster: str) -> str:
 def daemon_folders(cluster: str, process: str, weight: int | None = None) -> tuple[Path, ...]:
     """The folders a daemon joins, made if they are not there. `weight` among the daemons; None: as it is."""
     bases = (ROOT,) if unified() else tuple(sorted({(ROOT / name).resolve() for name in TIME_V1}))
-    found = []
+    folders = []
     for base in bases:
         folder = base / top(cluster) / "daemons" / process
         folder.mkdir(parents=True, exist_ok=True)
@@ -56,8 +56,8 @@ def daemon_folders(cluster: str, process: str, weight: int | None = None) -> tup
         _weigh(folder.parent, DAEMONS_WEIGHT)
         if weight is not None:
             _weigh(folder, weight)
-        found.append(folder)
-    return tuple(found)
+        folders.append(folder)
+    return tuple(folders)
 
 
 def node_root(cluster: str, node: str, weight: int) -> str:

@@ -55,7 +55,7 @@ class Process:
 
 
 def start_ticks(pid: int) -> int | None:
-    """When the process started, in clock ticks after boot; None if there is none or it is a zombie."""
+    """The process's start, in clock ticks after boot; None if there is none or it is a zombie."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
     except OSError:

@@ -73,7 +73,8 @@ def place(name: str) -> str:
 
 def linked(page: str, text: str, pages: frozenset[str], address: str = "") -> str:
     """The text of a page with links that lead somewhere in the site."""
-    parts, end = [], 0
+    parts = []
+    end = 0
     for link in sorted(markdown.links(text), key=lambda link: link.start):
         new = _link(page, link, pages, address) if link.kind in ("inline", "reference") else ""
         if new and link.start >= end:

@@ -81,13 +81,13 @@ def make_bill(archive: Path, name: str, digest: str) -> bytes:
     """The bill of the image `digest`, called `name`, that `archive` (an OCI layout in a tar) holds."""
     with tempfile.TemporaryDirectory(prefix="robotkube-bill-") as folder, tarfile.open(archive, "r:") as layout:
         image = _Image(layout, digest)
-        found = image.extract(Path(folder))
-        lists = [_debian(found), _python(found), _programs(found, image.version)]
+        files = image.extract(Path(folder))
+        lists = [_debian(files), _python(files), _programs(files, image.version)]
     return canonical_json(_document(name, image.version, digest, [one for one in lists if one]))
 
 
 @dataclass(frozen=True)
-class _Found:
+class _ImageFiles:
     """Files of an image below `root`: their paths inside it."""
 
     root: Path
@@ -112,14 +112,14 @@ class _Image:
             raise BuildError(f"{self._layout.name!r}: no blob {digest}; build the image again")
         return content
 
-    def extract(self, root: Path) -> _Found:
+    def extract(self, root: Path) -> _ImageFiles:
         """Write the files that bills are made of, as the image's layers leave them."""
         present: set[str] = set()
         for layer in self._manifest["layers"]:
             with tarfile.open(fileobj=self._blob(layer["digest"]), mode="r:") as tar:
                 for member in tar:
                     _apply(tar, member, root, present)
-        return _Found(root, frozenset(present))
+        return _ImageFiles(root, frozenset(present))
 
 
 def _apply(tar: tarfile.TarFile, member: tarfile.TarInfo, root: Path, present: set[str]) -> None:
@@ -152,17 +152,17 @@ def _write(target: Path, content: IO[bytes]) -> None:
 
 @dataclass(frozen=True)
 class _Listed:
-    """What one tool found."""
+    """Components that one tool lists."""
 
     components: tuple[Component, ...]
     dependencies: tuple[Component, ...] = ()
     tools: tuple[Component, ...] = ()
 
 
-def _debian(found: _Found) -> _Listed | None:
-    if DPKG not in found.paths:
+def _debian(files: _ImageFiles) -> _Listed | None:
+    if DPKG not in files.paths:
         return None
-    return _debian_of(tuple((path, found.read(path)) for path in sorted(DPKG_FILES & found.paths)))
+    return _debian_of(tuple((path, files.read(path)) for path in sorted(DPKG_FILES & files.paths)))
 
 
 @lru_cache(KEPT_MAX)
@@ -176,9 +176,9 @@ def _debian_of(files: tuple[tuple[str, bytes], ...]) -> _Listed:
         return _listed(_run([sys.executable, *words, "--cdx-schema-version", SPECIFICATION]))
 
 
-def _python(found: _Found) -> _Listed | None:
+def _python(files: _ImageFiles) -> _Listed | None:
     """cyclonedx-py reads an environment, so the metadata are put into an empty one."""
-    metadata = [(path, match) for path in sorted(found.paths) if (match := DISTRIBUTION.fullmatch(path))]
+    metadata = [(path, match) for path in sorted(files.paths) if (match := DISTRIBUTION.fullmatch(path))]
     if not metadata:
         return None
     with tempfile.TemporaryDirectory(prefix="robotkube-bill-") as folder:
@@ -186,7 +186,7 @@ def _python(found: _Found) -> _Listed | None:
         packages = next(Path(folder).glob("lib/python*/site-packages"))
         for path, match in metadata:
             (packages / match[1]).mkdir(exist_ok=True)
-            (packages / match[1] / match[2]).write_bytes(found.read(path))
+            (packages / match[1] / match[2]).write_bytes(files.read(path))
         words = ["-m", "cyclonedx_py", "environment", "--output-reproducible", "--no-validate", "--sv", SPECIFICATION]
         return _listed(_run([sys.executable, *words, "--of", "JSON", "-o", "-", f"{folder}/bin/python"]))
 
@@ -201,18 +201,19 @@ def _listed(text: str) -> _Listed:
     )
 
 
-def _programs(found: _Found, version: str) -> _Listed | None:
-    programs = sorted(path for path in found.paths if PROGRAM.fullmatch(path) and path not in DPKG_FILES)
+def _programs(files: _ImageFiles, version: str) -> _Listed | None:
+    programs = sorted(path for path in files.paths if PROGRAM.fullmatch(path) and path not in DPKG_FILES)
     if not programs:
         return None
-    components = [component for path in programs for component in _program(found.root / path, path, version)]
+    components = [component for path in programs for component in _program(files.root / path, path, version)]
     return _Listed(tuple({one["bom-ref"]: one for one in components}.values()))
 
 
 def _program(file: Path, path: str, version: str) -> Iterator[Component]:
     """The program itself, and the Go modules it was built from."""
     with file.open("rb") as content, mmap.mmap(content.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        digest, of_go = sha256(data).hexdigest(), data.find(GO_BUILD) >= 0
+        digest = sha256(data).hexdigest()
+        of_go = data.find(GO_BUILD) >= 0
     yield {
         "type": "application",
         "bom-ref": f"program:/{path}",
@@ -227,15 +228,15 @@ def _program(file: Path, path: str, version: str) -> Iterator[Component]:
 
 def _modules(file: Path) -> Iterator[tuple[str, str]]:
     """Go modules in a program with their versions, after replacements."""
-    found: list[tuple[str, str]] = []
+    modules: list[tuple[str, str]] = []
     for line in _run(["go", "version", "-m", str(file)]).splitlines():
         words = line.split("\t")
         if len(words) < 4 or words[1] not in ("mod", "dep", "=>"):
             continue
         if words[1] == "=>":
-            found.pop()
-        found.append((words[2], words[3]))
-    yield from sorted(set(found))
+            modules.pop()
+        modules.append((words[2], words[3]))
+    yield from sorted(set(modules))
 
 
 def _run(command: Sequence[str]) -> str:

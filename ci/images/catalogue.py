@@ -32,10 +32,10 @@ def go_module(path: str, folder: str) -> Path:
     done = subprocess.run(
         command, cwd=TOP / "ci" / folder, capture_output=True, text=True, timeout=MODULE_SECONDS_MAX, check=False
     )
-    found = json.loads(done.stdout or "{}")
-    if done.returncode or "Dir" not in found:
-        raise ContextError(f"go module {path} (ci/{folder}/go.mod): {found.get('Error') or done.stderr.strip()}")
-    return Path(found["Dir"])
+    module = json.loads(done.stdout or "{}")
+    if done.returncode or "Dir" not in module:
+        raise ContextError(f"go module {path} (ci/{folder}/go.mod): {module.get('Error') or done.stderr.strip()}")
+    return Path(module["Dir"])
 
 
 @dataclass(frozen=True)

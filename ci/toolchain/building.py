@@ -50,8 +50,8 @@ class Toolchain:
 
 def inputs() -> tuple[Path, ...]:
     """The files the key is made of, sorted."""
-    found = {path for pattern in INPUTS for path in FOLDER.glob(pattern) if path.is_file()}
-    return tuple(sorted(path for path in found if "__pycache__" not in path.parts))
+    files = {path for pattern in INPUTS for path in FOLDER.glob(pattern) if path.is_file()}
+    return tuple(sorted(path for path in files if "__pycache__" not in path.parts))
 
 
 def key() -> str:

@@ -26,8 +26,8 @@ COMMAND_TIMEOUT_SECONDS = 1800
 def find() -> Path | None:
     """The newest Go of this machine (PATH and the usual places); None when there is none."""
     candidates = [shutil.which("go"), *PLACES]
-    found = sorted((_version(path), path) for path in candidates if path and Path(path).exists())
-    return Path(found[-1][1]) if found else None
+    versions = sorted((_version(path), path) for path in candidates if path and Path(path).exists())
+    return Path(versions[-1][1]) if versions else None
 
 
 def ensure() -> Path:

@@ -92,7 +92,8 @@ class Node(RosNode):
     """The node of ROS on that middleware, which gives subscriptions numbers in their order."""
 
     def __init__(self) -> None:
-        self.middleware, self.count = Middleware(), 0
+        self.middleware = Middleware()
+        self.count = 0
 
     def subscribe(self, topic: str, *settings: Any, **more: Any) -> RosSubscription:
         """Subscribe, as on the real one."""

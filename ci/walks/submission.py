@@ -179,7 +179,8 @@ def _without_programs(registry: MemoryChartRegistry) -> Any:
 
 
 def _configuration() -> RunnerConfiguration:
-    nobody, images = Credentials("", ""), "oci://forge.example/robotkube"
+    nobody = Credentials("", "")
+    images = "oci://forge.example/robotkube"
     staging = f"oci://forge.example/{STAGING}"
     forge = "http://forge.example"
     return RunnerConfiguration(Listen("", 0), "info", forge, nobody, staging, CHARTS, images, TOKEN, (), "")

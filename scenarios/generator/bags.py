@@ -148,7 +148,8 @@ def _poses(parameters: Parameters, agent: str, number: int) -> Iterator[Message]
 
 def _lidar(parameters: Parameters, agent: str, number: int) -> Iterator[Message]:
     """The transform at offset 0, then the clouds."""
-    base, frame = ros_name(agent), f"{ros_name(agent)}/lidar_center"
+    base = ros_name(agent)
+    frame = f"{ros_name(agent)}/lidar_center"
     mount, rays = _mount(parameters, number), scene.ray_directions(parameters.points)
     yield transform_topic(agent), 0, messages.transform(0, base, frame, mount)
     stamps = _grid(parameters, parameters.point_cloud_hz, CLOUD_OFFSET_NS)

@@ -1,4 +1,4 @@
-"""Whether a bag can be played: the right topics and types, every stamp on the grid. Run before anything is started."""
+"""Checking of bags: the right topics and types, every stamp on the grid. Run before anything is started."""
 
 from __future__ import annotations
 

@@ -75,7 +75,8 @@ def _approach(parameters: Parameters, limit: float) -> float:
 
 def _first(parameters: Parameters) -> Sequence[Phase]:
     """Near, away, and when the third has left near and away again."""
-    speed, braking = parameters.speed_mps, braking_seconds(parameters.speed_mps)
+    speed = parameters.speed_mps
+    braking = braking_seconds(parameters.speed_mps)
     inward, outward = (_approach(parameters, m) for m in (parameters.start_distance_m, parameters.stop_distance_m))
     closing = (parameters.stop_distance_m - parameters.start_distance_m) / speed
     coasting = max(0.0, _later(parameters) + APART_SECONDS - 2 * braking - TURN_SECONDS - closing) / 2
@@ -91,5 +92,6 @@ def _first(parameters: Parameters) -> Sequence[Phase]:
 
 
 def _third(parameters: Parameters, later: float) -> Sequence[Phase]:
-    speed, inward = parameters.speed_mps, _approach(parameters, parameters.start_distance_m)
+    speed = parameters.speed_mps
+    inward = _approach(parameters, parameters.start_distance_m)
     return (straight(LEAD_IN_SECONDS + later + inward, speed, 1), *around(speed, 1), straight(TAIL_SECONDS, speed, -1))

@@ -165,7 +165,8 @@ class Access:
         """Ends the pods of a part of the platform at once, as a crash would; its Deployment makes others."""
         for pod in self.pods(PLATFORM):
             if (pod.metadata.labels or {}).get("app.kubernetes.io/name") == component:
-                what, name = f"pod {PLATFORM}/{pod.metadata.name}", pod.metadata.name
+                what = f"pod {PLATFORM}/{pod.metadata.name}"
+                name = pod.metadata.name
                 self._call(self.core.delete_namespaced_pod, what, name, PLATFORM, grace_period_seconds=0)
 
     def set_schedulable(self, node: str, schedulable: bool) -> None:

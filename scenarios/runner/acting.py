@@ -53,7 +53,8 @@ class Actor:
             self._take_back()
 
     def _step(self, step: Step) -> None:
-        began, seen = time.time_ns(), False
+        began = time.time_ns()
+        seen = False
         try:
             self._await(step, step.when)
             if step.action:
@@ -144,7 +145,8 @@ def task(given: Mapping[str, Any]) -> dict[str, Any]:
     """The TaskDescription of a step: its fields, with a requester and an event of its own where it names none."""
     name = given["name"]
     spec = {key: value for key, value in given.items() if key not in ("namespace", "name")}
-    token, now = uuid.uuid4().hex, time_text(time.time_ns())
+    token = uuid.uuid4().hex
+    now = time_text(time.time_ns())
     event = {"rule": "scenario", "id": token, "trace": token, "time": now}
     return {
         "apiVersion": "robotkube.io/v1alpha1",

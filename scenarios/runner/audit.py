@@ -1,4 +1,4 @@
-"""Whether every commit of the deployment repository can be traced to its cause: a merged pull request and all
+"""The audit of the deployment repository: each commit is traced to its cause, a merged pull request and all
 trailers."""
 
 from __future__ import annotations

@@ -107,7 +107,7 @@ class Encounter:
 
     @property
     def removed(self) -> int | None:
-        """When the last pod object of the withdrawn releases was deleted; None while one lives or none was seen."""
+        """The deletion of the last pod object of the withdrawn releases; None while one lives or none was seen."""
         deleted = [pod.deleted for pod in self.pods]
         if not deleted or None in deleted:
             return None
@@ -143,7 +143,7 @@ def _starts(scenario: Scenario, edge: Edge) -> bool:
 
 
 def _next(start: Edge, later: Sequence[Edge], ended: int) -> int:
-    """When the same two meet again, or the run's end."""
+    """The time at which the same two meet again, or else the run's end."""
     return next((edge.time for edge in later if set(edge.agents) == set(start.agents)), ended)
 
 

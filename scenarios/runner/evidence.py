@@ -1,4 +1,4 @@
-"""Whether every release that ran had evidence: its annotation names a verification summary that the catalogue holds, a
+"""Evidence of every release that ran: its annotation names a verification summary that the catalogue holds, a
 trusted key has signed that summary, and it is about exactly the digest that ran."""
 
 from __future__ import annotations
@@ -45,7 +45,8 @@ def entries(inputs: RunInputs) -> tuple[Entry, ...]:
 
 
 def _entry(released: Sequence[ReleasedChart], summaries: Mapping[str, str]) -> Entry:
-    first, releases = released[0], tuple(one.release for one in released)
+    first = released[0]
+    releases = tuple(one.release for one in released)
     named = bool(first.digest) and summaries.get(first.evidence) == first.digest
     return Entry(first.chart, first.version, first.digest, first.evidence, releases, named)
 

@@ -120,7 +120,9 @@ class PodWatch:
     """A watch of the pods in the agents' namespaces: when they appear, run, are ready and are gone."""
 
     def __init__(self, access: Access, namespaces: Sequence[str], progress: Callable[[str], None]) -> None:
-        self._access, self._namespaces, self._progress = access, frozenset(namespaces), progress
+        self._access = access
+        self._namespaces = frozenset(namespaces)
+        self._progress = progress
         self._pods: dict[str, Pod] = {}
         self.labels: dict[str, tuple[str, str, dict[str, str]]] = {}
         self._lock = threading.Lock()

@@ -1,4 +1,4 @@
-"""Whether everything that the deployment repository asks for runs: the state a run begins from."""
+"""Readiness, the state a run begins from: everything that the deployment repository asks for runs."""
 
 from __future__ import annotations
 

@@ -131,7 +131,8 @@ def _run(scenario: Scenario, cluster: str, made: Mapping[str, Path], seconds: di
     _check_nodes(scenario, provider)
     person, broker = access.secret("robotkube", f"forge-account-{scenario.story.person}"), access.endpoint("broker")
     account = access.secret("robotkube", "broker-account-observer")
-    forge, account_of_person = access.endpoint("forge"), (person["username"], person["password"])
+    forge = access.endpoint("forge")
+    account_of_person = (person["username"], person["password"])
     with (
         Deployment(forge, *account_of_person) as deployment,
         Deployment(forge, *account_of_person, CATALOGUE) as catalogue,
@@ -231,7 +232,8 @@ def prepare(going: Run, made: Mapping[str, Path]) -> None:
 
 def settle(going: Run) -> None:
     """Lets the cluster finish what the start of its pods has left to do; a run on a busy one goes on with a warning."""
-    began, used = time.monotonic(), 0.0
+    began = time.monotonic()
+    used = 0.0
 
     def rested() -> bool:
         nonlocal used
@@ -325,7 +327,9 @@ def _left(going: Run) -> list[str]:
 
 def collect(going: Run) -> RunInputs:
     """Everything the report is computed from; what cannot be read is a warning and fails its expectations."""
-    ended, scenario, access = time.time_ns(), going.scenario, going.access
+    ended = time.time_ns()
+    scenario = going.scenario
+    access = going.access
     reading = collecting.Collecting(going.warn)
     read, records = reading.read, scenario.records
     input_after = (

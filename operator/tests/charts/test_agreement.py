@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -186,3 +187,10 @@ def test_two_versions_of_a_chart_differ_in_what_they_run(helm: Any, apps: Mappin
     packed = [pack(CHARTS / folder / chart, {"ros": "x@sha256:" + "5" * 64}) for folder in ("apps", "earlier")]
     assert [one.version for one in packed] == ["0.2.2", "0.1.2"]
     assert len({one.digest for one in packed}) == 2
+
+
+def test_the_page_of_the_earlier_versions_names_one_that_is_there() -> None:
+    names = re.findall(r"--chart (\S+)", (CHARTS / "earlier" / "README.md").read_text(encoding="utf-8"))
+    metadata = (yaml.safe_load(file.read_text()) for file in (CHARTS / "earlier").glob("*/Chart.yaml"))
+    assert names
+    assert set(names) <= {f"{chart['name']}@{chart['version']}" for chart in metadata}

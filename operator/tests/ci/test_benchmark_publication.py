@@ -40,7 +40,7 @@ def published(tmp_path: Path) -> Mapping[str, str]:
 
 
 @dataclass
-class World:
+class BenchmarkStage:
     """A machine on which the clusters `running` run. `verdict` is that of publishing again; `refusal` ends the first
     publication. `done` is what was asked for, in order, `kept` the folders that were given."""
 
@@ -77,8 +77,8 @@ class World:
 
 
 @pytest.fixture
-def world(published: Mapping[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> World:
-    made = World(published)
+def world(published: Mapping[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> BenchmarkStage:
+    made = BenchmarkStage(published)
 
     class Embedded:
         def __init__(self, name: str, binaries: Path) -> None:
@@ -107,7 +107,7 @@ def test_the_first_publication_has_its_goal_and_a_slow_machine_more() -> None:
     assert not comparison(Costs(3, 490.0, 20.0, {})).passed
 
 
-def test_it_is_measured_on_a_cluster_of_its_own_and_recorded(world: World) -> None:
+def test_it_is_measured_on_a_cluster_of_its_own_and_recorded(world: BenchmarkStage) -> None:
     [found] = compare()
     assert (found.name, found.ours, found.unit) == ("publish 2 charts, every suite run", 90.0, "s")
     assert world.done == ["up test {'vehicles': '3'} platform", *["publish by kubeconfig"] * 3, "down test"]
@@ -122,7 +122,7 @@ def test_it_is_measured_on_a_cluster_of_its_own_and_recorded(world: World) -> No
 
 @pytest.mark.parametrize("name", ["demo", "test"])
 def test_a_cluster_that_runs_is_stopped_and_that_is_said(
-    world: World, name: str, capsys: pytest.CaptureFixture[str]
+    world: BenchmarkStage, name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     world.running.add(name)
     compare()
@@ -131,7 +131,7 @@ def test_a_cluster_that_runs_is_stopped_and_that_is_said(
     assert world.running == set()
 
 
-def test_a_refused_publication_leaves_no_cluster_and_no_figures(world: World) -> None:
+def test_a_refused_publication_leaves_no_cluster_and_no_figures(world: BenchmarkStage) -> None:
     world.refusal = "the gate refused to publish"
     with pytest.raises(SetUpError, match="the gate refused"):
         compare()
@@ -139,7 +139,7 @@ def test_a_refused_publication_leaves_no_cluster_and_no_figures(world: World) ->
     assert not registry.RECORD.exists()
 
 
-def test_a_repetition_that_publishes_is_no_baseline(world: World) -> None:
+def test_a_repetition_that_publishes_is_no_baseline(world: BenchmarkStage) -> None:
     world.verdict = PUBLISHED
     with pytest.raises(SetUpError, match="publishing the same again gave published, published, published"):
         compare()

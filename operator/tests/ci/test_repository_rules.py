@@ -22,6 +22,9 @@ ancestors = ["robotkube", "robotkube.delivery"]
 name = "Inside a subject"
 containers = ["robotkube.delivery.manager"]
 [[tool.importlinter.contracts]]
+name = "Ports and loops know no adapter"
+forbidden_modules = ["httpx"]
+[[tool.importlinter.contracts]]
 name = "ROS is known"
 source_modules = ["robotkube.delivery.manager", "robotkube.errors", "ci", "scenarios"]
 [[tool.importlinter.contracts]]
@@ -156,6 +159,13 @@ def test_a_subject_that_no_contract_names_is_a_finding(place: Path) -> None:
     ]
 
 
+def test_a_library_of_an_adapter_that_loops_could_import_is_a_finding(place: Path) -> None:
+    adapter = "operator/src/robotkube/delivery/manager/adapters/answers.py"
+    write(place, adapter, "import json\nimport yaml\nimport httpx\nimport cel.parser\n")
+    missing = "operator/pyproject.toml: contract 'Ports and loops know no adapter': forbidden_modules lacks cel"
+    assert findings(place) == [missing]
+
+
 @pytest.mark.parametrize("beginning", boundaries.demanded(REPOSITORY / "operator/src/robotkube"))
 def test_every_contract_with_a_list_is_there(beginning: str) -> None:
     text = (REPOSITORY / "operator/pyproject.toml").read_text(encoding="utf-8")
@@ -180,6 +190,19 @@ def test_ros_and_the_tests_are_imported_where_they_may_be_alone(place: Path, nam
     assert "; only " in finding
 
 
+def test_the_templates_of_repositories_import_nothing_of_ours(place: Path) -> None:
+    name = "gitops/argocd/render.py"
+    write(place, name, "import yaml\n")
+    assert findings(place) == []
+    write(place, name, "import yaml\nfrom ci import toolchain\n")
+    assert findings(place) == [f"{name}:2: imports ci; gitops stands below everything, it imports none"]
+
+
+def test_every_module_is_formatted_and_read() -> None:
+    seen = tuple(f"{place}/" for place in check.CODE)
+    assert [name for name in check.tracked("*.py") if not name.startswith(seen)] == []
+
+
 def test_the_adapter_and_the_baselines_import_ros(place: Path) -> None:
     write(place, "benchmarks/naive_bridge.py", "import rclpy\n")
     path = place / boundaries.ROS_HOME / "node.py"
@@ -195,3 +218,15 @@ def test_a_folder_with_too_many_modules_is_a_finding(place: Path) -> None:
     assert findings(place) == []
     write(place, f"{folder}/one_more.py", "")
     assert [line.partition(";")[0] for line in findings(place)] == [f"{folder}: 16 modules"]
+
+
+def test_a_name_of_two_public_classes_is_a_finding(place: Path) -> None:
+    plans, gate = (
+        "operator/src/robotkube/delivery/manager/core/plans.py",
+        "operator/src/robotkube/delivery/manager/gate.py",
+    )
+    write(place, plans, "class Cause:\n    class Inner: ...\n\n\nclass _Own: ...\n")
+    write(place, gate, "class Room:\n    class Inner: ...\n\n\nclass _Own: ...\n")
+    assert findings(place) == []
+    write(place, gate, "class Cause(Exception): ...\n")
+    assert findings(place) == [f"{plans}, {gate}: class Cause stands for 2 things; give each a name of its own"]

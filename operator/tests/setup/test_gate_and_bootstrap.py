@@ -292,7 +292,7 @@ def test_every_problem_of_the_gates_settings_is_named(installation: Installation
 
 
 @dataclass
-class World:
+class BootstrapStage:
     """Forge, database and API server with nothing of ours on them yet."""
 
     forge: ForgeProcess
@@ -302,7 +302,7 @@ class World:
 
 
 @pytest.fixture(scope="module")
-def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
+def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BootstrapStage]:
     folder = tmp_path_factory.mktemp("world")
     (folder / "api").mkdir()
     forge, api = ForgeProcess(folder / "forge"), ApiServerProcess(folder / "api")
@@ -312,14 +312,14 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
         forge.start()
         api.start()
         install_argocd(api)
-        yield World(forge, database, api, bootstrap_kubeconfig(api, folder))
+        yield BootstrapStage(forge, database, api, bootstrap_kubeconfig(api, folder))
     finally:
         api.stop()
         forge.remove()
         database.close()
 
 
-def bootstrap_settings(world: World, folder: Path, passwords: dict[str, str]) -> dict[str, Any]:
+def bootstrap_settings(world: BootstrapStage, folder: Path, passwords: dict[str, str]) -> dict[str, Any]:
     def account(name: str, username: str = "") -> dict[str, str]:
         return {"name": name, "credentials": account_folder(folder, name, username or name, passwords[name])}
 
@@ -392,7 +392,7 @@ def bootstrap_settings(world: World, folder: Path, passwords: dict[str, str]) ->
     }
 
 
-def run_bootstrap(world: World, folder: Path, settings: dict[str, Any]) -> tuple[int, list[dict[str, Any]]]:
+def run_bootstrap(world: BootstrapStage, folder: Path, settings: dict[str, Any]) -> tuple[int, list[dict[str, Any]]]:
     environment = write_settings(folder, settings)
     environment |= {"KUBECONFIG": str(world.kubeconfig), "PYTHONWARNINGS": "ignore"}
     command = [sys.executable, "-m", "robotkube.setup.bootstrap"]
@@ -412,7 +412,7 @@ NAMES = (
 )
 
 
-def test_the_bootstrap_process_makes_everything_once(world: World, tmp_path: Path) -> None:
+def test_the_bootstrap_process_makes_everything_once(world: BootstrapStage, tmp_path: Path) -> None:
     passwords = {name: f"password of {name}" for name in NAMES}
     settings = bootstrap_settings(world, tmp_path, passwords)
     code, first = run_bootstrap(world, tmp_path, settings)
@@ -439,7 +439,7 @@ def test_the_bootstrap_process_makes_everything_once(world: World, tmp_path: Pat
     recorders_reach_their_own_database_only(world, rotated)
 
 
-def argocd_is_wired(world: World, passwords: dict[str, str]) -> None:
+def argocd_is_wired(world: BootstrapStage, passwords: dict[str, str]) -> None:
     api = connect(world.api)
     core = client.CoreV1Api(api)
     settings = core.read_namespaced_config_map("argocd-cm", NAMESPACE).data
@@ -461,7 +461,7 @@ def decoded(value: str) -> str:
     return base64.b64decode(value).decode()
 
 
-def recorders_reach_their_own_database_only(world: World, passwords: dict[str, str]) -> None:
+def recorders_reach_their_own_database_only(world: BootstrapStage, passwords: dict[str, str]) -> None:
     own, other = "recordings_cloud_0", "recordings_edge_0"
     recorder = world.database.client(own, passwords[own], own)
     recorder[own]["samples"].insert_one({"x": 1})
@@ -470,7 +470,7 @@ def recorders_reach_their_own_database_only(world: World, passwords: dict[str, s
             recorder[database]["samples"].insert_one({"x": 1})
 
 
-def test_the_bootstrap_says_what_is_wrong(world: World, tmp_path: Path) -> None:
+def test_the_bootstrap_says_what_is_wrong(world: BootstrapStage, tmp_path: Path) -> None:
     settings = bootstrap_settings(world, tmp_path, dict.fromkeys(NAMES, "word"))
     settings["database"]["kind"] = "oracle"
     settings["forge"]["repositories"][0]["seed"] = str(tmp_path / "nowhere")
@@ -484,7 +484,7 @@ def test_the_bootstrap_says_what_is_wrong(world: World, tmp_path: Path) -> None:
     assert "wait_seconds: must be a whole number" in text
 
 
-def test_the_bootstrap_ends_when_argocd_never_comes(world: World, tmp_path: Path) -> None:
+def test_the_bootstrap_ends_when_argocd_never_comes(world: BootstrapStage, tmp_path: Path) -> None:
     settings = bootstrap_settings(world, tmp_path, dict.fromkeys(NAMES, "word"))
     del settings["forge"], settings["database"]
     settings["argocd"]["namespace"] = "elsewhere"

@@ -18,7 +18,7 @@ import (
 	"io"
 	"log"
 	"os"
-	"path"
+	"regexp"
 	"sort"
 	"strings"
 
@@ -39,6 +39,9 @@ const (
 	notConfined  = 126
 	notes        = "NOTES.txt"
 )
+
+// ended matches what follows the end of a document: some readers look at it, others do not.
+var ended = regexp.MustCompile(`(?m)^\.\.\.\s+\S`)
 
 // request is one chart, and what it shall be rendered with.
 type request struct {
@@ -152,7 +155,7 @@ func valuesOf(loaded *chart.Chart, asked request) (chartutil.Values, error) {
 func objectsOf(texts map[string]string) ([]json.RawMessage, error) {
 	names := make([]string, 0, len(texts))
 	for name := range texts {
-		if path.Base(name) != notes && !strings.HasPrefix(path.Base(name), "_") {
+		if !strings.HasSuffix(name, notes) { // as helm tells notes; a name with _ hides a template from it, but nothing of crds/
 			names = append(names, name)
 		}
 	}
@@ -190,6 +193,9 @@ func documents(text string) ([]json.RawMessage, error) {
 		object, err := yaml.YAMLToJSONStrict(document)
 		if err != nil {
 			return nil, err
+		}
+		if ended.Match(document) {
+			return nil, errors.New("something follows the end of a document (...); begin the next one with ---")
 		}
 		if string(object) != "null" {
 			objects = append(objects, object)

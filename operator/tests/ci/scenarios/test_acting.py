@@ -19,7 +19,7 @@ APPLICATION = {"status": {"sync": {"status": "Synced"}, "health": {"status": "He
 
 
 @dataclass
-class World:
+class ActingStage:
     """A cluster, a repository and its machines in memory; `doings` is what was done to them."""
 
     doings: list[str] = field(default_factory=list)
@@ -63,12 +63,12 @@ class World:
 
 
 @pytest.fixture
-def world() -> World:
-    return World()
+def world() -> ActingStage:
+    return ActingStage()
 
 
 @pytest.fixture
-def actor(world: World) -> acting.Actor:
+def actor(world: ActingStage) -> acting.Actor:
     return acting.Actor(
         world,  # type: ignore[arg-type]
         world,
@@ -81,7 +81,7 @@ def actor(world: World) -> acting.Actor:
 SUBMIT = {"namespace": "cloud-0", "name": "a", "application": "object-detection", "parameters": {"sensor": "x"}}
 
 
-def test_steps_are_done_in_their_order_and_noted(actor: acting.Actor, world: World) -> None:
+def test_steps_are_done_in_their_order_and_noted(actor: acting.Actor, world: ActingStage) -> None:
     world.releases, world.running = {"edge-0/r": {}}, {"edge-0-r": APPLICATION}
     actor.perform(
         read_steps(
@@ -110,7 +110,7 @@ def test_steps_are_done_in_their_order_and_noted(actor: acting.Actor, world: Wor
     assert actor.done[1].what == "waits"
 
 
-def test_what_is_not_seen_ends_the_story_and_is_taken_back(actor: acting.Actor, world: World) -> None:
+def test_what_is_not_seen_ends_the_story_and_is_taken_back(actor: acting.Actor, world: ActingStage) -> None:
     steps = [
         {"name": "submit", "do": {"submit": SUBMIT}},
         {"name": "stop", "do": {"stop": "edge-0"}},
@@ -141,7 +141,7 @@ def replaced_bound(steps: list[dict[str, Any]]) -> tuple[Any, ...]:
     ],
 )
 def test_a_release_is_looked_for_on_main_and_in_the_cluster(
-    actor: acting.Actor, world: World, state: str, releases: Any, running: Any, holds: bool
+    actor: acting.Actor, world: ActingStage, state: str, releases: Any, running: Any, holds: bool
 ) -> None:
     world.releases, world.running = releases, running
     steps = replaced_bound([{"name": "look", "until": [{"release": "a/b", "is": state}]}])

@@ -9,12 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robotkube.delivery.deployment.core.commit_messages import CommitMessage, one_line, read_message, write_message
-from robotkube.delivery.deployment.core.releases import Cause
+from robotkube.delivery.deployment.core.releases import TaskCause
 from robotkube.errors import DocumentError
 from robotkube.registry.charts.core.references import ChartReference
 
 PLAN = "20261121-100000-1a2b3c"
-CAUSES = (Cause("cloud-0/a", "e1", "near", "1" * 32, ""), Cause("cloud-0/b", "e2", "near", "2" * 32, ""))
+CAUSES = (TaskCause("cloud-0/a", "e1", "near", "1" * 32, ""), TaskCause("cloud-0/b", "e2", "near", "2" * 32, ""))
 CHART = ChartReference("mqtt-bridge", "0.1.0", "sha256:" + "a" * 64)
 OTHER = ChartReference("event-detector", "0.2.0", "sha256:" + "b" * 64)
 SUMMARY = "sha256:" + "c" * 64

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robotkube.delivery.deployment.core.releases import (
-    Cause,
     Release,
     Source,
+    TaskCause,
     application_name,
     read_release,
     read_source,
@@ -25,7 +25,7 @@ from robotkube.foundation.documents.adapters.json_schema import violations
 from robotkube.foundation.documents.core.yaml_codec import read_mapping, write_mapping
 
 DIGEST = "sha256:" + "12e4567890ab" + "0" * 52
-CAUSE = Cause(
+CAUSE = TaskCause(
     "cloud-0/meeting-3f2a9c",
     "3f2a9c",
     "lidar-proximity",

@@ -7,7 +7,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from robotkube.delivery.deployment.core.releases import Cause
+from robotkube.delivery.deployment.core.releases import TaskCause
 from robotkube.foundation.runtime.core.webhook_deliveries import sign
 from robotkube.registry.charts.core.references import ChartReference
 from tests.stages.forge.catalogue_evidence import published_chart
@@ -124,7 +124,7 @@ WRONG_RELEASES = {
     ),
     "long name": ({"name": "r" * 50}, "at most 53 are allowed"),
     "other trace": (
-        {"causes": (Cause(CAUSE.task, CAUSE.event, CAUSE.rule, "f" * 32, CAUSE.application, CAUSE.parameters),)},
+        {"causes": (TaskCause(CAUSE.task, CAUSE.event, CAUSE.rule, "f" * 32, CAUSE.application, CAUSE.parameters),)},
         "event, rule or trace of",
     ),
 }

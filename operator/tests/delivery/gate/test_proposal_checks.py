@@ -8,7 +8,14 @@ import pytest
 
 from robotkube.delivery.deployment.core.commit_messages import CommitMessage, write_message
 from robotkube.delivery.deployment.core.policies.merge import APPROVAL, AUTOMATIC, FORGE, read_merge_policy
-from robotkube.delivery.deployment.core.releases import Cause, Release, Source, read_tree, write_release, write_source
+from robotkube.delivery.deployment.core.releases import (
+    Release,
+    Source,
+    TaskCause,
+    read_tree,
+    write_release,
+    write_source,
+)
 from robotkube.delivery.gate.core import proposal_checks, verdict_comments
 from robotkube.delivery.gate.core.release_checks import Rules
 from robotkube.errors import DocumentError
@@ -23,8 +30,8 @@ TIP, PLAN, OLD_PLAN = "a" * 40, "20261121-100000-000001", "20261121-090000-00000
 DIGEST, NEWER = "sha256:" + "1" * 64, "sha256:" + "2" * 64
 URL = "oci://forge:3000/verified"
 SUMMARY, OTHER_SUMMARY = "sha256:" + "5" * 64, "sha256:" + "6" * 64
-ONE = Cause("cloud-0/one", "e1", "near", "1" * 32, "recording", '{"seconds":5}')
-TWO = Cause("cloud-0/two", "e2", "near", "2" * 32, "recording")
+ONE = TaskCause("cloud-0/one", "e1", "near", "1" * 32, "recording", '{"seconds":5}')
+TWO = TaskCause("cloud-0/two", "e2", "near", "2" * 32, "recording")
 PARAMETERS = {
     "type": "object",
     "additionalProperties": False,
@@ -81,7 +88,7 @@ def files(*releases: Release) -> dict[str, str]:
     return found
 
 
-def message(*causes: Cause, **changes: Any) -> str:
+def message(*causes: TaskCause, **changes: Any) -> str:
     fields: dict[str, Any] = {
         "verb": "deploy",
         "area": "recording",

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robotkube.delivery.deployment.core.releases import Cause, Release
+from robotkube.delivery.deployment.core.releases import Release, TaskCause
 from robotkube.delivery.manager.core.chains import DEPTH_MAX, FAN_OUT_MAX, ChainRefusal, ChainTask, judge, lineage
 
 TRACE = "a" * 32
@@ -23,7 +23,7 @@ def by_key(*tasks: ChainTask) -> dict[str, ChainTask]:
 
 def detector(namespace: str, parent: str, told: str | None = None, chart: str = "event-detector") -> Release:
     """A release that `parent` launched, with a detector that writes tasks for `told`."""
-    cause = Cause(parent, "event", "rule", TRACE, "operator")
+    cause = TaskCause(parent, "event", "rule", TRACE, "operator")
     values = {"detector": {"task": told or parent, "reactions": [{"kind": "operator", "rule": "near"}]}}
     return Release(namespace, f"d-{parent.replace('/', '-')}", chart, "1.0.0", f"sha256:{'0' * 64}", values, (cause,))
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from robotkube.delivery.deployment.core.releases import Cause, Release
+from robotkube.delivery.deployment.core.releases import Release, TaskCause
 from robotkube.delivery.manager.core.held_changes import active_holds, held, waiting_tasks
 from robotkube.delivery.manager.core.plans import Change
 from robotkube.delivery.tasks.core.holds import HOLD_SECONDS_MAX, DeviceHold, message_hold, node_hold
@@ -20,7 +20,7 @@ DRIVING = DeviceHold("vehicle-00", TEN + 60 * SECOND, "driving")
 
 
 def release(namespace: str, name: str = "recorder", task: str = "cloud-0/a", **values: Any) -> Release:
-    cause = Cause(task, "event", "rule", "a" * 32, "recording")
+    cause = TaskCause(task, "event", "rule", "a" * 32, "recording")
     full = {**values, "placement": {"agent": namespace}}
     return Release(namespace, name, "event-detector", "1.0.0", f"sha256:{'0' * 64}", full, (cause,))
 
@@ -145,7 +145,7 @@ def test_waiting_tasks_have_what_they_wait_for() -> None:
 
 def test_a_task_that_is_answered_already_waits_for_nothing() -> None:
     before = release("vehicle-00", "mqtt-bridge", topics=1)
-    other = Cause("cloud-0/b", "event", "rule", "a" * 32, "recording")
+    other = TaskCause("cloud-0/b", "event", "rule", "a" * 32, "recording")
     after = Release(*(getattr(before, k) for k in ("namespace", "name", "chart", "version", "digest")), {"topics": 2})
     change = changed(before, replace(after, causes=(*before.causes, other)))
     _, waiting = held((change,), [DRIVING], AGENTS, TEN)

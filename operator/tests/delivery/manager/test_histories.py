@@ -57,8 +57,8 @@ def template(folder: Path) -> Stage:
     return stage
 
 
-class World(Stage):
-    """A world of its own that begins where the template is."""
+class HistoryStage(Stage):
+    """A stage of its own that begins where the template is."""
 
     template: ClassVar[Stage]
 
@@ -112,7 +112,7 @@ class Histories(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        self.world = World()
+        self.world = HistoryStage()
         self.world.forge.decide = self.decide
         self.model: dict[str, Entry] = {}
         self.away: dict[str, NodeState] = {}
@@ -308,7 +308,7 @@ def silent() -> Iterator[None]:
 
 
 def run(folder: Path, examples: int, derandomize: bool) -> None:
-    World.template = template(folder)
+    HistoryStage.template = template(folder)
     options = settings(
         max_examples=examples,
         stateful_step_count=12,

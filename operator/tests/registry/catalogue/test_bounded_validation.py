@@ -15,7 +15,7 @@ from robotkube.foundation.documents.core.yaml_codec import read_mapping, write_m
 from robotkube.foundation.runtime.adapters import bounded_process
 from robotkube.foundation.runtime.adapters.bounded_process import BoundedProcess
 from robotkube.registry.catalogue.adapters.bounded_validation import COMMAND, BoundedSchemas
-from tests.stages.registry.publication_in_memory import World
+from tests.stages.registry.publication_in_memory import PublicationStage
 from tests.stages.registry.submissions import application
 
 GOOD = {"type": "object", "properties": {"name": {"type": "string", "pattern": "^[a-z]+$"}}}
@@ -82,7 +82,7 @@ def test_an_answer_beyond_the_bound_is_refused(schemas: BoundedSchemas, monkeypa
 
 
 def test_a_submission_whose_schema_takes_for_ever_is_refused(schemas: BoundedSchemas, tmp_path: Path) -> None:
-    world = World(tmp_path)
+    world = PublicationStage(tmp_path)
     world.tools = schemas.tools()
     world.start()
     path = "applications/relaying.yaml"

@@ -79,6 +79,14 @@ HOSTILE: dict[str, tuple[dict[str, bytes], str]] = {
     "no chart": ({"README.md": b"x"}, "Chart.yaml file is missing"),
     "no YAML": (chart("kind: [Pod"), "the chart cannot be rendered: app/templates/pod.yaml"),
     "too much": (chart('a: {{ repeat 3000000 "x" }}'), "renders to more than 2097152 bytes"),
+    "too deep": (
+        chart('a: {{ repeat 3000 "[" }}{{ repeat 3000 "]" }}'),
+        "the chart cannot be rendered: its objects are nested deeper than 100 levels; write it flatter",
+    ),
+    "something after the end of a document": (
+        chart("kind: A\n...\nkind: B\n"),
+        "app/templates/pod.yaml: something follows the end of a document (...); begin the next one with ---",
+    ),
 }
 
 
@@ -111,6 +119,22 @@ def test_definitions_hooks_and_every_document_of_a_file_are_objects(renderer: Ch
     assert [item["kind"] for item in found if "kind" in item] == ["A", "B"]
     found = renderer.render({**chart(two), "crds/c.yaml": b"kind: C\n", "templates/NOTES.txt": b"x"}, {}, "one", "n")
     assert sorted(item["kind"] for item in found) == ["A", "B", "C"]
+
+
+def test_no_name_of_a_file_hides_an_object_that_would_be_applied(renderer: ChartRenderer, tmp_path: Path) -> None:
+    """helm takes a leading underscore for a partial in templates/ alone, and for notes whatever ends as they do."""
+    pod = f"kind: Pod\nspec: {{containers: [{{image: {FOREIGN}}}]}}\n".encode()
+    files = {
+        **chart("kind: A\n"),
+        "crds/_pod.yaml": pod,
+        "templates/_pod.yaml": pod,
+        "templates/more-NOTES.txt": b"kind: Note",
+    }
+    found = renderer.render(files, {}, "one", "n")
+    assert pod_images(found) == (FOREIGN,)
+    assert sorted(found, key=json.dumps) == sorted(
+        HelmProgram(program("helm"), tmp_path).render(files, {}, "one", "n"), key=json.dumps
+    )
 
 
 def status(renderer: ChartRenderer) -> dict[str, str]:

@@ -103,6 +103,15 @@ def test_every_file_stays_plainly_below_its_folder(name: str) -> None:
     assert "plainly below app/" in text or "is no plain file" in text
 
 
+@pytest.mark.parametrize(
+    "name", [".argocd-source.yaml", ".argocd-source-cloud-0.yaml", ".helmignore", "templates/.pod.yaml", ".git/config"]
+)
+def test_hidden_files_are_refused(name: str) -> None:
+    """Argo CD would lay what `.argocd-source.yaml` says over the values that the gate checked."""
+    text = refusal(archive(member(f"app/{name}", b"helm: {parameters: [{name: image.reference, value: other}]}")))
+    assert f"'app/{name}': a hidden file; Argo CD takes settings from some, so leave it out of the chart" in text
+
+
 def test_extended_headers_are_refused() -> None:
     info, data = member("app/" + "x" * 90 + "/" + "y" * 90, b"x")
     assert "is no plain file" in refusal(archive((info, data), form=tarfile.GNU_FORMAT))

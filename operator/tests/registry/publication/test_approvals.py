@@ -7,7 +7,7 @@ import pytest
 
 from robotkube.foundation.forge.core.reviews import Review
 from robotkube.registry.publication.core.approvals import approval_reasons
-from tests.stages.registry.publication_in_memory import World
+from tests.stages.registry.publication_in_memory import PublicationStage
 from tests.stages.registry.submissions import application, chart
 
 PATH = "applications/relaying.yaml"
@@ -42,11 +42,11 @@ def test_only_mains_policy_opens_it(policy: str | None, waits: bool) -> None:
 
 
 @pytest.fixture
-def world(tmp_path: Path) -> World:
-    return World(tmp_path)
+def world(tmp_path: Path) -> PublicationStage:
+    return PublicationStage(tmp_path)
 
 
-def waiting(world: World) -> int:
+def waiting(world: PublicationStage) -> int:
     """A submission whose suites have passed, and which waits."""
     number = world.submit(chart(), **{PATH: INITIAL})
     for _ in range(10):
@@ -59,7 +59,7 @@ def waiting(world: World) -> int:
     return number
 
 
-def test_it_waits_and_is_published_with_a_persons_approval(world: World) -> None:
+def test_it_waits_and_is_published_with_a_persons_approval(world: PublicationStage) -> None:
     number = waiting(world)
     world.forge.reviewed[number] = [Review("reviewer", world.forge.pulls[number].head, True, True)]
     assert "## Verified: relay 0.1.0" in world.settle(number)
@@ -68,7 +68,7 @@ def test_it_waits_and_is_published_with_a_persons_approval(world: World) -> None
 
 
 @pytest.mark.parametrize("account", ["publisher", "gate"])
-def test_no_machine_approves(world: World, account: str) -> None:
+def test_no_machine_approves(world: PublicationStage, account: str) -> None:
     number = waiting(world)
     world.forge.reviewed[number] = [Review(account, world.forge.pulls[number].head, True, True)]
     world.gate.round()
@@ -76,7 +76,7 @@ def test_no_machine_approves(world: World, account: str) -> None:
     assert PATH not in world.main()
 
 
-def test_an_approval_is_of_one_commit(world: World) -> None:
+def test_an_approval_is_of_one_commit(world: PublicationStage) -> None:
     world.settle(world.submit(chart()))
     number = world.submit(**{PATH: INITIAL})
     old = world.forge.pulls[number].head
@@ -91,7 +91,7 @@ def test_an_approval_is_of_one_commit(world: World) -> None:
     assert world.main()[PATH] == other
 
 
-def test_who_is_against_it_holds_it(world: World) -> None:
+def test_who_is_against_it_holds_it(world: PublicationStage) -> None:
     number = waiting(world)
     head = world.forge.pulls[number].head
     against = Review("other", head, False, True)
@@ -103,7 +103,7 @@ def test_who_is_against_it_holds_it(world: World) -> None:
     assert world.merged(number)
 
 
-def test_a_gate_that_starts_anew_still_waits(world: World) -> None:
+def test_a_gate_that_starts_anew_still_waits(world: PublicationStage) -> None:
     number = waiting(world)
     world.start()
     for _ in range(10):

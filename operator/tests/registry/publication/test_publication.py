@@ -19,19 +19,19 @@ from robotkube.registry.publication.loops.publication import publication_metrics
 from robotkube.registry.publication.loops.verification import MARGIN_SECONDS
 from robotkube.registry.suites.core.requests import SuiteProgress
 from tests.stages.registry import submissions
-from tests.stages.registry.publication_in_memory import POLICY, World, assured, status_of
+from tests.stages.registry.publication_in_memory import POLICY, PublicationStage, assured, status_of
 from tests.stages.registry.submissions import CATALOGUE, SUITES, application, chart, entry_path, key, trusted
 
 
 @pytest.fixture
-def world(tmp_path: Path) -> World:
-    return World(tmp_path)
+def world(tmp_path: Path) -> PublicationStage:
+    return PublicationStage(tmp_path)
 
 
 # -- published -------------------------------------------------------------------------------------------------------
 
 
-def test_a_submission_that_passes_is_published_with_its_evidence(world: World) -> None:
+def test_a_submission_that_passes_is_published_with_its_evidence(world: PublicationStage) -> None:
     packed, spec = chart()
     head = world.submit((packed, spec), **{"applications/relaying.yaml": application()})
     text = world.settle(head)
@@ -55,7 +55,7 @@ def test_a_submission_that_passes_is_published_with_its_evidence(world: World) -
     assert world.published == 1
 
 
-def test_a_chart_that_replaces_one_is_tested_against_it(world: World) -> None:
+def test_a_chart_that_replaces_one_is_tested_against_it(world: PublicationStage) -> None:
     first, second = chart(), chart(version="0.2.0", replaces="0.1.0")
     world.settle(world.submit(first))
     world.settle(world.submit(second))
@@ -65,7 +65,7 @@ def test_a_chart_that_replaces_one_is_tested_against_it(world: World) -> None:
     assert (replaced.artefact.digest, replaced.repository) == (first[0].digest, "verified/relay")
 
 
-def test_applications_alone_are_published(world: World) -> None:
+def test_applications_alone_are_published(world: PublicationStage) -> None:
     world.settle(world.submit(chart()))
     runs = list(world.runner.runs)
     number = world.submit(**{"applications/relaying.yaml": application()})
@@ -75,7 +75,7 @@ def test_applications_alone_are_published(world: World) -> None:
     assert world.runner.runs == runs
 
 
-def test_the_same_submission_twice_is_published_once(world: World) -> None:
+def test_the_same_submission_twice_is_published_once(world: PublicationStage) -> None:
     first, second = world.submit(chart()), world.submit(chart())
     world.settle(first)
     tip = world.catalogue.tip
@@ -86,7 +86,7 @@ def test_the_same_submission_twice_is_published_once(world: World) -> None:
     assert world.gate.statistics.verdicts == {"published": 1, "refused": 0, "unchanged": 1, "failed": 0}
 
 
-def test_two_submissions_at_once_are_both_published(world: World) -> None:
+def test_two_submissions_at_once_are_both_published(world: PublicationStage) -> None:
     one, other = chart(), chart("other")
     numbers = [world.submit(one), world.submit(other)]
     for number in numbers:
@@ -100,7 +100,7 @@ def test_two_submissions_at_once_are_both_published(world: World) -> None:
 
 
 @pytest.mark.parametrize("suite", SUITES)
-def test_a_failed_suite_refuses_with_check_finding_and_fix(world: World, suite: str) -> None:
+def test_a_failed_suite_refuses_with_check_finding_and_fix(world: PublicationStage, suite: str) -> None:
     packed, spec = chart()
     world.runner.checks[suite] = (
         Check("it is there", True),
@@ -123,7 +123,7 @@ def test_a_failed_suite_refuses_with_check_finding_and_fix(world: World, suite: 
     assert (predicate["result"], predicate["failedTests"]) == ("FAILED", ["container relay is not privileged"])
 
 
-def test_a_failed_suite_runs_again_in_the_next_submission_and_only_that(world: World) -> None:
+def test_a_failed_suite_runs_again_in_the_next_submission_and_only_that(world: PublicationStage) -> None:
     packed = chart()
     world.runner.checks["interface"] = (Check("topics", False, "none", "declare them"),)
     world.settle(world.submit(packed))
@@ -139,7 +139,7 @@ def test_a_failed_suite_runs_again_in_the_next_submission_and_only_that(world: W
     assert assured(world, packed[0])
 
 
-def test_an_unfinished_suite_is_not_a_passed_one(world: World) -> None:
+def test_an_unfinished_suite_is_not_a_passed_one(world: PublicationStage) -> None:
     result = SuiteResult("install", "1", "unfinished", (Check("became ready", True),), 60.0)
     world.runner.progress["install"] = SuiteProgress("finished", result)
     number = world.submit(chart())
@@ -157,14 +157,14 @@ def test_an_unfinished_suite_is_not_a_passed_one(world: World) -> None:
         SuiteResult("install", "1", "passed", (Check("a", True), Check("b", False, "found", "fix")), 1.0),
     ],
 )
-def test_a_result_that_proves_nothing_refuses(world: World, result: SuiteResult) -> None:
+def test_a_result_that_proves_nothing_refuses(world: PublicationStage, result: SuiteResult) -> None:
     world.runner.progress["install"] = SuiteProgress("finished", result)
     number = world.submit(chart())
     assert "## Refused" in world.settle(number)
     assert not world.merged(number)
 
 
-def test_a_suite_that_does_not_end_is_unfinished_after_its_time(world: World) -> None:
+def test_a_suite_that_does_not_end_is_unfinished_after_its_time(world: PublicationStage) -> None:
     world.runner.progress["install"] = SuiteProgress("running")
     number = world.submit(chart())
     world.gate.round()
@@ -175,7 +175,7 @@ def test_a_suite_that_does_not_end_is_unfinished_after_its_time(world: World) ->
     assert "still running after 120 s" in world.settle(number)
 
 
-def test_while_suites_run_the_comment_says_so(world: World) -> None:
+def test_while_suites_run_the_comment_says_so(world: PublicationStage) -> None:
     world.runner.progress["install"] = SuiteProgress("queued", reason="all test namespaces are in use")
     number = world.submit(chart())
     world.gate.round()
@@ -188,7 +188,7 @@ def test_while_suites_run_the_comment_says_so(world: World) -> None:
     assert world.merged(number)
 
 
-def test_a_runner_that_is_away_decides_nothing(world: World) -> None:
+def test_a_runner_that_is_away_decides_nothing(world: PublicationStage) -> None:
     world.runner.fail = UnavailableError("suite-runner http://runner: refused")
     number = world.submit(chart())
     for _ in range(5):
@@ -201,7 +201,7 @@ def test_a_runner_that_is_away_decides_nothing(world: World) -> None:
     assert world.merged(number)
 
 
-def test_a_request_that_the_runner_refuses_is_told(world: World) -> None:
+def test_a_request_that_the_runner_refuses_is_told(world: PublicationStage) -> None:
     world.runner.fail = InputError("suite-runner: 400 entry: must be a mapping")
     assert "found: `suite-runner: 400 entry: must be a mapping`" in world.settle(world.submit(chart()))
 
@@ -209,20 +209,20 @@ def test_a_request_that_the_runner_refuses_is_told(world: World) -> None:
 # -- kept results ----------------------------------------------------------------------------------------------------
 
 
-def kept_files(world: World) -> dict[str, str]:
+def kept_files(world: PublicationStage) -> dict[str, str]:
     """The evidence as `registry submit --kept` puts it into a submission."""
     return {path: text for path, text in world.main().items() if path.startswith("evidence/")}
 
 
-def other_world(world: World, folder: Path) -> World:
+def other_world(world: PublicationStage, folder: Path) -> PublicationStage:
     """A new cluster with the same key."""
-    fresh = World(folder)
+    fresh = PublicationStage(folder)
     fresh.signer, fresh.verifier = world.signer, world.verifier
     fresh.start()
     return fresh
 
 
-def test_kept_evidence_is_used_in_another_cluster_with_the_same_key(world: World, tmp_path: Path) -> None:
+def test_kept_evidence_is_used_in_another_cluster_with_the_same_key(world: PublicationStage, tmp_path: Path) -> None:
     packed = chart()
     world.settle(world.submit(packed))
     fresh = other_world(world, tmp_path / "fresh")
@@ -236,7 +236,7 @@ def test_kept_evidence_is_used_in_another_cluster_with_the_same_key(world: World
     assert assured(fresh, packed[0])
 
 
-def test_a_commit_that_cannot_be_read_is_refused(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_commit_that_cannot_be_read_is_refused(world: PublicationStage, monkeypatch: pytest.MonkeyPatch) -> None:
     def unreadable(number: int) -> Commit:
         raise DocumentError(f"commit {number}", ["changes more than 1000 files; split it"])
 
@@ -246,7 +246,7 @@ def test_a_commit_that_cannot_be_read_is_refused(world: World, monkeypatch: pyte
     assert not world.merged(number)
 
 
-def test_one_changed_byte_is_verified_again(world: World) -> None:
+def test_one_changed_byte_is_verified_again(world: PublicationStage) -> None:
     packed, changed = chart(), chart(text="kind: ConfigMap \n")
     world.settle(world.submit(packed))
     world.local_builds = True
@@ -258,7 +258,7 @@ def test_one_changed_byte_is_verified_again(world: World) -> None:
     assert assured(world, changed[0])
 
 
-def test_a_changed_entry_is_verified_again(world: World) -> None:
+def test_a_changed_entry_is_verified_again(world: PublicationStage) -> None:
     """The digest covers the entry: what it claims cannot be changed under results that were found for another."""
     first, second = chart(), chart(description="Claims something else")
     assert first[0].digest != second[0].digest
@@ -270,7 +270,7 @@ def test_a_changed_entry_is_verified_again(world: World) -> None:
     assert not world.merged(number)
 
 
-def test_what_somebody_changed_on_main_is_restored_by_submitting_again(world: World) -> None:
+def test_what_somebody_changed_on_main_is_restored_by_submitting_again(world: PublicationStage) -> None:
     packed = chart()
     world.settle(world.submit(packed))
     before, path = world.main(), entry_path(packed[0])
@@ -287,7 +287,7 @@ def test_what_somebody_changed_on_main_is_restored_by_submitting_again(world: Wo
     assert len(world.runner.runs) == len(SUITES)
 
 
-def test_a_changed_policy_makes_everything_new(world: World) -> None:
+def test_a_changed_policy_makes_everything_new(world: PublicationStage) -> None:
     packed = chart()
     world.settle(world.submit(packed))
     policy = {**submissions.POLICY, "spec": {"suites": [{"name": "static", "version": "2", "seconds": 60}]}}
@@ -301,13 +301,13 @@ def test_a_changed_policy_makes_everything_new(world: World) -> None:
     assert world.runner.requests[-1].rule.version == "2"
 
 
-def forged_statement(world: World, packed: PackedChart, signer: KeyFile) -> str:
+def forged_statement(world: PublicationStage, packed: PackedChart, signer: KeyFile) -> str:
     artefact = Artefact(packed.name, packed.version, packed.digest, "linux/amd64")
     result = SuiteResult("install", "1", "passed", (Check("installs", True),), 1.0)
     return signer.sign(suite_statement(artefact, POLICY.digest, result)).decode()
 
 
-def test_evidence_that_a_publisher_forged_is_not_used(world: World, tmp_path: Path) -> None:
+def test_evidence_that_a_publisher_forged_is_not_used(world: PublicationStage, tmp_path: Path) -> None:
     packed, spec = chart()
     forged = forged_statement(world, packed, key(tmp_path / "forger", "forger"))
     path = f"evidence/relay/0.1.0_{packed.digest[7:19]}/install.json"
@@ -317,7 +317,7 @@ def test_evidence_that_a_publisher_forged_is_not_used(world: World, tmp_path: Pa
     assert not world.merged(number)
 
 
-def test_evidence_that_was_edited_or_is_of_another_digest_is_not_used(world: World, tmp_path: Path) -> None:
+def test_evidence_that_was_edited_or_is_of_another_digest_is_not_used(world: PublicationStage, tmp_path: Path) -> None:
     first, second = chart(), chart("relay", "0.2.0", replaces="0.1.0")
     world.settle(world.submit(first))
     folder = f"evidence/relay/0.2.0_{second[0].digest[7:19]}"
@@ -329,7 +329,7 @@ def test_evidence_that_was_edited_or_is_of_another_digest_is_not_used(world: Wor
     assert len(world.runner.runs) == 2 * len(SUITES)
 
 
-def test_a_second_key_keeps_what_the_first_signed(world: World, tmp_path: Path) -> None:
+def test_a_second_key_keeps_what_the_first_signed(world: PublicationStage, tmp_path: Path) -> None:
     first, second = chart(), chart("other")
     world.settle(world.submit(first))
     new = key(tmp_path / "second", "second")
@@ -344,7 +344,7 @@ def test_a_second_key_keeps_what_the_first_signed(world: World, tmp_path: Path) 
     assert {f"keys/{one.key_id}.pem" for one in (new, world.signer)} <= set(world.main())
 
 
-def test_after_a_key_lost_trust_what_it_signed_is_verified_again(world: World, tmp_path: Path) -> None:
+def test_after_a_key_lost_trust_what_it_signed_is_verified_again(world: PublicationStage, tmp_path: Path) -> None:
     packed = chart()
     world.settle(world.submit(packed))
     new = key(tmp_path / "second", "second")
@@ -356,7 +356,7 @@ def test_after_a_key_lost_trust_what_it_signed_is_verified_again(world: World, t
     assert assured(world, packed[0])
 
 
-def test_a_gate_whose_own_key_is_not_trusted_publishes_nothing(world: World, tmp_path: Path) -> None:
+def test_a_gate_whose_own_key_is_not_trusted_publishes_nothing(world: PublicationStage, tmp_path: Path) -> None:
     world.start(key(tmp_path / "stranger", "stranger"))
     number = world.submit(chart())
     for _ in range(3):
@@ -366,7 +366,7 @@ def test_a_gate_whose_own_key_is_not_trusted_publishes_nothing(world: World, tmp
     assert world.gate.statistics.verdicts["failed"] == 1
 
 
-def test_the_runner_may_answer_late_for_each_of_two_charts(world: World) -> None:
+def test_the_runner_may_answer_late_for_each_of_two_charts(world: PublicationStage) -> None:
     world.runner.progress["static"] = SuiteProgress("running")
     number = world.submit(chart(), chart("other"))
     world.gate.round()
@@ -381,7 +381,7 @@ def test_the_runner_may_answer_late_for_each_of_two_charts(world: World) -> None
     assert message.rstrip().endswith(f"RobotKube-Policy: {POLICY.digest}")
 
 
-def test_a_broken_policy_waits_for_a_person(world: World) -> None:
+def test_a_broken_policy_waits_for_a_person(world: PublicationStage) -> None:
     world.catalogue.push({POLICY_PATH: "kind: Nothing\n"})
     number = world.submit(chart())
     world.gate.round()
@@ -391,7 +391,7 @@ def test_a_broken_policy_waits_for_a_person(world: World) -> None:
     assert world.merged(number)
 
 
-def test_pull_requests_of_others_are_left_alone(world: World) -> None:
+def test_pull_requests_of_others_are_left_alone(world: PublicationStage) -> None:
     commit = world.catalogue.commit(world.catalogue.tip, {"policies/release.yaml": "assurance: none\n"}, "by hand")
     number = world.forge.open(commit, "operator-team")
     for _ in range(3):
@@ -400,14 +400,14 @@ def test_pull_requests_of_others_are_left_alone(world: World) -> None:
     assert world.text(number) == ""
 
 
-def test_metrics_count_verdicts_and_suites(world: World) -> None:
+def test_metrics_count_verdicts_and_suites(world: PublicationStage) -> None:
     world.settle(world.submit(chart()))
     text = series_text(publication_metrics(world.gate.statistics))
     assert 'robotkube_gate_publications_total{verdict="published"} 1' in text
     assert 'robotkube_gate_suite_seconds_total{suite="install"} 1.5\n' in text
 
 
-def test_a_submission_that_breaks_its_checks_holds_up_no_other(world: World) -> None:
+def test_a_submission_that_breaks_its_checks_holds_up_no_other(world: PublicationStage) -> None:
     bad, good = world.submit(chart("bad")), world.submit(chart())
     pull = world.registry.pull_chart
 

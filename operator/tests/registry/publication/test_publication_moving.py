@@ -6,7 +6,7 @@ import pytest
 
 from robotkube.registry.evidence.core.statements import Check
 from robotkube.registry.suites.core.requests import SuiteProgress
-from tests.stages.registry.publication_in_memory import World, assured, status_of
+from tests.stages.registry.publication_in_memory import PublicationStage, assured, status_of
 from tests.stages.registry.submissions import SUITES, chart, entry, entry_path
 
 
@@ -15,11 +15,11 @@ class KilledError(BaseException):
 
 
 @pytest.fixture
-def world(tmp_path: Path) -> World:
-    return World(tmp_path)
+def world(tmp_path: Path) -> PublicationStage:
+    return PublicationStage(tmp_path)
 
 
-def test_a_pull_request_that_changes_while_suites_run_is_decided_anew(world: World) -> None:
+def test_a_pull_request_that_changes_while_suites_run_is_decided_anew(world: PublicationStage) -> None:
     first, second = chart(), chart(text="kind: Secret\n")
     world.runner.progress["install"] = SuiteProgress("running")
     number = world.submit(first)
@@ -34,7 +34,7 @@ def test_a_pull_request_that_changes_while_suites_run_is_decided_anew(world: Wor
     assert entry_path(second[0]) not in world.main()
 
 
-def test_a_head_that_changes_at_the_last_moment_is_not_on_main_unchecked(world: World) -> None:
+def test_a_head_that_changes_at_the_last_moment_is_not_on_main_unchecked(world: PublicationStage) -> None:
     first = chart()
     number = world.submit(first)
     evil = world.catalogue.commit(world.catalogue.tip, {"charts/evil/0.1.0.yaml": "x"}, "evil")
@@ -51,7 +51,7 @@ def test_a_head_that_changes_at_the_last_moment_is_not_on_main_unchecked(world: 
     assert "## Refused" in text
 
 
-def test_main_that_moves_before_the_push_is_looked_at_again(world: World) -> None:
+def test_main_that_moves_before_the_push_is_looked_at_again(world: PublicationStage) -> None:
     number = world.submit(chart())
 
     def move() -> None:
@@ -65,7 +65,7 @@ def test_main_that_moves_before_the_push_is_looked_at_again(world: World) -> Non
     assert len(world.runner.runs) == len(SUITES)
 
 
-def test_a_version_published_meanwhile_with_another_digest_is_not_replaced(world: World) -> None:
+def test_a_version_published_meanwhile_with_another_digest_is_not_replaced(world: PublicationStage) -> None:
     first, second = chart(), chart(text="kind: Secret\n")
     one, two = world.submit(first), world.submit(second)
     world.settle(one)
@@ -75,7 +75,7 @@ def test_a_version_published_meanwhile_with_another_digest_is_not_replaced(world
 
 @pytest.mark.parametrize(("method", "call"), [("attach", 1), ("attach", 2), ("attach", 5), ("copy_chart", 1)])
 def test_a_gate_killed_between_sign_attach_and_copy_is_finished_by_the_next(
-    world: World, method: str, call: int
+    world: PublicationStage, method: str, call: int
 ) -> None:
     packed = chart()
     number = world.submit(packed)
@@ -97,7 +97,7 @@ def test_a_gate_killed_between_sign_attach_and_copy_is_finished_by_the_next(
     assert assured(world, packed[0])
 
 
-def test_a_gate_killed_before_the_merge_is_finished_by_the_next(world: World) -> None:
+def test_a_gate_killed_before_the_merge_is_finished_by_the_next(world: PublicationStage) -> None:
     packed = chart()
     number = world.submit(packed)
 
@@ -118,7 +118,7 @@ def test_a_gate_killed_before_the_merge_is_finished_by_the_next(world: World) ->
     assert len(world.forge.said[number]) == 1
 
 
-def test_a_gate_killed_after_the_merge_leaves_it(world: World) -> None:
+def test_a_gate_killed_after_the_merge_leaves_it(world: PublicationStage) -> None:
     number = world.submit(chart())
     world.settle(number)
     tip = world.catalogue.tip

@@ -8,16 +8,16 @@ import pytest
 from robotkube.errors import InputError
 from robotkube.registry.charts.ports import Attachment
 from robotkube.registry.suites.core.requests import SuiteProgress
-from tests.stages.registry.publication_in_memory import World
+from tests.stages.registry.publication_in_memory import PublicationStage
 from tests.stages.registry.submissions import chart
 
 
 @pytest.fixture
-def world(tmp_path: Path) -> World:
-    return World(tmp_path)
+def world(tmp_path: Path) -> PublicationStage:
+    return PublicationStage(tmp_path)
 
 
-def test_a_chart_that_leaves_staging_while_its_suites_run_is_refused(world: World) -> None:
+def test_a_chart_that_leaves_staging_while_its_suites_run_is_refused(world: PublicationStage) -> None:
     packed = chart()
     world.runner.progress["install"] = SuiteProgress("running")
     number = world.submit(packed)
@@ -29,7 +29,7 @@ def test_a_chart_that_leaves_staging_while_its_suites_run_is_refused(world: Worl
     assert not world.merged(number)
 
 
-def test_what_the_publisher_takes_away_once_it_is_tried_is_published(world: World) -> None:
+def test_what_the_publisher_takes_away_once_it_is_tried_is_published(world: PublicationStage) -> None:
     packed = chart()
     world.runner.progress["install"] = SuiteProgress("running")
     number = world.submit(packed)
@@ -43,7 +43,7 @@ def test_what_the_publisher_takes_away_once_it_is_tried_is_published(world: Worl
     assert {request.repository for request in world.runner.requests} == {"staging/relay"}
 
 
-def test_a_chart_that_its_publisher_took_away_before_it_was_tried_is_refused(world: World) -> None:
+def test_a_chart_that_its_publisher_took_away_before_it_was_tried_is_refused(world: PublicationStage) -> None:
     packed = chart()
     world.registry.push_chart("staging-somebody", packed[0])  # of another publisher
     number = world.submit(packed, push=False)
@@ -53,14 +53,14 @@ def test_a_chart_that_its_publisher_took_away_before_it_was_tried_is_refused(wor
     assert not world.merged(number)
 
 
-def test_a_chart_that_is_not_that_of_its_entry_does_not_get_into_staging(world: World) -> None:
+def test_a_chart_that_is_not_that_of_its_entry_does_not_get_into_staging(world: PublicationStage) -> None:
     packed, spec = chart()
     number = world.submit((packed, {**spec, "description": "another entry"}))
     assert "was packed with another entry" in world.settle(number)
     assert "staging/relay" not in world.registry.charts
 
 
-def test_what_was_pushed_to_staging_before_publishers_had_places_is_published(world: World) -> None:
+def test_what_was_pushed_to_staging_before_publishers_had_places_is_published(world: PublicationStage) -> None:
     packed = chart()
     world.registry.push_chart("staging", packed[0], "0.1.0")
     number = world.submit(packed, push=False)
@@ -70,7 +70,7 @@ def test_what_was_pushed_to_staging_before_publishers_had_places_is_published(wo
 
 @pytest.mark.parametrize("when", ["before", "while"])
 def test_attachments_in_staging_that_cannot_be_read_are_refused(
-    world: World, monkeypatch: pytest.MonkeyPatch, when: str
+    world: PublicationStage, monkeypatch: pytest.MonkeyPatch, when: str
 ) -> None:
     """Publishers wrote the tag in which attachments are listed before they had places of their own."""
     attachments = world.registry.attachments

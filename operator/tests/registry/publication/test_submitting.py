@@ -11,6 +11,7 @@ from robotkube.registry.publication.loops.submitting import (
     PLANNED,
     PUBLISHED,
     REFUSED,
+    RETRY_SECONDS_MAX,
     UNAVAILABLE_SECONDS_MAX,
     UNCHANGED,
     SubmissionOutcome,
@@ -18,7 +19,7 @@ from robotkube.registry.publication.loops.submitting import (
 )
 from robotkube.registry.publication.ports import ChartSource, SubmittedSources
 from robotkube.registry.suites.core.requests import SuiteProgress
-from tests.stages.registry.publication_in_memory import World
+from tests.stages.registry.publication_in_memory import PublicationStage
 from tests.stages.registry.submissions import IMAGE, SUITES, application, chart, entry_path
 
 APPLICATION = {"applications/relaying.yaml": application()}
@@ -27,9 +28,11 @@ APPLICATION = {"applications/relaying.yaml": application()}
 class Publisher:
     """Submits to a world in which the gate does a round whenever the publisher sleeps."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: PublicationStage) -> None:
         self.world, self.now = world, 0.0
         self.lines: list[str] = []
+        self.slept: list[float] = []
+        self.share = 1.0  # of a bound that is slept after a failure
         self.while_waiting: Callable[[], None] = lambda: None
         forge = world.forge
         self._submitting = Submitting(
@@ -41,10 +44,12 @@ class Publisher:
             lambda: self.now,
             self.sleep,
             self.lines.append,
+            jitter=lambda: self.share,
         )
 
     def sleep(self, seconds: float) -> None:
         self.now += seconds
+        self.slept.append(seconds)
         self.while_waiting()
         if not self.world.catalogue.away:
             self.world.gate.round()
@@ -55,7 +60,7 @@ class Publisher:
 
 @pytest.fixture
 def publisher(tmp_path: Path) -> Publisher:
-    return Publisher(World(tmp_path))
+    return Publisher(PublicationStage(tmp_path))
 
 
 def source(name: str = "relay", version: str = "0.1.0", text: str = "kind: ConfigMap\n") -> ChartSource:
@@ -128,7 +133,7 @@ def test_what_it_waits_for_is_said_once(publisher: Publisher) -> None:
 
 def test_only_kept_evidence_of_these_digests_is_carried(publisher: Publisher, tmp_path: Path) -> None:
     kept = publisher.submit(SubmittedSources((source(), source("other")))).evidence
-    fresh = Publisher(World(tmp_path / "fresh"))
+    fresh = Publisher(PublicationStage(tmp_path / "fresh"))
     fresh.world.signer, fresh.world.verifier = publisher.world.signer, publisher.world.verifier
     fresh.world.start()
     outcome = fresh.submit(SubmittedSources((source(), source("other", text="kind: Secret\n")), kept=kept))
@@ -178,6 +183,17 @@ def test_a_forge_that_is_away_for_a_moment_is_waited_for(publisher: Publisher) -
     publisher.while_waiting = lambda: None
     with pytest.raises(UnavailableError):
         publisher.submit(SubmittedSources((source("third"),)))
+
+
+def test_a_forge_that_is_away_is_asked_again_after_growing_pauses_with_jitter(publisher: Publisher) -> None:
+    for share in (1.0, 0.5):
+        publisher.share = share
+        publisher.slept.clear()
+        publisher.world.catalogue.away = True
+        with pytest.raises(UnavailableError):
+            publisher.submit(SubmittedSources((source(),)))
+        assert publisher.slept[:6] == [0.5 * share, share, 2 * share, 4 * share, 5 * share, 5 * share]
+        assert UNAVAILABLE_SECONDS_MAX <= sum(publisher.slept) < UNAVAILABLE_SECONDS_MAX + RETRY_SECONDS_MAX
 
 
 def test_a_chart_given_twice_is_refused(publisher: Publisher) -> None:

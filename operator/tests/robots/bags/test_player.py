@@ -53,7 +53,7 @@ class Bag:
             yield POSE.name, k * 10_000_000, message(k, 0, 76)
 
 
-class World:
+class PlayerStage:
     def __init__(self, folder: Path, now: int, count: int = 500) -> None:
         self.clock, self.folder = Clock(now), folder
         self.network = Network(self.clock)
@@ -73,7 +73,7 @@ class World:
 
 
 def test_messages_are_stamped_on_the_grid_and_ledgered(tmp_path: Path) -> None:
-    world = World(tmp_path, START - 2_000_000_000)
+    world = PlayerStage(tmp_path, START - 2_000_000_000)
     world.at(START - 10**9, lambda: world.player.order(PlaybackRun("one", START)))
     world.at(START + 6 * 10**9, world.end)
     world.player.serve()
@@ -90,7 +90,7 @@ def test_messages_are_stamped_on_the_grid_and_ledgered(tmp_path: Path) -> None:
 
 
 def test_it_is_silent_without_an_order(tmp_path: Path) -> None:
-    world = World(tmp_path, START)
+    world = PlayerStage(tmp_path, START)
     world.at(START + 5 * 10**9, world.end)
     world.player.serve()
     assert world.network.endpoint("/p").published == []
@@ -98,7 +98,7 @@ def test_it_is_silent_without_an_order(tmp_path: Path) -> None:
 
 
 def test_a_stall_is_made_up_for_in_order_and_counted(tmp_path: Path) -> None:
-    world = World(tmp_path, START)
+    world = PlayerStage(tmp_path, START)
     world.player.order(PlaybackRun("one", START))
     world.clock.stall_at, world.clock.stall = START + 10**9, 2 * 10**9
     world.at(START + 9 * 10**9, world.end)
@@ -108,7 +108,7 @@ def test_a_stall_is_made_up_for_in_order_and_counted(tmp_path: Path) -> None:
 
 
 def test_a_new_run_starts_over(tmp_path: Path) -> None:
-    world = World(tmp_path, START)
+    world = PlayerStage(tmp_path, START)
     world.player.order(PlaybackRun("one", START))
     second = START + 20 * 10**9
     world.at(START + 10**9, lambda: world.player.order(PlaybackRun("two", second)))
@@ -120,12 +120,12 @@ def test_a_new_run_starts_over(tmp_path: Path) -> None:
 
 
 def test_after_a_restart_it_goes_on_where_its_ledger_ends(tmp_path: Path) -> None:
-    first = World(tmp_path, START)
+    first = PlayerStage(tmp_path, START)
     first.player.order(PlaybackRun("one", START))
     first.at(START + 10**9, first.end)
     first.player.serve()
     written = len(first.ledger("one", "__p"))
-    second = World(tmp_path, START + 3 * 10**9)
+    second = PlayerStage(tmp_path, START + 3 * 10**9)
     second.player.order(PlaybackRun("one", START))
     second.at(START + 9 * 10**9, second.end)
     second.player.serve()
@@ -139,7 +139,7 @@ def test_after_a_restart_it_goes_on_where_its_ledger_ends(tmp_path: Path) -> Non
 
 
 def test_after_a_signal_it_asks_for_the_rest(tmp_path: Path) -> None:
-    world = World(tmp_path, START)
+    world = PlayerStage(tmp_path, START)
     world.network.signals = [0, 3, 0, 50]
     world.player.order(PlaybackRun("one", START))
     world.at(START + 9 * 10**9, world.end)
@@ -152,7 +152,7 @@ def test_after_a_signal_it_asks_for_the_rest(tmp_path: Path) -> None:
 
 
 def test_what_is_not_taken_is_not_in_the_ledger(tmp_path: Path) -> None:
-    world = World(tmp_path, START)
+    world = PlayerStage(tmp_path, START)
     world.network.refused = restamped(message(207, 0, 76), START + 207 * 10_000_000)
     world.player.order(PlaybackRun("one", START))
     with pytest.raises(UnavailableError, match=r"topic /p: the middleware did not accept a message: no room"):
@@ -162,7 +162,7 @@ def test_what_is_not_taken_is_not_in_the_ledger(tmp_path: Path) -> None:
 
 
 def test_a_run_far_away_is_waited_for_and_may_be_taken_back(tmp_path: Path) -> None:
-    world = World(tmp_path, START - 60 * 10**9)
+    world = PlayerStage(tmp_path, START - 60 * 10**9)
     world.player.order(PlaybackRun("one", START))
     world.at(START - 20 * 10**9, lambda: world.player.order(None))
     world.at(START + 10**9, world.end)

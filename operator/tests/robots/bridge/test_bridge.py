@@ -4,11 +4,11 @@ from robotkube.robots.bridge.core.settings import GATEWAY_TYPE
 from robotkube.robots.bridge.loops.flows import BATCH_BYTES_MAX
 from robotkube.robots.mqtt.core.batches import decode_batch, encode_batch
 from robotkube.robots.ros.core.common_messages import string_message, string_text
-from tests.stages.bridge.in_memory import CLOUD, EVERYBODY, POSE, TRANSFORM, World
+from tests.stages.bridge.in_memory import CLOUD, EVERYBODY, POSE, TRANSFORM, BridgeStage
 
 
 def test_a_drain_becomes_one_batch() -> None:
-    world = World()
+    world = BridgeStage()
     world.configure(out=[POSE])
     world.connect()
     world.network.endpoint(POSE["name"]).waiting = [b"one", b"two"]
@@ -20,7 +20,7 @@ def test_a_drain_becomes_one_batch() -> None:
 
 
 def test_the_task_gateway_carries_texts_as_they_are() -> None:
-    world = World()
+    world = BridgeStage()
     status = {"name": "/robotkube/task_status", "type": GATEWAY_TYPE}
     world.configure(out=[{"name": "/robotkube/tasks", "type": GATEWAY_TYPE}], into=[status])
     world.connect()
@@ -38,7 +38,7 @@ def test_the_task_gateway_carries_texts_as_they_are() -> None:
 
 
 def test_large_messages_get_batches_of_their_own() -> None:
-    world = World()
+    world = BridgeStage()
     world.configure(out=[CLOUD])
     world.connect()
     world.network.endpoint(CLOUD["name"]).waiting = [bytes(BATCH_BYTES_MAX // 2 + 1)] * 3
@@ -47,7 +47,7 @@ def test_large_messages_get_batches_of_their_own() -> None:
 
 
 def test_messages_are_published_once() -> None:
-    world = World()
+    world = BridgeStage()
     world.configure(into=[POSE])
     world.connect()
     channel = world.channels["telemetry"]
@@ -59,7 +59,7 @@ def test_messages_are_published_once() -> None:
 
 
 def test_a_damaged_batch_is_counted_and_logged_once() -> None:
-    world = World()
+    world = BridgeStage()
     world.configure(into=[POSE])
     for _ in range(3):
         world.channels["telemetry"].events.received("mqtt/vehicles/vehicle_00/pose", b"nonsense", b"")
@@ -68,7 +68,7 @@ def test_a_damaged_batch_is_counted_and_logged_once() -> None:
 
 
 def test_new_settings_touch_only_what_differs() -> None:
-    world = World()
+    world = BridgeStage()
     world.configure(out=[POSE])
     world.connect()
     pose = world.network.endpoint(POSE["name"])
@@ -84,7 +84,7 @@ def test_new_settings_touch_only_what_differs() -> None:
 
 
 def test_sequences_go_on_when_a_topic_comes_back() -> None:
-    world = World()
+    world = BridgeStage()
     sequences = []
     for _ in range(2):
         world.configure(out=[POSE])
@@ -97,7 +97,7 @@ def test_sequences_go_on_when_a_topic_comes_back() -> None:
 
 
 def test_an_unknown_type_is_a_complaint_and_the_others_go_on() -> None:
-    world = World()
+    world = BridgeStage()
     world.configure(out=[{**CLOUD, "type": "nowhere/msg/Cloud"}, POSE])
     world.connect()
     assert "message package nowhere is not installed" in str(world.bridge.complaint)
@@ -109,7 +109,7 @@ def test_an_unknown_type_is_a_complaint_and_the_others_go_on() -> None:
 
 
 def test_ready_means_configured_and_connected() -> None:
-    world = World()
+    world = BridgeStage()
     assert world.bridge.complaint == "no settings yet"
     world.configure(out=[POSE])
     assert world.bridge.complaint == "not connected"
@@ -120,7 +120,7 @@ def test_ready_means_configured_and_connected() -> None:
 
 
 def test_the_log_says_once_why_there_is_no_connection() -> None:
-    world = World()
+    world = BridgeStage()
     world.configure(out=[POSE])
     channel = world.channels["telemetry"]
     for complaint in (channel.complaint, "Not authorized", "Not authorized", None, "does not answer"):
@@ -133,7 +133,7 @@ def test_the_log_says_once_why_there_is_no_connection() -> None:
 
 
 def test_retained_batches_are_sent_again_to_a_broker_that_forgot_them() -> None:
-    world = World()
+    world = BridgeStage()
     world.configure(out=[TRANSFORM])
     world.connect()
     channel = world.channels["telemetry"]
@@ -156,7 +156,7 @@ def test_retained_batches_are_sent_again_to_a_broker_that_forgot_them() -> None:
 
 
 def test_topics_of_an_older_session_are_unsubscribed() -> None:
-    world = World()
+    world = BridgeStage()
     world.configure(into=[POSE])
     world.connect()
     world.channels["telemetry"].events.received("mqtt/long/gone", encode_batch(1, 1, [b"x"]), b"")
@@ -164,7 +164,7 @@ def test_topics_of_an_older_session_are_unsubscribed() -> None:
 
 
 def test_what_is_subscribed_is_not_unsubscribed_for_a_message_that_is_for_nobody() -> None:
-    world = World()
+    world = BridgeStage()
     world.configure(into=[EVERYBODY])
     world.connect()
     world.channels["telemetry"].events.received("mqtt/vehicles/vehicle_00/pose", encode_batch(1, 1, [b"x"]), b"")
@@ -175,7 +175,7 @@ def test_what_is_subscribed_is_not_unsubscribed_for_a_message_that_is_for_nobody
 
 
 def test_nothing_is_lost_over_a_reconnection() -> None:
-    world = World()
+    world = BridgeStage()
     world.configure(out=[POSE])
     world.connect()
     channel, pose = world.channels["telemetry"], world.network.endpoint(POSE["name"])

@@ -19,17 +19,17 @@ from robotkube.robots.mqtt.core.message_properties import (
 from robotkube.robots.mqtt.core.properties import read_properties
 from robotkube.robots.ros.core.common_messages import string_text
 from robotkube.robots.ros.core.gaps import Gap
-from tests.stages.bridge.in_memory import CLOUD, POSE, World
+from tests.stages.bridge.in_memory import CLOUD, POSE, BridgeStage
 
 WHERE = "mqtt-bridge of vehicle-00"
 
 
-def gaps_sent(world: World, channel: str, place: int = -1) -> list[Gap]:
+def gaps_sent(world: BridgeStage, channel: str, place: int = -1) -> list[Gap]:
     user = read_properties(world.channels[channel].properties[place]).user
     return read_gaps(user["gaps"]) if "gaps" in user else []
 
 
-def after_an_outage(world: World) -> None:
+def after_an_outage(world: BridgeStage) -> None:
     """20 s without a broker: of 200 clouds the last ten are kept."""
     world.configure(out=[CLOUD])
     world.connect()
@@ -42,7 +42,7 @@ def after_an_outage(world: World) -> None:
 
 
 def test_clouds_of_an_outage_are_reported_with_the_first_one_after_it() -> None:
-    world = World()
+    world = BridgeStage()
     after_an_outage(world)
     assert gaps_sent(world, "bulk") == [Gap(CLOUD["name"], WHERE, MANY, 190, 0, 189)]
     assert world.logged("messages dropped") == []
@@ -58,7 +58,7 @@ def test_clouds_of_an_outage_are_reported_with_the_first_one_after_it() -> None:
 
 
 def test_a_gap_whose_batch_is_dropped_is_reported_by_the_next_one() -> None:
-    world = World()
+    world = BridgeStage()
     after_an_outage(world)
     world.channels["bulk"].lose()
     world.network.endpoint(CLOUD["name"]).waiting = [message(200, 200, 800_000)]
@@ -69,14 +69,14 @@ def test_a_gap_whose_batch_is_dropped_is_reported_by_the_next_one() -> None:
 
 
 def test_what_nobody_could_receive_is_reported_at_the_end() -> None:
-    world = World()
+    world = BridgeStage()
     after_an_outage(world)
     world.bridge.close()
     assert [fields["count"] for fields in world.logged("messages dropped")] == [190]
 
 
 def test_a_batch_that_the_broker_refuses_is_a_gap_and_a_complaint() -> None:
-    world = World()
+    world = BridgeStage()
     world.configure(out=[POSE])
     world.connect()
     for number in range(2):
@@ -88,7 +88,7 @@ def test_a_batch_that_the_broker_refuses_is_a_gap_and_a_complaint() -> None:
 
 
 def test_the_receiver_publishes_reported_gaps() -> None:
-    world = World()
+    world = BridgeStage()
     world.configure(into=[POSE], publish_gaps=True)
     world.connect()
     gap = Gap(POSE["name"], WHERE, OLD, 3, 10, 30)
@@ -102,7 +102,7 @@ def test_the_receiver_publishes_reported_gaps() -> None:
 
 
 def test_a_batch_of_another_type_or_with_broken_properties_is_refused() -> None:
-    world = World()
+    world = BridgeStage()
     world.configure(into=[POSE])
     world.connect()
     batch = encode_batch(1, 0, [b"pose"])

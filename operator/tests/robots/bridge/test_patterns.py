@@ -11,7 +11,7 @@ from robotkube.robots.bridge.loops.bridge import FORGET_SECONDS
 from robotkube.robots.mqtt.core.batches import decode_batch, encode_batch
 from robotkube.robots.mqtt.core.properties import read_properties
 from robotkube.robots.ros.core.graph import Endpoint
-from tests.stages.bridge.in_memory import EVERYBODY, POSE, TRACE, World
+from tests.stages.bridge.in_memory import EVERYBODY, POSE, TRACE, BridgeStage
 
 OTHER = "/vehicles/vehicle_03/pose"
 IKA = {**POSE, "format": "mqtt_client"}
@@ -23,7 +23,7 @@ def published(topic: str, node: str = "/player", kind: str = POSE["type"]) -> En
 
 
 def test_topics_are_found_in_the_ros_network_and_forgotten_again() -> None:
-    world = World()
+    world = BridgeStage()
     world.network.others = [
         published(POSE["name"]),
         published("/other"),
@@ -45,7 +45,7 @@ def test_topics_are_found_in_the_ros_network_and_forgotten_again() -> None:
 
 
 def test_topics_of_others_are_found_at_the_broker() -> None:
-    world = World()
+    world = BridgeStage()
     world.configure(into=[EVERYBODY])
     world.connect()
     telemetry = world.channels["telemetry"]
@@ -61,7 +61,7 @@ def test_topics_of_others_are_found_at_the_broker() -> None:
 
 
 def test_what_cannot_be_opened_is_bounded_and_forgotten_with_its_settings() -> None:
-    world = World()
+    world = BridgeStage()
     world.configure(into=[{**EVERYBODY, "type": "nowhere/msg/Odd"}])
     world.connect()
     receive, batches = world.channels["telemetry"].events.received, iter(range(10_000))
@@ -83,7 +83,7 @@ def test_what_cannot_be_opened_is_bounded_and_forgotten_with_its_settings() -> N
 
 
 def test_what_comes_in_does_not_go_out_and_what_goes_out_does_not_come_in() -> None:
-    world = World()
+    world = BridgeStage()
     world.configure(out=[EVERYBODY], into=[EVERYBODY])
     world.connect()
     telemetry = world.channels["telemetry"]
@@ -101,7 +101,7 @@ def test_what_comes_in_does_not_go_out_and_what_goes_out_does_not_come_in() -> N
 
 def test_a_topic_that_is_named_stays_when_all_are_asked_for() -> None:
     """What stays has no gap: first the new subscription, then the old one's end, and the publisher is the same."""
-    world = World()
+    world = BridgeStage()
     named = {**POSE, "name": OTHER}
     world.configure(into=[named])
     world.connect()
@@ -118,7 +118,7 @@ def test_a_topic_that_is_named_stays_when_all_are_asked_for() -> None:
 
 
 def test_the_middleware_gets_nothing_before_somebody_listens() -> None:
-    world = World()
+    world = BridgeStage()
     world.configure(into=[POSE])
     world.connect()
     sink = world.network.endpoint(POSE["name"])
@@ -135,7 +135,7 @@ def test_the_middleware_gets_nothing_before_somebody_listens() -> None:
 
 @pytest.mark.parametrize("seconds", [0.0, flows.HOLD_SECONDS_MAX])
 def test_holding_is_bounded(seconds: float) -> None:
-    world = World()
+    world = BridgeStage()
     world.configure(into=[POSE])
     world.connect()
     sink = world.network.endpoint(POSE["name"])
@@ -149,7 +149,7 @@ def test_holding_is_bounded(seconds: float) -> None:
 
 
 def test_messages_say_what_they_are() -> None:
-    world = World()
+    world = BridgeStage()
     world.configure(out=[POSE], publish_types=True, trace="cd" * 16)
     world.connect()
     world.network.endpoint(POSE["name"]).waiting = [b"\0\1\0\0" + bytes(4) + b"\x07\0\0\0rest"]
@@ -171,7 +171,7 @@ def test_messages_say_what_they_are() -> None:
 
 
 def test_without_a_trace_of_a_task_the_process_has_one() -> None:
-    world = World()
+    world = BridgeStage()
     world.configure(out=[POSE])
     world.connect()
     world.network.endpoint(POSE["name"]).waiting = [b"x"]
@@ -180,7 +180,7 @@ def test_without_a_trace_of_a_task_the_process_has_one() -> None:
 
 
 def test_mqtt_client_gets_its_type_and_one_message_each() -> None:
-    world = World()
+    world = BridgeStage()
     world.configure(out=[{**IKA, "inject_timestamp": True, "mqtt_topic": "pingpong/ros"}])
     world.connect()
     world.network.endpoint(POSE["name"]).waiting = [MESSAGE, MESSAGE]
@@ -195,7 +195,7 @@ def test_mqtt_client_gets_its_type_and_one_message_each() -> None:
 def test_messages_of_mqtt_client_are_asked_for_once_their_type_is_known(
     topic: dict[str, str], name: str, stamped: bool
 ) -> None:
-    world = World()
+    world = BridgeStage()
     world.configure(into=[topic])
     world.connect()
     telemetry = world.channels["telemetry"]
@@ -212,7 +212,7 @@ def test_messages_of_mqtt_client_are_asked_for_once_their_type_is_known(
 
 
 def test_mqtt_client_with_another_type_is_refused_in_words() -> None:
-    world = World()
+    world = BridgeStage()
     world.configure(into=[IKA])
     world.connect()
     kind = ika.encode_type(ika.RosMessageType("std_msgs/msg/String", False))
@@ -223,7 +223,7 @@ def test_mqtt_client_with_another_type_is_refused_in_words() -> None:
 
 def test_messages_of_mqtt_client_are_never_published_as_another_type() -> None:
     """Neither what a session older than the process brings before its type, nor what follows a change of the type."""
-    world = World()
+    world = BridgeStage()
     world.configure(into=[IKA])
     world.connect()
     telemetry, name = world.channels["telemetry"], "mqtt" + POSE["name"]

@@ -18,7 +18,7 @@ from robotkube.robots.mqtt.core.batches import MAGIC, encode_batch
 from robotkube.robots.mqtt.core.message_properties import GAPS_TOPIC, stamp_property, type_properties
 from robotkube.robots.mqtt.core.packets import MalformedPacketError, write_number
 from robotkube.robots.mqtt.core.properties import user_property
-from tests.stages.bridge.in_memory import EVERYBODY, POSE, World
+from tests.stages.bridge.in_memory import EVERYBODY, POSE, BridgeStage
 
 SEED = 20_261_122
 MEMORY_BYTES_MAX = 32 * 1024 * 1024
@@ -75,7 +75,7 @@ def topics(random_: random.Random) -> str:
 
 @CASES
 def test_any_message_at_any_topic(cases: int) -> None:
-    random_, world = random.Random(SEED), World()  # noqa: S311 - repeatable, not secret
+    random_, world = random.Random(SEED), BridgeStage()  # noqa: S311 - repeatable, not secret
     status = {"name": "/robotkube/task_status", "type": "std_msgs/msg/String"}
     world.configure(into=[EVERYBODY, IKA, status], publish_gaps=True)
     world.connect()

@@ -21,7 +21,7 @@ TRANSFORM = {
 }
 
 
-class World:
+class BridgeStage:
     def __init__(self) -> None:
         self.network = Network()
         self.channels: dict[str, Channel] = {}

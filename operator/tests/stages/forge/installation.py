@@ -16,7 +16,7 @@ import pygit2
 import yaml
 
 from robotkube.delivery.deployment.core.commit_messages import CommitMessage, write_message
-from robotkube.delivery.deployment.core.releases import Cause, Release, Source, write_release, write_source
+from robotkube.delivery.deployment.core.releases import Release, Source, TaskCause, write_release, write_source
 from robotkube.delivery.gate.__main__ import OBJECTS_PATH, objects_posts
 from robotkube.delivery.gate.core.proposal_checks import Proposer
 from robotkube.delivery.gate.loops.gate import Gate, gate_metrics
@@ -61,7 +61,7 @@ DIGESTS = {
     name: "sha256:" + hashlib.sha256(name.encode()).hexdigest() for name in ("mqtt-bridge", "event-detector", "old")
 }
 PARAMETERS = '{"vehicles":["vehicle-00","vehicle-01"]}'
-CAUSE = Cause("cloud-0/pose-1", "e1", "proximity", "0" * 32, "pose-point-cloud-recording", PARAMETERS)
+CAUSE = TaskCause("cloud-0/pose-1", "e1", "proximity", "0" * 32, "pose-point-cloud-recording", PARAMETERS)
 CATALOGUE = {
     "README.md": "catalogue\n",
     **policies(),

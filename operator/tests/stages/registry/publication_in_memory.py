@@ -23,8 +23,8 @@ POLICY = read_verification_policy(CATALOGUE[POLICY_PATH])
 ROUNDS_MAX = 20
 
 
-class World:
-    """The world outlives gates: `gate` starts another one."""
+class PublicationStage:
+    """Forge, catalogue and OCI registry in memory, which outlive gates: `gate` starts another one."""
 
     def __init__(self, folder: Path) -> None:
         self.signer = key(folder)
@@ -101,11 +101,11 @@ class World:
         return self.catalogue.trees[self.catalogue.tip]
 
 
-def status_of(world: World, packed: PackedChart) -> dict[str, Any]:
+def status_of(world: PublicationStage, packed: PackedChart) -> dict[str, Any]:
     return read_mapping(world.main()[entry_path(packed)], "entry")["status"]
 
 
-def assured(world: World, packed: PackedChart) -> bool:
+def assured(world: PublicationStage, packed: PackedChart) -> bool:
     """Whether the catalogue's evidence stands as a manager sees it."""
     artefact = Artefact(packed.name, packed.version, packed.digest, "linux/amd64")
     files = {p: t for p, t in world.main().items() if p.startswith(artefact.folder)}

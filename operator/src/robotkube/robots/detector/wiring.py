@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from robotkube.robots.reactions.loops.delivery_journal import DeliveryJournal
     from robotkube.robots.reactions.ports.deliveries import DeliverySender, RunningReaction, Spans
     from robotkube.robots.recording.loops.recordings import Recordings
-    from robotkube.robots.recording.ports import MountedVolumeClaim, RecordingStore
+    from robotkube.robots.recording.ports import RecordingStore, WritableVolume
     from robotkube.robots.ros.core.cdr_readers.readers import Layouts
     from robotkube.robots.ros.core.gaps import Gap
     from robotkube.robots.ros.core.ring_buffers import RingBuffer
@@ -138,7 +138,7 @@ def _open_store(pod: PodSettings) -> RecordingStore:
     return PymongoRecordingStore(connect(read_account(pod.database_folder)))
 
 
-def _open_volume_claim(root: Path, owner: str) -> MountedVolumeClaim:
+def _open_volume_claim(root: Path, owner: str) -> WritableVolume:
     from robotkube.robots.recording.adapters.volume_claim import MountedVolumeClaim
 
     return MountedVolumeClaim(root, owner, time.time_ns)

@@ -156,7 +156,7 @@ class Spool(Protocol):
         ...
 
 
-class MountedVolumeClaim(Protocol):
+class WritableVolume(Protocol):
     """The volume that a recorder writes to. Every method raises OSError when the volume is not there."""
 
     def segments(self, recording: str) -> Segments:

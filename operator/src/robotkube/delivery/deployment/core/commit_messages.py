@@ -25,7 +25,7 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from robotkube.delivery.deployment.core.releases import Cause
+from robotkube.delivery.deployment.core.releases import TaskCause
 from robotkube.errors import DocumentError
 from robotkube.foundation.documents.core.patterns import COMMIT, DIGEST, EVIDENCE, NAME, PLAN, TASK, TOKEN, VERSION
 from robotkube.registry.charts.core.references import ChartReference
@@ -62,7 +62,7 @@ class CommitMessage:
     area: str
     reason: str
     plan: str
-    causes: tuple[Cause, ...] = ()
+    causes: tuple[TaskCause, ...] = ()
     kinds: tuple[str, ...] = ()
     charts: tuple[ChartReference, ...] = ()
     evidence: tuple[str, ...] = ()
@@ -184,7 +184,7 @@ def _one(trailers: dict[str, list[str]], key: str, pattern: re.Pattern[str], pro
     return values[0]
 
 
-def _causes(trailers: dict[str, list[str]], problems: list[str]) -> tuple[Cause, ...]:
+def _causes(trailers: dict[str, list[str]], problems: list[str]) -> tuple[TaskCause, ...]:
     counts = {key: len(trailers[key]) for key in ("Task", "Event", "Rule")}
     traces = trailers["Trace"][: counts["Task"]]
     if len(set(counts.values())) > 1 or len(traces) != counts["Task"]:
@@ -199,7 +199,7 @@ def _causes(trailers: dict[str, list[str]], problems: list[str]) -> tuple[Cause,
             f"RobotKube-{key}: {v!r} must match {pattern.pattern}" for v in trailers[key] if not pattern.fullmatch(v)
         ]
     rows = zip(trailers["Task"], trailers["Event"], trailers["Rule"], traces, strict=True)
-    return tuple(Cause(task, event, rule, trace, "") for task, event, rule, trace in rows)
+    return tuple(TaskCause(task, event, rule, trace, "") for task, event, rule, trace in rows)
 
 
 def _kinds(trailers: dict[str, list[str]], problems: list[str]) -> tuple[str, ...]:

@@ -47,7 +47,7 @@ _SINGLE = {"chart": NAME, "chart-version": VERSION, "chart-digest": DIGEST, "pla
 
 
 @dataclass(frozen=True, order=True)
-class Cause:
+class TaskCause:
     """A task that a release or a commit answers: `task` is `<namespace>/<name>`, `application` the one it asked for,
     `parameters` the canonical JSON of the object it asked with."""
 
@@ -71,7 +71,7 @@ class Release:
     version: str
     digest: str
     values: Mapping[str, Any]
-    causes: tuple[Cause, ...] = ()
+    causes: tuple[TaskCause, ...] = ()
     plan: str = ""
     evidence: str = "none"
 
@@ -246,7 +246,7 @@ def _outer(
     return (metadata if isinstance(metadata, Mapping) else {}), (spec if isinstance(spec, Mapping) else {})
 
 
-def _annotations(reader: Reader, value: Any) -> tuple[dict[str, str], tuple[Cause, ...]]:
+def _annotations(reader: Reader, value: Any) -> tuple[dict[str, str], tuple[TaskCause, ...]]:
     prefix = "robotkube.io/"
     path = "metadata.annotations"
     annotations = reader.mapping(
@@ -271,7 +271,7 @@ def _annotations(reader: Reader, value: Any) -> tuple[dict[str, str], tuple[Caus
         )
         return single, ()
     order = ("tasks", "events", "rules", "traces", "applications", _PARAMETERS)
-    return single, tuple(Cause(*row) for row in zip(*(lists[key] for key in order), strict=True))
+    return single, tuple(TaskCause(*row) for row in zip(*(lists[key] for key in order), strict=True))
 
 
 def _words(reader: Reader, value: Any, path: str, pattern: re.Pattern[str]) -> list[str]:

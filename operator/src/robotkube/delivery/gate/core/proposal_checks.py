@@ -20,7 +20,7 @@ from robotkube.delivery.deployment.core.policies.merge import PATH as MERGE_PATH
 from robotkube.delivery.deployment.core.policies.merge import read_merge_policy
 from robotkube.delivery.deployment.core.policies.updates import PATH as UPDATES_PATH
 from robotkube.delivery.deployment.core.policies.updates import read_update_policy
-from robotkube.delivery.deployment.core.releases import RELEASES, SOURCES, Cause, Release, Tree
+from robotkube.delivery.deployment.core.releases import RELEASES, SOURCES, Release, TaskCause, Tree
 from robotkube.delivery.gate.core.release_checks import Rules, release_problems, source_problems
 from robotkube.errors import DocumentError
 from robotkube.foundation.documents.core.defaults import with_defaults
@@ -339,6 +339,6 @@ def _named_tasks(message: CommitMessage, changed: Sequence[ChangedRelease]) -> I
             yield f"RobotKube-Task: event, rule or trace of {task} differ from the annotations of its releases"
 
 
-def _causes(release: Release | None) -> tuple[Cause, ...]:
+def _causes(release: Release | None) -> tuple[TaskCause, ...]:
     """The causes of a release as a commit names them: without application and parameters."""
-    return tuple(Cause(c.task, c.event, c.rule, c.trace, "") for c in release.causes) if release else ()
+    return tuple(TaskCause(c.task, c.event, c.rule, c.trace, "") for c in release.causes) if release else ()

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from robotkube.delivery.deployment.core.releases import Cause, Release, Source
+from robotkube.delivery.deployment.core.releases import Release, Source, TaskCause
 from robotkube.errors import InputError
 from robotkube.foundation.documents.core.defaults import with_defaults
 from robotkube.registry.catalogue.core.catalogue import Catalogue
@@ -115,7 +115,7 @@ def _parameters(release: Release, rules: Rules) -> Iterable[str]:
         yield from _parameters_of(cause, rules)
 
 
-def _parameters_of(cause: Cause, rules: Rules) -> Iterable[str]:
+def _parameters_of(cause: TaskCause, rules: Rules) -> Iterable[str]:
     application = rules.catalogue.applications.get(cause.application)
     if application is None:
         known = ", ".join(sorted(rules.catalogue.applications)) or "none"

@@ -10,9 +10,9 @@ from hashlib import sha256
 
 from robotkube.delivery.deployment.core.commit_messages import INITIAL, CommitMessage
 from robotkube.delivery.deployment.core.releases import (
-    Cause,
     ChartOf,
     Release,
+    TaskCause,
     Tree,
     chart_of,
     source_of,
@@ -169,7 +169,7 @@ def lost_node_text(changes: Iterable[Change], fleet: Fleet, now_ns: int) -> str:
     return "; ".join(f"{why}: {', '.join(moves)}" for why, moves in sorted(moved.items()))
 
 
-def answered_and_withdrawn(changes: Iterable[Change]) -> tuple[frozenset[Cause], frozenset[Cause]]:
+def answered_and_withdrawn(changes: Iterable[Change]) -> tuple[frozenset[TaskCause], frozenset[TaskCause]]:
     """The tasks that the changes newly answer, and those that they no longer answer anywhere among changed releases."""
     after = {c for change in changes if change.after for c in change.after.causes}
     before = {c for change in changes if change.before for c in change.before.causes}
@@ -217,8 +217,8 @@ def _evidence(changes: Iterable[Change]) -> dict[ChartReference, str]:
 
 def _reason(
     changes: tuple[Change, ...],
-    come: frozenset[Cause],
-    go: frozenset[Cause],
+    come: frozenset[TaskCause],
+    go: frozenset[TaskCause],
     tasks: Mapping[str, TaskDescription],
     catalogue: Catalogue,
 ) -> tuple[str, str]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
-from robotkube.delivery.deployment.core.releases import Cause
+from robotkube.delivery.deployment.core.releases import TaskCause
 from robotkube.delivery.manager.core.composition.inputs import Met, Refused
 from robotkube.delivery.manager.core.conflicts import DemandOutcome, History, Postponed, Resolution
 from robotkube.delivery.manager.core.standing_demands import (
@@ -33,7 +33,7 @@ class DemandLedger:
         self._reader = TaskReader()
         self._known: dict[str, tuple[_Stamp, PastDecision]] = {}
         self._outcomes: dict[str, DemandOutcome] = {}
-        self._causes: Collection[Cause] = ()
+        self._causes: Collection[TaskCause] = ()
         self._answered: frozenset[str] = frozenset()
         self._asked: frozenset[tuple[str, str]] = frozenset()
         self.demands = StandingDemands()
@@ -63,7 +63,7 @@ class DemandLedger:
             return demands.live.get(key) or demands.refused[key]
         return Refused(SUPERSEDED, "it is being deleted")
 
-    def history(self, causes: Collection[Cause]) -> History:
+    def history(self, causes: Collection[TaskCause]) -> History:
         """Earlier decisions about the demands that stand; `causes` are those of main's releases."""
         decided = [(key, memory) for key, (_, memory) in self._known.items() if memory is not NOTHING_TO_REMEMBER]
         answered, parameters = self._asked_for(causes)
@@ -75,7 +75,7 @@ class DemandLedger:
             frozenset(key for key, task in self.demands.live.items() if (key, task.cause.parameters) not in parameters),
         )
 
-    def _asked_for(self, causes: Collection[Cause]) -> tuple[frozenset[str], frozenset[tuple[str, str]]]:
+    def _asked_for(self, causes: Collection[TaskCause]) -> tuple[frozenset[str], frozenset[tuple[str, str]]]:
         """The tasks of the causes, and what each asked with; computed once for the same object."""
         if self._causes is not causes:
             self._causes = causes

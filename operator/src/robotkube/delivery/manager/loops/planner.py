@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from robotkube.delivery.deployment.core.commit_messages import NODE, REVERTS_MAX
-from robotkube.delivery.deployment.core.releases import Cause, Release, Tree
+from robotkube.delivery.deployment.core.releases import Release, TaskCause, Tree
 from robotkube.delivery.manager.core.composition.composer import (
     Composition,
     Demand,
@@ -104,7 +104,7 @@ class Planner:
         self._logged_refusals: frozenset[str] = frozenset()
         self._turn = 0
         self._now_ns = 0
-        self._main_causes: tuple[Tree, Sequence[Cause], frozenset[str]] = Tree({}, {}), (), frozenset()
+        self._main_causes: tuple[Tree, Sequence[TaskCause], frozenset[str]] = Tree({}, {}), (), frozenset()
         self._demands: dict[str, Demand] = {}
         self._planned_tasks: list[TaskDescription] = []
         self.desired = Composition({}, {})
@@ -268,7 +268,7 @@ class Planner:
         self._causes()
         return self._main_causes[2]
 
-    def _causes(self) -> Sequence[Cause]:
+    def _causes(self) -> Sequence[TaskCause]:
         """The causes of main's releases; looked up once per main."""
         tree = self._main.tree
         if self._main_causes[0] is not tree:

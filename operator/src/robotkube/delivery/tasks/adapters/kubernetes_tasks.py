@@ -25,7 +25,7 @@ Object = Mapping[str, Any]
 Query = Sequence[tuple[str, str]]
 
 
-class ApiCall(Protocol):
+class _ApiCall(Protocol):
     """One request to the API server, and its open answer."""
 
     def __call__(
@@ -36,7 +36,7 @@ class ApiCall(Protocol):
 class KubernetesTasks:
     """The port TaskWriter at the API server. With `dry_run` the server checks each write, and changes nothing."""
 
-    def __init__(self, call: ApiCall, dry_run: bool = False) -> None:
+    def __init__(self, call: _ApiCall, dry_run: bool = False) -> None:
         self._call = call
         self._query = (*STRICT, *(DRY_RUN if dry_run else ()))
 

@@ -1,16 +1,17 @@
 """The task gateway's session at the broker (MQTT 5): messages are acknowledged only when the gateway says so.
 
-Port GatewayChannel. paho's own thread reads and connects again, with a bounded pause; the session stays at the broker
-for SESSION_SECONDS. The broker is asked to have at most UNACKNOWLEDGED_MAX messages under way, and of one that is too
-long for a task only its size is kept. Of a broker that sends more nevertheless, what comes beyond WAITING_MAX messages
-or WAITING_BYTES_MAX is left: when what waits is done with, the connection is broken off, and what was not acknowledged
-comes again with the next one, in its order.
+Port GatewayChannel. paho's own thread reads and connects again, after a bounded pause with jitter; the session stays at
+the broker for SESSION_SECONDS. The broker is asked to have at most UNACKNOWLEDGED_MAX messages under way, and of one
+that is too long for a task only its size is kept. Of a broker that sends more nevertheless, what comes beyond
+WAITING_MAX messages or WAITING_BYTES_MAX is left: when what waits is done with, the connection is broken off, and what
+was not acknowledged comes again with the next one, in its order.
 """
 
 from __future__ import annotations
 
 import contextlib
 import queue
+import random
 import socket
 import threading
 from collections.abc import Sequence
@@ -21,6 +22,7 @@ from paho.mqtt.enums import CallbackAPIVersion
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
+from robotkube.backoffs import Random, backoff
 from robotkube.delivery.tasks.core.mqtt_messages import MESSAGE_BYTES_MAX
 from robotkube.delivery.tasks.ports.mqtt_gateway import GatewayMessage
 from robotkube.writes import writes
@@ -28,8 +30,8 @@ from robotkube.writes import writes
 SESSION_SECONDS = 24 * 3600
 KEEPALIVE_SECONDS = 15
 CONNECT_SECONDS_MAX = 5.0
-PAUSE_SECONDS_MIN = 1
-PAUSE_SECONDS_MAX = 10
+BACKOFF_SECONDS_MIN = 1.0
+BACKOFF_SECONDS_MAX = 10.0
 UNACKNOWLEDGED_MAX = 16
 WAITING_MAX = 1000
 WAITING_BYTES_MAX = 32 * 1024 * 1024
@@ -41,9 +43,19 @@ FAILURE = 0x80
 class PahoGateway:
     """The port GatewayChannel: the session `client_id` of an account."""
 
-    def __init__(self, host: str, port: int, username: str, password: str, client_id: str) -> None:
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        username: str,
+        password: str,
+        client_id: str,
+        jitter: Random = random.random,
+    ) -> None:
         self._host = host
         self._port = port
+        self._jitter = jitter
+        self._failures = 0
         self._waiting: queue.Queue[GatewayMessage] = queue.Queue()
         self._waiting_bytes = 0
         self._overrun = self._breaking_off = False
@@ -54,7 +66,6 @@ class PahoGateway:
         client = mqtt.Client(CallbackAPIVersion.VERSION2, client_id, protocol=mqtt.MQTTv5, manual_ack=True)
         client.username_pw_set(username, password)
         client.connect_timeout = CONNECT_SECONDS_MAX
-        client.reconnect_delay_set(PAUSE_SECONDS_MIN, PAUSE_SECONDS_MAX)
         client.max_queued_messages_set(ANSWERS_QUEUED_MAX)
         client.on_connect = self._connected
         client.on_disconnect = self._disconnected
@@ -126,6 +137,7 @@ class PahoGateway:
         if reason.is_failure:
             self._complain(f"the broker refuses the connection: {reason}; check its account")
             return
+        self._failures = 0
         with self._lock:
             self._begin()
         client.subscribe([(topic, QOS) for topic in self._topics])
@@ -143,9 +155,17 @@ class PahoGateway:
             self._begin()
         self._forget()
         self._complain(f"the connection was lost: {reason}")
+        self._put_off_next_attempt()
 
     def _failed(self, client: Any, userdata: Any) -> None:
         self._complain(f"the broker {self._host}:{self._port} does not answer")
+        self._put_off_next_attempt()
+
+    def _put_off_next_attempt(self) -> None:
+        """Tell paho, which waits after this, for how long: its own pauses are the same for all clients of a broker."""
+        pause: Any = backoff(self._failures, BACKOFF_SECONDS_MIN, BACKOFF_SECONDS_MAX, self._jitter)
+        self._failures += 1
+        self._client.reconnect_delay_set(pause, pause)
 
     def _complain(self, text: str) -> None:
         self._complaint = f"task gateway: {text}"

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-from robotkube.delivery.deployment.core.releases import Cause, canonical
+from robotkube.delivery.deployment.core.releases import TaskCause, canonical
 from robotkube.errors import DocumentError
 from robotkube.foundation.documents.core.patterns import CAPABILITY, NAME, TASK, TOKEN
 from robotkube.foundation.documents.core.reader import Reader
@@ -192,9 +192,9 @@ class TaskDescription:
         return f"{self.namespace}/{self.name}"
 
     @cached_property
-    def cause(self) -> Cause:
+    def cause(self) -> TaskCause:
         """The task as release files and commits name it."""
-        return Cause(self.key, self.event, self.rule, self.trace, self.application, canonical(self.parameters))
+        return TaskCause(self.key, self.event, self.rule, self.trace, self.application, canonical(self.parameters))
 
     @property
     def parent(self) -> str:

@@ -204,8 +204,9 @@ class ConfigMapWatch:
     """The watch of one ConfigMap: `changed` gets its data after every change and at the beginning, None when there is
     none.
 
-    Runs on a thread of its own and never gives up: a lost connection is taken up again after 0.5 to 10 s. An exception
-    in `changed` is reported by `failed` (a sentence) and the watch goes on. `complaint` is None while it is connected.
+    Runs on a thread of its own and never gives up: a lost connection is made again after a pause with jitter, at most
+    BACKOFF_SECONDS_MAX. An exception in `changed` is reported by `failed` (a sentence) and the watch goes on.
+    `complaint` is None while it is connected.
     `read_at` and `interrupted_at` as in the port SettingsSource, by `clock`.
     """
 

@@ -89,7 +89,9 @@ class HealthServer:
         try:
             status, kind, body = self._answer(path) if method != "POST" else self._obey(path, sent, address)
         except Exception as error:  # a page that fails must not end the server
-            status, kind, body = 500, "text/plain", f"{path}: {type(error).__name__}: {error}\n"
+            status = 500
+            kind = "text/plain"
+            body = f"{path}: {type(error).__name__}: {error}\n"
         return _message(status, kind, body)
 
     def _obey(self, path: str, sent: bytes, address: str) -> tuple[int, str, str]:

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from robotkube.errors import InputError, UnavailableError
+from robotkube.foundation.documents.core.json_codec import read_json
 
 SECONDS_MAX = 5.0
 PROCESSOR_SECONDS_MAX = 3_600  # of one process, over all its renderings
@@ -63,7 +64,7 @@ class ChartRenderer:
             process = self._process = self._process or self._start()
             text = self._exchange(process, line)
             if text.endswith(b"\n"):
-                return dict(json.loads(text))
+                return _read(text)
             words = self._end()
             if process.returncode == NOT_STARTED:
                 raise UnavailableError(f"charts cannot be rendered: {words}; the image needs {self._path}")
@@ -104,3 +105,11 @@ class ChartRenderer:
         process.kill()
         _, said = process.communicate()
         return said.decode("utf-8", "replace").strip()[:WORDS_MAX]
+
+
+def _read(line: bytes) -> Mapping[str, Any]:
+    """The program's answer; what a chart renders to may be of any depth."""
+    try:
+        return dict(read_json(line))
+    except ValueError as error:
+        raise InputError(f"the chart cannot be rendered: its objects are {error}") from error

@@ -1,7 +1,8 @@
 """A chart as a registry gives it, back to files: everything is bounded and nothing is believed but the digests.
 
 Only what `packing` writes is accepted: plain files of one folder in a ustar archive. Links, other kinds of members,
-paths that leave the folder and archives that grow beyond a bound are refused before anything is made of them.
+hidden files, paths that leave the folder and archives that grow beyond a bound are refused before anything is made of
+them. Argo CD lays what a hidden `.argocd-source.yaml` says over a release's values, which nobody would have checked.
 """
 
 from __future__ import annotations
@@ -148,6 +149,9 @@ def _path(where: str, chart: str, member: tarfile.TarInfo) -> str:
     parts = path.split("/")
     if folder != chart or not all(ARCHIVE_PART.fullmatch(part) and part.strip(".") for part in parts):
         raise DocumentError(where, [f"{member.name[:100]!r}: every file must be plainly below {chart}/"])
+    if any(part.startswith(".") for part in parts):
+        problem = "a hidden file; Argo CD takes settings from some, so leave it out of the chart"
+        raise DocumentError(where, [f"{member.name!r}: {problem}"])
     return path
 
 

@@ -96,8 +96,8 @@ class VerifiedStatement:
 
 @dataclass(frozen=True)
 class Assessment:
-    """Whether evidence covers a chart version. `evidence` is the summary envelope's digest (empty when there is none);
-    `problems` are sentences, empty exactly when `assured`."""
+    """The judgement on the evidence of a chart version: `assured` when it covers the version. `evidence` is the summary
+    envelope's digest (empty when there is none); `problems` are sentences, empty exactly when `assured`."""
 
     assured: bool
     evidence: str = ""
@@ -182,7 +182,7 @@ def assess(
     statements: Mapping[str, VerifiedStatement | str],
     listing: Listing,
 ) -> Assessment:
-    """Whether `statements` prove that `artefact` meets `policy`, and that `listing` is what was verified.
+    """Judge evidence: do `statements` prove that `artefact` meets `policy`, and that `listing` is what was verified?
 
     `statements` is suite name (or "summary") -> what verifying its envelope gave: the statement, or the sentence why
     the envelope is refused. `status_evidence` is the catalogue's `status.evidence`; empty means none is stated."""

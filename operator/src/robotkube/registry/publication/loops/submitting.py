@@ -7,10 +7,12 @@ twice is one pull request.
 
 from __future__ import annotations
 
+import random
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
 
+from robotkube.backoffs import Random, backoff
 from robotkube.errors import AccountRefusedError, InputError, UnavailableError
 from robotkube.foundation.documents.core.digests import canonical_json, sha256
 from robotkube.foundation.forge.ports.pull_requests import Forge, PullRequest
@@ -30,6 +32,8 @@ from robotkube.registry.publication.ports import ChartSource, SubmittedSources
 
 PUBLISHED, UNCHANGED, REFUSED, PLANNED = "published", "unchanged", "refused", "planned"
 POLL_SECONDS = 0.5  # at the pull request
+RETRY_SECONDS_FIRST = 0.5  # of a forge that does not answer
+RETRY_SECONDS_MAX = 5.0
 UNAVAILABLE_SECONDS_MAX = 60.0  # the forge may be silent this long
 TOPIC_DIGITS = 16
 
@@ -74,6 +78,7 @@ class Submitting:
         sleep: Callable[[float], None],
         report_line: Callable[[str], None] = lambda line: None,
         opened: Callable[[PullRequest], None] = lambda pull: None,
+        jitter: Random = random.random,
     ) -> None:
         self._catalogue = catalogue
         self._proposals = proposals
@@ -84,6 +89,7 @@ class Submitting:
         self._sleep = sleep
         self._report_line = report_line
         self._opened = opened
+        self._jitter = jitter
 
     def submit(
         self, sources: SubmittedSources, wait_seconds: float, dry_run: bool = False, again: bool = False
@@ -207,6 +213,7 @@ class Submitting:
         """The call's answer; a forge that does not answer is asked again within UNAVAILABLE_SECONDS_MAX, one that
         refuses the account is not."""
         end = self._monotonic() + UNAVAILABLE_SECONDS_MAX
+        failures = 0
         while True:
             try:
                 return call()
@@ -215,7 +222,8 @@ class Submitting:
             except UnavailableError:
                 if self._monotonic() >= end:
                     raise
-                self._sleep(POLL_SECONDS)
+                self._sleep(backoff(failures, RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX, self._jitter))
+                failures += 1
 
 
 def _outcome(about: SubmissionOutcome, verdict: str, **more: Any) -> SubmissionOutcome:

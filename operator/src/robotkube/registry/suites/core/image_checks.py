@@ -93,7 +93,7 @@ def label_problems(image: str, settings: Mapping[str, Any]) -> Iterator[str]:
 
 
 def start_problems(started: Started, settings: Mapping[str, Any]) -> Iterator[str]:
-    """Whether PID 1 gets SIGTERM: a shell that waits for its command does not pass it on."""
+    """Problems of what runs as PID 1: it has to get SIGTERM, which a shell that waits does not pass on."""
     words = started.words(settings)
     if not words:
         yield f"{started.place}: neither the chart nor the image says what to run"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from robotkube.foundation.runtime.loops.fencing import Fencing
 
 if TYPE_CHECKING:
-    from robotkube.robots.recording.ports import MountedVolumeClaim, RecordingStore
+    from robotkube.robots.recording.ports import RecordingStore, WritableVolume
 
 ROUND_SECONDS = 0.25
 QUEUE_BYTES_MAX = 256 * 1024 * 1024
@@ -25,7 +25,7 @@ class RecorderPlace:
 
     volume: str
     open_store: Callable[[], RecordingStore]
-    open_volume_claim: Callable[[], MountedVolumeClaim]
+    open_volume_claim: Callable[[], WritableVolume]
     clock_ns: Callable[[], int]
     monotonic: Callable[[], float]
     fencing: Fencing = field(default_factory=Fencing)

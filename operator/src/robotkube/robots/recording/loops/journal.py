@@ -29,7 +29,7 @@ from robotkube.robots.recording.loops.segment_repair import repair_segments
 from robotkube.robots.recording.ports import NO_SPACE
 
 if TYPE_CHECKING:
-    from robotkube.robots.recording.ports import MountedVolumeClaim, RecordingStore, Spool
+    from robotkube.robots.recording.ports import RecordingStore, Spool, WritableVolume
 
 RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX = 0.25, 5.0
 WRITES_AT_ONCE_MAX = 2000
@@ -72,7 +72,7 @@ class Journal:
         self._jitter = jitter
         self.counts = JournalCounts()
         self.store: RecordingStore | None = None
-        self.volume_claim: MountedVolumeClaim | None = None
+        self.volume_claim: WritableVolume | None = None
         self.failed = ""
         self.life = place.clock_ns()
         self._spool: Spool | None = None

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from robotkube.delivery.deployment.core.releases import Cause, Release
+from robotkube.delivery.deployment.core.releases import Release, TaskCause
 from robotkube.delivery.manager.core.composition.assignments import Assignments
 from robotkube.delivery.manager.core.composition.expansion import Expansion
 from robotkube.delivery.manager.core.composition.index import Index
@@ -29,7 +29,7 @@ class Contribution:
     shares: str = ""
 
     @cached_property
-    def cause(self) -> Cause | None:
+    def cause(self) -> TaskCause | None:
         """The task's cause under the application that answers it; None for the initial configuration."""
         if self.demand.task is None or not self.shares:
             return self.expansion.cause

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from robotkube.delivery.deployment.core.releases import Cause, Release, application_name
+from robotkube.delivery.deployment.core.releases import Release, TaskCause, application_name
 from robotkube.delivery.manager.core.composition.assignments import Assignments
 from robotkube.delivery.manager.core.composition.co_location import Instance, groups, instances
 from robotkube.delivery.manager.core.composition.index import Index, Lookup
@@ -44,7 +44,7 @@ class Expansion:
 
     demand: Demand
     application: str
-    cause: Cause | None
+    cause: TaskCause | None
     releases: dict[str, Release] = field(default_factory=dict)
     merged_lists: dict[str, tuple[str, ...]] = field(default_factory=dict)
     topics: MergedTopics = field(default_factory=MergedTopics)

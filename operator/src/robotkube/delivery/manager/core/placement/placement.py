@@ -437,20 +437,21 @@ def _candidates(fleet: Fleet, wanted: AgentCriteria) -> Candidates:
         agents = fleet.of_role.get(wanted.role, ())
     else:
         agents = sorted({a for role in wanted.roles for a in fleet.of_role.get(role, ())})
-    free, stay, obstacles = [], set(), dict[str, Reason]()
+    free = []
+    stay = set()
+    obstacles = dict[str, Reason]()
     if fleet.homes:
         agents = [place for agent in agents for place in _places(fleet, agent, wanted)]
     for agent in agents:
         nodes = fleet.machines(agent)
-        reason = _lack(agent, nodes, wanted)
-        if reason is None:
-            stay.add(agent.place)
-            if wanted.named or any(n.ready and not n.cordoned and not n.lost for n in nodes):
-                free.append(agent)
-            else:
-                obstacles[agent.place] = ("no Node is Ready and schedulable", "")
-        else:
+        if reason := _lack(agent, nodes, wanted):
             obstacles[agent.place] = reason
+            continue
+        stay.add(agent.place)
+        if wanted.named or any(n.ready and not n.cordoned and not n.lost for n in nodes):
+            free.append(agent)
+        else:
+            obstacles[agent.place] = ("no Node is Ready and schedulable", "")
     lost = frozenset(name for name, (kind, _) in obstacles.items() if kind == LOST)
     return Candidates(tuple(free), frozenset(stay), obstacles, tuple(agents), lost)
 
