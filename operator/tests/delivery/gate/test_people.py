@@ -1,4 +1,4 @@
-"""Pull requests of people: checked, and merged by the gate alone when another person approved exactly what it checked."""
+"""Pull requests of people: merged by the gate alone, when another person approved exactly what it checked."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path

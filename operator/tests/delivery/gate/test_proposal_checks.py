@@ -502,9 +502,7 @@ HEAD = "c" * 40
 
 
 def test_the_refusal_is_readable_and_bounded() -> None:
-    text = verdict_comments.refusal_text(
-        HEAD, [f"problem\n{n}" for n in range(merge_comments.PROBLEMS_SHOWN_MAX + 3)]
-    )
+    text = verdict_comments.refusal_text(HEAD, [f"problem\n{n}" for n in range(merge_comments.PROBLEMS_SHOWN_MAX + 3)])
     assert text.startswith("Refused cccccccccccc: the gate does not merge this commit.\n")
     assert "- problem 0\n" in text
     assert text.endswith("- and 3 more\n")
