@@ -1,4 +1,4 @@
-"""The scenario's person against a real forge and gate: proposes a policy that another approves, reads the history back."""
+"""The scenario's person against a real forge and gate: proposes a policy, has it approved, reads the history back."""
 
 import time
 from urllib.parse import urlparse
