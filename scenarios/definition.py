@@ -47,13 +47,15 @@ class Parameters:
 
 @dataclass(frozen=True)
 class Story:
-    """Names of the things the run waits for: account of the person, applications, rule, agent that records.
+    """Names of the things the run waits for: accounts of the person and of who approves what that person proposes,
+    applications, rule, agent that records.
 
     `rule`, `application` and `recording_agent` are empty where nothing is recorded; `policies` are further entries that
     the person adds to policies/initial.yaml, as they stand there; `ready` are releases that a run begins with.
     """
 
     person: str
+    approver: str
     player_application: str = ""
     rule: str = ""
     application: str = ""

@@ -53,6 +53,11 @@ class Access:
         secret = self._call(self.core.read_namespaced_secret, f"secret {namespace}/{name}", name, namespace)
         return {key: base64.b64decode(value).decode() for key, value in (secret.data or {}).items()}
 
+    def forge_account(self, name: str) -> tuple[str, str]:
+        """Name and password of an account of the forge."""
+        secret = self.secret(PLATFORM, f"forge-account-{name}")
+        return secret["username"], secret["password"]
+
     def configmap(self, namespace: str, name: str) -> dict[str, str]:
         """A ConfigMap's values."""
         configmap = self._call(self.core.read_namespaced_config_map, f"configmap {namespace}/{name}", name, namespace)

@@ -1,6 +1,7 @@
 """The forge's repositories as the run sees them: releases, commits and files by Git, pull requests by the forge's API.
 
-A person's change is made as people make them: a commit proposed by AGit (refs/for/main), merged by the forge.
+A person's change is made as people make them: a commit proposed by AGit (refs/for/main), approved by another person,
+merged by the gate.
 """
 
 from __future__ import annotations
@@ -23,7 +24,6 @@ from scenarios.runner.waiting import RunError
 
 REPOSITORY, CATALOGUE, BRANCH = "robotkube/deployment", "robotkube/catalogue", "main"
 TRAILER = re.compile(r"^RobotKube-([A-Za-z]+): (.*)$", re.MULTILINE)
-MERGE_STYLES = ("fast-forward-only", "rebase")
 ANSWER_SECONDS_MAX = 15.0
 PULL_REQUESTS_PER_PAGE = 50
 PAGES_MAX = 20
@@ -43,10 +43,19 @@ class _Account(pygit2.RemoteCallbacks):
 
 
 class Deployment:
-    """A bare clone of `name` in a temporary folder and a connection to the forge, as one person's account."""
+    """A bare clone of `name` in a temporary folder and a connection to the forge, as one person's account; `approver`:
+    account and password of the person who approves what this one proposes."""
 
-    def __init__(self, forge: Endpoint, username: str, password: str, name: str = REPOSITORY) -> None:
+    def __init__(
+        self,
+        forge: Endpoint,
+        username: str,
+        password: str,
+        name: str = REPOSITORY,
+        approver: tuple[str, str] | None = None,
+    ) -> None:
         self._user = username
+        self._approver = approver
         self._name = name
         self._url = f"http://{forge.host}:{forge.port}"
         self._client = httpx.Client(
@@ -159,18 +168,16 @@ class Deployment:
         part = self._call("GET", "/pulls", params={"state": "all", "limit": PULL_REQUESTS_PER_PAGE})
         return next((int(item["number"]) for item in part if (item.get("head") or {}).get("sha") == commit), None)
 
-    def merge(self, number: int) -> str:
-        """Asks the forge to merge, as proposed if main has not moved, else on top of it; returns its refusal or ""."""
-        refusals = []
-        for style in MERGE_STYLES:
-            try:
-                answer = self._client.post(f"/pulls/{number}/merge", json={"Do": style})
-            except httpx.HTTPError as error:
-                return f"no answer: {error or type(error).__name__}"
-            if answer.is_success:
-                return ""
-            refusals.append(f"{style}: {answer.status_code} {answer.text[:200].strip()}")
-        return "; ".join(refusals)
+    def approve(self, number: int, commit: str) -> None:
+        """A review "approve" of exactly `commit` by the other person; RunError when the forge does not take it."""
+        if self._approver is None:
+            raise RunError(f"pull request #{number} of {self._user}: nobody was named who approves it")
+        body = {"event": "APPROVED", "commit_id": commit, "body": ""}
+        self._call("POST", f"/pulls/{number}/reviews", json=body, auth=self._approver)
+
+    def comments(self, number: int) -> str:
+        """What was said about a pull request."""
+        return "\n".join(str(item["body"]) for item in self._call("GET", f"/issues/{number}/comments"))
 
     def _call(self, method: str, path: str, **options: Any) -> Any:
         try:

@@ -129,12 +129,11 @@ def _run(scenario: Scenario, cluster: str, made: Mapping[str, Path], seconds: di
     provider = Embedded(cluster, Path())
     access = Access(provider.kubeconfig())
     _check_nodes(scenario, provider)
-    person, broker = access.secret("robotkube", f"forge-account-{scenario.story.person}"), access.endpoint("broker")
-    account = access.secret("robotkube", "broker-account-observer")
-    forge = access.endpoint("forge")
-    account_of_person = (person["username"], person["password"])
+    broker, account = access.endpoint("broker"), access.secret("robotkube", "broker-account-observer")
+    forge, story = access.endpoint("forge"), scenario.story
+    account_of_person, approver = access.forge_account(story.person), access.forge_account(story.approver)
     with (
-        Deployment(forge, *account_of_person) as deployment,
+        Deployment(forge, *account_of_person, approver=approver) as deployment,
         Deployment(forge, *account_of_person, CATALOGUE) as catalogue,
     ):
         actor = Actor(access, provider, releases=lambda: _fetched(deployment), progress=_print_progress)

@@ -1,6 +1,33 @@
 {{- /* Accounts besides the administrator; what each may do: docs/reference/settings.md. */ -}}
 {{- define "robotkube.forgeAccounts" -}}
-{{ include "robotkube.managerNames" . }} gate argocd publisher image-publisher suite-runner operator-team
+{{ include "robotkube.managerNames" . }} gate argocd publisher image-publisher suite-runner {{ include "robotkube.people" . }}
+{{- end }}
+
+{{- /* Accounts of people, separated by blanks; the first ones of the values when an upgrade reuses older values. */ -}}
+{{- define "robotkube.people" -}}
+{{ join " " (.Values.forge.people | default (list "operator-team" "reviewer")) }}
+{{- end }}
+
+{{- /* What is wrong with them, one line each. */ -}}
+{{- define "robotkube.peopleRefusals" -}}
+{{- $people := splitList " " (include "robotkube.people" .) }}
+{{- $taken := splitList " " (include "robotkube.platformNames" .) }}
+{{- if lt (len (uniq $people)) 2 }}
+{{ print "forge.people: nobody may approve what he proposed himself, so with fewer than two accounts nothing that people propose could be merged. Name two or more, each once." }}
+{{- end }}
+{{- range $name := $people }}
+{{- if not (regexMatch "^[a-z]([-a-z0-9]{0,28}[a-z0-9])?$" $name) }}
+{{ printf "forge.people: %q becomes an account and a Secret. Use at most 30 lower case letters, digits and hyphens, a letter first." $name }}
+{{- end }}
+{{- if has $name $taken }}
+{{ printf "forge.people: %q belongs to a part of the platform. Use another name." $name }}
+{{- end }}
+{{- end }}
+{{- end }}
+
+{{- /* Names that neither a manager nor a person may have. */ -}}
+{{- define "robotkube.platformNames" -}}
+administrator argocd bootstrap broker database default forge gate image-publisher observer publisher robotkube staging staging-publisher suite-runner teardown verified
 {{- end }}
 
 {{- /* Who hears from the forge. Each has a secret of its own, so that none can speak to another in the forge's name. */ -}}

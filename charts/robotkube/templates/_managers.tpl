@@ -62,7 +62,7 @@
 {{- /* What is wrong with each of `managers` by itself, one line each. Whether they fit together is said by the managers and the gate
        when they start (robotkube.delivery.manager.core.placement.scopes). */ -}}
 {{- define "robotkube.managerRefusals" -}}
-{{- $taken := list "administrator" "argocd" "bootstrap" "broker" "database" "default" "forge" "gate" "image-publisher" "observer" "operator-team" "publisher" "robotkube" "staging" "staging-publisher" "suite-runner" "teardown" "verified" }}
+{{- $taken := concat (splitList " " (include "robotkube.platformNames" .)) (splitList " " (include "robotkube.people" .)) }}
 {{- $declared := list }}{{ range .Values.agents }}{{ $declared = append $declared .name }}{{ end }}
 {{- $managers := fromYamlArray (include "robotkube.managers" .) }}
 {{- if .Values.manager }}

@@ -86,6 +86,7 @@ webhook:
 
 {{- define "robotkube.bootstrapSettings" -}}
 {{- $readers := include "robotkube.managerNames" . | replace " " ": read, " -}}
+{{- $people := include "robotkube.people" . | replace " " ": write, " -}}
 log_level: {{ .Values.logLevel }}
 wait_seconds: {{ .Values.bootstrap.waitSeconds | int }}
 {{- if eq .Values.forge.kind "gitea" }}
@@ -106,13 +107,13 @@ forge:
     description: What runs on the fleet, one file per release
     branch: main
     seed: /etc/robotkube/seed/deployment
-    access: { {{- $readers }}: read, gate: write, argocd: read, operator-team: write}
+    access: { {{- $readers }}: read, gate: write, argocd: read, {{ $people }}: write}
     main: [gate]
   - name: robotkube/catalogue
     description: What may be deployed
     branch: main
     seed: /etc/robotkube/seed/catalogue
-    access: { {{- $readers }}: read, gate: write, publisher: read, operator-team: write}
+    access: { {{- $readers }}: read, gate: write, publisher: read, {{ $people }}: write}
     main: [gate]
   webhooks:
   {{- range $process := splitList " " (include "robotkube.hearers" .) }}

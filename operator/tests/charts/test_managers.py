@@ -109,9 +109,9 @@ def holders(rendered: Any) -> dict[str, set[str]]:
 
 def test_the_policy_merges_by_itself_what_is_in_the_authors_scope(two: Any, official: Any) -> None:
     policy = read_merge_policy(two.one("ConfigMap", "bootstrap-seed")["data"]["deployment--policies--merge.yaml"])
-    assert policy.way("manager-north", ["releases/vehicle-01/a.yaml", "sources/vehicle-01/b.yaml"]) == AUTOMATIC
-    assert policy.way("manager-north", ["releases/vehicle-00/a.yaml"]) != AUTOMATIC
-    assert policy.way("manager", ["releases/vehicle-00/a.yaml"]) == AUTOMATIC
+    assert policy.way_of_plan("manager-north", ["releases/vehicle-01/a.yaml", "sources/vehicle-01/b.yaml"]) == AUTOMATIC
+    assert policy.way_of_plan("manager-north", ["releases/vehicle-00/a.yaml"]) != AUTOMATIC
+    assert policy.way_of_plan("manager", ["releases/vehicle-00/a.yaml"]) == AUTOMATIC
     alone = official.one("ConfigMap", "bootstrap-seed")["data"]["deployment--policies--merge.yaml"]
     assert alone == (PLATFORM / "files/deployment/policies/merge.yaml").read_text()
 

@@ -47,6 +47,23 @@ REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
         {"agents": [CLOUD, {**VEHICLE, "claims": [{"name": "recordings", "size": "1Gi"}]}]},
         'volume claim "recordings" is made by records: true.',
     ),
+    "one person alone": (
+        {"forge": {"people": ["operator-team"]}},
+        "forge.people: nobody may approve what he proposed himself",
+    ),
+    "one person twice": ({"forge": {"people": ["one", "one"]}}, "Name two or more, each once."),
+    "a person with a name that is no account's": (
+        {"forge": {"people": ["one", "Two"]}},
+        'forge.people: "Two" becomes an account and a Secret.',
+    ),
+    "a person who is a program": (
+        {"forge": {"people": ["one", "gate"]}},
+        'forge.people: "gate" belongs to a part of the platform. Use another name.',
+    ),
+    "a manager who is a person": (
+        {"managers": [{"name": "one"}], "forge": {"people": ["one", "two"]}},
+        'managers[0] "one": this name belongs to a part of the platform.',
+    ),
     "claim declared twice": (
         {"agents": [CLOUD, {**VEHICLE, "claims": [{"name": "bags", "size": "1Gi"}, {"name": "bags", "size": "1Gi"}]}]},
         'volume claim "bags" is declared twice. Remove one.',

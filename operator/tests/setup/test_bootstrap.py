@@ -140,7 +140,7 @@ def test_teams_give_the_fewest_rights(installation: Installation) -> None:
     assert teams["robotkube/deployment-read"].members == {"manager", "argocd"}
     assert teams["robotkube/deployment-write"].members == {"gate", "operator-team", "reviewer"}
     assert teams["robotkube/catalogue-read"].members == {"manager", "publisher"}
-    assert teams["robotkube/catalogue-write"].members == {"gate", "operator-team"}
+    assert teams["robotkube/catalogue-write"].members == {"gate", "operator-team", "reviewer"}
     assert teams["robotkube/packages-write"].members == {"image-publisher"}
     assert teams["staging-publisher/packages-write"].members == {"publisher"}
     assert teams["staging/packages-write"].members == {"gate"}

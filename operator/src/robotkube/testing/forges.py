@@ -70,14 +70,16 @@ class MemoryRepository:
         commits = self.log(since, commits_max)
         return [c for c in commits if path in c.changes or any(word in c.message for word in words)]
 
-    def commit(self, parent: str, changes: Mapping[str, str | None], message: str, merged: str = "") -> str:
+    def commit(
+        self, parent: str, changes: Mapping[str, str | None], message: str, merged: str = "", author: str = "manager"
+    ) -> str:
         """Make a commit that is not on main; `merged` is its second parent."""
         if parent and parent not in self.commits:
             raise InputError(f"commit {parent!r} is not here")
         tree = {p: t for p, t in {**self.trees.get(parent, {}), **changes}.items() if t is not None}
         identifier = hashlib.sha1(repr((parent, merged, sorted(tree.items()), message)).encode()).hexdigest()  # noqa: S324
         parents = tuple(identity for identity in (parent, merged) if identity)
-        self.commits[identifier] = Commit(identifier, parents, message, "manager", dict(changes))
+        self.commits[identifier] = Commit(identifier, parents, message, author, dict(changes))
         self.trees[identifier] = tree
         return identifier
 
@@ -104,9 +106,11 @@ class MemoryForge:
         self.tell_numbers = True
         self._comments = 0
 
-    def commit(self, parent: str, changes: Mapping[str, str | None], message: str, merged: str = "") -> str:
+    def commit(
+        self, parent: str, changes: Mapping[str, str | None], message: str, merged: str = "", author: str = "manager"
+    ) -> str:
         """Make a commit that is not on main."""
-        return self.repository.commit(parent, changes, message, merged)
+        return self.repository.commit(parent, changes, message, merged, author)
 
     def propose(self, commit: str, topic: str, title: str, body: str) -> int | None:
         """Open a pull request and let the gate check it."""

@@ -46,6 +46,20 @@ class MemoryCatalogue(MemoryRepository):
                 left += self.commits[at].parents
         return commit in ancestors
 
+    def changes_since_branch(self, commit: str) -> Commit:
+        """`commit` with what it changes since its first ancestor that is on main."""
+        base = commit
+        while not self.contains(base):
+            base = self.commits[base].parents[0]
+        before, after = self.trees[base], self.trees[commit]
+        changed = sorted(path for path in {*before, *after} if before.get(path) != after.get(path))
+        return replace(self.commits[commit], parents=(base,), changes={path: after.get(path) for path in changed})
+
+    def overlaps(self, change: Commit) -> Sequence[str]:
+        """Paths that both the commit and main changed, differently."""
+        base, tip = self.trees[change.parents[0]], self.trees[self.tip]
+        return [path for path, text in change.changes.items() if tip.get(path) not in (base.get(path), text)]
+
     def push_main(self, commit: str) -> bool:
         """Move main to a commit, fast-forward only."""
         self._reach()

@@ -1,4 +1,4 @@
-"""The scenario's person against a real forge and gate: proposes a policy, merges it, and reads the history back."""
+"""The scenario's person against a real forge and gate: proposes a policy, has it approved, reads the history back."""
 
 import time
 from urllib.parse import urlparse
@@ -23,49 +23,29 @@ TEXT = "add: [{application: bag-player, forRole: vehicle}]\nremove: []\n"
 def person(installation: Installation, repository: str = REPOSITORY) -> Deployment:
     address = urlparse(installation.url)
     endpoint = Endpoint(address.hostname or "", address.port or 0)
-    return Deployment(endpoint, "operator-team", installation.passwords["operator-team"], repository)
+    names = ("operator-team", "reviewer")
+    own, approver = ((name, installation.passwords[name]) for name in names)
+    return Deployment(endpoint, *own, repository, approver)
 
 
-def merged(deployment: Deployment, number: int) -> bool:
-    """Asked again as long as the forge still looks for conflicts."""
-    return deployment.merge(number) == "" or deployment.pull_request(number).merged
-
-
-def test_a_person_s_pull_request_is_merged_as_it_was_proposed(installation: Installation, gate: RunningGate) -> None:
+def test_a_change_is_proposed_approved_and_merged_in_one_go(installation: Installation, gate: RunningGate) -> None:
     with person(installation) as deployment:
         before = deployment.fetch()
-        topic = f"run-{time.time_ns()}"
-        commit = deployment.propose(POLICY, TEXT, "policy(initial): play\n", topic)
-        until(lambda: deployment.number_of(commit) is not None, "pull request open")
-        number = deployment.number_of(commit)
-        assert number
-        assert not deployment.pull_request(number).merged
-        until(lambda: merged(deployment, number), "merged")
-        until(lambda: deployment.pull_request(number).merged, "shown as merged")
-        assert deployment.fetch() == commit == deployment.pull_request(number).commit
+        number = proposing.change(deployment, POLICY, TEXT, "policy(initial): play", f"run-{time.time_ns()}")
+        merged = deployment.pull_request(number)
+        assert merged.merged
+        tip = deployment.fetch()
+        assert tip == merged.commit
         assert yaml.safe_load(deployment.file(POLICY)) == yaml.safe_load(TEXT)
         newest = deployment.commits()[0]
-        assert (newest.sha, newest.parents, newest.author) == (commit, (before,), "operator-team")
-        assert newest.paths == (POLICY,)
-        assert audit.entry(newest, deployment.pull_request(number)).missing == ()
+        assert (newest.sha, newest.parents[0], newest.author) == (tip, before, "operator-team")
+        assert (newest.subject, newest.paths) == (f"policy(initial): play (#{number})", (POLICY,))
+        assert audit.entry(newest, merged).missing == ()
         assert deployment.commits()[-1].parents == ()
-
-
-def test_a_change_is_asked_for_and_merged_in_one_go(installation: Installation, gate: RunningGate) -> None:
-    with person(installation) as deployment:
-        deployment.fetch()
-        text = f"add: []\nremove: []\n# {time.time_ns()}\n"
-        number = proposing.change(deployment, POLICY, text, "policy(initial): in one go", f"run-{time.time_ns()}")
-        assert deployment.pull_request(number).merged
-        tip = deployment.fetch()
-        assert deployment.file(POLICY) == text
-        assert deployment.message(tip) == "policy(initial): in one go\n"
         assert deployment.history(tip)[0].commit == tip
 
 
-def test_a_person_s_pull_request_is_merged_although_main_has_moved(
-    installation: Installation, gate: RunningGate
-) -> None:
+def test_it_is_merged_although_main_has_moved(installation: Installation, gate: RunningGate) -> None:
     manager, plan = installation.clone("manager"), installation.plan()
     with person(installation) as deployment:
         deployment.fetch()
@@ -76,12 +56,35 @@ def test_a_person_s_pull_request_is_merged_although_main_has_moved(
         theirs = manager.commit(release_files(plan, "meanwhile"), message(plan), [manager.tip()])
         other = installation.propose(manager, theirs, plan)
         until(lambda: deployment.pull_request(other).merged, "the manager's merged")
-        until(lambda: merged(deployment, number), "merged")
-        until(lambda: deployment.pull_request(number).merged, "shown as merged")
+        deployment.approve(number, commit)
+        until(lambda: deployment.pull_request(number).merged, "merged")
         assert deployment.fetch() == deployment.pull_request(number).commit != commit
         newest = deployment.commits()[0]
-        assert (newest.parents, newest.paths) == ((theirs,), (POLICY,))
+        assert (newest.parents, newest.paths) == ((theirs, commit), (POLICY,))
         assert audit.entry(newest, deployment.pull_request(number)).missing == ()
+
+
+def test_nothing_is_merged_without_another_person_and_the_gates_words_are_named(
+    installation: Installation, gate: RunningGate, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(proposing, "MERGE_SECONDS_MAX", 2.0)
+    address = urlparse(installation.url)
+    endpoint = Endpoint(address.hostname or "", address.port or 0)
+    own = ("operator-team", installation.passwords["operator-team"])
+    for approver, words in ((None, "nobody was named who approves it"), (own, "as operator-team: 422")):
+        with Deployment(endpoint, *own, approver=approver) as deployment:
+            text = f"add: []\nremove: []\n# {time.time_ns()}\n"
+            assert words in refusal(deployment, text)
+    with person(installation) as deployment:
+        assert "other: unknown key; remove it" in refusal(deployment, "other: 1\n")
+
+
+def refusal(deployment: Deployment, text: str) -> str:
+    """Why a change of the policy is not merged."""
+    deployment.fetch()
+    with pytest.raises(RunError) as caught:
+        proposing.change(deployment, POLICY, text, "policy(initial): refused", f"run-{time.time_ns()}")
+    return str(caught.value)
 
 
 def test_a_manager_s_commit_has_its_trailers_paths_and_pull_request(

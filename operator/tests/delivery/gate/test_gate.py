@@ -320,26 +320,6 @@ def test_what_the_catalogue_withdrew_is_refused_when_both_are_told_at_once(
         installation.publish({path: CATALOGUE[path]})
 
 
-def test_a_persons_policy_is_merged_by_the_person_and_relayed(
-    installation: Installation, gate: RunningGate, controller: ApplicationSetController
-) -> None:
-    person, topic = installation.clone("operator-team"), installation.plan()
-    text = "add: []\nremove: [{application: mqtt-bridge, agents: [vehicle-01]}]\n"
-    commit = person.commit({"policies/initial.yaml": text}, "Take vehicle-01 off the road\n", [person.tip()])
-    number = installation.propose(person, commit, topic)
-
-    def merge() -> bool:
-        answer = installation.client("operator-team").post(f"/pulls/{number}/merge", json={"Do": "rebase"})
-        assert answer.status_code in (200, 405), answer.text  # 405: still checking for conflicts
-        return answer.status_code == 200
-
-    until(merge, "merged by the person")
-    tip = person.tip()
-    assert tip == commit
-    until(lambda: controller.announced(tip), "relayed")
-    assert controller.refused == 0
-
-
 def test_a_hook_that_nobody_took_is_sent_again(installation: Installation, tmp_path: Path, manager: Clone) -> None:
     controller = ApplicationSetController()
     url = controller.url

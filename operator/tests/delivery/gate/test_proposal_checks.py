@@ -7,7 +7,6 @@ from typing import Any
 import pytest
 
 from robotkube.delivery.deployment.core.commit_messages import CommitMessage, write_message
-from robotkube.delivery.deployment.core.policies.merge import APPROVAL, AUTOMATIC, FORGE, read_merge_policy
 from robotkube.delivery.deployment.core.releases import (
     Release,
     Source,
@@ -18,8 +17,8 @@ from robotkube.delivery.deployment.core.releases import (
 )
 from robotkube.delivery.gate.core import proposal_checks, verdict_comments
 from robotkube.delivery.gate.core.release_checks import Rules
-from robotkube.errors import DocumentError
 from robotkube.foundation.documents.adapters.json_schema import validate
+from robotkube.foundation.forge.core import merge_comments
 from robotkube.registry.catalogue.core.applications import Application
 from robotkube.registry.catalogue.core.catalogue import Catalogue, ChartVersion
 from robotkube.registry.charts.core.references import ChartReference
@@ -384,7 +383,7 @@ def test_values_are_laid_on_the_charts_own_as_helm_does() -> None:
 
 
 def of_person(before: dict[str, str], after: dict[str, str]) -> str:
-    found = proposal_checks.judge_person(proposal(before, after, "Correct it\n"), TIP, RULES)
+    found = proposal_checks.judge_person(proposal(before, after, "Correct it\n"), RULES)
     return "\n".join(found.problems)
 
 
@@ -431,50 +430,20 @@ def test_the_merge_policy_cannot_be_removed() -> None:
     assert "must stay; without it the gate merges nothing" in of_person({"policies/merge.yaml": "{}\n"}, {})
 
 
-def test_a_persons_proposal_on_another_parent_is_stale_and_still_checked() -> None:
-    found = proposal_checks.judge_person(proposal({}, {"policies/x.yaml": "a: ["}, "x\n"), "b" * 40, RULES)
+def test_where_main_changed_the_same_files_the_branch_is_updated_first_and_still_checked() -> None:
+    behind = replace(proposal({}, {"policies/x.yaml": "a: ["}, "x\n"), parents=("b" * 40,))
+    assert not proposal_checks.judge_person(behind, RULES).stale
+    found = proposal_checks.judge_person(replace(behind, overlaps=("policies/x.yaml",)), RULES)
     assert found.stale
     assert found.problems
-
-
-POLICY = """\
-automatic:
-- {author: manager, paths: [releases/, sources/]}
-- {author: manager, paths: [README.md]}
-person:
-- {paths: [policies/, releases/]}
-"""
-
-
-@pytest.mark.parametrize(
-    ("author", "paths", "way"),
-    [
-        ("manager", ["releases/a/b.yaml", "sources/a/c.yaml", "README.md"], AUTOMATIC),
-        ("manager", ["README.md.yaml"], FORGE),
-        ("manager", ["releases/a/b.yaml", "policies/x.yaml"], APPROVAL),
-        ("somebody", ["releases/a/b.yaml", "policies/x.yaml"], APPROVAL),
-        ("somebody", ["releases/a/b.yaml", "sources/a/c.yaml"], FORGE),
-        ("somebody", ["releases"], FORGE),
-    ],
-)
-def test_merge_policy(author: str, paths: list[str], way: str) -> None:
-    assert read_merge_policy(POLICY).way(author, paths) == way
-
-
-def test_a_wrong_merge_policy_names_every_problem() -> None:
-    with pytest.raises(DocumentError) as caught:
-        read_merge_policy("automatic: [{author: a b, paths: ['/x', '../y']}]\nperson: 3\nother: 1\n")
-    for part in ("other: unknown key", "author: 'a b'", "paths: '/x'", "person: must be a list"):
-        assert part in str(caught.value)
+    assert not found.accepted
 
 
 HEAD = "c" * 40
 
 
 def test_the_refusal_is_readable_and_bounded() -> None:
-    text = verdict_comments.refusal_text(
-        HEAD, [f"problem\n{n}" for n in range(verdict_comments.PROBLEMS_SHOWN_MAX + 3)]
-    )
+    text = verdict_comments.refusal_text(HEAD, [f"problem\n{n}" for n in range(merge_comments.PROBLEMS_SHOWN_MAX + 3)])
     assert text.startswith("Refused cccccccccccc: the gate does not merge this commit.\n")
     assert "- problem 0\n" in text
     assert text.endswith("- and 3 more\n")

@@ -10,7 +10,9 @@ import pytest
 from pygit2.enums import FileMode
 
 from robotkube.errors import DocumentError
-from robotkube.foundation.forge.adapters.git import GitClone, clones
+from robotkube.foundation.forge.adapters.git import GitClone, ProposalWriter, clones
+from robotkube.foundation.forge.loops.merging import merge_commit, merge_message
+from robotkube.foundation.forge.ports.pull_requests import PullRequest
 from robotkube.foundation.forge.ports.repositories import Commit
 
 AUTHOR = pygit2.Signature("somebody", "somebody@example", 1_795_000_000, 0)
@@ -110,3 +112,66 @@ def test_a_long_history_is_looked_through_at_once(stage: Stage) -> None:
     began = time.thread_time()
     assert stage.clone.touching(None, 10_000, "policies/updates.yaml", ["RobotKube-Cause: update\n"]) == []
     assert time.thread_time() - began < SECONDS_MAX
+
+
+# -- joining with main ---------------------------------------------------------------------------------------------
+
+
+def overlaps(stage: Stage, base: Tree, tip: Tree, head: Tree) -> list[str]:
+    """Paths that both changed since `base`."""
+    left = stage.commit(base)
+    stage.clone.moved_to(stage.commit(tip, left, message="tip\n"))
+    return list(stage.clone.overlaps(stage.clone.changes_since_branch(stage.commit(head, left, message="head\n"))))
+
+
+@pytest.mark.parametrize(
+    ("tip", "head", "expected"),
+    [
+        ({"a": "1", "b": {"c": "2"}, "new": "x"}, {"a": "mine", "b": {"c": "2", "d": "3"}}, []),
+        ({"a": "theirs", "b": {"c": "2"}}, {"a": "mine", "b": {"c": "2"}}, ["a"]),
+        ({"a": "same", "b": {"c": "2"}}, {"a": "same", "b": {"c": "2"}}, []),
+        ({"b": {"c": "2"}}, {"a": "mine", "b": {"c": "2"}}, ["a"]),
+        ({"a": "1"}, {"a": "1", "b": {}}, []),
+        ({"a": "1", "b": {"c": "theirs"}}, {"a": "1"}, ["b/c"]),
+        ({"a": "1", "b": "a file now"}, {"a": "1", "b": {"c": "2", "d": "new"}}, ["b/d"]),
+        ({"a": "1", "b": {"c": "2"}, "n": "a file"}, {"a": "1", "b": {"c": "2"}, "n": {"m": "in a folder"}}, ["n/m"]),
+        ({"a": "1", "b": {"c": "2"}, "n": {"m": "in a folder"}}, {"a": "1", "b": {"c": "2"}, "n": "a file"}, ["n"]),
+    ],
+)
+def test_what_main_changed_as_well_cannot_be_joined(stage: Stage, tip: Tree, head: Tree, expected: list[str]) -> None:
+    assert overlaps(stage, {"a": "1", "b": {"c": "2"}}, tip, head) == expected
+
+
+def test_a_mode_that_main_changed_is_a_change(stage: Stage) -> None:
+    left = stage.commit({"a": "1"})
+    builder = stage.repository.TreeBuilder()
+    builder.insert("a", stage.repository.create_blob(b"1"), FileMode.BLOB_EXECUTABLE)
+    tip = stage.repository.create_commit(None, AUTHOR, AUTHOR, "tip\n", builder.write(), [left])
+    stage.clone.moved_to(str(tip))
+    head = stage.commit({"a": "2"}, left)
+    assert stage.clone.overlaps(stage.clone.changes_since_branch(head)) == ["a"]
+
+
+def test_a_merge_changes_what_the_branch_changed_and_keeps_the_rest_of_main(tmp_path: Path) -> None:
+    stage = Stage(tmp_path / "clone")
+    writer = ProposalWriter(tmp_path / "clone", "gate", "word", "gate", lambda: 1_795_000_000.0)
+    left = stage.commit({"a": "1", "b": {"c": "2"}, "f": "file", "g": {"h": "folder"}})
+    tip = stage.commit({"a": "1", "b": {"c": "2"}, "f": "file", "g": {"h": "folder"}, "main": "new"}, left)
+    stage.clone.moved_to(tip)
+    wrong = stage.commit({"a": "wrong", "b": {"c": "2"}, "f": "file", "g": {"h": "folder"}}, left)
+    head = stage.commit({"a": "mine", "f": {"now": "folder"}, "g": "now a file"}, wrong, message="Mine\n\nX: y\n")
+    change = stage.clone.changes_since_branch(head)
+    pull = PullRequest(7, "", "", "somebody", "open", head, False)
+    merge = merge_commit(stage.clone, writer, pull, change, ["one", "two"])
+    assert merge.changes == change.changes
+    assert stage.repository[merge.id].peel(pygit2.Commit).parent_ids == [pygit2.Oid(hex=tip), pygit2.Oid(hex=head)]
+    expected: Tree = {"a": "mine", "f": {"now": "folder"}, "g": "now a file", "main": "new"}
+    assert stage.repository[merge.id].peel(pygit2.Tree).id == stage.tree(expected)
+    assert merge.author == "somebody"
+    trailers = "RobotKube-Pull-Request: 7\nRobotKube-Approved-By: one\nRobotKube-Approved-By: two\n"
+    assert merge.message == f"Mine (#7)\n\n{trailers}"
+
+
+@pytest.mark.parametrize(("message", "subject"), [("", "Merge a pull request (#7)"), ("  a \t b\nc", "a b (#7)")])
+def test_the_first_line_of_a_merge(message: str, subject: str) -> None:
+    assert merge_message(7, message, ()).partition("\n")[0] == subject

@@ -2,12 +2,14 @@
 
 import secrets
 import subprocess
+from contextlib import closing
 
 import httpx
 import pytest
 
 from tests.stages.forge.gitea import HOOKS
 from tests.stages.forge.installation import ACCOUNTS, Installation, message, release_files
+from tests.stages.waiting import until
 
 pytestmark = pytest.mark.toolchain
 
@@ -124,6 +126,93 @@ def test_the_gate_does_not_force_main_of_the_catalogue(installation: Installatio
     root = str(gate.repository.create_commit(None, who, who, "anew\n", tree, []))
     assert gate.push(root, "refs/heads/main", force=True) != ""
     assert gate.tip() == tip
+
+
+def open_change(installation: Installation, repository: str) -> tuple[httpx.Client, int, str]:
+    """A person's connection to the API, and an open pull request of theirs that another person approved."""
+    person = installation.clone("operator-team", repository)
+    topic = f"mine-{secrets.token_hex(3)}"
+    commit = person.commit({"README.md": f"{topic}\n"}, "mine\n", [person.tip()])
+    assert person.push(commit, "refs/for/main", [f"topic={topic}", "title=mine"]) == ""
+    base = f"{installation.url}/api/v1/repos/{repository}"
+    own, other = (
+        httpx.Client(base_url=base, auth=(name, installation.passwords[name]), timeout=30)
+        for name in ("operator-team", "reviewer")
+    )
+    with other:
+        number = next(int(pull["number"]) for pull in other.get("/pulls").json() if pull["head"]["sha"] == commit)
+        review = {"event": "APPROVED", "commit_id": commit, "body": "seen"}
+        assert other.post(f"/pulls/{number}/reviews", json=review).status_code == 200
+    return own, number, commit
+
+
+@pytest.mark.parametrize("repository", REPOSITORIES)
+def test_nobody_merges_in_the_forge(installation: Installation, repository: str) -> None:
+    """Not its author, not who approved it, not by the page's button, and not later by the forge itself."""
+    own, number, commit = open_change(installation, repository)
+    tip = installation.clone("gate", repository).tip()
+    with own:
+        until(lambda: own.get(f"/pulls/{number}").json()["mergeable"], "looked for conflicts")
+        for account in ("operator-team", "reviewer"):
+            own.auth = httpx.BasicAuth(account, installation.passwords[account])
+            for style in ("fast-forward-only", "rebase", "rebase-merge", "merge", "squash", "manually-merged"):
+                for more in ({}, {"force_merge": True}, {"merge_when_checks_succeed": True}):
+                    body = {"Do": style, "MergeCommitID": commit, **more}
+                    answer = own.post(f"/pulls/{number}/merge", json=body)
+                    assert answer.status_code in (403, 405, 409), (style, more, answer.status_code, answer.text)
+            with closing(page_of(installation, account)) as page:
+                answer = page.post(f"/{repository}/pulls/{number}/merge", data={"do": "fast-forward-only"})
+                assert (answer.status_code, "You are not allowed to update branch" in answer.text) == (400, True)
+        assert own.patch(f"/pulls/{number}", json={"state": "closed"}).status_code == 201
+        assert not own.get(f"/pulls/{number}").json()["merged"]
+    assert installation.clone("gate", repository).tip() == tip
+
+
+def page_of(installation: Installation, account: str) -> httpx.Client:
+    """The forge's pages as somebody uses them who has logged in."""
+    page = httpx.Client(base_url=installation.url, timeout=30, follow_redirects=True)
+    fields = {"user_name": account, "password": installation.passwords[account]}
+    answer = page.post("/user/login", data=fields, headers={"Origin": installation.url})
+    assert answer.status_code == 200, answer.text[:500]
+    return page
+
+
+@pytest.mark.parametrize("account", ["operator-team", "reviewer"])
+@pytest.mark.parametrize("repository", REPOSITORIES)
+def test_a_person_moves_main_in_no_other_way(installation: Installation, repository: str, account: str) -> None:
+    person = installation.clone(account, repository)
+    tip = person.tip()
+    commit = person.commit({"policies/edits.yaml": "edits: respect\n"}, "mine\n", [tip])
+    assert person.push(commit, "refs/heads/main") != ""
+    assert person.push(commit, "refs/heads/main", force=True) != ""
+    assert person.delete("refs/heads/main") != ""
+    branch = f"person-{secrets.token_hex(3)}"
+    assert person.push(commit, f"refs/heads/{branch}") == ""
+    base = f"{installation.url}/api/v1/repos/{repository}"
+    patch = "diff --git a/x.txt b/x.txt\nnew file mode 100644\n--- /dev/null\n+++ b/x.txt\n@@ -0,0 +1 @@\n+x\n"
+    with httpx.Client(base_url=base, auth=(account, installation.passwords[account]), timeout=30) as own:
+        for method, path, body in (
+            ("POST", "/contents/x.txt", {"content": "eA==", "message": "x", "branch": "main"}),
+            (
+                "POST",
+                "/contents",
+                {"branch": "main", "files": [{"operation": "create", "path": "x", "content": "eA=="}]},
+            ),
+            ("POST", "/diffpatch", {"branch": "main", "content": patch, "message": "x"}),
+            ("PATCH", "/branches/main", {"name": f"old-{branch}"}),
+            ("PUT", "/branches/main", {"new_commit_id": commit, "old_commit_id": tip, "force": True}),
+            ("DELETE", "/branches/main", None),
+            ("PATCH", "", {"default_branch": branch}),
+            ("PATCH", "", {"default_merge_style": "merge", "allow_merge_commits": True, "allow_manual_merge": True}),
+            ("PATCH", "/branch_protections/main", {"enable_merge_whitelist": False}),
+            ("DELETE", "/branch_protections/main", None),
+            ("PUT", f"/collaborators/{account}", {"permission": "admin"}),
+            ("POST", "/keys", {"title": "mine", "key": "ssh-ed25519 AAAA", "read_only": False}),
+        ):
+            answer = own.request(method, path, json=body)
+            assert answer.status_code in (401, 403, 404, 405, 422), (method, path, answer.status_code, answer.text)
+    assert person.delete(f"refs/heads/{branch}") == ""
+    assert person.tip() == tip
 
 
 @pytest.mark.parametrize("repository", [*REPOSITORIES, "RobotKube/Deployment"])

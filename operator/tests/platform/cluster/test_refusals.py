@@ -124,26 +124,27 @@ def test_a_digest_that_the_registry_does_not_have_changes_nothing(platform: Plat
     assert application(platform, "unknown")["status"]["sync"]["status"] == "Unknown"
 
 
-def test_a_staged_digest_that_a_person_merged_is_refused(platform: Platform, refused: Writer, tmp_path: Path) -> None:
-    """The forge lets people merge what the gate speaks against; Argo CD's account cannot read staging."""
+def test_what_the_gate_refuses_is_merged_by_nobody(platform: Platform, refused: Writer, tmp_path: Path) -> None:
+    """A staged chart, and in the same commit the policy that edits by hand are respected: approved, and not merged."""
     digest = push_chart(platform, tmp_path / "staged", "staged", "staging")
-    name = platform.scenario.story.person
+    name, approver = platform.scenario.story.person, platform.scenario.story.approver
     person = platform.writer(name, tmp_path / "person")
-    commit = person.commit(files("staged", "staged", digest), "test: a staged chart\n")
+    changes = {**files("staged", "staged", digest), "policies/edits.yaml": "edits: respect\n"}
+    commit = person.commit(changes, "test: a staged chart\n")
     number = person.proposals.propose(commit, "staged-by-a-person", "a staged chart", "a test")
-    with platform.forge(name) as forge:
+    with platform.forge(name) as forge, platform.forge(approver) as other:
+        review = {"event": "APPROVED", "commit_id": commit, "body": "seen"}
+        other.post(f"/pulls/{number}/reviews", json=review).raise_for_status()
 
-        def merged() -> bool:
-            forge.post(f"/pulls/{number}/merge", json={"Do": "rebase"})
-            return bool(forge.get(f"/pulls/{number}").json()["merged"])
+        def said() -> bool:
+            return "it cannot be merged." in str(forge.get(f"/issues/{number}/comments").json())
 
-        eventually("the person's pull request is merged", merged)
-
-    def said() -> bool:
-        return "ComparisonError" in conditions(application(platform, "staged"))
-
-    eventually("the staged digest is not fetched", said, REFUSED_SECONDS_MAX)
-    assert application(platform, "staged")["status"]["sync"]["status"] == "Unknown"
+        eventually("the gate has refused it", said)
+        for account in (forge, other):
+            for style in ("fast-forward-only", "rebase", "merge"):
+                assert account.post(f"/pulls/{number}/merge", json={"Do": style}).status_code == 405
+        assert not forge.get(f"/pulls/{number}").json()["merged"]
+        forge.patch(f"/pulls/{number}", json={"state": "closed"}).raise_for_status()
     assert platform.kubectl("-n", AGENT, "get", "configmap", "staged", "--ignore-not-found") == ""
     with (
         OciRegistry(platform.forge_url(), "argocd", platform.password("argocd")) as registry,
@@ -170,10 +171,10 @@ def test_the_manager_takes_away_what_nobody_asked_for(platform: Platform, refuse
 
     def clean() -> bool:
         left = [name for name in refused.clone.files(refused.clone.fetch(), ("releases",)) if AGENT in name]
-        return not any(name.endswith(("everything.yaml", "unknown.yaml", "staged.yaml")) for name in left)
+        return not any(name.endswith(("everything.yaml", "unknown.yaml")) for name in left)
 
     eventually("main is as the catalogue and the tasks want it", clean, REFUSED_SECONDS_MAX)
-    gone = ("everything", "unknown", "staged")
+    gone = ("everything", "unknown")
     eventually(
         "the Applications are gone", lambda: not any(application(platform, n) for n in gone), REFUSED_SECONDS_MAX
     )

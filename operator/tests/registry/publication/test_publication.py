@@ -391,15 +391,6 @@ def test_a_broken_policy_waits_for_a_person(world: PublicationStage) -> None:
     assert world.merged(number)
 
 
-def test_pull_requests_of_others_are_left_alone(world: PublicationStage) -> None:
-    commit = world.catalogue.commit(world.catalogue.tip, {"policies/release.yaml": "assurance: none\n"}, "by hand")
-    number = world.forge.open(commit, "operator-team")
-    for _ in range(3):
-        world.gate.round()
-    assert world.forge.pulls[number].state == "open"
-    assert world.text(number) == ""
-
-
 def test_metrics_count_verdicts_and_suites(world: PublicationStage) -> None:
     world.settle(world.submit(chart()))
     text = series_text(publication_metrics(world.gate.statistics))

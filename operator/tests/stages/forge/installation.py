@@ -22,7 +22,7 @@ from robotkube.delivery.gate.core.proposal_checks import Proposer
 from robotkube.delivery.gate.loops.gate import Gate, gate_metrics
 from robotkube.delivery.gate.loops.rules import GateSettings
 from robotkube.foundation.documents.adapters.json_schema import validate
-from robotkube.foundation.forge.adapters.git import GitClone
+from robotkube.foundation.forge.adapters.git import GitClone, ProposalWriter
 from robotkube.foundation.forge.adapters.hosts.gitea import GiteaForge
 from robotkube.foundation.forge.adapters.push_hooks import ObjectsRelay, PushRelay, SignedPushHook
 from robotkube.foundation.runtime.adapters.prometheus_series import series_text
@@ -106,7 +106,13 @@ def forge_setup(passwords: Mapping[str, str], gate_url: str, webhook_secret: str
                 "What may be deployed",
                 "main",
                 {path: text.encode() for path, text in CATALOGUE.items()},
-                {"manager": "read", "gate": "write", "publisher": "read", "operator-team": "write"},
+                {
+                    "manager": "read",
+                    "gate": "write",
+                    "publisher": "read",
+                    "operator-team": "write",
+                    "reviewer": "write",
+                },
                 ("gate",),
             ),
         ),
@@ -373,9 +379,11 @@ def start_gate(
     forge = GiteaForge(installation.url, "robotkube/deployment", *account)
     hook = SignedPushHook(hook_url, HOOK_SECRET.encode(), f"{installation.url}/robotkube/deployment")
     relays = [PushRelay(url, manager_secret().encode(), "robotkube/deployment") for url in managers]
+    clone = GitClone(installation.url, "robotkube/deployment", *account, folder / "deployment")
     gate = Gate(
         forge,
-        GitClone(installation.url, "robotkube/deployment", *account, folder / "deployment"),
+        clone,
+        ProposalWriter(folder / "deployment", *account, "gate", time.time),
         AssuredCatalogue(
             GitClone(installation.url, "robotkube/catalogue", *account, folder / "catalogue"), trusted_keys()
         ),

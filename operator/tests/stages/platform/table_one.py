@@ -262,8 +262,9 @@ class Stage:
 def on_stage(platform: Platform) -> Iterator[Stage]:
     """A stage that begins with everything as main asks for, and ends with main asking for what it did before."""
     eventually("all Applications synced and healthy", platform.settled, SETTLED_SECONDS_MAX)
-    forge, person = platform.access.endpoint("forge"), platform.scenario.story.person
-    with Deployment(forge, person, platform.password(person)) as deployment:
+    forge, story = platform.access.endpoint("forge"), platform.scenario.story
+    person, approver = (platform.access.forge_account(name) for name in (story.person, story.approver))
+    with Deployment(forge, *person, approver=approver) as deployment:
         stage = Stage(platform, deployment)
         before = set(stage.releases())
         yield stage

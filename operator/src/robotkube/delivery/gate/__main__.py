@@ -192,9 +192,12 @@ def build_gate(configuration: GateConfiguration, work: Path, schemas: BoundedSch
     catalogue = forge.clone(settings.catalogue, account, work / "catalogue", branch)
     hook_secret = configuration.hook_secret.encode()
     registry = OciRegistry(forge.url, account.username, account.password)
+    pull_requests = forge.pull_requests(settings.deployment, account, branch)
+    folder = work / "deployment"
     return Gate(
-        forge.pull_requests(settings.deployment, account, branch),
-        forge.clone(settings.deployment, account, work / "deployment", branch),
+        pull_requests,
+        forge.clone(settings.deployment, account, folder, branch),
+        forge.writer(pull_requests, folder, account, account.username, time.time, branch),
         AssuredCatalogue(catalogue, TrustedKeys(configuration.keys)),
         SignedPushHook(configuration.hook_url, hook_secret, f"{forge.url}/{settings.deployment}", branch=branch),
         settings,

@@ -19,15 +19,15 @@ PAGE_ITEMS = 50
 PAGES_MAX = 20
 SEED_MESSAGE = "Begin this repository\n\nThe only commit of main without a pull request.\n"
 
-# Main keeps one line of history: the gate pushes checked commits, people's pull requests are rebased onto it.
+# The gate pushes what it checked. Gitea wants a style of merging; who may use it is said by `protect`.
 REPOSITORY_OPTIONS: Mapping[str, Any] = {
     "has_pull_requests": True,
     "allow_merge_commits": False,
-    "allow_rebase": True,
+    "allow_rebase": False,
     "allow_rebase_explicit": False,
     "allow_squash_merge": False,
     "allow_fast_forward_only_merge": True,
-    "default_merge_style": "rebase",
+    "default_merge_style": "fast-forward-only",
     "allow_manual_merge": False,
     "autodetect_manual_merge": True,  # what the gate pushed shows as merged
     "has_issues": False,
@@ -118,13 +118,14 @@ class GiteaAdministration:
         return True
 
     def protect(self, repository: str, branch: str, pushers: Sequence[str]) -> bool:
-        """Protect the branch: only `pushers` push it, nobody by force; who may write may merge; only `pushers` tag."""
+        """Protect the branch: only `pushers` push it, nobody by force, and nobody else merges; only `pushers` tag."""
         rule = {
             "enable_push": True,
             "enable_push_whitelist": True,
             "push_whitelist_usernames": sorted(pushers),
             "enable_force_push": False,
-            "enable_merge_whitelist": False,
+            "enable_merge_whitelist": True,  # without it, whoever may write may press the button
+            "merge_whitelist_usernames": sorted(pushers),
             "block_on_outdated_branch": False,
             "block_admin_merge_override": True,
         }

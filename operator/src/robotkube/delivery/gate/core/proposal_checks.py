@@ -47,7 +47,8 @@ class Proposer:
 @dataclass(frozen=True)
 class ProposedCommit:
     """A proposed commit: `changes` path -> new text (None = removed) against its (only) parent, `irregular` paths that
-    are not ordinary text files; `before` and `after` are main's tip without and with the changes."""
+    are not ordinary text files; `before` and `after` are main's tip without and with the changes; `overlaps` are those
+    paths of a person's change that main has changed, too."""
 
     parents: tuple[str, ...]
     message: str
@@ -55,6 +56,7 @@ class ProposedCommit:
     irregular: tuple[str, ...]
     before: Tree
     after: Tree
+    overlaps: tuple[str, ...] = ()
 
     @property
     def paths(self) -> tuple[str, ...]:
@@ -64,8 +66,9 @@ class ProposedCommit:
 
 @dataclass(frozen=True)
 class ProposalVerdict:
-    """The gate's decision about a proposed commit. `stale`: its parent is not main's tip, the author has to build
-    again. Else it is accepted when there is no problem. `repair`: it does nothing but bring a broken main back."""
+    """The gate's decision about a proposed commit. `stale`: main has moved, so that the author has to build it again (a
+    plan, on main's tip; a person's change, where both touched the same files). Else it is accepted when there is no
+    problem. `repair`: it does nothing but bring a broken main back."""
 
     stale: bool = False
     problems: tuple[str, ...] = ()
@@ -141,14 +144,14 @@ def _judge_repair(proposal: ProposedCommit, message: CommitMessage | None, rules
     return ProposalVerdict(problems=tuple(problems), repair=not problems)
 
 
-def judge_person(proposal: ProposedCommit, tip: str, rules: Rules) -> ProposalVerdict:
+def judge_person(proposal: ProposedCommit, rules: Rules) -> ProposalVerdict:
     """The verdict about what a person proposes: files as `judge` asks of them, policies that can be read. The commit's
     message is the person's; `stale` does not keep the other problems from being named."""
     problems = [_irregular(path) for path in proposal.irregular]
     problems += _emptiness(proposal)
     problems += [problem for path in sorted(proposal.changes) for problem in _place(path)]
     problems += [*_files(proposal, rules), *_policies(proposal, rules)]
-    return ProposalVerdict(stale=proposal.parents != (tip,), problems=tuple(problems))
+    return ProposalVerdict(stale=bool(proposal.overlaps), problems=tuple(problems))
 
 
 @dataclass(frozen=True)

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from robotkube.delivery.deployment.core.policies.merge import APPROVAL, AUTOMATIC, PATH, Way
+from robotkube.delivery.deployment.core.policies.merge import APPROVAL, PATH, Way
 from robotkube.delivery.deployment.core.verdict_words import STALE, WAITS
-from robotkube.delivery.gate.core.proposal_checks import ProposalVerdict
-
-PROBLEMS_SHOWN_MAX = 50
+from robotkube.delivery.gate.core.proposal_checks import ProposalVerdict, ProposedCommit
+from robotkube.foundation.forge.core import merge_comments
 
 
 def refusal_text(commit: str, problems: Sequence[str]) -> str:
     """The comment that explains to the author of a proposal why it was refused."""
-    return "\n".join([f"Refused {commit[:12]}: the gate does not merge this commit.", "", *_listed(problems), ""])
+    return "\n".join(
+        [f"Refused {commit[:12]}: the gate does not merge this commit.", "", *merge_comments.listed(problems), ""]
+    )
 
 
 def stale_text(parent: str, tip: str) -> str:
@@ -28,36 +29,16 @@ def waiting_text(commit: str, way: Way) -> str:
     return f"{WAITS}: {commit[:12]} passes the checks. {_next_step(way)}\n"
 
 
-def checked_text(commit: str, verdict: ProposalVerdict, way: Way) -> str:
-    """The comment on a person's pull request; the same first line for the same commit."""
-    first = f"Checked {commit[:12]}: "
+def checked_text(commit: str, proposal: ProposedCommit, verdict: ProposalVerdict, way: Way) -> str:
+    """The comment on a person's pull request; the same first line for the same commit and verdict."""
     if verdict.problems:
-        return "\n".join([f"{first}the gate would not merge this.", "", *_listed(verdict.problems), ""])
-    if verdict.stale and way != AUTOMATIC:
-        rest = "It is not built on main's tip: the gate can merge it only after an update of the branch (by rebase)."
-        return f"{first}nothing speaks against it.\n\n{_next_step(way)} {rest}\n"
+        return merge_comments.refused_text(commit, verdict.problems)
     if verdict.stale:
-        return f"{first}nothing speaks against it.\n\nIt is not built on main's tip: update the branch (by rebase).\n"
-    return f"{first}nothing speaks against it.\n\n{_next_step(way)}\n"
-
-
-def unmergeable_text(commit: str, verdict: ProposalVerdict) -> str:
-    """The comment on a person's pull request that is approved and still cannot be merged by the gate."""
-    first = f"Approved {commit[:12]}, but the gate cannot merge it"
-    if verdict.problems:
-        return "\n".join([f"{first}.", "", *_listed(verdict.problems), ""])
-    return f"{first}: {STALE}. Update the branch (by rebase) and approve it again.\n"
+        return merge_comments.outdated_text(commit, proposal.overlaps)
+    return merge_comments.accepted_text(commit, _next_step(way))
 
 
 def _next_step(way: Way) -> str:
-    if way == AUTOMATIC:
-        return "The gate merges it now."
     if way == APPROVAL:
         return f"{PATH}: the gate merges exactly this commit when another person with write rights approves it."
-    return f"{PATH} does not let the gate merge it: people do that in the forge."
-
-
-def _listed(problems: Sequence[str]) -> list[str]:
-    shown = [f"- {' '.join(problem.split())}" for problem in problems[:PROBLEMS_SHOWN_MAX]]
-    rest = len(problems) - len(shown)
-    return [*shown, f"- and {rest} more"] if rest > 0 else shown
+    return f"{PATH} names no way to main for these files: name them under `person` there, in a pull request of its own."

@@ -1,11 +1,12 @@
-"""The gate of the deployment repository: it checks pull requests, merges exactly the checked commit, notifies Argo CD.
+"""The gate of the deployment repository: it checks pull requests, alone moves main by what it checked, announces it.
 
 Level-triggered: a round reads the open pull requests and main's tip, decides and acts; a webhook only brings the next
 round forward, and names the pull request to decide first. So lost webhooks, restarts and half-finished rounds are
 repaired by the next round. A pull request whose commit is in main already is left to the forge, which marks it merged
 by itself. No statement about a commit counts (statuses, labels): what is judged is read from Git, by whom it was
 proposed from the forge. A manager may send its commit's objects, which saves fetching them: only a merge is decided on
-those, and only the forge makes it one, by accepting the push onto main's tip.
+those, and only the forge makes it one, by accepting the push onto main's tip. A manager's commit becomes main's tip as
+it is; what a person proposes is joined with main, and what is pushed is checked as it will stand there.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from robotkube.delivery.deployment.core.policies.merge import APPROVAL, AUTOMATIC, Way
@@ -24,9 +25,10 @@ from robotkube.delivery.gate.loops.rules import GateRules, GateSettings
 from robotkube.errors import DocumentError, InputError, RobotKubeError
 from robotkube.foundation.forge.core.commit_objects import CommitObjects
 from robotkube.foundation.forge.core.resync import RESYNC_SECONDS, resync_is_due
-from robotkube.foundation.forge.core.reviews import is_approved
+from robotkube.foundation.forge.core.reviews import approvers
+from robotkube.foundation.forge.loops.merging import merge_commit
 from robotkube.foundation.forge.ports.pull_requests import Forge, PullRequest, PushHook
-from robotkube.foundation.forge.ports.repositories import Commit, MainBranch
+from robotkube.foundation.forge.ports.repositories import Commit, Commits, MainBranch
 from robotkube.foundation.runtime.ports import Series, by_one
 from robotkube.registry.catalogue.loops.verified_catalogue import AssuredCatalogue
 from robotkube.registry.charts.core.values_schemas import Validate
@@ -58,33 +60,35 @@ class GateStatistics:
 
 @dataclass(frozen=True)
 class _Case:
-    """One pull request under decision, with everything that decides about it."""
+    """One pull request under decision, with everything that decides about it; `approvers` are those who approved it, if
+    the merge policy asks for them."""
 
     pull: PullRequest
     commit: Commit
     proposal: ProposedCommit
     verdict: ProposalVerdict
     way: Way
-    approved: bool
+    approvers: tuple[str, ...]
     source: str
     check_seconds: float
 
     @property
     def mergeable(self) -> bool:
-        return self.verdict.accepted and (self.way == AUTOMATIC or self.approved)
+        return self.verdict.accepted and (self.way == AUTOMATIC or bool(self.approvers))
 
 
 class Gate:
     """The gate of one deployment repository; `run` on one thread, `wake` from any.
 
-    `images` renders releases; `monotonic` is a clock in seconds that never goes back; `managers` are notified of every
-    commit that was merged here, sooner than by the forge.
+    `commits` makes commits in the clone of `main`; `images` renders releases; `monotonic` is a clock in seconds that
+    never goes back; `managers` are notified of every commit that was merged here, sooner than by the forge.
     """
 
     def __init__(
         self,
         forge: Forge,
         main: MainBranch,
+        commits: Commits,
         catalogue: AssuredCatalogue,
         push_hook: PushHook,
         settings: GateSettings,
@@ -95,6 +99,7 @@ class Gate:
     ) -> None:
         self._forge = forge
         self._main = main
+        self._commits = commits
         self._push_hook = push_hook
         self._managers = tuple(managers)
         self._settings = settings
@@ -247,13 +252,17 @@ class Gate:
             return
         if case is None:
             return
+        case, pushed = self._joined(case)
         commit = case.commit
         judged = self._monotonic()
         before = self._main.tip
-        merged = case.mergeable and self._main.push_main(commit.id)
+        merged = case.mergeable and self._main.push_main(pushed)
         verdict = case.verdict
         if case.mergeable and not merged:
             self._main.fetch()
+            if pushed != commit.id:  # a person's: joined with main as it is now, in the next round
+                self._resync_due = True
+                return
             verdict = ProposalVerdict(stale=True)
         if not merged:
             self._answer(case, verdict)
@@ -262,17 +271,30 @@ class Gate:
         self._settled[pull.number] = commit.id
         if merged:
             for manager in self._managers:
-                manager.hook(before, commit.id)
-            self._announce(before, commit.id)
+                manager.hook(before, pushed)
+            self._announce(before, pushed)
         if newly_decided:
             self._record(case, verdict, merged, (started, judged, decided, self._monotonic()))
+
+    def _joined(self, case: _Case) -> tuple[_Case, str]:
+        """A case and the commit that main is moved to if it may be: a plan's own; of a person's pull request, its merge
+        into main, which is judged as it would stand there."""
+        if not case.mergeable or self._plans(case.pull):
+            return case, case.commit.id
+        merge = merge_commit(self._main, self._commits, case.pull, case.commit, case.approvers)
+        verdict = self._rules.judge(case.pull.author, self._rules.proposal(merge))
+        return replace(case, verdict=verdict), merge.id
+
+    def _plans(self, pull: PullRequest) -> bool:
+        """Whether its author is a manager."""
+        return self._settings.proposer(pull.author) is not None
 
     def _unreadable(self, pull: PullRequest, problem: str) -> None:
         """Refuse a pull request that cannot even be read."""
         self.statistics.verdicts["refused"] += 1
         log.error("proposal unreadable number=%d problem=%r", pull.number, problem)
         self._comment_once(pull.number, verdict_comments.refusal_text(pull.head, [problem]))
-        if self._settings.proposer(pull.author) is not None:
+        if self._plans(pull):
             self._forge.close(pull.number)
         self._settled[pull.number] = pull.head
 
@@ -281,7 +303,7 @@ class Gate:
         else is judged on what the forge has: here main's tip may be an old one, and a refusal is not proved by any
         push."""
         objects = self._pending_objects.pop(pull.author, pull.head)
-        if objects is None or self._settings.proposer(pull.author) is None:
+        if objects is None or not self._plans(pull):
             return None
         try:
             commit = self._main.receive(objects)
@@ -302,18 +324,21 @@ class Gate:
         """Everything that decides about a pull request, read from Git, the catalogue and main; a refusal only after the
         catalogue was read again, since its webhook may have been lost."""
         began = self._monotonic()
-        plans = self._settings.proposer(pull.author) is not None
+        plans = self._plans(pull)
         commit = commit if plans else self._main.changes_since_branch(commit.id)
-        proposal = self._rules.proposal(commit)
+        proposal = self._rules.proposal(commit, () if plans else self._main.overlaps(commit))
         verdict = self._rules.judge(pull.author, proposal)
         if verdict.problems and self._rules.refresh():
             verdict = self._rules.judge(pull.author, proposal)
-        way = AUTOMATIC if verdict.repair else self._rules.merge_policy().way(pull.author, proposal.paths)
+        way = AUTOMATIC if verdict.repair else self._rules.way(pull.author, proposal.paths)
         asks = way == APPROVAL and not (plans and not verdict.accepted)
-        approved = asks and is_approved(
-            self._forge.reviews(pull.number), commit.id, pull.author, self._settings.accounts
-        )
-        return _Case(pull, commit, proposal, verdict, way, approved, source, self._monotonic() - began)
+        approved_by = self._approvers(pull, commit) if asks else ()
+        return _Case(pull, commit, proposal, verdict, way, approved_by, source, self._monotonic() - began)
+
+    def _approvers(self, pull: PullRequest, commit: Commit) -> tuple[str, ...]:
+        """Who approved exactly this commit; the accounts of programs do not count."""
+        programs = (*self._settings.accounts, self._settings.account)
+        return approvers(self._forge.reviews(pull.number), commit.id, pull.author, programs)
 
     # -- reporting ------------------------------------------------------------------------------------------------
 
@@ -323,12 +348,9 @@ class Gate:
         number = case.pull.number
         commit = case.commit
         self._waiting.discard(number)
-        if self._settings.proposer(case.pull.author) is None:
-            self._comment_once(number, verdict_comments.checked_text(commit.id, case.verdict, case.way))
-            if case.approved:
-                self._comment_once(number, verdict_comments.unmergeable_text(commit.id, verdict))
-            if case.way == APPROVAL:
-                self._waiting.add(number)
+        if not self._plans(case.pull):
+            self._comment_once(number, verdict_comments.checked_text(commit.id, case.proposal, verdict, case.way))
+            self._waiting.add(number)
         elif verdict.accepted:
             self._comment_once(number, verdict_comments.waiting_text(commit.id, case.way))
             self._waiting.add(number)
@@ -361,7 +383,7 @@ class Gate:
 
     def _record(self, case: _Case, verdict: ProposalVerdict, merged: bool, at: tuple[float, ...]) -> None:
         started, judged, decided, announced = at
-        plans = self._settings.proposer(case.pull.author) is not None
+        plans = self._plans(case.pull)
         refusal = "stale" if verdict.stale else "refused" if verdict.problems else "checked"
         name = "accepted" if merged else refusal if plans else "checked"
         self.statistics.verdicts[name] += 1

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from robotkube.delivery.deployment.core.policies.merge import PATH as MERGE_PATH
-from robotkube.delivery.deployment.core.policies.merge import MergePolicy, read_merge_policy
+from robotkube.delivery.deployment.core.policies.merge import MergePolicy, Way, read_merge_policy
 from robotkube.delivery.deployment.core.releases import Release, Tree, read_tree
 from robotkube.delivery.deployment.core.repairs import repair
 from robotkube.delivery.deployment.loops.main_history import Terms, older_files, release_files
@@ -112,12 +112,13 @@ class GateRules:
             self._main_now = _Main(self._main.tip, files, tree, changes)
         return self._main_now
 
-    def proposal(self, commit: Commit) -> proposal_checks.ProposedCommit:
-        """The proposed commit, with main's files before and after it."""
+    def proposal(self, commit: Commit, overlaps: Sequence[str] = ()) -> proposal_checks.ProposedCommit:
+        """The proposed commit, with main's files before and after it; `overlaps`: what main has changed, too."""
         main = self._known()
         after = proposal_checks.folders_of(proposal_checks.apply_changes(main.files, commit.changes))
         return proposal_checks.ProposedCommit(
-            commit.parents, commit.message, commit.changes, commit.irregular, main.tree, read_tree(after)
+            *(commit.parents, commit.message, commit.changes, commit.irregular, main.tree, read_tree(after)),
+            tuple(overlaps),
         )
 
     def judge(self, account: str, proposal: proposal_checks.ProposedCommit) -> proposal_checks.ProposalVerdict:
@@ -126,12 +127,19 @@ class GateRules:
         proposer = self._settings.proposer(account)
         if proposer is None:
             rules = self._rules(account, frozenset(everywhere), frozenset())
-            return proposal_checks.judge_person(proposal, self._main.tip, rules)
+            return proposal_checks.judge_person(proposal, rules)
         rules = self._rules(account, proposer.namespaces, frozenset(everywhere) - proposer.namespaces)
         return proposal_checks.judge(proposal, self._main.tip, rules)
 
-    def merge_policy(self) -> MergePolicy:
-        """The merge policy on main; nothing merges by itself while it is missing or cannot be read."""
+    def way(self, author: str, paths: Sequence[str]) -> Way:
+        """The way in which main's policy lets a pull request be merged; an account that is no manager is a person's."""
+        policy = self._merge_policy()
+        if self._settings.proposer(author) is None:
+            return policy.way_of_person(paths)
+        return policy.way_of_plan(author, paths)
+
+    def _merge_policy(self) -> MergePolicy:
+        """The merge policy on main; while it is missing or cannot be read, only its repair is open to approval."""
         text = self._main.files(self._main.tip, (MERGE_PATH.split("/", 1)[0],)).get(MERGE_PATH)
         if text is None:
             log.error("merge policy missing commit=%s path=%s", self._main.tip[:12], MERGE_PATH)

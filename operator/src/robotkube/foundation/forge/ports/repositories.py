@@ -78,9 +78,11 @@ class DeploymentRepository(MainHistory, Protocol):
 class Commits(Protocol):
     """Commits of one's own, made in memory."""
 
-    def commit(self, parent: str, changes: Mapping[str, str | None], message: str, merged: str = "") -> str:
+    def commit(
+        self, parent: str, changes: Mapping[str, str | None], message: str, merged: str = "", author: str = ""
+    ) -> str:
         """Make a commit on `parent`, which was fetched (path -> text, None removes), in memory; its id. `merged`: a
-        second parent, which gives nothing but its place in history."""
+        second parent, which gives nothing but its place in history; `author`: whose change it is when not one's own."""
         ...
 
 
@@ -129,6 +131,11 @@ class MainBranch(MainHistory, Protocol):
 
     def changes_since_branch(self, commit: str) -> Commit:
         """`commit`, which is here, with everything it changes since it left main: as if that were its only parent."""
+        ...
+
+    def overlaps(self, change: Commit) -> Sequence[str]:
+        """Paths of `change`, as `changes_since_branch` gives it, that main has changed otherwise since; none: both can
+        be joined file by file."""
         ...
 
     def push_main(self, commit: str) -> bool:

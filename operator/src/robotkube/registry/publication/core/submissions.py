@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -248,11 +248,20 @@ def _consistency_problems(proposed: Proposed, known: Sequence[str], tools: Tools
             yield f"{path}: changed on main since the commit's parent; submit again on main's tip"
     changed = {**_below(proposed.changes, CHARTS), **_below(proposed.changes, APPLICATIONS)}
     reported = tuple(path for path in changed if any(problem.startswith(f"{path}: ") for problem in known))
-    before = {(finding.file, finding.key) for finding in _findings(proposed.main, tools)}
-    for finding in _findings({**proposed.main, **changed}, tools):
+    problems = new_findings(proposed.main, {**proposed.main, **changed}, changed, tools)
+    yield from (f"{path}: {text}" for path, text in problems if path not in reported)
+
+
+def new_findings(
+    main: Mapping[str, str], after: Mapping[str, str], changed: Container[str], tools: Tools
+) -> Iterable[tuple[str, str]]:
+    """Path and words of each mistake that the catalogue has in `after` and not in `main`, and of each in a file that is
+    `changed`."""
+    before = {(finding.file, finding.key) for finding in _findings(main, tools)}
+    for finding in _findings(after, tools):
         path = finding.file.removeprefix("/")
-        if path not in reported and (path in changed or (finding.file, finding.key) not in before):
-            yield f"{path}: {finding.key}: {finding.text}"
+        if path in changed or (finding.file, finding.key) not in before:
+            yield path, f"{finding.key}: {finding.text}"
 
 
 def _findings(files: Mapping[str, str], tools: Tools) -> Sequence[SourceProblem]:

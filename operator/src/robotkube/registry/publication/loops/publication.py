@@ -4,7 +4,7 @@ Level-triggered: a round reads the open pull requests of publishers, does for ea
 waits for a suite. The order is: copy to `staging`, where no publisher writes; run the suites on that; sign, attach to
 the chart's digest, copy chart and evidence to `verified`, push the publication commit to main. That push is the
 publication: whatever was done before it is read again or does no harm, so a gate that was killed anywhere goes on in
-its next start.
+its next start. What people propose, who are no publishers, is checked and merged by `changes`.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from robotkube.registry.evidence.core.verification_policy import PATH as POLICY_
 from robotkube.registry.evidence.ports import Signer
 from robotkube.registry.publication.core.report import CHECKING, REFUSED, UNCHANGED, VERIFIED, WAITING
 from robotkube.registry.publication.core.submissions import KEYS, publication_files, publication_message
+from robotkube.registry.publication.loops.changes import ChangesOfPeople
 from robotkube.registry.publication.loops.report_comments import ReportComments
 from robotkube.registry.publication.loops.submission_reader import (
     PublicationSettings,
@@ -90,6 +91,8 @@ class PublicationLoop:
         self._settled: dict[int, str] = {}
         self._comments = ReportComments(forge, settings)
         self._reader = SubmissionReader(main, oci_registry, verifying, settings, tools)
+        self._people = ChangesOfPeople(forge, main, commits, settings, tools, monotonic, published)
+        self._people_woken = True
         self._failed: dict[int, str] = {}
         self._key_written = False
         self._woken = threading.Event()
@@ -102,6 +105,7 @@ class PublicationLoop:
         repository = (payload.get("repository") or {}).get("full_name")
         proposed = event.startswith("pull_request") and payload.get("action") in WAKING_ACTIONS
         if repository == self._settings.catalogue and proposed:
+            self._people_woken = True
             self._woken.set()
 
     def stop(self, stopping: threading.Event) -> None:
@@ -143,6 +147,9 @@ class PublicationLoop:
         for number in sorted(pulls):
             if self._settled.get(number) != pulls[number].head:
                 self._try(pulls[number])
+        woken = self._people_woken
+        self._people_woken = False  # before it is read: what is notified meanwhile is read for itself
+        self._people.round(woken)
 
     def _try(self, pull: PullRequest) -> None:
         try:

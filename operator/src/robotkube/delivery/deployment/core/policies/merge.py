@@ -1,10 +1,11 @@
 """policies/merge.yaml: what the gate merges by itself, what waits for a person's approval.
 
-    automatic: [{author: <account>, paths: [<prefix>]}]     merged as soon as the checks hold
+    automatic: [{author: <manager>, paths: [<prefix>]}]     merged as soon as the checks hold
     person: [{paths: [<prefix>]}]                           merged when another person with write rights approved it
 
-A prefix that ends with a slash is a folder, any other is one file. A pull request goes the first of these ways that
-covers all its files; what neither covers is merged by people in the forge. Always read from main.
+A prefix that ends with a slash is a folder, any other is one file. A manager's plan goes the first of these ways that
+covers all its files; what people propose never goes the first one. What no way covers is not merged. This file itself
+is always open to another person's approval, so no policy locks people out. Always read from main.
 """
 
 from __future__ import annotations
@@ -21,9 +22,9 @@ PATH = "policies/merge.yaml"
 ENTRIES_MAX = 50
 AUTOMATIC: Final = "automatic"
 APPROVAL: Final = "approval"
-FORGE: Final = "forge"
+CLOSED: Final = "closed"
 
-Way = Literal["automatic", "approval", "forge"]
+Way = Literal["automatic", "approval", "closed"]
 
 
 @dataclass(frozen=True)
@@ -34,12 +35,16 @@ class MergePolicy:
     automatic: Mapping[str, tuple[str, ...]]
     person: tuple[str, ...]
 
-    def way(self, author: str, paths: Iterable[str]) -> Way:
-        """The way in which a pull request of `author` that touches `paths` is merged."""
+    def way_of_plan(self, manager: str, paths: Iterable[str]) -> Way:
+        """The way in which a plan of `manager` that touches `paths` is merged."""
         touched = list(paths)
-        if _cover(self.automatic.get(author, ()), touched):
+        if _cover(self.automatic.get(manager, ()), touched):
             return AUTOMATIC
-        return APPROVAL if _cover(self.person, touched) else FORGE
+        return APPROVAL if _cover(self.person, touched) else CLOSED
+
+    def way_of_person(self, paths: Iterable[str]) -> Way:
+        """The way in which a person's pull request that touches `paths` is merged: never without somebody else."""
+        return APPROVAL if _cover((*self.person, PATH), list(paths)) else CLOSED
 
 
 def _cover(prefixes: Sequence[str], paths: Sequence[str]) -> bool:

@@ -123,6 +123,11 @@ class GitClone:
             raise DocumentError(f"commit {commit}", [problem])
         return self._with_changes(git_commit, (str(base),), self._lookup(str(base)).tree)
 
+    def overlaps(self, change: Commit) -> Sequence[str]:
+        """Paths of `change`, whose only parent is where it left the branch, that the branch changed otherwise since."""
+        trees = [self._lookup(commit).tree for commit in (change.parents[0], self.tip, change.id)]
+        return [path for path in sorted({*change.changes, *change.irregular}) if _overlap(path, *trees)]
+
     def _with_changes(self, commit: pygit2.Commit, parents: tuple[str, ...], before: pygit2.Tree | None) -> Commit:
         changes: dict[str, str | None] = {}
         irregular: list[str] = []
@@ -281,6 +286,22 @@ class GitClone:
 def _entry(commit: pygit2.Commit | None, path: str) -> str:
     """The id of what stands at a path; empty when nothing does."""
     return str(commit.tree[path].id) if commit is not None and path in commit.tree else ""
+
+
+def _overlap(path: str, base: pygit2.Tree, tip: pygit2.Tree, head: pygit2.Tree) -> bool:
+    """Whether `tip` and `head` both changed what `base` has at `path`, to something different; or `tip` has made a file
+    of one of the folders above it."""
+    now = _place(tip, path)
+    if now not in (_place(base, path), _place(head, path)):
+        return True
+    above = [path[:index] for index, character in enumerate(path) if character == "/"]
+    files = [folder for folder in above if (place := _place(tip, folder)) and place[1] != FileMode.TREE]
+    return any(_place(tip, folder) != _place(base, folder) for folder in files)
+
+
+def _place(tree: pygit2.Tree, path: str) -> tuple[str, int] | None:
+    """Id and mode of what stands at a path; None when nothing does."""
+    return (str(tree[path].id), int(tree[path].filemode)) if path in tree else None
 
 
 def _compared(

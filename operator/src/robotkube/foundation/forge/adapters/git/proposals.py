@@ -54,16 +54,21 @@ class ProposalWriter:
         self._open = open_pull_request
         self._send_objects = send_objects
 
-    def commit(self, parent: str, changes: Mapping[str, str | None], message: str, merged: str = "") -> str:
+    def commit(
+        self, parent: str, changes: Mapping[str, str | None], message: str, merged: str = "", author: str = ""
+    ) -> str:
         """Make a commit on `parent` and return its id; nothing outside the object store changes. `merged`: a second
-        parent, which gives nothing but its place in history."""
+        parent, which gives nothing but its place in history; `author`: the account whose change it is, when it is
+        another's."""
         base = self._lookup(parent)
         tree = self._edited(base.tree, _nested(changes))
-        signature = pygit2.Signature(self._author, f"{self._author}@{EMAIL_DOMAIN}", int(self._clock()), 0)
+        now = int(self._clock())
+        committer = pygit2.Signature(self._author, f"{self._author}@{EMAIL_DOMAIN}", now, 0)
+        signature = pygit2.Signature(author, f"{author}@{EMAIL_DOMAIN}", now, 0) if author else committer
         if tree is None:
             tree = self._repository.TreeBuilder().write()
         parents = [base.id, *([self._lookup(merged).id] if merged else [])]
-        return str(self._repository.create_commit(None, signature, signature, message, tree, parents))
+        return str(self._repository.create_commit(None, signature, committer, message, tree, parents))
 
     def _edited(self, tree: pygit2.Tree | None, changes: Mapping[str, Any]) -> pygit2.Oid | None:
         """`tree` with the nested changes applied; None when nothing is left of it."""
@@ -123,12 +128,22 @@ class ProposalWriter:
 
 
 def _nested(changes: Mapping[str, str | None]) -> dict[str, Any]:
-    """`{a/b/c: text}` as `{a: {b: {c: text}}}`."""
+    """`{a/b/c: text}` as `{a: {b: {c: text}}}`. What is removed yields to a folder in its place, or to a file in the
+    place of its folder."""
+    written = {path for path, text in changes.items() if text is not None}
+    above = {folder for path in written for folder in _folders(path)}
     root: dict[str, Any] = {}
     for path, text in changes.items():
+        if text is None and (path in above or not written.isdisjoint(_folders(path))):
+            continue
         *folders, name = path.split("/")
         place = root
         for folder in folders:
             place = place.setdefault(folder, {})
         place[name] = text
     return root
+
+
+def _folders(path: str) -> set[str]:
+    """The folders above a path."""
+    return {path[:index] for index, character in enumerate(path) if character == "/"}
