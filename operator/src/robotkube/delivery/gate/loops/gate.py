@@ -16,15 +16,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from robotkube.delivery.deployment.core.merge_records import MergeRecord
 from robotkube.delivery.deployment.core.policies.merge import APPROVAL, AUTOMATIC, Way
 from robotkube.delivery.gate.core import verdict_comments
 from robotkube.delivery.gate.core.proposal_checks import ProposalVerdict, ProposedCommit
+from robotkube.delivery.gate.loops.merge_records import MergeRecorder
 from robotkube.delivery.gate.loops.pending_objects import PendingObjects
 from robotkube.delivery.gate.loops.rules import GateRules, GateSettings
 from robotkube.errors import DocumentError, InputError, RobotKubeError
 from robotkube.foundation.forge.core.commit_objects import CommitObjects
 from robotkube.foundation.forge.core.resync import RESYNC_SECONDS, resync_is_due
-from robotkube.foundation.forge.core.reviews import is_approved
+from robotkube.foundation.forge.core.reviews import approvers
 from robotkube.foundation.forge.ports.pull_requests import Forge, PullRequest, PushHook
 from robotkube.foundation.forge.ports.repositories import Commit, MainBranch
 from robotkube.foundation.runtime.ports import Series, by_one
@@ -40,6 +42,7 @@ HOOKS = ("received", "lost")
 SOURCES = ("sent", "fetched")
 WAKING_ACTIONS = frozenset({"opened", "reopened", "synchronized", "synchronize"})  # the last is GitHub's
 REVIEWED = "reviewed"
+REPAIR = "repair"  # in records, the way of a plan that only brings a broken main back
 
 log = logging.getLogger(__name__)
 
@@ -65,7 +68,7 @@ class _Case:
     proposal: ProposedCommit
     verdict: ProposalVerdict
     way: Way
-    approved: bool
+    approvals: tuple[str, ...]
     source: str
     check_seconds: float
 
@@ -73,12 +76,22 @@ class _Case:
     def mergeable(self) -> bool:
         return self.verdict.accepted and (self.way == AUTOMATIC or self.approved)
 
+    @property
+    def approved(self) -> bool:
+        return bool(self.approvals)
+
+    def record(self, previous: str, catalogue: str) -> MergeRecord:
+        """What is recorded when main moves from `previous` to this commit, decided by that commit of the catalogue."""
+        number = str(self.pull.number)
+        way = REPAIR if self.verdict.repair else self.way
+        return MergeRecord(self.commit.id, previous, self.pull.author, way, number, self.approvals, "", catalogue)
+
 
 class Gate:
     """The gate of one deployment repository; `run` on one thread, `wake` from any.
 
     `images` renders releases; `monotonic` is a clock in seconds that never goes back; `managers` are notified of every
-    commit that was merged here, sooner than by the forge.
+    commit that was merged here, sooner than by the forge; `recorder` signs what was merged.
     """
 
     def __init__(
@@ -92,11 +105,13 @@ class Gate:
         images: RenderedImages,
         monotonic: Callable[[], float],
         managers: Sequence[PushHook] = (),
+        recorder: MergeRecorder | None = None,
     ) -> None:
         self._forge = forge
         self._main = main
         self._push_hook = push_hook
         self._managers = tuple(managers)
+        self._recorder = recorder
         self._settings = settings
         self._monotonic = monotonic
         self._rules = GateRules(settings, main, catalogue, validate, images)
@@ -250,7 +265,7 @@ class Gate:
         commit = case.commit
         judged = self._monotonic()
         before = self._main.tip
-        merged = case.mergeable and self._main.push_main(commit.id)
+        merged = case.mergeable and self._merge(case, before)
         verdict = case.verdict
         if case.mergeable and not merged:
             self._main.fetch()
@@ -266,6 +281,16 @@ class Gate:
             self._announce(before, commit.id)
         if newly_decided:
             self._record(case, verdict, merged, (started, judged, decided, self._monotonic()))
+
+    def _merge(self, case: _Case, before: str) -> bool:
+        """Move main from `before` to the commit that was checked, and have that recorded; False when main has moved
+        meanwhile."""
+        if self._recorder is None:
+            return self._main.push_main(case.commit.id)
+        record = self._recorder.expect(case.record(before, self._rules.catalogue_tip))
+        merged = self._main.push_main(case.commit.id)
+        (self._recorder.merged if merged else self._recorder.dropped)(record)
+        return merged
 
     def _unreadable(self, pull: PullRequest, problem: str) -> None:
         """Refuse a pull request that cannot even be read."""
@@ -310,10 +335,9 @@ class Gate:
             verdict = self._rules.judge(pull.author, proposal)
         way = AUTOMATIC if verdict.repair else self._rules.merge_policy().way(pull.author, proposal.paths)
         asks = way == APPROVAL and not (plans and not verdict.accepted)
-        approved = asks and is_approved(
-            self._forge.reviews(pull.number), commit.id, pull.author, self._settings.accounts
-        )
-        return _Case(pull, commit, proposal, verdict, way, approved, source, self._monotonic() - began)
+        reviews = self._forge.reviews(pull.number) if asks else ()
+        approvals = approvers(reviews, commit.id, pull.author, self._settings.accounts)
+        return _Case(pull, commit, proposal, verdict, way, approvals, source, self._monotonic() - began)
 
     # -- reporting ------------------------------------------------------------------------------------------------
 

@@ -18,11 +18,17 @@ class Review:
 
 
 def is_approved(reviews: Iterable[Review], commit: str, author: str, excluded: Iterable[str]) -> bool:
-    """Whether a person other than the author approved exactly `commit`, and nobody who may is against it. The last
-    review of each person counts; `reviews` are oldest first, `excluded` accounts whose reviews do not count."""
+    """Whether a person other than the author approved exactly `commit`, and nobody who may is against it; see
+    `approvers`."""
+    return bool(approvers(reviews, commit, author, excluded))
+
+
+def approvers(reviews: Iterable[Review], commit: str, author: str, excluded: Iterable[str]) -> tuple[str, ...]:
+    """Who approved exactly `commit`, sorted; nobody when somebody who may is against it. The last review of each person
+    other than the author counts; `reviews` are oldest first, `excluded` accounts whose reviews do not count."""
     nobody = {author, *excluded}
     counting = [
         review for review in reviews if review.official and review.commit == commit and review.author not in nobody
     ]
     last = {review.author: review for review in counting}
-    return bool(last) and all(review.approved for review in last.values())
+    return tuple(sorted(last)) if all(review.approved for review in last.values()) else ()

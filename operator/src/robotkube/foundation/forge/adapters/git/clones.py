@@ -45,12 +45,14 @@ class GitClone:
         folder: Path,
         branch: str = "main",
         heads: str = HEADS,
+        remote: bool = True,
     ) -> None:
+        """`remote` False: what stands in `folder` is read and never fetched, and its settings stay as they are."""
         self._heads = heads
         self._where = f"git {url}/{repository}"
         self._account = (username, password)
         self._branch = branch
-        self._repository = open_clone(folder, url, repository)
+        self._repository = open_clone(folder, url, repository) if remote else pygit2.Repository(str(folder))
         self._text = lru_cache(FILES_CACHED_MAX)(self._read_text)
         self._loose = 0  # objects that were stored since the last pack was made
 
