@@ -62,8 +62,8 @@ class MainContents(Protocol):
 
 
 class MergeRecorder:
-    """Writes the records of one gate; `expect`, `merged` and `dropped` are called by the gate, `run` has a thread of its
-    own. `repository` is the URL of the deployment repository, `verifier` the name in the statements; `now` gives the
+    """Writes the records of one gate; `expect`, `merged` and `dropped` are called by the gate, `run` has a thread of
+    its own. `repository` is the URL of the deployment repository, `verifier` the name in statements; `now` gives the
     time in RFC 3339; `written` counts records since the start."""
 
     def __init__(

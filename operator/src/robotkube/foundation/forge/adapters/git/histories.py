@@ -59,6 +59,8 @@ class GitHistory:
             changes, irregular = read.changes, read.irregular
         except DocumentError as error:
             problem = "; ".join(error.problems)
+        except (InputError, KeyError, pygit2.GitError) as error:
+            raise InputError(self._missing(f"what commit {commit} changes", error)) from error
         return HistoryCommit(
             id=commit,
             parents=tuple(str(parent) for parent in git_commit.parent_ids),
@@ -75,8 +77,14 @@ class GitHistory:
     def _commit(self, commit: str) -> pygit2.Commit:
         found = self._repository.get(commit)
         if not isinstance(found, pygit2.Commit):
-            raise InputError(f"{self._where}: commit {commit} is missing; the clone is not whole, clone it again")
+            raise InputError(self._missing(f"commit {commit}"))
         return found
+
+    def _missing(self, what: str, error: Exception | None = None) -> str:
+        """The words for a clone that lacks objects."""
+        return f"{self._where}: {what} is missing; the clone is not whole, clone it again" + (
+            f" ({error})" if error else ""
+        )
 
     def files(self, commit: str, folders: Sequence[str]) -> Mapping[str, str]:
         """Path -> text of every ordinary text file below `folders` in `commit`."""
@@ -148,7 +156,9 @@ def fetch_history(url: str, repository: str, username: str, password: str, folde
     former = str(before.target) if before else ""
     main = f"+refs/heads/{branch}:refs/heads/{branch}"
     try:
-        clone.remotes["origin"].fetch([main, ALL_NOTES], callbacks=GitConnection((username, password)), prune=FetchPrune.PRUNE)
+        clone.remotes["origin"].fetch(
+            [main, ALL_NOTES], callbacks=GitConnection((username, password)), prune=FetchPrune.PRUNE
+        )
     except (pygit2.GitError, PermissionError, OSError) as error:
         raise UnavailableError(f"git {url}/{repository}: fetch: {error}") from error
     return former

@@ -16,8 +16,8 @@ ALL_NOTES = "+refs/notes/*:refs/notes/*"
 
 
 class GitNotes:
-    """The port Notes for `<organisation>/<name>`, of one `reference`; the clone stands in `folder` and can be lost at any
-    time.
+    """The port Notes for `<organisation>/<name>`, of one `reference`; the clone stands in `folder` and can be lost at
+    any time.
 
     UnavailableError: the forge does not answer, or another writer was faster; a caller may try again."""
 
