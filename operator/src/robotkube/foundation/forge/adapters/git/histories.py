@@ -60,7 +60,7 @@ class GitHistory:
         except DocumentError as error:
             problem = "; ".join(error.problems)
         except (InputError, KeyError, pygit2.GitError) as error:
-            raise InputError(self._missing(f"what commit {commit} changes", error)) from error
+            raise InputError(self._missing(f"something that commit {commit} or its parent needs")) from error
         return HistoryCommit(
             id=commit,
             parents=tuple(str(parent) for parent in git_commit.parent_ids),
@@ -80,11 +80,9 @@ class GitHistory:
             raise InputError(self._missing(f"commit {commit}"))
         return found
 
-    def _missing(self, what: str, error: Exception | None = None) -> str:
+    def _missing(self, what: str) -> str:
         """The words for a clone that lacks objects."""
-        return f"{self._where}: {what} is missing; the clone is not whole, clone it again" + (
-            f" ({error})" if error else ""
-        )
+        return f"{self._where}: {what} is missing; the clone is not whole, clone it again"
 
     def files(self, commit: str, folders: Sequence[str]) -> Mapping[str, str]:
         """Path -> text of every ordinary text file below `folders` in `commit`."""
