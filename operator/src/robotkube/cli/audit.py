@@ -182,7 +182,7 @@ def _changes(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:
             **change,
             "commit": _short(change["commit"]),
             "tasks": [task["task"] for task in change["tasks"]] or change["causes"],
-            "checked": _checked(change["checked"]),
+            "checked": "the first commit" if change["seed"] else _checked(change["checked"]),
         }
         for change in document["changes"]
     ]

@@ -10,6 +10,7 @@ import pygit2
 import pytest
 
 from robotkube.delivery.audit.core.questions import release_of_pod
+from robotkube.delivery.deployment.core.merge_records import OUTCOMES_REFERENCE
 from robotkube.errors import InputError
 from robotkube.foundation.forge.adapters.git import GitHistory
 from tests.stages.delivery.audited_platform import (
@@ -126,6 +127,15 @@ def test_findings_say_whether_they_concern_what_was_asked(platform: Platform) ->
             ("changed-by-hand", concerns),
             ("unchecked-commit", concerns),
         ]
+
+
+def test_what_a_changed_note_says_is_not_believed(platform: Platform) -> None:
+    commit = platform.names["recorder"]
+    text = platform.deployment.note(OUTCOMES_REFERENCE, commit)
+    platform.deployment.write_note(OUTCOMES_REFERENCE, commit, text.replace("cloud-0-node", "cloud-1-node"))
+    document = platform.audit("cloud-0/recorder-a")
+    assert document["ran"][0]["observed"] is None
+    assert [(one["finding"], one["concerns"]) for one in document["findings"]] == [("note-edited", True)]
 
 
 def test_findings_of_commits_that_were_known_are_left_out_and_counted(platform: Platform) -> None:

@@ -478,6 +478,18 @@ def test_a_manipulation_is_found(platform: Platform, manipulate: Manipulate, kin
     assert any(name == kind and words in what for name, what in findings), findings
 
 
+def test_what_a_later_plan_made_good_is_said(platform: Platform) -> None:
+    break_glass(platform)
+    commit = platform.deployment.tip
+    made = release(RECORDER, platform.names["evidence of recorder"], "cloud-0", "recorder-c", plan_id(8))
+    message = message_of(made, "withdraw", ("revert",))
+    trailer = "RobotKube-Plan:"
+    message = message.replace(trailer, f"RobotKube-Reverts: {commit}\n{trailer}")
+    undone = platform.merge({path: None for path in files_of(made) if "recorder-c" in path}, message, LATER + MINUTE)
+    ((kind, what),) = [one for one in found(platform.audit()) if one[0] == "break-glass"]
+    assert what.endswith(f"; undone by commit {undone}"), kind
+
+
 def test_a_platform_that_nobody_touched_has_no_finding(clean: Platform) -> None:
     assert found(clean.audit()) == []
 
@@ -525,7 +537,7 @@ def application_edited(platform: Platform) -> None:
 
 BEYOND: list[tuple[Manipulate, str]] = [
     (everything_put_back, "whether main, catalogue and all notes together were put back to an earlier state"),
-    (newest_outcome_rewritten_without_a_trace, "`observed` is what a manager saw once, unsigned"),
+    (newest_outcome_rewritten_without_a_trace, "what was observed a manager saw once, and nobody signed it"),
     (application_edited, "who changed applications of the catalogue (applications/): no signature covers them"),
 ]
 

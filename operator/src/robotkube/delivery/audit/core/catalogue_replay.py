@@ -101,7 +101,7 @@ def release_finding(release: Release, catalogue: Catalogue, commit: str, decided
     `decided_by`, is what the gate decided by; None when nothing is."""
     where = f"release {release.key} by commit {commit}"
     chart = f"{release.chart}@{release.version}"
-    about = (release.key, f"{chart}@{release.digest}", release.digest)
+    about = (release.key,)
     if release.evidence == NONE:
         return Finding("no-evidence", "deployment", where, f"{chart} with evidence none", commit, about)
     version = catalogue.version(release.chart, release.version)

@@ -32,19 +32,20 @@ class Outcomes:
 
 
 def read_outcomes(notes: NoteHistory, changes: Sequence[MainChange]) -> Outcomes:
-    """The outcomes in the notes, checked against main's commits."""
+    """The outcomes in the notes, checked against main's commits; what a changed note says is not believed."""
     known = {change.commit.id: change for change in changes}
     findings: list[Finding] = []
     for edit in notes.edits:
         word = "removed" if edit.removed else "changed"
         what = f"the note of {short(edit.annotated)} was {word} by {short(edit.by)} of {OUTCOMES_REFERENCE}"
         findings.append(_finding("note-edited", edit.annotated, what))
+    edited = {edit.annotated for edit in notes.edits}
     by_commit: dict[str, Mapping[str, Observed]] = {}
     for annotated, text in sorted(notes.texts.items()):
         document = _document(text)
         problems = list(_problems(annotated, document, known.get(annotated)))
         findings += problems
-        if document is not None and not problems:
+        if document is not None and not problems and annotated not in edited:
             by_commit[annotated] = dict(_observed(document))
     return Outcomes(by_commit, tuple(findings))
 

@@ -129,6 +129,7 @@ def _change(change: MainChange, merges: Merges) -> Row:
         "manager": message.manager if message else "",
         "term": message.term if message else None,
         "releases": list(change.releases),
+        "seed": not commit.parents,
         "break_glass": is_break_glass(commit.message),
         "checked": None
         if record is None
@@ -162,7 +163,7 @@ def _limits(answered: Answered, merges: Merges, outcomes: Outcomes, scope: Scope
     """What Git and registry cannot know here, a sentence each."""
     yield (
         "Cannot be told from Git: which containers ran, and when each of them started and ended. Git has what main "
-        "asked for and when; `observed` is what a manager saw once, unsigned."
+        "asked for and when; what was observed a manager saw once, and nobody signed it."
     )
     yield "Cannot be told from Git: whether somebody changed workloads in the cluster itself, past Git and Argo CD."
     yield (
