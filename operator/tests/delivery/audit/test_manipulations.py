@@ -11,6 +11,7 @@ from dataclasses import replace
 import pygit2
 import pytest
 
+from robotkube.delivery.audit.core.findings import MEANINGS
 from robotkube.delivery.deployment.core.merge_records import REFERENCE, MergeRecord, record_statement
 from robotkube.foundation.documents.core.digests import canonical_json, sha256
 from robotkube.foundation.forge.adapters.git.notes import REFERENCE as OUTCOMES
@@ -35,7 +36,7 @@ from tests.stages.delivery.audited_platform import (
     plan_id,
     release,
 )
-from tests.stages.paths import REGISTRY
+from tests.stages.paths import DOCS, REGISTRY
 from tests.stages.registry.signed_evidence import POLICY_TEXT, Signing, artefact, entry, listing, published, signing_key
 
 LATER = BEGAN + 60 * MINUTE
@@ -224,6 +225,12 @@ def broken_yaml(platform: Platform) -> None:
 
 
 # -- history and time -----------------------------------------------------------------------------------------------
+
+
+def main_under_a_record_replaced(platform: Platform) -> None:
+    """The record of the newest commit says that main stood at a commit that nobody has any more."""
+    commit = platform.deployment.commit(*third(platform), LATER)
+    platform.record(commit, LATER + 1, "9" * 40)
 
 
 def main_replaced(platform: Platform) -> None:
@@ -443,6 +450,7 @@ MANIPULATIONS: list[tuple[Manipulate, str, str]] = [
     (broken_yaml, "file-not-readable", "releases/cloud-0/recorder-b.yaml"),
     (main_replaced, "record-off-main", "pull request 7 by manager, merged at 2026-11-18T11:23:41Z"),
     (main_replaced_in_the_middle, "record-off-main", "merged at 2026-11-18T11:22:41Z"),
+    (main_under_a_record_replaced, "record-contradicts-main", "main stood at 999999999999 before"),
     (catalogue_replaced, "catalogue-rewritten", "it was decided by commit"),
     (commit_before_its_parent, "time-order", "s before the commit that it stands on"),
     (commit_in_the_future, "time-order", "its time lies 600 s in the future"),
@@ -490,6 +498,12 @@ def test_what_a_later_plan_made_good_is_said(platform: Platform) -> None:
     assert what.endswith(f"; undone by commit {undone}"), kind
 
 
+def test_every_kind_of_finding_has_a_manipulation_and_a_row_in_the_reference() -> None:
+    page = (DOCS / "reference" / "audit.md").read_text()
+    assert {kind for _, kind, _ in MANIPULATIONS} | {"main-rewritten"} == set(MEANINGS)
+    assert [kind for kind in MEANINGS if f"`{kind}`" not in page] == []
+
+
 def test_a_platform_that_nobody_touched_has_no_finding(clean: Platform) -> None:
     assert found(clean.audit()) == []
 
@@ -506,6 +520,22 @@ def test_a_pull_request_of_several_commits_is_covered_by_the_record_of_its_last(
         last = platform.deployment.commit({"policies/note.yaml": f"a: {number}\n"}, "one\n", LATER + number, "ada")
     platform.record(last, LATER + 4, before, "approval", "grace")
     assert found(platform.audit()) == []
+
+
+def test_a_pull_request_into_which_main_was_merged_is_one_change_of_main(platform: Platform) -> None:
+    """Its first parent is not where main stood."""
+    main = platform.deployment
+    before = main.tip
+    side = main.commit(
+        {"policies/note.yaml": "a: 1\n"}, "one\n", LATER, "ada", [platform.names["withdrawal"]], move=False
+    )
+    files = {path: main.text(path) for path in main_files(platform)}
+    head = main.commit({**files, "policies/note.yaml": "a: 1\n"}, "Merge main\n", LATER, "ada", [side, before])
+    assert "record-off-main" in {kind for kind, _ in found(platform.audit())}, "nobody signed for it yet"
+    platform.record(head, LATER + 1, before, "approval", "grace")
+    document = platform.audit()
+    assert found(document) == []
+    assert [change["commit"] for change in document["changes"]][-2:] == [before, head]
 
 
 # -- beyond it -------------------------------------------------------------------------------------------------------

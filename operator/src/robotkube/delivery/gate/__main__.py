@@ -1,7 +1,8 @@
 """`python3 -m robotkube.delivery.gate`: the gate of the deployment repository, and publication to the catalogue.
 
 Settings: docs/reference/settings.md. Ends with 0 on SIGTERM, 2 when the settings are wrong. The clones stand below
-ROBOTKUBE_WORK (default /tmp/gate); they can be lost at any time.
+ROBOTKUBE_WORK (default /tmp/gate); they can be lost at any time. `merges` beside them holds records of merges until
+their notes stand: for seconds.
 """
 
 from __future__ import annotations

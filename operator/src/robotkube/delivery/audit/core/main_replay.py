@@ -90,7 +90,8 @@ class _State:
 
 
 def replay(commits: Sequence[HistoryCommit], brought: Mapping[str, int], now: int) -> MainReplay:
-    """Main as its commits (oldest first) made it. `brought`: merge commit -> how many commits it brought; `now` is the
+    """Main as its commits (oldest first) made it. `brought`: merge commit that the gate
+    did not sign for -> how many commits it brought; `now` is the
     present time in seconds since 1970."""
     state = _State()
     changes: list[MainChange] = []
@@ -130,8 +131,8 @@ def _in_order(runs: Iterable[ReleaseRun], commits: Sequence[HistoryCommit]) -> t
 
 
 def _shape(commit: HistoryCommit, brought: Mapping[str, int]) -> Iterator[Finding]:
-    if len(commit.parents) > 1:
-        count = brought.get(commit.id, 0)
+    if commit.id in brought:
+        count = brought[commit.id]
         yield _finding(
             "merge-commit", commit, f"{len(commit.parents)} parents; it brings {count} commits of a side branch"
         )

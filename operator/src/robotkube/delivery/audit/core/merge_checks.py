@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 from robotkube.delivery.audit.core.findings import Finding, short
@@ -29,6 +30,18 @@ class Merges:
     records: Mapping[str, MergeRecord] = field(default_factory=dict)
     unsigned: int = 0
     findings: tuple[Finding, ...] = ()
+
+
+def main_moves(statements: Mapping[str, VerifiedStatement | str]) -> Mapping[str, str]:
+    """Commit -> where main stood before the gate moved it there, by all records that hold."""
+    moves: dict[str, str] = {}
+    for annotated, statement in statements.items():
+        if isinstance(statement, VerifiedStatement):
+            with suppress(InputError):
+                record = read_record(statement)
+                if record.commit == annotated and record.previous:
+                    moves[annotated] = record.previous
+    return moves
 
 
 def check_merges(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
@@ -15,6 +15,8 @@ from robotkube.delivery.audit.core.questions import Answered
 from robotkube.foundation.documents.core.times import time_text
 
 Row = dict[str, Any]
+Evidence = tuple[str, str]
+"""Digest of a chart, and of its evidence."""
 
 
 @dataclass(frozen=True)
@@ -56,11 +58,13 @@ def document(
     commits = {change.commit.id for change in answered.changes}
     names = {run.release.key for run in answered.runs} | {run.release.digest for run in answered.runs}
     whole = not answered.word
+    times = {change.commit.id: _time(change, merges) for change in answered.changes}
+    by_evidence = {(row["digest"], row["evidence"]): row for row in verified}
     return {
         "asked": answered.word,
         "understood_as": list(answered.as_),
         "as_of": scope.row(),
-        "ran": [_run(run, answered, merges, outcomes, verified) for run in answered.runs],
+        "ran": [_run(run, times, outcomes, by_evidence) for run in answered.runs],
         "changes": [_change(change, merges) for change in answered.changes],
         "verified": list(verified),
         "findings": [
@@ -80,13 +84,10 @@ def document(
     }
 
 
-def _run(run: ReleaseRun, answered: Answered, merges: Merges, outcomes: Outcomes, verified: Sequence[Row]) -> Row:
+def _run(run: ReleaseRun, times: Mapping[str, str], outcomes: Outcomes, verified: Mapping[Evidence, Row]) -> Row:
     release = run.release
-    times = {change.commit.id: _time(change, merges) for change in answered.changes}
     seen = outcomes.by_commit.get(run.began, {}).get(release.key)
-    known = next(
-        (row for row in verified if (row["digest"], row["evidence"]) == (release.digest, release.evidence)), None
-    )
+    known = verified.get((release.digest, release.evidence))
     return {
         "release": release.key,
         "agent": release.namespace,

@@ -16,7 +16,7 @@ from robotkube.delivery.audit.core.catalogue_replay import (
 )
 from robotkube.delivery.audit.core.findings import Finding, unique
 from robotkube.delivery.audit.core.main_replay import MainReplay, replay
-from robotkube.delivery.audit.core.merge_checks import Merges, check_merges
+from robotkube.delivery.audit.core.merge_checks import Merges, check_merges, main_moves
 from robotkube.delivery.audit.core.outcomes import read_outcomes
 from robotkube.delivery.audit.core.questions import Known, answer
 from robotkube.delivery.audit.core.verifications import verification_row
@@ -25,7 +25,7 @@ from robotkube.delivery.deployment.core.merge_records import OUTCOMES_REFERENCE,
 from robotkube.errors import InputError
 from robotkube.foundation.documents.core.digests import sha256
 from robotkube.foundation.documents.core.patterns import COMMIT
-from robotkube.foundation.forge.core.histories import HistoryCommit, NoteHistory
+from robotkube.foundation.forge.core.histories import HistoryCommit
 from robotkube.foundation.forge.ports.histories import History
 from robotkube.registry.catalogue.core.catalogue import FOLDERS, VERIFICATION_POLICY, Catalogue
 from robotkube.registry.catalogue.core.chart_versions import ChartVersion
@@ -72,16 +72,19 @@ class Auditor:
         keys = sorted(sources.verifier.trusted())
         if not keys:
             raise InputError("--keys: there is no public key (*.pem) in that folder, so nothing can be believed")
-        commits = sources.deployment.commits()
+        records = sources.deployment.notes(REFERENCE)
+        statements = {commit: self._verify(text.removesuffix("\n")) for commit, text in records.texts.items()}
+        moves = main_moves(statements)
+        commits = sources.deployment.commits(moves)
         if not commits:
             raise InputError("the deployment repository has no main branch: nothing ever ran")
         sources.progress(f"deployment repository: {len(commits)} commits")
-        brought = {c.id: sources.deployment.brought(c.id) for c in commits if len(c.parents) > 1}
+        brought = {c.id: sources.deployment.brought(c.id) for c in commits if len(c.parents) > 1 and c.id not in moves}
         main = replay(commits, brought, self._now)
-        offered = replay_catalogue(sources.catalogue.commits(), self._now)
+        offered = replay_catalogue(sources.catalogue.commits({}), self._now)
         sources.progress(f"catalogue: {len(offered.commits)} commits")
         notes = sources.deployment.notes(OUTCOMES_REFERENCE)
-        merges = self._merges(commits, notes, offered)
+        merges = check_merges(commits, statements, records, notes, offered.ids)
         outcomes = read_outcomes(notes, main.changes)
         versions = self._versions(main, merges, offered)
         known = Known(main, {d: v.image_references for d, v in versions.items() if v}, outcomes.by_commit)
@@ -104,13 +107,6 @@ class Auditor:
         )
         verified = self._verified(runs, merges, offered)
         return report.document(answered, merges, outcomes, verified, kept, accepted, scope)
-
-    # -- the deployment repository --------------------------------------------------------------------------------
-
-    def _merges(self, commits: Sequence[HistoryCommit], outcomes: NoteHistory, offered: CatalogueReplay) -> Merges:
-        records = self._sources.deployment.notes(REFERENCE)
-        statements = {commit: self._verify(text.removesuffix("\n")) for commit, text in records.texts.items()}
-        return check_merges(commits, statements, records, outcomes, offered.ids)
 
     def _verify(self, text: str) -> VerifiedStatement | str:
         try:

@@ -11,8 +11,11 @@ from robotkube.foundation.forge.core.histories import HistoryCommit, NoteHistory
 class History(Protocol):
     """Main of one repository, and its notes. InputError when the clone cannot be read."""
 
-    def commits(self) -> Sequence[HistoryCommit]:
-        """Main's commits along first parents, oldest first; empty when there is no main."""
+    def commits(self, previous: Mapping[str, str]) -> Sequence[HistoryCommit]:
+        """Main's commits along first parents, oldest first; empty when there is no main.
+
+        `previous`: commit -> where main stood before it moved there. What lies between came with that commit: it is
+        left out, and the commit's changes are those of all of it. A `previous` that is no ancestor does not count."""
         ...
 
     def files(self, commit: str, folders: Sequence[str]) -> Mapping[str, str]:

@@ -116,6 +116,10 @@ class GitClone:
         parents = tuple(str(parent) for parent in git_commit.parent_ids)
         return self._with_changes(git_commit, parents, self._lookup(parents[0]).tree if parents else None)
 
+    def changes_since(self, commit: str, base: str) -> Commit:
+        """A commit that is here, with everything it changes against `base`, as if that were its parent."""
+        return self._with_changes(self._lookup(commit), (base,), self._lookup(base).tree)
+
     def changes_since_branch(self, commit: str) -> Commit:
         """A commit that is here, with everything it changes since it left the branch, as if that were its parent."""
         git_commit = self._lookup(commit)

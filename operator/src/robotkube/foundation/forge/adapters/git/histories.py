@@ -38,24 +38,33 @@ class GitHistory:
         self._where = str(folder)
         self._clone = GitClone("", "", "", "", Path(self._repository.path), branch, remote=False)
 
-    def commits(self) -> Sequence[HistoryCommit]:
-        """Main's commits along first parents, oldest first."""
+    def commits(self, previous: Mapping[str, str]) -> Sequence[HistoryCommit]:
+        """Main's commits along first parents, or to the `previous` one where that is known, oldest first."""
         found: list[HistoryCommit] = []
         commit = self._clone.tip
         while commit:
             if len(found) == COMMITS_MAX:
                 raise InputError(f"{self._where}: main has more than {COMMITS_MAX} commits")
-            found.append(self._read(commit))
-            commit = found[-1].parents[0] if found[-1].parents else ""
+            before = self._before(commit, previous.get(commit, ""))
+            found.append(self._read(commit, before))
+            commit = before
         return found[::-1]
 
-    def _read(self, commit: str) -> HistoryCommit:
+    def _before(self, commit: str, previous: str) -> str:
+        """Where main stood before a commit; empty when it is the first."""
+        parents = [str(parent) for parent in self._commit(commit).parent_ids]
+        if previous in parents[:1] or not parents:
+            return "".join(parents[:1])
+        known = isinstance(self._repository.get(previous), pygit2.Commit) if previous else False
+        return previous if known and self._repository.descendant_of(commit, previous) else parents[0]
+
+    def _read(self, commit: str, before: str) -> HistoryCommit:
         git_commit = self._commit(commit)
         changes: Mapping[str, str | None] = {}
         irregular: tuple[str, ...] = ()
         problem = ""
         try:
-            read = self._clone.commit(commit)
+            read = self._clone.changes_since(commit, before) if before else self._clone.commit(commit)
             changes, irregular = read.changes, read.irregular
         except DocumentError as error:
             problem = "; ".join(error.problems)
