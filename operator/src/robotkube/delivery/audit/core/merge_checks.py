@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 
 from robotkube.delivery.audit.core.findings import Finding, short
@@ -37,10 +36,12 @@ def main_moves(statements: Mapping[str, VerifiedStatement | str]) -> Mapping[str
     moves: dict[str, str] = {}
     for annotated, statement in statements.items():
         if isinstance(statement, VerifiedStatement):
-            with suppress(InputError):
+            try:
                 record = read_record(statement)
-                if record.commit == annotated and record.previous:
-                    moves[annotated] = record.previous
+            except InputError:
+                continue
+            if record.commit == annotated and record.previous:
+                moves[annotated] = record.previous
     return moves
 
 
