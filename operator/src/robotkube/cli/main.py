@@ -35,7 +35,7 @@ class Command:
 
 def commands() -> Sequence[Command]:
     """Every command; other modules of the command line add theirs here."""
-    from robotkube.cli import plans, traces
+    from robotkube.cli import audit, plans, traces
     from robotkube.cli import rules as cli_rules
     from robotkube.cli.recordings import commands as cli_recordings
     from robotkube.cli.recordings import export
@@ -66,6 +66,13 @@ def commands() -> Sequence[Command]:
         Command("task", "withdraw", "delete a task: its demand ends", listing.withdraw_task, listing.withdrawing),
         Command("release", "list", "releases, the demands on them, and what the cluster shows", plans.list_releases),
         Command("trace", "", "from an event to the pods and recordings it led to", traces.trace, traces.tracing),
+        Command(
+            "audit",
+            "",
+            "what ran, for whom and on what evidence, from Git and registry alone, and what was manipulated",
+            audit.audit,
+            audit.auditing,
+        ),
         Command("plan", "list", "plans of the manager with their times", plans.list_plans),
         Command("recording", "list", "what was recorded", cli_recordings.list_all, cli_recordings.listing),
         Command("recording", "show", "everything about one recording", cli_recordings.show, cli_recordings.naming),

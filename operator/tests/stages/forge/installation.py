@@ -20,6 +20,7 @@ from robotkube.delivery.deployment.core.releases import Release, Source, TaskCau
 from robotkube.delivery.gate.__main__ import OBJECTS_PATH, objects_posts
 from robotkube.delivery.gate.core.proposal_checks import Proposer
 from robotkube.delivery.gate.loops.gate import Gate, gate_metrics
+from robotkube.delivery.gate.loops.merge_records import MergeRecorder
 from robotkube.delivery.gate.loops.rules import GateSettings
 from robotkube.foundation.documents.adapters.json_schema import validate
 from robotkube.foundation.forge.adapters.git import GitClone, ProposalWriter
@@ -372,9 +373,10 @@ def start_gate(
     managers: Sequence[str] = (),
     proposers: tuple[Proposer, ...] = PROPOSERS,
     images: RenderedImages = no_images,
+    recorder: MergeRecorder | None = None,
 ) -> RunningGate:
     """A new gate on `folder`; without `webhooks` it only polls; `managers` are the webhooks of account manager's
-    processes, which it tells of main; `images` renders releases."""
+    processes, which it tells of main; `images` renders releases; `recorder` gets what it merges."""
     account = ("gate", installation.passwords["gate"])
     forge = GiteaForge(installation.url, "robotkube/deployment", *account)
     hook = SignedPushHook(hook_url, HOOK_SECRET.encode(), f"{installation.url}/robotkube/deployment")
@@ -393,6 +395,7 @@ def start_gate(
         images,
         time.monotonic,
         relays,
+        recorder,
     )
     server = WebServer(
         "127.0.0.1",

@@ -1,7 +1,8 @@
 """`python3 -m robotkube.delivery.gate`: the gate of the deployment repository, and publication to the catalogue.
 
 Settings: docs/reference/settings.md. Ends with 0 on SIGTERM, 2 when the settings are wrong. The clones stand below
-ROBOTKUBE_WORK (default /tmp/gate); they can be lost at any time.
+ROBOTKUBE_WORK (default /tmp/gate); they can be lost at any time. `merges` beside them holds records of merges until
+their notes stand: for seconds.
 """
 
 from __future__ import annotations
@@ -15,8 +16,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from robotkube.delivery.deployment.core.merge_records import REFERENCE
+from robotkube.delivery.gate.adapters.merge_journal import FileJournal
 from robotkube.delivery.gate.core.proposal_checks import Proposer
 from robotkube.delivery.gate.loops.gate import Gate, gate_metrics
+from robotkube.delivery.gate.loops.merge_records import MergeRecorder
 from robotkube.delivery.gate.loops.plan_notes import NoteWriter
 from robotkube.delivery.gate.loops.rules import GateSettings
 from robotkube.delivery.manager.core.placement.scopes import DeclaredManager, Scope, overlaps
@@ -181,7 +185,13 @@ class _NoRunner:
         raise UnavailableError("this installation has no suite-runner (charts/robotkube, values suites.enabled)")
 
 
-def build_gate(configuration: GateConfiguration, work: Path, schemas: BoundedSchemas, renderer: ChartProgram) -> Gate:
+def build_gate(
+    configuration: GateConfiguration,
+    work: Path,
+    schemas: BoundedSchemas,
+    renderer: ChartProgram,
+    recorder: MergeRecorder | None = None,
+) -> Gate:
     """The gate of the deployment repository on its adapters; nothing is sent yet."""
     forge = configuration.forge
     account = configuration.account
@@ -209,6 +219,7 @@ def build_gate(configuration: GateConfiguration, work: Path, schemas: BoundedSch
             for proposer in settings.proposers
             if proposer.webhook
         ],
+        recorder,
     )
 
 
@@ -254,6 +265,24 @@ def build_notes(configuration: GateConfiguration, work: Path) -> NoteWriter:
     notes = GitNotes(configuration.forge.url, repository, account.username, account.password, work / "notes")
     forge = configuration.forge.pull_requests(repository, account, configuration.branch)
     return NoteWriter(forge, notes, configuration.gate.accounts, time.monotonic)
+
+
+def build_recorder(configuration: GateConfiguration, work: Path) -> MergeRecorder:
+    """The recorder of what the gate merges, on adapters of its own, since it has a thread of its own."""
+    address = configuration.forge
+    account = configuration.account
+    repository = configuration.gate.deployment
+    work.mkdir(parents=True, exist_ok=True)
+    folder = work / "records"
+    return MergeRecorder(
+        GitNotes(address.url, repository, account.username, account.password, folder, REFERENCE),
+        address.clone(repository, account, folder, configuration.branch),
+        FileJournal(work / "merges"),
+        KeyFile(configuration.key),
+        f"{address.url}/{repository}",
+        configuration.verifier,
+        _now,
+    )
 
 
 def objects_posts(gate: Gate, repository: str, secrets: Mapping[str, str]) -> dict[str, Signed]:
@@ -315,21 +344,22 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     renderer = ChartRenderer(environment.get("ROBOTKUBE_RENDERER", RENDERER))
     deployment_schemas = BoundedSchemas()
     catalogue_schemas = BoundedSchemas()  # one each, so that neither loop waits for the other
-    gate = build_gate(configuration, work, deployment_schemas, renderer)
+    recorder = build_recorder(configuration, work)
+    gate = build_gate(configuration, work, deployment_schemas, renderer, recorder)
     publication = build_publication(configuration, work, gate, catalogue_schemas)
     notes = build_notes(configuration, work)
     server = build_server(configuration, gate, publication, notes)
     server.start()
     process.log("started", **server.ports, proposers=len(configuration.gate.proposers))
     stopping = threading.Event()
-    loops = [threading.Thread(target=loop.run, args=(stopping,), daemon=True) for loop in (gate, publication, notes)]
+    runners = (gate, publication, notes, recorder)
+    loops = [threading.Thread(target=loop.run, args=(stopping,), daemon=True) for loop in runners]
     for thread in loops:
         thread.start()
     while all(thread.is_alive() for thread in loops) and not process.stopping.wait(STOP_POLL_SECONDS):
         pass
-    gate.stop(stopping)
-    publication.stop(stopping)
-    notes.stop(stopping)
+    for loop in runners:
+        loop.stop(stopping)
     for thread in loops:
         thread.join(GRACE_SECONDS)
     server.stop()

@@ -294,6 +294,11 @@ def _initial(path: str, text: str, rules: Rules) -> Iterable[str]:
         yield from (f"{path}: {problem}" for problem in problems)
 
 
+def message_problems(message: CommitMessage, proposal: ProposedCommit) -> tuple[str, ...]:
+    """Differences between what a plan's message names and the releases that its commit changes."""
+    return tuple(_message(message, changed_releases(proposal)))
+
+
 def _message(message: CommitMessage, changed: Sequence[ChangedRelease]) -> Iterable[str]:
     for pair in changed:
         if pair.after and pair.after.plan != message.plan:

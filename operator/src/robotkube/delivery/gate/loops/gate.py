@@ -17,9 +17,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from robotkube.delivery.deployment.core.merge_records import MergeRecord
 from robotkube.delivery.deployment.core.policies.merge import APPROVAL, AUTOMATIC, Way
 from robotkube.delivery.gate.core import verdict_comments
 from robotkube.delivery.gate.core.proposal_checks import ProposalVerdict, ProposedCommit
+from robotkube.delivery.gate.loops.merge_records import MergeRecorder
 from robotkube.delivery.gate.loops.pending_objects import PendingObjects
 from robotkube.delivery.gate.loops.rules import GateRules, GateSettings
 from robotkube.errors import DocumentError, InputError, RobotKubeError
@@ -42,6 +44,7 @@ HOOKS = ("received", "lost")
 SOURCES = ("sent", "fetched")
 WAKING_ACTIONS = frozenset({"opened", "reopened", "synchronized", "synchronize"})  # the last is GitHub's
 REVIEWED = "reviewed"
+REPAIR = "repair"  # in records, the way of a plan that only brings a broken main back
 
 log = logging.getLogger(__name__)
 
@@ -76,12 +79,19 @@ class _Case:
     def mergeable(self) -> bool:
         return self.verdict.accepted and (self.way == AUTOMATIC or bool(self.approvers))
 
+    def record(self, pushed: str, previous: str, catalogue: str) -> MergeRecord:
+        """What is recorded when main moves from `previous` to `pushed`, decided by that commit of the catalogue."""
+        number = str(self.pull.number)
+        way = REPAIR if self.verdict.repair else self.way
+        return MergeRecord(pushed, previous, self.pull.author, way, number, self.approvers, "", catalogue)
+
 
 class Gate:
     """The gate of one deployment repository; `run` on one thread, `wake` from any.
 
     `commits` makes commits in the clone of `main`; `images` renders releases; `monotonic` is a clock in seconds that
-    never goes back; `managers` are notified of every commit that was merged here, sooner than by the forge.
+    never goes back; `managers` are notified of every commit that was merged here, sooner than by the forge; `recorder`
+    signs what was merged.
     """
 
     def __init__(
@@ -96,12 +106,14 @@ class Gate:
         images: RenderedImages,
         monotonic: Callable[[], float],
         managers: Sequence[PushHook] = (),
+        recorder: MergeRecorder | None = None,
     ) -> None:
         self._forge = forge
         self._main = main
         self._commits = commits
         self._push_hook = push_hook
         self._managers = tuple(managers)
+        self._recorder = recorder
         self._settings = settings
         self._monotonic = monotonic
         self._rules = GateRules(settings, main, catalogue, validate, images)
@@ -256,7 +268,7 @@ class Gate:
         commit = case.commit
         judged = self._monotonic()
         before = self._main.tip
-        merged = case.mergeable and self._main.push_main(pushed)
+        merged = case.mergeable and self._merge(case, pushed, before)
         verdict = case.verdict
         if case.mergeable and not merged:
             self._main.fetch()
@@ -288,6 +300,16 @@ class Gate:
     def _plans(self, pull: PullRequest) -> bool:
         """Whether its author is a manager."""
         return self._settings.proposer(pull.author) is not None
+
+    def _merge(self, case: _Case, pushed: str, before: str) -> bool:
+        """Move main from `before` to `pushed`, which was checked, and have that recorded; False when main has moved
+        meanwhile."""
+        if self._recorder is None:
+            return self._main.push_main(pushed)
+        record = self._recorder.expect(case.record(pushed, before, self._rules.catalogue_tip))
+        merged = self._main.push_main(pushed)
+        (self._recorder.merged if merged else self._recorder.dropped)(record)
+        return merged
 
     def _unreadable(self, pull: PullRequest, problem: str) -> None:
         """Refuse a pull request that cannot even be read."""

@@ -77,6 +77,11 @@ class GateRules:
         self._terms = Terms(main, settings.accounts)
         self._main_now = _Main("", {}, Tree({}, {}), {})
 
+    @property
+    def catalogue_tip(self) -> str:
+        """The commit of the catalogue that is decided by."""
+        return self._catalogue.tip
+
     def refresh(self) -> bool:
         """Read the catalogue and the keys again; return whether anything changed."""
         before = self._catalogue.catalogue

@@ -103,6 +103,10 @@ class Notes(Protocol):
         """Those of the commits that have no note yet."""
         ...
 
+    def tip(self, reference: str) -> str:
+        """The tip of a reference with notes, as it was when `missing` was asked last; empty when there is none."""
+        ...
+
     def add(self, texts: Mapping[str, str]) -> None:
         """Give commits their notes (commit -> text), together."""
         ...

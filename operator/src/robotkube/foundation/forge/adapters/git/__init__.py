@@ -1,7 +1,8 @@
 """Git by libgit2: bare clones of the forge's repositories, commits made in them and proposed, and notes."""
 
 from robotkube.foundation.forge.adapters.git.clones import GitClone
+from robotkube.foundation.forge.adapters.git.histories import GitHistory, fetch_history
 from robotkube.foundation.forge.adapters.git.notes import GitNotes
 from robotkube.foundation.forge.adapters.git.proposals import ProposalWriter
 
-__all__ = ["GitClone", "GitNotes", "ProposalWriter"]
+__all__ = ["GitClone", "GitHistory", "GitNotes", "ProposalWriter", "fetch_history"]

@@ -45,12 +45,14 @@ class GitClone:
         folder: Path,
         branch: str = "main",
         heads: str = HEADS,
+        remote: bool = True,
     ) -> None:
+        """`remote` False: what stands in `folder` is read and never fetched, and its settings stay as they are."""
         self._heads = heads
         self._where = f"git {url}/{repository}"
         self._account = (username, password)
         self._branch = branch
-        self._repository = open_clone(folder, url, repository)
+        self._repository = open_clone(folder, url, repository) if remote else pygit2.Repository(str(folder))
         self._text = lru_cache(FILES_CACHED_MAX)(self._read_text)
         self._loose = 0  # objects that were stored since the last pack was made
 
@@ -113,6 +115,10 @@ class GitClone:
         git_commit = self._lookup(commit)
         parents = tuple(str(parent) for parent in git_commit.parent_ids)
         return self._with_changes(git_commit, parents, self._lookup(parents[0]).tree if parents else None)
+
+    def changes_since(self, commit: str, base: str) -> Commit:
+        """A commit that is here, with everything it changes against `base`, as if that were its parent."""
+        return self._with_changes(self._lookup(commit), (base,), self._lookup(base).tree)
 
     def changes_since_branch(self, commit: str) -> Commit:
         """A commit that is here, with everything it changes since it left the branch, as if that were its parent."""

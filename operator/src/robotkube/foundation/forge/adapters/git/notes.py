@@ -12,42 +12,52 @@ from robotkube.foundation.forge.adapters.git.connection import EMAIL_DOMAIN, Git
 from robotkube.writes import writes
 
 REFERENCE = "refs/notes/robotkube"
+ALL_NOTES = "+refs/notes/*:refs/notes/*"
 
 
 class GitNotes:
-    """The port Notes for `<organisation>/<name>`; the clone stands in `folder` and can be lost at any time.
+    """The port Notes for `<organisation>/<name>`, of one `reference`; the clone stands in `folder` and can be lost at
+    any time.
 
     UnavailableError: the forge does not answer, or another writer was faster; a caller may try again."""
 
-    def __init__(self, url: str, repository: str, username: str, password: str, folder: Path) -> None:
+    def __init__(
+        self, url: str, repository: str, username: str, password: str, folder: Path, reference: str = REFERENCE
+    ) -> None:
         self._account = (username, password)
+        self._reference = reference
         self._repository = open_clone(folder, url, repository)
 
     def missing(self, commits: Sequence[str]) -> Sequence[str]:
         """Those of the commits that have no note at the forge yet."""
         try:
             remote = self._repository.remotes["origin"]
-            remote.fetch([f"+{REFERENCE}:{REFERENCE}"], callbacks=GitConnection(self._account))
+            remote.fetch([ALL_NOTES], callbacks=GitConnection(self._account))
         except (pygit2.GitError, PermissionError, OSError) as error:
             raise UnavailableError(f"notes: fetch: {error}") from error
         return [commit for commit in commits if not self._has(commit)]
 
     def _has(self, commit: str) -> bool:
         try:
-            self._repository.lookup_note(commit, REFERENCE)
+            self._repository.lookup_note(commit, self._reference)
         except KeyError:
             return False
         return True
+
+    def tip(self, reference: str) -> str:
+        """The tip of a reference with notes as it was fetched last; empty when there is none."""
+        found = self._repository.references.get(reference)
+        return str(found.target) if found else ""
 
     @writes("git")
     def add(self, texts: Mapping[str, str]) -> None:
         """Give every commit its note and push them together."""
         who = pygit2.Signature(self._account[0], f"{self._account[0]}@{EMAIL_DOMAIN}")
         for commit, text in texts.items():
-            self._repository.create_note(f"{text}\n", who, who, commit, REFERENCE, True)
+            self._repository.create_note(f"{text}\n", who, who, commit, self._reference, True)
         connection = GitConnection(self._account)
         try:
-            self._repository.remotes["origin"].push([f"{REFERENCE}:{REFERENCE}"], callbacks=connection)
+            self._repository.remotes["origin"].push([f"{self._reference}:{self._reference}"], callbacks=connection)
         except (pygit2.GitError, PermissionError, OSError) as error:
             raise UnavailableError(f"notes: push: {error}") from error
         if connection.refusal:

@@ -1,0 +1,205 @@
+"""The command `robotkube audit` on a saved folder: data on stdout, talk on stderr, exit codes, the page for people."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from robotkube.cli.main import main
+from robotkube.delivery.audit.adapters.html_page import page
+from tests.stages.delivery.audited_platform import (
+    BEGAN,
+    MINUTE,
+    RECORDER,
+    SECOND,
+    Platform,
+    files_of,
+    make_platform,
+    message_of,
+    plan_id,
+    release,
+)
+
+EVIL = "<script>alert('x')</script>"
+
+
+@pytest.fixture(scope="module")
+def clean(tmp_path_factory: pytest.TempPathFactory) -> Platform:
+    return make_platform(tmp_path_factory.mktemp("audited") / "platform")
+
+
+@pytest.fixture
+def saved(clean: Platform, tmp_path: Path) -> Platform:
+    """A copy of the platform, as `--save` leaves it in `folder`/saved."""
+    platform = clean.copy(tmp_path / "platform")
+    (tmp_path / "saved").mkdir()
+    for name, target in (("deployment.git", platform.deployment.folder), ("catalogue.git", platform.catalogue.folder)):
+        (tmp_path / "saved" / name).symlink_to(target)
+    (tmp_path / "saved" / "oci").symlink_to(platform.folder / "oci")
+    return platform
+
+
+class Line:
+    def __init__(self, saved: Platform, capture: pytest.CaptureFixture[str]) -> None:
+        self.folder = saved.folder.parent
+        self.offline = ("--offline", str(self.folder / "saved"))
+        self.keys = ("--keys", str(saved.folder / "keys"))
+        self._capture = capture
+
+    def run(self, *words: str) -> tuple[int, str, str]:
+        try:
+            code = main(["audit", *words])
+        except SystemExit as error:
+            code = int(str(error.code))
+        out, err = self._capture.readouterr()
+        return code, out, err
+
+
+@pytest.fixture
+def line(saved: Platform, capsys: pytest.CaptureFixture[str]) -> Line:
+    return Line(saved, capsys)
+
+
+def test_nothing_found_ends_with_0(line: Line) -> None:
+    code, out, err = line.run("cloud-0/recorder-a", *line.keys, *line.offline)
+    assert code == 0
+    assert re.search(r"2026-11-18T11:19:41Z  2026-11-18T11:22:41Z  cloud-0/recorder-a +recorder 0\.1\.0", out)
+    assert re.search(r"cloud-0/meeting +#7 of manager, automatic", out)
+    assert re.search(r"recorder 0\.1\.0  [0-9a-f]{12}  install +passed", out)
+    assert "findings: 0\n" in out
+    assert "Cannot be told from Git: which containers ran" in out
+    assert err == "robotkube: deployment repository: 6 commits\nrobotkube: catalogue: 3 commits\n"
+
+
+def test_findings_end_with_1_and_stand_on_stdout(line: Line, saved: Platform) -> None:
+    saved.deployment.commit({"policies/edits.yaml": "edits: respect\n"}, "by hand\n", BEGAN + 60 * MINUTE, "ada")
+    code, out, err = line.run(*line.keys, *line.offline)
+    assert (code, err.splitlines()[-1]) == (1, "robotkube: 1 finding; what each means: docs/reference/audit.md")
+    assert "findings: 1\n* unchecked-commit (deployment, commit " in out
+    assert "    the gate signed no record of this commit" in out
+
+
+def test_json_is_the_document(line: Line, saved: Platform) -> None:
+    code, out, _ = line.run(*line.keys, *line.offline, "--output", "json")
+    document = json.loads(out)
+    assert (code, document["asked"], document["findings"]) == (0, "", [])
+    assert document["as_of"]["deployment"] == {"tip": saved.deployment.tip, "commits": 6}
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "expected"),
+    [
+        (["cloud-0/nobody"], 2, "nothing on main has to do with 'cloud-0/nobody'; give a release or task"),
+        (["--since", "main"], 2, "--since 'main': must be a commit of 40 hex"),
+        (["--save", "elsewhere"], 2, "--offline reads a folder and nothing else: leave out --save and --forge-url"),
+        (["--html", "nowhere/at/all.html"], 2, "--html nowhere/at/all.html: No such file or directory"),
+    ],
+)
+def test_wrong_usage_ends_with_2(line: Line, words: list[str], code: int, expected: str) -> None:
+    found = line.run(*words, *line.keys, *line.offline)
+    assert (found[0], expected in found[2]) == (code, True), found[2]
+
+
+def test_keys_are_asked_for(line: Line) -> None:
+    code, _, err = line.run(*line.offline)
+    assert (code, "--keys" in err) == (2, True)
+    code, _, err = line.run("--keys", str(line.folder / "no-keys"), *line.offline)
+    assert (code, "No such file or directory; mount the public keys there" in err) == (2, True)
+
+
+def test_a_folder_that_is_not_there_ends_with_2(line: Line) -> None:
+    code, _, err = line.run(*line.keys, "--offline", str(line.folder / "nothing"))
+    assert (code, "no such folder; make it with `robotkube audit --save" in err) == (2, True)
+
+
+def test_a_forge_that_does_not_answer_ends_with_3(line: Line) -> None:
+    password = line.folder / "password"
+    password.write_text("word")
+    forge = ("--forge-url", "http://127.0.0.1:9", "--password-file", str(password))
+    code, _, err = line.run(*line.keys, *forge)
+    assert (code, "git http://127.0.0.1:9/robotkube/deployment: fetch:" in err) == (3, True)
+    code, _, err = line.run(*line.keys, "--forge-url", "http://127.0.0.1:9")
+    assert (code, "--forge-url needs --password-file" in err) == (2, True)
+
+
+def test_an_index_that_is_none_is_named(line: Line, saved: Platform) -> None:
+    saved.index.write_text("{}")
+    code, _, err = line.run(*line.keys, *line.offline)
+    assert (code, "index.json: no index of an OCI image layout" in err) == (2, True)
+
+
+# -- the page --------------------------------------------------------------------------------------------------------
+
+
+class _Tags(HTMLParser):
+    """The tags of a page, and whether they close in order."""
+
+    EMPTY = frozenset({"meta", "br"})
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.seen: set[str] = set()
+        self.attributes: set[str] = set()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.seen.add(tag)
+        self.attributes |= {name for name, _ in attrs}
+        if tag not in self.EMPTY:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def read(text: str) -> _Tags:
+    tags = _Tags()
+    tags.feed(text)
+    assert tags.open == []
+    return tags
+
+
+def with_findings(platform: Platform) -> Mapping[str, Any]:
+    """An audit with a finding that concerns the subject, others that do not, and words that somebody made up."""
+    evidence = platform.names["evidence of recorder"]
+    made = release(RECORDER, evidence, "cloud-0", "recorder-c", plan_id(6), replace(SECOND, task="cloud-0/third"))
+    text = message_of(made).replace("vehicle-00 and", EVIL)
+    platform.deployment.commit(files_of(made), text, BEGAN + 60 * MINUTE)
+    platform.deployment.commit({"README.md": EVIL}, f"{EVIL}\n", BEGAN + 61 * MINUTE, "ada")
+    return platform.audit("cloud-0/recorder-c")
+
+
+def test_the_page_is_written_beside_the_table(line: Line) -> None:
+    path = line.folder / "audit.html"
+    code, _, _ = line.run("cloud-0/recorder-a", *line.keys, *line.offline, "--html", str(path))
+    text = path.read_text()
+    assert (code, "<h1>Audit: cloud-0/recorder-a" in text, "nothing found" in text) == (0, True, True)
+    read(text)
+
+
+def test_the_page_loads_and_runs_nothing_and_escapes_everything(saved: Platform) -> None:
+    text = page(with_findings(saved))
+    tags = read(text)
+    assert not tags.seen & {"script", "link", "img", "iframe", "object", "form", "a"}
+    assert not tags.attributes & {"src", "href", "style", "onload", "onclick"}
+    assert EVIL not in text
+    assert "&lt;script&gt;alert(&#39;x&#39;)&lt;/script&gt;" in text
+    assert "default-src &#39;none&#39;" in text or "default-src 'none'" in text
+    assert "url(" not in text
+    assert "@import" not in text
+
+
+def test_the_page_says_what_concerns_the_subject_and_what_does_not(saved: Platform) -> None:
+    text = page(with_findings(saved))
+    assert "2 findings" in text
+    before, _, after = text.partition("<details>")
+    assert (before.count('class="finding"'), after.count('class="finding"')) == (1, 1)
+    assert "1 about something else than cloud-0/recorder-c" in after
+    assert "prefers-color-scheme:dark" in text
