@@ -3,5 +3,6 @@
 from robotkube.foundation.forge.adapters.git.clones import GitClone
 from robotkube.foundation.forge.adapters.git.notes import GitNotes
 from robotkube.foundation.forge.adapters.git.proposals import ProposalWriter
+from robotkube.foundation.forge.adapters.git.working_clones import WorkingClone
 
-__all__ = ["GitClone", "GitNotes", "ProposalWriter"]
+__all__ = ["GitClone", "GitNotes", "ProposalWriter", "WorkingClone"]
