@@ -105,7 +105,8 @@ def push_change(options: argparse.Namespace) -> Table:
     if len(good) < PEOPLE_MIN:
         problem = f"{options.file}: signed by {', '.join(good) or 'nobody'}; {PEOPLE_MIN} registered people are needed"
         raise RefusalError("TooFewSignatures", problem)
-    seconds = int(datetime.now(UTC).timestamp())
+    # the time that was signed: the same change is the same commit, so a push that was cut off can be made again
+    seconds = int(datetime.strptime(change.time, TIME_FORMAT).replace(tzinfo=UTC).timestamp())
     commit = clone.commit(change.parent, change.tree, change.message, options.name, seconds)
     if not options.dry_run:
         access = forge_account(options, options.name)

@@ -64,12 +64,16 @@ class WorkingClone:
 
     @writes("git")
     def push(self, url: str, account: tuple[str, str], commit: str, reference: str, options: Sequence[str]) -> None:
-        """Push a commit, never by force. RefusalError with the forge's words; UnavailableError when it is away."""
+        """Push a commit, never by force; done when it is there. RefusalError with the forge's words; UnavailableError
+        when it is away."""
         name = "refs/pushes/emergency"
         self._repository.references.create(name, commit, force=True)
         remote = self._repository.remotes.create_anonymous(url)
         connection = GitConnection(account)
         try:
+            heads = self._repository.remotes.create_anonymous(url).list_heads(callbacks=GitConnection(account))
+            if any((head.name, str(head.oid)) == (reference, commit) for head in heads):
+                return  # it is there, such as by a push that was cut off
             remote.push([f"{name}:{reference}"], callbacks=connection, push_options=list(options))
         except PermissionError as error:
             raise RefusalError("AccountRefused", f"{url}: {error}") from error
