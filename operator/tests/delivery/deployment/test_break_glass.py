@@ -205,3 +205,17 @@ def test_what_is_right_as_it_is_is_accepted_by_its_id(tmp_path: Path) -> None:
     assert main.standing() == {second: ("kept",)}
     main.add({ACCEPTED_PATH: f"{first}\n{second}\n"})
     assert main.standing() == {}
+
+
+def test_one_that_is_too_large_to_compare_stands_until_it_is_accepted(tmp_path: Path) -> None:
+    main = Main(tmp_path)
+    many: dict[str, str | None] = {f"releases/a/{number}.yaml": "1" for number in range(1001)}
+    first = main.glass({**many, "kept": "1"})
+    second = main.glass({"kept": "2"})
+    everything = (f"everything of {first[:12]}",)
+    assert main.standing() == {second: ("kept",), first: everything}
+    main.add(dict.fromkeys(many))
+    main.add({"kept": "3"})
+    assert main.standing() == {first: everything}
+    main.add({ACCEPTED_PATH: f"{first}\n"})
+    assert main.standing() == {}

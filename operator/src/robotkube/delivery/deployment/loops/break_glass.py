@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import replace
 
 from robotkube.delivery.deployment.core.break_glass import (
@@ -16,6 +17,7 @@ from robotkube.foundation.forge.ports.repositories import MainBranch
 
 COMMITS_MAX = 10_000  # how far back main is searched for them
 POLICIES = "policies"
+EVERYTHING = "everything"
 
 log = logging.getLogger(__name__)
 
@@ -48,11 +50,20 @@ class BreakGlassWatch:
         counted: set[str] = set()
         found: list[GlassCommit] = []
         for glass in self._known:
-            files = tuple(path for path in self._main.still_as_in(glass.commit) if path not in counted)
+            files = tuple(path for path in self._files(glass) if path not in counted)
             counted.update(files)
             if files and glass.commit not in accepted:
                 found.append(replace(glass, files=files))
         return tuple(found)
+
+    def _files(self, glass: GlassCommit) -> Sequence[str]:
+        """The files that main still has as the commit brought them; of one that is too large to compare, EVERYTHING,
+        which nothing but its acceptance takes away."""
+        try:
+            return self._main.still_as_in(glass.commit)
+        except DocumentError as error:
+            log.error("break-glass cannot be compared commit=%s problem=%r", glass.commit, str(error))
+            return (f"{EVERYTHING} of {glass.commit[:12]}",)
 
     def _accepted(self, tip: str) -> frozenset[str]:
         try:
