@@ -5,6 +5,8 @@
 //	forge-hook pre-receive|post-receive|proc-receive   (by git-receive-pack, in the repository)
 //	forge-hook --version                               (the version of Gitea whose API it speaks)
 //
+// Besides, pre-receive takes a commit of break-glass (breakglass.go), about which the forge is not asked.
+//
 // FORGE_CONFIG names the forge's app.ini. The API is that of `modules/private` in Gitea's sources, the protocol of
 // proc-receive that of githooks(5).
 package main
@@ -79,8 +81,15 @@ func run(arguments []string) error {
 	return kinds[arguments[0]]()
 }
 
-// preReceive asks whether the pusher may move these references.
+// preReceive asks whether the pusher may move these references; break-glass is decided here.
 func (h *hook) preReceive() error {
+	if h.asksForGlass() {
+		changes, err := h.changes()
+		if err != nil {
+			return err
+		}
+		return h.breakGlass(changes)
+	}
 	return h.batches(func(changes []change) error {
 		return h.api.post("hook/pre-receive", h.options(changes, h.pushOptions()), nil)
 	})
@@ -128,19 +137,28 @@ func (t told) tell(to io.Writer) {
 	}
 }
 
-// batches reads all changes and hands them on in portions; those of a wiki concern nobody.
-func (h *hook) batches(each func([]change) error) error {
+// changes reads all references that are to move.
+func (h *hook) changes() ([]change, error) {
 	text, err := io.ReadAll(h.in)
 	if err != nil {
-		return fmt.Errorf("git's list of references: %w", err)
+		return nil, fmt.Errorf("git's list of references: %w", err)
 	}
-	var waiting []change
+	var found []change
 	for line := range strings.Lines(string(text)) {
-		if found, ok := parse(strings.TrimSuffix(line, "\n")); ok {
-			waiting = append(waiting, found)
-		} else {
-			return fmt.Errorf("git's list of references: %q is not `<old> <new> <reference>`", line)
+		one, ok := parse(strings.TrimSuffix(line, "\n"))
+		if !ok {
+			return nil, fmt.Errorf("git's list of references: %q is not `<old> <new> <reference>`", line)
 		}
+		found = append(found, one)
+	}
+	return found, nil
+}
+
+// batches hands all changes on in portions; those of a wiki concern nobody.
+func (h *hook) batches(each func([]change) error) error {
+	waiting, err := h.changes()
+	if err != nil {
+		return err
 	}
 	if wiki, _ := strconv.ParseBool(h.env("GITEA_REPO_IS_WIKI")); wiki {
 		return nil

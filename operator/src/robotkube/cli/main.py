@@ -35,7 +35,7 @@ class Command:
 
 def commands() -> Sequence[Command]:
     """Every command; other modules of the command line add theirs here."""
-    from robotkube.cli import audit, plans, traces
+    from robotkube.cli import audit, break_glass, plans, status, traces
     from robotkube.cli import rules as cli_rules
     from robotkube.cli.recordings import commands as cli_recordings
     from robotkube.cli.recordings import export
@@ -72,6 +72,27 @@ def commands() -> Sequence[Command]:
             "what ran, for whom and on what evidence, from Git and registry alone, and what was manipulated",
             audit.audit,
             audit.auditing,
+        ),
+        Command(
+            "status",
+            "",
+            "main of the deployment repository, and what stands there without the gate's check",
+            status.show_status,
+            status.asking,
+        ),
+        Command(
+            "break-glass",
+            "sign",
+            "sign a change that goes to main without the gate, as the first or the next person",
+            break_glass.sign_change,
+            break_glass.signing,
+        ),
+        Command(
+            "break-glass",
+            "push",
+            "push a change that two people have signed to main",
+            break_glass.push_change,
+            break_glass.pushing,
         ),
         Command("plan", "list", "plans of the manager with their times", plans.list_plans),
         Command("recording", "list", "what was recorded", cli_recordings.list_all, cli_recordings.listing),

@@ -24,7 +24,7 @@ class ForgeAdministration(Protocol):
         ...
 
     def make_repository(self, repository: str, description: str, branch: str) -> bool:
-        """Make a private, empty repository with pull requests and linear history."""
+        """Make a private, empty repository with pull requests."""
         ...
 
     def seed(self, repository: str, branch: str, files: Mapping[str, bytes]) -> bool:
@@ -32,7 +32,7 @@ class ForgeAdministration(Protocol):
         ...
 
     def protect(self, repository: str, branch: str, pushers: Sequence[str]) -> bool:
-        """Protect the branch: only `pushers` push it, nobody by force; only they make tags."""
+        """Protect the branch: only `pushers` push it, nobody by force, nobody else merges; only they make tags."""
         ...
 
     def make_team(

@@ -211,6 +211,10 @@ def test_a_person_moves_main_in_no_other_way(installation: Installation, reposit
         ):
             answer = own.request(method, path, json=body)
             assert answer.status_code in (401, 403, 404, 405, 422), (method, path, answer.status_code, answer.text)
+    form = {"commit_choice": "direct", "tree_path": "x.txt", "content": "x", "last_commit": tip, "commit_summary": "x"}
+    with closing(page_of(installation, account)) as page:
+        answer = page.post(f"/{repository}/_new/main/", data=form)
+        assert (answer.status_code, "Cannot commit to protected branch" in answer.text) == (400, True)
     assert person.delete(f"refs/heads/{branch}") == ""
     assert person.tip() == tip
 

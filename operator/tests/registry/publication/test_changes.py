@@ -174,7 +174,8 @@ def test_when_main_moves_meanwhile_it_is_joined_anew(world: World) -> None:
     assert world.main()["README.md"] == "theirs\n"
 
 
-def test_one_that_fails_holds_up_no_other_and_no_submission(world: World) -> None:
+@pytest.mark.parametrize("error", [UnavailableError("away"), RuntimeError("a mistake in the gate")])
+def test_one_that_fails_holds_up_no_other_and_no_submission(world: World, error: Exception) -> None:
     bad, good = propose(world, dict(OPEN)), propose(world, {"README.md": "better\n"})
     approve(world, bad)
     approve(world, good)
@@ -182,7 +183,7 @@ def test_one_that_fails_holds_up_no_other_and_no_submission(world: World) -> Non
 
     def failing(number: int) -> object:
         if number == bad:
-            raise UnavailableError("away")
+            raise error
         return reviews(number)
 
     world.forge.reviews = failing  # type: ignore[assignment, method-assign]

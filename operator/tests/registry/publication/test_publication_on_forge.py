@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+import pygit2
 import pytest
 
 from robotkube.cli.registry.submit import CATALOGUE
@@ -59,6 +60,27 @@ def status(publishing: Publishing, chart_name: str, version: str = "0.1.0") -> d
 
 def registry_of(installation: Installation, account: str) -> OciRegistry:
     return OciRegistry(installation.url, account, installation.passwords[account])
+
+
+def test_a_persons_change_is_merged_by_the_gate_when_another_person_approved_it(publishing: Publishing) -> None:
+    installation = publishing.installation
+    person = installation.clone("operator-team", CATALOGUE)
+    text = f"{secrets.token_hex(4)}\n"
+    commit = person.commit({"README.md": text}, "Better words\n", [person.tip()])
+    assert person.push(commit, "refs/for/main", [f"topic=words-{text.strip()}", "title=words"]) == ""
+    pulls = f"{installation.url}/api/v1/repos/{CATALOGUE}/pulls"
+    own, other = ((name, installation.passwords[name]) for name in ("operator-team", "reviewer"))
+    found = httpx.get(pulls, auth=own, timeout=30).json()
+    number = next(pull["number"] for pull in found if pull["head"]["sha"] == commit)
+    review = {"event": "APPROVED", "commit_id": commit, "body": "seen"}
+    assert httpx.post(f"{pulls}/{number}/reviews", auth=own, json=review, timeout=30).status_code in (403, 422)
+    httpx.post(f"{pulls}/{number}/reviews", auth=other, json=review, timeout=30).raise_for_status()
+    publishing.say("pull request")  # as the forge's webhook does
+    until(lambda: httpx.get(f"{pulls}/{number}", auth=own, timeout=30).json()["merged"], "merged")
+    newest = person.repository[person.tip()].peel(pygit2.Commit)
+    assert str(newest.parent_ids[1]) == commit
+    assert newest.message.endswith(f"RobotKube-Pull-Request: {number}\nRobotKube-Approved-By: reviewer\n")
+    assert publishing.main()["README.md"] == text
 
 
 def test_a_submission_is_published_and_the_pull_request_merged(publishing: Publishing, name: str) -> None:

@@ -85,7 +85,7 @@ class GiteaAdministration:
         return True
 
     def make_repository(self, repository: str, description: str, branch: str) -> bool:
-        """Make a private, empty repository with pull requests and linear history."""
+        """Make a private, empty repository with pull requests."""
         organisation, _, name = repository.partition("/")
         wanted = {"description": description, "default_branch": branch, "private": True, **REPOSITORY_OPTIONS}
         present = self._find(f"/repos/{repository}")

@@ -52,7 +52,7 @@ class Organisation:
 @dataclass(frozen=True)
 class Repository:
     """A repository `<organisation>/<name>`. `seed`: path -> content of the first commit, used only when it is empty;
-    `access`: account -> read | write; `main`: who may push the branch. Who may write may also merge pull requests."""
+    `access`: account -> read | write; `main`: who may push the branch and merge pull requests."""
 
     name: str
     description: str

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+from robotkube.delivery.deployment.core.break_glass import ACCEPTED_PATH, SIGNERS_PATH, read_accepted, read_signers
 from robotkube.delivery.deployment.core.commit_messages import REPAIR, CommitMessage, read_message
 from robotkube.delivery.deployment.core.policies.edits import PATH as EDITS_PATH
 from robotkube.delivery.deployment.core.policies.edits import read_edits_policy
@@ -258,7 +259,7 @@ def _unused_sources(tree: Tree) -> set[str]:
 
 def _policies(proposal: ProposedCommit, rules: Rules) -> Iterable[str]:
     for path, text in sorted(proposal.changes.items()):
-        if path.split("/", 1)[0] != POLICIES or not path.endswith(".yaml"):
+        if path.split("/", 1)[0] != POLICIES:
             continue
         try:
             yield from _policy(path, text, rules)
@@ -270,6 +271,12 @@ def _policy(path: str, text: str | None, rules: Rules) -> Iterable[str]:
     if text is None:
         if path == MERGE_PATH:
             yield f"{path}: must stay; without it the gate merges nothing"
+    elif path == SIGNERS_PATH:
+        read_signers(text)
+    elif path == ACCEPTED_PATH:
+        read_accepted(text)
+    elif not path.endswith(".yaml"):
+        return
     elif path == MERGE_PATH:
         read_merge_policy(text, path)
     elif path == EDITS_PATH:

@@ -17,8 +17,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from robotkube.delivery.deployment.core.break_glass import GlassCommit
 from robotkube.delivery.deployment.core.merge_records import MergeRecord
 from robotkube.delivery.deployment.core.policies.merge import APPROVAL, AUTOMATIC, Way
+from robotkube.delivery.deployment.loops.break_glass import BreakGlassWatch
 from robotkube.delivery.gate.core import verdict_comments
 from robotkube.delivery.gate.core.proposal_checks import ProposalVerdict, ProposedCommit
 from robotkube.delivery.gate.loops.merge_records import MergeRecorder
@@ -59,6 +61,7 @@ class GateStatistics:
     sources: dict[str, int] = field(default_factory=lambda: dict.fromkeys(SOURCES, 0))
     decision_seconds: float = 0.0
     rounds: int = 0
+    break_glass: Mapping[str, int] = field(default_factory=lambda: {"commits": 0, "files": 0})
 
 
 @dataclass(frozen=True)
@@ -117,6 +120,7 @@ class Gate:
         self._settings = settings
         self._monotonic = monotonic
         self._rules = GateRules(settings, main, catalogue, validate, images)
+        self._break_glass = BreakGlassWatch(main)
         self.statistics = GateStatistics()
         self._announced = ""
         self._pending_objects = PendingObjects()
@@ -232,6 +236,8 @@ class Gate:
                 self._try_to_decide(pull)
         if self._main.tip != self._announced:
             self._announce(self._announced, self._main.tip)
+        if self._break_glass.read():
+            self._report_break_glass(self._break_glass.standing)
 
     def _refresh(self) -> None:
         """Read the catalogue; nothing is decided by an old one that is known to have moved."""
@@ -403,6 +409,18 @@ class Gate:
         else:
             self.statistics.hooks["lost"] += 1
 
+    def _report_break_glass(self, standing: Sequence[GlassCommit]) -> None:
+        """Log what came to main without the gate and stands there, and count it for the metrics."""
+        files = {path for glass in standing for path in glass.files}
+        self.statistics.break_glass = {"commits": len(standing), "files": len(files)}
+        for glass in standing:
+            log.error(
+                "break-glass stands commit=%s time=%s signed_by=%s files=%s reason=%r",
+                *(glass.commit, glass.time, ",".join(glass.names), ",".join(glass.files), glass.reason),
+            )
+        if not standing:
+            log.info("break-glass is made good: main has nothing any more that came without the gate")
+
     def _record(self, case: _Case, verdict: ProposalVerdict, merged: bool, at: tuple[float, ...]) -> None:
         started, judged, decided, announced = at
         plans = self._plans(case.pull)
@@ -452,6 +470,18 @@ def gate_metrics(statistics: GateStatistics) -> Sequence[Series]:
             "counter",
             "Time from reading proposals to decisions.",
             {(): statistics.decision_seconds},
+        ),
+        Series(
+            f"{prefix}break_glass_commits",
+            "gauge",
+            "Break-glass commits of main that no checked commit has replaced or accepted.",
+            {(): statistics.break_glass["commits"]},
+        ),
+        Series(
+            f"{prefix}break_glass_files",
+            "gauge",
+            "Files that main still has as break-glass commits brought them.",
+            {(): statistics.break_glass["files"]},
         ),
         Series(f"{prefix}rounds_total", "counter", "Rounds over the open proposals.", {(): statistics.rounds}),
     )

@@ -142,6 +142,10 @@ class MainBranch(MainHistory, Protocol):
         be joined file by file."""
         ...
 
+    def still_as_in(self, commit: str) -> Sequence[str]:
+        """Paths that `commit`, one of main's, changed and that main's tip has as it brought them."""
+        ...
+
     def push_main(self, commit: str) -> bool:
         """Move main to `commit` (its parent must be main's tip); False when main has moved meanwhile."""
         ...

@@ -61,8 +61,10 @@ class ChangesOfPeople:
         for number in sorted(pulls):
             try:
                 self._advance(pulls[number])
-            except RobotKubeError as error:
-                log.error("change failed number=%d reason=%s", number, error)
+            except Exception as error:  # whatever a change does to its checks, the others and submissions go on
+                expected = isinstance(error, RobotKubeError)
+                text = error if expected else f"{type(error).__name__}: {error}"
+                log.error("change failed number=%d reason=%s", number, text, exc_info=not expected)
 
     def _advance(self, pull: PullRequest) -> None:
         """Say once what is to be said about this head, main's tip and the approvals; merge it when it may be."""

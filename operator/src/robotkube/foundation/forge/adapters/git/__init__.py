@@ -4,5 +4,6 @@ from robotkube.foundation.forge.adapters.git.clones import GitClone
 from robotkube.foundation.forge.adapters.git.histories import GitHistory, fetch_history
 from robotkube.foundation.forge.adapters.git.notes import GitNotes
 from robotkube.foundation.forge.adapters.git.proposals import ProposalWriter
+from robotkube.foundation.forge.adapters.git.working_clones import WorkingClone
 
-__all__ = ["GitClone", "GitHistory", "GitNotes", "ProposalWriter", "fetch_history"]
+__all__ = ["GitClone", "GitHistory", "GitNotes", "ProposalWriter", "WorkingClone", "fetch_history"]

@@ -134,6 +134,14 @@ class GitClone:
         trees = [self._lookup(commit).tree for commit in (change.parents[0], self.tip, change.id)]
         return [path for path in sorted({*change.changes, *change.irregular}) if _overlap(path, *trees)]
 
+    def still_as_in(self, commit: str) -> Sequence[str]:
+        """Paths that `commit`, one of the branch's, changed and that the branch's tip has as it brought them."""
+        change = self.commit(commit)
+        then, now = self._lookup(commit).tree, self._lookup(self.tip).tree
+        return [
+            path for path in sorted({*change.changes, *change.irregular}) if _place(then, path) == _place(now, path)
+        ]
+
     def _with_changes(self, commit: pygit2.Commit, parents: tuple[str, ...], before: pygit2.Tree | None) -> Commit:
         changes: dict[str, str | None] = {}
         irregular: list[str] = []
