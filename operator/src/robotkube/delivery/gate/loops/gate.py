@@ -288,7 +288,11 @@ class Gate:
         if self._recorder is None:
             return self._main.push_main(case.commit.id)
         record = self._recorder.expect(case.record(before, self._rules.catalogue_tip))
-        merged = self._main.push_main(case.commit.id)
+        try:
+            merged = self._main.push_main(case.commit.id)
+        except RobotKubeError:
+            self._recorder.unsure(record)
+            raise
         (self._recorder.merged if merged else self._recorder.dropped)(record)
         return merged
 
