@@ -61,30 +61,28 @@ class GateStatistics:
 
 @dataclass(frozen=True)
 class _Case:
-    """One pull request under decision, with everything that decides about it."""
+    """One pull request under decision, with everything that decides about it; `approvers` are those who approved it, if
+    the merge policy asks for them."""
 
     pull: PullRequest
     commit: Commit
     proposal: ProposedCommit
     verdict: ProposalVerdict
     way: Way
-    approvals: tuple[str, ...]
+    approvers: tuple[str, ...]
     source: str
     check_seconds: float
 
     @property
     def mergeable(self) -> bool:
-        return self.verdict.accepted and (self.way == AUTOMATIC or self.approved)
+        return self.verdict.accepted and (self.way == AUTOMATIC or bool(self.approvers))
 
-    @property
-    def approved(self) -> bool:
-        return bool(self.approvals)
-
-    def record(self, previous: str, catalogue: str) -> MergeRecord:
-        """What is recorded when main moves from `previous` to this commit, decided by that commit of the catalogue."""
+    def record(self, commit: str, previous: str, catalogue: str) -> MergeRecord:
+        """What is recorded when main moves from `previous` to `commit` for this pull request, decided by that commit of
+        the catalogue."""
         number = str(self.pull.number)
         way = REPAIR if self.verdict.repair else self.way
-        return MergeRecord(self.commit.id, previous, self.pull.author, way, number, self.approvals, "", catalogue)
+        return MergeRecord(commit, previous, self.pull.author, way, number, self.approvers, "", catalogue)
 
 
 class Gate:
@@ -265,7 +263,7 @@ class Gate:
         commit = case.commit
         judged = self._monotonic()
         before = self._main.tip
-        merged = case.mergeable and self._merge(case, before)
+        merged = case.mergeable and self._merge(case, commit.id, before)
         verdict = case.verdict
         if case.mergeable and not merged:
             self._main.fetch()
@@ -282,14 +280,14 @@ class Gate:
         if newly_decided:
             self._record(case, verdict, merged, (started, judged, decided, self._monotonic()))
 
-    def _merge(self, case: _Case, before: str) -> bool:
+    def _merge(self, case: _Case, commit: str, before: str) -> bool:
         """Move main from `before` to the commit that was checked, and have that recorded; False when main has moved
         meanwhile."""
         if self._recorder is None:
-            return self._main.push_main(case.commit.id)
-        record = self._recorder.expect(case.record(before, self._rules.catalogue_tip))
+            return self._main.push_main(commit)
+        record = self._recorder.expect(case.record(commit, before, self._rules.catalogue_tip))
         try:
-            merged = self._main.push_main(case.commit.id)
+            merged = self._main.push_main(commit)
         except RobotKubeError:
             self._recorder.unsure(record)
             raise
@@ -340,8 +338,8 @@ class Gate:
         way = AUTOMATIC if verdict.repair else self._rules.merge_policy().way(pull.author, proposal.paths)
         asks = way == APPROVAL and not (plans and not verdict.accepted)
         reviews = self._forge.reviews(pull.number) if asks else ()
-        approvals = approvers(reviews, commit.id, pull.author, self._settings.accounts)
-        return _Case(pull, commit, proposal, verdict, way, approvals, source, self._monotonic() - began)
+        approved_by = approvers(reviews, commit.id, pull.author, self._settings.accounts)
+        return _Case(pull, commit, proposal, verdict, way, approved_by, source, self._monotonic() - began)
 
     # -- reporting ------------------------------------------------------------------------------------------------
 
@@ -353,7 +351,7 @@ class Gate:
         self._waiting.discard(number)
         if self._settings.proposer(case.pull.author) is None:
             self._comment_once(number, verdict_comments.checked_text(commit.id, case.verdict, case.way))
-            if case.approved:
+            if case.approvers:
                 self._comment_once(number, verdict_comments.unmergeable_text(commit.id, verdict))
             if case.way == APPROVAL:
                 self._waiting.add(number)

@@ -17,18 +17,19 @@ class Review:
     official: bool
 
 
-def is_approved(reviews: Iterable[Review], commit: str, author: str, excluded: Iterable[str]) -> bool:
-    """Whether a person other than the author approved exactly `commit`, and nobody who may is against it; see
-    `approvers`."""
-    return bool(approvers(reviews, commit, author, excluded))
-
-
 def approvers(reviews: Iterable[Review], commit: str, author: str, excluded: Iterable[str]) -> tuple[str, ...]:
-    """Who approved exactly `commit`, sorted; nobody when somebody who may is against it. The last review of each person
-    other than the author counts; `reviews` are oldest first, `excluded` accounts whose reviews do not count."""
-    nobody = {author, *excluded}
+    """The people other than the author who approved exactly `commit`; none while one who may is against it. The last
+    review of each person counts; `reviews` are oldest first, `excluded` accounts whose reviews do not count."""
+    nobody = {account.lower() for account in (author, *excluded)}
     counting = [
-        review for review in reviews if review.official and review.commit == commit and review.author not in nobody
+        review
+        for review in reviews
+        if review.official and review.commit == commit and review.author.lower() not in nobody
     ]
     last = {review.author: review for review in counting}
     return tuple(sorted(last)) if all(review.approved for review in last.values()) else ()
+
+
+def is_approved(reviews: Iterable[Review], commit: str, author: str, excluded: Iterable[str]) -> bool:
+    """Whether somebody approved it: see `approvers`."""
+    return bool(approvers(reviews, commit, author, excluded))
