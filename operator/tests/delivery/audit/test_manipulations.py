@@ -109,7 +109,7 @@ MANIPULATIONS: list[tuple[Manipulate, str, str]] = [
     (merge_with_a_side_branch, "merge-commit", "2 parents; it brings 2 commits of a side branch"),
     (merge_with_a_side_branch, "unchecked-commit", "Merge branch 'side'"),
     (releases_changed_by_hand, "changed-by-hand", "releases/cloud-0/recorder-b.yaml, by ada: 'try something'"),
-    (break_glass, "break-glass", "RobotKube-Break-Glass: ada grace"),
+    (break_glass, "break-glass", "releases/cloud-0/recorder-c.yaml; signed by ada, grace, as it says"),
     (digest_other_than_its_trailer, "trailers-differ", "is missing; a changed release uses it"),
     (evidence_other_than_its_trailer, "trailers-differ", f"is sha256:{'e' * 64}, releases/cloud-0/recorder-c.yaml has"),
     (

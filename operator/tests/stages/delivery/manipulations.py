@@ -166,7 +166,8 @@ def releases_changed_by_hand(platform: Platform) -> None:
 
 def break_glass(platform: Platform) -> None:
     files, _ = third(platform)
-    message = "let it through\n\nRobotKube-Break-Glass: ada grace\n"
+    message = "let it through\n\nRobotKube-Break-Glass: 2026-11-18T12:06:40Z\n"
+    message += "".join(f"RobotKube-Signed-By: {name} AAAA\n" for name in ("ada", "grace"))
     platform.deployment.commit(files, message, LATER, "ada")
 
 

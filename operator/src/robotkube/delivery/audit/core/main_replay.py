@@ -35,6 +35,7 @@ from robotkube.foundation.forge.core.histories import HistoryCommit
 T = TypeVar("T")
 
 BREAK_GLASS = "RobotKube-Break-Glass"
+SIGNED_BY = "RobotKube-Signed-By"
 PLAN_TRAILER = "\nRobotKube-Plan: "
 CLOCK_SECONDS_MAX = 300  # by which clocks of those who make commits may differ
 PATHS_NAMED_MAX = 5
@@ -44,6 +45,12 @@ def is_break_glass(message: str) -> bool:
     """Whether a commit says that it came past the gate by people's signatures: a trailer of this name. The one place
     that knows how such a commit is recognised."""
     return any(line.startswith(f"{BREAK_GLASS}:") for line in message.splitlines())
+
+
+def break_glass_signers(message: str) -> tuple[str, ...]:
+    """The people whose signatures such a commit says it carries, `RobotKube-Signed-By: <name> <signature>` each."""
+    words = [line.split() for line in message.splitlines() if line.startswith(f"{SIGNED_BY}:")]
+    return tuple(word[1] for word in words if len(word) > 1)
 
 
 @dataclass(frozen=True)
@@ -137,8 +144,8 @@ def _shape(commit: HistoryCommit, brought: Mapping[str, int]) -> Iterator[Findin
             "merge-commit", commit, f"{len(commit.parents)} parents; it brings {count} commits of a side branch"
         )
     if is_break_glass(commit.message):
-        named = [line for line in commit.message.splitlines() if line.startswith(f"{BREAK_GLASS}:")]
-        yield _finding("break-glass", commit, f"{named[0]} ({_paths(commit.paths)})")
+        names = ", ".join(break_glass_signers(commit.message)) or "nobody"
+        yield _finding("break-glass", commit, f"{_paths(commit.paths)}; signed by {names}, as it says")
     if commit.problem:
         yield _finding("file-not-readable", commit, commit.problem)
 
