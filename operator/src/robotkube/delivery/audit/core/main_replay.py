@@ -237,7 +237,7 @@ def _sources(commit: HistoryCommit, changed: Mapping[str, Release], sources: Map
 
 
 def _merge_policy(commit: HistoryCommit, state: _State) -> Iterator[Finding]:
-    """Findings when policies/merge.yaml lets more merge by itself than before, or asks for an approval no more."""
+    """Findings when policies/merge.yaml lets more merge by itself than before."""
     text = commit.changes.get(MERGE_PATH)
     if text is None:
         return
@@ -254,9 +254,6 @@ def _merge_policy(commit: HistoryCommit, state: _State) -> Iterator[Finding]:
         if more:
             what = f"{MERGE_PATH}: what {account} proposes to {', '.join(more)} merges by itself now"
             yield _finding("policy-relaxed", commit, what)
-    less = sorted(set(former.person) - set(policy.person))
-    if less:
-        yield _finding("policy-relaxed", commit, f"{MERGE_PATH}: no approval is asked for any more: {', '.join(less)}")
 
 
 def _keys(paths: Iterable[str]) -> list[str]:
