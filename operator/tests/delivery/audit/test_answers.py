@@ -15,7 +15,7 @@ from robotkube.delivery.deployment.core.merge_records import OUTCOMES_REFERENCE
 from robotkube.delivery.deployment.core.plan_notes import PlanOutcome, ReleaseOutcome, note_text
 from robotkube.delivery.deployment.core.releases import Release
 from robotkube.errors import InputError
-from robotkube.foundation.forge.adapters.git import GitHistory
+from robotkube.foundation.forge.adapters.git import GitHistory, fetch_history
 from tests.stages.delivery.audited_platform import (
     BEGAN,
     MEETING,
@@ -138,6 +138,19 @@ def test_what_a_changed_note_says_is_not_believed(platform: Platform) -> None:
     document = platform.audit("cloud-0/recorder-a")
     assert document["ran"][0]["observed"] is None
     assert [(one["finding"], one["concerns"]) for one in document["findings"]] == [("note-edited", True)]
+
+
+def test_a_copy_that_is_fetched_again_notices_that_main_was_put_back(platform: Platform, tmp_path: Path) -> None:
+    forge = (str(platform.folder / "forge"), "robotkube/deployment", "", "", tmp_path / "copy")
+    assert fetch_history(*forge) == ""
+    newest = platform.names["second"]
+    assert GitHistory(tmp_path / "copy").commits({})[-1].id == newest
+    platform.deployment.move(platform.names["withdrawal"])
+    former = fetch_history(*forge)
+    assert former == newest
+    assert GitHistory(tmp_path / "copy").commits({})[-1].id == platform.names["withdrawal"]
+    kinds = [kind for kind, _ in found(platform.audit(former=[former]))]
+    assert kinds[0] == "main-rewritten"
 
 
 def test_findings_of_commits_that_were_known_are_left_out_and_counted(platform: Platform) -> None:
