@@ -10,6 +10,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
+import pygit2
 import pytest
 
 from robotkube.cli.main import main
@@ -133,6 +134,23 @@ def test_an_index_that_is_none_is_named(line: Line, saved: Platform) -> None:
     saved.index.write_text("{}")
     code, _, err = line.run(*line.keys, *line.offline)
     assert (code, "index.json: no index of an OCI image layout" in err) == (2, True)
+
+
+def test_words_in_git_do_not_steer_the_terminal_and_can_be_written(line: Line, saved: Platform) -> None:
+    main = saved.deployment
+    tip = main.git[main.tip]
+    tree = b"100644 na\xffme\0" + bytes.fromhex(str(main.git.create_blob(b"x")))
+    folder = main.git.write(pygit2.enums.ObjectType.TREE, tree)
+    builder = main.git.TreeBuilder(tip.tree)
+    builder.insert("releases", folder, pygit2.enums.FileMode.TREE)
+    text = f"tree {builder.write()}\nparent {tip.id}\n".encode()
+    text += f"author \x1b[2Jx <x@x> {BEGAN + 3600} +0000\ncommitter x <x@x> {BEGAN + 3600} +0000\n\n".encode()
+    main.move(str(main.git.write(pygit2.enums.ObjectType.COMMIT, text + b"\x1b[31mcaf\xe9\n")))
+    path = line.folder / "audit.html"
+    for form in ("table", "json", "yaml"):
+        code, out, err = line.run(*line.keys, *line.offline, "--output", form, "--html", str(path))
+        assert (code, "\x1b" in out, "\x1b" in err) == (1, False, False)
+    read(path.read_text(encoding="utf-8"))
 
 
 # -- the page --------------------------------------------------------------------------------------------------------

@@ -75,7 +75,7 @@ def audit(options: argparse.Namespace) -> Table:
 
 def _write_page(path: Path, document: Mapping[str, Any]) -> None:
     try:
-        path.write_text(page(document), encoding="utf-8")
+        path.write_bytes(page(document).encode("utf-8", "backslashreplace"))
     except OSError as error:
         raise InputError(f"--html {path}: {error.strerror}") from error
 
@@ -151,7 +151,12 @@ def text(document: Mapping[str, Any]) -> str:
         "cannot be told",
         *(f"  {sentence}" for sentence in document["cannot_be_told"]),
     ]
-    return "\n".join(parts) + "\n"
+    return "".join(f"{_printable(line)}\n" for part in parts for line in part.split("\n"))
+
+
+def _printable(line: str) -> str:
+    """A line without what would steer a terminal: names and messages in Git are anybody's words."""
+    return "".join(character if character.isprintable() else "?" for character in line)
 
 
 def _section(title: str, columns: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> list[str]:

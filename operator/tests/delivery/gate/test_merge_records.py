@@ -59,8 +59,11 @@ class Main:
 
     def __init__(self, *commits: str) -> None:
         self.commits = set(commits)
+        self.away = False
 
     def fetch(self) -> str:
+        if self.away:
+            raise UnavailableError("git: fetch: no answer")
         return MAIN
 
     def contains(self, commit: str) -> bool:
@@ -165,6 +168,21 @@ def test_a_merge_under_way_while_the_last_process_is_made_good_stays(stage: Stag
     next_one.merged(record)
     next_one.round()
     assert list(stage.recorded()) == [FIRST]
+
+
+@pytest.mark.parametrize("on_main", [True, False])
+def test_a_push_without_an_answer_is_looked_up(stage: Stage, on_main: bool) -> None:
+    stage.recorder.round()
+    record = stage.recorder.expect(RECORD)
+    if on_main:
+        stage.main.commits.add(FIRST)
+    stage.recorder.unsure(record)
+    stage.main.away = True
+    with pytest.raises(UnavailableError):
+        stage.recorder.round()
+    stage.main.away = False
+    stage.recorder.round()
+    assert (list(stage.recorded()), stage.kept()) == ([FIRST] if on_main else [], [])
 
 
 def test_a_file_that_cannot_be_read_is_left_out(stage: Stage) -> None:

@@ -9,15 +9,17 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import pygit2
 import pytest
 
 from robotkube.cli.main import main
-from robotkube.delivery.deployment.core.merge_records import REFERENCE
+from robotkube.delivery.deployment.core.merge_records import REFERENCE, MergeRecord, read_record
 from robotkube.delivery.gate.adapters.merge_journal import FileJournal
 from robotkube.delivery.gate.loops.merge_records import MergeRecorder
+from robotkube.errors import UnavailableError
 from robotkube.foundation.documents.core.times import time_text
 from robotkube.foundation.forge.adapters.git import GitClone, GitNotes
-from tests.stages.forge.catalogue_evidence import gate_key, key_folder
+from tests.stages.forge.catalogue_evidence import gate_key, key_folder, trusted_keys
 from tests.stages.forge.installation import (
     ApplicationSetController,
     Installation,
@@ -54,6 +56,52 @@ def gate(
     running = start_gate(installation, controller.url, tmp_path, recorder=recorder)
     yield running
     running.stop()
+
+
+def records(installation: Installation, commit: str) -> MergeRecord:
+    """The record of a commit at the forge, its signature verified."""
+    clone = installation.clone("argocd")
+    account = pygit2.UserPass("argocd", installation.passwords["argocd"])
+    reader = pygit2.RemoteCallbacks(credentials=account)
+    clone.repository.remotes["origin"].fetch([f"+{REFERENCE}:{REFERENCE}"], callbacks=reader)
+    text = str(clone.repository.lookup_note(commit, REFERENCE).message)
+    return read_record(trusted_keys().verify(text.removesuffix("\n").encode()))
+
+
+def test_a_record_names_who_approved(installation: Installation, gate: RunningGate, recorder: MergeRecorder) -> None:
+    person = installation.clone("operator-team")
+    before = person.tip()
+    policy = "add: []\nremove: []\n# seen by two\n"
+    commit = person.commit({"policies/initial.yaml": policy}, "Say something\n", [before])
+    number = installation.propose(person, commit, installation.plan())
+    until(lambda: f"Checked {commit[:12]}" in installation.comments(number), "checked")
+    review = {"event": "APPROVED", "commit_id": commit, "body": "seen"}
+    installation.client("reviewer").post(f"/pulls/{number}/reviews", json=review).raise_for_status()
+    until(lambda: installation.pull_request(number)["merged"], "merged")
+    recorder.round()
+    record = records(installation, person.tip())
+    assert (record.author, record.way, record.approvals) == ("operator-team", "approval", ("reviewer",))
+    assert (record.previous, record.pull_request) == (before, str(number))
+
+
+def test_a_merge_whose_push_got_no_answer_is_recorded(
+    installation: Installation, gate: RunningGate, recorder: MergeRecorder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    push = gate.gate._main.push_main
+
+    def unanswered(commit: str) -> bool:
+        monkeypatch.undo()
+        push(commit)
+        raise UnavailableError("push: the connection was lost")
+
+    monkeypatch.setattr(gate.gate._main, "push_main", unanswered)
+    manager, plan = installation.clone("manager"), installation.plan()
+    commit = manager.commit(release_files(plan, "unanswered"), message(plan), [manager.tip()])
+    number = installation.propose(manager, commit, plan)
+    until(lambda: installation.pull_request(number)["merged"], "merged")
+    until(lambda: not recorder._under_way, "the gate noticed")
+    recorder.round()
+    assert records(installation, commit).author == "manager"
 
 
 class Audit:

@@ -200,7 +200,14 @@ class Platform:
         shutil.copytree(self.folder, folder)
         return Platform(folder, dict(self.names))
 
-    def audit(self, word: str = "", since: Sequence[str] = (), now: int = NOW, registry: bool = True) -> dict[str, Any]:
+    def audit(
+        self,
+        word: str = "",
+        since: Sequence[str] = (),
+        now: int = NOW,
+        registry: bool = True,
+        former: Sequence[str] = (),
+    ) -> dict[str, Any]:
         """The document of an audit."""
         manifests = SavedManifests(self.folder / "oci") if registry else None
         sources = Sources(
@@ -210,6 +217,7 @@ class Platform:
             manifests,
             "oci" if registry else "",
             since,
+            former,
         )
         return Auditor(sources, now).audit(word)
 

@@ -16,7 +16,6 @@ from robotkube.registry.charts.core.packing import build_tag
 from tests.stages.delivery.audited_platform import (
     BEGAN,
     BRIDGE,
-    MERGE_POLICY,
     MINUTE,
     NOW,
     RECORDER,
@@ -166,7 +165,8 @@ def releases_changed_by_hand(platform: Platform) -> None:
 
 def break_glass(platform: Platform) -> None:
     files, _ = third(platform)
-    message = "let it through\n\nRobotKube-Break-Glass: ada grace\n"
+    message = "let it through\n\nRobotKube-Break-Glass: 2026-11-18T12:06:40Z\n"
+    message += "".join(f"RobotKube-Signed-By: {name} AAAA\n" for name in ("ada", "grace"))
     platform.deployment.commit(files, message, LATER, "ada")
 
 
@@ -293,8 +293,9 @@ def publishers_plans_merge_by_themselves(platform: Platform) -> None:
     platform.merge({"policies/merge.yaml": policy}, "policies: faster\n", LATER, "approval", "ada", "grace")
 
 
-def approvals_not_asked_for(platform: Platform) -> None:
-    platform.merge({"policies/merge.yaml": MERGE_POLICY}, "policies: faster\n", LATER, "approval", "ada", "grace")
+def plans_of_policies_merge_by_themselves(platform: Platform) -> None:
+    policy = STRICTER.replace("paths: [releases/, sources/]", "paths: [releases/, sources/, policies/]")
+    platform.merge({"policies/merge.yaml": policy}, "policies: faster\n", LATER, "approval", "ada", "grace")
 
 
 # -- evidence -------------------------------------------------------------------------------------------------------

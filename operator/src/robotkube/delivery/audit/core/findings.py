@@ -31,7 +31,8 @@ MEANINGS = {
     "plan-not-readable": "the commit names a plan, but its trailers do not hold: they were edited or made up",
     "trailers-differ": "the commit says something else than it does",
     "source-differs": "what Argo CD fetches is another chart than the release names",
-    "break-glass": "it was let through without the gate, by two people's signatures",
+    "break-glass": "it came past the gate, as it says by people's signatures, which are not checked here; the "
+    "gate's records say nothing about it",
     "time-order": "clocks were wrong, or times were made up: `when` cannot be trusted around this commit",
     "policy-relaxed": "from here on less was asked for before something could run",
     "no-evidence": "the release says itself that nothing was verified",

@@ -35,6 +35,7 @@ from robotkube.foundation.forge.core.histories import HistoryCommit
 T = TypeVar("T")
 
 BREAK_GLASS = "RobotKube-Break-Glass"
+SIGNED_BY = "RobotKube-Signed-By"
 PLAN_TRAILER = "\nRobotKube-Plan: "
 CLOCK_SECONDS_MAX = 300  # by which clocks of those who make commits may differ
 PATHS_NAMED_MAX = 5
@@ -44,6 +45,12 @@ def is_break_glass(message: str) -> bool:
     """Whether a commit says that it came past the gate by people's signatures: a trailer of this name. The one place
     that knows how such a commit is recognised."""
     return any(line.startswith(f"{BREAK_GLASS}:") for line in message.splitlines())
+
+
+def break_glass_signers(message: str) -> tuple[str, ...]:
+    """The people whose signatures such a commit says it carries, `RobotKube-Signed-By: <name> <signature>` each."""
+    words = [line.split() for line in message.splitlines() if line.startswith(f"{SIGNED_BY}:")]
+    return tuple(word[1] for word in words if len(word) > 1)
 
 
 @dataclass(frozen=True)
@@ -137,8 +144,8 @@ def _shape(commit: HistoryCommit, brought: Mapping[str, int]) -> Iterator[Findin
             "merge-commit", commit, f"{len(commit.parents)} parents; it brings {count} commits of a side branch"
         )
     if is_break_glass(commit.message):
-        named = [line for line in commit.message.splitlines() if line.startswith(f"{BREAK_GLASS}:")]
-        yield _finding("break-glass", commit, f"{named[0]} ({_paths(commit.paths)})")
+        names = ", ".join(break_glass_signers(commit.message)) or "nobody"
+        yield _finding("break-glass", commit, f"{_paths(commit.paths)}; signed by {names}, as it says")
     if commit.problem:
         yield _finding("file-not-readable", commit, commit.problem)
 
@@ -230,7 +237,7 @@ def _sources(commit: HistoryCommit, changed: Mapping[str, Release], sources: Map
 
 
 def _merge_policy(commit: HistoryCommit, state: _State) -> Iterator[Finding]:
-    """Findings when policies/merge.yaml lets more merge by itself than before, or asks for an approval no more."""
+    """Findings when policies/merge.yaml lets more merge by itself than before."""
     text = commit.changes.get(MERGE_PATH)
     if text is None:
         return
@@ -247,9 +254,6 @@ def _merge_policy(commit: HistoryCommit, state: _State) -> Iterator[Finding]:
         if more:
             what = f"{MERGE_PATH}: what {account} proposes to {', '.join(more)} merges by itself now"
             yield _finding("policy-relaxed", commit, what)
-    less = sorted(set(former.person) - set(policy.person))
-    if less:
-        yield _finding("policy-relaxed", commit, f"{MERGE_PATH}: no approval is asked for any more: {', '.join(less)}")
 
 
 def _keys(paths: Iterable[str]) -> list[str]:

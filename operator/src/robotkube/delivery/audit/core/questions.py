@@ -2,30 +2,15 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from robotkube.delivery.audit.core.main_replay import MainChange, MainReplay, ReleaseRun
 from robotkube.delivery.audit.core.outcomes import Observed
 from robotkube.errors import InputError
-from robotkube.foundation.documents.core.patterns import COMMIT, DIGEST
+from robotkube.foundation.documents.core.patterns import COMMIT, COMMIT_START, DIGEST, POD_NAME
 
 WORD_CHARACTERS_MAX = 512
-POD = re.compile(r"(?P<deployment>[a-z0-9][a-z0-9-]*)-[a-z0-9]{1,10}-[a-z0-9]{5}")
-COMMIT_START = re.compile(r"[0-9a-f]{7,40}")
-KINDS = (
-    "release",
-    "task",
-    "trace",
-    "event",
-    "plan",
-    "commit",
-    "pod",
-    "chart digest",
-    "evidence digest",
-    "image digest",
-)
 
 
 @dataclass(frozen=True)
@@ -134,7 +119,7 @@ def release_of_pod(word: str, releases: Iterable[str]) -> str:
     """The key of the release that a pod belongs to by its name, `<namespace>/<release>-<hash>-<hash>`, the namespace
     may be left out where only one fits; empty when there is none."""
     namespace, _, name = word.rpartition("/")
-    match = POD.fullmatch(name)
+    match = POD_NAME.fullmatch(name)
     if not match:
         return ""
     wanted = match["deployment"]

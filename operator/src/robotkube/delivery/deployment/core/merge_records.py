@@ -38,8 +38,8 @@ _TEXTS = ("previous", "author", "way", "pull_request", "approvals", "catalogue",
 @dataclass(frozen=True)
 class MergeRecord:
     """A record as a value. `previous`: main before, empty when there was none; `author`: the account that proposed;
-    `way`: what let it merge (automatic, approval, repair); `approvals`: accounts that approved exactly this commit;
-    `time`: when main moved, by the gate's clock, RFC 3339.
+    `way`: what let it merge (automatic, approval, repair); `approvals`: accounts that approved exactly what was
+    proposed; `time`: when main moved, by the gate's clock, RFC 3339.
 
     `catalogue`, `outcomes` and `records` are tips as the gate knew them then, empty where there was none; `key` is the
     id of the key that signed, empty while nobody has."""

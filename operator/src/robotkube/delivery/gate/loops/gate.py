@@ -82,11 +82,12 @@ class _Case:
     def mergeable(self) -> bool:
         return self.verdict.accepted and (self.way == AUTOMATIC or bool(self.approvers))
 
-    def record(self, pushed: str, previous: str, catalogue: str) -> MergeRecord:
-        """What is recorded when main moves from `previous` to `pushed`, decided by that commit of the catalogue."""
+    def record(self, commit: str, previous: str, catalogue: str) -> MergeRecord:
+        """What is recorded when main moves from `previous` to `commit` for this pull request, decided by that commit of
+        the catalogue."""
         number = str(self.pull.number)
         way = REPAIR if self.verdict.repair else self.way
-        return MergeRecord(pushed, previous, self.pull.author, way, number, self.approvers, "", catalogue)
+        return MergeRecord(commit, previous, self.pull.author, way, number, self.approvers, "", catalogue)
 
 
 class Gate:
@@ -307,13 +308,17 @@ class Gate:
         """Whether its author is a manager."""
         return self._settings.proposer(pull.author) is not None
 
-    def _merge(self, case: _Case, pushed: str, before: str) -> bool:
-        """Move main from `before` to `pushed`, which was checked, and have that recorded; False when main has moved
+    def _merge(self, case: _Case, commit: str, before: str) -> bool:
+        """Move main from `before` to the commit that was checked, and have that recorded; False when main has moved
         meanwhile."""
         if self._recorder is None:
-            return self._main.push_main(pushed)
-        record = self._recorder.expect(case.record(pushed, before, self._rules.catalogue_tip))
-        merged = self._main.push_main(pushed)
+            return self._main.push_main(commit)
+        record = self._recorder.expect(case.record(commit, before, self._rules.catalogue_tip))
+        try:
+            merged = self._main.push_main(commit)
+        except RobotKubeError:
+            self._recorder.unsure(record)
+            raise
         (self._recorder.merged if merged else self._recorder.dropped)(record)
         return merged
 

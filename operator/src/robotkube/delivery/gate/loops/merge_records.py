@@ -62,9 +62,9 @@ class MainContents(Protocol):
 
 
 class MergeRecorder:
-    """Writes the records of one gate; `expect`, `merged` and `dropped` are called by the gate, `run` has a thread of
-    its own. `repository` is the URL of the deployment repository, `verifier` the name in statements; `now` gives the
-    time in RFC 3339; `written` counts records since the start."""
+    """Writes the records of one gate; `expect`, `merged`, `dropped` and `unsure` are called by the gate, `run` has a
+    thread of its own. `repository` is the URL of the deployment repository, `verifier` the name in statements; `now`
+    gives the time in RFC 3339; `written` counts records since the start."""
 
     def __init__(
         self,
@@ -85,8 +85,8 @@ class MergeRecorder:
         self._now = now
         self._jitter = jitter
         self._due: dict[str, MergeRecord] = {}
-        self._left = True  # what an earlier process kept was not looked at yet
-        self._expected: set[str] = set()
+        self._under_way: set[str] = set()
+        self._unsure = True  # the journal has what an earlier process, or a push without an answer, left
         self._lock = threading.Lock()
         self._woken = threading.Event()
         self._failures = 0
@@ -96,8 +96,7 @@ class MergeRecorder:
         """Keep what the gate is about to merge; the record with the present time."""
         record = replace(record, time=self._now())
         with self._lock:
-            if self._left:
-                self._expected.add(record.commit)
+            self._under_way.add(record.commit)
         self._journal.keep(record)
         return record
 
@@ -105,11 +104,21 @@ class MergeRecorder:
         """Main has moved to the commit: its record is due."""
         with self._lock:
             self._due[record.commit] = record
+            self._under_way.discard(record.commit)
         self._woken.set()
 
     def dropped(self, record: MergeRecord) -> None:
         """Main has not moved to the commit."""
+        with self._lock:
+            self._under_way.discard(record.commit)
         self._journal.forget(record.commit)
+
+    def unsure(self, record: MergeRecord) -> None:
+        """The forge gave no answer: the next round sees whether main has the commit."""
+        with self._lock:
+            self._under_way.discard(record.commit)
+            self._unsure = True
+        self._woken.set()
 
     def stop(self, stopping: threading.Event) -> None:
         """End `run` after a last round."""
@@ -136,7 +145,7 @@ class MergeRecorder:
 
     def round(self) -> None:
         """Write the records that are due, at most RECORDS_MAX at once; what Git or the forge refuses stays due."""
-        if self._left:
+        if self._unsure:
             self._recover()
         with self._lock:
             due = dict(list(self._due.items())[:RECORDS_MAX])
@@ -161,19 +170,25 @@ class MergeRecorder:
         return self._signer.sign(record_statement(record, *self._names)).decode("ascii")
 
     def _recover(self) -> None:
-        """What an earlier process announced is due if main has it, and forgotten if not."""
-        kept = self._journal.records()
-        if kept:
-            self._main.fetch()
+        """What was announced without a known end is due if main has it, and forgotten if not."""
         with self._lock:
-            earlier = [record for record in kept if record.commit not in self._expected]
+            self._unsure = False
+        kept = self._journal.records()
+        with self._lock:  # after the journal was read: what is announced meanwhile is under way
+            known = {*self._under_way, *self._due}
+        earlier = [record for record in kept if record.commit not in known]
+        try:
+            if earlier:
+                self._main.fetch()
+        except RobotKubeError:
+            self._unsure = True
+            raise
         on_main: Mapping[str, MergeRecord] = {r.commit: r for r in earlier if self._on_main(r.commit)}
         for record in earlier:
             if record.commit not in on_main:
                 self._journal.forget(record.commit)
         with self._lock:
             self._due = {**on_main, **self._due}
-        self._left = False
 
     def _on_main(self, commit: str) -> bool:
         try:

@@ -26,6 +26,7 @@ NAME = re.compile(_LABEL, re.ASCII)  # of an agent, area, application, release, 
 NAME_OR_ALL = re.compile(rf"[*]|{_LABEL}", re.ASCII)
 SUBDOMAIN = re.compile(_SUBDOMAIN, re.ASCII)  # of a custom resource, rule or recording: with dots, unlike NAME
 TASK = re.compile(rf"{_LABEL}/{_SUBDOMAIN}", re.ASCII)  # <namespace>/<name>
+POD_NAME = re.compile(rf"(?P<deployment>{_LABEL})-[a-z0-9]{{1,10}}-[a-z0-9]{{5}}", re.ASCII)  # of a Deployment's pod
 SECRET_KEY = re.compile(_FILE_NAME_100, re.ASCII)
 
 # Charts and what they declare.
@@ -64,6 +65,7 @@ TOKEN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._:-]{0,127}", re.ASCII)
 WORD = re.compile(r"[A-Za-z0-9]([A-Za-z0-9._-]*[A-Za-z0-9])?", re.ASCII)
 REPOSITORY = re.compile(r"[a-z0-9][a-z0-9._-]*/[a-z0-9][a-z0-9._-]*", re.ASCII)  # <owner>/<name>
 COMMIT = re.compile(r"[0-9a-f]{40}", re.ASCII)
+COMMIT_START = re.compile(r"[0-9a-f]{7,40}", re.ASCII)  # as people shorten it
 PATH_PREFIX = re.compile(r"[A-Za-z0-9._-]+(/[A-Za-z0-9._-]+)*/?", re.ASCII)  # a file, or a folder with its slash
 
 # Addresses. A webhook's may have a query and an IPv6 host; its port and host are judged apart.

@@ -136,7 +136,7 @@ class GitHistory:
             if len(commits) > COMMITS_MAX or not commit.parent_ids:
                 break
             parent = self._commit(str(commit.parent_ids[0]))
-            edits += _edited(commit, parent)
+            edits += reversed(_edited(commit, parent))
             commit = parent
         return tuple(reversed(edits)), frozenset(commits)
 
