@@ -18,9 +18,11 @@ START_SECONDS_MAX = 60.0
 
 @dataclass
 class ApiServerProcess:
-    """One control plane below `folder`; `stop_server` and `start_server` take only the API server away and back."""
+    """One control plane below `folder`; `stop_server` and `start_server` take only the API server away and back.
+    `options`: further ones of the API server."""
 
     folder: Path
+    options: tuple[str, ...] = ()
     etcd_port: int = field(default_factory=free_port)
     port: int = field(default_factory=free_port)
     token: str = field(default_factory=lambda: secrets.token_hex(16))
@@ -52,7 +54,7 @@ class ApiServerProcess:
             f"--token-auth-file={self.folder}/tokens.csv", "--service-cluster-ip-range=10.255.0.0/24",
             "--disable-admission-plugins=ServiceAccount,TaintNodesByCondition", "--endpoint-reconciler-type=none",
             "--service-account-issuer=https://kubernetes.default.svc", f"--service-account-key-file={key}",
-            f"--service-account-signing-key-file={key}",
+            f"--service-account-signing-key-file={key}", *self.options,
         )  # fmt: skip
         deadline = time.monotonic() + START_SECONDS_MAX
         while not self._ready():

@@ -1,0 +1,67 @@
+"""A ValidatingAdmissionPolicy with its binding, as documents."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+API = "admissionregistration.k8s.io/v1"
+Resources = Sequence[tuple[str, Sequence[str]]]
+"""API group and its resources."""
+
+
+@dataclass(frozen=True)
+class Validation:
+    """What must hold, and the expression of the sentence that says what, why and what to do when it does not."""
+
+    holds: str
+    says: str
+
+
+@dataclass(frozen=True)
+class Policy:
+    """One policy: it judges creations and updates of `resources` where `applies` holds. Whatever cannot be judged is
+    refused."""
+
+    name: str
+    resources: Resources
+    applies: str
+    variables: Sequence[Mapping[str, str]]
+    validations: Sequence[Validation]
+
+    def documents(self, suffix: str, parameters: Mapping[str, str] | None = None) -> Iterator[dict[str, Any]]:
+        """The policy and its binding; `suffix` of both names. `parameters`: name and namespace of a ConfigMap."""
+        name = f"{self.name}{suffix}"
+        policy: dict[str, Any] = {
+            "failurePolicy": "Fail",
+            "matchConstraints": {"resourceRules": [self._rule(*entry) for entry in self.resources]},
+            "matchConditions": [{"name": "applies", "expression": self.applies}],
+            "variables": [dict(variable) for variable in self.variables],
+            "validations": [
+                {
+                    "expression": validation.holds,
+                    "messageExpression": validation.says,
+                    "message": f"refused by {self.name}; see docs/reference/admission.md",
+                }
+                for validation in self.validations
+            ],
+        }
+        binding: dict[str, Any] = {"policyName": name, "validationActions": ["Deny"]}
+        if parameters is not None:
+            policy["paramKind"] = {"apiVersion": "v1", "kind": "ConfigMap"}
+            binding["paramRef"] = {**parameters, "parameterNotFoundAction": "Deny"}
+        yield _document("ValidatingAdmissionPolicy", name, policy)
+        yield _document("ValidatingAdmissionPolicyBinding", name, binding)
+
+    def _rule(self, group: str, resources: Sequence[str]) -> dict[str, Any]:
+        return {
+            "apiGroups": [group],
+            "apiVersions": ["*"],
+            "operations": ["CREATE", "UPDATE"],
+            "resources": list(resources),
+        }
+
+
+def _document(kind: str, name: str, spec: Mapping[str, Any]) -> dict[str, Any]:
+    return {"apiVersion": API, "kind": kind, "metadata": {"name": name}, "spec": dict(spec)}
