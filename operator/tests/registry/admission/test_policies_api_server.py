@@ -7,7 +7,10 @@ from typing import Any
 
 import pytest
 
+from robotkube.registry.admission.core.allowed import Allowed
+from robotkube.registry.admission.core.lists import CHUNK
 from robotkube.registry.admission.core.policies import for_files
+from robotkube.registry.admission.core.stranded import stranded
 from tests.stages.kubernetes.judged_api_server import ADMINISTRATOR, MERGE, Api, judged_api_server
 from tests.stages.registry.admission_examples import (
     ALLOWED,
@@ -28,11 +31,13 @@ from tests.stages.registry.admission_examples import (
     VERIFIED,
     application,
     digest,
+    image,
     path,
     pod,
     pod_spec,
     workload,
 )
+from tests.stages.waiting import until
 
 pytestmark = [pytest.mark.toolchain]  # a server of its own
 POLICIES = "/apis/admissionregistration.k8s.io/v1/validatingadmissionpolicies"
@@ -74,7 +79,9 @@ PARTS: dict[str, dict[str, Any]] = {
 def test_a_pod_with_an_image_that_is_not_listed_is_refused(api: Api, part: str) -> None:
     words = api.refusal("POST", path("Pod", "vehicle-00"), {**pod(), "spec": PARTS[part]}, REPLICA_SETS)
     assert words.startswith(image_words(STRANGE))
-    assert words.endswith("Submit the chart that needs it (robotkube registry submit), or name the digest that was verified")
+    assert words.endswith(
+        "Submit the chart that needs it (robotkube registry submit), or name the digest that was verified"
+    )
 
 
 @pytest.mark.parametrize(
@@ -147,7 +154,9 @@ CHANGES: dict[str, dict[str, Any]] = {
     "annotation": {"metadata": {"annotations": {"note": "mine"}}},
     "annotation of the pods": {"spec": {"template": {"metadata": {"annotations": {"note": "mine"}}}}},
     "label": {"metadata": {"labels": {"note": "mine"}}},
-    "command": {"spec": {"template": {"spec": {"containers": [{"name": "main", "image": VERIFIED, "command": ["sh"]}]}}}},
+    "command": {
+        "spec": {"template": {"spec": {"containers": [{"name": "main", "image": VERIFIED, "command": ["sh"]}]}}}
+    },
 }
 
 
@@ -167,7 +176,8 @@ def test_an_update_to_an_image_that_is_not_listed_is_refused_to_argo_cd_too(api:
 
 
 def test_controllers_go_on_with_what_is_there(api: Api, deployment: str) -> None:
-    api.done("PATCH", deployment, {"metadata": {"annotations": {"deployment.kubernetes.io/revision": "1"}}}, DEPLOYMENTS, MERGE)  # fmt: skip
+    revision = {"metadata": {"annotations": {"deployment.kubernetes.io/revision": "1"}}}
+    api.done("PATCH", deployment, revision, DEPLOYMENTS, MERGE)
     api.done("PATCH", f"{deployment}/status", {"status": {"replicas": 1}}, DEPLOYMENTS, MERGE)
     api.done("PATCH", deployment + DRY, {"metadata": {"finalizers": ["example.org/wait"]}}, kind=MERGE)
 
@@ -256,6 +266,60 @@ def test_other_namespaces_are_no_way_around(api: Api, namespace: str) -> None:
     )
 
 
+def test_a_namespace_stays_what_it_is(api: Api) -> None:
+    """Namespaces are matched by a label, which the API server keeps."""
+    for labels in ({"kubernetes.io/metadata.name": "elsewhere"}, {"kubernetes.io/metadata.name": None}):
+        api.request("PATCH", "/api/v1/namespaces/vehicle-00", {"metadata": {"labels": labels}}, kind=MERGE)
+        assert api.refusal("POST", path("Pod", "vehicle-00"), pod()).startswith("pods made by administrator")
+    named = {"metadata": {"name": "taken", "labels": {"kubernetes.io/metadata.name": "robotkube"}}}
+    api.done("POST", "/api/v1/namespaces", named)
+    assert api.refusal("POST", path("Pod", "taken"), pod(STRANGE)).startswith(
+        f"image {STRANGE} may not run in namespace taken: only images of the platform and of verified charts"
+    )
+
+
+WAYS: dict[str, dict[str, Any]] = {
+    "files": {"volumes": [{"name": "host", "hostPath": {"path": "/"}}]},
+    "network": {"hostNetwork": True},
+    "processes": {"hostPID": True},
+    "memory": {"hostIPC": True},
+    "privileges": {"containers": [{"name": "main", "image": VERIFIED, "securityContext": {"privileged": True}}]},
+    "a capability": {
+        "containers": [{"name": "main", "image": VERIFIED, "securityContext": {"capabilities": {"add": ["SYS_ADMIN"]}}}]
+    },
+    "first privileges": {
+        "initContainers": [{"name": "first", "image": VERIFIED, "securityContext": {"privileged": True}}]
+    },
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("namespace", ["vehicle-00", "default"])
+def test_no_pod_gets_a_way_to_its_machine(api: Api, namespace: str, way: str) -> None:
+    """The policies themselves are files of a machine."""
+    words = api.refusal("POST", path("Pod", namespace), {**pod(), "spec": pod_spec(**WAYS[way])}, REPLICA_SETS)
+    assert words.startswith(f"pods in namespace {namespace} ask for a way to their machine")
+
+
+@pytest.mark.parametrize(
+    "place",
+    [{"hostPath": {"path": "/"}}, {"local": {"path": "/cluster"}}, {"local": {"path": "/cluster/volumes/../pki"}}],
+)
+def test_no_volume_is_another_way(api: Api, place: dict[str, Any]) -> None:
+    def volume(source: dict[str, Any]) -> dict[str, Any]:
+        here = {"key": "kubernetes.io/hostname", "operator": "In", "values": ["one"]}
+        affinity = {"required": {"nodeSelectorTerms": [{"matchExpressions": [here]}]}}
+        spec = {"capacity": {"storage": "1Gi"}, "accessModes": ["ReadWriteOnce"], "nodeAffinity": affinity, **source}
+        return {"apiVersion": "v1", "kind": "PersistentVolume", "metadata": {"name": "one-0"}, "spec": spec}
+
+    volumes = f"/api/v1/persistentvolumes{DRY}"
+    api.done("POST", volumes, volume({"local": {"path": "/cluster/volumes/one/0"}}))
+    answer = api.request("POST", volumes, volume(place))
+    assert answer["status"] == "Failure"
+    if ".." not in str(place):  # which the API server itself refuses
+        assert "PersistentVolume one-0 is of a folder that is not for volumes" in answer["message"]
+
+
 def test_a_policy_in_files_can_be_neither_seen_nor_deleted(api: Api) -> None:
     assert api.done("GET", POLICIES)["items"] == []
     gone = api.request("DELETE", f"{POLICIES}/robotkube-agents.static.k8s.io")
@@ -281,7 +345,8 @@ ATTACKS: dict[str, tuple[dict[str, Any], str]] = {
     "no namespace": ({"destination": TO_CLUSTER}, IN_AGENTS),
     "another cluster": ({"destination": {"server": "https://example.org", "namespace": "vehicle-00"}}, IN_AGENTS),
     "a cluster by name": ({"destination": {"name": "in-cluster", "namespace": "vehicle-00"}}, IN_AGENTS),
-    "a foreign registry": ({"source": {**SOURCE, "repoURL": "oci://example.org/verified/event-detector"}}, NOT_VERIFIED),
+    "a foreign registry": (
+        {"source": {**SOURCE, "repoURL": "oci://example.org/verified/event-detector"}}, NOT_VERIFIED),
     "the staging area": (
         {"source": {**SOURCE, "repoURL": CHARTS.replace("/verified", "/staging/event-detector")}}, NOT_VERIFIED),
     "a way out of it": ({"source": {**SOURCE, "repoURL": f"{CHARTS}/../staging/event-detector"}}, NOT_VERIFIED),
@@ -375,3 +440,31 @@ def test_argo_cd_does_not_widen_the_project_of_releases(api: Api) -> None:
     api.done("PATCH", f"{PROJECTS}/robotkube-apps", wider, kind=MERGE)
     default = {**head, "metadata": {"name": "default"}, "spec": {}}
     api.done("POST", PROJECTS, default, SERVER)  # argocd-server makes it when it starts
+
+
+def test_what_would_be_stranded_is_what_the_policies_refuse(api: Api) -> None:
+    """The answer before admission is enforced, and that of the API server."""
+    images = (VERIFIED, OF_THE_PLATFORM, STRANGE, TAGGED)
+    for namespace in NAMESPACES:
+        maker = SUITE_RUNNER if namespace == "robotkube-suite-0" else APPLICATION_CONTROLLER
+        for reference in images:
+            made = workload("Deployment", reference)
+            answer = api.request("POST", path("Deployment", namespace) + DRY, made, maker)
+            foretold = stranded([{**made, "metadata": {"name": "a", "namespace": namespace}}], DOMAIN, ALLOWED)
+            assert (answer.get("status") == "Failure") == bool(foretold), (namespace, reference, answer)
+
+
+def test_a_long_list_is_asked_in_parts_and_a_changed_file_is_at_work_by_itself(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    numbers = range(100, 100 + 2 * CHUNK + 500)
+    long = Allowed(tuple(map(digest, numbers)), (digest(2),), ())
+    with judged_api_server(tmp_path_factory.mktemp("long"), for_files(DOMAIN, ALLOWED)) as (server, files):
+        server.done("POST", "/api/v1/namespaces", {"metadata": {"name": "vehicle-00"}})
+        place = path("Pod", "vehicle-00") + DRY
+        server.done("POST", place, pod(), REPLICA_SETS)
+        assert files.write(for_files(DOMAIN, long))
+        until(lambda: server.request("POST", place, pod(), REPLICA_SETS)["kind"] == "Status")
+        for number in (numbers[0], numbers[CHUNK - 1], numbers[CHUNK], numbers[2 * CHUNK], numbers[-1]):
+            server.done("POST", place, pod(image(number)), REPLICA_SETS)
+        assert server.refusal("POST", place, pod(), REPLICA_SETS).startswith(image_words(VERIFIED))

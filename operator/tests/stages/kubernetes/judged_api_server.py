@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import httpx
@@ -18,6 +19,7 @@ from tests.stages.waiting import until
 MERGE = "application/merge-patch+json"
 RBAC = "/apis/rbac.authorization.k8s.io/v1/clusterrolebindings"
 ADMINISTRATOR = ""  # the token's own account, of system:masters
+NO_VARIABLES: Mapping[str, str] = MappingProxyType({})
 Object = dict[str, Any]
 
 
@@ -42,18 +44,26 @@ class Api:
     def refusal(self, method: str, path: str, body: Any = None, user: str = ADMINISTRATOR, kind: str = "") -> str:
         """The words of the policy that refuses this; it is an error when nothing does."""
         answer = self.request(method, path, body, user, kind)
-        assert answer["kind"] == "Status" and answer["status"] == "Failure", "it was taken"
+        assert (answer["kind"], answer.get("status")) == ("Status", "Failure"), "it was taken"
         message = str(answer["message"])
         assert "ValidatingAdmissionPolicy 'robotkube-" in message, message
         return message.partition("denied request: ")[2]
 
 
 @contextmanager
-def judged_api_server(folder: Path, documents: Sequence[Mapping[str, Any]]) -> Iterator[tuple[Api, PolicyFiles]]:
-    """The API server; every account may do everything, as far as rights go: what is refused, a policy refuses."""
+def judged_api_server(
+    folder: Path, documents: Sequence[Mapping[str, Any]] | None, environment: Mapping[str, str] = NO_VARIABLES
+) -> Iterator[tuple[Api, PolicyFiles]]:
+    """The API server; every account may do everything, as far as rights go: what is refused, a policy refuses. Without
+    `documents` it reads no files."""
+    folder.mkdir(parents=True, exist_ok=True)
     files = PolicyFiles(folder / "admission")
-    files.write(documents)
-    server = ApiServerProcess(folder, options=tuple(f"--{name}={value}" for name, value in files.options.items()))
+    options = {"allow-privileged": "true"}  # so that it is a policy that refuses it
+    if documents is not None:
+        files.write(documents)
+        options.update(files.options)
+    words = tuple(f"--{name}={value}" for name, value in options.items())
+    server = ApiServerProcess(folder, options=words, environment=environment)
     try:
         server.start()
         headers = {"Authorization": f"Bearer {server.token}"}

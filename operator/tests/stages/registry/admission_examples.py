@@ -10,7 +10,7 @@ from robotkube.registry.admission.core.domain import Domain, account
 
 Object = dict[str, Any]
 CHARTS = "oci://forge.robotkube.svc.cluster.local:3000/verified"
-DOMAIN = Domain(("vehicle-00", "cloud-0"), ("robotkube-suite-0",), CHARTS, elsewhere=True)
+DOMAIN = Domain(("vehicle-00", "cloud-0"), ("robotkube-suite-0",), CHARTS, elsewhere=True, volumes="/cluster/volumes")
 
 
 def digest(number: int) -> str:

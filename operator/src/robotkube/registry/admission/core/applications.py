@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from robotkube.registry.admission.core.documents import Policy, Validation
+from robotkube.registry.admission.core.documents import Place, Policy, Validation
 from robotkube.registry.admission.core.domain import PROJECT, Domain
 from robotkube.registry.admission.core.expressions import CREATING, WRITER, one_of, sentence
 from robotkube.registry.admission.core.lists import Lookup, texts
@@ -34,16 +34,19 @@ def policy(domain: Domain, charts: Lookup) -> Policy:
         {"name": "sync", "expression": "object.?operation.?sync.orValue({})"},
     ]
     rules = [_writer(domain), _project(), _destination(domain), _one_chart(), _verified(domain), _operation()]
-    return Policy("robotkube-applications", [("argoproj.io", ["applications"])], "true", variables, rules)
+    return Policy("robotkube-applications", [("argoproj.io", ["applications"])], None, variables, rules)
 
 
 def projects(domain: Domain) -> Policy:
     """Of the project that releases are in: Argo CD's own accounts do not widen it."""
     own = f"'system:serviceaccounts:{domain.argocd}' in request.userInfo.groups"
     why = ": who installs the platform says what releases may be made of. Change the values of charts/robotkube"
-    rule = Validation(_when_specified(f"!({own})"), sentence(f"AppProject {PROJECT} changed by ", WRITER, why))
-    where = f"{NAME} == '{PROJECT}' && request.namespace == '{domain.argocd}'"
-    return Policy("robotkube-projects", [("argoproj.io", ["appprojects"])], where, [], [rule])
+    rule = Validation(
+        f"{NAME} != '{PROJECT}' || {_when_specified(f'!({own})')}",
+        sentence(f"AppProject {PROJECT} changed by ", WRITER, why),
+    )
+    place = Place((domain.argocd,))
+    return Policy("robotkube-projects", [("argoproj.io", ["appprojects"])], place, [], [rule])
 
 
 def _writer(domain: Domain) -> Validation:

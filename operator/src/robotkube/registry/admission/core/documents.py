@@ -20,23 +20,41 @@ class Validation:
 
 
 @dataclass(frozen=True)
+class Place:
+    """The namespaces of these names, or (`others`) all but these. By a label that the API server keeps equal to the
+    name: a namespace that does not match costs nothing, where an expression would have to be evaluated."""
+
+    names: Sequence[str]
+    others: bool = False
+
+    @property
+    def selector(self) -> dict[str, Any]:
+        """As a namespaceSelector."""
+        operator = "NotIn" if self.others else "In"
+        expression = {"key": "kubernetes.io/metadata.name", "operator": operator, "values": list(self.names)}
+        return {"matchExpressions": [expression]}
+
+
+@dataclass(frozen=True)
 class Policy:
-    """One policy: it judges creations and updates of `resources` where `applies` holds. Whatever cannot be judged is
-    refused."""
+    """One policy: it judges creations and updates of `resources` in a `place` (None: everywhere). Whatever cannot be
+    judged is refused."""
 
     name: str
     resources: Resources
-    applies: str
+    place: Place | None
     variables: Sequence[Mapping[str, str]]
     validations: Sequence[Validation]
 
     def documents(self, suffix: str, parameters: Mapping[str, str] | None = None) -> Iterator[dict[str, Any]]:
         """The policy and its binding; `suffix` of both names. `parameters`: name and namespace of a ConfigMap."""
         name = f"{self.name}{suffix}"
+        constraints: dict[str, Any] = {"resourceRules": [self._rule(*entry) for entry in self.resources]}
+        if self.place is not None:
+            constraints["namespaceSelector"] = self.place.selector
         policy: dict[str, Any] = {
             "failurePolicy": "Fail",
-            "matchConstraints": {"resourceRules": [self._rule(*entry) for entry in self.resources]},
-            "matchConditions": [{"name": "applies", "expression": self.applies}],
+            "matchConstraints": constraints,
             "variables": [dict(variable) for variable in self.variables],
             "validations": [
                 {

@@ -43,6 +43,18 @@ def _images(pod: str) -> str:
     return f"{of_containers} + {volumes}"
 
 
+def on_host(pod: str) -> str:
+    """Whether a pod asks for a way to its machine: its namespaces, its files, its devices."""
+    shared = " || ".join(f"{pod}.?{name}.orValue(false)" for name in ("hostPID", "hostIPC", "hostNetwork"))
+    containers = " + ".join(f"{pod}.?{name}.orValue([])" for name in LISTS_OF_CONTAINERS)
+    context = "c.?securityContext"
+    return (
+        f"{shared} || {pod}.?volumes.orValue([]).exists(v, has(v.hostPath)) || ({containers}).exists(c, "
+        f"{context}.?privileged.orValue(false) || {context}.?procMount.orValue('Default') != 'Default' || "
+        f"{context}.?capabilities.?add.orValue([]).exists(a, a != 'NET_BIND_SERVICE'))"
+    )
+
+
 def changed(parts: tuple[str, ...]) -> str:
     """Whether an update changes one of these parts (`spec`, `metadata.labels`)."""
     return " || ".join(f"object.{_optional(part)} != oldObject.{_optional(part)}" for part in parts)

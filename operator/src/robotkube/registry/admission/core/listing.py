@@ -64,7 +64,7 @@ def listing(
         else:
             charts.add(f"{version.chart}@{version.digest}")
             images.update(digests_of(version.image_references))
-    return Listing(tuple(sorted(charts)), tuple(sorted(images)), tuple(problems))
+    return Listing(tuple(sorted(charts)), tuple(sorted(images)), tuple(dict.fromkeys(problems)))
 
 
 def _stands(current: Mapping[tuple[str, str], ChartVersion | None], version: ChartVersion) -> bool:

@@ -7,6 +7,10 @@ and as ordinary objects, which differ in where the list stands.
     robotkube-elsewhere     images of either list, in all other namespaces (where the whole cluster is ours)
     robotkube-applications  what Argo CD may be told to apply
     robotkube-projects      what releases may be made of
+    robotkube-volumes       which folders of machines are volumes (where the provider says)
+
+Nothing of any of these namespaces gets a way to its machine: what stands there could be changed from it, these files
+among it.
 """
 
 from __future__ import annotations
@@ -17,7 +21,7 @@ from typing import Any
 
 from robotkube.registry.admission.core import applications
 from robotkube.registry.admission.core.allowed import Allowed
-from robotkube.registry.admission.core.documents import Policy, Validation
+from robotkube.registry.admission.core.documents import Place, Policy, Validation
 from robotkube.registry.admission.core.domain import KEEPERS, POD_MAKERS, Domain, controllers
 from robotkube.registry.admission.core.expressions import (
     CREATING,
@@ -27,6 +31,7 @@ from robotkube.registry.admission.core.expressions import (
     WRITER,
     changed,
     image_variables,
+    on_host,
     one_of,
     sentence,
 )
@@ -94,6 +99,8 @@ def _policies(domain: Domain, lookups: _Lookups) -> Iterator[Policy]:
         yield _elsewhere(domain, lookups.both)
     yield applications.policy(domain, lookups.charts)
     yield applications.projects(domain)
+    if domain.volumes:
+        yield _volumes(domain.volumes)
 
 
 def _agents(domain: Domain, lookup: Lookup) -> Policy:
@@ -109,7 +116,7 @@ def _agents(domain: Domain, lookup: Lookup) -> Policy:
         ),
         _kept(writer, ": in an agent's namespace nothing runs but what main says. Change the release on main"),
     ]
-    return _workloads("agents", _within(domain.agents), lookup.without("unlisted", "added", image=True), rules)
+    return _workloads("agents", Place(domain.agents), lookup.without("unlisted", "added", image=True), rules)
 
 
 def _tests(domain: Domain) -> Policy:
@@ -126,7 +133,7 @@ def _tests(domain: Domain) -> Policy:
         _kept(writer, ": in a test namespace runs what was submitted. Change the chart, and submit it again"),
     ]
     unlisted = {"name": "unlisted", "expression": f"variables.added.filter(i, !i.matches('{DIGEST_FORM}'))"}
-    return _workloads("tests", _within(domain.tests), [unlisted], rules)
+    return _workloads("tests", Place(domain.tests), [unlisted], rules)
 
 
 def _platform(domain: Domain, lookup: Lookup) -> Policy:
@@ -140,7 +147,7 @@ def _platform(domain: Domain, lookup: Lookup) -> Policy:
     )
     return _workloads(
         "platform",
-        _within((domain.platform, domain.argocd)),
+        Place((domain.platform, domain.argocd)),
         lookup.without("unlisted", "added", image=True),
         [_images(NOT_OF_THE_PLATFORM), pods],
     )
@@ -149,14 +156,14 @@ def _platform(domain: Domain, lookup: Lookup) -> Policy:
 def _elsewhere(domain: Domain, lookup: Lookup) -> Policy:
     known = (*domain.agents, *domain.tests, domain.platform, domain.argocd)
     unlisted = lookup.without("unlisted", "added", image=True)
-    return _workloads("elsewhere", f"!({_within(known)})", unlisted, [_images(NOT_KNOWN)])
+    return _workloads("elsewhere", Place(known, others=True), unlisted, [_images(NOT_KNOWN)])
 
 
 def _makers(writer: str) -> Mapping[str, Sequence[str]]:
     """Who makes what: `writer` what stands at the top, and of what follows from it the controller that it is for."""
     kinds = [kind for _, resources in RESOURCES for kind in resources if "/" not in kind]
     return {
-        **{kind: (writer,) for kind in kinds},
+        **dict.fromkeys(kinds, (writer,)),
         "jobs": (writer, *controllers("cronjob-controller")),
         "replicasets": controllers("deployment-controller"),
         "pods": PODS,
@@ -198,9 +205,32 @@ def _no_debugging() -> Validation:
     )
 
 
-def _within(namespaces: Iterable[str]) -> str:
-    return f"request.namespace in {texts(namespaces)}"
+def _no_host() -> Validation:
+    """From a machine's files there is a way to everything that runs on it."""
+    return Validation(
+        f"variables.pod == variables.before || !({on_host('variables.pod')})",
+        sentence(
+            "",
+            RESOURCE,
+            " in namespace ",
+            "request.namespace",
+            " ask for a way to their machine (its network, processes, files, or privileges): nothing on this platform "
+            "needs one. Use a volume claim, a Service, or no privileges",
+        ),
+    )
 
 
-def _workloads(name: str, where: str, unlisted: Iterable[Mapping[str, str]], rules: Sequence[Validation]) -> Policy:
-    return Policy(f"robotkube-{name}", RESOURCES, where, [*image_variables(), *unlisted], rules)
+def _volumes(folder: str) -> Policy:
+    """A volume is another way to a machine's files."""
+    path = "object.spec.local.path"
+    holds = (
+        f"!has(object.spec.hostPath) && (!has(object.spec.local) || {path}.startsWith('{folder}/') && "
+        f"!{path}.contains('/../') && !{path}.endsWith('/..'))"
+    )
+    why = " is of a folder that is not for volumes. Use one of those that the cluster was made with"
+    rule = Validation(holds, sentence("PersistentVolume ", "object.metadata.name", why))
+    return Policy("robotkube-volumes", [("", ["persistentvolumes"])], None, [], [rule])
+
+
+def _workloads(name: str, place: Place, unlisted: Iterable[Mapping[str, str]], rules: Sequence[Validation]) -> Policy:
+    return Policy(f"robotkube-{name}", RESOURCES, place, [*image_variables(), *unlisted], [*rules, _no_host()])

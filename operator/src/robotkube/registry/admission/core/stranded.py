@@ -33,7 +33,9 @@ def stranded(objects: Iterable[Object], domain: Domain, allowed: Allowed) -> tup
     for item in objects:
         metadata = item["metadata"]
         place = (str(metadata.get("namespace", "")), str(item["kind"]), str(metadata["name"]))
-        reasons = _application(item, domain, allowed) if item["kind"] == "Application" else _workload(item, domain, allowed)
+        reasons = (
+            _application(item, domain, allowed) if item["kind"] == "Application" else _workload(item, domain, allowed)
+        )
         found += [Stranded(*place, why) for why in reasons]
     return tuple(sorted(found))
 

@@ -39,7 +39,7 @@ class CatalogueListing:
         self._verifier = verifier
         self._verify = lru_cache(ENVELOPES_CACHED_MAX)(self._outcome)
         self._seen = ""  # the commit until which history was read
-        self._earlier: dict[tuple[str, str, str], ChartVersion] = {}  # by chart, version and digest
+        self._earlier: dict[tuple[str, ...], ChartVersion] = {}  # by all that is signed of an entry
         self._summaries: dict[str, str] = {}  # by the digest of the envelope
         self._key: tuple[str, frozenset[str]] = ("", frozenset())
 
@@ -71,8 +71,7 @@ class CatalogueListing:
             return str(error)
 
     def _read_history(self, tip: str) -> None:
-        """Entries and summaries of the commits since the last time, newest first."""
-        earlier: dict[tuple[str, str, str], ChartVersion] = {}
+        """Entries and summaries of the commits since the last time."""
         for commit, _ in self._repository.headers(self._seen, HISTORY_COMMITS_MAX):
             try:
                 changes = self._repository.commit(commit).changes
@@ -83,8 +82,8 @@ class CatalogueListing:
             self._summaries.update(_summaries(files))
             for version in filter(None, _entries(files).values()):
                 if version.state == VERIFIED:
-                    earlier.setdefault((version.chart, version.version, version.digest), version)
-        self._earlier.update(earlier)
+                    signed = (version.chart, version.version, version.digest, version.entry, version.evidence)
+                    self._earlier[signed] = version
         self._seen = tip
 
 
