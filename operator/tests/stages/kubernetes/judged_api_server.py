@@ -56,11 +56,19 @@ def judged_api_server(
 ) -> Iterator[tuple[Api, PolicyFiles]]:
     """The API server; every account may do everything, as far as rights go: what is refused, a policy refuses. Without
     `documents` it reads no files."""
-    folder.mkdir(parents=True, exist_ok=True)
     files = PolicyFiles(folder / "admission")
-    options = {"allow-privileged": "true"}  # so that it is a policy that refuses it
     if documents is not None:
         files.write(documents)
+    with served(folder, files, environment) as api:
+        yield api, files
+
+
+@contextmanager
+def served(folder: Path, files: PolicyFiles, environment: Mapping[str, str] = NO_VARIABLES) -> Iterator[Api]:
+    """The same with these files, where they are there."""
+    folder.mkdir(parents=True, exist_ok=True)
+    options = {"allow-privileged": "true"}  # so that it is a policy that refuses it
+    if files.policies.exists():
         options.update(files.options)
     words = tuple(f"--{name}={value}" for name, value in options.items())
     server = ApiServerProcess(folder, options=words, environment=environment)
@@ -72,7 +80,7 @@ def judged_api_server(
             api = Api(client)
             _allow_everything(api)
             _define_applications(api)
-            yield api, files
+            yield api
     finally:
         server.stop()
 
