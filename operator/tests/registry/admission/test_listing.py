@@ -11,7 +11,7 @@ from robotkube.errors import DocumentError, InputError, UnavailableError
 from robotkube.foundation.forge.ports.repositories import Commit
 from robotkube.registry.admission.core.allowed import Allowed, digests_of
 from robotkube.registry.admission.core.domain import Domain
-from robotkube.registry.admission.core.policies import entries, for_files
+from robotkube.registry.admission.core.policies import for_files, list_entries, platform_entries
 from robotkube.registry.admission.loops.following import CatalogueListing, Following, Surroundings
 from robotkube.registry.evidence.adapters.dsse import KeyFile
 from robotkube.registry.evidence.core.statements import Artefact
@@ -244,7 +244,8 @@ def test_nothing_but_names_becomes_part_of_a_policy(wrong: dict[str, object]) ->
         Domain(**{**right, **wrong})  # type: ignore[arg-type]
 
 
-def test_the_list_as_entries_of_a_config_map() -> None:
-    made = entries(Allowed((digest(1),), (digest(2),), (f"event-detector@{digest(9)}",)))
+def test_the_lists_as_entries_of_config_maps() -> None:
     number = digest(0).removeprefix("sha256:")[:-1]
-    assert made == {f"image.{number}1": "", f"platform.{number}2": "", f"chart.event-detector.{number}9": ""}
+    listed = list_entries((f"event-detector@{digest(9)}",), (digest(1),))
+    assert listed == {f"image.{number}1": "", f"chart.event-detector.{number}9": ""}
+    assert platform_entries((digest(2),)) == {f"platform.{number}2": ""}

@@ -23,7 +23,7 @@ def policy(domain: Domain, charts: Lookup) -> Policy:
     updates too: the spec is judged when it changes, the operation always."""
     chart = (
         f"variables.source.?repoURL.orValue('').startsWith('{domain.charts}/') ? "
-        f"[variables.source.repoURL.substring({len(domain.charts) + 1}) + '@' + "
+        f"[variables.source.repoURL.substring('{domain.charts}/'.size()) + '@' + "
         "variables.source.?targetRevision.orValue('')] : ['']"
     )
     variables = [
@@ -34,7 +34,8 @@ def policy(domain: Domain, charts: Lookup) -> Policy:
         {"name": "sync", "expression": "object.?operation.?sync.orValue({})"},
     ]
     rules = [_writer(domain), _project(), _destination(domain), _one_chart(), _verified(domain), _operation()]
-    return Policy("robotkube-applications", [("argoproj.io", ["applications"])], None, variables, rules)
+    kinds = [("argoproj.io", ["applications"])]
+    return Policy("robotkube-applications", kinds, None, variables, rules, charts.parameters)
 
 
 def projects(domain: Domain) -> Policy:

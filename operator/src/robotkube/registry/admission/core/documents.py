@@ -38,16 +38,17 @@ class Place:
 @dataclass(frozen=True)
 class Policy:
     """One policy: it judges creations and updates of `resources` in a `place` (None: everywhere). Whatever cannot be
-    judged is refused."""
+    judged is refused. `parameters`: the ConfigMap that its lookups ask; empty when they ask none."""
 
     name: str
     resources: Resources
     place: Place | None
     variables: Sequence[Mapping[str, str]]
     validations: Sequence[Validation]
+    parameters: str = ""
 
-    def documents(self, suffix: str, parameters: Mapping[str, str] | None = None) -> Iterator[dict[str, Any]]:
-        """The policy and its binding; `suffix` of both names. `parameters`: name and namespace of a ConfigMap."""
+    def documents(self, suffix: str, namespace: str) -> Iterator[dict[str, Any]]:
+        """The policy and its binding; `suffix` of both names, `namespace` of the ConfigMap `parameters`."""
         name = f"{self.name}{suffix}"
         constraints: dict[str, Any] = {"resourceRules": [self._rule(*entry) for entry in self.resources]}
         if self.place is not None:
@@ -66,9 +67,10 @@ class Policy:
             ],
         }
         binding: dict[str, Any] = {"policyName": name, "validationActions": ["Deny"]}
-        if parameters is not None:
+        if self.parameters:
             policy["paramKind"] = {"apiVersion": "v1", "kind": "ConfigMap"}
-            binding["paramRef"] = {**parameters, "parameterNotFoundAction": "Deny"}
+            place = {"name": self.parameters, "namespace": namespace}
+            binding["paramRef"] = {**place, "parameterNotFoundAction": "Deny"}
         yield _document("ValidatingAdmissionPolicy", name, policy)
         yield _document("ValidatingAdmissionPolicyBinding", name, binding)
 

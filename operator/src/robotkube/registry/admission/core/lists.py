@@ -17,7 +17,11 @@ Variable = dict[str, str]
 
 
 class Lookup(Protocol):
-    """One list, whatever holds it."""
+    """One list, whatever holds it: `parameters` is the ConfigMap that does, empty when the policy itself does."""
+
+    @property
+    def parameters(self) -> str:
+        """Name of the ConfigMap."""
 
     def without(self, name: str, candidates: str, image: bool) -> Sequence[Variable]:
         """Variables of which the last is called `name`: those of the variable `candidates` that are not listed.
@@ -29,6 +33,7 @@ class Literals:
     """Words in the expression itself."""
 
     words: tuple[str, ...]
+    parameters: str = ""
 
     def without(self, name: str, candidates: str, image: bool) -> Sequence[Variable]:
         """See Lookup."""
@@ -46,16 +51,16 @@ class Literals:
 
 @dataclass(frozen=True)
 class Parameters:
-    """Words as keys of the policy's ConfigMap: `<prefix>.<hex>` for an image, `<prefix>.<name>.<hex>` for a chart. A
-    key holds neither `@` nor `:`, so nothing but a digest can be one."""
+    """Words as keys of a ConfigMap: `<prefix>.<hex>` for an image, `<prefix>.<name>.<hex>` for a chart. A key holds
+    neither `@` nor `:`, so nothing but a digest can be one."""
 
-    prefixes: tuple[str, ...]
+    parameters: str
+    prefix: str
 
     def without(self, name: str, candidates: str, image: bool) -> Sequence[Variable]:
         """See Lookup."""
         word = f"c.substring(c.indexOf('{AT}') + {len(AT)})" if image else f"c.replace('{AT}', '.')"
-        keys = [f"('{prefix}.' + {word}) in params.?data.orValue({{}})" for prefix in self.prefixes]
-        condition = f"c.indexOf('{AT}') > 0 && ({' || '.join(keys)})"
+        condition = f"c.indexOf('{AT}') > 0 && ('{self.prefix}.' + {word}) in params.?data.orValue({{}})"
         return [{"name": name, "expression": f"variables.{candidates}.filter(c, !({condition}))"}]
 
 

@@ -38,6 +38,8 @@ from robotkube.registry.admission.core.expressions import (
 from robotkube.registry.admission.core.lists import Literals, Lookup, Parameters, parameter_keys, texts
 
 FILE_SUFFIX = ".static.k8s.io"
+LIST = "admission-list"
+PLATFORM_LIST = "admission-platform"
 DIGEST_FORM = "^[^@]+@sha256:[0-9a-f]{64}$"
 PODS = controllers(*POD_MAKERS)
 KEPT = ("spec", "template", "metadata.labels", "metadata.annotations")
@@ -72,21 +74,26 @@ def for_files(domain: Domain, allowed: Allowed) -> list[dict[str, Any]]:
     """Policies and bindings for the API server's folder of manifests, with the list in them."""
     both = tuple(sorted({*allowed.verified, *allowed.platform}))
     lookups = _Lookups(*map(Literals, (allowed.verified, allowed.platform, both, allowed.charts)))
-    return [part for policy in _policies(domain, lookups) for part in policy.documents(FILE_SUFFIX)]
+    return [part for policy in _policies(domain, lookups) for part in policy.documents(FILE_SUFFIX, domain.platform)]
 
 
-def for_api(domain: Domain, parameters: str) -> list[dict[str, Any]]:
-    """Policies and bindings as ordinary objects. The list is in the ConfigMap `parameters` of the platform's namespace
-    (`entries`); without it everything is refused."""
-    lookups = _Lookups(*map(Parameters, (("image",), ("platform",), ("image", "platform"), ("chart",))))
-    place = {"name": parameters, "namespace": domain.platform}
-    return [part for policy in _policies(domain, lookups) for part in policy.documents("", place)]
+def for_api(domain: Domain) -> list[dict[str, Any]]:
+    """Policies and bindings as ordinary objects. What releases may be of stands in the ConfigMap LIST of the platform's
+    namespace (`list_entries`), the platform's images in PLATFORM_LIST (`platform_entries`); what asks for a ConfigMap
+    that is not there is refused. Other namespaces of the cluster are not judged."""
+    images = Parameters(PLATFORM_LIST, "platform")
+    lookups = _Lookups(Parameters(LIST, "image"), images, images, Parameters(LIST, "chart"))
+    return [part for policy in _policies(domain, lookups) for part in policy.documents("", domain.platform)]
 
 
-def entries(allowed: Allowed) -> dict[str, str]:
-    """The data of the ConfigMap that the policies of `for_api` ask."""
-    lists = {"image": allowed.verified, "platform": allowed.platform, "chart": allowed.charts}
-    return {key: "" for prefix, words in lists.items() for key in parameter_keys(prefix, words)}
+def list_entries(charts: Iterable[str], verified: Iterable[str]) -> dict[str, str]:
+    """The data of the ConfigMap LIST."""
+    return {**parameter_keys("image", verified), **parameter_keys("chart", charts)}
+
+
+def platform_entries(platform: Iterable[str]) -> dict[str, str]:
+    """The data of the ConfigMap PLATFORM_LIST."""
+    return parameter_keys("platform", platform)
 
 
 def _policies(domain: Domain, lookups: _Lookups) -> Iterator[Policy]:
@@ -116,7 +123,7 @@ def _agents(domain: Domain, lookup: Lookup) -> Policy:
         ),
         _kept(writer, ": in an agent's namespace nothing runs but what main says. Change the release on main"),
     ]
-    return _workloads("agents", Place(domain.agents), lookup.without("unlisted", "added", image=True), rules)
+    return _workloads("agents", Place(domain.agents), _unlisted(lookup), rules, lookup.parameters)
 
 
 def _tests(domain: Domain) -> Policy:
@@ -137,6 +144,7 @@ def _tests(domain: Domain) -> Policy:
 
 
 def _platform(domain: Domain, lookup: Lookup) -> Policy:
+    """Argo CD's namespace counts where its images are known: where the whole cluster is ours."""
     pods = Validation(
         f"!({CREATING}) || {RESOURCE} != 'pods' || {one_of(PODS)}",
         sentence(
@@ -145,18 +153,17 @@ def _platform(domain: Domain, lookup: Lookup) -> Policy:
             ": in the platform's namespaces controllers alone make pods. Change the values of the chart",
         ),
     )
-    return _workloads(
-        "platform",
-        Place((domain.platform, domain.argocd)),
-        lookup.without("unlisted", "added", image=True),
-        [_images(NOT_OF_THE_PLATFORM), pods],
-    )
+    place = Place((domain.platform, *([domain.argocd] if domain.elsewhere else [])))
+    return _workloads("platform", place, _unlisted(lookup), [_images(NOT_OF_THE_PLATFORM), pods], lookup.parameters)
 
 
 def _elsewhere(domain: Domain, lookup: Lookup) -> Policy:
-    known = (*domain.agents, *domain.tests, domain.platform, domain.argocd)
-    unlisted = lookup.without("unlisted", "added", image=True)
-    return _workloads("elsewhere", Place(known, others=True), unlisted, [_images(NOT_KNOWN)])
+    place = Place((*domain.agents, *domain.tests, domain.platform, domain.argocd), others=True)
+    return _workloads("elsewhere", place, _unlisted(lookup), [_images(NOT_KNOWN)], lookup.parameters)
+
+
+def _unlisted(lookup: Lookup) -> Sequence[Mapping[str, str]]:
+    return lookup.without("unlisted", "added", image=True)
 
 
 def _makers(writer: str) -> Mapping[str, Sequence[str]]:
@@ -232,5 +239,12 @@ def _volumes(folder: str) -> Policy:
     return Policy("robotkube-volumes", [("", ["persistentvolumes"])], None, [], [rule])
 
 
-def _workloads(name: str, place: Place, unlisted: Iterable[Mapping[str, str]], rules: Sequence[Validation]) -> Policy:
-    return Policy(f"robotkube-{name}", RESOURCES, place, [*image_variables(), *unlisted], [*rules, _no_host()])
+def _workloads(
+    name: str,
+    place: Place,
+    unlisted: Iterable[Mapping[str, str]],
+    rules: Sequence[Validation],
+    parameters: str = "",
+) -> Policy:
+    variables = [*image_variables(), *unlisted]
+    return Policy(f"robotkube-{name}", RESOURCES, place, variables, [*rules, _no_host()], parameters)
