@@ -1,4 +1,4 @@
-"""`robotkube registry admission-list` against a catalogue on a disk."""
+"""`robotkube registry admission` against a catalogue on a disk."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def arguments(tmp_path: Path) -> list[str]:
     given = {"keys": tmp_path / "keys", "forge-url": f"file://{tmp_path}", "password-file": tmp_path / "password"}
     return [
         "registry",
-        "admission-list",
+        "admission",
         *(word for name, value in given.items() for word in (f"--{name}", str(value))),
     ]
 

@@ -117,7 +117,7 @@ def commands() -> Sequence[Command]:
         ),
         Command(
             "registry",
-            "admission-list",
+            "admission",
             "the ConfigMap of what may run, for the platform chart's admission policies",
             admission_list.show_list,
             admission_list.listing_arguments,

@@ -1,4 +1,4 @@
-"""The command `robotkube registry admission-list`: what may run by the catalogue's main, as the ConfigMap that the
+"""The command `robotkube registry admission`: what may run by the catalogue's main, as the ConfigMap that the
 admission policies of charts/robotkube ask.
 
 It reads the catalogue, believes what a trusted key signed, and changes nothing: who runs it applies what it prints.
