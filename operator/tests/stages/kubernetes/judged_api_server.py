@@ -25,9 +25,10 @@ Object = dict[str, Any]
 
 @dataclass(frozen=True)
 class Api:
-    """Requests as the administrator, or as the account that it impersonates."""
+    """Requests as the administrator, or as the account that it impersonates; `server` is the process."""
 
     client: httpx.Client
+    server: ApiServerProcess
 
     def request(self, method: str, path: str, body: Any = None, user: str = ADMINISTRATOR, kind: str = "") -> Object:
         """The answer's document, of a refusal too (a Status)."""
@@ -77,7 +78,7 @@ def served(folder: Path, files: PolicyFiles, environment: Mapping[str, str] = NO
         headers = {"Authorization": f"Bearer {server.token}"}
         address = f"https://127.0.0.1:{server.port}"
         with httpx.Client(base_url=address, headers=headers, verify=False, timeout=30) as client:  # noqa: S501
-            api = Api(client)
+            api = Api(client, server)
             _allow_everything(api)
             _define_applications(api)
             yield api
