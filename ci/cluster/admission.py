@@ -26,6 +26,7 @@ from ci.cluster.records import ClusterFolders, write_atomically
 from ci.cluster.topology import Topology
 from ci.errors import InputError
 from ci.folders import PROJECT
+from robotkube.errors import RobotKubeError
 from robotkube.registry.admission.adapters.policy_files import PolicyFiles
 from robotkube.registry.admission.core.allowed import Allowed, digests_of
 from robotkube.registry.admission.core.domain import Domain
@@ -69,10 +70,18 @@ def prepare(folders: ClusterFolders, topology: Topology, images: Sequence[Image]
     keys = folder(folders) / "keys"
     keys.mkdir(parents=True, exist_ok=True)
     write_atomically(keys / f"{key.key_id}.pem", key.public_key)
-    around = surroundings(folders)
     files = policy_files(folders)
-    files.write(for_files(around.domain, Allowed(platform=around.platform)))
+    try:
+        around = surroundings(folders)
+        files.write(for_files(around.domain, Allowed(platform=around.platform)))
+    except RobotKubeError as error:
+        raise InputError(f"admission: {error}") from error
     return files.options
+
+
+def rules(folders: ClusterFolders, topology: Topology) -> list[str]:
+    """The policies without a list, as text."""
+    return [json.dumps(for_files(domain_of(agents_of(topology), folders), Allowed()), sort_keys=True)]
 
 
 def start_following(launcher: Launcher) -> Process:

@@ -143,10 +143,14 @@ class Embedded:
         return api.ready() and all(node.ready for node in status.nodes(api))
 
     def _specification(self, topology: Topology) -> str:
-        parts = [str(self.binaries), self.admission, json.dumps([asdict(node) for node in topology.nodes])]
+        parts = [str(self.binaries), *self._rules(topology), json.dumps([asdict(node) for node in topology.nodes])]
         here = Path(__file__).parent
         parts += [(here / f"{module}.py").read_text(encoding="utf-8") for module in DEFINING]
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+    def _rules(self, topology: Topology) -> list[str]:
+        """What is enforced: other rules are another cluster."""
+        return admission.rules(self.folders, topology) if self.admission == admission.FILES else [self.admission]
 
     def _import_new(self, wanted: Sequence[images.Image], step: Step) -> None:
         record = Record.read(self.folders.record)

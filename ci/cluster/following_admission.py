@@ -53,7 +53,7 @@ class ForgeFolder:
         return self._place
 
 
-def forge_folder(api: Api) -> ForgeFolder:
+def forge_folder(api: objects.Reader) -> ForgeFolder:
     """The folder of the cluster's own forge."""
     return ForgeFolder(lambda: objects.volume_path(api, NAMESPACE, CLAIM) / REPOSITORIES)
 

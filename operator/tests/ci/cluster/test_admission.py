@@ -24,14 +24,14 @@ from ci.cluster.following_admission import FIND_SECONDS, ForgeFolder, follow
 from ci.cluster.images import Image
 from ci.cluster.pki import Authority
 from ci.cluster.records import ClusterFolders
-from ci.cluster.stranded import KINDS
+from ci.cluster.stranded import APPLICATIONS, KINDS, report, stranded_now
 from ci.errors import InputError, SetUpError
 from ci.folders import PROJECT
 from robotkube.errors import UnavailableError
 from robotkube.registry.admission.core.expressions import RESOURCES
 from robotkube.registry.admission.loops.following import CatalogueListing, Following
 from robotkube.registry.evidence.adapters.dsse import TrustedKeys
-from tests.stages.registry.admission_examples import digest, image
+from tests.stages.registry.admission_examples import CHART, CHARTS, application, digest, image, pod, workload
 from tests.stages.registry.signed_evidence import artefact, catalogue, published
 
 SCENARIO = PROJECT / "scenarios" / "pose-point-cloud-db-recording" / "scenario.yaml"
@@ -67,10 +67,12 @@ def test_admission_is_off_unless_somebody_says_so(monkeypatch: pytest.MonkeyPatc
         Embedded("demo", Path())
 
 
-def test_another_choice_is_another_cluster() -> None:
+def test_another_choice_is_another_cluster(monkeypatch: pytest.MonkeyPatch) -> None:
     wanted = topology.read(SCENARIO, {"vehicles": "2"})
     made = {Embedded("demo", Path(), choice)._specification(wanted) for choice in admission.CHOICES}
     assert len(made) == 2
+    monkeypatch.setattr(admission, "for_files", lambda domain, allowed: [])  # other rules
+    assert Embedded("demo", Path(), admission.FILES)._specification(wanted) not in made
 
 
 def test_before_the_api_server_starts_the_platforms_images_are_listed(folders: ClusterFolders) -> None:
@@ -105,7 +107,7 @@ def test_who_joins_and_what_is_imported_later_counts(folders: ClusterFolders) ->
 
 def test_an_image_without_a_digest_does_not_start_a_cluster() -> None:
     tagged = (Image("platform", "registry.example/robotkube:1.0", Path("a")),)
-    with pytest.raises(Exception, match="names no digest; write <repository>@sha256:<digest>"):
+    with pytest.raises(InputError, match="names no digest; write <repository>@sha256:<digest>"):
         admission.prepare(ClusterFolders("demo"), topology.read(SCENARIO, {"vehicles": "2"}), tagged)
 
 
@@ -246,6 +248,80 @@ def test_the_process_of_the_host_waits_for_a_platform(folders: ClusterFolders) -
     assert "admission policies written charts=0 images=0 platform_images=2" in lines[0]
     assert "admission: the policies stay as they are: the forge is not installed yet" in lines[1]
     assert '"vehicle-77"' in policies(folders)["robotkube-agents.static.k8s.io"]
+
+
+class Cluster:
+    """Reads of an API server that has these objects."""
+
+    def __init__(self, *made: tuple[str, dict[str, Any]]) -> None:
+        self.objects: dict[str, list[dict[str, Any]]] = {place: [] for place in KINDS}
+        self.volume = ""
+        for place, item in made:
+            self.objects.setdefault(place, []).append(item)
+
+    def get(self, path: str) -> dict[str, Any]:
+        if path in self.objects:
+            return {
+                "items": [{key: value for key, value in one.items() if key != "kind"} for one in self.objects[path]]
+            }
+        if self.volume and path.endswith("/persistentvolumeclaims/forge"):
+            return {"spec": {"volumeName": "cloud-0-0"}}
+        if self.volume and path.endswith("/persistentvolumes/cloud-0-0"):
+            return {"spec": {"local": {"path": self.volume}}}
+        raise SetUpError(f"GET {path}: 404")
+
+
+def in_namespace(made: dict[str, Any], namespace: str) -> dict[str, Any]:
+    return {**made, "metadata": {**made["metadata"], "namespace": namespace}}
+
+
+def test_the_dry_run_names_what_could_not_be_made_again(forge: Forge) -> None:
+    """Before there is a platform, and then by what the forge of the cluster has on this machine."""
+    pods, deployments, applications = "/api/v1/pods", "/apis/apps/v1/deployments", APPLICATIONS
+    bare = in_namespace(pod(), "vehicle-00")
+    running = in_namespace(workload("Deployment"), "vehicle-00")
+    of_the_platform = in_namespace(workload("Deployment", image(4)), "robotkube")
+    cluster = Cluster(
+        (pods, bare), (deployments, running), (deployments, of_the_platform), (applications, application())
+    )
+    wanted = topology.read(SCENARIO, {"vehicles": "2"})
+    found = report(cluster, ClusterFolders("demo"), wanted, LOCK)
+    not_listed = f"image {image(1)} is not listed for this namespace"
+    assert [str(one) for one in found.stranded] == [
+        f"argocd/application/vehicle-00-detector: chart {CHARTS}/event-detector at {CHART} is not verified on the "
+        "catalogue's main",
+        f"vehicle-00/deployment/detector: {not_listed}",
+        f"vehicle-00/pod/pod: {not_listed}",
+        "vehicle-00/pod/pod: no controller made this pod",
+    ]
+    assert "the forge is not installed yet" in found.lines[0]
+    assert found.lines[-1] == "4 objects would be stranded (0 charts, 0 images, 2 of the platform listed)"
+    forge.install()
+    app = artefact("event-detector")
+    forge.publish(catalogue(published(evidence.signing_key(), app, images=(image(1),))))
+    cluster.volume = str(forge.repositories.parent)
+    cluster.objects[pods] = []
+    cluster.objects[applications][0]["spec"]["source"]["targetRevision"] = app.digest
+    found = report(cluster, ClusterFolders("demo"), wanted, LOCK)
+    assert found.lines == ("nothing would be stranded (1 charts, 1 images, 2 of the platform listed)",)
+
+
+def test_a_dry_run_that_cannot_ask_says_so(tmp_path: Path) -> None:
+    class Away(Cluster):
+        def get(self, path: str) -> dict[str, Any]:
+            if path == APPLICATIONS:
+                raise SetUpError("the API server does not answer")
+            return super().get(path)
+
+    wanted = topology.read(SCENARIO, {"vehicles": "2"})
+    assert report(Cluster(), ClusterFolders("demo"), wanted, LOCK).stranded == ()  # without Argo CD
+    with pytest.raises(SetUpError, match="the API server does not answer"):
+        report(Away(), ClusterFolders("demo"), wanted, LOCK)
+
+
+def test_a_dry_run_needs_a_cluster() -> None:
+    with pytest.raises(SetUpError, match="cluster demo is not running: start it with make cluster"):
+        stranded_now(ClusterFolders("demo"), topology.read(SCENARIO, {"vehicles": "2"}), LOCK)
 
 
 def test_the_dry_run_asks_for_every_kind_that_the_policies_judge() -> None:

@@ -266,6 +266,24 @@ def test_other_namespaces_are_no_way_around(api: Api, namespace: str) -> None:
     )
 
 
+def test_no_kind_of_the_api_makes_pods_unseen(api: Api) -> None:
+    """Every kind in which the API server's own description has a pod's specification is judged."""
+    definitions = api.client.get("/openapi/v2").json()["definitions"]
+    holding = {"io.k8s.api.core.v1.PodSpec"}
+    while more := {name for name, one in definitions.items() if name not in holding and holding & references(one)}:
+        holding |= more
+    kinds = [one for name in holding for one in definitions[name].get("x-kubernetes-group-version-kind", ())]
+    assert {one["kind"] for one in kinds if not one["kind"].endswith("List")} == {"Pod", *KINDS}
+
+
+def references(value: Any) -> set[str]:
+    """Definitions that a part of the description names."""
+    if isinstance(value, dict):
+        own = {str(value["$ref"]).rpartition("/")[2]} if "$ref" in value else set()
+        return own.union(*map(references, value.values()))
+    return set().union(*map(references, value)) if isinstance(value, list) else set()
+
+
 def test_a_namespace_stays_what_it_is(api: Api) -> None:
     """Namespaces are matched by a label, which the API server keeps."""
     for labels in ({"kubernetes.io/metadata.name": "elsewhere"}, {"kubernetes.io/metadata.name": None}):
