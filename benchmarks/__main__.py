@@ -4,8 +4,9 @@
 
 Prints a table and writes build/reports/benchmarks.json; what registry and gate cost in seconds goes to
 build/bench/registry.json, what the manager costs to build/bench/application-manager.json, what event detector and
-bridge cost to build/bench/event-detector.json. Exit code 1 when a ratio is beyond its bound. What a benchmark needs
-(tool chain; images, for those on a cluster) is made before its time begins, and cached.
+bridge cost to build/bench/event-detector.json, what admission adds to build/bench/admission.json. Exit code 1 when a
+ratio is beyond its bound. What a benchmark needs (tool chain; images, for those on a cluster) is made before its time
+begins, and cached.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from dataclasses import asdict
 from functools import partial
 
 from benchmarks import (
+    admission,
     application_manager,
     application_manager_cluster,
     bridging,
@@ -43,6 +45,7 @@ BENCHMARKS: dict[str, Callable[[], list[Comparison]]] = {
     "event-detector": event_detector.compare,
     "registry": registry.compare,
     "gate": gate.compare,
+    "admission": admission.compare,
     "application-manager": application_manager.compare,
     "publication": publication.compare,
     "application-manager-cluster": application_manager_cluster.compare,

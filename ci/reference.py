@@ -10,7 +10,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ci import architecture, chart_reference, command_reference, detector_reference, markdown, rule_reference
+from ci import (
+    admission_reference,
+    architecture,
+    chart_reference,
+    command_reference,
+    detector_reference,
+    markdown,
+    rule_reference,
+)
 from ci.walks import page as walks
 from robotkube.delivery.manager.adapters.prometheus import reference
 
@@ -182,5 +190,6 @@ if __name__ == "__main__":
     print(detector.relative_to(TOP))
     print(rule_reference.PAGE.relative_to(TOP), *(path.relative_to(TOP) for path in chart_reference.write()))
     print(PAGE.relative_to(TOP), METRICS_PAGE.relative_to(TOP), commands.relative_to(TOP))
+    admission_reference.POLICIES.write_text(admission_reference.text(), encoding="utf-8")
     architecture.write()
     walks.write()

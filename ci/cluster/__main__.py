@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from ci import packages, preflight
-from ci.cluster import images, topology
+from ci.cluster import admission, images, topology
 from ci.cluster.addresses import PLANS
 from ci.cluster.embedded import Embedded
 from ci.cluster.records import ClusterFolders
@@ -35,6 +35,14 @@ def arguments() -> argparse.ArgumentParser:
     up.add_argument("--set", action="append", default=[], metavar="PARAMETER=VALUE", help="for example vehicles=3")
     up.add_argument("--images", type=Path, default=None, help="lock file of the images")
     up.add_argument("--binaries", type=Path, default=None, help="folder of the tool chain's programs")
+    up.add_argument(
+        "--admission", choices=admission.CHOICES, default="", help="enforce admission, from files (default: off)"
+    )
+    up.add_argument(
+        "--dry-run",
+        action="store_true",
+        help="start nothing; list what of the running cluster admission would strand (exit code 1: something)",
+    )
     return parser
 
 
@@ -55,8 +63,24 @@ def run(options: argparse.Namespace) -> None:
         down(options.name)
     elif options.command == "status":
         print(Embedded(options.name, Path()).status())
+    elif options.dry_run:
+        dry_run(options)
     else:
         up(options)
+
+
+def dry_run(options: argparse.Namespace) -> None:
+    """List what could not be made again under enforced admission; InputError when there is something."""
+    from ci.cluster.stranded import stranded_now
+
+    wanted = topology.read(options.topology, overrides(options.set))
+    lock = images.read_lock(options.images or images.lock_file())
+    report = stranded_now(ClusterFolders(options.name), wanted, lock)
+    print("\n".join(report.lines))
+    if report.stranded:
+        raise InputError(
+            f"admission would strand {len(report.stranded)} objects: publish what they run, or remove them"
+        )
 
 
 def down(name: str) -> None:
@@ -80,7 +104,7 @@ def up(options: argparse.Namespace) -> None:
         from ci.toolchain import ensure
 
         binaries = ensure().binaries
-    Embedded(options.name, binaries).up(wanted, lock)
+    Embedded(options.name, binaries, options.admission).up(wanted, lock)
     print(f"export KUBECONFIG={ClusterFolders(options.name).kubeconfig}")
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
+
 from ci.cluster.addresses import AddressPlan
 from ci.cluster.pki import Authority, control_plane_identities
 from ci.cluster.processes import Launcher, Process
@@ -16,6 +19,7 @@ KUBECONFIGS = {
     "name-service": "name-service.kubeconfig",
 }
 CONTROLLER_QUERIES_PER_SECOND = 100
+NO_OPTIONS: Mapping[str, str] = MappingProxyType({})
 # One collection takes 0.5 core seconds, half a second from all others, and comes when there is much to do: while a plan
 # is carried out.
 SELDOM_COLLECTING = {"GOGC": "off", "GOMEMLIMIT": "2GiB"}
@@ -48,13 +52,13 @@ def start_etcd(launcher: Launcher, plan: AddressPlan) -> Process:
     return launcher.start("etcd", command, weight=WEIGHT)
 
 
-def start_api_server(launcher: Launcher, plan: AddressPlan) -> Process:
-    """The API server; Node and RBAC authorization, no anonymous access."""
-    command = api_server_command(plan, launcher.folders)
+def start_api_server(launcher: Launcher, plan: AddressPlan, more: Mapping[str, str] = NO_OPTIONS) -> Process:
+    """The API server; Node and RBAC authorization, no anonymous access. `more`: further options."""
+    command = api_server_command(plan, launcher.folders, more)
     return launcher.start("kube-apiserver", command, environment=SELDOM_COLLECTING, weight=WEIGHT)
 
 
-def api_server_command(plan: AddressPlan, folders: ClusterFolders) -> list[str]:
+def api_server_command(plan: AddressPlan, folders: ClusterFolders, more: Mapping[str, str] = NO_OPTIONS) -> list[str]:
     """The API server's command line."""
     pki = folders.pki
     options = {
@@ -80,6 +84,7 @@ def api_server_command(plan: AddressPlan, folders: ClusterFolders) -> list[str]:
         "anonymous-auth": "false",
         "enable-admission-plugins": "NodeRestriction",
         "profiling": "false",
+        **more,
     }
     return ["kube-apiserver", *(f"--{name}={value}" for name, value in options.items())]
 

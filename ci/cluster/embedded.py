@@ -10,7 +10,18 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TypeVar
 
-from ci.cluster import cleaning, control_plane, images, joining, network, node_processes, objects, outages, status
+from ci.cluster import (
+    admission,
+    cleaning,
+    control_plane,
+    images,
+    joining,
+    network,
+    node_processes,
+    objects,
+    outages,
+    status,
+)
 from ci.cluster.addresses import PLANS, AddressPlan, plan_of
 from ci.cluster.api import Api
 from ci.cluster.node_processes import Node
@@ -30,14 +41,26 @@ READY_TIMEOUT_SECONDS = 120
 PARALLEL = 4
 T = TypeVar("T")
 # A cluster that runs was made by these modules as they are now, or it is made anew.
-DEFINING = ("addresses", "cgroups", "containerd", "control_plane", "network", "node_processes", "objects", "pki")
+DEFINING = (
+    "addresses",
+    "admission",
+    "cgroups",
+    "containerd",
+    "control_plane",
+    "network",
+    "node_processes",
+    "objects",
+    "pki",
+)
 
 
 class Embedded:
-    """One cluster by name; its state is on disk, so any process may make this object."""
+    """One cluster by name; its state is on disk, so any process may make this object. `admission_choice`: see
+    `admission.choice`."""
 
-    def __init__(self, name: str, binaries: Path) -> None:
+    def __init__(self, name: str, binaries: Path, admission_choice: str = "") -> None:
         self.name = name
+        self.admission = admission.choice(admission_choice)
         self.plan: AddressPlan = plan_of(name)
         self.folders = ClusterFolders(name)
         self.binaries = binaries
@@ -85,6 +108,7 @@ class Embedded:
 
     def import_images(self, wanted: Sequence[images.Image]) -> None:
         """See Provider.import_images."""
+        admission.add(self.folders, images=wanted)
         sockets = [
             node_processes.socket_of(process) for process in recorded(self.folders) if process.name.endswith(".node")
         ]
@@ -102,6 +126,7 @@ class Embedded:
     def join(self, spec: NodeSpec, wanted: Sequence[images.Image]) -> None:
         """Add a node to the running cluster; see joining.join."""
         with one_at_a_time():
+            admission.add(self.folders, [spec.agent], wanted)
             joining.join(self.launcher, self.api(), spec, wanted)
 
     def volume_path(self, namespace: str, volume_claim: str) -> Path:
@@ -118,10 +143,14 @@ class Embedded:
         return api.ready() and all(node.ready for node in status.nodes(api))
 
     def _specification(self, topology: Topology) -> str:
-        parts = [str(self.binaries), json.dumps([asdict(node) for node in topology.nodes])]
+        parts = [str(self.binaries), *self._rules(topology), json.dumps([asdict(node) for node in topology.nodes])]
         here = Path(__file__).parent
         parts += [(here / f"{module}.py").read_text(encoding="utf-8") for module in DEFINING]
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+    def _rules(self, topology: Topology) -> list[str]:
+        """What is enforced: other rules are another cluster."""
+        return admission.rules(self.folders, topology) if self.admission == admission.FILES else [self.admission]
 
     def _import_new(self, wanted: Sequence[images.Image], step: Step) -> None:
         record = Record.read(self.folders.record)
@@ -150,10 +179,12 @@ class Embedded:
         with steps.step("network"):
             holders = self._network(placed, record)
         with steps.step("control plane and containerd"):
-            kernel = self._control_plane()
+            kernel = self._control_plane(topology, wanted)
             runtimes = self._runtimes(placed, holders, root, images.sandbox_of(wanted))
             wait_until(self.api().ready, "the API server", API_TIMEOUT_SECONDS, kernel)
             control_plane.start_controllers(self.launcher, self.plan)
+            if self.admission == admission.FILES:
+                admission.start_following(self.launcher)
         with steps.step("kubelets, name service, volumes"):
             self._kubelets(placed, holders, runtimes)
             with self.api() as api:
@@ -185,9 +216,11 @@ class Embedded:
         network.connect(self.plan, [holder.pid for holder in holders])
         return holders
 
-    def _control_plane(self) -> list[Process]:
+    def _control_plane(self, topology: Topology, wanted: Sequence[images.Image]) -> list[Process]:
+        enforced = self.admission == admission.FILES
+        options = admission.prepare(self.folders, topology, wanted) if enforced else {}
         kernel = [control_plane.start_etcd(self.launcher, self.plan)]
-        kernel.append(control_plane.start_api_server(self.launcher, self.plan))
+        kernel.append(control_plane.start_api_server(self.launcher, self.plan, options))
         return kernel
 
     def _runtimes(self, placed: Sequence[Node], holders: Sequence[Process], root: Path, sandbox: str) -> list[Process]:

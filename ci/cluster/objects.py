@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from ci.cluster.api import Api
 from ci.cluster.node_processes import Node
@@ -51,7 +51,14 @@ def persistent_volume(node: Node, name: str, folder: Path) -> dict[str, Any]:
     }
 
 
-def volume_path(api: Api, namespace: str, volume_claim: str) -> Path:
+class Reader(Protocol):
+    """Reads of the API server."""
+
+    def get(self, path: str) -> dict[str, Any]:
+        """The object or list at `path`; SetUpError when it is not there."""
+
+
+def volume_path(api: Reader, namespace: str, volume_claim: str) -> Path:
     """The folder of the host behind a bound volume claim; raises SetUpError naming the claim's state otherwise."""
     bound = api.get(f"/api/v1/namespaces/{namespace}/persistentvolumeclaims/{volume_claim}")
     volume = bound["spec"].get("volumeName")

@@ -119,6 +119,18 @@
 {{- $problems = append $problems (printf "suites.agent: %q is none of agents. Use one of: %s." .Values.suites.agent (join ", " $seen)) }}
 {{- end }}
 {{- end }}
+{{- if .Values.admission.enabled }}
+{{- $unused := list }}
+{{- range $kind := list "mongo" "ferretdb" }}{{ if ne $kind $.Values.database.kind }}{{ $unused = append $unused $kind }}{{ end }}{{ end }}
+{{- if ne .Values.forge.kind "gitea" }}{{ $unused = append $unused "gitea" }}{{ end }}
+{{- if not .Values.suites.enabled }}{{ $unused = concat $unused (list "suites" "ros") }}{{ end }}
+{{- if and (ne .Values.broker.kind "mosquitto") (not .Values.suites.enabled) }}{{ $unused = append $unused "mosquitto" }}{{ end }}
+{{- range $name, $reference := .Values.images }}
+{{- if and $reference (not (has $name $unused)) (not (regexMatch "@sha256:[0-9a-f]{64}$" $reference)) }}
+{{- $problems = append $problems (printf "admission.enabled is true, but images.%s is %q, which names no digest: its pods would be refused. Give <repository>@sha256:<digest>, or set admission.enabled: false." $name $reference) }}
+{{- end }}
+{{- end }}
+{{- end }}
 {{- $evidence := .Values.evidence }}
 {{- if and $evidence.existingSecret (not $evidence.trustedKeys) }}
 {{- $problems = append $problems (printf "evidence.existingSecret is %q, but evidence.trustedKeys is empty: nobody would believe what that key signs. Put its public key there (openssl pkey -in key.pem -pubout)." $evidence.existingSecret) }}

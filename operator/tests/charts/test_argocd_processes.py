@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import copy
 import hmac
 import json
 import socket
@@ -14,20 +15,24 @@ from typing import Any
 
 import httpx
 import pytest
+import yaml
 from kubernetes import config
 
 from ci.client_certificates import client_certificate
 from ci.installation import Installer
+from robotkube.registry.admission.core.policies import for_files
 from robotkube.setup.adapters.argocd_configuration import KubernetesArgoCDConfiguration
 from robotkube.setup.loops.bootstrap import ArgoCDSetup, Bootstrap
+from tests.charts.conftest import Rendered
 from tests.stages.kubernetes.argocd_processes import NAMESPACE, generating, rendering, serving
 from tests.stages.kubernetes.installed_chart import Cluster, prepared_cluster
 from tests.stages.programs import program
+from tests.stages.registry.admission_examples import ALLOWED, CHART, DOMAIN, OF_THE_PLATFORM, digest
 from tests.stages.waiting import until
 
 pytestmark = [pytest.mark.toolchain, pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning")]
 
-IMAGES = {"argocd": "registry.example/argocd@sha256:1", "redis": "registry.example/redis@sha256:2"}
+IMAGES = {"argocd": OF_THE_PLATFORM, "redis": OF_THE_PLATFORM}
 SETUP = ArgoCDSetup(
     account="manager",
     password="password of the manager",  # noqa: S106
@@ -76,8 +81,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def installed(folder: Path) -> Iterator[Cluster]:
-    """Argo CD's objects on an API server without nodes."""
-    with prepared_cluster(folder) as cluster:
+    """Argo CD's objects on an API server without nodes, under admission."""
+    with prepared_cluster(folder, for_files(DOMAIN, ALLOWED)) as cluster:
         Installer(Path(program("kubectl")).parent, cluster.kubeconfig, folder).argocd(IMAGES)
         yield cluster
 
@@ -122,6 +127,36 @@ def log_in(url: str, username: str, password: str) -> httpx.Response:
         return httpx.post(f"{url}/api/v1/session", json=account, timeout=ANSWER_SECONDS_MAX)
     except httpx.HTTPError:
         return httpx.Response(503)
+
+
+def release(name: str, chart_digest: str) -> dict[str, Any]:
+    """A release as its file on main has it."""
+    annotations = {
+        "robotkube.io/plan": "20261124-100000-abcdef",
+        "robotkube.io/chart": "event-detector",
+        "robotkube.io/chart-digest": chart_digest,
+    }
+    values = {"placement": {"agent": "vehicle-00"}}
+    metadata = {"name": name, "namespace": "vehicle-00", "annotations": annotations}
+    return {"metadata": metadata, "spec": {"values": values}}
+
+
+def test_releases_become_applications_under_admission_and_others_do_not(
+    installed: Cluster, controller: str, embedded: Rendered
+) -> None:
+    """By the ApplicationSet of the platform chart, with releases given in place of those in Git; `controller` writes
+    with its own account."""
+    [project], [generated] = embedded.of_kind("AppProject"), copy.deepcopy(embedded.of_kind("ApplicationSet"))
+    elements = [release("detector", CHART), release("stranger", digest(8))]
+    generated["spec"]["generators"] = [{"list": {"elements": elements}}]
+    installed.kubectl("apply", "-n", NAMESPACE, "-f", "-", text=yaml.safe_dump_all([project, generated]))
+
+    def said() -> str:
+        return (installed.kubeconfig.parent / "argocd-applicationset-controller.log").read_text()
+
+    until(lambda: "Application vehicle-00-stranger is of" in said(), "the stranger refused")
+    listed = installed.kubectl("get", "applications", "-n", NAMESPACE, "-o", "name").split()
+    assert listed == ["application.argoproj.io/vehicle-00-detector"]
 
 
 def test_there_is_no_administrator_who_could_log_in(installed: Cluster, server: str) -> None:

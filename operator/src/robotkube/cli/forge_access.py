@@ -13,7 +13,7 @@ REPOSITORY = "robotkube/deployment"
 
 
 @dataclass(frozen=True)
-class ForgeAccount:
+class AccountAtForge:
     """The address at which the forge is reached from here, and an account of it."""
 
     url: str
@@ -27,14 +27,14 @@ def reaching(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--password-file", type=Path, metavar="FILE", help="file with the account's password there")
 
 
-def forge_account(options: argparse.Namespace, name: str) -> ForgeAccount:
+def forge_account(options: argparse.Namespace, name: str) -> AccountAtForge:
     """The account `name` of the forge; InputError says what is missing."""
     if not options.forge_url:
-        return ForgeAccount(*Platform(options).forge_account(name))
+        return AccountAtForge(*Platform(options).forge_account(name))
     if not options.password_file:
         raise InputError(f"--forge-url needs --password-file with the password of {name}")
     try:
         password = options.password_file.read_text(encoding="utf-8").strip()
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"--password-file {options.password_file}: cannot be read: {error}") from error
-    return ForgeAccount(options.forge_url.rstrip("/"), name, password)
+    return AccountAtForge(options.forge_url.rstrip("/"), name, password)

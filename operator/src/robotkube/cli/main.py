@@ -39,8 +39,8 @@ def commands() -> Sequence[Command]:
     from robotkube.cli import rules as cli_rules
     from robotkube.cli.recordings import commands as cli_recordings
     from robotkube.cli.recordings import export
+    from robotkube.cli.registry import admission_list, new
     from robotkube.cli.registry import commands as cli_registry
-    from robotkube.cli.registry import new
     from robotkube.cli.registry import submit as cli_registry_submit
     from robotkube.cli.tasks import explain, listing, watch
     from robotkube.cli.tasks import submit as cli_submit
@@ -142,6 +142,13 @@ def commands() -> Sequence[Command]:
             "have charts and applications verified and published",
             cli_registry_submit.submit,
             cli_registry_submit.submitting,
+        ),
+        Command(
+            "registry",
+            "admission",
+            "the ConfigMap of what may run, for the platform chart's admission policies",
+            admission_list.show_list,
+            admission_list.listing_arguments,
         ),
     ]
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import secrets
 import subprocess
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -18,9 +20,12 @@ START_SECONDS_MAX = 60.0
 
 @dataclass
 class ApiServerProcess:
-    """One control plane below `folder`; `stop_server` and `start_server` take only the API server away and back."""
+    """One control plane below `folder`; `stop_server` and `start_server` take only the API server away and back.
+    `options`: further ones of the API server; `environment`: further variables of both."""
 
     folder: Path
+    options: tuple[str, ...] = ()
+    environment: Mapping[str, str] = field(default_factory=dict)
     etcd_port: int = field(default_factory=free_port)
     port: int = field(default_factory=free_port)
     token: str = field(default_factory=lambda: secrets.token_hex(16))
@@ -52,7 +57,7 @@ class ApiServerProcess:
             f"--token-auth-file={self.folder}/tokens.csv", "--service-cluster-ip-range=10.255.0.0/24",
             "--disable-admission-plugins=ServiceAccount,TaintNodesByCondition", "--endpoint-reconciler-type=none",
             "--service-account-issuer=https://kubernetes.default.svc", f"--service-account-key-file={key}",
-            f"--service-account-signing-key-file={key}",
+            f"--service-account-signing-key-file={key}", *self.options,
         )  # fmt: skip
         deadline = time.monotonic() + START_SECONDS_MAX
         while not self._ready():
@@ -80,7 +85,8 @@ class ApiServerProcess:
 
     def _run(self, name: str, *arguments: str) -> subprocess.Popen[bytes]:
         with (self.folder / f"{name}.log").open("ab") as log:
-            return subprocess.Popen([program(name), *arguments], stdout=log, stderr=log)
+            variables = {**os.environ, **self.environment}
+            return subprocess.Popen([program(name), *arguments], stdout=log, stderr=log, env=variables)
 
     def _ready(self) -> bool:
         headers = {"Authorization": f"Bearer {self.token}"}

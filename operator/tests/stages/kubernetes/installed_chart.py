@@ -7,12 +7,14 @@ import json
 import os
 import subprocess
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from ci import toolchain
+from robotkube.registry.admission.adapters.policy_files import PolicyFiles
 from tests.stages.kubernetes.api_server import ApiServerProcess
 from tests.stages.paths import CHARTS
 from tests.stages.programs import program
@@ -52,9 +54,14 @@ class Cluster:
 
 
 @contextmanager
-def prepared_cluster(folder: Path) -> Iterator[Cluster]:
-    """An API server on `folder`, with what the platform chart needs."""
-    server = ApiServerProcess(folder)
+def prepared_cluster(folder: Path, policies: Sequence[Mapping[str, Any]] = ()) -> Iterator[Cluster]:
+    """An API server on `folder`, with what the platform chart needs; under these admission policies, from files."""
+    options: Mapping[str, str] = {}
+    if policies:
+        files = PolicyFiles(folder / "admission")
+        files.write(policies)
+        options = files.options
+    server = ApiServerProcess(folder, options=tuple(f"--{name}={value}" for name, value in options.items()))
     try:
         server.start()
         cluster = Cluster(server.kubeconfig)

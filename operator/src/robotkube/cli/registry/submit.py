@@ -51,9 +51,7 @@ def submitting(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--charts", dest="charts_folder", type=Path, default=Path("charts/apps"), metavar="FOLDER")
     parser.add_argument("--registry", type=Path, default=Path("registry"), metavar="FOLDER", help="catalogue's sources")
     parser.add_argument("--images", type=Path, metavar="FILE", help="YAML: image name -> reference by digest")
-    parser.add_argument("--forge-url", metavar="URL", help="the forge (default: that of the kubeconfig's cluster)")
-    parser.add_argument("--username", default=ACCOUNT, help="account at --forge-url")
-    parser.add_argument("--password-file", type=Path, metavar="FILE", help="file with its password")
+    choosing_forge(parser)
     parser.add_argument(
         "--kept", type=Path, metavar="FOLDER", help="reuse and keep evidence here, for the same digests"
     )
@@ -62,12 +60,17 @@ def submitting(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--dry-run", action="store_true", help="only show what would be submitted")
 
 
+def choosing_forge(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments that say which forge, and as whom."""
+    parser.add_argument("--forge-url", metavar="URL", help="the forge (default: that of the kubeconfig's cluster)")
+    parser.add_argument("--username", default=ACCOUNT, help="account at --forge-url")
+    parser.add_argument("--password-file", type=Path, metavar="FILE", help="file with its password")
+
+
 def submit(options: argparse.Namespace) -> Table:
     """Submit charts and applications; a row for each."""
     if not (options.charts or options.application or options.all):
         raise InputError("nothing to submit: name charts, applications (--application NAME), or --all")
-    if options.forge_url and not options.password_file:
-        raise InputError("--forge-url needs --password-file with the password of --username")
     access, images = _access(options)
     names = folders.all_charts(options.charts_folder) if options.all else options.charts
     applications = folders.all_applications(options.registry) if options.all else options.application
@@ -120,14 +123,21 @@ def _access(options: argparse.Namespace) -> tuple[ForgeAccess, dict[str, str]]:
     """The forge, and references of images: the cluster's, overridden by those of the file."""
     given = folders.read_images(options.images) if options.images else {}
     if options.forge_url:
-        try:
-            password = options.password_file.read_text(encoding="utf-8").strip()
-        except (OSError, UnicodeDecodeError) as error:
-            raise InputError(f"--password-file {options.password_file}: cannot be read: {error}") from error
-        return ForgeAccess(options.forge_url.rstrip("/"), options.username, password), given
-    platform = Platform(options)
-    url, username, password = platform.forge_account(ACCOUNT)
-    return ForgeAccess(url, username, password), {**platform.images(), **given}
+        return forge_access(options), given
+    return forge_access(options), {**Platform(options).images(), **given}
+
+
+def forge_access(options: argparse.Namespace) -> ForgeAccess:
+    """The forge of --forge-url, --username and --password-file, else that of the kubeconfig's cluster."""
+    if not options.forge_url:
+        return ForgeAccess(*Platform(options).forge_account(ACCOUNT))
+    if not options.password_file:
+        raise InputError("--forge-url needs --password-file with the password of --username")
+    try:
+        password = options.password_file.read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"--password-file {options.password_file}: cannot be read: {error}") from error
+    return ForgeAccess(options.forge_url.rstrip("/"), options.username, password)
 
 
 def _write_line(line: str) -> None:

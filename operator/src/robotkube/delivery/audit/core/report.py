@@ -20,7 +20,7 @@ Evidence = tuple[str, str]
 
 
 @dataclass(frozen=True)
-class Scope:
+class AuditScope:
     """What was looked at: tips of both repositories, keys that were trusted, the registry or why it was not asked, the
     commits that the caller knew before."""
 
@@ -52,7 +52,7 @@ def document(
     verified: Sequence[Row],
     findings: Sequence[Finding],
     accepted: int,
-    scope: Scope,
+    scope: AuditScope,
 ) -> Row:
     """The document of one audit. `accepted`: how many findings came with commits that the caller knew before."""
     commits = {change.commit.id for change in answered.changes}
@@ -160,7 +160,7 @@ def seconds_text(seconds: int) -> str:
         return f"{seconds} s"
 
 
-def _limits(answered: Answered, merges: Merges, outcomes: Outcomes, scope: Scope) -> Iterator[str]:
+def _limits(answered: Answered, merges: Merges, outcomes: Outcomes, scope: AuditScope) -> Iterator[str]:
     """What Git and registry cannot know here, a sentence each."""
     yield (
         "Cannot be told from Git: which containers ran, and when each of them started and ended. Git has what main "

@@ -26,7 +26,7 @@ from robotkube.errors import InputError
 from robotkube.foundation.documents.core.digests import sha256
 from robotkube.foundation.documents.core.patterns import COMMIT
 from robotkube.foundation.forge.core.histories import HistoryCommit
-from robotkube.foundation.forge.ports.histories import History
+from robotkube.foundation.forge.ports.histories import RepositoryHistory
 from robotkube.registry.catalogue.core.catalogue import FOLDERS, VERIFICATION_POLICY, Catalogue
 from robotkube.registry.catalogue.core.chart_versions import ChartVersion
 from robotkube.registry.catalogue.loops.verified_catalogue import EvidenceReader
@@ -45,8 +45,8 @@ class Sources:
     there is none to ask. `since`: commits that the caller knows to have been on one of both mains; `former`: tips that
     an earlier copy in the same place had."""
 
-    deployment: History
-    catalogue: History
+    deployment: RepositoryHistory
+    catalogue: RepositoryHistory
     verifier: Verifier
     manifests: Manifests | None = None
     registry_name: str = ""
@@ -95,7 +95,7 @@ class Auditor:
         found += self._tip(offered)
         found += self._registry(main)
         kept, accepted = self._since(unique(found), commits, offered)
-        scope = report.Scope(
+        scope = report.AuditScope(
             deployment=commits[-1].id,
             deployment_commits=len(commits),
             catalogue=offered.commits[-1].id if offered.commits else "",

@@ -16,7 +16,7 @@ log = logging.getLogger(__name__)
 
 
 class FileJournal:
-    """The port Journal in `folder`. A file that cannot be read is named in the log and left out."""
+    """The port MergeJournal in `folder`. A file that cannot be read is named in the log and left out."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder

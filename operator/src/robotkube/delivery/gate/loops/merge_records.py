@@ -33,7 +33,7 @@ RECORDS_MAX = 500  # of one push
 log = logging.getLogger(__name__)
 
 
-class Journal(Protocol):
+class MergeJournal(Protocol):
     """Records that have no note yet, kept over a restart of the process. InputError when the disk refuses."""
 
     def keep(self, record: MergeRecord) -> None:
@@ -70,7 +70,7 @@ class MergeRecorder:
         self,
         notes: Notes,
         main: MainContents,
-        journal: Journal,
+        journal: MergeJournal,
         signer: Signer,
         repository: str,
         verifier: str,

@@ -8,7 +8,7 @@ from typing import Protocol
 from robotkube.foundation.forge.core.histories import HistoryCommit, NoteHistory
 
 
-class History(Protocol):
+class RepositoryHistory(Protocol):
     """Main of one repository, and its notes. InputError when the clone cannot be read."""
 
     def commits(self, previous: Mapping[str, str]) -> Sequence[HistoryCommit]:

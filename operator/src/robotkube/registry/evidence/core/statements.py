@@ -200,6 +200,29 @@ def assess(
     return Assessment(not problems, evidence, tuple(problems))
 
 
+def lasting_problems(
+    artefact: Artefact, status_evidence: str, entry: str, summary: VerifiedStatement | str | None
+) -> Sequence[str]:
+    """Why `summary` does not prove that `artefact` was verified with the `entry` (`ChartVersion.entry`, which covers
+    its images), under whatever policy was in force then; empty when it does.
+
+    What may be deployed anew is asked of `assess`, under the policy of today. What runs already was verified, and
+    stays so when the policy changes: only a withdrawal ends that."""
+    if summary is None:
+        return ["summary: there is none"]
+    if isinstance(summary, str):
+        return [f"summary: {summary}"]
+    if summary.statement.get("predicateType") != SUMMARY_PREDICATE:
+        return [f"summary: it is no verification summary but {summary.statement.get('predicateType')!r}"]
+    problems = [f"summary: {problem}" for problem in _verdict_problems(artefact, summary.statement)]
+    signed = _subject_annotations(summary)
+    if not entry or signed.get("entry") != entry:
+        problems.append(f"the entry with its images is not what was verified ({entry}, not {signed.get('entry')})")
+    if status_evidence != summary.envelope_digest:
+        problems.append(f"status.evidence names {status_evidence or 'nothing'}, not {summary.envelope_digest}")
+    return problems
+
+
 def suite_problems(
     artefact: Artefact, policy_digest: str, rule: SuiteRule, evidence: VerifiedStatement | str | None
 ) -> Sequence[str]:
@@ -281,21 +304,26 @@ def _summary_problems(
     if summary.statement.get("predicateType") != SUMMARY_PREDICATE:
         return [f"summary: it is no verification summary but {summary.statement.get('predicateType')!r}"]
     predicate = _mapping(summary.statement.get("predicate"))
-    problems = _subject_problems(summary.statement, artefact)
-    problems += _policy_problems(_mapping(predicate.get("policy")), policy.digest)
-    if predicate.get("verificationResult") != PASSED:
-        problems.append(f"its result is {predicate.get('verificationResult')!r}, not {PASSED}")
-    if not str(predicate.get("resourceUri", "")).endswith(f"/{artefact.chart}@{artefact.digest}"):
-        problems.append(f"it is about {predicate.get('resourceUri')!r}, not this digest of {artefact.chart}")
+    problems = _policy_problems(_mapping(predicate.get("policy")), policy.digest)
+    problems += _verdict_problems(artefact, summary.statement)
     problems += _input_problems(predicate, policy, statements)
     return [f"summary: {problem}" for problem in problems]
 
 
+def _verdict_problems(artefact: Artefact, statement: Mapping[str, Any]) -> list[str]:
+    """Why a summary is not about `artefact`, or not that it passed."""
+    predicate = _mapping(statement.get("predicate"))
+    problems = _subject_problems(statement, artefact)
+    if predicate.get("verificationResult") != PASSED:
+        problems.append(f"its result is {predicate.get('verificationResult')!r}, not {PASSED}")
+    if not str(predicate.get("resourceUri", "")).endswith(f"/{artefact.chart}@{artefact.digest}"):
+        problems.append(f"it is about {predicate.get('resourceUri')!r}, not this digest of {artefact.chart}")
+    return problems
+
+
 def _listing_problems(artefact: Artefact, summary: VerifiedStatement, listing: Listing) -> list[str]:
     """Differences between the catalogue now and when the chart was verified: users may write main."""
-    subjects = summary.statement.get("subject")
-    subject = _mapping(subjects[0]) if isinstance(subjects, list) and subjects else {}
-    signed = _mapping(subject.get("annotations"))
+    signed = _subject_annotations(summary)
     files = {"entry": f"{artefact.version}.yaml", "schema": f"{artefact.version}.schema.json"}
     return [
         f"charts/{artefact.chart}/{files[name]} is not what was verified ({digest or 'missing'}, "
@@ -303,6 +331,12 @@ def _listing_problems(artefact: Artefact, summary: VerifiedStatement, listing: L
         for name, digest in (("entry", listing.entry), ("schema", listing.schema))
         if signed.get(name, "") != digest
     ]
+
+
+def _subject_annotations(summary: VerifiedStatement) -> Mapping[str, Any]:
+    subjects = summary.statement.get("subject")
+    subject = _mapping(subjects[0]) if isinstance(subjects, list) and subjects else {}
+    return _mapping(subject.get("annotations"))
 
 
 def _input_problems(

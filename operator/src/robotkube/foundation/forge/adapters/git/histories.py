@@ -23,7 +23,7 @@ HEX_DIGITS = 40
 
 
 class GitHistory:
-    """The port History for the clone in `folder`, bare or not."""
+    """The port RepositoryHistory for the clone in `folder`, bare or not."""
 
     def __init__(self, folder: Path, branch: str = "main") -> None:
         """InputError when there is no clone, or one whose history was cut off."""

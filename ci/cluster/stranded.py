@@ -1,0 +1,95 @@
+"""What enforced admission would strand of a cluster that runs: asked of the API server, changing nothing."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ci import evidence
+from ci.cluster import admission
+from ci.cluster.addresses import plan_of
+from ci.cluster.api import Api
+from ci.cluster.catalogue_on_disk import CatalogueOnDisk
+from ci.cluster.following_admission import forge_folder
+from ci.cluster.images import Image
+from ci.cluster.objects import Reader
+from ci.cluster.records import ClusterFolders
+from ci.cluster.topology import Topology
+from ci.errors import InputError, SetUpError
+from robotkube.errors import RobotKubeError, UnavailableError
+from robotkube.registry.admission.core.allowed import digests_of
+from robotkube.registry.admission.core.listing import Listing
+from robotkube.registry.admission.core.stranded import Stranded, stranded
+from robotkube.registry.admission.loops.following import CatalogueListing
+from robotkube.registry.evidence.adapters.dsse import TrustedKeys
+
+KINDS = {
+    "/api/v1/pods": "Pod",
+    "/api/v1/podtemplates": "PodTemplate",
+    "/api/v1/replicationcontrollers": "ReplicationController",
+    "/apis/apps/v1/daemonsets": "DaemonSet",
+    "/apis/apps/v1/deployments": "Deployment",
+    "/apis/apps/v1/replicasets": "ReplicaSet",
+    "/apis/apps/v1/statefulsets": "StatefulSet",
+    "/apis/batch/v1/cronjobs": "CronJob",
+    "/apis/batch/v1/jobs": "Job",
+}
+APPLICATIONS = "/apis/argoproj.io/v1alpha1/applications"
+
+
+@dataclass(frozen=True)
+class Report:
+    """What would be stranded, and lines for people."""
+
+    stranded: tuple[Stranded, ...]
+    lines: tuple[str, ...]
+
+
+def stranded_now(folders: ClusterFolders, topology: Topology, images: Sequence[Image]) -> Report:
+    """Of the cluster that runs; SetUpError when there is none."""
+    if not folders.kubeconfig.exists():
+        raise SetUpError(f"cluster {folders.name} is not running: start it with make cluster")
+    with Api(str(plan_of(folders.name).gateway), folders.pki) as api:
+        return report(api, folders, topology, images)
+
+
+def report(api: Reader, folders: ClusterFolders, topology: Topology, images: Sequence[Image]) -> Report:
+    """The same, as `api` sees the cluster."""
+    with tempfile.TemporaryDirectory() as scratch:
+        found = _listing(api, Path(scratch))
+    try:
+        allowed = found.with_platform(digests_of(image.reference for image in images))
+    except RobotKubeError as error:
+        raise InputError(f"images of the platform: {error}") from error
+    result = stranded(_objects(api), admission.domain_of(admission.agents_of(topology), folders), allowed)
+    counts = f"{len(allowed.charts)} charts, {len(allowed.verified)} images, {len(allowed.platform)} of the platform"
+    verdict = f"{len(result)} objects would be stranded" if result else "nothing would be stranded"
+    return Report(result, (*found.problems, *map(str, result), f"{verdict} ({counts} listed)"))
+
+
+def _listing(api: Reader, scratch: Path) -> Listing:
+    """The list as admission would have it now: without a catalogue, of nothing but the platform."""
+    keys = scratch / "keys"
+    keys.mkdir()
+    (keys / "gate.pem").write_text(evidence.signing_key().public_key, encoding="utf-8")
+    catalogue = CatalogueListing(CatalogueOnDisk(forge_folder(api), scratch / "clones"), TrustedKeys(keys))
+    try:
+        return catalogue.read() or Listing()
+    except UnavailableError as error:
+        return Listing(problems=(str(error),))
+
+
+def _objects(api: Reader) -> Iterator[dict[str, Any]]:
+    """Items of lists, which do not say their kind."""
+    for path, kind in KINDS.items():
+        yield from ({**item, "kind": kind} for item in api.get(path)["items"])
+    try:
+        applications = api.get(APPLICATIONS)["items"]
+    except SetUpError as error:
+        if ": 404 " in f"{error} ":
+            return  # Argo CD is not installed
+        raise
+    yield from ({**item, "kind": "Application"} for item in applications)

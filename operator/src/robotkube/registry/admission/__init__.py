@@ -1,0 +1,1 @@
+"""Admission: what the API server lets into the cluster, as policies over a list of what was verified."""

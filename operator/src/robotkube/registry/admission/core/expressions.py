@@ -1,0 +1,80 @@
+"""Expressions (CEL) that several policies share: the pod in whatever object, its images, what an update adds."""
+
+from __future__ import annotations
+
+from robotkube.registry.admission.core.lists import Variable, texts
+
+# Where the pod stands in each kind: a pod itself, a template, or a template in the template of a job.
+POD_OF = (
+    "request.resource.resource == 'pods' ? {0}.spec : "
+    "request.resource.resource == 'podtemplates' ? {0}.template.spec : "
+    "request.resource.resource == 'cronjobs' ? {0}.spec.jobTemplate.spec.template.spec : {0}.spec.template.spec"
+)
+LISTS_OF_CONTAINERS = ("containers", "initContainers", "ephemeralContainers")
+RESOURCES = (
+    ("", ("pods", "pods/ephemeralcontainers", "podtemplates", "replicationcontrollers")),
+    ("apps", ("daemonsets", "deployments", "replicasets", "statefulsets")),
+    ("batch", ("cronjobs", "jobs")),
+)
+CREATING = "request.operation == 'CREATE'"
+EPHEMERAL = "has(request.subResource) && request.subResource == 'ephemeralcontainers'"
+WRITER = "request.userInfo.username"
+RESOURCE = "request.resource.resource"
+
+
+def image_variables() -> list[Variable]:
+    """`added`: references that the object has and the one before it had not. What is there already may be changed
+    otherwise: a pod that lost its evidence must still be let go."""
+    return [
+        {"name": "pod", "expression": POD_OF.format("object")},
+        {"name": "before", "expression": f"{CREATING} ? {{}} : ({POD_OF.format('oldObject')})"},
+        {"name": "images", "expression": _images("variables.pod")},
+        {"name": "known", "expression": _images("variables.before")},
+        {"name": "added", "expression": "variables.images.filter(i, !(i in variables.known))"},
+    ]
+
+
+def _images(pod: str) -> str:
+    """References of a pod's containers of every kind and of its volumes that are images; one that is missing is ''."""
+    of_containers = " + ".join(
+        f"{pod}.?{name}.orValue([]).map(c, c.?image.orValue(''))" for name in LISTS_OF_CONTAINERS
+    )
+    volumes = f"{pod}.?volumes.orValue([]).filter(v, has(v.image)).map(v, v.image.?reference.orValue(''))"
+    return f"{of_containers} + {volumes}"
+
+
+def on_host(pod: str) -> str:
+    """Whether a pod asks for a way to its machine: its namespaces, its files, its devices."""
+    shared = " || ".join(f"{pod}.?{name}.orValue(false)" for name in ("hostPID", "hostIPC", "hostNetwork"))
+    containers = " + ".join(f"{pod}.?{name}.orValue([])" for name in LISTS_OF_CONTAINERS)
+    context = "c.?securityContext"
+    return (
+        f"{shared} || {pod}.?volumes.orValue([]).exists(v, has(v.hostPath)) || ({containers}).exists(c, "
+        f"{context}.?privileged.orValue(false) || {context}.?procMount.orValue('Default') != 'Default' || "
+        f"{context}.?capabilities.?add.orValue([]).exists(a, a != 'NET_BIND_SERVICE'))"
+    )
+
+
+def changed(parts: tuple[str, ...]) -> str:
+    """Whether an update changes one of these parts (`spec`, `metadata.labels`)."""
+    return " || ".join(f"object.{_optional(part)} != oldObject.{_optional(part)}" for part in parts)
+
+
+def _optional(part: str) -> str:
+    return ".".join(f"?{word}" for word in part.split("."))
+
+
+def one_of(names: tuple[str, ...]) -> str:
+    """Whether the request's user is one of these."""
+    return f"{WRITER} in {texts(names)}"
+
+
+def sentence(*parts: str) -> str:
+    """Texts and expressions in turn, a text first, as one expression: what a refusal says."""
+    return " + ".join(part if number % 2 else literal(part) for number, part in enumerate(parts))
+
+
+def literal(text: str) -> str:
+    """The text as an expression."""
+    escaped = text.replace("\\", "\\\\").replace("'", "\\'")
+    return f"'{escaped}'"

@@ -1,0 +1,107 @@
+"""The provider's files on a real API server: it starts with them, and a publication on this machine's disk is at work
+without anything being asked of the server."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from ci import evidence
+from ci.cluster import admission, topology
+from ci.cluster.catalogue_on_disk import CatalogueOnDisk
+from ci.cluster.following_admission import POLL_SECONDS, follow
+from ci.cluster.images import Image
+from ci.cluster.records import ClusterFolders
+from robotkube.registry.admission.adapters.policy_files import PolicyFiles
+from robotkube.registry.admission.loops.following import CatalogueListing, Following
+from robotkube.registry.evidence.adapters.dsse import TrustedKeys
+from tests.ci.cluster.test_admission import SCENARIO, Forge
+from tests.stages import programs
+from tests.stages.kubernetes.judged_api_server import Api, served
+from tests.stages.registry.admission_examples import (
+    APPLICATION_CONTROLLER,
+    APPLICATIONS,
+    GENERATOR,
+    OF_THE_PLATFORM,
+    REPLICA_SETS,
+    application,
+    image,
+    path,
+    pod,
+    workload,
+)
+from tests.stages.registry.signed_evidence import artefact, catalogue, published
+from tests.stages.waiting import until
+
+pytestmark = [pytest.mark.toolchain]
+LOCK = (Image("platform", OF_THE_PLATFORM, Path("a")),)
+DRY = "?dryRun=All"
+
+
+@pytest.fixture
+def forge(tmp_path: Path) -> Forge:
+    return Forge(tmp_path / "forge")
+
+
+@pytest.fixture
+def looks() -> list[int]:
+    """One for each time that the catalogue was looked at."""
+    return []
+
+
+@pytest.fixture
+def api(tmp_path: Path, forge: Forge, looks: list[int], monkeypatch: pytest.MonkeyPatch) -> Iterator[Api]:
+    """The API server with what the provider prepared, and the catalogue followed as the host's process does."""
+    programs.folder()  # before the cache is another
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    folders = ClusterFolders("demo")
+    admission.prepare(folders, topology.read(SCENARIO, {"vehicles": "2"}), LOCK)
+    own = admission.folder(folders)
+    listing = CatalogueListing(CatalogueOnDisk(lambda: forge.repositories, own / "clones"), TrustedKeys(own / "keys"))
+    following = Following(listing, admission.policy_files(folders), lambda: admission.surroundings(folders))
+    end = threading.Event()
+
+    def pause() -> None:
+        looks.append(1)
+        if end.wait(POLL_SECONDS):
+            raise EOFError
+
+    def run() -> None:
+        with pytest.raises(EOFError):
+            follow(following, pause)
+
+    thread = threading.Thread(target=run)
+    with served(tmp_path / "server", PolicyFiles(own)) as api:
+        for name in ("vehicle-00", "robotkube", "argocd"):
+            api.done("POST", "/api/v1/namespaces", {"metadata": {"name": name}})
+        thread.start()
+        yield api
+        end.set()
+        thread.join(30)
+    assert not thread.is_alive()
+
+
+def test_a_publication_is_at_work_without_a_request_to_the_server(api: Api, forge: Forge, looks: list[int]) -> None:
+    """Also while the forge is away: the last list stays."""
+    pods = path("Pod", "vehicle-00") + DRY
+    assert api.refusal("POST", pods, pod(image(1)), REPLICA_SETS).startswith(f"image {image(1)} may not run")
+    api.done("POST", path("Deployment", "robotkube") + DRY, workload("Deployment", OF_THE_PLATFORM))
+    forge.install()
+    app = artefact("event-detector")
+    forge.publish(catalogue(published(evidence.signing_key(), app, images=(image(1),))))
+    began = time.monotonic()
+    until(lambda: api.request("POST", pods, pod(image(1)), REPLICA_SETS)["kind"] == "Pod")
+    print(f"at work {time.monotonic() - began:.2f} s after its publication")
+    made = application()
+    made["spec"]["source"]["targetRevision"] = app.digest
+    api.done("POST", APPLICATIONS + DRY, made, GENERATOR)
+    api.done("POST", path("Deployment", "vehicle-00") + DRY, workload("Deployment", image(1)), APPLICATION_CONTROLLER)
+    forge.bare.rename(forge.bare.with_name("away"))
+    seen = len(looks)
+    until(lambda: len(looks) > seen + 2)
+    api.done("POST", pods, pod(image(1)), REPLICA_SETS)
+    assert api.refusal("POST", pods, pod(image(3)), REPLICA_SETS)
