@@ -21,7 +21,7 @@ from ci.cluster.topology import Topology
 from ci.errors import InputError, SetUpError
 from robotkube.errors import RobotKubeError, UnavailableError
 from robotkube.registry.admission.core.allowed import digests_of
-from robotkube.registry.admission.core.listing import Listing
+from robotkube.registry.admission.core.listing import AllowedVersions
 from robotkube.registry.admission.core.stranded import Stranded, stranded
 from robotkube.registry.admission.loops.following import CatalogueListing
 from robotkube.registry.evidence.adapters.dsse import TrustedKeys
@@ -70,16 +70,16 @@ def report(api: Reader, folders: ClusterFolders, topology: Topology, images: Seq
     return Report(result, (*found.problems, *map(str, result), f"{verdict} ({counts} listed)"))
 
 
-def _listing(api: Reader, scratch: Path) -> Listing:
+def _listing(api: Reader, scratch: Path) -> AllowedVersions:
     """The list as admission would have it now: without a catalogue, of nothing but the platform."""
     keys = scratch / "keys"
     keys.mkdir()
     (keys / "gate.pem").write_text(evidence.signing_key().public_key, encoding="utf-8")
     catalogue = CatalogueListing(CatalogueOnDisk(forge_folder(api), scratch / "clones"), TrustedKeys(keys))
     try:
-        return catalogue.read() or Listing()
+        return catalogue.read() or AllowedVersions()
     except UnavailableError as error:
-        return Listing(problems=(str(error),))
+        return AllowedVersions(problems=(str(error),))
 
 
 def _objects(api: Reader) -> Iterator[dict[str, Any]]:

@@ -9,7 +9,7 @@ from robotkube.errors import UnavailableError
 from robotkube.foundation.documents.core.yaml_codec import read_mapping, write_mapping
 from robotkube.foundation.forge.core.resync import RESYNC_SECONDS
 from robotkube.foundation.forge.core.reviews import Review
-from tests.stages.registry.publication_in_memory import World
+from tests.stages.registry.publication_in_memory import PublicationStage
 from tests.stages.registry.submissions import CATALOGUE, application, chart, entry_path
 
 RELEASE = "policies/release.yaml"
@@ -17,20 +17,22 @@ OPEN = {RELEASE: "assurance: verified\ninitialFor: automatic\n"}
 
 
 @pytest.fixture
-def world(tmp_path: Path) -> World:
-    return World(tmp_path)
+def world(tmp_path: Path) -> PublicationStage:
+    return PublicationStage(tmp_path)
 
 
-def propose(world: World, changes: dict[str, str | None], parent: str = "", author: str = "operator-team") -> int:
+def propose(
+    world: PublicationStage, changes: dict[str, str | None], parent: str = "", author: str = "operator-team"
+) -> int:
     return world.forge.open(world.catalogue.commit(parent or world.catalogue.tip, changes, "By hand"), author)
 
 
-def approve(world: World, number: int, account: str = "reviewer", approved: bool = True) -> None:
+def approve(world: PublicationStage, number: int, account: str = "reviewer", approved: bool = True) -> None:
     review = Review(account, world.forge.pulls[number].head, approved, True)
     world.forge.reviewed.setdefault(number, []).append(review)
 
 
-def rounds(world: World) -> str:
+def rounds(world: PublicationStage) -> str:
     """What the gate has said after it looked twice."""
     number = max(world.forge.pulls)
     for _ in range(2):
@@ -40,7 +42,7 @@ def rounds(world: World) -> str:
     return "\n".join(comment.text for comment in world.forge.said[number])
 
 
-def test_a_policy_waits_for_another_person_and_is_merged_with_who_approved_it(world: World) -> None:
+def test_a_policy_waits_for_another_person_and_is_merged_with_who_approved_it(world: PublicationStage) -> None:
     tip = world.catalogue.tip
     number = propose(world, dict(OPEN))
     text = rounds(world)
@@ -60,7 +62,7 @@ def test_a_policy_waits_for_another_person_and_is_merged_with_who_approved_it(wo
     assert world.published == 1
 
 
-def test_somebody_against_it_and_another_head_hold_it(world: World) -> None:
+def test_somebody_against_it_and_another_head_hold_it(world: PublicationStage) -> None:
     tip, number = world.catalogue.tip, propose(world, dict(OPEN))
     approve(world, number)
     approve(world, number, "third", approved=False)
@@ -94,7 +96,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_what_is_refused_stays_refused_whoever_approves_it(world: World, case: str) -> None:
+def test_what_is_refused_stays_refused_whoever_approves_it(world: PublicationStage, case: str) -> None:
     changes, words = REFUSED[case]
     world.settle(world.submit(chart()))
     tip, number = world.catalogue.tip, propose(world, dict(changes))
@@ -107,7 +109,7 @@ def test_what_is_refused_stays_refused_whoever_approves_it(world: World, case: s
     assert world.catalogue.tip == tip
 
 
-def test_a_version_is_withdrawn_and_brought_back_and_nothing_else_of_it_changes(world: World) -> None:
+def test_a_version_is_withdrawn_and_brought_back_and_nothing_else_of_it_changes(world: PublicationStage) -> None:
     packed = chart()
     world.settle(world.submit(packed))
     path = entry_path(packed[0])
@@ -135,7 +137,7 @@ def test_a_version_is_withdrawn_and_brought_back_and_nothing_else_of_it_changes(
         assert world.main()[path] == text
 
 
-def test_a_version_may_be_taken_away(world: World) -> None:
+def test_a_version_may_be_taken_away(world: PublicationStage) -> None:
     packed = chart()
     world.settle(world.submit(packed))
     gone = [path for path in world.main() if path.startswith(("charts/", "evidence/"))]
@@ -144,7 +146,7 @@ def test_a_version_may_be_taken_away(world: World) -> None:
     assert not [path for path in world.main() if path.startswith(("charts/", "evidence/"))]
 
 
-def test_a_branch_behind_main_is_joined_where_main_left_its_files_alone(world: World) -> None:
+def test_a_branch_behind_main_is_joined_where_main_left_its_files_alone(world: PublicationStage) -> None:
     base = world.catalogue.tip
     number = propose(world, dict(OPEN), base)
     other = propose(world, {"README.md": "mine\n"}, base)
@@ -159,7 +161,7 @@ def test_a_branch_behind_main_is_joined_where_main_left_its_files_alone(world: W
     assert world.main() == {**world.main(), **OPEN, "README.md": "theirs\n"}
 
 
-def test_when_main_moves_meanwhile_it_is_joined_anew(world: World) -> None:
+def test_when_main_moves_meanwhile_it_is_joined_anew(world: PublicationStage) -> None:
     number = propose(world, dict(OPEN))
     approve(world, number)
     calls = iter([True])
@@ -175,7 +177,7 @@ def test_when_main_moves_meanwhile_it_is_joined_anew(world: World) -> None:
 
 
 @pytest.mark.parametrize("error", [UnavailableError("away"), RuntimeError("a mistake in the gate")])
-def test_one_that_fails_holds_up_no_other_and_no_submission(world: World, error: Exception) -> None:
+def test_one_that_fails_holds_up_no_other_and_no_submission(world: PublicationStage, error: Exception) -> None:
     bad, good = propose(world, dict(OPEN)), propose(world, {"README.md": "better\n"})
     approve(world, bad)
     approve(world, good)
@@ -194,7 +196,7 @@ def test_one_that_fails_holds_up_no_other_and_no_submission(world: World, error:
     assert world.forge.pulls[submitted].state == "closed"
 
 
-def test_publishers_and_the_gate_itself_go_other_ways(world: World) -> None:
+def test_publishers_and_the_gate_itself_go_other_ways(world: PublicationStage) -> None:
     for author in ("publisher", "gate"):
         number = propose(world, dict(OPEN), author=author)
         approve(world, number)
@@ -204,14 +206,14 @@ def test_publishers_and_the_gate_itself_go_other_ways(world: World) -> None:
         world.forge.pulls[number] = replace(world.forge.pulls[number], state="closed")
 
 
-def test_a_gate_that_starts_again_says_nothing_twice(world: World) -> None:
+def test_a_gate_that_starts_again_says_nothing_twice(world: PublicationStage) -> None:
     propose(world, dict(OPEN))
     text = rounds(world)
     world.start()
     assert rounds(world) == text
 
 
-def test_a_webhook_brings_it_forward(world: World) -> None:
+def test_a_webhook_brings_it_forward(world: PublicationStage) -> None:
     number = propose(world, dict(OPEN))
     rounds(world)
     approve(world, number)

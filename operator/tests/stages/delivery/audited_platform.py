@@ -19,7 +19,7 @@ from robotkube.delivery.audit.loops.auditor import Auditor, Sources
 from robotkube.delivery.deployment.core.commit_messages import CommitMessage, write_message
 from robotkube.delivery.deployment.core.merge_records import REFERENCE, MergeRecord
 from robotkube.delivery.deployment.core.plan_notes import PlanOutcome, ReleaseOutcome, note_text
-from robotkube.delivery.deployment.core.releases import Cause, Release, Source, write_release, write_source
+from robotkube.delivery.deployment.core.releases import Release, Source, TaskCause, write_release, write_source
 from robotkube.delivery.gate.adapters.merge_journal import FileJournal
 from robotkube.delivery.gate.loops.merge_records import MergeRecorder
 from robotkube.foundation.documents.core.digests import canonical_json, sha256
@@ -50,8 +50,8 @@ person:
 - {paths: [policies/]}
 """
 STRICTER = MERGE_POLICY.replace("[policies/]", "[policies/, releases/]")
-MEETING = Cause("cloud-0/meeting", "event-1", "proximity", "a" * 32, "recording", '{"vehicles":["vehicle-00"]}')
-SECOND = Cause("cloud-0/second", "event-2", "proximity", "b" * 32, "recording", "{}")
+MEETING = TaskCause("cloud-0/meeting", "event-1", "proximity", "a" * 32, "recording", '{"vehicles":["vehicle-00"]}')
+SECOND = TaskCause("cloud-0/second", "event-2", "proximity", "b" * 32, "recording", "{}")
 
 
 def manifest_of(chart: str) -> bytes:
@@ -150,7 +150,7 @@ class Repository:
 
 
 def release(
-    chart: Artefact, evidence: str, namespace: str, name: str, plan: str, *causes: Cause, **values: Any
+    chart: Artefact, evidence: str, namespace: str, name: str, plan: str, *causes: TaskCause, **values: Any
 ) -> Release:
     return Release(namespace, name, chart.chart, chart.version, chart.digest, values, causes, plan, evidence)
 

@@ -28,7 +28,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from robotkube.errors import DocumentError
-from robotkube.foundation.documents.core.patterns import WORD
+from robotkube.foundation.documents.core.patterns import COMMIT, REPOSITORY, WORD
 from robotkube.foundation.documents.core.reader import Reader
 from robotkube.foundation.documents.core.yaml_codec import read_mapping, write_mapping
 
@@ -43,10 +43,8 @@ KEY_BYTES, SIGNATURE_BYTES = 32, 64
 
 _GLASS, _SIGNED = "RobotKube-Break-Glass: ", "RobotKube-Signed-By: "
 _MAGIC, _VERSION, _DIGEST = b"SSHSIG", 1, b"sha512"
-_COMMIT = re.compile(r"[0-9a-f]{40}")
 _TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ", re.ASCII)
 _REASON = re.compile(r"[!-~][ -~]{0,198}[!-~]|[!-~]", re.ASCII)
-_REPOSITORY = re.compile(r"[a-z0-9._-]+/[a-z0-9._-]+", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -83,7 +81,7 @@ def read_change(text: str, path: str) -> EmergencyChange:
     reader = Reader(path)
     keys = ["repository", "parent", "tree", "time", "reason", "signatures"]
     document = reader.mapping(read_mapping(text, path), "", keys)
-    forms = {"repository": _REPOSITORY, "parent": _COMMIT, "tree": _COMMIT, "time": _TIME, "reason": _REASON}
+    forms = {"repository": REPOSITORY, "parent": COMMIT, "tree": COMMIT, "time": _TIME, "reason": _REASON}
     words = {key: reader.text(document.get(key), key, form) for key, form in forms.items()}
     given = document.get("signatures")
     signatures = given if isinstance(given, Mapping) else {}
@@ -158,7 +156,7 @@ def read_accepted(text: str, path: str = ACCEPTED_PATH) -> frozenset[str]:
     problems = [
         f"line {number}: {line[:60]!r} must be the whole id of a commit (40 hex digits)"
         for number, line in enumerate(lines, 1)
-        if line and not _COMMIT.fullmatch(line)
+        if line and not COMMIT.fullmatch(line)
     ]
     if problems:
         raise DocumentError(path, problems)

@@ -66,6 +66,7 @@ WORD = re.compile(r"[A-Za-z0-9]([A-Za-z0-9._-]*[A-Za-z0-9])?", re.ASCII)
 REPOSITORY = re.compile(r"[a-z0-9][a-z0-9._-]*/[a-z0-9][a-z0-9._-]*", re.ASCII)  # <owner>/<name>
 COMMIT = re.compile(r"[0-9a-f]{40}", re.ASCII)
 COMMIT_START = re.compile(r"[0-9a-f]{7,40}", re.ASCII)  # as people shorten it
+FOLDER = re.compile(r"(/[A-Za-z0-9._@+-]+)+", re.ASCII)  # of a machine
 PATH_PREFIX = re.compile(r"[A-Za-z0-9._-]+(/[A-Za-z0-9._-]+)*/?", re.ASCII)  # a file, or a folder with its slash
 
 # Addresses. A webhook's may have a query and an IPv6 host; its port and host are judged apart.

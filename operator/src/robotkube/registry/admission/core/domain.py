@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 
 from robotkube.errors import InputError
-from robotkube.foundation.documents.core.patterns import CHARTS_URL, NAME
-
-FOLDER = re.compile(r"(/[A-Za-z0-9._@+-]+)+", re.ASCII)
+from robotkube.foundation.documents.core.patterns import CHARTS_URL, FOLDER, NAME
 
 CONTROLLERS = "kube-system"
 APPLICATION_CONTROLLER, GENERATOR = "argocd-application-controller", "argocd-applicationset-controller"

@@ -22,7 +22,7 @@ Statements = Mapping[str, VerifiedStatement | str]
 
 
 @dataclass(frozen=True)
-class Listing:
+class AllowedVersions:
     """Charts and images that may run, as `Allowed` has them, and why versions that call themselves verified are not
     among them (a sentence each)."""
 
@@ -44,7 +44,7 @@ def listing(
     current: Mapping[tuple[str, str], ChartVersion | None],
     earlier: Iterable[ChartVersion],
     statements: Statements,
-) -> Listing:
+) -> AllowedVersions:
     """The list of a catalogue.
 
     `current`: chart and version -> its entry on main, None when it cannot be read. `earlier`: entries of the same
@@ -64,7 +64,7 @@ def listing(
         else:
             charts.add(f"{version.chart}@{version.digest}")
             images.update(digests_of(version.image_references))
-    return Listing(tuple(sorted(charts)), tuple(sorted(images)), tuple(dict.fromkeys(problems)))
+    return AllowedVersions(tuple(sorted(charts)), tuple(sorted(images)), tuple(dict.fromkeys(problems)))
 
 
 def _stands(current: Mapping[tuple[str, str], ChartVersion | None], version: ChartVersion) -> bool:

@@ -14,7 +14,7 @@ from functools import lru_cache
 from robotkube.errors import DocumentError, InputError
 from robotkube.foundation.documents.core.digests import sha256
 from robotkube.registry.admission.core.domain import Domain
-from robotkube.registry.admission.core.listing import VERIFIED, Listing, listing
+from robotkube.registry.admission.core.listing import VERIFIED, AllowedVersions, listing
 from robotkube.registry.admission.core.policies import for_files
 from robotkube.registry.admission.ports import CatalogueHistory, PolicyPlace
 from robotkube.registry.catalogue.core.chart_versions import ChartVersion, read_chart_version
@@ -43,7 +43,7 @@ class CatalogueListing:
         self._summaries: dict[str, str] = {}  # by the digest of the envelope
         self._key: tuple[str, frozenset[str]] = ("", frozenset())
 
-    def read(self) -> Listing | None:
+    def read(self) -> AllowedVersions | None:
         """The list at main's tip under the keys trusted now; None when both are as they were, or there is no main yet.
 
         UnavailableError when the forge does not answer, InputError when a key cannot be read."""
@@ -129,8 +129,8 @@ class Following:
         self._catalogue = catalogue
         self._place = place
         self._surroundings = surroundings
-        self._written: tuple[Surroundings, Listing] | None = None
-        self._listing = Listing()
+        self._written: tuple[Surroundings, AllowedVersions] | None = None
+        self._listing = AllowedVersions()
 
     def step(self) -> bool:
         """One look at surroundings and catalogue; whether the policies changed.
