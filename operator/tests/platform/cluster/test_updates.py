@@ -43,7 +43,7 @@ def bad_version(folder: Path) -> None:
     changed(chart / "Chart.yaml", GOOD, BAD)
     changed(chart / "templates" / "_app.tpl", COMMAND, FIELD_ONLY)
     text = (entries / f"{GOOD}.yaml").read_text(encoding="utf-8")
-    for old, new in ((f"version: {GOOD}", f"version: {BAD}"), ("replaces: 0.2.0", f"replaces: {GOOD}")):
+    for old, new in ((f"version: {GOOD}", f"version: {BAD}"), ("replaces: 0.2.1", f"replaces: {GOOD}")):
         assert old in text
         text = text.replace(old, new)
     (entries / f"{BAD}.yaml").write_text(text, encoding="utf-8")
