@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -149,6 +150,20 @@ def not_ours(reach: Reach) -> bool:
     return who and whom
 
 
+def of_ours(name: str) -> bool:
+    return "/" in name and not name.startswith(FREE)
+
+
+def each_side(rules: Sequence[Policy], everybody: Mapping[str, Endpoint], wanted: set[Reach]) -> dict[str, Any]:
+    """Where one side alone would allow more or less than the table: each must hold without the other."""
+    into = table([replace(one, egress=None) for one in rules], everybody)
+    out = table([replace(one, ingress=None) for one in rules], everybody)
+    return {
+        "ingress": difference({r for r in into if of_ours(r[1])}, {r for r in wanted if of_ours(r[1])}),
+        "egress": difference({r for r in out if of_ours(r[0])}, {r for r in wanted if of_ours(r[0])}),
+    }
+
+
 def test_the_embedded_cluster_allows_what_the_table_says_and_nothing_else(
     embedded: Any, argocd: list[Object], apps: Mapping[str, Any]
 ) -> None:
@@ -158,8 +173,10 @@ def test_the_embedded_cluster_allows_what_the_table_says_and_nothing_else(
         word: {"host"} for word in ("api-server", "name-service", "metrics", "clients")
     }
     wanted = expected(means) - {("host", "robotkube/gate", "TCP", 8080)}  # nobody on the host calls the gate
-    found = table([*policies(embedded.objects), *policies(argocd)], everybody)
+    rules = [*policies(embedded.objects), *policies(argocd)]
+    found = table(rules, everybody)
     assert difference({one for one in found if not not_ours(one)}, wanted) == NOTHING
+    assert each_side(rules, everybody, wanted) == {"ingress": NOTHING, "egress": NOTHING}
 
 
 def test_a_cluster_of_ones_own_allows_what_the_table_says_and_nothing_else(
