@@ -1,6 +1,6 @@
 """`make reference`: docs/reference/schemas.md from the JSON Schemas of registry/schemas/, metrics.md, rules.md and
-the metrics of event-detector.md from the code, and the commands of command-line.md from the command line's parser; and
-what is generated in charts.
+the metrics of event-detector.md from the code, the commands of command-line.md from the command line's parser, and the
+tables of network.md from the platform chart's; and what is generated in charts.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from ci import (
     command_reference,
     detector_reference,
     markdown,
+    network_reference,
     rule_reference,
 )
 from ci.walks import page as walks
@@ -191,5 +192,6 @@ if __name__ == "__main__":
     print(rule_reference.PAGE.relative_to(TOP), *(path.relative_to(TOP) for path in chart_reference.write()))
     print(PAGE.relative_to(TOP), METRICS_PAGE.relative_to(TOP), commands.relative_to(TOP))
     admission_reference.POLICIES.write_text(admission_reference.text(), encoding="utf-8")
+    print(network_reference.write().relative_to(TOP))
     architecture.write()
     walks.write()

@@ -16,12 +16,14 @@ from typing import Any
 
 import yaml
 
+from gitops.argocd import network
+
 Object = dict[str, Any]
 
 NAMESPACE = "argocd"
 CLUSTER_KINDS = {"CustomResourceDefinition", "ClusterRole", "ClusterRoleBinding", "Namespace"}
-# Single sign-on and notifications are not used. NetworkPolicies would promise what a cluster without a controller for
-# them does not keep.
+# Single sign-on and notifications are not used. NetworkPolicies: those of the platform's table instead, which name who
+# asks; Argo CD's own let every namespace in, and everything out.
 DROPPED_PARTS = ("dex", "notifications")
 DROPPED_KINDS = {"NetworkPolicy"}
 IMAGES = {"quay.io/argoproj/argocd": "argocd", "public.ecr.aws/docker/library/redis": "redis"}
@@ -122,7 +124,8 @@ def render(manifests: str, images: Mapping[str, str]) -> str:
     if missing:
         raise ValueError(f"Argo CD: no image reference for {', '.join(missing)}; add them to the images file")
     documents = filter(None, yaml.load_all(manifests, Loader=_LOADER))
-    return yaml.dump_all(_rendered(documents, images), Dumper=_DUMPER, sort_keys=True)
+    objects = [*_rendered(documents, images), *network.policies(NAMESPACE)]
+    return yaml.dump_all(objects, Dumper=_DUMPER, sort_keys=True)
 
 
 def _rendered(documents: Iterator[Object], images: Mapping[str, str]) -> Iterator[Object]:

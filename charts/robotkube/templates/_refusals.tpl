@@ -44,6 +44,9 @@
 {{- range $line := splitList "\n" (include "robotkube.peopleRefusals" .) }}
 {{- if trim $line }}{{ $problems = append $problems (trim $line) }}{{ end }}
 {{- end }}
+{{- range $line := splitList "\n" (include "robotkube.networkRefusals" .) }}
+{{- if trim $line }}{{ $problems = append $problems (trim $line) }}{{ end }}
+{{- end }}
 {{- range $line := splitList "\n" (include "robotkube.podRefusals" .) }}
 {{- if trim $line }}{{ $problems = append $problems (trim $line) }}{{ end }}
 {{- end }}

@@ -63,7 +63,18 @@ def test_drops_what_is_not_used(argocd: list[Object]) -> None:
     names = " ".join(o["metadata"]["name"] for o in argocd)
     assert "dex" not in names
     assert "notifications" not in names
-    assert not [o for o in argocd if o["kind"] == "NetworkPolicy"]
+
+
+def test_its_policies_are_those_of_the_platforms_table(argocd: list[Object]) -> None:
+    """Argo CD's own let every namespace in, and everything out."""
+    policies = {o["metadata"]["name"]: o["spec"] for o in argocd if o["kind"] == "NetworkPolicy"}
+    parts = {"redis", "repo-server", "argocd-server", "application-controller", "applicationset-controller"}
+    assert set(policies) == {"default-deny", *parts}
+    assert policies["default-deny"] == {"podSelector": {}, "policyTypes": ["Ingress", "Egress"]}
+    pods = [o["spec"]["template"]["metadata"]["labels"] for o in argocd if "template" in o.get("spec", {})]
+    for name in parts:
+        selected = policies[name]["podSelector"]["matchLabels"].items()
+        assert len([labels for labels in pods if selected <= labels.items()]) == 1, name
 
 
 def test_puts_everything_into_the_namespace(argocd: list[Object]) -> None:
@@ -207,7 +218,7 @@ def test_refuses_a_workload_it_does_not_know(old: str, new: str) -> None:
 
 def test_keeps_other_objects_as_they_are() -> None:
     text = "apiVersion: v1\nkind: ServiceAccount\nmetadata: {name: argocd-server, labels: {a: b}}\n"
-    assert yaml.safe_load(render(text, IMAGES)) == {
+    assert next(yaml.safe_load_all(render(text, IMAGES))) == {
         "apiVersion": "v1",
         "kind": "ServiceAccount",
         "metadata": {"name": "argocd-server", "namespace": "argocd", "labels": {"a": "b"}},

@@ -130,6 +130,7 @@ def test_a_test_namespace_takes_restricted_pods_and_holds_no_secret(platform: An
         there = [o for o in platform.objects if o["metadata"].get("namespace") == namespace]
         assert sorted({o["kind"] for o in there}) == [
             "LimitRange",
+            "NetworkPolicy",
             "PersistentVolumeClaim",
             "ResourceQuota",
             "Role",

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 import yaml
 
+from robotkube.foundation.kubernetes.core.network_policies import read_policy
 from tests.stages.kubernetes.installed_chart import CHART, Cluster, prepared_cluster
 
 pytestmark = pytest.mark.toolchain
@@ -72,6 +73,16 @@ def test_an_upgrade_from_the_commit_before_makes_no_workload_anew(installed: Clu
     assert len(older) >= 6
     now = selectors(installed)
     assert {name: now.get(name) for name in older} == older
+
+
+def test_the_api_server_has_the_network_policies_as_they_were_meant(
+    installed: Cluster, helm: Any, values: Path
+) -> None:
+    found = json.loads(installed.kubectl("get", "networkpolicies", "--all-namespaces", "-o", "json"))["items"]
+    meant = helm.template(CHART, values).of_kind("NetworkPolicy")
+    assert {(one.namespace, one.name): one for one in map(read_policy, found)} == {
+        (one.namespace, one.name): one for one in map(read_policy, meant)
+    }
 
 
 def task(**spec: Any) -> str:

@@ -20,7 +20,26 @@ VEHICLE = {"name": "vehicle-00", "role": "vehicle"}
 CLOUD = {"name": "cloud-0", "role": "cloud"}
 PUBLIC_KEY = "-----BEGIN PUBLIC KEY-----\nMCowBQYDK2VwAyEA\n-----END PUBLIC KEY-----\n"
 
+PODS = {"podSelector": {"matchLabels": {"app": "prometheus"}}}
+ANYWHERE = [{"to": [{"ipBlock": {"cidr": "0.0.0.0/0"}}]}]
+
 REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
+    "pods of which namespace": (
+        {"networkPolicies": {"metrics": {"from": [PODS]}}},
+        "networkPolicies.metrics.from[0]: podSelector alone means pods of whichever namespace a policy stands in.",
+    ),
+    "pods of which namespace, as clients": (
+        {"networkPolicies": {"clients": {"forge": [PODS]}}},
+        "networkPolicies.clients.forge[0]: podSelector alone",
+    ),
+    "addresses and pods in one peer": (
+        {"networkPolicies": {"outside": {"to": [{"ipBlock": {"cidr": "10.0.0.0/8"}, "namespaceSelector": {}}]}}},
+        "networkPolicies.outside.to[0]: ipBlock and selectors in one peer, which Kubernetes refuses. Make two peers",
+    ),
+    "rules for pods that are not installed": (
+        {"suites": {"enabled": False}, "networkPolicies": {"extraEgress": {"tested": ANYWHERE}}},
+        "networkPolicies.extraEgress.tested: these values install no pods of this name. Take the rules out.",
+    ),
     "name that is no label": (
         {"agents": [CLOUD, {**VEHICLE, "name": "Vehicle_1"}]},
         'agents[1] "Vehicle_1": the name becomes a namespace and a ROS name. Use lower case letters',
@@ -192,6 +211,20 @@ def test_platform_says_all_problems_at_once(helm: Any) -> None:
         ),
         ({"suites": {"room": {"cpu": "much"}}}, "at '/suites/room/cpu': 'much' does not match pattern"),
         ({"evidence": {"trustedKeys": {"My Key": "x"}}}, "'My Key' does not match pattern"),
+        ({"networkPolicies": {"metrics": {"from": [{}]}}}, "at '/networkPolicies/metrics/from/0': minProperties"),
+        ({"networkPolicies": {"clients": {"gat": []}}}, "at '/networkPolicies/clients': additional properties 'gat'"),
+        (
+            {"networkPolicies": {"extraIngress": {"application": [{"ports": [{"port": 80}]}]}}},
+            "at '/networkPolicies/extraIngress/application/0': missing property 'from'",
+        ),
+        (
+            {"networkPolicies": {"extraEgress": {"aplication": []}}},
+            "invalid propertyName 'aplication'",
+        ),
+        (
+            {"networkPolicies": {"dns": {"to": [{"ipBlock": {"cidr": "10.0.0.1"}}]}}},
+            "'10.0.0.1' does not match pattern",
+        ),
         ({"platform": {"tolerations": [{"kee": "x"}]}}, "at '/platform/tolerations/0': additional properties 'kee'"),
     ],
 )

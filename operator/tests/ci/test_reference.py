@@ -13,6 +13,7 @@ from ci import (
     command_reference,
     detector_reference,
     markdown,
+    network_reference,
     reference,
     rule_reference,
 )
@@ -35,6 +36,23 @@ def test_the_metrics_of_the_detector_are_current() -> None:
     assert text == detector_reference.page(text), "run: make reference"
     with pytest.raises(ValueError, match="needs both marks"):
         detector_reference.page("nothing")
+
+
+def test_the_tables_of_who_may_reach_whom_are_current() -> None:
+    text = network_reference.PAGE.read_text(encoding="utf-8")
+    assert text == network_reference.page(text), "run: make reference"
+    with pytest.raises(ValueError, match="needs both marks"):
+        network_reference.page("nothing")
+
+
+def test_every_edge_leads_from_known_pods_to_known_pods_for_a_reason() -> None:
+    table = network_reference.read_table()
+    known = {*table["parties"], "api-server", "metrics", "clients"}
+    for edge in table["edges"]:
+        assert edge["to"] in {*table["parties"], *network_reference.AT}, edge
+        assert set(edge["from"]) <= known, edge
+        assert ("port" in edge) == (edge["to"] not in network_reference.AT), edge
+        assert edge["reason"], edge
 
 
 @pytest.mark.parametrize("chart", chart_reference.DESCRIBED)

@@ -1,0 +1,65 @@
+"""The tables of docs/reference/network.md, from the platform chart's table of who may reach whom."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ci import markdown
+
+TOP = Path(__file__).resolve().parent.parent
+TABLE = TOP / "charts" / "robotkube" / "files" / "network.yaml"
+PAGE = TOP / "docs" / "reference" / "network.md"
+BEGIN, END = "<!-- written by `make reference`: begin -->", "<!-- end -->"
+NAMESPACES = {
+    "platform": "the platform's",
+    "argocd": "Argo CD's",
+    "agents": "each agent's",
+    "recording": "each recording agent's",
+    "test": "each test namespace",
+}
+AT = {
+    "name-service": "UDP and TCP, `networkPolicies.dns.ports`",
+    "api-server": "TCP, `networkPolicies.apiServer.ports`",
+    "collector": "TCP, the port in `traces.endpoint`",
+    "multicast": "UDP, every port of 239.255.0.1",
+    "same": "every port and protocol",
+}
+
+
+def read_table() -> Mapping[str, Any]:
+    """The table as the chart reads it."""
+    table: Mapping[str, Any] = yaml.safe_load(TABLE.read_text(encoding="utf-8"))
+    return table
+
+
+def page(text: str) -> str:
+    """The page with its tables anew. ValueError without both marks."""
+    before, begin, rest = text.partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not begin or not end:
+        raise ValueError(f"{PAGE.name} needs both marks: {BEGIN} and {END}")
+    return markdown.wrapped("\n".join([f"{before}{begin}", *_tables(read_table()), f"{end}{after}"]))
+
+
+def _tables(table: Mapping[str, Any]) -> Iterator[str]:
+    yield from ("| name | namespace | pods |", "| --- | --- | --- |")
+    for name, party in table["parties"].items():
+        yield f"| `{name}` | {NAMESPACES[party['namespaces']]} | {party['what']} |"
+    yield from ("", "| who | reaches | at | because |", "| --- | --- | --- | --- |")
+    for edge in table["edges"]:
+        who = ", ".join(f"`{name}`" for name in edge["from"])
+        yield f"| {who} | `{edge['to']}` | {_at(edge)} | {edge['reason']} |"
+
+
+def _at(edge: Mapping[str, Any]) -> str:
+    return f"TCP {edge['port']}" if "port" in edge else AT[edge["to"]]
+
+
+def write() -> Path:
+    """Write the tables anew; the page."""
+    PAGE.write_text(page(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    return PAGE

@@ -1,0 +1,82 @@
+"""NetworkPolicies of Argo CD's namespace in the embedded cluster: what the platform's table says about its pods.
+
+The table is that of the platform chart, and how API server and name service are reached stands in the chart's embedded
+profile. What is not in the table is denied.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+Object = dict[str, Any]
+
+CHART = Path(__file__).resolve().parents[2] / "charts" / "robotkube"
+TABLE = CHART / "files" / "network.yaml"
+PROFILE = CHART / "values-embedded.yaml"
+WORD = "argocd"  # this namespace in the table
+PLATFORM = "robotkube"  # namespace and release of the platform in the embedded cluster
+NAME_PORT = 53
+API_SERVER, NAME_SERVICE = "api-server", "name-service"
+
+
+def policies(namespace: str) -> list[Object]:
+    """Everything denied, and one policy for each part of Argo CD."""
+    table = yaml.safe_load(TABLE.read_text(encoding="utf-8"))
+    values = yaml.safe_load(PROFILE.read_text(encoding="utf-8"))["networkPolicies"]
+    parties = {name: party for name, party in table["parties"].items() if party["namespaces"] == WORD}
+    found = [_policy("default-deny", namespace, {})]
+    for name, party in parties.items():
+        policy = _policy(name, namespace, {"matchLabels": party["labels"]})
+        for direction, rules in _rules(table, values, namespace, name).items():
+            if rules:
+                policy["spec"][direction] = rules
+        found.append(policy)
+    return found
+
+
+def _policy(name: str, namespace: str, pods: Object) -> Object:
+    return {
+        "apiVersion": "networking.k8s.io/v1",
+        "kind": "NetworkPolicy",
+        "metadata": {"name": name, "namespace": namespace},
+        "spec": {"podSelector": pods, "policyTypes": ["Ingress", "Egress"]},
+    }
+
+
+def _rules(table: Object, values: Object, namespace: str, name: str) -> dict[str, list[Object]]:
+    peers = {word: _peer(party, namespace) for word, party in table["parties"].items()}
+    ingress = [
+        {"from": [peers[word] for word in edge["from"]], "ports": _ports([edge["port"]])}
+        for edge in table["edges"]
+        if edge["to"] == name
+    ]
+    egress = [rule for edge in table["edges"] if name in edge["from"] for rule in _egress(edge, values, peers)]
+    return {"ingress": ingress, "egress": egress}
+
+
+def _egress(edge: Mapping[str, Any], values: Mapping[str, Any], peers: Mapping[str, Object]) -> Iterator[Object]:
+    if edge["to"] == NAME_SERVICE:
+        yield {"to": values["dns"]["to"], "ports": [*_ports([NAME_PORT], "UDP"), *_ports([NAME_PORT])]}
+    elif edge["to"] == API_SERVER:
+        yield {"to": values["apiServer"]["to"], "ports": _ports(values["apiServer"]["ports"])}
+    else:
+        yield {"to": [peers[edge["to"]]], "ports": _ports([edge["port"]])}
+
+
+def _ports(ports: Sequence[int], protocol: str = "TCP") -> list[Object]:
+    return [{"protocol": protocol, "port": port} for port in ports]
+
+
+def _peer(party: Mapping[str, Any], namespace: str) -> Object:
+    """Pods of Argo CD or of the platform; no others are its peers."""
+    own = party["namespaces"] == WORD
+    component = {"app.kubernetes.io/component": party.get("component"), "app.kubernetes.io/instance": PLATFORM}
+    names = {"kubernetes.io/metadata.name": namespace if own else PLATFORM}
+    return {
+        "namespaceSelector": {"matchLabels": names},
+        "podSelector": {"matchLabels": party["labels"] if own else component},
+    }

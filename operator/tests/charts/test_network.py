@@ -1,0 +1,308 @@
+"""Who may reach whom: the rendered NetworkPolicies say of every pair of pods, at every port, what the table of
+docs/reference/network.md says, and deny everything else."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from ci.cluster.addresses import PLANS
+from robotkube.foundation.kubernetes.core.network_policies import Endpoint, Policy, may_connect, read_policy
+from tests.stages.paths import CHARTS, REPOSITORY
+
+pytestmark = pytest.mark.toolchain
+
+Object = dict[str, Any]
+Reach = tuple[str, str, str, int]  # who, whom, protocol, port
+
+PLATFORM = CHARTS / "robotkube"
+PROFILES = Path(__file__).parent / "profiles"
+PAGE = REPOSITORY / "docs" / "reference" / "network.md"
+EDGE = re.compile(r"^\| (`.*`) \| `([a-z-]+)` \| (?:TCP (\d+)|[^|]+) \|", re.MULTILINE)
+PORTS = (53, 80, 443, 1883, 3000, 6379, 6443, 7000, 7400, 8080, 8081, 8083, 22, 27017)
+ASKED = [*(("TCP", port) for port in PORTS), ("UDP", 53), ("UDP", 7400), ("UDP", 8080)]
+AT = {"name-service": [("TCP", 53), ("UDP", 53)], "api-server": [("TCP", 6443)]}
+
+MONITORING = {"namespaceSelector": {"matchLabels": {"kubernetes.io/metadata.name": "monitoring"}}}
+STATED: Object = {  # what people state on a cluster of their own
+    "apiServer": {"to": [{"ipBlock": {"cidr": "172.18.0.2/32"}}], "ports": [6443]},
+    "clients": {
+        key: [{"ipBlock": {"cidr": "192.0.2.10/32"}}] for key in ("forge", "manager", "gate", "broker", "database")
+    },
+    "metrics": {"from": [MONITORING]},
+}
+ELSEWHERE = (
+    Endpoint("api-server", "172.18.0.2"),
+    Endpoint("client", "192.0.2.10"),
+    Endpoint("internet", "203.0.113.9"),
+    Endpoint("group", "239.255.0.1"),
+)
+HOST = Endpoint("host", str(PLANS["test"].gateway))
+
+
+def pod(namespace: str, name: str, labels: Mapping[str, str], number: int) -> Endpoint:
+    return Endpoint(
+        f"{namespace}/{name}", f"10.1.{number // 200}.{number % 200 + 1}", namespace, labels,
+        {"kubernetes.io/metadata.name": namespace},
+    )  # fmt: skip
+
+
+def templates(objects: Sequence[Object], namespace: str) -> Iterator[tuple[str, str, Object]]:
+    for one in objects:
+        if one["kind"] in ("Deployment", "StatefulSet", "Job"):
+            yield one["metadata"].get("namespace", namespace), one["metadata"]["name"], one["spec"]["template"]
+
+
+def pods(
+    platform: Any, argocd: Sequence[Object], apps: Mapping[str, Any], agents: Sequence[str]
+) -> dict[str, Endpoint]:
+    """The pods of every part with the labels that their charts render, by <namespace>/<name>."""
+    places = [(ns, name, dict(t["metadata"]["labels"])) for ns, name, t in templates(platform.objects, "robotkube")]
+    places += [(ns, name, dict(t["metadata"]["labels"])) for ns, name, t in templates(argocd, "argocd")]
+    places += [("robotkube", "manager-again", labels) for _, name, labels in list(places) if name == "manager"]
+    for agent, chart in product(agents, ("mqtt-bridge", "event-detector")):
+        [(_, _, template)] = templates(apps[chart].objects, agent)
+        places.append((agent, chart, {**template["metadata"]["labels"], "robotkube.io/agent": agent}))
+    for number, kind in product(range(2), ("subject", "helper")):
+        places.append((f"robotkube-suite-{number}", kind, {"robotkube.io/suite": kind}))
+        places.append((f"robotkube-suite-{number}", f"{kind}-again", {"robotkube.io/suite": kind}))
+    places.append(("kube-system", "coredns", {"k8s-app": "kube-dns"}))
+    places.append(("kube-system", "other", {}))
+    places.append(("monitoring", "prometheus", {}))
+    places.append(("default", "stranger", {"app.kubernetes.io/component": "manager"}))
+    return {found.name: found for number, place in enumerate(places) for found in [pod(*place, number)]}
+
+
+def policies(objects: Sequence[Object]) -> list[Policy]:
+    return [read_policy(one) for one in objects if one["kind"] == "NetworkPolicy"]
+
+
+def meaning(everybody: Mapping[str, Endpoint], recording: Sequence[str]) -> dict[str, set[str]]:
+    """The names of the table: which pods each means."""
+    names = ("manager", "gate", "suite-runner", "forge", "broker", "database", "bootstrap", "teardown")
+    found = {name: {f"robotkube/{name}"} for name in names}
+    found["manager"].add("robotkube/manager-again")
+    for name in ("repo-server", "application-controller", "applicationset-controller", "redis"):
+        found[name] = {f"argocd/argocd-{name}"}
+    found["argocd-server"] = {"argocd/argocd-server"}
+    applications = {name for name in everybody if name.endswith(("/mqtt-bridge", "/event-detector"))}
+    found["application"] = applications
+    found["recorder"] = {name for name in applications if name.split("/")[0] in recording}
+    tested = {name for name in everybody if name.startswith("robotkube-suite-")}
+    found |= {
+        "tested": tested,
+        "subject": {n for n in tested if "subject" in n},
+        "helper": {n for n in tested if "helper" in n},
+    }
+    return found | {"collector": set()}
+
+
+def expected(means: Mapping[str, set[str]]) -> set[Reach]:
+    """What the table of the page allows, one pair and port each."""
+    rows = EDGE.findall(PAGE.read_text(encoding="utf-8"))
+    assert len(rows) > 40
+    found: set[Reach] = set()
+    for who, whom, port in rows:
+        for name in re.findall("`([a-z-]+)`", who):
+            found |= reaches(means, name, whom, port)
+    return found
+
+
+def reaches(means: Mapping[str, set[str]], name: str, whom: str, port: str) -> set[Reach]:
+    if whom == "same":
+        inside = [(a, b) for a, b in product(means[name], means[name]) if a != b and a.split("/")[0] == b.split("/")[0]]
+        return {(a, b, *at) for a, b in inside for at in ASKED}
+    if whom == "multicast":
+        return {(a, "group", *at) for a in means[name] for at in ASKED if at[0] == "UDP"}
+    at = [("TCP", int(port))] if port else AT.get(whom, [])
+    return {(a, b, *one) for a, b in product(means[name], means[whom]) if a != b for one in at}
+
+
+def table(rules: Sequence[Policy], everybody: Mapping[str, Endpoint]) -> set[Reach]:
+    """What the policies allow, among all pods and addresses."""
+    pairs = product(everybody.values(), everybody.values())
+    return {
+        (source.name, target.name, *at)
+        for source, target in pairs
+        if source != target and (source.namespace or target.namespace)
+        for at in ASKED
+        if may_connect(rules, source, target, *at).allowed
+    }
+
+
+def difference(found: set[Reach], wanted: set[Reach]) -> dict[str, list[Reach]]:
+    return {"allowed, not in the table": sorted(found - wanted), "denied, in the table": sorted(wanted - found)}
+
+
+NOTHING: dict[str, list[Reach]] = {"allowed, not in the table": [], "denied, in the table": []}
+FREE = ("kube-system/", "monitoring/", "default/")  # namespaces that are not ours: nobody denies anything there
+
+
+def not_ours(reach: Reach) -> bool:
+    who, whom = (name.startswith(FREE) or "/" not in name for name in reach[:2])
+    return who and whom
+
+
+def of_ours(name: str) -> bool:
+    return "/" in name and not name.startswith(FREE)
+
+
+def each_side(rules: Sequence[Policy], everybody: Mapping[str, Endpoint], wanted: set[Reach]) -> dict[str, Any]:
+    """Where one side alone would allow more or less than the table: each must hold without the other."""
+    into = table([replace(one, egress=None) for one in rules], everybody)
+    out = table([replace(one, ingress=None) for one in rules], everybody)
+    return {
+        "ingress": difference({r for r in into if of_ours(r[1])}, {r for r in wanted if of_ours(r[1])}),
+        "egress": difference({r for r in out if of_ours(r[0])}, {r for r in wanted if of_ours(r[0])}),
+    }
+
+
+def test_the_embedded_cluster_allows_what_the_table_says_and_nothing_else(
+    embedded: Any, argocd: list[Object], apps: Mapping[str, Any]
+) -> None:
+    everybody = pods(embedded, argocd, apps, ("vehicle-00", "cloud-0"))
+    everybody |= {one.name: one for one in (HOST, *ELSEWHERE[2:])}
+    means = meaning(everybody, ["cloud-0"]) | {
+        word: {"host"} for word in ("api-server", "name-service", "metrics", "clients")
+    }
+    wanted = expected(means) - {("host", "robotkube/gate", "TCP", 8080)}  # nobody on the host calls the gate
+    rules = [*policies(embedded.objects), *policies(argocd)]
+    found = table(rules, everybody)
+    assert difference({one for one in found if not not_ours(one)}, wanted) == NOTHING
+    assert each_side(rules, everybody, wanted) == {"ingress": NOTHING, "egress": NOTHING}
+
+
+def test_a_cluster_of_ones_own_allows_what_the_table_says_and_nothing_else(
+    helm: Any, argocd: list[Object], apps: Mapping[str, Any]
+) -> None:
+    """Argo CD is here as its own manifests leave it: what it does elsewhere is not ours."""
+    rendered = helm.template(PLATFORM, PROFILES / "official.yaml", networkPolicies=STATED)
+    everybody = pods(rendered, argocd, apps, ("vehicle-00", "vehicle-01", "cloud-0"))
+    everybody |= {one.name: one for one in ELSEWHERE}
+    means = meaning(everybody, ["cloud-0"])
+    means |= {"api-server": {"api-server"}, "name-service": {"kube-system/coredns"}, "clients": {"client"}}
+    means["metrics"] = {"monitoring/prometheus"}
+
+    def elsewhere(reach: Reach) -> bool:
+        return not_ours(reach) or all(name.startswith((*FREE, "argocd/")) or "/" not in name for name in reach[:2])
+
+    found = {one for one in table(policies(rendered.objects), everybody) if not elsewhere(one)}
+    assert difference(found, {one for one in expected(means) if not elsewhere(one)}) == NOTHING
+
+
+def test_what_a_vehicle_and_a_chart_under_test_reach(
+    embedded: Any, argocd: list[Object], apps: Mapping[str, Any]
+) -> None:
+    """Written down by hand, beside the table."""
+    everybody = pods(embedded, argocd, apps, ("vehicle-00", "cloud-0"))
+    everybody |= {one.name: one for one in (HOST, *ELSEWHERE[2:])}
+    rules = [*policies(embedded.objects), *policies(argocd)]
+
+    def whom(who: str) -> set[tuple[str, str, int]]:
+        own = who.split("/")[0]
+        others = [one for one in everybody.values() if one.namespace != own]
+        return {
+            (one.name, *at) for one in others for at in ASKED if may_connect(rules, everybody[who], one, *at).allowed
+        }
+
+    host = {("host", "TCP", 53), ("host", "UDP", 53), ("host", "TCP", 6443)}
+    multicast = {("group", "UDP", port) for port in (53, 7400, 8080)}
+    broker, database = ("robotkube/broker", "TCP", 1883), ("robotkube/database", "TCP", 27017)
+    assert whom("vehicle-00/mqtt-bridge") == {*host, *multicast, broker}
+    assert whom("cloud-0/event-detector") == {*host, *multicast, broker, database}
+    assert whom("robotkube-suite-0/subject") == {*multicast, ("host", "TCP", 6443)}
+    assert whom("robotkube-suite-0/helper") == multicast
+    assert whom("robotkube/broker") == whom("robotkube/database") == set()
+    assert whom("robotkube/gate") == {
+        ("host", "TCP", 53),
+        ("host", "UDP", 53),
+        ("argocd/argocd-applicationset-controller", "TCP", 7000),
+    }
+
+
+def test_without_addresses_only_ports_of_the_api_server_are_open_and_none_of_ours(official: Any) -> None:
+    bridge = pod("vehicle-00", "bridge", {}, 0)
+    internet, manager = ELSEWHERE[2], pod("robotkube", "manager", {"app.kubernetes.io/component": "manager"}, 1)
+    rules = policies(official.objects)
+    assert {at for at in ASKED if may_connect(rules, bridge, internet, *at).allowed} == {("TCP", 443), ("TCP", 6443)}
+    assert not [at for at in ASKED if may_connect(rules, bridge, manager, *at).allowed]
+    assert not [at for at in ASKED if may_connect(rules, internet, manager, *at).allowed]
+
+
+def test_no_rule_lets_everybody_in(official: Any, embedded: Any, argocd: list[Object]) -> None:
+    """A rule without peers would; an empty list of clients must not become one."""
+    for one in [*policies(official.objects), *policies(embedded.objects), *policies(argocd)]:
+        assert all(rule.peers for rule in one.ingress or ()), f"{one.namespace}/{one.name}"
+
+
+@pytest.mark.parametrize("profile", ["official", "embedded"])
+def test_everything_is_denied_first_in_each_namespace_of_ours(request: pytest.FixtureRequest, profile: str) -> None:
+    rendered = request.getfixturevalue(profile)
+    made = {one["metadata"]["name"] for one in rendered.of_kind("Namespace")} | {"robotkube"}
+    denying = [one for one in policies(rendered.objects) if one.name == "default-deny"]
+    assert {one.namespace for one in denying} == made
+    assert all((one.pods, one.ingress, one.egress) == ((), (), ()) for one in denying)
+
+
+def test_the_embedded_profile_names_the_gateways_of_both_clusters() -> None:
+    values = yaml.safe_load((PLATFORM / "values-embedded.yaml").read_text(encoding="utf-8"))["networkPolicies"]
+    gateways = [{"ipBlock": {"cidr": f"{plan.gateway}/32"}} for plan in PLANS.values()]
+    assert values["apiServer"]["to"] == values["dns"]["to"] == values["metrics"]["from"] == gateways
+
+
+def test_disabled_means_none(helm: Any) -> None:
+    rendered = helm.template(PLATFORM, PROFILES / "official.yaml", networkPolicies={"enabled": False})
+    assert rendered.of_kind("NetworkPolicy") == []
+
+
+def test_what_stands_elsewhere_is_reached_at_its_port_alone(helm: Any) -> None:
+    address = [{"ipBlock": {"cidr": "198.51.100.0/24"}}]
+    forge = {"kind": "external", "external": {"url": "https://git.example:8443", "protocol": "gitlab"}}
+    rendered = helm.template(
+        PLATFORM,
+        PROFILES / "official.yaml",
+        forge=forge,
+        broker={"kind": "external", "external": {"host": "mqtt.example", "port": 8883}},
+        database={"kind": "external", "external": {"host": "mongo.example", "port": 27018}},
+        traces={"endpoint": "http://collector.example:4318/v1/traces"},
+        networkPolicies={**STATED, "outside": {"to": address}},
+    )
+    rules, there = policies(rendered.objects), Endpoint("there", "198.51.100.7")
+    asked = [("TCP", port) for port in (443, 1883, 3000, 4318, 6443, 8443, 8883, 27017, 27018)]
+
+    def reached(namespace: str, component: str = "") -> set[int]:
+        labels = {"app.kubernetes.io/component": component, "app.kubernetes.io/instance": "robotkube"}
+        own = pod(namespace, "pod", labels, 0)
+        return {port for protocol, port in asked if may_connect(rules, own, there, protocol, port).allowed}
+
+    assert reached("robotkube", "gate") == {443, 8443}  # 443: gitlab's public API
+    assert reached("robotkube", "manager") == {443, 8443, 8883, 4318}
+    assert reached("vehicle-00") == {8883}
+    assert reached("cloud-0") == {8883, 27018}
+
+
+def test_further_rules_reach_the_pods_they_are_for(helm: Any) -> None:
+    webhook, dashboard = [{"ipBlock": {"cidr": "192.0.2.20/32"}}], [{"ipBlock": {"cidr": "192.0.2.30/32"}}]
+    port = [{"protocol": "TCP", "port": 8443}]
+    stated = {
+        "extraEgress": {"application": [{"to": webhook, "ports": port}]},
+        "extraIngress": {"application": [{"from": dashboard, "ports": port}]},
+    }
+    rules = policies(helm.template(PLATFORM, PROFILES / "official.yaml", networkPolicies=stated).objects)
+    vehicle, gate = (
+        pod("vehicle-00", "pod", {}, 0),
+        pod("robotkube", "gate", {"app.kubernetes.io/component": "gate"}, 1),
+    )
+    to, by = Endpoint("to", "192.0.2.20"), Endpoint("by", "192.0.2.30")
+    assert may_connect(rules, vehicle, to, "TCP", 8443).allowed
+    assert may_connect(rules, by, vehicle, "TCP", 8443).allowed
+    assert not may_connect(rules, vehicle, by, "TCP", 8443).allowed
+    assert not may_connect(rules, to, vehicle, "TCP", 8443).allowed
+    assert not may_connect(rules, gate, to, "TCP", 8443).allowed
