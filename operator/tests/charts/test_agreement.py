@@ -93,7 +93,7 @@ def test_the_bootstrap_gives_the_package_rights_that_are_tried_on_a_forge(offici
     found = read_settings(mounted(official, "bootstrap", tmp_path), bootstrap.read_configuration)
     assert found.forge is not None
     assert {one.name: one.packages for one in found.forge.setup.organisations} == PACKAGES
-    assert {one.name for one in found.forge.setup.accounts} == set(ACCOUNTS) - {"reviewer"}
+    assert {one.name for one in found.forge.setup.accounts} == set(ACCOUNTS)
 
 
 def test_each_webhook_has_a_secret_of_its_own_that_both_ends_know(helm: Any, tmp_path: Path) -> None:

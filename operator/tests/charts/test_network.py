@@ -14,7 +14,7 @@ import pytest
 import yaml
 
 from ci.cluster.addresses import PLANS
-from robotkube.foundation.kubernetes.core.network_policies import Endpoint, Policy, may_connect, read_policy
+from robotkube.foundation.kubernetes.core.network_policies import NetworkPeer, NetworkPolicy, may_connect, read_policy
 from tests.stages.paths import CHARTS, REPOSITORY
 
 pytestmark = pytest.mark.toolchain
@@ -39,16 +39,16 @@ STATED: Object = {  # what people state on a cluster of their own
     "metrics": {"from": [MONITORING]},
 }
 ELSEWHERE = (
-    Endpoint("api-server", "172.18.0.2"),
-    Endpoint("client", "192.0.2.10"),
-    Endpoint("internet", "203.0.113.9"),
-    Endpoint("group", "239.255.0.1"),
+    NetworkPeer("api-server", "172.18.0.2"),
+    NetworkPeer("client", "192.0.2.10"),
+    NetworkPeer("internet", "203.0.113.9"),
+    NetworkPeer("group", "239.255.0.1"),
 )
-HOST = Endpoint("host", str(PLANS["test"].gateway))
+HOST = NetworkPeer("host", str(PLANS["test"].gateway))
 
 
-def pod(namespace: str, name: str, labels: Mapping[str, str], number: int) -> Endpoint:
-    return Endpoint(
+def pod(namespace: str, name: str, labels: Mapping[str, str], number: int) -> NetworkPeer:
+    return NetworkPeer(
         f"{namespace}/{name}", f"10.1.{number // 200}.{number % 200 + 1}", namespace, labels,
         {"kubernetes.io/metadata.name": namespace},
     )  # fmt: skip
@@ -62,7 +62,7 @@ def templates(objects: Sequence[Object], namespace: str) -> Iterator[tuple[str, 
 
 def pods(
     platform: Any, argocd: Sequence[Object], apps: Mapping[str, Any], agents: Sequence[str]
-) -> dict[str, Endpoint]:
+) -> dict[str, NetworkPeer]:
     """The pods of every part with the labels that their charts render, by <namespace>/<name>."""
     places = [(ns, name, dict(t["metadata"]["labels"])) for ns, name, t in templates(platform.objects, "robotkube")]
     places += [(ns, name, dict(t["metadata"]["labels"])) for ns, name, t in templates(argocd, "argocd")]
@@ -80,11 +80,11 @@ def pods(
     return {found.name: found for number, place in enumerate(places) for found in [pod(*place, number)]}
 
 
-def policies(objects: Sequence[Object]) -> list[Policy]:
+def policies(objects: Sequence[Object]) -> list[NetworkPolicy]:
     return [read_policy(one) for one in objects if one["kind"] == "NetworkPolicy"]
 
 
-def meaning(everybody: Mapping[str, Endpoint], recording: Sequence[str]) -> dict[str, set[str]]:
+def meaning(everybody: Mapping[str, NetworkPeer], recording: Sequence[str]) -> dict[str, set[str]]:
     """The names of the table: which pods each means."""
     names = ("manager", "gate", "suite-runner", "forge", "broker", "database", "bootstrap", "teardown")
     found = {name: {f"robotkube/{name}"} for name in names}
@@ -125,7 +125,7 @@ def reaches(means: Mapping[str, set[str]], name: str, whom: str, port: str) -> s
     return {(a, b, *one) for a, b in product(means[name], means[whom]) if a != b for one in at}
 
 
-def table(rules: Sequence[Policy], everybody: Mapping[str, Endpoint]) -> set[Reach]:
+def table(rules: Sequence[NetworkPolicy], everybody: Mapping[str, NetworkPeer]) -> set[Reach]:
     """What the policies allow, among all pods and addresses."""
     pairs = product(everybody.values(), everybody.values())
     return {
@@ -154,7 +154,9 @@ def of_ours(name: str) -> bool:
     return "/" in name and not name.startswith(FREE)
 
 
-def each_side(rules: Sequence[Policy], everybody: Mapping[str, Endpoint], wanted: set[Reach]) -> dict[str, Any]:
+def each_side(
+    rules: Sequence[NetworkPolicy], everybody: Mapping[str, NetworkPeer], wanted: set[Reach]
+) -> dict[str, Any]:
     """Where one side alone would allow more or less than the table: each must hold without the other."""
     into = table([replace(one, egress=None) for one in rules], everybody)
     out = table([replace(one, ingress=None) for one in rules], everybody)
@@ -274,7 +276,7 @@ def test_what_stands_elsewhere_is_reached_at_its_port_alone(helm: Any) -> None:
         traces={"endpoint": "http://collector.example:4318/v1/traces"},
         networkPolicies={**STATED, "outside": {"to": address}},
     )
-    rules, there = policies(rendered.objects), Endpoint("there", "198.51.100.7")
+    rules, there = policies(rendered.objects), NetworkPeer("there", "198.51.100.7")
     asked = [("TCP", port) for port in (443, 1883, 3000, 4318, 6443, 8443, 8883, 27017, 27018)]
 
     def reached(namespace: str, component: str = "") -> set[int]:
@@ -300,7 +302,7 @@ def test_further_rules_reach_the_pods_they_are_for(helm: Any) -> None:
         pod("vehicle-00", "pod", {}, 0),
         pod("robotkube", "gate", {"app.kubernetes.io/component": "gate"}, 1),
     )
-    to, by = Endpoint("to", "192.0.2.20"), Endpoint("by", "192.0.2.30")
+    to, by = NetworkPeer("to", "192.0.2.20"), NetworkPeer("by", "192.0.2.30")
     assert may_connect(rules, vehicle, to, "TCP", 8443).allowed
     assert may_connect(rules, by, vehicle, "TCP", 8443).allowed
     assert not may_connect(rules, vehicle, by, "TCP", 8443).allowed

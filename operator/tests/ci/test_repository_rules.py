@@ -195,7 +195,7 @@ def test_the_templates_of_repositories_import_nothing_of_ours(place: Path) -> No
     write(place, name, "import yaml\n")
     assert findings(place) == []
     write(place, name, "import yaml\nfrom ci import toolchain\n")
-    assert findings(place) == [f"{name}:2: imports ci; gitops stands below everything, it imports none"]
+    assert findings(place) == [f"{name}:2: imports ci; gitops stands below all others, it imports none of them"]
 
 
 def test_every_module_is_formatted_and_read() -> None:

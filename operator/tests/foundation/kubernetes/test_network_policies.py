@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 
 from robotkube.errors import InputError
-from robotkube.foundation.kubernetes.core.network_policies import Endpoint, may_connect, read_policy
+from robotkube.foundation.kubernetes.core.network_policies import NetworkPeer, may_connect, read_policy
 
-WEB = Endpoint("web", "10.1.0.2", "shop", {"app": "web"}, {"team": "shop"}, {("TCP", "http"): 8080})
-DATABASE = Endpoint("database", "10.1.0.3", "shop", {"app": "database"}, {"team": "shop"})
-STRANGER = Endpoint("stranger", "10.1.9.9", "elsewhere", {"app": "web"}, {"team": "other"})
-OUTSIDE = Endpoint("outside", "192.0.2.7")
+WEB = NetworkPeer("web", "10.1.0.2", "shop", {"app": "web"}, {"team": "shop"}, {("TCP", "http"): 8080})
+DATABASE = NetworkPeer("database", "10.1.0.3", "shop", {"app": "database"}, {"team": "shop"})
+STRANGER = NetworkPeer("stranger", "10.1.9.9", "elsewhere", {"app": "web"}, {"team": "other"})
+OUTSIDE = NetworkPeer("outside", "192.0.2.7")
 
 
 def policy(spec: dict[str, Any], namespace: str = "shop", name: str = "policy") -> Any:
@@ -27,7 +27,9 @@ def ingress(rule: dict[str, Any], pods: dict[str, Any] | None = None) -> Any:
     return policy({"podSelector": pods or {}, "policyTypes": ["Ingress"], "ingress": [rule]})
 
 
-def allowed(policies: list[Any], source: Endpoint, target: Endpoint, port: int = 8080, protocol: str = "TCP") -> bool:
+def allowed(
+    policies: list[Any], source: NetworkPeer, target: NetworkPeer, port: int = 8080, protocol: str = "TCP"
+) -> bool:
     return may_connect(policies, source, target, protocol, port).allowed
 
 

@@ -39,6 +39,7 @@ FORGE = "foundation.forge.adapters.hosts.gitea.GiteaForge."
 ELSEWHERE = {  # what other processes and tests answer for, by the start of the name
     "foundation.forge.adapters.git.clones.GitClone.push_main": "delivery/gate/test_gate.py",
     "foundation.forge.adapters.git.notes.": "delivery/gate/test_plan_notes.py",
+    "foundation.forge.adapters.git.working_clones.": "foundation/forge/test_break_glass.py",
     f"{FORGE}edit_comment": "registry/publication/test_publication_on_forge.py",
     "foundation.forge.adapters.hosts.github.": "recorded protocol only",
     "foundation.forge.adapters.hosts.gitlab.": "recorded protocol only",
@@ -95,6 +96,7 @@ UNCHECKED = (  # by the start of the name
     "registry.charts.adapters.oci",  # publication's own points
     "foundation.forge.adapters.push_hooks",  # these ask others to look or to begin, and change nothing
     "delivery.manager.adapters.argocd",
+    "foundation.forge.adapters.git.histories",  # what it pushes are commits into a walk: it reads
     "registry.suites.adapters.runner_protocol",
 )
 

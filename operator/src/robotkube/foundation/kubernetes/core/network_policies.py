@@ -22,7 +22,7 @@ NONE: Mapping[str, Any] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
-class Endpoint:
+class NetworkPeer:
     """Who connects or is connected to: a pod, or, without a namespace, an address outside of the cluster's pods."""
 
     name: str
@@ -76,7 +76,7 @@ class Peer:
     namespaces: Selector | None = None
     block: Block | None = None
 
-    def holds(self, namespace: str, other: Endpoint) -> bool:
+    def holds(self, namespace: str, other: NetworkPeer) -> bool:
         """Whether `other` is meant by a policy of this namespace."""
         if self.block is not None:
             return self.block.holds(other.address)
@@ -97,7 +97,7 @@ class Port:
     port: int | str | None = None
     last: int | None = None
 
-    def holds(self, target: Endpoint, protocol: str, port: int) -> bool:
+    def holds(self, target: NetworkPeer, protocol: str, port: int) -> bool:
         """Whether this port of the target is meant."""
         if protocol != self.protocol or self.port is None:
             return protocol == self.protocol
@@ -106,7 +106,7 @@ class Port:
 
 
 @dataclass(frozen=True)
-class Rule:
+class PolicyRule:
     """Peers and ports; without peers everybody is meant, without ports every port of every protocol."""
 
     peers: tuple[Peer, ...]
@@ -114,16 +114,16 @@ class Rule:
 
 
 @dataclass(frozen=True)
-class Policy:
+class NetworkPolicy:
     """One NetworkPolicy. A direction that it does not speak about is None; one without rules denies everything."""
 
     namespace: str
     name: str
     pods: Selector
-    ingress: tuple[Rule, ...] | None
-    egress: tuple[Rule, ...] | None
+    ingress: tuple[PolicyRule, ...] | None
+    egress: tuple[PolicyRule, ...] | None
 
-    def selects(self, pod: Endpoint) -> bool:
+    def selects(self, pod: NetworkPeer) -> bool:
         """Whether it is about this pod."""
         return pod.namespace == self.namespace and _selects(self.pods, pod.labels)
 
@@ -136,7 +136,9 @@ class Verdict:
     reason: str
 
 
-def may_connect(policies: Sequence[Policy], source: Endpoint, target: Endpoint, protocol: str, port: int) -> Verdict:
+def may_connect(
+    policies: Sequence[NetworkPolicy], source: NetworkPeer, target: NetworkPeer, protocol: str, port: int
+) -> Verdict:
     """Whether `source` may connect to this port of `target`. A pod may always connect to itself."""
     if source.namespace and (source.namespace, source.name) == (target.namespace, target.name):
         return Verdict(True, f"{source.namespace}/{source.name} is itself")
@@ -146,7 +148,11 @@ def may_connect(policies: Sequence[Policy], source: Endpoint, target: Endpoint, 
 
 
 def _direction(
-    policies: Sequence[Policy], own: Endpoint, other: Endpoint, direction: str, to: tuple[Endpoint, str, int]
+    policies: Sequence[NetworkPolicy],
+    own: NetworkPeer,
+    other: NetworkPeer,
+    direction: str,
+    to: tuple[NetworkPeer, str, int],
 ) -> Verdict:
     selecting = [one for one in policies if getattr(one, direction) is not None and one.selects(own)]
     if not own.namespace or not selecting:
@@ -159,7 +165,7 @@ def _direction(
     return Verdict(False, f"{direction} of {own.namespace}/{own.name}: none of {names} allows it")
 
 
-def _applies(rule: Rule, namespace: str, other: Endpoint, to: tuple[Endpoint, str, int]) -> bool:
+def _applies(rule: PolicyRule, namespace: str, other: NetworkPeer, to: tuple[NetworkPeer, str, int]) -> bool:
     peers = not rule.peers or any(peer.holds(namespace, other) for peer in rule.peers)
     return peers and (not rule.ports or any(port.holds(*to) for port in rule.ports))
 
@@ -168,7 +174,7 @@ def _selects(selector: Selector, labels: Mapping[str, str]) -> bool:
     return all(requirement.holds(labels) for requirement in selector)
 
 
-def read_policy(document: Mapping[str, Any]) -> Policy:
+def read_policy(document: Mapping[str, Any]) -> NetworkPolicy:
     """The policy of a Kubernetes object. InputError names policy, key and fix for what is not understood: a rule that
     was read wrongly would let in whom nobody meant."""
     metadata = document.get("metadata", {})
@@ -177,7 +183,7 @@ def read_policy(document: Mapping[str, Any]) -> Policy:
     types = spec.get("policyTypes") or ["Ingress", *(["Egress"] if spec.get("egress") else [])]
     if not set(types) <= {"Ingress", "Egress"}:
         raise InputError(f"{where}: spec.policyTypes: {types} must name Ingress, Egress or both")
-    return Policy(
+    return NetworkPolicy(
         namespace=str(metadata.get("namespace", "")),
         name=str(metadata.get("name", "")),
         pods=_selector(spec.get("podSelector") or {}, f"{where}: spec.podSelector"),
@@ -195,14 +201,14 @@ def _known(value: Any, where: str, *keys: str) -> Mapping[str, Any]:
     return value
 
 
-def _rules(spec: Mapping[str, Any], where: str, direction: str, key: str) -> tuple[Rule, ...]:
+def _rules(spec: Mapping[str, Any], where: str, direction: str, key: str) -> tuple[PolicyRule, ...]:
     found = []
     for number, stated in enumerate(spec.get(direction) or ()):
         at = f"{where}: spec.{direction}[{number}]"
         rule = _known(stated, at, key, "ports")
         peers = tuple(_peer(peer, f"{at}.{key}[{i}]") for i, peer in enumerate(rule.get(key) or ()))
         ports = tuple(_port(port, f"{at}.ports[{i}]") for i, port in enumerate(rule.get("ports") or ()))
-        found.append(Rule(peers, ports))
+        found.append(PolicyRule(peers, ports))
     return tuple(found)
 
 
