@@ -42,7 +42,7 @@ def administration(forge_process: ForgeProcess) -> Iterator[GiteaAdministration]
 
 
 @pytest.fixture(scope="session")
-def installation(
+def shared_installation(
     forge_process: ForgeProcess, administration: GiteaAdministration, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Installation]:
     passwords = {name: secrets.token_hex(12) for name in ACCOUNTS}
@@ -52,6 +52,13 @@ def installation(
     made = Installation(forge_process.url, passwords, port, tmp_path_factory.mktemp("clones"), setup)
     yield made
     made.disconnect()
+
+
+@pytest.fixture(scope="module")
+def installation(shared_installation: Installation) -> Iterator[Installation]:
+    """The forge that all modules share. What one leaves open, the gates of the next would judge and count."""
+    yield shared_installation
+    shared_installation.close_pull_requests()
 
 
 @pytest.fixture(scope="module")

@@ -263,6 +263,15 @@ class Installation:
         answer.raise_for_status()
         return dict(answer.json())
 
+    def close_pull_requests(self) -> None:
+        """Close those that are open in either repository."""
+        client = self.client("gate")
+        for repository in ("deployment", "catalogue"):
+            pulls = f"{self.url}/api/v1/repos/robotkube/{repository}/pulls"
+            while listed := client.get(pulls, params={"state": "open"}).raise_for_status().json():
+                for pull in listed:
+                    client.patch(f"{pulls}/{pull['number']}", json={"state": "closed"}).raise_for_status()
+
     def comments(self, number: int) -> str:
         """All comments as one text."""
         return "\n".join(item["body"] for item in self.client("gate").get(f"/issues/{number}/comments").json())
