@@ -264,13 +264,14 @@ class Installation:
         return dict(answer.json())
 
     def close_pull_requests(self) -> None:
-        """Close those that are open in either repository."""
+        """Close those that are open in either repository; one that the forge is just marking as merged stays as it is."""
         client = self.client("gate")
         for repository in ("deployment", "catalogue"):
             pulls = f"{self.url}/api/v1/repos/robotkube/{repository}/pulls"
-            while listed := client.get(pulls, params={"state": "open"}).raise_for_status().json():
-                for pull in listed:
-                    client.patch(f"{pulls}/{pull['number']}", json={"state": "closed"}).raise_for_status()
+            for pull in client.get(pulls, params={"state": "open", "limit": 50}).raise_for_status().json():
+                answer = client.patch(f"{pulls}/{pull['number']}", json={"state": "closed"})
+                if answer.status_code != httpx.codes.PRECONDITION_FAILED:  # merged meanwhile
+                    answer.raise_for_status()
 
     def comments(self, number: int) -> str:
         """All comments as one text."""
