@@ -264,7 +264,7 @@ class Installation:
         return dict(answer.json())
 
     def close_pull_requests(self) -> None:
-        """Close those that are open in either repository; one that the forge is just marking as merged stays as it is."""
+        """Close those that are open in either repository, but for what the forge is just marking as merged."""
         client = self.client("gate")
         for repository in ("deployment", "catalogue"):
             pulls = f"{self.url}/api/v1/repos/robotkube/{repository}/pulls"
