@@ -348,9 +348,10 @@ class Journal:
     def _bound_waiting(self) -> None:
         unreachable = self._place.monotonic() - self._unreachable_since
         urgent = unreachable > SPOOL_SECONDS or (unreachable >= 0 and self._durable_waits())
-        if urgent or self._waiting_bytes > self._bounds.waiting_bytes:
-            self._spool_waiting()
-        if self._waiting_bytes > 2 * self._bounds.waiting_bytes:
+        if not (urgent or self._waiting_bytes > self._bounds.waiting_bytes):
+            return
+        # what was added while the spool was written is the next turn's: only a volume that refuses costs messages
+        if not self._spool_waiting() and self._waiting_bytes > 2 * self._bounds.waiting_bytes:
             self._drop_waiting()
 
     def _durable_waits(self) -> bool:
@@ -358,18 +359,21 @@ class Journal:
         with self._lock:
             return any(write is self._last_durable for write in self._waiting)
 
-    def _spool_waiting(self) -> None:
-        """Write everything that waits to one file of the spool; on a full disk the oldest files are given up."""
+    def _spool_waiting(self) -> bool:
+        """Write everything that waits to one file of the spool, on a full disk in place of the oldest files; whether
+        the volume has it now."""
         with self._lock:
             writes = list(self._waiting)
-        if not writes or self._spool is None:
-            return
+        if self._spool is None:
+            return False
+        if not writes:
+            return True
         try:
             while not (batch := self._put_batch(self._spool, writes)):
                 pass
         except OSError as error:
             self._log_problem(f"spool on {self._place.volume}: {error}")
-            return
+            return False
         self._spooled = True
         self._unreachable_since = self._place.monotonic()
         self._count_urgent()
@@ -384,6 +388,7 @@ class Journal:
             self._bound_spool(self._spool)
         except OSError as error:
             self._log_problem(f"spool on {self._place.volume}: {error}")
+        return True
 
     def _put_batch(self, spool: Spool, writes: Sequence[Write]) -> str:
         """Spool writes; the batch's name, empty when space was freed to try again. OSError when none can be freed."""
