@@ -73,7 +73,7 @@ def working_tree(revision: str) -> Iterator[Path]:
 
 
 def measured(tree: Path, benchmark: str) -> tuple[Round, Mapping[str, str]]:
-    """The figures that one benchmark of a tree gives, and their units. A bound that does not hold fails nothing here."""
+    """The figures that one benchmark of a tree gives, and their units. A bound that fails is no error here."""
     module = "benchmarks" if (tree / "benchmarks").is_dir() else "ci.benchmarks"
     (tree / RESULT).unlink(missing_ok=True)
     subprocess.run(
