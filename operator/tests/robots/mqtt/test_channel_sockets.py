@@ -141,6 +141,11 @@ def test_a_socket_that_cannot_be_prepared_is_closed(server: Server, monkeypatch:
 
     monkeypatch.setattr(paho_channel, "_prepare_socket", refuse)
     channel = channel_to(lambda: server.account)
-    until(lambda: channel.turn(0.0) or "the peer is gone" in str(channel.complaint), "refused")
+
+    def refused() -> bool:
+        channel.turn(0.0)
+        return "the peer is gone" in str(channel.complaint)
+
+    until(refused, "refused")
     assert [one.fileno() for one in made] == [-1]
     assert everything(server.accept()) == b""
