@@ -113,7 +113,7 @@ def _rows(root: Schema, schema: Schema, path: str, defaults: Any) -> Iterator[Ro
         full = f"{path}.{key}" if path else key
         inner = _resolved(root, stated)
         own = defaults.get(key) if isinstance(defaults, Mapping) else None
-        default = own if isinstance(defaults, Mapping) else inner.get("default")
+        default = own if isinstance(defaults, Mapping) and key in defaults else inner.get("default")
         if full.startswith(SILENT):
             continue
         if "properties" not in inner or "$ref" in stated:

@@ -1,6 +1,6 @@
-"""`make reference`: docs/reference/schemas.md from the JSON Schemas of registry/schemas/, metrics.md, rules.md and
-the metrics of event-detector.md from the code, the commands of command-line.md from the command line's parser, and the
-tables of network.md from the platform chart's; and what is generated in charts.
+"""`make reference`: docs/reference/schemas.md from the JSON Schemas of registry/schemas/, metrics.md, rules.md, logs.md
+and the metrics of event-detector.md from the code, the commands of command-line.md from the command line's parser, and
+the tables of network.md from the platform chart's; and what is generated in charts.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from ci import (
     chart_reference,
     command_reference,
     detector_reference,
+    log_reference,
     markdown,
     network_reference,
     rule_reference,
@@ -186,6 +187,8 @@ if __name__ == "__main__":
     commands = command_reference.PAGE
     commands.write_text(command_reference.page(commands.read_text(encoding="utf-8")), encoding="utf-8")
     rule_reference.PAGE.write_text(rule_reference.page(), encoding="utf-8")
+    log_reference.PAGE.write_text(log_reference.page(log_reference.events()), encoding="utf-8")
+    print(log_reference.PAGE.relative_to(TOP))
     detector = detector_reference.PAGE
     detector.write_text(detector_reference.page(detector.read_text(encoding="utf-8")), encoding="utf-8")
     print(detector.relative_to(TOP))

@@ -106,13 +106,13 @@
 {{- if and (eq .Values.broker.kind "external") (not .Values.images.mosquitto) }}
 {{- $problems = append $problems (printf "suites.enabled is true, but images.mosquitto, the broker that suites start, is empty. Give its reference, %s" $off) }}
 {{- end }}
-{{- if and (not .Values.suites.testNamespace) (lt (len (.Values.suites.room | default dict)) 2) }}
+{{- if and (not (hasKey .Values.suites "testNamespace")) (lt (len (.Values.suites.room | default dict)) 2) }}
 {{- $problems = append $problems "suites.testNamespace is empty: the pods of a test namespace would have no limit. Give cpu and memory, or leave it out." }}
 {{- end }}
-{{- range $key, $default := dict "cpu" "1" "memory" "4Gi" }}
+{{- range $key := list "cpu" "memory" }}
 {{- $former := get ($.Values.suites.room | default dict) $key }}
 {{- $now := get ($.Values.suites.testNamespace | default dict) $key }}
-{{- if and $former $now (ne $now $default) (ne $now $former) }}
+{{- if and $former $now (ne $now $former) }}
 {{- $problems = append $problems (printf "suites.room.%s is %q, but suites.testNamespace.%s, its new name, is %q. Remove suites.room." $key $former $key $now) }}
 {{- end }}
 {{- end }}

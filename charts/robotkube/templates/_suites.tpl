@@ -3,10 +3,11 @@
 robotkube-suite-{{ . }}
 {{- end }}
 
-{{- /* What the pods of one test namespace may request together, as JSON: suites.testNamespace, and over it what the former key
-       suites.room has. */ -}}
+{{- /* What the pods of one test namespace may request together, as JSON: suites.testNamespace, what the former key suites.room
+       has, and the defaults. These stand here (and in the schema, for readers), since values.yaml could not be told from what
+       somebody wrote: what is written under both names is refused (_refusals.tpl). */ -}}
 {{- define "robotkube.testNamespaceLimits" -}}
-{{- toJson (merge dict (.Values.suites.room | default dict) (.Values.suites.testNamespace | default dict)) }}
+{{- toJson (merge dict (.Values.suites.testNamespace | default dict) (.Values.suites.room | default dict) (dict "cpu" "1" "memory" "4Gi")) }}
 {{- end }}
 
 {{- /* The agent on whose node suites run: the named one, else the first of role cloud; empty when there is none. */ -}}

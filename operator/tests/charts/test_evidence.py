@@ -167,8 +167,16 @@ def limits(rendered: Any) -> tuple[str, str, str]:
 
 
 def test_the_former_name_of_the_limits_counts_with_a_warning(helm: Any, platform: Any, tmp_path: Path) -> None:
-    assert limits(platform) == ("1", "4Gi", "4Gi")
+    stated = json.loads((PLATFORM / "values.schema.json").read_text())["properties"]["suites"]["properties"]
+    defaults = [stated["testNamespace"]["properties"][key]["default"] for key in ("cpu", "memory", "memory")]
+    assert limits(platform) == ("1", "4Gi", "4Gi") == tuple(defaults)
     assert limits(helm.template(PLATFORM, PROFILE, suites={"testNamespace": {"cpu": "3"}})) == ("3", "4Gi", "4Gi")
+    one_each = {"testNamespace": {"cpu": "3"}, "room": {"memory": "8Gi"}}
+    assert limits(helm.template(PLATFORM, PROFILE, suites=one_each)) == ("3", "8Gi", "8Gi")
+    the_same = {"testNamespace": {"cpu": "2"}, "room": {"cpu": "2"}}
+    assert limits(helm.template(PLATFORM, PROFILE, suites=the_same)) == ("2", "4Gi", "4Gi")
+    instead = {"testNamespace": None, "room": {"cpu": "2", "memory": "8Gi"}}
+    assert limits(helm.template(PLATFORM, PROFILE, suites=instead)) == ("2", "8Gi", "8Gi")
     former = {"suites": {"room": {"cpu": "2", "memory": "8Gi"}}}
     assert limits(helm.template(PLATFORM, PROFILE, **former)) == ("2", "8Gi", "8Gi")
     assert "WARNING: the value suites.room has another name, suites.testNamespace" in notes(helm, former, tmp_path)

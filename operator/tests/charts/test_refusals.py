@@ -139,9 +139,17 @@ REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
         "images.mosquitto, the broker that suites start, is empty.",
     ),
     "no limits of test namespaces": ({"suites": {"testNamespace": None}}, "suites.testNamespace is empty: the pods of"),
+    "no limits of test namespaces, and one former one": (
+        {"suites": {"testNamespace": None, "room": {"cpu": "2"}}},
+        "suites.testNamespace is empty: the pods of",
+    ),
     "limits under both names": (
         {"suites": {"testNamespace": {"cpu": "3"}, "room": {"cpu": "2"}}},
         'suites.room.cpu is "2", but suites.testNamespace.cpu, its new name, is "3". Remove suites.room.',
+    ),
+    "the default limit under the new name, another one under the former": (
+        {"suites": {"testNamespace": {"memory": "4Gi"}, "room": {"memory": "8Gi"}}},
+        'suites.room.memory is "8Gi", but suites.testNamespace.memory, its new name, is "4Gi". Remove suites.room.',
     ),
     "no agent for suites": (
         {"agents": [VEHICLE]},
@@ -209,6 +217,7 @@ def test_platform_says_all_problems_at_once(helm: Any) -> None:
             {"suites": {"testNamespace": {"cpu": "much"}}},
             "at '/suites/testNamespace/cpu': 'much' does not match pattern",
         ),
+        ({"suites": {"testNamespace": {"cpu": None}}}, "at '/suites/testNamespace/cpu': got null, want string"),
         ({"suites": {"room": {"cpu": "much"}}}, "at '/suites/room/cpu': 'much' does not match pattern"),
         ({"evidence": {"trustedKeys": {"My Key": "x"}}}, "'My Key' does not match pattern"),
         ({"networkPolicies": {"metrics": {"from": [{}]}}}, "at '/networkPolicies/metrics/from/0': minProperties"),

@@ -230,3 +230,22 @@ def test_a_name_of_two_public_classes_is_a_finding(place: Path) -> None:
     assert findings(place) == []
     write(place, gate, "class Cause(Exception): ...\n")
     assert findings(place) == [f"{plans}, {gate}: class Cause stands for 2 things; give each a name of its own"]
+
+
+@pytest.mark.parametrize(
+    ("line", "counts"),
+    [
+        ('ci/a.py:1: error: "B" has no attribute "c"  [attr-defined]', True),
+        ("ci/a.py:1: error: Incompatible return value type  [return-value]", True),
+        ('operator/tests/a.py:1: error: "B" has no attribute "gone"  [attr-defined]', True),
+        ('operator/tests/a.py:1: error: Too many arguments for "b"  [call-arg]', True),
+        ('operator/tests/a.py:1: error: Name "b.C" is not defined  [name-defined]', True),
+        ('operator/tests/a.py:1: error: "Object" has no attribute "data"  [attr-defined]', False),
+        ('operator/tests/a.py:1: error: "B" has no attribute "_own"  [attr-defined]', False),
+        ("operator/tests/a.py:1: error: Incompatible return value type  [return-value]", False),
+        ("Found 3 errors in 2 files (checked 9 source files)", False),
+        ("mypy: can't read file 'x'", True),
+    ],
+)
+def test_types_of_tests_count_where_they_name_what_is_gone(line: str, counts: bool) -> None:
+    assert check.type_findings(f"{line}\n") == ([line] if counts else [])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +10,9 @@ import pytest
 import yaml
 
 from robotkube.errors import DocumentError
-from robotkube.foundation.runtime.settings_file import read_settings
-from robotkube.setup.bootstrap import read_configuration
+from robotkube.foundation.documents.core.patterns import WORD
+from robotkube.foundation.runtime.settings_file import read_settings, warn_of_former_keys
+from robotkube.setup.bootstrap import FORMER_KEYS, read_configuration
 
 
 def settings_file(folder: Path, **argocd: Any) -> Path:
@@ -34,11 +36,45 @@ def settings_file(folder: Path, **argocd: Any) -> Path:
 def test_deployments_are_listed_or_one_is_named_as_formerly(
     tmp_path: Path, written: dict[str, Any], readers: tuple[str, ...]
 ) -> None:
-    settings = read_settings(settings_file(tmp_path, **written), read_configuration)
+    settings = read_settings(settings_file(tmp_path, **written), read_configuration, FORMER_KEYS)
     assert settings.argocd.hook_readers == readers
 
 
 @pytest.mark.parametrize("written", [{}, {"hook_readers": "argocd-server"}, {"hook_readers": [1]}])
 def test_what_is_no_list_of_names_is_refused(tmp_path: Path, written: dict[str, Any]) -> None:
     with pytest.raises(DocumentError, match=r"argocd\.hook_readers"):
-        read_settings(settings_file(tmp_path, **written), read_configuration)
+        read_settings(settings_file(tmp_path, **written), read_configuration, FORMER_KEYS)
+
+
+def test_the_former_key_is_taken_with_a_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = settings_file(tmp_path, hook_reader="argocd-server")
+    with caplog.at_level(logging.WARNING):
+        warn_of_former_keys(path, FORMER_KEYS)
+    assert caplog.messages == [
+        f"settings have a former key file={path} key=argocd.hook_reader new_key=argocd.hook_readers"
+    ]
+
+
+IS_FORMER = "argocd.hook_reader is the former name of argocd.hook_readers"
+BOTH = "argocd.hook_reader: is the former name of argocd.hook_readers, which is there as well"
+
+
+@pytest.mark.parametrize(
+    ("written", "problems"),
+    [
+        ({"hook_reader": None}, [f"argocd.hook_reader: missing ({IS_FORMER})"]),
+        ({"hook_reader": "a b"}, [f"argocd.hook_reader: 'a b' must match {WORD.pattern} ({IS_FORMER})"]),
+        ({"hook_reader": "a", "hook_readers": ["a", "b"]}, [f"{BOTH}; remove argocd.hook_reader"]),
+        ({"hook_reader": None, "hook_readers": ["a"]}, [f"{BOTH}; remove argocd.hook_reader"]),
+        (
+            {"hook_reader": "a", "hook_readers": None},
+            [f"{BOTH}, without a value; give it what argocd.hook_reader has and remove argocd.hook_reader"],
+        ),
+    ],
+)
+def test_a_problem_names_the_former_key_that_stands_in_the_file(
+    tmp_path: Path, written: dict[str, Any], problems: list[str]
+) -> None:
+    with pytest.raises(DocumentError) as refused:
+        read_settings(settings_file(tmp_path, **written), read_configuration, FORMER_KEYS)
+    assert list(refused.value.problems) == problems

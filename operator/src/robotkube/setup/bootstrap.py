@@ -18,6 +18,7 @@ from kubernetes import config as kubernetes_config
 
 from robotkube.errors import InputError
 from robotkube.foundation.database.adapters.accounts import MongoAccounts
+from robotkube.foundation.documents.core.former_keys import FormerKey
 from robotkube.foundation.documents.core.patterns import HTTP_URL, REPOSITORY, WORD
 from robotkube.foundation.documents.core.reader import Reader
 from robotkube.foundation.runtime import settings_file as files
@@ -42,6 +43,7 @@ DATABASE_KINDS = ("mongo", "ferretdb")
 EVENTS = ("push", "pull_request", "pull_request_comment")
 SEED_BYTES_MAX = 1024 * 1024
 SEED_FILES_MAX = 500
+FORMER_KEYS = (FormerKey("hook_reader", "hook_readers", "argocd", convert=lambda name: [name]),)
 
 
 @dataclass(frozen=True)
@@ -79,7 +81,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> Bootstrap
     """Read the settings document of the Job."""
     root = reader.mapping(document, "", ["log_level", "wait_seconds", "argocd"], ["forge", "database"])
     keys = ["namespace", "account", "rbac", "hook", "closed_project"]
-    argocd = reader.mapping(root.get("argocd") or {}, "argocd", keys, ["hook_readers", "hook_reader"])
+    argocd = reader.mapping(root.get("argocd") or {}, "argocd", keys, ["hook_readers"])
     return BootstrapConfiguration(
         log_level=files.log_level(reader, root.get("log_level")),
         wait_seconds=_whole(reader, root.get("wait_seconds"), "wait_seconds", WAIT_SECONDS_MAX),
@@ -111,9 +113,6 @@ def _argocd(reader: Reader, argocd: Mapping[str, Any]) -> ArgoCDSetup:
 
 
 def _hook_readers(reader: Reader, argocd: Mapping[str, Any]) -> tuple[str, ...]:
-    """The Deployments; the chart of 0.1.0 names one, as `hook_reader`."""
-    if "hook_reader" in argocd and "hook_readers" not in argocd:
-        return (reader.word(argocd["hook_reader"], "argocd.hook_reader", WORD),)
     names = reader.sequence(argocd.get("hook_readers"), "argocd.hook_readers")
     if not names:
         reader.problems.append("argocd.hook_readers: must name what restarts on a new hook secret")
@@ -225,8 +224,7 @@ def _webhook(reader: Reader, value: Any, path: str) -> Webhook:
 
 def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     """All parts of the set-up, one after the other, within one bound."""
-    configuration = files.read_settings(files.settings_path(environment), read_configuration)
-    files.send_logs(process, configuration.log_level)
+    configuration = files.start_with_settings(process, read_configuration, environment, FORMER_KEYS)
 
     def sleep(seconds: float) -> None:
         if process.stopping.wait(seconds):

@@ -54,8 +54,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> TeardownS
 
 def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     """Wire the API server to the service and say how many releases ended."""
-    settings = files.read_settings(files.settings_path(environment), read_configuration)
-    files.send_logs(process, settings.log_level)
+    settings = files.start_with_settings(process, read_configuration, environment)
     api = ApiServer.from_environment(environment)
     releases = KubernetesInstalledReleases(api, settings.namespace, settings.project, settings.application_set)
     clock = TeardownClock(time.monotonic, lambda seconds: not process.stopping.wait(seconds))

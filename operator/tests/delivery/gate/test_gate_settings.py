@@ -8,14 +8,14 @@ from typing import Any
 
 import pytest
 
-from robotkube.delivery.gate.__main__ import NEW_KEYS, GateConfiguration, read_configuration
+from robotkube.delivery.gate.__main__ import FORMER_KEYS, GateConfiguration, read_configuration
 from robotkube.errors import DocumentError
 from robotkube.foundation.runtime.settings_file import Listen, read_settings, warn_of_former_keys
 from tests.stages.delivery.gate_settings import OCI_REGISTRY, settings_file
 
 
 def configuration(folder: Path, **keys: Any) -> GateConfiguration:
-    return read_settings(settings_file(folder, **keys), read_configuration, NEW_KEYS)
+    return read_settings(settings_file(folder, **keys), read_configuration, FORMER_KEYS)
 
 
 def test_the_former_key_of_the_oci_registry_is_accepted_with_a_warning(
@@ -25,10 +25,10 @@ def test_the_former_key_of_the_oci_registry_is_accepted_with_a_warning(
     now = configuration(tmp_path, oci_registry=OCI_REGISTRY)
     assert now.publication.charts_url == "oci://forge:3000/verified"
     with caplog.at_level(logging.WARNING):
-        warn_of_former_keys(path, NEW_KEYS)
+        warn_of_former_keys(path, FORMER_KEYS)
         assert caplog.messages == []
         assert configuration(tmp_path, registry=OCI_REGISTRY) == now
-        warn_of_former_keys(path, NEW_KEYS)
+        warn_of_former_keys(path, FORMER_KEYS)
     assert caplog.messages == [f"settings have a former key file={path} key=registry new_key=oci_registry"]
 
 
@@ -60,6 +60,15 @@ def test_a_former_key_that_is_empty_is_one_all_the_same(tmp_path: Path) -> None:
         configuration(tmp_path, oci_registry=OCI_REGISTRY, registry=None)
     assert refused.value.problems == (
         "registry: is the former name of oci_registry, which is there as well; remove registry",
+    )
+
+
+def test_today_s_key_without_a_value_beside_the_former_one_is_refused_with_what_to_do(tmp_path: Path) -> None:
+    with pytest.raises(DocumentError) as refused:
+        configuration(tmp_path, oci_registry=None, registry=OCI_REGISTRY)
+    assert refused.value.problems == (
+        "registry: is the former name of oci_registry, which is there as well, without a value; "
+        "give it what registry has and remove registry",
     )
 
 

@@ -146,7 +146,7 @@ def test_waiting_tasks_have_what_they_wait_for() -> None:
 def test_a_task_that_is_answered_already_waits_for_nothing() -> None:
     before = release("vehicle-00", "mqtt-bridge", topics=1)
     other = TaskCause("cloud-0/b", "event", "rule", "a" * 32, "recording")
-    after = Release(*(getattr(before, k) for k in ("namespace", "name", "chart", "version", "digest")), {"topics": 2})
+    after = Release(before.namespace, before.name, before.chart, before.version, before.digest, {"topics": 2})
     change = changed(before, replace(after, causes=(*before.causes, other)))
     _, waiting = held((change,), [DRIVING], AGENTS, TEN)
     assert set(waiting_tasks((change,), waiting)) == {"cloud-0/b"}

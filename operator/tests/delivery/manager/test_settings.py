@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import yaml
 
-from robotkube.delivery.manager.__main__ import NEW_KEYS, read_configuration
+from robotkube.delivery.manager.__main__ import FORMER_KEYS, read_configuration
 from robotkube.errors import DocumentError
 from robotkube.foundation.runtime.settings_file import read_settings, warn_of_former_keys
 from tests.stages.delivery.manager_process import Outside, write_settings
@@ -24,20 +24,20 @@ def settings(folder: Path, **changes: Any) -> Path:
 
 def test_a_former_key_is_taken_with_a_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = settings(tmp_path)
-    today = read_settings(path, read_configuration, NEW_KEYS)
-    warn_of_former_keys(path, NEW_KEYS)
+    today = read_settings(path, read_configuration, FORMER_KEYS)
+    warn_of_former_keys(path, FORMER_KEYS)
     assert caplog.messages == []
     document = yaml.safe_load(path.read_text())
     document["registry"] = document.pop("oci_registry")
     path.write_text(yaml.safe_dump(document))
-    former = read_settings(path, read_configuration, NEW_KEYS)
+    former = read_settings(path, read_configuration, FORMER_KEYS)
     assert former.manager.charts_url == OUTSIDE.charts_url
     assert former == today
-    warn_of_former_keys(path, NEW_KEYS)
+    warn_of_former_keys(path, FORMER_KEYS)
     assert caplog.messages == [f"settings have a former key file={path} key=registry new_key=oci_registry"]
 
 
 def test_a_key_under_both_names_is_refused(tmp_path: Path) -> None:
     path = settings(tmp_path, registry={"charts": OUTSIDE.charts_url})
     with pytest.raises(DocumentError, match="registry: is the former name of oci_registry, which is there as well"):
-        read_settings(path, read_configuration, NEW_KEYS)
+        read_settings(path, read_configuration, FORMER_KEYS)

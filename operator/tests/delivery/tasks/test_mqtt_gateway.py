@@ -141,8 +141,8 @@ def test_what_changes_in_a_status_is_answered_once_and_nothing_of_others_tasks(s
     condition = {"type": "Accepted", "status": "True", "reason": "Accepted", "message": "yes"}
     status = {"conditions": [condition], "plan": "p", "pullRequest": {"number": 3, "url": "u"}, "unknown": 1}
     stage.new_answers()
-    for key in ("vehicle-00/look", "vehicle-00/detected"):
-        stage.tasks.patch_status(*key.split("/"), status)
+    for name in ("look", "detected"):
+        stage.tasks.patch_status("vehicle-00", name, status)
     stage.turn()
     stage.turn()
     [(_, answer)] = stage.new_answers()

@@ -24,7 +24,7 @@ from robotkube.registry.publication.loops.submitting import PLANNED, PUBLISHED, 
 from robotkube.registry.suites.core.requests import SuiteProgress
 from tests.stages.forge.catalogue_evidence import OTHER_SEED, gate_key
 from tests.stages.forge.installation import Installation
-from tests.stages.registry.publications import WAIT_SECONDS, Publishing
+from tests.stages.registry.publications import WAIT_SECONDS, Publishing, disconnect
 from tests.stages.registry.signed_evidence import POLICY_TEXT
 from tests.stages.registry.submissions import IMAGE, application, chart
 from tests.stages.waiting import until
@@ -326,7 +326,7 @@ def test_a_gate_killed_anywhere_is_finished_by_the_next(
     kill_at(doomed, point)
     with pytest.raises(KilledError):
         rounds(doomed)
-    doomed._forge.disconnect()
+    disconnect(doomed)
     publishing.registry.disconnect()
     assert status(publishing, name) == {}
     publishing.start()

@@ -22,7 +22,7 @@ from robotkube.registry.suites.adapters.runner_protocol import REQUEST_BYTES_MAX
 from robotkube.registry.suites.core.requests import SuiteProgress, SuiteRequest, request_document
 from robotkube.registry.suites.loops.queue import SuiteQueue
 from robotkube.registry.suites.loops.static import StaticSuite
-from robotkube.registry.suites.settings import NEW_KEYS, read_configuration
+from robotkube.registry.suites.settings import FORMER_KEYS, read_configuration
 from robotkube.testing.suites import MemoryExecutor, make_request, passed
 from tests.stages.random_json import mistaken
 from tests.stages.waiting import until
@@ -217,16 +217,16 @@ def test_wrong_settings_are_named_at_once(tmp_path: Path) -> None:
 
 def test_former_keys_are_taken_with_a_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = settings(tmp_path, test_namespaces=[{"namespace": "robotkube-suite-0", "domain_id": 90}])
-    today = read_settings(path, read_configuration, NEW_KEYS)
-    warn_of_former_keys(path, NEW_KEYS)
+    today = read_settings(path, read_configuration, FORMER_KEYS)
+    warn_of_former_keys(path, FORMER_KEYS)
     assert caplog.messages == []
     document = yaml.safe_load(path.read_text())
     document["rooms"] = document.pop("test_namespaces")
     document["registry"] = document.pop("oci_registry")
     path.write_text(yaml.safe_dump(document))
-    former = read_settings(path, read_configuration, NEW_KEYS)
+    former = read_settings(path, read_configuration, FORMER_KEYS)
     assert former == today
-    warn_of_former_keys(path, NEW_KEYS)
+    warn_of_former_keys(path, FORMER_KEYS)
     assert caplog.messages == [
         f"settings have a former key file={path} key=rooms new_key=test_namespaces",
         f"settings have a former key file={path} key=registry new_key=oci_registry",
@@ -236,4 +236,4 @@ def test_former_keys_are_taken_with_a_warning(tmp_path: Path, caplog: pytest.Log
 def test_a_key_under_both_names_is_refused(tmp_path: Path) -> None:
     path = settings(tmp_path, rooms=[])
     with pytest.raises(DocumentError, match="rooms: is the former name of test_namespaces, which is there as well"):
-        read_settings(path, read_configuration, NEW_KEYS)
+        read_settings(path, read_configuration, FORMER_KEYS)

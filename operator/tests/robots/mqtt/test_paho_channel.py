@@ -20,6 +20,16 @@ pytestmark = pytest.mark.processes
 
 WAIT_SECONDS = 30.0
 TOPIC = "mqtt/vehicles/vehicle_00/pose"
+OPEN: list[PahoChannel] = []
+"""The channels that a test has opened."""
+
+
+@pytest.fixture(autouse=True)
+def _closed_channels() -> Iterator[None]:
+    """Close what a test has opened: a channel and its client know each other, so only the collector would end them."""
+    yield
+    while OPEN:
+        OPEN.pop().close()
 
 
 class Events:
@@ -60,6 +70,7 @@ class Peer:
         self.events = Events()
         credentials = BrokerAccount("127.0.0.1", broker.port, account, password or pods.password(account))
         self.channel = PahoChannel(lambda: credentials, f"{account}-telemetry", 60, self.events)
+        OPEN.append(self.channel)
 
     def send(self, payload: bytes, retained: bool = False, topic: str = TOPIC) -> int:
         token = self.channel.publish(topic, payload, retained)
@@ -200,6 +211,7 @@ def test_an_absent_broker_is_a_complaint() -> None:
     account = BrokerAccount("127.0.0.1", 9, "a", "b")
     events = Events()
     channel = PahoChannel(lambda: account, "a-telemetry", 60, events)
+    OPEN.append(channel)
     deadline = time.monotonic() + WAIT_SECONDS
     while "does not answer" not in str(channel.complaint):
         assert time.monotonic() < deadline

@@ -41,8 +41,8 @@ class PromptJournal(Journal):
 
     turning = False
 
-    def add(self, writes: Iterable[Write], keep: bool = False) -> None:
-        super().add(writes, keep)
+    def add(self, writes: Iterable[Write], durable: bool = False) -> None:
+        super().add(writes, durable)
         if not self.turning:
             self.turning = True
             self.turn()
@@ -54,12 +54,12 @@ class InterruptedJournal(Journal):
 
     other: threading.Thread
 
-    def add(self, writes: Iterable[Write], keep: bool = False) -> None:
+    def add(self, writes: Iterable[Write], durable: bool = False) -> None:
         writes = list(writes)
         if any(write.collection == RECORDINGS and not write.update for write in writes):
             self.other.start()
             self.other.join(0.2)
-        super().add(writes, keep)
+        super().add(writes, durable)
 
 
 class History:

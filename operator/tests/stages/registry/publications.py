@@ -87,7 +87,7 @@ class Publishing:
             publication.stop(stopping)
             thread.join(END_SECONDS_MAX)
             assert not thread.is_alive()
-            publication._forge.disconnect()
+            disconnect(publication)
             self.registry.disconnect()
             self._running = None
 
@@ -115,6 +115,13 @@ class Publishing:
         index: dict[str, str] = {}
         _collect(clone.repository, tree, "", index)
         return index
+
+
+def disconnect(publication: PublicationLoop) -> None:
+    """Close the connections of a loop that was made here to the forge."""
+    forge = publication._forge
+    assert isinstance(forge, GiteaForge)
+    forge.disconnect()
 
 
 def _collect(repository: Any, tree: Any, prefix: str, found: dict[str, str]) -> None:

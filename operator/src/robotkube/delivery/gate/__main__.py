@@ -54,8 +54,7 @@ GRACE_SECONDS = 5.0
 STOP_POLL_SECONDS = 0.2
 OBJECTS_PATH = "/objects"
 RENDERER = "/usr/local/bin/chart-renderer"
-NEW_KEYS = {"registry": "oci_registry"}
-"""Former key of the settings file -> its new key; former ones are still accepted, with a warning."""
+FORMER_KEYS = (files.OCI_REGISTRY,)
 
 
 @dataclass(frozen=True)
@@ -336,10 +335,7 @@ def _now() -> str:
 
 def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     """Serve webhooks, health and metrics; run both loops on threads until the process shall end."""
-    path = files.settings_path(environment)
-    configuration = files.read_settings(path, read_configuration, NEW_KEYS)
-    files.send_logs(process, configuration.log_level)
-    files.warn_of_former_keys(path, NEW_KEYS)
+    configuration = files.start_with_settings(process, read_configuration, environment, FORMER_KEYS)
     work = Path(environment.get("ROBOTKUBE_WORK", "/tmp/gate"))  # noqa: S108 - the pod's own volume
     renderer = ChartRenderer(environment.get("ROBOTKUBE_RENDERER", RENDERER))
     deployment_schemas = BoundedSchemas()

@@ -57,8 +57,7 @@ from robotkube.registry.evidence.adapters.dsse import TrustedKeys
 GRACE_SECONDS = 5.0
 SYNC_SECONDS_MAX = 60.0
 COMMIT_AUTHOR = "robotkube-manager"
-NEW_KEYS = {"registry": "oci_registry"}
-"""Former key of the settings file -> its new key; former ones are still accepted, with a warning."""
+FORMER_KEYS = (files.OCI_REGISTRY,)
 
 log = logging.getLogger(__name__)
 
@@ -210,10 +209,7 @@ class Waker:
 
 def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     """Run the manager's steps beside its watches, webhooks and pages until the process shall end."""
-    path = files.settings_path(environment)
-    configuration = files.read_settings(path, read_configuration, NEW_KEYS)
-    files.send_logs(process, configuration.log_level)
-    files.warn_of_former_keys(path, NEW_KEYS)
+    configuration = files.start_with_settings(process, read_configuration, environment, FORMER_KEYS)
     kubeconfig = environment.get("KUBECONFIG")
     api = api_client(kubeconfig, in_cluster=kubeconfig is None)
     waker = Waker()

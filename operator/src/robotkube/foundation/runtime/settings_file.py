@@ -8,13 +8,13 @@ from __future__ import annotations
 import logging
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from robotkube.errors import DocumentError, InputError
+from robotkube.foundation.documents.core.former_keys import FormerKey, under_new_keys
 from robotkube.foundation.documents.core.patterns import WORD
 from robotkube.foundation.documents.core.reader import Reader
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
@@ -23,12 +23,24 @@ from robotkube.foundation.runtime.process import Process, read_secret, read_text
 LOG_LEVELS = ("debug", "info", "warning", "error")
 PATH = re.compile(r"/[^\0]*")
 PORT_MAX = 65535
-NO_KEYS: Mapping[str, str] = MappingProxyType({})
+OCI_REGISTRY = FormerKey("registry", "oci_registry")
+"""The former key of what names charts and images, in the settings of manager, gate and suite-runner."""
 
 log = logging.getLogger(__name__)
 
 _FIELD = re.compile(r" ([a-z_]+)=('(?:[^'\\]|\\.)*'|\"(?:[^\"\\]|\\.)*\"|\S+)")
 T = TypeVar("T")
+
+
+class WithLogLevel(Protocol):
+    """Settings of a process that say how much it logs: one of LOG_LEVELS."""
+
+    @property
+    def log_level(self) -> str:
+        """The least level of what it logs."""
+
+
+L = TypeVar("L", bound=WithLogLevel)
 
 
 @dataclass(frozen=True)
@@ -55,61 +67,47 @@ def settings_path(environment: Mapping[str, str] = os.environ) -> Path:
 
 
 def read_settings(
-    path: Path, read: Callable[[Reader, Mapping[str, Any]], T], new_keys: Mapping[str, str] = NO_KEYS
+    path: Path, read: Callable[[Reader, Mapping[str, Any]], T], former_keys: Iterable[FormerKey] = ()
 ) -> T:
-    """The settings in the file at `path`, as `read` makes them; DocumentError names the file and every problem.
-
-    `new_keys` (former key -> new key): top-level keys that are still accepted under their former name. Problems name
-    the key that stands in the file; both names in one file are a problem.
-    """
+    """The settings in the file at `path`, as `read` makes them; DocumentError names the file and every problem, with
+    the key that stands in the file. `former_keys` are still accepted, in the place of today's."""
     reader = Reader(str(path))
-    document, names = _under_new_keys(reader, _document(path), new_keys)
+    renamed = under_new_keys(_document(path), former_keys)
+    reader.problems += renamed.problems
     try:
-        settings = read(reader, document)
+        settings = read(reader, renamed.document)
     except (InputError, TypeError, ValueError, AttributeError, KeyError) as error:
         if not reader.problems:
             raise
-        raise DocumentError(str(path), [_as_written(problem, names) for problem in reader.problems]) from error
-    reader.problems[:] = [_as_written(problem, names) for problem in reader.problems]
+        raise DocumentError(str(path), [renamed.as_written(problem) for problem in reader.problems]) from error
+    reader.problems[:] = [renamed.as_written(problem) for problem in reader.problems]
     reader.finish()
     return settings
 
 
-def warn_of_former_keys(path: Path, new_keys: Mapping[str, str]) -> None:
+def warn_of_former_keys(path: Path, former_keys: Iterable[FormerKey]) -> None:
     """Log each former key that stands in the settings file at `path`, with its new name."""
-    document = _document(path)
-    for key, new_key in new_keys.items():
-        if key in document:
-            log.warning("settings have a former key file=%s key=%s new_key=%s", path, key, new_key)
+    for former in under_new_keys(_document(path), former_keys).written:
+        log.warning("settings have a former key file=%s key=%s new_key=%s", path, former.path, former.new_path)
+
+
+def start_with_settings(
+    process: Process,
+    read: Callable[[Reader, Mapping[str, Any]], L],
+    environment: Mapping[str, str],
+    former_keys: Sequence[FormerKey] = (),
+) -> L:
+    """The settings of a process that starts, from its file; from now on its loops and adapters log through it, and the
+    first of what they log is each former key in the file."""
+    path = settings_path(environment)
+    settings = read_settings(path, read, former_keys)
+    send_logs(process, settings.log_level)
+    warn_of_former_keys(path, former_keys)
+    return settings
 
 
 def _document(path: Path) -> Mapping[str, Any]:
     return read_mapping(read_text(path, "settings"), str(path))
-
-
-def _under_new_keys(
-    reader: Reader, document: Mapping[str, Any], new_keys: Mapping[str, str]
-) -> tuple[Mapping[str, Any], Mapping[str, str]]:
-    """The document with new keys only, and for each that was written under its former one: new key -> former key."""
-    renamed, names = dict(document), dict[str, str]()
-    for key, new_key in new_keys.items():
-        if key not in renamed:
-            continue
-        value = renamed.pop(key)
-        if new_key in renamed:
-            reader.problems.append(f"{key}: is the former name of {new_key}, which is there as well; remove {key}")
-        else:
-            renamed[new_key] = value
-            names[new_key] = key
-    return renamed, names
-
-
-def _as_written(problem: str, names: Mapping[str, str]) -> str:
-    """A problem with the key that stands in the file."""
-    for new_key, key in names.items():
-        if problem.startswith((f"{new_key}:", f"{new_key}.", f"{new_key}[")):
-            return f"{key}{problem.removeprefix(new_key)} ({key} is the former name of {new_key})"
-    return problem
 
 
 def credentials(reader: Reader, value: Any, path: str) -> Credentials:

@@ -22,7 +22,7 @@ from robotkube.registry.suites.loops.images import ImagesSuite
 from robotkube.registry.suites.loops.namespace_cleanup import ClusterNamespaceCleaner
 from robotkube.registry.suites.loops.queue import SuiteQueue
 from robotkube.registry.suites.loops.static import StaticSuite
-from robotkube.registry.suites.settings import NEW_KEYS, RunnerConfiguration, read_configuration
+from robotkube.registry.suites.settings import FORMER_KEYS, RunnerConfiguration, read_configuration
 
 GRACE_SECONDS = 6.0
 STOP_POLL_SECONDS = 0.2
@@ -46,10 +46,7 @@ def build_queue(configuration: RunnerConfiguration, environment: Mapping[str, st
 
 def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     """Serve the protocol, health and metrics until the process shall end."""
-    path = files.settings_path(environment)
-    configuration = files.read_settings(path, read_configuration, NEW_KEYS)
-    files.send_logs(process, configuration.log_level)
-    files.warn_of_former_keys(path, NEW_KEYS)
+    configuration = files.start_with_settings(process, read_configuration, environment, FORMER_KEYS)
     queue = build_queue(configuration, environment)
     endpoint = RunsEndpoint(configuration.token, queue.put)
     server = WebServer(

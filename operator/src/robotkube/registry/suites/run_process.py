@@ -36,7 +36,7 @@ from robotkube.registry.suites.loops.interface import InterfaceSuite
 from robotkube.registry.suites.loops.run import NO_NAMESPACE, read_subject, run_suite, unfinished
 from robotkube.registry.suites.loops.static import StaticSuite
 from robotkube.registry.suites.ports.suites import Subject, Suite, SuiteAccount
-from robotkube.registry.suites.settings import NEW_KEYS, RunnerConfiguration, read_configuration
+from robotkube.registry.suites.settings import FORMER_KEYS, RunnerConfiguration, read_configuration
 
 HELM = "/usr/local/bin/helm"
 ACCOUNT_SECONDS_MAX = 60.0
@@ -45,7 +45,7 @@ ACCOUNT_PAUSE_SECONDS_FIRST, ACCOUNT_PAUSE_SECONDS_MAX = 0.5, 1.0
 
 def run_request(payload: bytes, namespace: str) -> bytes:
     """A request as JSON and a test namespace (empty: none) -> the finished progress as JSON."""
-    configuration = files.read_settings(files.settings_path(), read_configuration, NEW_KEYS)
+    configuration = files.read_settings(files.settings_path(), read_configuration, FORMER_KEYS)
     files.send_logs(Process("suite", 0.0), configuration.log_level)
     result = run(configuration, read_request(json.loads(payload)), namespace)
     return canonical_json(progress_document(SuiteProgress("finished", result)))

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from robotkube.foundation.documents.core.former_keys import FormerKey
 from robotkube.foundation.documents.core.patterns import CHARTS_URL, HTTP_URL, IMAGE, NAME
 from robotkube.foundation.documents.core.reader import Reader
 from robotkube.foundation.runtime import settings_file as files
@@ -14,8 +15,7 @@ from robotkube.registry.suites.loops.cluster_namespace import SuiteNamespaceSett
 TEST_NAMESPACES_MAX = 16
 DOMAIN_ID_MAX = 101  # above, ports of DDS collide with those that systems give away
 DATABASES = ("mongo", "ferretdb", "")
-NEW_KEYS = {"rooms": "test_namespaces", "registry": "oci_registry"}
-"""Former key of the settings file -> its new key; former ones are still accepted, with a warning."""
+FORMER_KEYS = (FormerKey("rooms", "test_namespaces"), files.OCI_REGISTRY)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from robotkube.delivery.manager.core.observation import judge_present
 from robotkube.delivery.tasks.core.task_description import read_task
 from robotkube.errors import DocumentError, InputError, UnavailableError
 from robotkube.foundation.kubernetes.adapters import client as kubernetes_client
-from robotkube.foundation.kubernetes.adapters.client import api_client, call
+from robotkube.foundation.kubernetes.adapters.client import ResourceWatch, api_client, call
 from tests.stages.kubernetes.api_calls import ARGOCD, TASKS, Api
 from tests.stages.kubernetes.api_server import ApiServerProcess
 from tests.stages.waiting import until
@@ -255,7 +255,7 @@ def serves_tasks(api: Api) -> bool:
     return True
 
 
-class ExpiredWatch(kubernetes_cluster.ResourceWatch):
+class ExpiredWatch(ResourceWatch):
     """Its first list ends at a position that the server no longer has."""
 
     def __init__(self, version: str, *arguments: Any) -> None:
@@ -281,7 +281,7 @@ def test_a_connection_that_breaks_in_the_middle_of_a_watch(api_server: ApiServer
     """Nothing is lost of what happened meanwhile, and nothing is told twice."""
     client = api_client(str(api_server.kubeconfig))
     seen: list[tuple[str, bool]] = []
-    watch = kubernetes_cluster.ResourceWatch(
+    watch = ResourceWatch(
         client, kubernetes_cluster.TASKS_PATH, "", dict, lambda key, before, now: seen.append((key, now is not None))
     )
     watch.start()

@@ -420,7 +420,7 @@ class Gate:
         self.statistics.break_glass = {"commits": len(standing), "files": len(files)}
         for glass in standing:
             log.error(
-                "break-glass stands commit=%s time=%s signed_by=%s files=%s reason=%r",
+                "break-glass stands commit=%s committed=%s signed_by=%s files=%s reason=%r",
                 *(glass.commit, glass.time, ",".join(glass.names), ",".join(glass.files), glass.reason),
             )
         if not standing:

@@ -378,7 +378,7 @@ class Planner:
         }
         for key, outcome in refused.items():
             if key not in self._logged_refusals:
-                log.error("initial demand refused demand=%s reason=%s text=%r", key, outcome.reason, outcome.message)
+                log.error("initial demand refused demand=%s cause=%s reason=%s", key, outcome.reason, outcome.message)
         self._logged_refusals = frozenset(refused)
 
     def accepted(self) -> None:

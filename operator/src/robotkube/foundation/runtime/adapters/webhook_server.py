@@ -294,7 +294,7 @@ class _Handler(BaseHTTPRequestHandler):
             log.warning("webhook refused status=%d reason=%s", error.status, error)
             self._refuse(error.status, str(error))
             return
-        log.debug("delivery event=%s action=%s", delivery.event, delivery.payload.get("action", ""))
+        log.debug("delivery kind=%s action=%s", delivery.event, delivery.payload.get("action", ""))
         if not self._forwarded(body):
             deliver(delivery)
             self._answer(204, "")

@@ -139,6 +139,10 @@ class _Client(mqtt.Client):
         if queue:
             self.loop_write()
 
+    def drop(self) -> None:
+        """Close the socket, whatever waits to be sent; paho closes it only after a DISCONNECT that it wrote alone."""
+        self._sock_close()
+
     def _handle_buffer(self) -> bool:
         """Handle the whole packets in the buffer; False when the connection ended on one."""
         buffer = self._buffer
@@ -286,13 +290,17 @@ class PahoChannel:
             self._client.write_all()
 
     def close(self) -> None:
-        """See the port; the session stays at the broker until it expires."""
-        if self._client is not None:
-            client = self._client
-            self._client = None
+        """See the port; the session stays at the broker until it expires. No socket is left open, also by an attempt
+        that is still at work."""
+        attempt, client = self._attempt, self._client
+        self._attempt = self._client = None
+        if attempt is not None:
+            attempt.abandon()
+        if client is not None:
             with contextlib.suppress(OSError, ValueError):
                 client.disconnect()
                 client.write_all()
+            client.drop()
 
     @property
     def socket(self) -> Any:
@@ -399,6 +407,8 @@ class _Attempt:
     def __init__(self, new_client: Callable[[], _Client], account: Callable[[], BrokerAccount]) -> None:
         self.client: _Client | None = None
         self.error: str | None = None
+        self._abandoned = False
+        self._outcome = threading.Lock()
         self._new_client = new_client
         self._account = account
         self._thread = threading.Thread(target=self._run, name="connect", daemon=True)
@@ -409,16 +419,32 @@ class _Attempt:
         """Whether the outcome is still open."""
         return self._thread.is_alive()
 
+    def abandon(self) -> None:
+        """Close the connection, now or as soon as it is made: nobody will use it."""
+        with self._outcome:
+            self._abandoned = True
+            if self.client is not None:
+                self.client.drop()
+                self.client = None
+
     def _run(self) -> None:
+        client = None
         try:
             account = self._account()
             client = self._new_client()
             client.username_pw_set(account.username, account.password)
             properties = client.session_properties  # type: ignore[attr-defined]
             client.connect(account.host, account.port, KEEPALIVE_SECONDS, clean_start=False, properties=properties)
-            self.client = client
         except (OSError, ValueError, RobotKubeError) as error:
+            if client is not None:
+                client.drop()
             self.error = f"the broker does not answer: {error or type(error).__name__}"
+            return
+        with self._outcome:
+            if self._abandoned:
+                client.drop()
+            else:
+                self.client = client
 
 
 def _advice(reason: int) -> str:
