@@ -11,7 +11,7 @@ from robotkube.registry.admission.core.allowed import Allowed
 from robotkube.registry.admission.core.lists import CHUNK
 from robotkube.registry.admission.core.policies import for_files
 from robotkube.registry.admission.core.stranded import stranded
-from tests.stages.kubernetes.judged_api_server import ADMINISTRATOR, MERGE, Api, judged_api_server
+from tests.stages.kubernetes.judged_api_server import ADMINISTRATOR, JSON_PATCH, MERGE, Api, judged_api_server
 from tests.stages.registry.admission_examples import (
     ALLOWED,
     APPLICATION_CONTROLLER,
@@ -423,6 +423,22 @@ def test_what_argo_cd_notes_on_an_application_passes(api: Api, applied: str) -> 
     api.done("PATCH", applied, automated, APPLICATION_CONTROLLER, MERGE)
     api.done("PATCH", applied, {"operation": None}, APPLICATION_CONTROLLER, MERGE)
     api.done("PATCH", applied, {"operation": {"sync": {"source": SOURCE}}}, APPLICATION_CONTROLLER, MERGE)
+    state = {"operation": {}, "phase": "Succeeded", "startedAt": "2026-11-24T10:00:00Z"}
+    ended = {"/status/operationState": state, "/operation": None}
+    patch = [{"op": "add", "path": place, "value": value} for place, value in ended.items()]
+    assert "operation" not in api.done("PATCH", applied, patch, APPLICATION_CONTROLLER, JSON_PATCH)
+
+
+def test_a_release_changes_while_argo_cd_still_applies_what_it_was(api: Api, applied: str) -> None:
+    """The operation names the source that the Application had when it began."""
+    own = {"sync": {"source": SOURCE, "revision": CHART}, "initiatedBy": {"automated": True}}
+    api.done("PATCH", applied, {"operation": own}, APPLICATION_CONTROLLER, MERGE)
+    helm = {**SOURCE["helm"], "values": '{"placement":{"agent":"vehicle-00"},"more":1}'}
+    api.done("PATCH", applied, {"spec": {"source": {"helm": helm}}}, GENERATOR, MERGE)
+    api.done("PATCH", applied, {"status": {"sync": {"status": "OutOfSync"}}}, APPLICATION_CONTROLLER, MERGE)
+    turned = {"operation": {"sync": {"source": {**SOURCE, "targetRevision": digest(8)}}}}
+    words = api.refusal("PATCH", applied, turned, APPLICATION_CONTROLLER, MERGE)
+    assert words.startswith("Application vehicle-00-detector: operation.sync names another source or revision")
 
 
 OPERATIONS: dict[str, dict[str, Any]] = {
