@@ -14,6 +14,7 @@ from robotkube.cli.main import main
 from robotkube.delivery.deployment.core.break_glass import ACCEPTED_PATH
 from robotkube.delivery.deployment.core.merge_records import REFERENCE
 from robotkube.registry.evidence.adapters.dsse import TrustedKeys
+from tests.stages.attacks import shown
 from tests.stages.delivery.audited_platform import Platform, make_platform
 from tests.stages.delivery.manipulations import (
     LATER,
@@ -91,6 +92,7 @@ def test_each_kind_has_words_of_its_own(asked: Status) -> None:
         "replace the files, or name the commits in policies/accepted-commits, by a pull request",
     ):
         assert words in err
+    shown("elsewhere", err, "main-moved-past-the-gate", "break-glass-claimed")
     assert [commit for commit in (claimed, unrecorded, signed) if commit not in out] == []
     rows = asked.rows()
     assert [(row["commit"], row["how"]) for row in rows] == [

@@ -24,6 +24,7 @@ from robotkube.registry.admission.loops.following import CatalogueListing
 from robotkube.registry.evidence.adapters.dsse import TrustedKeys
 from tests.ci.cluster.test_admission import SCENARIO, Forge
 from tests.stages import programs
+from tests.stages.attacks import shown
 from tests.stages.kubernetes.judged_api_server import Api, served
 from tests.stages.registry.admission_examples import (
     APPLICATION_CONTROLLER,
@@ -107,7 +108,7 @@ def test_a_publication_is_at_work_without_a_request_to_the_server(api: Api, forg
     seen = len(looks)
     until(lambda: len(looks) > seen + 2)
     api.done("POST", pods, pod(image(1)), REPLICA_SETS)
-    assert api.refusal("POST", pods, pod(image(3)), REPLICA_SETS)
+    shown("admission", api.refusal("POST", pods, pod(image(3)), REPLICA_SETS), "verifier-off")
 
 
 def test_the_process_that_follows_is_started_again_when_it_ends(

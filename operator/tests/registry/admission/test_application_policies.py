@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from robotkube.registry.admission.core.policies import for_files
+from tests.stages.attacks import shown
 from tests.stages.kubernetes.judged_api_server import ADMINISTRATOR, JSON_PATCH, MERGE, Api, judged_api_server
 from tests.stages.registry.admission_examples import (
     ALLOWED,
@@ -78,6 +79,9 @@ def test_an_application_of_anything_else_is_refused(api: Api, attack: str) -> No
     words = api.refusal("POST", APPLICATIONS, application(**spec), GENERATOR)
     assert words.startswith("Application vehicle-00-detector ")
     assert expected in words
+    if expected == NOT_VERIFIED:
+        shown("admission", words, "application-by-argocd", "status-forged", "withdrawn-version")
+        shown("admission", words, "main-moved-past-the-gate", "break-glass-claimed", "staged-tag-overwritten")
 
 
 @pytest.mark.parametrize("user", [ADMINISTRATOR, SERVER])
@@ -138,6 +142,7 @@ OPERATIONS: dict[str, dict[str, Any]] = {
 def test_an_operation_brings_nothing_of_its_own(api: Api, applied: str, operation: str, user: str) -> None:
     words = api.refusal("PATCH", applied, {"operation": {"sync": OPERATIONS[operation]}}, user, MERGE)
     assert words.startswith("Application vehicle-00-detector: operation.sync names another source or revision")
+    shown("admission", words, "operation-with-source")
 
 
 def test_an_application_that_is_there_is_not_turned(api: Api, applied: str) -> None:
@@ -149,7 +154,9 @@ def test_an_application_that_is_there_is_not_turned(api: Api, applied: str) -> N
 def test_argo_cd_does_not_widen_the_project_of_releases(api: Api) -> None:
     head = {"apiVersion": "argoproj.io/v1alpha1", "kind": "AppProject", "metadata": {"name": "robotkube-apps"}}
     words = f"AppProject robotkube-apps changed by {SERVER}: who installs the platform says what releases may be made"
-    assert api.refusal("POST", PROJECTS, {**head, "spec": {}}, SERVER).startswith(words)
+    refused = api.refusal("POST", PROJECTS, {**head, "spec": {}}, SERVER)
+    assert refused.startswith(words)
+    shown("admission", refused, "project-widened")
     api.done("POST", PROJECTS, {**head, "spec": {}})
     wider = {"spec": {"clusterResourceWhitelist": [{"group": "*", "kind": "*"}]}}
     assert api.refusal("PATCH", f"{PROJECTS}/robotkube-apps", wider, SERVER, MERGE).startswith(words)

@@ -17,6 +17,7 @@ from robotkube.registry.admission.core.policies import for_files, list_entries, 
 from robotkube.registry.admission.loops.following import CatalogueListing, Following, Surroundings
 from robotkube.registry.evidence.adapters.dsse import KeyFile
 from robotkube.registry.evidence.core.statements import Artefact
+from tests.stages.attacks import shown
 from tests.stages.registry.admission_examples import DOMAIN, digest, image
 from tests.stages.registry.signed_evidence import (
     POLICY_TEXT,
@@ -144,6 +145,7 @@ def test_without_its_signature_a_version_is_not_listed(key: KeyFile, tmp_path: P
     assert found is not None
     assert (found.charts, found.verified) == ((), ())
     assert found.problems[0].startswith(f"app@0.1.0@{APP.digest} is not listed: summary: ")
+    shown("admission", found.problems[0], "entry-called-verified")
 
 
 def test_evidence_of_another_version_is_none(key: KeyFile, tmp_path: Path) -> None:

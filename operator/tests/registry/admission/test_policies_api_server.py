@@ -11,6 +11,7 @@ from robotkube.registry.admission.core.allowed import Allowed
 from robotkube.registry.admission.core.lists import CHUNK
 from robotkube.registry.admission.core.policies import for_files
 from robotkube.registry.admission.core.stranded import stranded
+from tests.stages.attacks import shown
 from tests.stages.kubernetes.judged_api_server import ADMINISTRATOR, MERGE, Api, judged_api_server
 from tests.stages.registry.admission_examples import (
     ALLOWED,
@@ -73,6 +74,10 @@ PARTS: dict[str, dict[str, Any]] = {
 def test_a_pod_with_an_image_that_is_not_listed_is_refused(api: Api, part: str) -> None:
     words = api.refusal("POST", path("Pod", "vehicle-00"), {**pod(), "spec": PARTS[part]}, REPLICA_SETS)
     assert words.startswith(image_words(STRANGE))
+    if part == "image volume":
+        shown("admission", words, "image-volume")
+    else:
+        shown("admission", words, "image-by-manager", "image-by-publisher", "merge-against-the-gate")
     assert words.endswith(
         "Submit the chart that needs it (robotkube registry submit), or name the digest that was verified"
     )
@@ -122,6 +127,7 @@ def test_nobody_else_makes_workloads_of_an_agent(api: Api, kind: str, user: str)
 def test_nobody_but_controllers_makes_pods_of_an_agent(api: Api, user: str) -> None:
     words = api.refusal("POST", path("Pod", "vehicle-00"), pod(), user)
     assert words.startswith(f"pods made by {user or 'administrator'}: in an agent's namespace Argo CD's application")
+    shown("admission", words, "pod-by-administrator")
 
 
 def test_a_replica_set_of_its_own_is_not_argo_cds_to_make(api: Api) -> None:
@@ -161,6 +167,8 @@ def test_nobody_else_changes_a_workload_of_an_agent(api: Api, deployment: str, c
         "deployments detector changed by administrator: in an agent's namespace nothing runs but what main says. "
         "Change the release on main"
     )
+    if change in ("sidecar", "annotation"):
+        shown("admission", words, "sidecar", "annotation")
     api.done("PATCH", deployment + DRY, CHANGES[change], APPLICATION_CONTROLLER, MERGE)
 
 
@@ -191,10 +199,12 @@ def ephemeral(reference: str) -> dict[str, Any]:
 def test_containers_are_not_added_to_pods_of_an_agent(api: Api, running_pod: str) -> None:
     place = f"{running_pod}/ephemeralcontainers"
     assert api.refusal("PATCH", place, ephemeral(STRANGE), kind=MERGE).startswith(image_words(STRANGE))
-    assert api.refusal("PATCH", place, ephemeral(VERIFIED), kind=MERGE) == (
+    words = api.refusal("PATCH", place, ephemeral(VERIFIED), kind=MERGE)
+    assert words == (
         "no container may be added to a pod that runs in namespace vehicle-00: nobody verified the pod with it. "
         "Read the pod's logs, or try the chart with that container in a suite"
     )
+    shown("admission", words, "ephemeral-container")
 
 
 def test_the_image_of_a_pod_is_not_changed(api: Api, running_pod: str) -> None:
@@ -213,10 +223,12 @@ def test_a_test_namespace_takes_any_image_by_digest_from_the_suite_runner(api: A
             " made by administrator: in a test namespace the suite-runner alone starts what is tried. "
             "Submit the chart (robotkube registry submit)"
         )
-    assert api.refusal("POST", path("Pod", place), pod(TAGGED), SUITE_RUNNER) == (
+    words = api.refusal("POST", path("Pod", place), pod(TAGGED), SUITE_RUNNER)
+    assert words == (
         f"image {TAGGED} may not run in namespace {place}: a tag can be moved after it was checked, a digest cannot. "
         "Write <repository>@sha256:<digest> in the chart"
     )
+    shown("admission", words, "tag-moves")
 
 
 def test_containers_are_not_added_to_pods_under_test(api: Api) -> None:
@@ -233,9 +245,9 @@ def test_the_platform_runs_its_own_images(api: Api, namespace: str) -> None:
     api.done("POST", path("Pod", namespace) + DRY, pod(OF_THE_PLATFORM), REPLICA_SETS)
     words = f"image {{}} may not run in namespace {namespace}: only images that the platform was installed with"
     for reference in (VERIFIED, STRANGE):
-        assert api.refusal("POST", path("Deployment", namespace), workload("Deployment", reference)).startswith(
-            words.format(reference)
-        )
+        refused = api.refusal("POST", path("Deployment", namespace), workload("Deployment", reference))
+        assert refused.startswith(words.format(reference))
+        shown("admission", refused, "platform-image-pushed")
     assert api.refusal("POST", path("Pod", namespace), pod(OF_THE_PLATFORM)) == (
         "pod made by administrator: in the platform's namespaces controllers alone make pods. "
         "Change the values of the chart"
@@ -311,6 +323,7 @@ def test_no_pod_gets_a_way_to_its_machine(api: Api, namespace: str, way: str) ->
     """The policies themselves are files of a machine."""
     words = api.refusal("POST", path("Pod", namespace), {**pod(), "spec": pod_spec(**WAYS[way])}, REPLICA_SETS)
     assert words.startswith(f"pods in namespace {namespace} ask for a way to their machine")
+    shown("admission", words, "way-to-the-machine")
 
 
 @pytest.mark.parametrize(
@@ -336,6 +349,7 @@ def test_a_policy_in_files_can_be_neither_seen_nor_deleted(api: Api) -> None:
     assert api.done("GET", POLICIES)["items"] == []
     gone = api.request("DELETE", f"{POLICIES}/robotkube-agents.static.k8s.io")
     assert (gone["reason"], gone["status"]) == ("NotFound", "Failure")
+    shown("admission", gone["message"], "policy-deleted")
     api.done("DELETE", POLICIES)
     assert api.refusal("POST", path("Pod", "vehicle-00"), pod(STRANGE), REPLICA_SETS)
 
