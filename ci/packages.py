@@ -28,7 +28,17 @@ NEEDS: dict[str, tuple[str, ...]] = {
     ),
     "images": ("buildah", "mmdebstrap"),
     # the last four are what the broker is linked with, see `unpacked`
-    "tests": ("git", "iproute2", "openssl", "util-linux", "libcjson1", "libdlt2", "libmosquitto1", "libwrap0"),
+    "tests": (
+        "git",
+        "iproute2",
+        "openssh-client",
+        "openssl",
+        "util-linux",
+        "libcjson1",
+        "libdlt2",
+        "libmosquitto1",
+        "libwrap0",
+    ),
 }
 
 

@@ -1,6 +1,6 @@
 """`make reference`: docs/reference/schemas.md from the JSON Schemas of registry/schemas/, metrics.md, rules.md, logs.md
 and the metrics of event-detector.md from the code, the commands of command-line.md from the command line's parser, and
-the tables of network.md from the platform chart's; and what is generated in charts.
+the tables of network.md from the platform chart's; the table of attacks in trust.md; and what is generated in charts.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import Any
 from ci import (
     admission_reference,
     architecture,
+    attack_reference,
     chart_reference,
     command_reference,
     detector_reference,
@@ -197,4 +198,5 @@ if __name__ == "__main__":
     admission_reference.POLICIES.write_text(admission_reference.text(), encoding="utf-8")
     print(network_reference.write().relative_to(TOP))
     architecture.write()
+    attack_reference.write()
     walks.write()

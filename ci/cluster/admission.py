@@ -3,6 +3,7 @@ API server can see, change or delete.
 
     <cluster>/admission/settings.json   agents' namespaces and the platform's images, as the provider knows them
     <cluster>/admission/keys/*.pem      public keys whose signatures count
+    <cluster>/admission/listing.json    the last list of the catalogue, for a process that starts again
     <cluster>/admission/...             what the API server reads (`PolicyFiles`)
 
 Before the API server starts, the policies list the images of the platform. A process of the host, `admission`, follows
@@ -20,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 from ci import evidence
 from ci.cluster.images import Image
+from ci.cluster.node_processes import AGAIN
 from ci.cluster.objects import SUITE_NAMESPACES
 from ci.cluster.processes import Launcher, Process
 from ci.cluster.records import ClusterFolders, write_atomically
@@ -27,18 +29,20 @@ from ci.cluster.topology import Topology
 from ci.errors import InputError
 from ci.folders import PROJECT
 from robotkube.errors import RobotKubeError
+from robotkube.registry.admission.adapters.listing_file import ListingFile
 from robotkube.registry.admission.adapters.policy_files import PolicyFiles
 from robotkube.registry.admission.core.allowed import Allowed, digests_of
 from robotkube.registry.admission.core.domain import Domain
 from robotkube.registry.admission.core.policies import for_files
 
 if TYPE_CHECKING:
-    from robotkube.registry.admission.loops.following import Surroundings
+    from robotkube.registry.admission.loops.following import CatalogueListing, Following, Surroundings
 
 VARIABLE = "ROBOTKUBE_ADMISSION"
 FILES, OFF = "files", "off"
 CHOICES = (FILES, OFF)
 PROCESS = "admission"
+STARTED_AGAIN = ("/bin/sh", "-c", AGAIN, "again")
 CHARTS = "oci://forge.robotkube.svc.cluster.local:3000/verified"  # where charts/robotkube has them
 PLATFORM_ROLE = "platform"  # of machines that are no agents
 SETTINGS_KEYS = {"agents", "platform"}
@@ -85,11 +89,20 @@ def rules(folders: ClusterFolders, topology: Topology) -> list[str]:
 
 
 def start_following(launcher: Launcher) -> Process:
-    """The process that follows the catalogue."""
-    command = [sys.executable, "-m", "ci.cluster.following_admission", "--name", launcher.folders.name]
+    """The process that follows the catalogue, started again when it ends: without it nothing that is published runs."""
+    return launcher.start(PROCESS, following_command(launcher.folders), STARTED_AGAIN, following_environment())
+
+
+def following_command(folders: ClusterFolders) -> list[str]:
+    """The words that follow the catalogue once."""
+    return [sys.executable, "-m", "ci.cluster.following_admission", "--name", folders.name]
+
+
+def following_environment() -> dict[str, str]:
+    """Where it finds this project and the user's cache."""
     path = os.pathsep.join(str(PROJECT / part) for part in ("operator/src", "."))
     cache = {name: os.environ[name] for name in ("HOME", "XDG_CACHE_HOME") if name in os.environ}
-    return launcher.start(PROCESS, command, environment={**cache, "PYTHONPATH": path, "PYTHONUNBUFFERED": "1"})
+    return {**cache, "PYTHONPATH": path, "PYTHONUNBUFFERED": "1"}
 
 
 def add(folders: ClusterFolders, agents: Sequence[str] = (), images: Sequence[Image] = ()) -> None:
@@ -100,6 +113,14 @@ def add(folders: ClusterFolders, agents: Sequence[str] = (), images: Sequence[Im
     known = _read_settings(folders)
     references = [image.reference for image in images]
     _write_settings(folders, [*known["agents"], *agents], [*known["platform"], *references])
+
+
+def following(folders: ClusterFolders, listing: CatalogueListing) -> Following:
+    """What writes the policies of a cluster as its catalogue lists."""
+    from robotkube.registry.admission.loops.following import Following
+
+    memory = ListingFile(folder(folders) / "listing.json")
+    return Following(listing, policy_files(folders), lambda: surroundings(folders), memory)
 
 
 def surroundings(folders: ClusterFolders) -> Surroundings:

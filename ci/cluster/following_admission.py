@@ -80,8 +80,7 @@ def main() -> None:
     place = forge_folder(Api(str(plan_of(folders.name).gateway), folders.pki))
     own = admission.folder(folders)
     listing = CatalogueListing(CatalogueOnDisk(place, own / "clones"), TrustedKeys(own / "keys"))
-    following = Following(listing, admission.policy_files(folders), lambda: admission.surroundings(folders))
-    follow(following, lambda: time.sleep(POLL_SECONDS))
+    follow(admission.following(folders, listing), lambda: time.sleep(POLL_SECONDS))
 
 
 if __name__ == "__main__":

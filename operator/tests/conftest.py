@@ -12,6 +12,7 @@ pytest.register_assert_rewrite("tests.stages")
 pytest_plugins = (
     "tests.stages.examples",
     "tests.stages.tiers",
+    "tests.stages.attacks",
     "tests.stages.kubernetes.fixtures",
     "tests.stages.forge.fixtures",
     "tests.stages.recording.fixtures",

@@ -24,6 +24,7 @@ from robotkube.registry.admission.core.policies import for_files
 from robotkube.setup.adapters.argocd_configuration import KubernetesArgoCDConfiguration
 from robotkube.setup.loops.bootstrap import ArgoCDSetup, Bootstrap
 from tests.charts.conftest import Rendered
+from tests.stages.attacks import shown
 from tests.stages.kubernetes.argocd_processes import NAMESPACE, generating, rendering, serving
 from tests.stages.kubernetes.installed_chart import Cluster, prepared_cluster
 from tests.stages.programs import program
@@ -175,6 +176,8 @@ def test_there_is_no_administrator_who_could_log_in(installed: Cluster, server: 
 def test_an_unsigned_hook_of_no_forge_is_taken(request: pytest.FixtureRequest, process: str, forge: str) -> None:
     refused = send(request.getfixturevalue(process), *HOOKS[forge])
     assert refused.status_code in (400, 401), refused.text
+    if forge == "gitlab":
+        shown("elsewhere", refused.text, "hook-unsigned")
 
 
 @pytest.mark.parametrize("process", ["server", "controller"])
@@ -204,7 +207,7 @@ def test_the_repo_server_answers_who_shows_the_certificate_and_nobody_else(
         other.load_cert_chain(certificate / "own.pem")
         until(lambda: greeting(port, known) != "", "the repo-server listens")
         assert greeting(port, known) == "answered"
-        assert greeting(port, nobody) == "TLSV13_ALERT_CERTIFICATE_REQUIRED"
+        shown("elsewhere", greeting(port, nobody), "repo-server-asked")
         assert greeting(port, other) == "TLSV1_ALERT_UNKNOWN_CA"
 
 

@@ -15,6 +15,7 @@ import yaml
 from kubernetes import client, config
 
 from robotkube.foundation.documents.core.yaml_codec import write_mapping
+from tests.stages.attacks import shown
 from tests.stages.detector.process import COMMAND, is_up, read
 from tests.stages.detector.proximity_settings import SETTINGS as DETECTOR
 from tests.stages.kubernetes.installed_chart import CHART, Cluster, prepared_cluster
@@ -208,6 +209,15 @@ def test_no_account_at_all_may_read_the_key_of_the_gate(installed: Cluster, revi
     everyone = accounts(installed)
     assert len(everyone) > 30
     assert [account for account in everyone if reads_secrets(reviews, account, "robotkube", KEY)] == []
+
+
+@pytest.mark.parametrize("program", ["server", "applicationset-controller", "application-controller", "repo-server"])
+def test_argo_cd_is_refused_the_key_of_the_gate(installed: Cluster, program: str) -> None:
+    """By trying."""
+    account = f"system:serviceaccount:argocd:argocd-{program}"
+    done = installed.run("kubectl", "get", "secret", KEY, "-n", "robotkube", "--as", account)
+    assert (done.returncode, done.stdout) == (1, "")
+    shown("elsewhere", done.stderr, "key-read")
 
 
 def test_argo_cd_reads_secrets_of_its_own_namespace_only(

@@ -21,6 +21,7 @@ from robotkube.cli.platform import Platform
 from robotkube.delivery.audit.adapters.html_page import page
 from robotkube.delivery.audit.adapters.manifests import RegistryManifests, SavedManifests, SavingManifests
 from robotkube.delivery.audit.loops.auditor import Auditor, Sources
+from robotkube.delivery.deployment.adapters.ssh_keys import holds
 from robotkube.errors import InputError
 from robotkube.foundation.forge.adapters.git import GitHistory, fetch_history
 from robotkube.registry.charts.adapters.oci import OciRegistry
@@ -99,6 +100,7 @@ def _sources(options: argparse.Namespace, keys: TrustedKeys) -> Iterator[Sources
                 GitHistory(folder / DEPLOYMENT_FOLDER),
                 GitHistory(folder / CATALOGUE_FOLDER),
                 keys,
+                holds,
                 manifests,
                 url,
                 options.since,
@@ -118,6 +120,7 @@ def _saved(folder: Path, keys: TrustedKeys, since: Sequence[str]) -> Sources:
         GitHistory(folder / DEPLOYMENT_FOLDER),
         GitHistory(folder / CATALOGUE_FOLDER),
         keys,
+        holds,
         SavedManifests(registry) if registry.is_dir() else None,
         str(registry) if registry.is_dir() else "",
         since,

@@ -18,6 +18,7 @@ from robotkube.foundation.kubernetes.adapters import client
 
 OBJECTS_MAX = 5000
 FORGE = "forge"
+EVIDENCE_KEYS = "evidence-keys"
 IMAGES = "platform-images"
 IMAGES_KEY = "images.yaml"
 DATABASE_ACCOUNT = "database-account"
@@ -139,6 +140,17 @@ class Platform:
             ) from error
         values = _texts(secret)
         return f"http://{host}:{port}", values["username"], values["password"]
+
+    def evidence_keys(self) -> Mapping[str, str]:
+        """The public keys that this installation trusts, as PEM texts by file name; InputError when it names none."""
+        where = f"/api/v1/namespaces/{self._namespace}/configmaps/{EVIDENCE_KEYS}"
+        try:
+            found: Mapping[str, str] = self._read("GET", where).get("data") or {}
+        except KeyError:
+            found = {}
+        if not found:
+            raise InputError(f"no ConfigMap {EVIDENCE_KEYS} in namespace {self._namespace}; give --keys FOLDER")
+        return found
 
     def images(self) -> Mapping[str, str]:
         """The references by digest of the platform's images, by name."""

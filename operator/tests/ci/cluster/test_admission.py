@@ -29,7 +29,7 @@ from ci.errors import InputError, SetUpError
 from ci.folders import PROJECT
 from robotkube.errors import UnavailableError
 from robotkube.registry.admission.core.expressions import RESOURCES
-from robotkube.registry.admission.loops.following import CatalogueListing, Following
+from robotkube.registry.admission.loops.following import CatalogueListing
 from robotkube.registry.evidence.adapters.dsse import TrustedKeys
 from tests.stages.registry.admission_examples import CHART, CHARTS, application, digest, image, pod, workload
 from tests.stages.registry.signed_evidence import artefact, catalogue, published
@@ -142,7 +142,7 @@ def test_policies_follow_what_is_published_on_this_machine(folders: ClusterFolde
     key, app = evidence.signing_key(), artefact()
     on_disk = CatalogueOnDisk(lambda: forge.repositories, admission.folder(folders) / "clones")
     listing = CatalogueListing(on_disk, TrustedKeys(admission.folder(folders) / "keys"))
-    following = Following(listing, admission.policy_files(folders), lambda: admission.surroundings(folders))
+    following = admission.following(folders, listing)
     with pytest.raises(UnavailableError, match="the forge has no catalogue yet"):
         following.step()
     forge.install()

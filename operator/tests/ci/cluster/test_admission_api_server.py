@@ -3,6 +3,9 @@ without anything being asked of the server."""
 
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
 import threading
 import time
 from collections.abc import Iterator
@@ -17,10 +20,11 @@ from ci.cluster.following_admission import POLL_SECONDS, follow
 from ci.cluster.images import Image
 from ci.cluster.records import ClusterFolders
 from robotkube.registry.admission.adapters.policy_files import PolicyFiles
-from robotkube.registry.admission.loops.following import CatalogueListing, Following
+from robotkube.registry.admission.loops.following import CatalogueListing
 from robotkube.registry.evidence.adapters.dsse import TrustedKeys
 from tests.ci.cluster.test_admission import SCENARIO, Forge
 from tests.stages import programs
+from tests.stages.attacks import shown
 from tests.stages.kubernetes.judged_api_server import Api, served
 from tests.stages.registry.admission_examples import (
     APPLICATION_CONTROLLER,
@@ -62,7 +66,7 @@ def api(tmp_path: Path, forge: Forge, looks: list[int], monkeypatch: pytest.Monk
     admission.prepare(folders, topology.read(SCENARIO, {"vehicles": "2"}), LOCK)
     own = admission.folder(folders)
     listing = CatalogueListing(CatalogueOnDisk(lambda: forge.repositories, own / "clones"), TrustedKeys(own / "keys"))
-    following = Following(listing, admission.policy_files(folders), lambda: admission.surroundings(folders))
+    following = admission.following(folders, listing)
     end = threading.Event()
 
     def pause() -> None:
@@ -104,4 +108,21 @@ def test_a_publication_is_at_work_without_a_request_to_the_server(api: Api, forg
     seen = len(looks)
     until(lambda: len(looks) > seen + 2)
     api.done("POST", pods, pod(image(1)), REPLICA_SETS)
-    assert api.refusal("POST", pods, pod(image(3)), REPLICA_SETS)
+    shown("admission", api.refusal("POST", pods, pod(image(3)), REPLICA_SETS), "verifier-off")
+
+
+def test_the_process_that_follows_is_started_again_when_it_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Killed, say: nothing that is published would run until the cluster is made anew."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    folders, log = ClusterFolders("demo"), tmp_path / "log"
+    command = [*admission.STARTED_AGAIN, *admission.following_command(folders)]
+    environment = {"PATH": os.environ["PATH"], **admission.following_environment()}
+    with log.open("w") as said:  # without what admission prepares it ends by itself, and says why
+        guard = subprocess.Popen(command, env=environment, stdout=said, stderr=said, start_new_session=True)
+    try:
+        until(lambda: log.read_text().count(": started again in 1 s") >= 2, "started again, and again")
+    finally:
+        os.killpg(guard.pid, signal.SIGKILL)
+        guard.wait(10)

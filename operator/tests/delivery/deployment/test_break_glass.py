@@ -6,7 +6,6 @@ import base64
 from dataclasses import replace
 from pathlib import Path
 
-import pygit2
 import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import (
@@ -21,21 +20,18 @@ from hypothesis import strategies as st
 
 from robotkube.delivery.deployment.adapters import ssh_keys
 from robotkube.delivery.deployment.core.break_glass import (
-    ACCEPTED_PATH,
     EmergencyChange,
     public_key,
     read_accepted,
     read_change,
-    read_glass_message,
     read_signature,
     read_signers,
     to_sign,
     write_change,
     write_signature,
 )
-from robotkube.delivery.deployment.loops.break_glass import BreakGlassWatch
+from robotkube.delivery.deployment.core.unchecked_commits import says_break_glass
 from robotkube.errors import DocumentError, InputError
-from robotkube.foundation.forge.adapters.git import GitClone, ProposalWriter
 
 CHANGE = EmergencyChange("robotkube/deployment", "a" * 40, "b" * 40, "2026-11-24T12:00:00Z", "the gate is away", {})
 KEY = Ed25519PrivateKey.from_private_bytes(b"1" * 32)
@@ -101,10 +97,8 @@ def test_the_file_goes_round_and_the_message_says_who_signed() -> None:
         "the gate is away\n\nRobotKube-Break-Glass: 2026-11-24T12:00:00Z\n"
         "RobotKube-Signed-By: one AAAA\nRobotKube-Signed-By: two BBBB\n"
     )
-    found = read_glass_message("c" * 40, signed.message)
-    assert found is not None
-    assert (found.time, found.names, found.reason) == (CHANGE.time, ("one", "two"), CHANGE.reason)
-    assert read_glass_message("c" * 40, "Words\n\nRobotKube-Pull-Request: 7\n") is None
+    assert says_break_glass(signed.message)
+    assert not says_break_glass("Words\n\nRobotKube-Pull-Request: 7\n")
 
 
 @pytest.mark.parametrize(
@@ -147,75 +141,3 @@ def test_accepted_commits_are_whole_ids() -> None:
     assert read_accepted(f"# why\n{'a' * 40}  # because\n\n") == {"a" * 40}
     with pytest.raises(DocumentError, match="line 2: 'abc' must be the whole id of a commit"):
         read_accepted(f"{'a' * 40}\nabc\n")
-
-
-# -- what stands out ---------------------------------------------------------------------------------------------------
-
-
-class Main:
-    """A main of commits made in memory, in a clone without a forge."""
-
-    def __init__(self, folder: Path) -> None:
-        self.clone = GitClone("http://forge.invalid", "robotkube/deployment", "gate", "x", folder)
-        self.writer = ProposalWriter(folder, "gate", "x", "gate", lambda: 1_795_000_000.0)
-        repository = pygit2.Repository(str(folder))
-        who = pygit2.Signature("seed", "seed@x.invalid", 1, 0)
-        self.tip = str(repository.create_commit(None, who, who, "seed\n", repository.TreeBuilder().write(), []))
-        self.clone.moved_to(self.tip)
-        self.watch = BreakGlassWatch(self.clone)
-
-    def add(self, changes: dict[str, str | None], message: str = "checked\n") -> str:
-        self.tip = self.writer.commit(self.tip, changes, message)
-        self.clone.moved_to(self.tip)
-        return self.tip
-
-    def glass(self, changes: dict[str, str | None]) -> str:
-        return self.add(changes, CHANGE.signed_by("one", "A").signed_by("two", "B").message)
-
-    def standing(self) -> dict[str, tuple[str, ...]]:
-        self.watch.read()
-        again = BreakGlassWatch(self.clone)
-        again.read()
-        assert again.standing == self.watch.standing  # a gate that starts sees the same
-        return {glass.commit: glass.files for glass in self.watch.standing}
-
-
-def test_it_stands_until_main_has_something_else_in_its_place(tmp_path: Path) -> None:
-    main = Main(tmp_path)
-    main.add({"releases/a/x.yaml": "1", "policies/p.yaml": "1", "README.md": "1"})
-    assert main.standing() == {}
-    first = main.glass({"releases/a/x.yaml": "2", "policies/p.yaml": None, "README.md": "2"})
-    assert main.standing() == {first: ("README.md", "policies/p.yaml", "releases/a/x.yaml")}
-    main.add({"other": "1"})
-    main.add({"releases/a/x.yaml": "1"})
-    assert main.standing() == {first: ("README.md", "policies/p.yaml")}
-    second = main.glass({"README.md": "3", "new": "1"})
-    assert main.standing() == {second: ("README.md", "new"), first: ("policies/p.yaml",)}
-    main.add({"policies/p.yaml": "1", "README.md": "4"})
-    assert main.standing() == {second: ("new",)}
-    main.add({"new": None})
-    assert main.standing() == {}
-
-
-def test_what_is_right_as_it_is_is_accepted_by_its_id(tmp_path: Path) -> None:
-    main = Main(tmp_path)
-    first = main.glass({"releases/a/x.yaml": None, "kept": "1"})
-    second = main.glass({"kept": "2"})
-    main.add({ACCEPTED_PATH: "not an id\n"})
-    assert main.standing() == {second: ("kept",)}
-    main.add({ACCEPTED_PATH: f"{first}\n{second}\n"})
-    assert main.standing() == {}
-
-
-def test_one_that_is_too_large_to_compare_stands_until_it_is_accepted(tmp_path: Path) -> None:
-    main = Main(tmp_path)
-    many: dict[str, str | None] = {f"releases/a/{number}.yaml": "1" for number in range(1001)}
-    first = main.glass({**many, "kept": "1"})
-    second = main.glass({"kept": "2"})
-    everything = (f"everything of {first[:12]}",)
-    assert main.standing() == {second: ("kept",), first: everything}
-    main.add(dict.fromkeys(many))
-    main.add({"kept": "3"})
-    assert main.standing() == {first: everything}
-    main.add({ACCEPTED_PATH: f"{first}\n"})
-    assert main.standing() == {}

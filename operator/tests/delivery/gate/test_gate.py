@@ -10,6 +10,7 @@ import pytest
 from robotkube.delivery.deployment.core.releases import TaskCause
 from robotkube.foundation.runtime.core.webhook_deliveries import sign
 from robotkube.registry.charts.core.references import ChartReference
+from tests.stages.attacks import shown
 from tests.stages.forge.catalogue_evidence import published_chart
 from tests.stages.forge.installation import (
     CATALOGUE,
@@ -227,7 +228,9 @@ def test_a_forged_status_changes_nothing(
         assert installation.client("manager").post(f"/statuses/{commit}", json=body).status_code == 403
     running = start_gate(installation, controller.url, tmp_path)
     try:
-        assert "README.md: a plan may only touch" in wait_for_refusal(installation, numbers[0])
+        said = wait_for_refusal(installation, numbers[0])
+        assert "README.md: a plan may only touch" in said
+        shown("gate", said, "status-forged")
         until(lambda: merged(installation, numbers[1]), "merged in spite of a forged failure")
     finally:
         running.stop()
@@ -313,7 +316,7 @@ def test_what_the_catalogue_withdrew_is_refused_when_both_are_told_at_once(
         repository = {"full_name": "robotkube/deployment"}
         gate.gate.wake("pull_request", {"repository": repository, "action": "opened", "pull_request": opened})
         assert gate.gate.answer_hints() == 1
-        assert "state withdrawn is not allowed" in installation.comments(number)
+        shown("gate", installation.comments(number), "withdrawn-version")
         assert installation.pull_request(number)["state"] == "closed"
         assert not merged(installation, number)
     finally:

@@ -10,7 +10,9 @@ from robotkube.delivery.gate.core.release_checks import Rules, release_problems
 from robotkube.errors import InputError, UnavailableError
 from robotkube.foundation.documents.adapters.json_schema import validate
 from robotkube.registry.catalogue.core.catalogue import Catalogue, ChartVersion
+from robotkube.registry.charts.core.pod_images import pod_images
 from robotkube.registry.charts.core.references import ChartReference
+from tests.stages.attacks import shown
 
 PATH = "releases/cloud-0/bridge.yaml"
 IMAGE, FOREIGN = "forge:3000/ros@sha256:" + "3" * 64, "elsewhere:5000/ros@sha256:" + "4" * 64
@@ -55,10 +57,23 @@ def test_the_verified_image_may_run_wherever_it_comes_from() -> None:
     ("given", "named"), [(FOREIGN, FOREIGN), ("forge:3000/ros:1", "forge:3000/ros:1"), ("", "(none)")]
 )
 def test_any_other_image_is_refused(given: str, named: str) -> None:
-    assert problems({"images": [IMAGE, given]}) == [
+    found = problems({"images": [IMAGE, given]})
+    assert found == [
         f"{PATH}: spec.values: a pod would run image {named}, which was not verified with chart {CHART} "
         f"(images: {IMAGE}); leave out the values that name an image, or publish a version with this one"
     ]
+    shown("gate", found[0], "tag-moves")
+
+
+def test_an_image_that_is_a_volume_is_refused_as_well() -> None:
+    spec = {
+        "containers": [{"name": "app", "image": IMAGE}],
+        "volumes": [{"name": "v", "image": {"reference": FOREIGN}}],
+    }
+    of_pod = pod_images([{"kind": "Pod", "spec": spec}])
+    [found] = problems({"images": of_pod})
+    assert f"a pod would run image {FOREIGN}" in found
+    shown("gate", found, "image-volume")
 
 
 def test_a_chart_that_cannot_be_rendered_is_refused_and_one_that_cannot_be_tried_is_not() -> None:

@@ -8,6 +8,7 @@ import pytest
 from robotkube.registry.charts.adapters.chart_renderer import ChartRenderer
 from robotkube.registry.charts.adapters.oci import OciRegistry
 from robotkube.registry.charts.loops.release_images import ReleaseImages
+from tests.stages.attacks import shown
 from tests.stages.forge.installation import ApplicationSetController, Clone, Installation, RunningGate, start_gate
 from tests.stages.forge.real_charts import IMAGE, Published, plan_of, published, published_bridge
 from tests.stages.programs import program
@@ -52,7 +53,9 @@ def test_a_plan_with_a_foreign_image_is_refused_and_one_with_the_verified_image_
     until(lambda: installation.pull_request(foreign)["state"] == "closed", "closed")
     assert not installation.pull_request(foreign)["merged"]
     words = f"spec.values: a pod would run image {FOREIGN}, which was not verified with chart {bridge.chart}"
-    assert f"{words} (images: {IMAGE})" in installation.comments(foreign)
+    said = installation.comments(foreign)
+    assert f"{words} (images: {IMAGE})" in said
+    shown("gate", said, "image-by-manager", "image-by-publisher")
     verified = propose(installation, manager, bridge, "bridge-2", {"image": {"reference": IMAGE}})
     until(lambda: installation.pull_request(verified)["merged"], "merged")
     default = propose(installation, manager, bridge, "bridge-3", {})

@@ -114,6 +114,14 @@ def test_a_merge_is_recorded_with_the_tips_as_they_were(stage: Stage) -> None:
     assert stage.kept() == []
 
 
+def test_what_was_announced_is_known_to_the_next_process_until_its_note_stands(stage: Stage) -> None:
+    """So it does not take its own merges for commits that nobody checked."""
+    stage.merge()
+    assert (stage.recorder.announced(), stage.started().announced()) == ({FIRST}, {FIRST})
+    stage.recorder.round()
+    assert stage.started().announced() == frozenset()
+
+
 def test_merges_of_one_moment_are_one_push(stage: Stage) -> None:
     stage.merge(FIRST)
     stage.merge(SECOND)

@@ -7,6 +7,7 @@ import pygit2
 import pytest
 
 from robotkube.delivery.deployment.loops.main_history import term_of
+from tests.stages.attacks import shown
 from tests.stages.forge.installation import (
     MERGE_POLICY,
     ApplicationSetController,
@@ -142,6 +143,7 @@ def test_what_the_gate_refuses_reaches_main_by_nobody_though_edits_are_to_be_res
     text = said(installation, number, f"Checked {commit[:12]}: it cannot be merged.")
     assert "releases/cloud-0/by-a-person.yaml: spec.values: Additional properties are not allowed" in text
     assert "Main moves by the gate alone, so nobody can merge it" in text
+    shown("gate", text, "merge-against-the-gate")
     assert review(installation, "reviewer", number, commit) == 200
     assert settled(installation, gate, number)
     for account in ("operator-team", "reviewer", "manager"):

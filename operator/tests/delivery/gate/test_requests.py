@@ -24,6 +24,7 @@ from robotkube.foundation.runtime.core.webhook_deliveries import sign
 from robotkube.foundation.runtime.settings_file import read_settings
 from robotkube.registry.catalogue.adapters.bounded_validation import BoundedSchemas
 from robotkube.registry.charts.adapters.chart_renderer import ChartRenderer
+from tests.stages.attacks import shown
 from tests.stages.delivery.gate_settings import OCI_REGISTRY, settings_file
 from tests.stages.random_json import mistaken
 from tests.stages.registry.signed_evidence import signing_key
@@ -120,4 +121,5 @@ def test_any_objects_are_received_or_refused(sender: Sender, document: Any) -> N
 @pytest.mark.parametrize("body", [b"[" * 100_000, b"[" * 101 + b"]" * 101, b"{", b"", b"\xff"])
 def test_what_is_deep_or_no_json_is_refused_with_words(sender: Sender, body: bytes) -> None:
     for answer in (sender.deliver(body), sender.send_objects(body)):
-        assert (answer.status_code, "the body is not readable as JSON" in answer.text) == (400, True)
+        assert answer.status_code == 400
+        shown("gate", answer.text, "deep-json")

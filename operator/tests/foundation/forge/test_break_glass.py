@@ -1,6 +1,7 @@
 """Break-glass on a real forge whose gate is away: main takes what two registered people have signed just now, nothing
 else."""
 
+import json
 import secrets
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -14,6 +15,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, PublicFormat
 
 from robotkube.cli import main as cli
+from robotkube.cli import status
 from robotkube.delivery.deployment.adapters.ssh_keys import sign
 from robotkube.delivery.deployment.core.break_glass import (
     ACCEPTED_PATH,
@@ -22,6 +24,13 @@ from robotkube.delivery.deployment.core.break_glass import (
     TIME_FORMAT,
     EmergencyChange,
 )
+from robotkube.delivery.deployment.core.merge_records import REFERENCE
+from robotkube.delivery.gate.adapters.merge_journal import FileJournal
+from robotkube.delivery.gate.loops.merge_records import MergeRecorder
+from robotkube.delivery.gate.loops.unchecked_report import UncheckedCounts
+from robotkube.foundation.forge.adapters.git import GitClone, GitNotes
+from tests.stages.attacks import shown
+from tests.stages.forge.catalogue_evidence import gate_key, key_folder
 from tests.stages.forge.installation import (
     ApplicationSetController,
     Clone,
@@ -238,7 +247,7 @@ def test_two_commits_a_merge_another_branch_and_no_option_are_refused(people: Pe
     merge = commit_of(person, change, parents=(tip, first))
     assert "the commit's only parent must be main's tip" in push(person, merge)
     commit = glass(person, people)
-    assert "Not allowed to push to protected branch main" in person.push(commit, MAIN)
+    shown("gate", person.push(commit, MAIN), "verifier-off")  # nobody is there who could merge
     assert "push refs/heads/main and nothing else" in person.push(commit, "refs/heads/mine", [PUSH_OPTION])
     assert "break-glass: main is neither made nor deleted" in delete_with_option(person)
     assert person.tip() == tip
@@ -361,32 +370,50 @@ def controller() -> Iterator[ApplicationSetController]:
     found.stop()
 
 
+@pytest.fixture
+def recorder(own_installation: Installation, tmp_path: Path) -> MergeRecorder:
+    forge = (own_installation.url, REPOSITORY, "gate", own_installation.passwords["gate"], tmp_path / "records")
+    return MergeRecorder(
+        GitNotes(*forge, REFERENCE),
+        GitClone(*forge),
+        FileJournal(tmp_path / "merges"),
+        gate_key(),
+        f"{own_installation.url}/{REPOSITORY}",
+        "robotkube-gate",
+        now,
+    )
+
+
 def test_it_stands_out_until_a_checked_commit_has_replaced_it_or_accepted_it(
     own_installation: Installation,
     people: People,
     person: Clone,
     controller: ApplicationSetController,
     tmp_path: Path,
+    recorder: MergeRecorder,
     capfd: pytest.CaptureFixture[str],
     caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr(status, "RECORD_SECONDS_MAX", 0.0)
     plan = own_installation.plan()
     release = release_files(plan, "by-hand")
     commit = glass(person, people, {**release, "policies/mine.yaml": "a: 1\n", "notes.txt": "x\n"})
     assert push(person, commit) == ""
-    options = (*forge_options(own_installation, tmp_path, "argocd"), "-o", "json")
+    options = (*forge_options(own_installation, tmp_path, "argocd"), "--keys", str(key_folder()), "-o", "json")
     assert run("status", *options) == 1
     said = capfd.readouterr()
-    assert commit in said.out
-    assert "came without the gate and stand" in said.err
-    running = start_gate(own_installation, controller.url, tmp_path / "gate")
+    assert (commit, "break-glass") in [(row["commit"], row["how"]) for row in json.loads(said.out)["unchecked"]]
+    assert "let past the gate with people's signatures" in said.err
+    assert "no commit of main has a valid record of the gate" in said.err  # it was away since the beginning
+    running = start_gate(own_installation, controller.url, tmp_path / "gate", recorder=recorder)
     try:
-        until(lambda: running.gate.statistics.break_glass["commits"] >= 1, "the gate names it")
+        until(lambda: running.gate.statistics.unchecked.break_glass_commits >= 1, "the gate names it")
         assert f"break-glass stands commit={commit}" in caplog.text
         assert "signed_by=operator-team,reviewer" in caplog.text
 
         def files() -> int:
-            return running.gate.statistics.break_glass["files"]
+            return running.gate.statistics.unchecked.break_glass_files
 
         before = files()
         manager, gone = own_installation.clone("manager"), own_installation.plan()
@@ -394,14 +421,26 @@ def test_it_stands_out_until_a_checked_commit_has_replaced_it_or_accepted_it(
         number = own_installation.propose(manager, removal, gone)
         until(lambda: own_installation.pull_request(number)["merged"], "the manager's plan is merged")
         until(lambda: files() == before - len(release), "what the plan took away stands out no more")
-        standing = [glass.commit for glass in running.gate._break_glass.standing]
+        assert running.gate._unchecked is not None
+        standing = [one.commit for one in running.gate._unchecked.watch.standing]
         accepted = person.commit({ACCEPTED_PATH: "\n".join([*standing, ""])}, "It was right\n", [person.tip()])
         number = own_installation.propose(person, accepted, own_installation.plan())
         review = {"event": "APPROVED", "commit_id": accepted, "body": "seen"}
         own_installation.client("reviewer").post(f"/pulls/{number}/reviews", json=review).raise_for_status()
         until(lambda: files() == 0, "nothing stands out")
-        assert running.gate.statistics.break_glass["commits"] == 0
+        assert running.gate.statistics.unchecked == UncheckedCounts()
+        recorder.round()
+        assert run("status", *options[:-2]) == 0
+        assert "everything on it was checked by the gate, or has been replaced or accepted" in capfd.readouterr().out
+        past = own_installation.clone("gate")  # as the forge's administrator could
+        moved = past.commit({"notes.txt": "y\n"}, "deploy(recording): as a plan is\n", [past.tip()])
+        assert past.push(moved, MAIN) == ""
+        until(lambda: running.gate.statistics.unchecked.others["no-record"] == 1, "the gate names it, too")
+        assert f"unchecked commit stands commit={moved} how=no-record files=notes.txt" in caplog.text
+        shown("gate", caplog.text, "main-moved-past-the-gate")
     finally:
         running.stop()
-    assert run("status", *options[:-2]) == 0
-    assert "everything on it was checked by the gate or has been replaced" in capfd.readouterr().out
+    assert run("status", *options) == 1
+    said = capfd.readouterr()
+    assert [(row["commit"], row["how"]) for row in json.loads(said.out)["unchecked"]] == [(moved, "no-record")]
+    assert "1 commit has no record of the gate: main was moved past it" in said.err

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import httpx
 import pytest
 
+from tests.stages.attacks import shown
 from tests.stages.forge.gitea import ForgeProcess
 from tests.stages.forge.installation import ACCOUNTS, PACKAGES, Installation
 
@@ -33,8 +34,12 @@ def upload(registry: httpx.Client, organisation: str, package: str) -> tuple[int
     """Status codes of a blob's and a manifest's upload."""
     path = f"/v2/{organisation}/{package}"
     blob = registry.post(f"{path}/blobs/uploads/", params={"digest": digest_of(EMPTY)}, content=EMPTY)
-    done = registry.put(f"{path}/manifests/1", content=manifest(), headers={"Content-Type": MANIFEST})
-    return blob.status_code, done.status_code
+    return blob.status_code, put(registry, f"{path}/manifests/1").status_code
+
+
+def put(registry: httpx.Client, path: str) -> httpx.Response:
+    """The answer to a manifest's upload."""
+    return registry.put(path, content=manifest(), headers={"Content-Type": MANIFEST})
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -71,6 +76,10 @@ def test_writing(installation: Installation, account: str, organisation: str) ->
         assert upload(registry, organisation, package) == ((201, 201) if allowed else (401, 401))
         path = f"/v2/{organisation}/{package if allowed else PACKAGE}/manifests/{digest_of(manifest())}"
         assert registry.delete(path).status_code == (202 if allowed else 401)
+        if (account, organisation) == ("publisher", "robotkube"):
+            answer = put(registry, f"/v2/robotkube/{package}/manifests/1")
+            said = f"{answer.status_code} {answer.reason_phrase}: {answer.text}"
+            shown("elsewhere", said, "platform-image-pushed")
     there = httpx.get(
         f"{installation.url}/v2/{organisation}/{PACKAGE}/tags/list", auth=reader(installation, organisation)
     )

@@ -7,6 +7,7 @@ from contextlib import closing
 import httpx
 import pytest
 
+from tests.stages.attacks import shown
 from tests.stages.forge.gitea import HOOKS
 from tests.stages.forge.installation import ACCOUNTS, Installation, message, release_files
 from tests.stages.waiting import until
@@ -227,6 +228,7 @@ def test_a_person_writes_nothing_but_branches(installation: Installation, reposi
     refused = person.push(commit, reference, force=True)
     assert f"{reference}: only the account gate writes notes, tags and whatever else is no branch" in refused
     assert "not operator-team; push a branch (refs/heads/<name>) or propose (refs/for/<branch>)" in refused
+    shown("elsewhere", refused, "notes-pushed")
     branch = f"refs/heads/person-{secrets.token_hex(3)}"
     assert (person.push(commit, branch), person.delete(branch)) == ("", "")
 

@@ -23,6 +23,7 @@ from robotkube.foundation.runtime.adapters.bounded_connections import (
 )
 from robotkube.foundation.runtime.adapters.webhook_server import BODY_BYTES_MAX, WebServer
 from robotkube.foundation.runtime.core.webhook_deliveries import WebhookDelivery, sign
+from tests.stages.attacks import shown
 from tests.stages.paths import REPOSITORY
 from tests.stages.waiting import until
 
@@ -205,6 +206,7 @@ def test_refusals_are_logged_once_in_a_while(caplog: pytest.LogCaptureFixture) -
         "connections refused count=1 last_source=127.0.0.1",
         "connections refused count=100 last_source=127.0.0.1",
     ]
+    shown("gate", caplog.text, "slow-connections")
     for pair in pairs:
         for end in pair:
             end.close()

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from ci.folders import PROJECT
+from robotkube.cli import main as cli
 from scenarios.runner import inspection
 from tests.stages.platform.running_platform import Platform
 from tests.stages.platform.story import Story
@@ -48,6 +52,19 @@ def test_everything_that_ran_had_evidence(story: Story) -> None:
     assert {entry["chart"] for entry in entries} == {"mqtt-bridge", "event-detector", "bag-player"}
     assert all(re.fullmatch("sha256:[0-9a-f]{64}", entry["evidence"]) for entry in entries)
     assert not any("assurance" in text for text in story.report["warnings"])
+
+
+def test_the_gate_has_signed_for_what_the_story_brought_to_main(
+    platform: Platform, story: Story, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A cluster that was kept may have others: tests of refusals bring some to main past the gate."""
+    commits = {entry["commit"] for entry in story.report["audit"] if entry["event"]}
+    code = cli.main(["status", "--kubeconfig", str(platform.installer.kubeconfig), "-o", "json"])
+    said = capsys.readouterr()
+    rows = json.loads(said.out)["unchecked"]
+    assert code == (1 if rows else 0), said.err
+    assert commits
+    assert {row["commit"] for row in rows} & commits == set()
 
 
 def test_the_commands_to_look_around_work(platform: Platform, story: Story, tmp_path: Path) -> None:

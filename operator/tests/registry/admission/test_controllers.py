@@ -3,15 +3,14 @@ it is refused. Pods wait for a node, which is not here."""
 
 from __future__ import annotations
 
-import subprocess
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
 
 from robotkube.registry.admission.core.policies import for_files
+from tests.stages.kubernetes.controllers import controlling
 from tests.stages.kubernetes.judged_api_server import MERGE, Api, judged_api_server
-from tests.stages.programs import program
 from tests.stages.registry.admission_examples import (
     ALLOWED,
     APPLICATION_CONTROLLER,
@@ -37,17 +36,8 @@ def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
     with judged_api_server(tmp_path_factory.mktemp("api"), for_files(DOMAIN, ALLOWED)) as (api, _):
         for name in (AGENT, TESTS):
             api.done("POST", "/api/v1/namespaces", {"metadata": {"name": name}})
-        folder = api.server.folder
-        command = [
-            program("kube-controller-manager"), f"--kubeconfig={api.server.kubeconfig}", "--leader-elect=false",
-            f"--service-account-private-key-file={folder}/account.key", "--use-service-account-credentials",
-            "--secure-port=0",
-        ]  # fmt: skip
-        with (folder / "kube-controller-manager.log").open("wb") as log:
-            manager = subprocess.Popen(command, stdout=log, stderr=log)
-        yield api
-        manager.kill()
-        manager.wait(10)
+        with controlling(api.server.folder, api.server.kubeconfig):
+            yield api
 
 
 def running(api: Api, namespace: str, reference: str) -> list[dict[str, Any]]:

@@ -9,12 +9,15 @@ import pytest
 
 from robotkube.errors import DocumentError, InputError, UnavailableError
 from robotkube.foundation.forge.ports.repositories import Commit
+from robotkube.registry.admission.adapters.listing_file import ListingFile
 from robotkube.registry.admission.core.allowed import Allowed, digests_of
 from robotkube.registry.admission.core.domain import Domain
+from robotkube.registry.admission.core.listing import AllowedVersions
 from robotkube.registry.admission.core.policies import for_files, list_entries, platform_entries
 from robotkube.registry.admission.loops.following import CatalogueListing, Following, Surroundings
 from robotkube.registry.evidence.adapters.dsse import KeyFile
 from robotkube.registry.evidence.core.statements import Artefact
+from tests.stages.attacks import shown
 from tests.stages.registry.admission_examples import DOMAIN, digest, image
 from tests.stages.registry.signed_evidence import (
     POLICY_TEXT,
@@ -27,6 +30,7 @@ from tests.stages.registry.signed_evidence import (
 )
 
 Files = Mapping[str, str]
+NO_DIGEST = '{"charts": [], "images": ["sha256:1"]}'
 OTHER_POLICY = POLICY_TEXT.replace("seconds: 60", "seconds: 61")
 
 
@@ -141,6 +145,7 @@ def test_without_its_signature_a_version_is_not_listed(key: KeyFile, tmp_path: P
     assert found is not None
     assert (found.charts, found.verified) == ((), ())
     assert found.problems[0].startswith(f"app@0.1.0@{APP.digest} is not listed: summary: ")
+    shown("admission", found.problems[0], "entry-called-verified")
 
 
 def test_evidence_of_another_version_is_none(key: KeyFile, tmp_path: Path) -> None:
@@ -208,7 +213,10 @@ def test_policies_follow_the_list_and_stay_while_the_forge_is_away(key: KeyFile,
     stage = Stage(key, tmp_path)
     place, agents = Place(), ["vehicle-00"]
     following = Following(
-        stage.listing, place, lambda: Surroundings(Domain(tuple(agents), (), DOMAIN.charts), (digest(2),))
+        stage.listing,
+        place,
+        lambda: Surroundings(Domain(tuple(agents), (), DOMAIN.charts), (digest(2),)),
+        ListingFile(tmp_path / "listing.json"),
     )
     assert following.step()  # before there is a catalogue: what the platform needs
     around = Domain(("vehicle-00",), (), DOMAIN.charts)
@@ -223,6 +231,32 @@ def test_policies_follow_the_list_and_stay_while_the_forge_is_away(key: KeyFile,
     with pytest.raises(UnavailableError):
         following.step()
     assert place.documents == for_files(Domain(("vehicle-00", "vehicle-01"), (), DOMAIN.charts), whole)
+
+
+def test_a_process_that_starts_again_goes_on_with_the_last_list(key: KeyFile, tmp_path: Path) -> None:
+    """Also when it cannot read the catalogue yet: nothing that runs is stranded meanwhile."""
+    stage, place, memory = Stage(key, tmp_path / "keys", catalogue(version(key))), Place(), ListingFile(tmp_path / "l")
+    around = Surroundings(Domain(("vehicle-00",), (), DOMAIN.charts), (digest(2),))
+    Following(stage.listing, place, lambda: around, memory).step()
+    whole = place.documents
+    again = Stage(key, tmp_path / "keys", catalogue(version(key)))
+    again.main.away = True
+    following = Following(again.listing, place, lambda: around, memory)
+    with pytest.raises(UnavailableError):
+        following.step()
+    assert place.documents == whole == for_files(around.domain, Allowed((digest(1),), (digest(2),), CHARTS))
+    again.main.away = False
+    again.main.trees.append(catalogue())
+    assert following.step()
+    assert place.documents == for_files(around.domain, Allowed(platform=(digest(2),)))
+
+
+@pytest.mark.parametrize("text", ["", "[", "[]", '{"charts": []}', '{"charts": ["a"], "images": [1]}', NO_DIGEST])
+def test_a_list_that_cannot_be_read_is_none(tmp_path: Path, text: str, caplog: pytest.LogCaptureFixture) -> None:
+    (tmp_path / "listing.json").write_text(text)
+    assert ListingFile(tmp_path / "listing.json").load() == AllowedVersions()
+    assert "admission: the last list is unusable" in caplog.text
+    assert ListingFile(tmp_path / "none").load() == AllowedVersions()
 
 
 @pytest.mark.parametrize("word", ["sha256:12", "x']", f"{digest(1)}\n", digest(1).upper()])

@@ -11,25 +11,20 @@ from robotkube.registry.admission.core.allowed import Allowed
 from robotkube.registry.admission.core.lists import CHUNK
 from robotkube.registry.admission.core.policies import for_files
 from robotkube.registry.admission.core.stranded import stranded
+from tests.stages.attacks import shown
 from tests.stages.kubernetes.judged_api_server import ADMINISTRATOR, MERGE, Api, judged_api_server
 from tests.stages.registry.admission_examples import (
     ALLOWED,
     APPLICATION_CONTROLLER,
-    APPLICATIONS,
-    CHART,
-    CHARTS,
     DEPLOYMENTS,
     DOMAIN,
-    GENERATOR,
     KINDS,
     OF_THE_PLATFORM,
-    PROJECTS,
     REPLICA_SETS,
     SERVER,
     STRANGE,
     SUITE_RUNNER,
     VERIFIED,
-    application,
     digest,
     image,
     path,
@@ -79,6 +74,10 @@ PARTS: dict[str, dict[str, Any]] = {
 def test_a_pod_with_an_image_that_is_not_listed_is_refused(api: Api, part: str) -> None:
     words = api.refusal("POST", path("Pod", "vehicle-00"), {**pod(), "spec": PARTS[part]}, REPLICA_SETS)
     assert words.startswith(image_words(STRANGE))
+    if part == "image volume":
+        shown("admission", words, "image-volume")
+    else:
+        shown("admission", words, "image-by-manager", "image-by-publisher", "merge-against-the-gate")
     assert words.endswith(
         "Submit the chart that needs it (robotkube registry submit), or name the digest that was verified"
     )
@@ -128,6 +127,7 @@ def test_nobody_else_makes_workloads_of_an_agent(api: Api, kind: str, user: str)
 def test_nobody_but_controllers_makes_pods_of_an_agent(api: Api, user: str) -> None:
     words = api.refusal("POST", path("Pod", "vehicle-00"), pod(), user)
     assert words.startswith(f"pods made by {user or 'administrator'}: in an agent's namespace Argo CD's application")
+    shown("admission", words, "pod-by-administrator")
 
 
 def test_a_replica_set_of_its_own_is_not_argo_cds_to_make(api: Api) -> None:
@@ -167,6 +167,8 @@ def test_nobody_else_changes_a_workload_of_an_agent(api: Api, deployment: str, c
         "deployments detector changed by administrator: in an agent's namespace nothing runs but what main says. "
         "Change the release on main"
     )
+    if change in ("sidecar", "annotation"):
+        shown("admission", words, "sidecar", "annotation")
     api.done("PATCH", deployment + DRY, CHANGES[change], APPLICATION_CONTROLLER, MERGE)
 
 
@@ -197,10 +199,12 @@ def ephemeral(reference: str) -> dict[str, Any]:
 def test_containers_are_not_added_to_pods_of_an_agent(api: Api, running_pod: str) -> None:
     place = f"{running_pod}/ephemeralcontainers"
     assert api.refusal("PATCH", place, ephemeral(STRANGE), kind=MERGE).startswith(image_words(STRANGE))
-    assert api.refusal("PATCH", place, ephemeral(VERIFIED), kind=MERGE) == (
+    words = api.refusal("PATCH", place, ephemeral(VERIFIED), kind=MERGE)
+    assert words == (
         "no container may be added to a pod that runs in namespace vehicle-00: nobody verified the pod with it. "
         "Read the pod's logs, or try the chart with that container in a suite"
     )
+    shown("admission", words, "ephemeral-container")
 
 
 def test_the_image_of_a_pod_is_not_changed(api: Api, running_pod: str) -> None:
@@ -219,10 +223,12 @@ def test_a_test_namespace_takes_any_image_by_digest_from_the_suite_runner(api: A
             " made by administrator: in a test namespace the suite-runner alone starts what is tried. "
             "Submit the chart (robotkube registry submit)"
         )
-    assert api.refusal("POST", path("Pod", place), pod(TAGGED), SUITE_RUNNER) == (
+    words = api.refusal("POST", path("Pod", place), pod(TAGGED), SUITE_RUNNER)
+    assert words == (
         f"image {TAGGED} may not run in namespace {place}: a tag can be moved after it was checked, a digest cannot. "
         "Write <repository>@sha256:<digest> in the chart"
     )
+    shown("admission", words, "tag-moves")
 
 
 def test_containers_are_not_added_to_pods_under_test(api: Api) -> None:
@@ -239,9 +245,9 @@ def test_the_platform_runs_its_own_images(api: Api, namespace: str) -> None:
     api.done("POST", path("Pod", namespace) + DRY, pod(OF_THE_PLATFORM), REPLICA_SETS)
     words = f"image {{}} may not run in namespace {namespace}: only images that the platform was installed with"
     for reference in (VERIFIED, STRANGE):
-        assert api.refusal("POST", path("Deployment", namespace), workload("Deployment", reference)).startswith(
-            words.format(reference)
-        )
+        refused = api.refusal("POST", path("Deployment", namespace), workload("Deployment", reference))
+        assert refused.startswith(words.format(reference))
+        shown("admission", refused, "platform-image-pushed")
     assert api.refusal("POST", path("Pod", namespace), pod(OF_THE_PLATFORM)) == (
         "pod made by administrator: in the platform's namespaces controllers alone make pods. "
         "Change the values of the chart"
@@ -317,6 +323,7 @@ def test_no_pod_gets_a_way_to_its_machine(api: Api, namespace: str, way: str) ->
     """The policies themselves are files of a machine."""
     words = api.refusal("POST", path("Pod", namespace), {**pod(), "spec": pod_spec(**WAYS[way])}, REPLICA_SETS)
     assert words.startswith(f"pods in namespace {namespace} ask for a way to their machine")
+    shown("admission", words, "way-to-the-machine")
 
 
 @pytest.mark.parametrize(
@@ -342,6 +349,7 @@ def test_a_policy_in_files_can_be_neither_seen_nor_deleted(api: Api) -> None:
     assert api.done("GET", POLICIES)["items"] == []
     gone = api.request("DELETE", f"{POLICIES}/robotkube-agents.static.k8s.io")
     assert (gone["reason"], gone["status"]) == ("NotFound", "Failure")
+    shown("admission", gone["message"], "policy-deleted")
     api.done("DELETE", POLICIES)
     assert api.refusal("POST", path("Pod", "vehicle-00"), pod(STRANGE), REPLICA_SETS)
 
@@ -350,114 +358,6 @@ def test_no_object_takes_the_name_of_a_policy_in_files(api: Api) -> None:
     [policy, *_] = for_files(DOMAIN, ALLOWED)
     answer = api.request("POST", POLICIES, policy)
     assert (answer["status"], answer["reason"]) == ("Failure", "Invalid")
-
-
-SOURCE = application()["spec"]["source"]
-TO_CLUSTER = {"server": "https://kubernetes.default.svc"}
-ONE_CHART = " is more than one chart with its values: it has several sources, a key that releases do not use"
-NOT_VERIFIED = f": only charts of {CHARTS} that are verified on the catalogue's main are applied, by digest."
-IN_AGENTS = "but releases run in agents' namespaces of this cluster alone. Correct metadata.namespace of the release"
-ATTACKS: dict[str, tuple[dict[str, Any], str]] = {
-    "another project": ({"project": "default"}, "is in project default, not in robotkube-apps, the one that limits"),
-    "the platform's namespace": ({"destination": {**TO_CLUSTER, "namespace": "robotkube"}}, IN_AGENTS),
-    "no namespace": ({"destination": TO_CLUSTER}, IN_AGENTS),
-    "another cluster": ({"destination": {"server": "https://example.org", "namespace": "vehicle-00"}}, IN_AGENTS),
-    "a cluster by name": ({"destination": {"name": "in-cluster", "namespace": "vehicle-00"}}, IN_AGENTS),
-    "a foreign registry": (
-        {"source": {**SOURCE, "repoURL": "oci://example.org/verified/event-detector"}}, NOT_VERIFIED),
-    "the staging area": (
-        {"source": {**SOURCE, "repoURL": CHARTS.replace("/verified", "/staging/event-detector")}}, NOT_VERIFIED),
-    "a way out of it": ({"source": {**SOURCE, "repoURL": f"{CHARTS}/../staging/event-detector"}}, NOT_VERIFIED),
-    "another chart of the digest": ({"source": {**SOURCE, "repoURL": f"{CHARTS}/mqtt-bridge"}}, NOT_VERIFIED),
-    "another digest": ({"source": {**SOURCE, "targetRevision": digest(8)}}, NOT_VERIFIED),
-    "a tag": ({"source": {**SOURCE, "targetRevision": "1.0.0"}}, NOT_VERIFIED),
-    "no revision": ({"source": {key: SOURCE[key] for key in SOURCE if key != "targetRevision"}}, NOT_VERIFIED),
-    "a repository of Git": ({"source": {"repoURL": "https://example.org/a.git", "path": "."}}, NOT_VERIFIED),
-    "a plug-in": ({"source": {**SOURCE, "plugin": {"name": "sh"}}}, ONE_CHART),
-    "another folder": ({"source": {**SOURCE, "path": "charts/other"}}, ONE_CHART),
-    "several sources": ({"sources": [SOURCE, {"repoURL": "https://example.org/a.git", "path": "."}]}, ONE_CHART),
-    "values from an address": (
-        {"source": {**SOURCE, "helm": {"valueFiles": ["http://10.0.0.1/secret"]}}}, ONE_CHART),
-    "a parameter": (
-        {"source": {**SOURCE, "helm": {"parameters": [{"name": "image.reference", "value": STRANGE}]}}}, ONE_CHART),
-    "differences ignored": (
-        {"ignoreDifferences": [{"group": "apps", "kind": "Deployment", "jsonPointers": ["/spec"]}]}, ONE_CHART),
-    "labels of namespaces": (
-        {"syncPolicy": {"managedNamespaceMetadata": {"labels": {"pod-security.kubernetes.io/enforce": "privileged"}}}},
-        ONE_CHART),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("attack", ATTACKS)
-def test_an_application_of_anything_else_is_refused(api: Api, attack: str) -> None:
-    """Written by the ApplicationSet controller's account, which may write every Application."""
-    spec, expected = ATTACKS[attack]
-    words = api.refusal("POST", APPLICATIONS, application(**spec), GENERATOR)
-    assert words.startswith("Application vehicle-00-detector ")
-    assert expected in words
-
-
-@pytest.mark.parametrize("user", [ADMINISTRATOR, SERVER])
-def test_applications_are_written_by_argo_cds_generator(api: Api, user: str) -> None:
-    assert api.refusal("POST", APPLICATIONS, application(), user) == (
-        f"Application vehicle-00-detector written by {user or 'administrator'}: Argo CD's ApplicationSet controller "
-        "alone writes them, from main. Propose a release instead"
-    )
-
-
-@pytest.fixture
-def applied(api: Api) -> Iterator[str]:
-    """The address of an Application."""
-    api.done("POST", APPLICATIONS, application(), GENERATOR)
-    address = f"{APPLICATIONS}/vehicle-00-detector"
-    yield address
-    api.done("DELETE", address)
-
-
-def test_what_argo_cd_notes_on_an_application_passes(api: Api, applied: str) -> None:
-    status = {"status": {"sync": {"status": "Synced", "comparedTo": {"source": SOURCE, "destination": {}}}}}
-    refresh = {"metadata": {"annotations": {"argocd.argoproj.io/refresh": "normal"}}}
-    automated = {"operation": {"sync": {"revision": CHART}, "initiatedBy": {"automated": True}}}
-    api.done("PATCH", applied, status, APPLICATION_CONTROLLER, MERGE)
-    api.done("PATCH", applied, refresh, SERVER, MERGE)
-    api.done("PATCH", applied, automated, APPLICATION_CONTROLLER, MERGE)
-    api.done("PATCH", applied, {"operation": None}, APPLICATION_CONTROLLER, MERGE)
-    api.done("PATCH", applied, {"operation": {"sync": {"source": SOURCE}}}, APPLICATION_CONTROLLER, MERGE)
-
-
-OPERATIONS: dict[str, dict[str, Any]] = {
-    "another source": {"source": {**SOURCE, "targetRevision": digest(8)}},
-    "several sources": {"sources": [SOURCE]},
-    "another revision": {"revision": digest(8)},
-    "several revisions": {"revisions": [CHART]},
-    "manifests": {"manifests": ["apiVersion: v1"]},
-}
-
-
-@pytest.mark.parametrize("operation", OPERATIONS)
-@pytest.mark.parametrize("user", [ADMINISTRATOR, SERVER, APPLICATION_CONTROLLER])
-def test_an_operation_brings_nothing_of_its_own(api: Api, applied: str, operation: str, user: str) -> None:
-    words = api.refusal("PATCH", applied, {"operation": {"sync": OPERATIONS[operation]}}, user, MERGE)
-    assert words.startswith("Application vehicle-00-detector: operation.sync names another source or revision")
-
-
-def test_an_application_that_is_there_is_not_turned(api: Api, applied: str) -> None:
-    turned = {"spec": {"source": {"targetRevision": digest(8)}}}
-    assert NOT_VERIFIED in api.refusal("PATCH", applied, turned, GENERATOR, MERGE)
-    assert "written by administrator" in api.refusal("PATCH", applied, turned, kind=MERGE)
-
-
-def test_argo_cd_does_not_widen_the_project_of_releases(api: Api) -> None:
-    head = {"apiVersion": "argoproj.io/v1alpha1", "kind": "AppProject", "metadata": {"name": "robotkube-apps"}}
-    words = f"AppProject robotkube-apps changed by {SERVER}: who installs the platform says what releases may be made"
-    assert api.refusal("POST", PROJECTS, {**head, "spec": {}}, SERVER).startswith(words)
-    api.done("POST", PROJECTS, {**head, "spec": {}})
-    wider = {"spec": {"clusterResourceWhitelist": [{"group": "*", "kind": "*"}]}}
-    assert api.refusal("PATCH", f"{PROJECTS}/robotkube-apps", wider, SERVER, MERGE).startswith(words)
-    api.done("PATCH", f"{PROJECTS}/robotkube-apps", {"metadata": {"labels": {"a": "b"}}}, SERVER, MERGE)
-    api.done("PATCH", f"{PROJECTS}/robotkube-apps", wider, kind=MERGE)
-    default = {**head, "metadata": {"name": "default"}, "spec": {}}
-    api.done("POST", PROJECTS, default, SERVER)  # argocd-server makes it when it starts
 
 
 def test_what_would_be_stranded_is_what_the_policies_refuse(api: Api) -> None:

@@ -14,6 +14,7 @@ from robotkube.registry.catalogue.core.catalogue import ChartRequirement
 from robotkube.registry.catalogue.loops.verified_catalogue import AssuredCatalogue, EvidenceReader
 from robotkube.registry.evidence.adapters.dsse import KeyFile, TrustedKeys
 from robotkube.registry.evidence.core.statements import VerifiedStatement
+from tests.stages.attacks import shown
 from tests.stages.registry.signed_evidence import (
     POLICY,
     POLICY_TEXT,
@@ -92,6 +93,16 @@ def test_an_entry_edited_to_verified_is_not_selected(key: KeyFile, trusted: Trus
     assert "no valid evidence: suite static: there is no evidence; a missing suite is not a passed one" in str(
         caught.value
     )
+    shown("selection", str(caught.value), "entry-called-verified")
+
+
+def test_a_withdrawn_version_is_not_selected(key: KeyFile, trusted: TrustedKeys) -> None:
+    files = catalogue(published(key, APP))
+    withdrawn = {**files, ENTRY: files[ENTRY].replace("state: verified", "state: withdrawn")}
+    assert withdrawn != files
+    with pytest.raises(RefusalError) as caught:
+        EvidenceReader(trusted).read(withdrawn).select(ANY)
+    shown("selection", str(caught.value), "withdrawn-version")
 
 
 def test_evidence_of_another_build_of_the_version_does_not_count(key: KeyFile, trusted: TrustedKeys) -> None:
@@ -272,3 +283,4 @@ def test_a_summary_signed_for_other_envelopes_does_not_count(key: KeyFile, trust
     text = evidence_problem(trusted, files)
     assert "suite static: the evidence is about another digest" in text
     assert "summary: it lists another envelope of suite static" in text
+    shown("selection", text, "verdict-overwritten")

@@ -7,6 +7,7 @@ import pytest
 
 from robotkube.foundation.forge.core.reviews import Review
 from robotkube.registry.publication.core.approvals import approval_reasons
+from tests.stages.attacks import shown
 from tests.stages.registry.publication_in_memory import PublicationStage
 from tests.stages.registry.submissions import application, chart
 
@@ -61,6 +62,7 @@ def waiting(world: PublicationStage) -> int:
 
 def test_it_waits_and_is_published_with_a_persons_approval(world: PublicationStage) -> None:
     number = waiting(world)
+    shown("gate", world.text(number), "runs-by-itself")
     world.forge.reviewed[number] = [Review("reviewer", world.forge.pulls[number].head, True, True)]
     assert "## Verified: relay 0.1.0" in world.settle(number)
     assert world.merged(number)

@@ -22,6 +22,7 @@ from robotkube.registry.evidence.core.verification_policy import read_verificati
 from robotkube.registry.publication.loops.publication import PublicationLoop
 from robotkube.registry.publication.loops.submitting import PLANNED, PUBLISHED, REFUSED, UNCHANGED, SubmissionOutcome
 from robotkube.registry.suites.core.requests import SuiteProgress
+from tests.stages.attacks import shown
 from tests.stages.forge.catalogue_evidence import OTHER_SEED, gate_key
 from tests.stages.forge.installation import Installation
 from tests.stages.registry.publications import WAIT_SECONDS, Publishing, disconnect
@@ -227,6 +228,7 @@ def test_a_publisher_who_writes_a_tag_again_changes_nothing_that_is_tried(
     assert outcomes[0].verdict == (PUBLISHED if when == "tried" else REFUSED), outcomes[0].text
     if when == "checked":
         assert f"{PLACE}/{name} has no digest {packed.digest}; submit it again" in outcomes[0].text
+        shown("gate", outcomes[0].text, "staged-tag-overwritten")
     else:
         with registry_of(publishing.installation, "argocd") as registry:
             assert registry.pull_chart(f"verified/{name}", packed.digest).digest == packed.digest

@@ -14,6 +14,7 @@ from robotkube.registry.charts.core import values_schemas
 from robotkube.registry.evidence.core.statements import Check
 from robotkube.registry.suites.core import pod_security, static_checks
 from robotkube.registry.suites.core.static_checks import Rendering
+from tests.stages.attacks import shown
 from tests.stages.paths import DOCS
 
 IMAGE = "forge.invalid:3000/robotkube/ros@sha256:" + "5" * 64
@@ -160,6 +161,8 @@ def test_a_pod_that_breaks_pod_security(name: str) -> None:
         problem = failed(rendering(change))[f"pod-security/{name}"]
         assert found in problem.found
         assert problem.fix
+        if "hostPath" in found:
+            shown("gate", problem.found, "way-to-the-machine")
 
 
 def test_containers_of_every_sort_are_looked_at() -> None:

@@ -16,6 +16,8 @@ from pygit2.enums import FileMode
 from robotkube.delivery.audit.adapters.manifests import SavedManifests, SavingManifests
 from robotkube.delivery.audit.core.report import seconds_text
 from robotkube.delivery.audit.loops.auditor import Auditor, Sources
+from robotkube.delivery.deployment.adapters.ssh_keys import holds
+from robotkube.delivery.deployment.core.break_glass import SIGNERS_PATH
 from robotkube.delivery.deployment.core.commit_messages import CommitMessage, write_message
 from robotkube.delivery.deployment.core.merge_records import REFERENCE, MergeRecord
 from robotkube.delivery.deployment.core.plan_notes import PlanOutcome, ReleaseOutcome, note_text
@@ -29,6 +31,7 @@ from robotkube.registry.charts.core.packing import build_tag
 from robotkube.registry.charts.core.references import ChartReference
 from robotkube.registry.evidence.adapters.dsse import TrustedKeys
 from robotkube.registry.evidence.core.statements import Artefact
+from tests.stages.delivery.people import People
 from tests.stages.registry.signed_evidence import (
     CHARTS_URL,
     PLATFORM,
@@ -42,6 +45,7 @@ BEGAN = 1_795_000_000  # 2026-11-18T11:06:40Z
 NOW = BEGAN + 86_400
 MINUTE = 60
 SEED_OF_GATE, SEED_OF_STRANGER = 11, 12
+SIGN = ("ada", "grace")  # in policies/signers
 RECORDER_IMAGE = f"forge.example:3000/robotkube/detector@sha256:{'d' * 64}"
 MERGE_POLICY = """\
 automatic:
@@ -192,6 +196,11 @@ class Platform:
         return Repository(self.folder / "forge" / "robotkube" / "catalogue.git")
 
     @property
+    def people(self) -> People:
+        """Who may sign break-glass commits."""
+        return People(self.folder / "people")
+
+    @property
     def index(self) -> Path:
         return self.folder / "oci" / "index.json"
 
@@ -214,6 +223,7 @@ class Platform:
             GitHistory(self.deployment.folder),
             GitHistory(self.catalogue.folder),
             TrustedKeys(self.folder / "keys"),
+            holds,
             manifests,
             "oci" if registry else "",
             since,
@@ -265,6 +275,7 @@ def make_platform(folder: Path) -> Platform:
     platform = Platform(folder)
     gate = signing_key(folder / "gate-key", SEED_OF_GATE)
     trusting(folder / "keys", gate)
+    platform.people.add(*SIGN)
     (folder / "forge" / "robotkube").mkdir(parents=True)
     _publish(platform)
     _deploy(platform)
@@ -289,9 +300,8 @@ def _deploy(platform: Platform) -> None:
     first = release(RECORDER, names["evidence of recorder"], "cloud-0", "recorder-a", plan_id(2), MEETING, seconds=1)
     second = release(RECORDER, names["evidence of recorder"], "cloud-0", "recorder-b", plan_id(5), SECOND)
     at = BEGAN + 10 * MINUTE
-    names["seed"] = main.commit(
-        {"policies/merge.yaml": MERGE_POLICY, "releases/.gitkeep": ""}, "seed\n", at, "administrator"
-    )
+    seed = {"policies/merge.yaml": MERGE_POLICY, "releases/.gitkeep": "", SIGNERS_PATH: platform.people.signers(*SIGN)}
+    names["seed"] = main.commit(seed, "seed\n", at, "administrator")
     names["bridge"] = platform.merge(files_of(bridge), message_of(bridge, kinds=("initial",)), at + MINUTE)
     platform.outcome(names["bridge"], bridge, "vehicle-00", at=at + 2 * MINUTE)
     names["recorder"] = platform.merge(files_of(first), message_of(first), at + 3 * MINUTE)

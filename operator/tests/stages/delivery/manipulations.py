@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import pygit2
 
+from robotkube.delivery.deployment.core.break_glass import SIGNERS_PATH
 from robotkube.delivery.deployment.core.merge_records import REFERENCE, MergeRecord, record_statement
 from robotkube.foundation.documents.core.digests import canonical_json, sha256
 from robotkube.foundation.forge.adapters.git.notes import REFERENCE as OUTCOMES
@@ -22,6 +23,7 @@ from tests.stages.delivery.audited_platform import (
     SECOND,
     SEED_OF_GATE,
     SEED_OF_STRANGER,
+    SIGN,
     STRICTER,
     Platform,
     about,
@@ -164,10 +166,28 @@ def releases_changed_by_hand(platform: Platform) -> None:
 
 
 def break_glass(platform: Platform) -> None:
+    main = platform.deployment
+    files, _ = third(platform)
+    tree = str(main.git[main.commit(files, "x\n", LATER, "ada", move=False)].tree_id)
+    main.commit(files, platform.people.message(main.tip, tree, "let it through", *SIGN), LATER, "ada")
+
+
+def break_glass_that_nobody_signed(platform: Platform) -> None:
     files, _ = third(platform)
     message = "let it through\n\nRobotKube-Break-Glass: 2026-11-18T12:06:40Z\n"
-    message += "".join(f"RobotKube-Signed-By: {name} AAAA\n" for name in ("ada", "grace"))
+    message += "".join(f"RobotKube-Signed-By: {name} AAAA\n" for name in SIGN)
     platform.deployment.commit(files, message, LATER, "ada")
+
+
+def break_glass_by_people_whom_nobody_checked(platform: Platform) -> None:
+    """Registered by a commit past the gate, which is taken back afterwards."""
+    main = platform.deployment
+    before = main.text(SIGNERS_PATH)
+    main.commit({SIGNERS_PATH: platform.people.add("mallory", "eve").signers("mallory", "eve")}, "x\n", LATER)
+    files, _ = third(platform)
+    tree = str(main.git[main.commit(files, "x\n", LATER, move=False)].tree_id)
+    main.commit(files, platform.people.message(main.tip, tree, "let it through", "mallory", "eve"), LATER)
+    main.commit({SIGNERS_PATH: before}, "x\n", LATER)
 
 
 # -- what a commit says ---------------------------------------------------------------------------------------------

@@ -15,15 +15,18 @@ import httpx
 import pygit2
 import yaml
 
+from robotkube.delivery.deployment.adapters.ssh_keys import holds
 from robotkube.delivery.deployment.core.commit_messages import CommitMessage, write_message
+from robotkube.delivery.deployment.core.merge_records import REFERENCE
 from robotkube.delivery.deployment.core.releases import Release, Source, TaskCause, write_release, write_source
+from robotkube.delivery.deployment.loops.unchecked_commits import Trust, UncheckedWatch
 from robotkube.delivery.gate.__main__ import OBJECTS_PATH, objects_posts
 from robotkube.delivery.gate.core.proposal_checks import Proposer
 from robotkube.delivery.gate.loops.gate import Gate, gate_metrics
 from robotkube.delivery.gate.loops.merge_records import MergeRecorder
 from robotkube.delivery.gate.loops.rules import GateSettings
 from robotkube.foundation.documents.adapters.json_schema import validate
-from robotkube.foundation.forge.adapters.git import GitClone, ProposalWriter
+from robotkube.foundation.forge.adapters.git import GitClone, GitNotes, ProposalWriter
 from robotkube.foundation.forge.adapters.hosts.gitea import GiteaForge
 from robotkube.foundation.forge.adapters.push_hooks import ObjectsRelay, PushRelay, SignedPushHook
 from robotkube.foundation.runtime.adapters.prometheus_series import series_text
@@ -375,6 +378,14 @@ class RunningGate:
             connection.disconnect()
 
 
+def watch_main(installation: Installation, clone: GitClone, folder: Path) -> UncheckedWatch:
+    """A watch on main of the deployment repository for what the gate did not check."""
+    repository = "robotkube/deployment"
+    account = ("gate", installation.passwords["gate"])
+    notes = GitNotes(installation.url, repository, *account, folder / "records-read", REFERENCE)
+    return UncheckedWatch(clone, notes, Trust(repository, trusted_keys(), holds), time.monotonic)
+
+
 def start_gate(
     installation: Installation,
     hook_url: str,
@@ -406,6 +417,7 @@ def start_gate(
         time.monotonic,
         relays,
         recorder,
+        watch_main(installation, clone, folder),
     )
     server = WebServer(
         "127.0.0.1",

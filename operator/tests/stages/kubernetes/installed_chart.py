@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from ci import toolchain
@@ -22,6 +23,7 @@ from tests.stages.programs import program
 SERVED_SECONDS_MAX = 60.0
 CALL_SECONDS_MAX = 120
 CHART = CHARTS / "robotkube"
+NO_OPTIONS: Mapping[str, str] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -54,13 +56,15 @@ class Cluster:
 
 
 @contextmanager
-def prepared_cluster(folder: Path, policies: Sequence[Mapping[str, Any]] = ()) -> Iterator[Cluster]:
-    """An API server on `folder`, with what the platform chart needs; under these admission policies, from files."""
-    options: Mapping[str, str] = {}
+def prepared_cluster(
+    folder: Path, policies: Sequence[Mapping[str, Any]] = (), options: Mapping[str, str] = NO_OPTIONS
+) -> Iterator[Cluster]:
+    """An API server on `folder`, with what the platform chart needs; under these admission policies, from files, or
+    with further `options`."""
     if policies:
         files = PolicyFiles(folder / "admission")
         files.write(policies)
-        options = files.options
+        options = {**options, **files.options}
     server = ApiServerProcess(folder, options=tuple(f"--{name}={value}" for name, value in options.items()))
     try:
         server.start()

@@ -16,7 +16,7 @@ from robotkube.registry.admission.adapters.policy_files import PolicyFiles
 from tests.stages.kubernetes.api_server import ApiServerProcess
 from tests.stages.waiting import until
 
-MERGE = "application/merge-patch+json"
+MERGE, JSON_PATCH = "application/merge-patch+json", "application/json-patch+json"
 RBAC = "/apis/rbac.authorization.k8s.io/v1/clusterrolebindings"
 ADMINISTRATOR = ""  # the token's own account, of system:masters
 NO_VARIABLES: Mapping[str, str] = MappingProxyType({})

@@ -251,6 +251,13 @@ class Stage:
             process.stdin.close()
             _end(process)
 
+    def run(self, release: str, program: str, *arguments: str, seconds: float) -> list[str]:
+        """Lines that a Python program prints beside a release's process, in its pod; fails when the program does."""
+        command = self._inside(release, program, *arguments)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=seconds, check=False)
+        assert done.returncode == 0, f"{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
+        return done.stdout.splitlines()
+
     def _inside(self, release: str, program: str, *arguments: str, stdin: bool = False) -> list[str]:
         namespace, name = release.split("/", 1)
         kubectl = [str(self.platform.installer.binaries / "kubectl"), f"--kubeconfig={self.platform.access.kubeconfig}"]

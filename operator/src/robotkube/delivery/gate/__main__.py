@@ -16,7 +16,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from robotkube.delivery.deployment.adapters.ssh_keys import holds
 from robotkube.delivery.deployment.core.merge_records import REFERENCE
+from robotkube.delivery.deployment.loops.unchecked_commits import Trust, UncheckedWatch
 from robotkube.delivery.gate.adapters.merge_journal import FileJournal
 from robotkube.delivery.gate.core.proposal_checks import Proposer
 from robotkube.delivery.gate.loops.gate import Gate, gate_metrics
@@ -31,6 +33,7 @@ from robotkube.foundation.forge.adapters.git import GitNotes
 from robotkube.foundation.forge.adapters.push_hooks import PushRelay, SignedPushHook
 from robotkube.foundation.forge.connect import ForgeAddress, read_address
 from robotkube.foundation.forge.core.commit_objects import read_objects
+from robotkube.foundation.forge.ports.repositories import MainBranch
 from robotkube.foundation.runtime import settings_file as files
 from robotkube.foundation.runtime.adapters.prometheus_series import MetricsPage
 from robotkube.foundation.runtime.adapters.webhook_server import Post, Signed, WebServer
@@ -198,6 +201,7 @@ def build_gate(
     settings = configuration.gate
     secrets = configuration.proposer_secrets
     work.mkdir(parents=True, exist_ok=True)
+    main = forge.clone(settings.deployment, account, work / "deployment", branch)
     catalogue = forge.clone(settings.catalogue, account, work / "catalogue", branch)
     hook_secret = configuration.hook_secret.encode()
     registry = OciRegistry(forge.url, account.username, account.password)
@@ -205,7 +209,7 @@ def build_gate(
     folder = work / "deployment"
     return Gate(
         pull_requests,
-        forge.clone(settings.deployment, account, folder, branch),
+        main,
         forge.writer(pull_requests, folder, account, account.username, time.time, branch),
         AssuredCatalogue(catalogue, TrustedKeys(configuration.keys)),
         SignedPushHook(configuration.hook_url, hook_secret, f"{forge.url}/{settings.deployment}", branch=branch),
@@ -219,7 +223,21 @@ def build_gate(
             if proposer.webhook
         ],
         recorder,
+        build_watch(configuration, work, main, recorder),
     )
+
+
+def build_watch(
+    configuration: GateConfiguration, work: Path, main: MainBranch, recorder: MergeRecorder | None
+) -> UncheckedWatch:
+    """The watch for commits that the gate did not check; what an earlier process was about to merge, it did check."""
+    account, repository = configuration.account, configuration.gate.deployment
+    folder = work / "records-read"
+    notes = GitNotes(configuration.forge.url, repository, account.username, account.password, folder, REFERENCE)
+    watch = UncheckedWatch(main, notes, Trust(repository, TrustedKeys(configuration.keys), holds), time.monotonic)
+    for commit in recorder.announced() if recorder else ():
+        watch.expect(commit)
+    return watch
 
 
 def build_publication(

@@ -1,4 +1,4 @@
-"""What following the catalogue needs: its main with its history, and a place for policies."""
+"""What following the catalogue needs: its main with its history, a place for policies, and a memory."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 from robotkube.foundation.forge.ports.repositories import Commit, MainHistory
+from robotkube.registry.admission.core.listing import AllowedVersions
 
 
 class CatalogueHistory(MainHistory, Protocol):
@@ -21,4 +22,16 @@ class PolicyPlace(Protocol):
 
     def write(self, documents: Sequence[Mapping[str, Any]]) -> bool:
         """Replace the policies, all at once; False when they stood there already."""
+        ...
+
+
+class ListingMemory(Protocol):
+    """The last list, kept over a restart of the process."""
+
+    def load(self) -> AllowedVersions:
+        """The list that was saved last; an empty one when there is none."""
+        ...
+
+    def save(self, listing: AllowedVersions) -> None:
+        """Keep this list in place of the one before."""
         ...

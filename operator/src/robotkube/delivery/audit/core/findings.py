@@ -31,8 +31,10 @@ MEANINGS = {
     "plan-not-readable": "the commit names a plan, but its trailers do not hold: they were edited or made up",
     "trailers-differ": "the commit says something else than it does",
     "source-differs": "what Argo CD fetches is another chart than the release names",
-    "break-glass": "it came past the gate, as it says by people's signatures, which are not checked here; the "
-    "gate's records say nothing about it",
+    "break-glass": "registered people signed exactly this commit, so that it came past the gate; nobody else checked "
+    "it",
+    "break-glass-not-signed": "it says that people let it past the gate, and they did not sign it: main was moved past "
+    "the gate and past the forge's hook",
     "time-order": "clocks were wrong, or times were made up: `when` cannot be trusted around this commit",
     "policy-relaxed": "from here on less was asked for before something could run",
     "no-evidence": "the release says itself that nothing was verified",

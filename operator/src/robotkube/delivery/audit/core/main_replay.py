@@ -23,6 +23,7 @@ from robotkube.delivery.deployment.core.releases import (
     read_release,
     read_source,
 )
+from robotkube.delivery.deployment.core.unchecked_commits import BREAK_GLASS, UncheckedCommit
 from robotkube.delivery.gate.core.proposal_checks import (
     ChangedRelease,
     ProposedCommit,
@@ -34,33 +35,21 @@ from robotkube.foundation.forge.core.histories import HistoryCommit
 
 T = TypeVar("T")
 
-BREAK_GLASS = "RobotKube-Break-Glass"
-SIGNED_BY = "RobotKube-Signed-By"
 PLAN_TRAILER = "\nRobotKube-Plan: "
 CLOCK_SECONDS_MAX = 300  # by which clocks of those who make commits may differ
 PATHS_NAMED_MAX = 5
-
-
-def is_break_glass(message: str) -> bool:
-    """Whether a commit says that it came past the gate by people's signatures: a trailer of this name. The one place
-    that knows how such a commit is recognised."""
-    return any(line.startswith(f"{BREAK_GLASS}:") for line in message.splitlines())
-
-
-def break_glass_signers(message: str) -> tuple[str, ...]:
-    """The people whose signatures such a commit says it carries, `RobotKube-Signed-By: <name> <signature>` each."""
-    words = [line.split() for line in message.splitlines() if line.startswith(f"{SIGNED_BY}:")]
-    return tuple(word[1] for word in words if len(word) > 1)
+MADE_GOOD = ("break-glass", "break-glass-not-signed", "changed-by-hand")
 
 
 @dataclass(frozen=True)
 class MainChange:
     """One commit of main. `message` is what its plan says, None when it is no plan's or cannot be read; `changed` the
-    releases that it changes."""
+    releases that it changes; `break_glass`: people's signatures let it past the gate."""
 
     commit: HistoryCommit
     message: CommitMessage | None
     changed: tuple[ChangedRelease, ...]
+    break_glass: bool = False
 
     @property
     def releases(self) -> tuple[str, ...]:
@@ -96,10 +85,12 @@ class _State:
     policy: MergePolicy | None = None
 
 
-def replay(commits: Sequence[HistoryCommit], brought: Mapping[str, int], now: int) -> MainReplay:
-    """Main as its commits (oldest first) made it. `brought`: merge commit that the gate
-    did not sign for -> how many commits it brought; `now` is the
-    present time in seconds since 1970."""
+def replay(
+    commits: Sequence[HistoryCommit], brought: Mapping[str, int], glass: Mapping[str, UncheckedCommit], now: int
+) -> MainReplay:
+    """Main as its commits (oldest first) made it. `brought`: merge commit that the gate did not sign for -> how many
+    commits it brought; `glass`: commits without a record that say that they are break-glass; `now` is the present time
+    in seconds since 1970."""
     state = _State()
     changes: list[MainChange] = []
     runs: list[ReleaseRun] = []
@@ -107,15 +98,17 @@ def replay(commits: Sequence[HistoryCommit], brought: Mapping[str, int], now: in
     before: HistoryCommit | None = None
     for commit in commits:
         old = Tree({p: state.releases[p] for p in commit.changes if p in state.releases}, {})
-        findings += [*_shape(commit, brought), *time_findings(commit, before, now, "deployment")]
+        judged = glass.get(commit.id)
+        let_through = judged is not None and judged.how == BREAK_GLASS
+        findings += [*_shape(commit, brought, judged), *time_findings(commit, before, now, "deployment")]
         findings += _apply(commit, state, runs)
         new = Tree({p: state.releases[p] for p in commit.changes if p in state.releases}, {})
         proposal = ProposedCommit(commit.parents, commit.message, commit.changes, commit.irregular, old, new)
-        message, found = _message(commit, proposal)
+        message, found = _message(commit, proposal, let_through)
         findings += found
         findings += _sources(commit, new.releases, state.sources)
         findings += _merge_policy(commit, state)
-        changes.append(MainChange(commit, message, changed_releases(proposal)))
+        changes.append(MainChange(commit, message, changed_releases(proposal), let_through))
         before = commit
     runs += [
         ReleaseRun(release, state.began[path], "", _url(release, state.sources))
@@ -128,7 +121,7 @@ def _made_good(findings: Iterable[Finding], changes: Iterable[MainChange]) -> It
     """The findings; those about commits that a later plan undid say so."""
     undone = {commit: change.commit.id for change in changes if change.message for commit in change.message.reverts}
     for one in findings:
-        good = one.kind in ("break-glass", "changed-by-hand") and one.commit in undone
+        good = one.kind in MADE_GOOD and one.commit in undone
         yield replace(one, what=f"{one.what}; undone by commit {undone[one.commit]}") if good else one
 
 
@@ -137,15 +130,16 @@ def _in_order(runs: Iterable[ReleaseRun], commits: Sequence[HistoryCommit]) -> t
     return tuple(sorted(runs, key=lambda run: (places[run.began], run.release.key)))
 
 
-def _shape(commit: HistoryCommit, brought: Mapping[str, int]) -> Iterator[Finding]:
+def _shape(commit: HistoryCommit, brought: Mapping[str, int], judged: UncheckedCommit | None) -> Iterator[Finding]:
     if commit.id in brought:
         count = brought[commit.id]
         yield _finding(
             "merge-commit", commit, f"{len(commit.parents)} parents; it brings {count} commits of a side branch"
         )
-    if is_break_glass(commit.message):
-        names = ", ".join(break_glass_signers(commit.message)) or "nobody"
-        yield _finding("break-glass", commit, f"{_paths(commit.paths)}; signed by {names}, as it says")
+    if judged is not None and judged.how == BREAK_GLASS:
+        yield _finding("break-glass", commit, f"{_paths(commit.paths)}; signed by {', '.join(judged.names)}")
+    elif judged is not None:
+        yield _finding("break-glass-not-signed", commit, f"{_paths(commit.paths)}; {judged.problem}")
     if commit.problem:
         yield _finding("file-not-readable", commit, commit.problem)
 
@@ -200,9 +194,11 @@ def _url(release: Release, sources: Mapping[str, Source]) -> str:
     return source.url if source else ""
 
 
-def _message(commit: HistoryCommit, proposal: ProposedCommit) -> tuple[CommitMessage | None, list[Finding]]:
+def _message(
+    commit: HistoryCommit, proposal: ProposedCommit, let_through: bool
+) -> tuple[CommitMessage | None, list[Finding]]:
     """The plan in a commit's message, and what is wrong with it. The first commit, the seed, needs none, nor does one
-    that leaves releases and sources alone."""
+    that leaves releases and sources alone, or that people's signatures let past the gate."""
     touched = [p for p in commit.paths if p.split("/", 1)[0] in (RELEASES, SOURCES) and not p.endswith("/.gitkeep")]
     try:
         message = read_message(commit.message)
@@ -210,7 +206,7 @@ def _message(commit: HistoryCommit, proposal: ProposedCommit) -> tuple[CommitMes
         if PLAN_TRAILER in commit.message:
             about = tuple(_keys(touched))
             return None, [_finding("plan-not-readable", commit, "; ".join(error.problems[:PATHS_NAMED_MAX]), *about)]
-        if not touched or not commit.parents or is_break_glass(commit.message):
+        if not touched or not commit.parents or let_through:
             return None, []
         what = f"{_paths(touched)}, by {commit.author}: {commit.subject!r}"
         return None, [_finding("changed-by-hand", commit, what, *_keys(touched))]

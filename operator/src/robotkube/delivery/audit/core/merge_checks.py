@@ -6,13 +6,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from robotkube.delivery.audit.core.findings import Finding, short
-from robotkube.delivery.audit.core.main_replay import CLOCK_SECONDS_MAX, is_break_glass
+from robotkube.delivery.audit.core.main_replay import CLOCK_SECONDS_MAX
 from robotkube.delivery.deployment.core.merge_records import (
     OUTCOMES_REFERENCE,
     REFERENCE,
     MergeRecord,
     read_record,
 )
+from robotkube.delivery.deployment.core.unchecked_commits import says_break_glass
 from robotkube.errors import InputError
 from robotkube.foundation.documents.core.times import time_ns
 from robotkube.foundation.forge.core.histories import HistoryCommit, NoteHistory
@@ -29,6 +30,16 @@ class Merges:
     records: Mapping[str, MergeRecord] = field(default_factory=dict)
     unsigned: int = 0
     findings: tuple[Finding, ...] = ()
+
+
+def without_record(commits: Sequence[HistoryCommit], records: Mapping[str, MergeRecord]) -> frozenset[str]:
+    """Commits whose gate should have signed, and those that say that they are break-glass, without a record."""
+    first = next((place for place, commit in enumerate(commits) if commit.id in records), len(commits))
+    return frozenset(
+        commit.id
+        for place, commit in enumerate(commits)
+        if commit.id not in records and (place > first or says_break_glass(commit.message))
+    )
 
 
 def main_moves(statements: Mapping[str, VerifiedStatement | str]) -> Mapping[str, str]:
@@ -153,6 +164,6 @@ def _first(
 
 def _unchecked(commits: Sequence[HistoryCommit], covered: Mapping[str, MergeRecord], first: int) -> Iterator[Finding]:
     for commit in commits[first:]:
-        if commit.id not in covered and not is_break_glass(commit.message):
+        if commit.id not in covered and not says_break_glass(commit.message):
             what = f"{commit.subject!r}, by {commit.author}"
             yield Finding("unchecked-commit", "deployment", f"commit {commit.id}", what, commit.id)

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from robotkube.delivery.audit.core.findings import Finding
-from robotkube.delivery.audit.core.main_replay import MainChange, ReleaseRun, is_break_glass
+from robotkube.delivery.audit.core.main_replay import MainChange, ReleaseRun
 from robotkube.delivery.audit.core.merge_checks import Merges
 from robotkube.delivery.audit.core.outcomes import Outcomes
 from robotkube.delivery.audit.core.questions import Answered
@@ -131,7 +131,7 @@ def _change(change: MainChange, merges: Merges) -> Row:
         "term": message.term if message else None,
         "releases": list(change.releases),
         "seed": not commit.parents,
-        "break_glass": is_break_glass(commit.message),
+        "break_glass": change.break_glass,
         "checked": None
         if record is None
         else {

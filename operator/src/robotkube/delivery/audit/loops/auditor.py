@@ -16,12 +16,21 @@ from robotkube.delivery.audit.core.catalogue_replay import (
 )
 from robotkube.delivery.audit.core.findings import Finding, unique
 from robotkube.delivery.audit.core.main_replay import MainReplay, replay
-from robotkube.delivery.audit.core.merge_checks import Merges, check_merges, main_moves
+from robotkube.delivery.audit.core.merge_checks import Merges, check_merges, main_moves, without_record
 from robotkube.delivery.audit.core.outcomes import read_outcomes
 from robotkube.delivery.audit.core.questions import Known, answer
 from robotkube.delivery.audit.core.verifications import verification_row
 from robotkube.delivery.audit.ports import Manifests
+from robotkube.delivery.deployment.core.break_glass import ACCEPTED_PATH, SIGNERS_PATH
 from robotkube.delivery.deployment.core.merge_records import OUTCOMES_REFERENCE, REFERENCE
+from robotkube.delivery.deployment.core.unchecked_commits import (
+    GlassClaim,
+    Holds,
+    UncheckedCommit,
+    judge_claim,
+    last_checked,
+    says_break_glass,
+)
 from robotkube.errors import InputError
 from robotkube.foundation.documents.core.digests import sha256
 from robotkube.foundation.documents.core.patterns import COMMIT
@@ -37,22 +46,25 @@ from robotkube.registry.evidence.ports import Verifier
 
 CATALOGUES_CACHED_MAX = 64
 FILES_CACHED_MAX = 4
+POLICIES = "policies"
 
 
 @dataclass(frozen=True)
 class Sources:
     """Where an audit reads. `registry_name` says in words which registry `manifests` are of; both are left out when
-    there is none to ask. `since`: commits that the caller knows to have been on one of both mains; `former`: tips that
-    an earlier copy in the same place had."""
+    there is none to ask. `holds` checks people's signatures over commits of `repository`. `since`: commits that the
+    caller knows to have been on one of both mains; `former`: tips that an earlier copy in the same place had."""
 
     deployment: RepositoryHistory
     catalogue: RepositoryHistory
     verifier: Verifier
+    holds: Holds
     manifests: Manifests | None = None
     registry_name: str = ""
     since: Sequence[str] = ()
     former: Sequence[str] = ()
     progress: Callable[[str], None] = field(default=lambda text: None)
+    repository: str = "robotkube/deployment"
 
 
 class Auditor:
@@ -80,11 +92,11 @@ class Auditor:
             raise InputError("the deployment repository has no main branch: nothing ever ran")
         sources.progress(f"deployment repository: {len(commits)} commits")
         brought = {c.id: sources.deployment.brought(c.id) for c in commits if len(c.parents) > 1 and c.id not in moves}
-        main = replay(commits, brought, self._now)
         offered = replay_catalogue(sources.catalogue.commits({}), self._now)
         sources.progress(f"catalogue: {len(offered.commits)} commits")
         notes = sources.deployment.notes(OUTCOMES_REFERENCE)
         merges = check_merges(commits, statements, records, notes, offered.ids)
+        main = replay(commits, brought, self._break_glass(commits, merges), self._now)
         outcomes = read_outcomes(notes, main.changes)
         versions = self._versions(main, merges, offered)
         known = Known(main, {d: v.image_references for d, v in versions.items() if v}, outcomes.by_commit)
@@ -107,6 +119,21 @@ class Auditor:
         )
         verified = self._verified(runs, merges, offered)
         return report.document(answered, merges, outcomes, verified, kept, accepted, scope)
+
+    def _break_glass(self, commits: Sequence[HistoryCommit], merges: Merges) -> Mapping[str, UncheckedCommit]:
+        """The commits without a record that say that they are break-glass, and whether people signed them."""
+        sources, unchecked = self._sources, without_record(commits, merges.records)
+        order = [commit.id for commit in commits]
+        judged = {}
+        for place, commit in enumerate(commits):
+            if commit.id not in unchecked or not says_break_glass(commit.message):
+                continue
+            base = last_checked(order, place, unchecked)
+            signers = sources.deployment.files(base, (POLICIES,)).get(SIGNERS_PATH, "") if base else ""
+            protected = tuple(path for path in (SIGNERS_PATH, ACCEPTED_PATH) if path in commit.paths)
+            claim = GlassClaim(commit.id, sources.repository, commit.parents, commit.tree, commit.message, protected)
+            judged[commit.id] = judge_claim(claim, signers, sources.holds)
+        return judged
 
     def _verify(self, text: str) -> VerifiedStatement | str:
         try:

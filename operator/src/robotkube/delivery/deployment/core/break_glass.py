@@ -2,7 +2,7 @@
 
 What they sign is a statement about exactly this commit (tree, reason) on exactly this tip of this repository at this
 time, with SSH signatures of namespace NAMESPACE. The commit's message carries statement and signatures, so that it is
-recognised later from Git alone:
+recognised later from Git alone (unchecked_commits):
 
     <reason>
 
@@ -99,27 +99,6 @@ def write_change(change: EmergencyChange) -> str:
     """The change as a file that goes from one signer to the next."""
     parts = ("repository", "parent", "tree", "time", "reason")
     return write_mapping({**{part: getattr(change, part) for part in parts}, "signatures": dict(change.signatures)})
-
-
-@dataclass(frozen=True)
-class GlassCommit:
-    """A commit of main that was taken without the gate; `names` are those who signed it, `files` those that main still
-    has as it brought them."""
-
-    commit: str
-    time: str
-    names: tuple[str, ...]
-    reason: str
-    files: tuple[str, ...] = ()
-
-
-def read_glass_message(commit: str, message: str) -> GlassCommit | None:
-    """What a commit's message says about break-glass; None when it is none."""
-    lines = message.split("\n")
-    if len(lines) < 3 or lines[1] or not lines[2].startswith(_GLASS):
-        return None
-    names = [line.removeprefix(_SIGNED).partition(" ")[0] for line in lines[3:] if line.startswith(_SIGNED)]
-    return GlassCommit(commit, lines[2].removeprefix(_GLASS), tuple(names), lines[0])
 
 
 def read_signers(text: str, path: str = SIGNERS_PATH) -> Mapping[str, tuple[bytes, ...]]:

@@ -17,15 +17,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from robotkube.delivery.deployment.core.break_glass import GlassCommit
 from robotkube.delivery.deployment.core.merge_records import MergeRecord
 from robotkube.delivery.deployment.core.policies.merge import APPROVAL, AUTOMATIC, Way
-from robotkube.delivery.deployment.loops.break_glass import BreakGlassWatch
+from robotkube.delivery.deployment.loops.unchecked_commits import UncheckedWatch
 from robotkube.delivery.gate.core import verdict_comments
 from robotkube.delivery.gate.core.proposal_checks import ProposalVerdict, ProposedCommit
 from robotkube.delivery.gate.loops.merge_records import MergeRecorder
 from robotkube.delivery.gate.loops.pending_objects import PendingObjects
 from robotkube.delivery.gate.loops.rules import GateRules, GateSettings
+from robotkube.delivery.gate.loops.unchecked_report import UncheckedCounts, UncheckedReport
 from robotkube.errors import DocumentError, InputError, RobotKubeError
 from robotkube.foundation.forge.core.commit_objects import CommitObjects
 from robotkube.foundation.forge.core.resync import RESYNC_SECONDS, resync_is_due
@@ -61,7 +61,7 @@ class GateStatistics:
     sources: dict[str, int] = field(default_factory=lambda: dict.fromkeys(SOURCES, 0))
     decision_seconds: float = 0.0
     rounds: int = 0
-    break_glass: Mapping[str, int] = field(default_factory=lambda: {"commits": 0, "files": 0})
+    unchecked: UncheckedCounts = field(default_factory=UncheckedCounts)
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class Gate:
 
     `commits` makes commits in the clone of `main`; `images` renders releases; `monotonic` is a clock in seconds that
     never goes back; `managers` are notified of every commit that was merged here, sooner than by the forge; `recorder`
-    signs what was merged.
+    signs what was merged, and `unchecked` watches main for what was not.
     """
 
     def __init__(
@@ -111,6 +111,7 @@ class Gate:
         monotonic: Callable[[], float],
         managers: Sequence[PushHook] = (),
         recorder: MergeRecorder | None = None,
+        unchecked: UncheckedWatch | None = None,
     ) -> None:
         self._forge = forge
         self._main = main
@@ -121,7 +122,7 @@ class Gate:
         self._settings = settings
         self._monotonic = monotonic
         self._rules = GateRules(settings, main, catalogue, validate, images)
-        self._break_glass = BreakGlassWatch(main)
+        self._unchecked = UncheckedReport(unchecked) if unchecked else None
         self.statistics = GateStatistics()
         self._announced = ""
         self._pending_objects = PendingObjects()
@@ -237,8 +238,9 @@ class Gate:
                 self._try_to_decide(pull)
         if self._main.tip != self._announced:
             self._announce(self._announced, self._main.tip)
-        if self._break_glass.read():
-            self._report_break_glass(self._break_glass.standing)
+        if self._unchecked is not None:
+            self._unchecked.read()
+            self.statistics.unchecked = self._unchecked.counts
 
     def _refresh(self) -> None:
         """Read the catalogue; nothing is decided by an old one that is known to have moved."""
@@ -309,8 +311,16 @@ class Gate:
         return self._settings.proposer(pull.author) is not None
 
     def _merge(self, case: _Case, commit: str, before: str) -> bool:
-        """Move main from `before` to the commit that was checked, and have that recorded; False when main has moved
-        meanwhile."""
+        """Move main from `before` to the commit that was checked; False when main has moved meanwhile."""
+        if self._unchecked is not None:  # before: a push without an answer may have arrived
+            self._unchecked.watch.expect(commit)
+        merged = self._push(case, commit, before)
+        if not merged and self._unchecked is not None:
+            self._unchecked.watch.drop(commit)
+        return merged
+
+    def _push(self, case: _Case, commit: str, before: str) -> bool:
+        """The same, and have it recorded."""
         if self._recorder is None:
             return self._main.push_main(commit)
         record = self._recorder.expect(case.record(commit, before, self._rules.catalogue_tip))
@@ -414,18 +424,6 @@ class Gate:
         else:
             self.statistics.hooks["lost"] += 1
 
-    def _report_break_glass(self, standing: Sequence[GlassCommit]) -> None:
-        """Log what came to main without the gate and stands there, and count it for the metrics."""
-        files = {path for glass in standing for path in glass.files}
-        self.statistics.break_glass = {"commits": len(standing), "files": len(files)}
-        for glass in standing:
-            log.error(
-                "break-glass stands commit=%s committed=%s signed_by=%s files=%s reason=%r",
-                *(glass.commit, glass.time, ",".join(glass.names), ",".join(glass.files), glass.reason),
-            )
-        if not standing:
-            log.info("break-glass is made good: main has nothing any more that came without the gate")
-
     def _record(self, case: _Case, verdict: ProposalVerdict, merged: bool, at: tuple[float, ...]) -> None:
         started, judged, decided, announced = at
         plans = self._plans(case.pull)
@@ -479,14 +477,22 @@ def gate_metrics(statistics: GateStatistics) -> Sequence[Series]:
         Series(
             f"{prefix}break_glass_commits",
             "gauge",
-            "Break-glass commits of main that no checked commit has replaced or accepted.",
-            {(): statistics.break_glass["commits"]},
+            "Commits of main that two registered people signed, and no checked commit has replaced or accepted.",
+            {(): statistics.unchecked.break_glass_commits},
         ),
         Series(
             f"{prefix}break_glass_files",
             "gauge",
-            "Files that main still has as break-glass commits brought them.",
-            {(): statistics.break_glass["files"]},
+            "Files that main still has as such commits brought them.",
+            {(): statistics.unchecked.break_glass_files},
+        ),
+        Series(
+            f"{prefix}unchecked_commits",
+            "gauge",
+            "Other commits of main that the gate did not check, by how: without its record, or with signatures that do "
+            "not hold.",
+            by_one(statistics.unchecked.others),
+            ("how",),
         ),
         Series(f"{prefix}rounds_total", "counter", "Rounds over the open proposals.", {(): statistics.rounds}),
     )

@@ -100,6 +100,10 @@ class MergeRecorder:
         self._journal.keep(record)
         return record
 
+    def announced(self) -> frozenset[str]:
+        """Commits that this gate, or the one before it, was about to merge, and that may have no note yet."""
+        return frozenset(record.commit for record in self._journal.records())
+
     def merged(self, record: MergeRecord) -> None:
         """Main has moved to the commit: its record is due."""
         with self._lock:

@@ -11,7 +11,8 @@ class HistoryCommit:
     """A commit of a branch, with who made it and when (seconds since 1970, by the clocks of author and committer).
 
     `changes` is the difference to the first parent: path -> new text, None = removed; a path whose new content is no
-    ordinary text file stands in `irregular`. `problem`: why its changes could not be read, empty when they were."""
+    ordinary text file stands in `irregular`. `problem`: why its changes could not be read, empty when they were. `tree`
+    is the id of all its files."""
 
     id: str
     parents: tuple[str, ...]
@@ -23,6 +24,7 @@ class HistoryCommit:
     changes: Mapping[str, str | None] = field(default_factory=dict)
     irregular: tuple[str, ...] = ()
     problem: str = ""
+    tree: str = ""
 
     @property
     def subject(self) -> str:

@@ -22,6 +22,14 @@ class Commit:
     irregular: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True)
+class CommitShape:
+    """What a commit stands on and what it holds, as signatures about it name them: ids of its parents and its tree."""
+
+    parents: tuple[str, ...]
+    tree: str
+
+
 class RepositoryFiles(Protocol):
     """A branch `main` that can be read."""
 
@@ -112,6 +120,15 @@ class Notes(Protocol):
         ...
 
 
+class NoteTexts(Protocol):
+    """Git notes as they are read."""
+
+    def texts(self, commits: Sequence[str]) -> Mapping[str, str]:
+        """The notes that these commits have at the forge, or had when this was asked before, without the newline at
+        their end; who has none is left out. UnavailableError when the forge does not answer."""
+        ...
+
+
 class MainBranch(MainHistory, Protocol):
     """The deployment repository as the gate sees it."""
 
@@ -140,6 +157,10 @@ class MainBranch(MainHistory, Protocol):
     def overlaps(self, change: Commit) -> Sequence[str]:
         """Paths of `change`, as `changes_since_branch` gives it, that main has changed otherwise since; none: both can
         be joined file by file."""
+        ...
+
+    def shape(self, commit: str) -> CommitShape:
+        """Parents and tree of a commit that is here."""
         ...
 
     def still_as_in(self, commit: str) -> Sequence[str]:

@@ -20,7 +20,8 @@ NONE = "orValue('(none)')"
 
 def policy(domain: Domain, charts: Lookup) -> Policy:
     """Of Applications. Their definition has no status subresource, so status, operations and finalizers arrive as
-    updates too: the spec is judged when it changes, the operation always."""
+    updates too: the spec is judged when it changes, and so is the operation. One that stands there was judged when it
+    came: while it is carried out, a commit may give the Application its next source."""
     chart = (
         f"variables.source.?repoURL.orValue('').startsWith('{domain.charts}/') ? "
         f"[variables.source.repoURL.substring('{domain.charts}/'.size()) + '@' + "
@@ -130,7 +131,8 @@ def _operation() -> Validation:
         ": operation.sync names another source or revision than the Application, or manifests of its own, and would "
         "apply what main does not say. Ask for a sync without them"
     )
-    return Validation(holds, sentence("Application ", NAME, why))
+    changed = f"{CREATING} || object.?operation != oldObject.?operation"
+    return Validation(f"!({changed}) || ({holds})", sentence("Application ", NAME, why))
 
 
 def _when_specified(holds: str) -> str:

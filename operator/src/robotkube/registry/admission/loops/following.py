@@ -16,7 +16,7 @@ from robotkube.foundation.documents.core.digests import sha256
 from robotkube.registry.admission.core.domain import Domain
 from robotkube.registry.admission.core.listing import VERIFIED, AllowedVersions, listing
 from robotkube.registry.admission.core.policies import for_files
-from robotkube.registry.admission.ports import CatalogueHistory, PolicyPlace
+from robotkube.registry.admission.ports import CatalogueHistory, ListingMemory, PolicyPlace
 from robotkube.registry.catalogue.core.chart_versions import ChartVersion, read_chart_version
 from robotkube.registry.evidence.core.statements import VerifiedStatement
 from robotkube.registry.evidence.ports import Verifier
@@ -121,16 +121,22 @@ class Surroundings:
 
 class Following:
     """The policies of a place, kept to what a catalogue lists. `surroundings` are asked each time: agents join, and
-    images come. Until the catalogue has been read, the platform's images are all that may run."""
+    images come. Until the catalogue has been read, the list is that of `memory`: in a new cluster the platform's images
+    are all that may run."""
 
     def __init__(
-        self, catalogue: CatalogueListing, place: PolicyPlace, surroundings: Callable[[], Surroundings]
+        self,
+        catalogue: CatalogueListing,
+        place: PolicyPlace,
+        surroundings: Callable[[], Surroundings],
+        memory: ListingMemory,
     ) -> None:
         self._catalogue = catalogue
         self._place = place
         self._surroundings = surroundings
+        self._memory = memory
         self._written: tuple[Surroundings, AllowedVersions] | None = None
-        self._listing = AllowedVersions()
+        self._listing = memory.load()
 
     def step(self) -> bool:
         """One look at surroundings and catalogue; whether the policies changed.
@@ -143,7 +149,9 @@ class Following:
         for problem in found.problems:
             log.warning("admission: %s", problem)
         self._listing = found
-        return self._write() or changed
+        changed = self._write() or changed
+        self._memory.save(found)
+        return changed
 
     def _write(self) -> bool:
         wanted = (self._surroundings(), self._listing)

@@ -17,7 +17,7 @@ from robotkube.errors import AccountRefusedError, DocumentError, InputError, Una
 from robotkube.foundation.forge.adapters.git.commit_objects import LOOSE_MAX, pack_loose, store_objects
 from robotkube.foundation.forge.adapters.git.connection import GitConnection, look_up, open_clone
 from robotkube.foundation.forge.core.commit_objects import CommitObjects
-from robotkube.foundation.forge.ports.repositories import Commit
+from robotkube.foundation.forge.ports.repositories import Commit, CommitShape
 from robotkube.writes import writes
 
 FILES_CACHED_MAX = 4096
@@ -133,6 +133,11 @@ class GitClone:
         """Paths of `change`, whose only parent is where it left the branch, that the branch changed otherwise since."""
         trees = [self._lookup(commit).tree for commit in (change.parents[0], self.tip, change.id)]
         return [path for path in sorted({*change.changes, *change.irregular}) if _overlap(path, *trees)]
+
+    def shape(self, commit: str) -> CommitShape:
+        """Parents and tree of a commit that is here."""
+        git_commit = self._lookup(commit)
+        return CommitShape(tuple(str(parent) for parent in git_commit.parent_ids), str(git_commit.tree_id))
 
     def still_as_in(self, commit: str) -> Sequence[str]:
         """Paths that `commit`, one of the branch's, changed and that the branch's tip has as it brought them."""

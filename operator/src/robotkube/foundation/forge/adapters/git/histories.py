@@ -81,6 +81,7 @@ class GitHistory:
             changes=changes,
             irregular=irregular,
             problem=problem,
+            tree=str(git_commit.tree_id),
         )
 
     def _commit(self, commit: str) -> pygit2.Commit:

@@ -16,8 +16,8 @@ ALL_NOTES = "+refs/notes/*:refs/notes/*"
 
 
 class GitNotes:
-    """The port Notes for `<organisation>/<name>`, of one `reference`; the clone stands in `folder` and can be lost at
-    any time.
+    """The ports Notes and NoteTexts for `<organisation>/<name>`, of one `reference`; the clone stands in `folder` and
+    can be lost at any time.
 
     UnavailableError: the forge does not answer, or another writer was faster; a caller may try again."""
 
@@ -30,19 +30,30 @@ class GitNotes:
 
     def missing(self, commits: Sequence[str]) -> Sequence[str]:
         """Those of the commits that have no note at the forge yet."""
+        self._fetch()
+        return [commit for commit in commits if self._text(commit) is None]
+
+    def texts(self, commits: Sequence[str]) -> Mapping[str, str]:
+        """The notes that these commits have at the forge, without the newline at their end."""
+        self._fetch()
+        found = {commit: self._text(commit) for commit in commits}
+        return {commit: text.removesuffix("\n") for commit, text in found.items() if text is not None}
+
+    def _fetch(self) -> None:
         try:
             remote = self._repository.remotes["origin"]
             remote.fetch([ALL_NOTES], callbacks=GitConnection(self._account))
         except (pygit2.GitError, PermissionError, OSError) as error:
             raise UnavailableError(f"notes: fetch: {error}") from error
-        return [commit for commit in commits if not self._has(commit)]
 
-    def _has(self, commit: str) -> bool:
+    def _text(self, commit: str) -> str | None:
+        """The text of a commit's note; None when it has none, empty when its note is no text."""
         try:
-            self._repository.lookup_note(commit, self._reference)
+            return str(self._repository.lookup_note(commit, self._reference).message)
         except KeyError:
-            return False
-        return True
+            return None
+        except UnicodeDecodeError:
+            return ""
 
     def tip(self, reference: str) -> str:
         """The tip of a reference with notes as it was fetched last; empty when there is none."""

@@ -1,0 +1,494 @@
+"""Attacks on the promise that nothing runs that was not verified, and what refuses each at which place.
+
+A cell says the words of the refusal (`…` stands for what differs each time) and the test that reads them off the real
+refusal: it calls `tests.stages.attacks.shown`, which compares them, and a test fails when it is named here and does not
+(`operator/tests/stages/attacks.py`). Or it says why the attack cannot be seen there. `make reference` makes the table
+in docs/explanation/trust.md of it (`ci.attack_reference`).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+PLACES = ("selection", "gate", "admission", "nodes", "elsewhere")
+ANY = "…"
+
+
+@dataclass(frozen=True)
+class Refused:
+    """The words of a refusal, and the test that shows them: `<file below operator/tests>::<function>`. `by` says who
+    refuses, where the place does not."""
+
+    words: str
+    test: str
+    by: str = ""
+
+    @property
+    def pattern(self) -> re.Pattern[str]:
+        """What a real refusal matches somewhere."""
+        return re.compile(".*".join(map(re.escape, self.words.split(ANY))), re.DOTALL)
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """Why an attack cannot be seen at a place."""
+
+    why: str
+
+
+@dataclass(frozen=True)
+class NotYet:
+    """A refusal that is being built."""
+
+
+Cell = Refused | Unseen | NotYet
+
+
+@dataclass(frozen=True)
+class Attack:
+    """One attack: `key` for tests, a sentence for people, and its cells by place; `elsewhere` only where it is refused
+    outside of the four places."""
+
+    key: str
+    sentence: str
+    selection: Cell
+    gate: Cell
+    admission: Cell
+    nodes: Cell
+    elsewhere: Refused | None = None
+
+    def cell(self, place: str) -> Cell | None:
+        """The cell of one of PLACES."""
+        if place not in PLACES:
+            raise KeyError(f"{place!r} is none of {', '.join(PLACES)}")
+        found: Cell | None = getattr(self, place)
+        return found
+
+
+def attack(key: str) -> Attack:
+    """The attack of a key; KeyError when there is none."""
+    return {one.key: one for one in ATTACKS}[key]
+
+
+def refusals() -> Iterator[tuple[str, str, Refused]]:
+    """Key, place and cell of every refusal."""
+    for one in ATTACKS:
+        for place in PLACES:
+            cell = one.cell(place)
+            if isinstance(cell, Refused):
+                yield one.key, place, cell
+
+
+NOT_YET = NotYet()
+AS_MANAGER = Unseen("who has the manager's account does not ask the manager's selection")
+VALUES = Unseen("selection chooses versions by their evidence; what values lead to is the gate's check")
+NOT_ON_MAIN = Unseen("main does not have it: only what main has is selected")
+NOT_PROPOSED = Unseen("nothing is proposed: the gate reads pull requests and main")
+NOTHING_TO_JUDGE = Unseen("no pod, workload or Application is written: there is nothing to judge")
+NOTHING_RUNS = Unseen("nothing runs by it")
+NO_DEMAND = Unseen("no demand leads to it")
+FROM_MACHINE = Unseen("it is started from its machine: the API server is not asked")
+INSIDE = Unseen("it happens inside of a container that runs")
+BY_DIGEST = Unseen("charts and images are named by digest, and no tag is followed")
+VERIFIED_OTHERWISE = Unseen("chart and images are verified ones")
+
+POLICIES = "registry/admission/test_policies_api_server.py"
+APPLICATIONS = "registry/admission/test_application_policies.py"
+RIGHTS = "foundation/forge/test_rights.py"
+PACKAGE_RIGHTS = "foundation/forge/test_package_rights.py"
+ARGOCD = "charts/test_argocd_processes.py"
+GLASS = "foundation/forge/test_break_glass.py"
+STATUS = "cli/test_status.py"
+EVIDENCE = "delivery/gate/test_evidence.py"
+VERIFIED = "registry/catalogue/test_verified_catalogue.py"
+
+IMAGE = Refused(
+    "image … may not run in namespace …: only images of chart versions that are verified on the catalogue's main run "
+    "in an agent's namespace, by digest",
+    f"{POLICIES}::test_a_pod_with_an_image_that_is_not_listed_is_refused",
+)
+FOREIGN_IMAGE = Refused(
+    "a pod would run image …, which was not verified with chart …",
+    "delivery/gate/test_images.py::"
+    "test_a_plan_with_a_foreign_image_is_refused_and_one_with_the_verified_image_is_merged",
+)
+OTHER_CHART = Refused(
+    "Application … is of … at …: only charts of … that are verified on the catalogue's main are applied, by digest",
+    f"{APPLICATIONS}::test_an_application_of_anything_else_is_refused",
+)
+CHANGED = Refused(
+    "deployments … changed by …: in an agent's namespace nothing runs but what main says. Change the release on main",
+    f"{POLICIES}::test_nobody_else_changes_a_workload_of_an_agent",
+)
+RESERVED = Refused(
+    "only the account gate writes notes, tags and whatever else is no branch",
+    f"{RIGHTS}::test_a_person_writes_nothing_but_branches",
+    "the forge's hook",
+)
+
+ATTACKS = (
+    Attack(
+        "image-by-manager",
+        "The manager's account proposes a plan whose values lead to a foreign image",
+        AS_MANAGER,
+        FOREIGN_IMAGE,
+        IMAGE,
+        NOT_YET,
+    ),
+    Attack(
+        "image-by-publisher",
+        "A publisher submits an application whose values lead to a foreign image",
+        VALUES,
+        FOREIGN_IMAGE,
+        IMAGE,
+        NOT_YET,
+    ),
+    Attack(
+        "runs-by-itself",
+        "A publisher alone submits an application that runs by itself (`initialFor`)",
+        NOT_ON_MAIN,
+        Refused(
+            "runs by itself on every agent of role … (initialFor). Somebody with write rights who is no",
+            "registry/publication/test_approvals.py::test_it_waits_and_is_published_with_a_persons_approval",
+        ),
+        VERIFIED_OTHERWISE,
+        VERIFIED_OTHERWISE,
+    ),
+    Attack(
+        "merge-against-the-gate",
+        "A person merges what the gate refuses, with `edits: respect` in the same commit",
+        NO_DEMAND,
+        Refused(
+            "it cannot be merged.…Main moves by the gate alone, so nobody can merge it",
+            "delivery/gate/test_people.py::"
+            "test_what_the_gate_refuses_reaches_main_by_nobody_though_edits_are_to_be_respected",
+        ),
+        IMAGE,
+        NOT_YET,
+    ),
+    Attack(
+        "entry-called-verified",
+        "Who may write the catalogue calls an entry verified that no suite has tried",
+        Refused(
+            "no valid evidence: suite static: there is no evidence; a missing suite is not a passed one",
+            f"{VERIFIED}::test_an_entry_edited_to_verified_is_not_selected",
+        ),
+        Refused(
+            "suite static: there is no evidence; a missing suite is not a passed one",
+            f"{EVIDENCE}::test_evidence_that_does_not_hold_is_refused",
+        ),
+        Refused(
+            "is not listed: summary: ",
+            "registry/admission/test_listing.py::test_without_its_signature_a_version_is_not_listed",
+            "the list",
+        ),
+        NOT_YET,
+    ),
+    Attack(
+        "verdict-overwritten",
+        "A suite's verdict is overwritten with that of another build",
+        Refused(
+            "summary: it lists another envelope of suite static",
+            f"{VERIFIED}::test_a_summary_signed_for_other_envelopes_does_not_count",
+        ),
+        Refused(
+            "it lists another envelope of suite static", f"{EVIDENCE}::test_evidence_that_does_not_hold_is_refused"
+        ),
+        Unseen("only the summary is looked up, which is one signature over the chart with its images"),
+        NOT_YET,
+    ),
+    Attack(
+        "status-forged",
+        "An account with write rights posts the gate's verdict as a commit status",
+        NO_DEMAND,
+        Refused("a plan may only touch", "delivery/gate/test_gate.py::test_a_forged_status_changes_nothing"),
+        OTHER_CHART,
+        NOT_YET,
+    ),
+    Attack(
+        "withdrawn-version",
+        "A version that was withdrawn is deployed once more",
+        Refused(
+            "state withdrawn is not allowed",
+            f"{VERIFIED}::test_a_withdrawn_version_is_not_selected",
+        ),
+        Refused(
+            "state withdrawn is not allowed",
+            "delivery/gate/test_gate.py::test_what_the_catalogue_withdrew_is_refused_when_both_are_told_at_once",
+        ),
+        OTHER_CHART,
+        NOT_YET,
+    ),
+    Attack(
+        "tag-moves",
+        "A tag leads to other bytes between check and use",
+        BY_DIGEST,
+        Refused(
+            "a pod would run image …, which was not verified with chart …",
+            "delivery/gate/test_image_checks.py::test_any_other_image_is_refused",
+        ),
+        Refused(
+            "a tag can be moved after it was checked, a digest cannot",
+            f"{POLICIES}::test_a_test_namespace_takes_any_image_by_digest_from_the_suite_runner",
+        ),
+        NOT_YET,
+    ),
+    Attack(
+        "application-by-argocd",
+        "The ApplicationSet controller's account writes an Application of its own",
+        NO_DEMAND,
+        NOT_PROPOSED,
+        OTHER_CHART,
+        NOT_YET,
+    ),
+    Attack(
+        "operation-with-source",
+        "Argo CD is told by `operation.sync` to apply another source, or manifests",
+        NO_DEMAND,
+        NOT_PROPOSED,
+        Refused(
+            "operation.sync names another source or revision than the Application, or manifests of its own",
+            f"{APPLICATIONS}::test_an_operation_brings_nothing_of_its_own",
+        ),
+        NOT_YET,
+    ),
+    Attack(
+        "project-widened",
+        "Argo CD's server widens the project that limits releases",
+        NO_DEMAND,
+        NOT_PROPOSED,
+        Refused(
+            "AppProject robotkube-apps changed by …: who installs the platform says what releases may be made of",
+            f"{APPLICATIONS}::test_argo_cd_does_not_widen_the_project_of_releases",
+        ),
+        NOTHING_RUNS,
+    ),
+    Attack(
+        "pod-by-administrator",
+        "An administrator starts a pod of an agent",
+        NO_DEMAND,
+        NOT_PROPOSED,
+        Refused(
+            "pods made by …: in an agent's namespace Argo CD's application controller alone makes workloads, and "
+            "controllers make their pods",
+            f"{POLICIES}::test_nobody_but_controllers_makes_pods_of_an_agent",
+        ),
+        NOT_YET,
+    ),
+    Attack("sidecar", "A sidecar is added to a release's Deployment", NO_DEMAND, NOT_PROPOSED, CHANGED, NOT_YET),
+    Attack("annotation", "An annotation is added to a release's Deployment", NO_DEMAND, NOT_PROPOSED, CHANGED, NOT_YET),
+    Attack(
+        "ephemeral-container",
+        "A container is added to a pod that runs (`kubectl debug`)",
+        NO_DEMAND,
+        NOT_PROPOSED,
+        Refused(
+            "no container may be added to a pod that runs in namespace …: nobody verified the pod with it",
+            f"{POLICIES}::test_containers_are_not_added_to_pods_of_an_agent",
+        ),
+        NOT_YET,
+    ),
+    Attack(
+        "image-volume",
+        "A foreign image comes as a volume of a pod",
+        VALUES,
+        Refused(
+            "a pod would run image …, which was not verified with chart …",
+            "delivery/gate/test_image_checks.py::test_an_image_that_is_a_volume_is_refused_as_well",
+        ),
+        IMAGE,
+        NOT_YET,
+    ),
+    Attack(
+        "way-to-the-machine",
+        "A pod asks for its machine's files, network, processes or privileges",
+        NOT_ON_MAIN,
+        Refused(
+            "volume …: type hostPath: a folder of the",
+            "registry/suites/test_static.py::test_a_pod_that_breaks_pod_security",
+            "the static suite",
+        ),
+        Refused(
+            "in namespace … ask for a way to their machine (its network, processes, files, or privileges)",
+            f"{POLICIES}::test_no_pod_gets_a_way_to_its_machine",
+        ),
+        NOT_YET,
+    ),
+    Attack(
+        "policy-deleted",
+        "An administrator deletes the admission policies (embedded cluster)",
+        NO_DEMAND,
+        NOT_PROPOSED,
+        Refused(
+            '"robotkube-agents.static.k8s.io" not found',
+            f"{POLICIES}::test_a_policy_in_files_can_be_neither_seen_nor_deleted",
+        ),
+        NOTHING_RUNS,
+    ),
+    Attack(
+        "verifier-off",
+        "The gate, or what follows the catalogue, is switched off",
+        NOT_ON_MAIN,
+        Refused(
+            "Not allowed to push to protected branch main",
+            f"{GLASS}::test_two_commits_a_merge_another_branch_and_no_option_are_refused",
+            "the forge",
+        ),
+        Refused(
+            "image … may not run in namespace …",
+            "ci/cluster/test_admission_api_server.py::"
+            "test_a_publication_is_at_work_without_a_request_to_the_server",
+        ),
+        NOT_YET,
+    ),
+    Attack("static-pod", "A static pod is put on a machine", NO_DEMAND, NOT_PROPOSED, FROM_MACHINE, NOT_YET),
+    Attack(
+        "beside-the-kubelet",
+        "A container is started beside the kubelet, by the machine's own runtime",
+        NO_DEMAND,
+        NOT_PROPOSED,
+        FROM_MACHINE,
+        NOT_YET,
+    ),
+    Attack(
+        "main-moved-past-the-gate",
+        "Who can write the forge's disk moves main past the gate",
+        NO_DEMAND,
+        Refused(
+            "unchecked commit stands commit=… how=no-record",
+            f"{GLASS}::test_it_stands_out_until_a_checked_commit_has_replaced_it_or_accepted_it",
+            "its log, afterwards",
+        ),
+        OTHER_CHART,
+        NOT_YET,
+        Refused(
+            "has no record of the gate: main was moved past it, or the record was taken away",
+            f"{STATUS}::test_each_kind_has_words_of_its_own",
+            "`robotkube status`, afterwards",
+        ),
+    ),
+    Attack(
+        "break-glass-claimed",
+        "A commit is put on main that only says that it is break-glass",
+        NO_DEMAND,
+        NOT_PROPOSED,
+        OTHER_CHART,
+        NOT_YET,
+        Refused(
+            "only says that it is break-glass: its signatures do not hold, so main was moved past gate and hook",
+            f"{STATUS}::test_each_kind_has_words_of_its_own",
+            "`robotkube status`, afterwards",
+        ),
+    ),
+    Attack(
+        "notes-pushed",
+        "The gate's notes (records, outcomes) are pushed by force",
+        NO_DEMAND,
+        NOT_PROPOSED,
+        NOTHING_TO_JUDGE,
+        NOTHING_RUNS,
+        RESERVED,
+    ),
+    Attack(
+        "staged-tag-overwritten",
+        "A publisher overwrites the tag of what is being tried",
+        NOT_ON_MAIN,
+        Refused(
+            "has no digest …; submit it again",
+            "registry/publication/test_publication_on_forge.py::"
+            "test_a_publisher_who_writes_a_tag_again_changes_nothing_that_is_tried",
+        ),
+        OTHER_CHART,
+        NOTHING_RUNS,
+    ),
+    Attack(
+        "platform-image-pushed",
+        "A publisher pushes or deletes an image in the organisation of the platform's",
+        NO_DEMAND,
+        NOT_PROPOSED,
+        Refused(
+            "image … may not run in namespace …: only images that the platform was installed with run in its "
+            "namespaces, by digest",
+            f"{POLICIES}::test_the_platform_runs_its_own_images",
+        ),
+        NOT_YET,
+        Refused("401 Unauthorized: reqPackageAccess", f"{PACKAGE_RIGHTS}::test_writing", "the OCI registry"),
+    ),
+    Attack(
+        "key-read",
+        "An account of Argo CD reads the signing key",
+        NO_DEMAND,
+        NOT_PROPOSED,
+        Unseen("policies judge what is written; who may read is a matter of rights"),
+        NOTHING_RUNS,
+        Refused(
+            'secrets "gate-key" is forbidden: User "system:serviceaccount:argocd:…" cannot get resource "secrets"',
+            "charts/test_rights.py::test_argo_cd_is_refused_the_key_of_the_gate",
+            "the cluster's rights",
+        ),
+    ),
+    Attack(
+        "repo-server-asked",
+        "The repo-server is asked to fetch an internal address",
+        NO_DEMAND,
+        NOT_PROPOSED,
+        NOTHING_TO_JUDGE,
+        NOTHING_RUNS,
+        Refused(
+            "TLSV13_ALERT_CERTIFICATE_REQUIRED",
+            f"{ARGOCD}::test_the_repo_server_answers_who_shows_the_certificate_and_nobody_else",
+            "the repo-server",
+        ),
+    ),
+    Attack(
+        "hook-unsigned",
+        "An unsigned hook of a forge that is not used, in GitLab's form",
+        NO_DEMAND,
+        NOT_PROPOSED,
+        NOTHING_TO_JUDGE,
+        NOTHING_RUNS,
+        Refused("Webhook processing failed", f"{ARGOCD}::test_an_unsigned_hook_of_no_forge_is_taken", "Argo CD"),
+    ),
+    Attack(
+        "slow-connections",
+        "Sixty slow connections to the gate",
+        NO_DEMAND,
+        Refused(
+            "connections refused count=… last_source=…",
+            "foundation/runtime/test_slow_clients.py::test_refusals_are_logged_once_in_a_while",
+            "its log",
+        ),
+        NOTHING_TO_JUDGE,
+        NOTHING_RUNS,
+    ),
+    Attack(
+        "deep-json",
+        "A request to the gate nests JSON 100,000 deep",
+        NO_DEMAND,
+        Refused(
+            "the body is not readable as JSON",
+            "delivery/gate/test_requests.py::test_what_is_deep_or_no_json_is_refused_with_words",
+        ),
+        NOTHING_TO_JUDGE,
+        NOTHING_RUNS,
+    ),
+    Attack(
+        "exec",
+        "A command is run in a container that runs (`kubectl exec`)",
+        NO_DEMAND,
+        NOT_PROPOSED,
+        INSIDE,
+        INSIDE,
+    ),
+    Attack(
+        "controller-impersonated",
+        "An administrator impersonates Argo CD's application controller to run a verified image otherwise",
+        NO_DEMAND,
+        NOT_PROPOSED,
+        Unseen("who may impersonate an account is that account: the rules on images and machines hold, those on who "
+        "asks do not"),
+        NOT_YET,
+    ),
+)  # fmt: skip
