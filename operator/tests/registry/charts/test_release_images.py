@@ -8,7 +8,7 @@ import pytest
 from robotkube.errors import InputError, UnavailableError
 from robotkube.registry.charts.core.packing import PulledChart
 from robotkube.registry.charts.core.references import ChartReference
-from robotkube.registry.charts.loops.release_images import CHARTS_KEPT_MAX, ReleaseImages
+from robotkube.registry.charts.loops.release_images import CHARTS_KEPT_MAX, ReleaseImages, ReleaseObjects
 
 CHART = ChartReference("app", "0.1.0", "sha256:" + "1" * 64)
 
@@ -18,6 +18,10 @@ class Registry:
 
     def __init__(self) -> None:
         self.pulled: list[str] = []
+        self.absent: set[str] = set()
+
+    def manifest_digest(self, repository: str, reference: str) -> str | None:
+        return None if repository in self.absent else reference
 
     def pull_chart(self, repository: str, digest: str) -> PulledChart:
         self.pulled.append(f"{repository}@{digest}")
@@ -75,3 +79,12 @@ def test_what_cannot_be_rendered_or_pulled_is_said_and_not_remembered() -> None:
     assert images(away, {"image": "x"}, "p", "a", "n") == ("x",)
     with pytest.raises(InputError, match="cannot be rendered"):
         images(CHART, {"broken": True}, "p", "a", "n")
+
+
+def test_a_chart_comes_from_the_first_place_that_has_it() -> None:
+    registry, program = Registry(), Program()
+    objects = ReleaseObjects(registry, ("verified", "staging"), program)  # type: ignore[arg-type]  # as above
+    assert objects(CHART, {"image": "x"}, "p", "a", "n")[0]["kind"] == "Pod"
+    registry.absent = {"verified/other"}
+    objects(ChartReference("other", "0.1.0", CHART.digest), {"image": "x"}, "p", "a", "n")
+    assert [place.partition("@")[0] for place in registry.pulled] == ["verified/app", "staging/other"]

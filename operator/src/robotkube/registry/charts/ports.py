@@ -84,6 +84,17 @@ class ChartProgram(Protocol):
         ...
 
 
+class RenderedObjects(Protocol):
+    """What a release is made of."""
+
+    def __call__(
+        self, chart: ChartReference, values: Mapping[str, Any], plan: str, release: str, namespace: str
+    ) -> Sequence[Mapping[str, Any]]:
+        """All objects of the release, deployed by `plan`. InputError when its chart cannot be rendered with these
+        values, UnavailableError when that cannot be tried now."""
+        ...
+
+
 class RenderedImages(Protocol):
     """What a release's pods would run."""
 

@@ -15,6 +15,7 @@ from robotkube.delivery.deployment.core.releases import Release, Source, TaskCau
 from robotkube.errors import InputError
 from robotkube.foundation.documents.core.defaults import with_defaults
 from robotkube.registry.catalogue.core.catalogue import Catalogue
+from robotkube.registry.catalogue.core.image_coverage import coverage_problems, is_compared
 from robotkube.registry.charts.core.references import ChartReference
 from robotkube.registry.charts.core.values_schemas import Validate, deployed
 
@@ -88,26 +89,14 @@ def _images(release: Release, rules: Rules) -> Iterable[str]:
     """Images that its pods would run and the evidence of its chart does not cover."""
     chart = ChartReference(release.chart, release.version, release.digest)
     version = next(version for version in rules.catalogue.charts[release.chart] if version.reference == chart)
-    if not version.image_references and rules.catalogue.assurance == "none":
+    if not is_compared(version, rules.catalogue.assurance):
         return
-    covered = {_digest(reference) for reference in version.image_references}
     try:
         images = rules.images(release)
     except InputError as error:
         yield str(error)
         return
-    for image in images:
-        if _digest(image) not in covered:
-            listed = ", ".join(version.image_references) or "none"
-            yield (
-                f"spec.values: a pod would run image {image or '(none)'}, which was not verified with chart {chart} "
-                f"(images: {listed}); leave out the values that name an image, or publish a version with this one"
-            )
-
-
-def _digest(reference: str) -> str:
-    """What an image reference pins; the reference itself, which nothing covers, when it pins nothing."""
-    return reference.rpartition("@")[2]
+    yield from (f"spec.values: {problem}" for problem in coverage_problems(version, images))
 
 
 def _parameters(release: Release, rules: Rules) -> Iterable[str]:
