@@ -236,10 +236,10 @@ def suite_problems(
         return [f"{what}: {evidence}"]
     if evidence.statement.get("predicateType") != SUITE_PREDICATE:
         return [f"{what}: the evidence is no test result but {evidence.statement.get('predicateType')!r}"]
-    predicate = _mapping(evidence.statement.get("predicate"))
+    predicate = mapping(evidence.statement.get("predicate"))
     problems = _subject_problems(evidence.statement, artefact)
     problems += _configuration_problems(predicate, rule, policy_digest)
-    problems += _result_problems(predicate)
+    problems += result_problems(predicate)
     return [f"{what}: {problem}" for problem in problems]
 
 
@@ -247,9 +247,9 @@ def _subject_problems(statement: Mapping[str, Any], artefact: Artefact) -> list[
     subjects = statement.get("subject")
     if not isinstance(subjects, list) or len(subjects) != 1:
         return ["the evidence must be about exactly one chart"]
-    subject = _mapping(subjects[0])
-    annotations = _mapping(subject.get("annotations"))
-    digest = _mapping(subject.get("digest")).get("sha256")
+    subject = mapping(subjects[0])
+    annotations = mapping(subject.get("annotations"))
+    digest = mapping(subject.get("digest")).get("sha256")
     problems = []
     if digest != hexadecimal(artefact.digest):
         problems.append(f"the evidence is about another digest (sha256:{digest}, not {artefact.digest})")
@@ -262,9 +262,9 @@ def _subject_problems(statement: Mapping[str, Any], artefact: Artefact) -> list[
 
 
 def _configuration_problems(predicate: Mapping[str, Any], rule: SuiteRule, policy_digest: str) -> list[str]:
-    configuration = _descriptors(predicate.get("configuration"), "name")
-    problems = _policy_problems(configuration.get("policy", {}), policy_digest)
-    suite = _mapping(configuration.get("suite", {}).get("annotations"))
+    configuration = descriptors(predicate.get("configuration"), "name")
+    problems = policy_problems(configuration.get("policy", {}), policy_digest)
+    suite = mapping(configuration.get("suite", {}).get("annotations"))
     if suite.get("name") != rule.name:
         problems.append(f"the evidence is of suite {suite.get('name')!r}")
     elif suite.get("version") != rule.version:
@@ -272,14 +272,16 @@ def _configuration_problems(predicate: Mapping[str, Any], rule: SuiteRule, polic
     return problems
 
 
-def _policy_problems(descriptor: Mapping[str, Any], policy_digest: str) -> list[str]:
-    digest = _mapping(descriptor.get("digest")).get("sha256")
+def policy_problems(descriptor: Mapping[str, Any], policy_digest: str) -> list[str]:
+    """Why a statement was not made under the policy of that digest."""
+    digest = mapping(descriptor.get("digest")).get("sha256")
     if digest == hexadecimal(policy_digest):
         return []
     return [f"the evidence was made under another policy (sha256:{digest}, not {policy_digest}); submit it again"]
 
 
-def _result_problems(predicate: Mapping[str, Any]) -> list[str]:
+def result_problems(predicate: Mapping[str, Any]) -> list[str]:
+    """Why a test result is not a passed one."""
     failed = predicate.get("failedTests") or []
     failed = [str(name) for name in failed] if isinstance(failed, list) else [str(failed)]
     if FINISHED in failed:
@@ -303,8 +305,8 @@ def _summary_problems(
         return [f"summary: {summary}"]
     if summary.statement.get("predicateType") != SUMMARY_PREDICATE:
         return [f"summary: it is no verification summary but {summary.statement.get('predicateType')!r}"]
-    predicate = _mapping(summary.statement.get("predicate"))
-    problems = _policy_problems(_mapping(predicate.get("policy")), policy.digest)
+    predicate = mapping(summary.statement.get("predicate"))
+    problems = policy_problems(mapping(predicate.get("policy")), policy.digest)
     problems += _verdict_problems(artefact, summary.statement)
     problems += _input_problems(predicate, policy, statements)
     return [f"summary: {problem}" for problem in problems]
@@ -312,7 +314,7 @@ def _summary_problems(
 
 def _verdict_problems(artefact: Artefact, statement: Mapping[str, Any]) -> list[str]:
     """Why a summary is not about `artefact`, or not that it passed."""
-    predicate = _mapping(statement.get("predicate"))
+    predicate = mapping(statement.get("predicate"))
     problems = _subject_problems(statement, artefact)
     if predicate.get("verificationResult") != PASSED:
         problems.append(f"its result is {predicate.get('verificationResult')!r}, not {PASSED}")
@@ -335,19 +337,19 @@ def _listing_problems(artefact: Artefact, summary: VerifiedStatement, listing: L
 
 def _subject_annotations(summary: VerifiedStatement) -> Mapping[str, Any]:
     subjects = summary.statement.get("subject")
-    subject = _mapping(subjects[0]) if isinstance(subjects, list) and subjects else {}
-    return _mapping(subject.get("annotations"))
+    subject = mapping(subjects[0]) if isinstance(subjects, list) and subjects else {}
+    return mapping(subject.get("annotations"))
 
 
 def _input_problems(
     predicate: Mapping[str, Any], policy: VerificationPolicy, statements: Mapping[str, VerifiedStatement | str]
 ) -> list[str]:
     inputs = predicate.get("inputAttestations")
-    listed = _descriptors(inputs, "uri")
+    listed = descriptors(inputs, "uri")
     problems = []
     for rule in policy.suites:
         statement = statements.get(rule.name)
-        digest = _mapping(listed.get(rule.name, {}).get("digest")).get("sha256")
+        digest = mapping(listed.get(rule.name, {}).get("digest")).get("sha256")
         if digest is None:
             problems.append(f"it does not list suite {rule.name}")
         elif isinstance(statement, VerifiedStatement) and digest != hexadecimal(statement.envelope_digest):
@@ -357,14 +359,15 @@ def _input_problems(
     return problems
 
 
-def _mapping(value: Any) -> Mapping[str, Any]:
+def mapping(value: Any) -> Mapping[str, Any]:
+    """`value` if it is a mapping, else an empty one."""
     return value if isinstance(value, Mapping) else {}
 
 
-def _descriptors(value: Any, key: str) -> dict[str, Mapping[str, Any]]:
+def descriptors(value: Any, key: str) -> dict[str, Mapping[str, Any]]:
     """Resource descriptors by their name or URI; the first of a name counts."""
-    descriptors: dict[str, Mapping[str, Any]] = {}
+    named: dict[str, Mapping[str, Any]] = {}
     for item in value if isinstance(value, list) else []:
         if isinstance(item, Mapping) and isinstance(item.get(key), str):
-            descriptors.setdefault(item[key], item)
-    return descriptors
+            named.setdefault(item[key], item)
+    return named
