@@ -447,3 +447,28 @@ def test_the_refusal_is_readable_and_bounded() -> None:
     assert text.startswith("Refused cccccccccccc: the gate does not merge this commit.\n")
     assert "- problem 0\n" in text
     assert text.endswith("- and 3 more\n")
+
+
+EDITED = {"evidence": "sha256:" + "8" * 64, "evidence_problem": "applications/recording.yaml is not what was verified"}
+
+
+@pytest.mark.parametrize("policy", ["verified", "transition"])
+def test_a_task_of_an_application_that_is_not_what_was_verified_is_refused(policy: str) -> None:
+    application = replace(CATALOGUE.applications["recording"], **EDITED)  # type: ignore[arg-type]
+    doubted = replace(CATALOGUE, applications={"recording": application}, application_assurance=policy)
+    release = replace(BRIDGE, plan=PLAN, causes=(ONE,))
+    verdict = proposal_checks.judge(proposal({}, files(release), message(ONE)), TIP, replace(RULES, catalogue=doubted))
+    assert verdict.problems == (
+        f"{release.path}: task cloud-0/one: application recording: no valid evidence: {EDITED['evidence_problem']} "
+        f"(release policy: applications {policy})",
+    )
+    allowed = replace(doubted, application_assurance="none")
+    assert proposal_checks.judge(proposal({}, files(release), message(ONE)), TIP, replace(RULES, catalogue=allowed)).accepted
+
+
+def test_an_application_without_evidence_may_run_until_the_policy_asks_for_it() -> None:
+    release = replace(BRIDGE, plan=PLAN, causes=(ONE,))
+    plan = proposal({}, files(release), message(ONE))
+    assert proposal_checks.judge(plan, TIP, RULES).accepted
+    strict = replace(RULES, catalogue=replace(CATALOGUE, application_assurance="verified"))
+    assert "there is no evidence that it was composed and checked" in proposal_checks.judge(plan, TIP, strict).problems[0]

@@ -228,3 +228,37 @@ def test_a_status_that_is_refused_does_not_hold_the_others(stage: Stage) -> None
     good = stage.ask("good")
     stage.settle()
     assert stage.tasks.condition(good, "Ready") == ("True", "Observed")
+
+
+RECORDING = "applications/pose-point-cloud-recording.yaml"
+
+
+def test_an_application_edited_after_it_was_signed_is_not_selected(stage: Stage) -> None:
+    files = stage.catalogue.trees[stage.catalogue.tip]
+    policy = {"policies/release.yaml": "assurance: verified\napplications: verified\n"}
+    stage.catalogue.push({**policy, **stage.applications_signed()})
+    first = stage.ask("first")
+    stage.go(wake=CATALOGUE)
+    assert stage.tasks.condition(first, "Committed") == ("True", "Merged")
+    before = stage.releases()
+    stage.catalogue.push({RECORDING: files[RECORDING].replace("afterSeconds: 2", "afterSeconds: 3")})
+    key = stage.ask("second", ("vehicle-00", "vehicle-02"))
+    stage.go(wake=CATALOGUE)
+    for task in (first, key):
+        assert stage.tasks.condition(task, "Accepted") == ("False", "ApplicationNotVerified")
+    message = stage.tasks.objects[key]["status"]["conditions"][0]["message"]
+    assert f"{RECORDING} is not what was verified" in message
+    assert stage.releases() == before
+
+
+def test_without_its_statement_an_application_is_taken_in_transition_only(stage: Stage) -> None:
+    signed = stage.applications_signed()
+    statement = "evidence/applications/pose-point-cloud-recording.json"
+    policy = {"policies/release.yaml": "assurance: verified\napplications: verified\n"}
+    stage.catalogue.push({**policy, **signed, statement: None})
+    key = stage.ask()
+    stage.go(wake=CATALOGUE)
+    assert stage.tasks.condition(key, "Accepted") == ("False", "ApplicationNotVerified")
+    stage.catalogue.push({"policies/release.yaml": "assurance: verified\n"})
+    stage.go(wake=CATALOGUE)
+    assert stage.tasks.condition(key, "Committed") == ("True", "Merged")

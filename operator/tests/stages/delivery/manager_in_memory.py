@@ -32,7 +32,14 @@ from robotkube.testing.clusters import MemoryArgoCD, MemoryCluster, MemoryTasks
 from robotkube.testing.forges import MemoryForge, MemoryRepository
 from robotkube.testing.leadership import MemoryLeadership
 from tests.stages.paths import REGISTRY, REPOSITORY
-from tests.stages.registry.signed_evidence import PLATFORM, POLICY_TEXT, Signing, signing_key, trusting
+from tests.stages.registry.signed_evidence import (
+    PLATFORM,
+    POLICY_TEXT,
+    Signing,
+    application_evidence,
+    signing_key,
+    trusting,
+)
 from tests.stages.waiting import WAIT_SECONDS_MAX
 
 CHARTS = "oci://forge.robotkube.svc.cluster.local:3000/verified"
@@ -81,7 +88,7 @@ class Stage:
     notified: Sequence[str] = ()
 
     def __init__(self, folder: Path, vehicles: int = 3) -> None:
-        key = signing_key(folder / "key")
+        key = self.key = signing_key(folder / "key")
         self.verifier = trusting(folder / "trusted", key)
         names = [(f"vehicle-{i:02d}", "vehicle") for i in range(vehicles)] + [("cloud-0", "cloud")]
         self.settings = ManagerSettings(tuple(Agent(name, role, name) for name, role in names), CHARTS)
@@ -150,6 +157,14 @@ class Stage:
         tree = read_tree(self.repository.files(self.repository.tip, ("releases", "sources")))
         assert tree.problems == ()
         return dict(tree.releases)
+
+    def applications_signed(self) -> dict[str, str | None]:
+        """Statements about all applications of the catalogue as they stand."""
+        signed: dict[str, str | None] = {}
+        for path, text in self.catalogue.trees[self.catalogue.tip].items():
+            if path.startswith("applications/"):
+                signed |= application_evidence(self.key, path.split("/")[1].removesuffix(".yaml"), text)
+        return signed
 
     def ask(self, name: str = "meeting", vehicles: tuple[str, ...] = ("vehicle-00", "vehicle-01"), **spec: Any) -> str:
         event = {"rule": "lidar-proximity", "id": f"event-{name}", "trace": "a" * 32, "time": "2026-11-21T10:00:00Z"}

@@ -15,6 +15,12 @@ from robotkube.foundation.documents.core.digests import sha256
 from robotkube.foundation.documents.core.yaml_codec import write_mapping
 from robotkube.registry.charts.core.packing import published_digest
 from robotkube.registry.evidence.adapters.dsse import KeyFile, TrustedKeys
+from robotkube.registry.charts.core.references import ChartReference
+from robotkube.registry.evidence.core.application_statements import (
+    TrialResult,
+    application_statement,
+    statement_path,
+)
 from robotkube.registry.evidence.core.statements import (
     Artefact,
     Check,
@@ -159,6 +165,14 @@ def published(
     if schema:
         files[f"charts/{about.chart}/{about.version}.schema.json"] = schema
     return files | entry(about, evidence=sha256(envelopes["summary"]), policy=policy.digest, images=images)
+
+
+def application_evidence(
+    key: KeyFile, name: str, text: str, policy: VerificationPolicy = POLICY, charts: Sequence[ChartReference] = ()
+) -> dict[str, str]:
+    """The statement (path -> envelope) that the application whose document is `text` passed its trial."""
+    statement = application_statement(name, text, policy.digest, TrialResult((), tuple(charts), 3, 2))
+    return {statement_path(name): key.sign(statement).decode()}
 
 
 def catalogue(*parts: Mapping[str, str], assurance: str = "verified", policy: str = POLICY_TEXT) -> dict[str, str]:

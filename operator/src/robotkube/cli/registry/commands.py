@@ -15,7 +15,7 @@ from robotkube.cli.platform import Platform
 from robotkube.registry.catalogue.adapters.source_folders import read_sources
 from robotkube.registry.catalogue.core.catalogue import read_catalogue
 from robotkube.registry.catalogue.core.chart_versions import CHANNELS, STATES
-from robotkube.registry.catalogue.core.entry_documents import SOURCE, entry_documents
+from robotkube.registry.catalogue.core.entry_documents import SOURCE, UNVERIFIED, entry_documents
 from robotkube.registry.catalogue.core.search import Criteria, Entry, dot, find, read_guarantee, search, upgrade_rows
 from robotkube.registry.catalogue.core.validation import validate_sources
 from robotkube.registry.publication.adapters.submission_folders import validation_tools
@@ -43,7 +43,7 @@ def searching(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--guarantee", default="", metavar="GUARANTEE", help="such as stop-time or 'stop-time<=3s'")
     parser.add_argument("--channel", default="", choices=CHANNELS)
-    parser.add_argument("--state", default="", choices=(*STATES, SOURCE))
+    parser.add_argument("--state", default="", choices=(*STATES, SOURCE, UNVERIFIED))
 
 
 def naming(parser: argparse.ArgumentParser) -> None:
@@ -109,7 +109,7 @@ def _entries(options: argparse.Namespace) -> Sequence[Entry]:
     problems = [*map(str, sources.findings), *(f"{folder}/{problem}" for problem in catalogue.problems)]
     for problem in problems[:PROBLEMS_SHOWN_MAX]:
         print(f"robotkube: left out: {problem}", file=sys.stderr)
-    return entry_documents(catalogue)
+    return entry_documents(catalogue, published=False)
 
 
 def validate_registry(options: argparse.Namespace) -> Table:

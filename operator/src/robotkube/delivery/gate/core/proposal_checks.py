@@ -296,6 +296,8 @@ def _initial(path: str, text: str, rules: Rules) -> Iterable[str]:
             known = ", ".join(sorted(rules.catalogue.applications)) or "none"
             yield f"{path}: add[{index}].application: the catalogue has no {addition.application!r}; it has {known}"
             continue
+        if obstacle := rules.catalogue.forbids(application):
+            yield f"{path}: add[{index}].application: {application.name}: {obstacle}"
         parameters = with_defaults(application.parameters, addition.parameters)
         problems = rules.validate(application.parameters, parameters, f"add[{index}].parameters")
         yield from (f"{path}: {problem}" for problem in problems)

@@ -110,6 +110,10 @@ def _parameters_of(cause: TaskCause, rules: Rules) -> Iterable[str]:
         known = ", ".join(sorted(rules.catalogue.applications)) or "none"
         yield f"task {cause.task}: the catalogue has no application {cause.application!r}; it has {known}"
         return
+    if obstacle := rules.catalogue.forbids(application):
+        policy = f"release policy: applications {rules.catalogue.application_assurance}"
+        yield f"task {cause.task}: application {application.name}: {obstacle} ({policy})"
+        return
     parameters = with_defaults(application.parameters, json.loads(cause.parameters))
     for problem in rules.validate(application.parameters, parameters, "parameters"):
         yield f"task {cause.task}: {problem}"

@@ -43,7 +43,12 @@ from robotkube.delivery.manager.loops.proposals.plan_records import PlanRecord
 from robotkube.delivery.manager.loops.updates import UpdatePlanner
 from robotkube.delivery.manager.ports.cluster import Cluster
 from robotkube.delivery.tasks.core.holds import DeviceHold
-from robotkube.delivery.tasks.core.task_description import POSTPONED, TaskDescription
+from robotkube.delivery.tasks.core.task_description import (
+    APPLICATION_NOT_VERIFIED,
+    IMAGE_NOT_VERIFIED,
+    POSTPONED,
+    TaskDescription,
+)
 from robotkube.delivery.tasks.ports.store import TaskStore
 from robotkube.foundation.documents.core.value_templates import Render
 from robotkube.foundation.kubernetes.core.objects import object_key
@@ -52,7 +57,7 @@ from robotkube.registry.catalogue.loops.verified_catalogue import AssuredCatalog
 TASKS_PER_PLAN_MAX = 100
 HELD_MAX = 1000
 UNDECIDED = Refused(POSTPONED, "other pre-emptions are decided first; ask again")
-EVIDENCE_REASONS = frozenset({"NoVerifiedVersion", "GuaranteeNotMet"})
+EVIDENCE_REASONS = frozenset({"NoVerifiedVersion", "GuaranteeNotMet", APPLICATION_NOT_VERIFIED, IMAGE_NOT_VERIFIED})
 
 log = logging.getLogger(__name__)
 
@@ -229,7 +234,8 @@ class Planner:
         """The changes that bring main to `desired`; `remember` as in MainReader.respected."""
         own = self._constraints.own(self._main.tree).releases
         kept = {path: release for path, release in self._kept_without_evidence(desired).items() if path in own}
-        return self._main.respected(differences({**kept, **desired.releases}, own), remember)
+        wanted = {path: _unless_only_doubt(kept.get(path), one, desired) for path, one in desired.releases.items()}
+        return self._main.respected(differences({**kept, **wanted}, own), remember)
 
     def _unheld(self, changes: tuple[Change, ...]) -> tuple[Change, ...]:
         """The changes that no device holds; the others go on when the first hold ends, or when it is released."""
@@ -359,7 +365,7 @@ class Planner:
     def _kept_without_evidence(self, desired: Composition) -> dict[str, Release]:
         """Releases on main of demands that are refused for want of evidence only: what runs is not removed because a
         policy, a key or an envelope changed, but it is not changed either."""
-        refused = {k for k, o in desired.outcomes.items() if isinstance(o, Refused) and o.reason in EVIDENCE_REASONS}
+        refused = _doubtful(desired)
         if not refused:
             return {}
         agents = {k.split("/")[2] for k in refused if k.startswith("initial/")}
@@ -401,6 +407,21 @@ class Planner:
             self._held_differences[plan.fingerprint] = record
         while len(self._held_differences) > HELD_MAX:
             self._held_differences.pop(next(iter(self._held_differences)))
+
+
+def _doubtful(desired: Composition) -> frozenset[str]:
+    """The demands that are refused for want of evidence only."""
+    outcomes = desired.outcomes.items()
+    return frozenset(k for k, o in outcomes if isinstance(o, Refused) and o.reason in EVIDENCE_REASONS)
+
+
+def _unless_only_doubt(kept: Release | None, wanted: Release, desired: Composition) -> Release:
+    """A release as it is wanted; as main has it (`kept`) when it is shared, and nobody left it but demands that are
+    refused for want of evidence: what they run needs its part of it."""
+    if kept is None:
+        return wanted
+    staying = {cause.task for cause in kept.causes} - _doubtful(desired)
+    return kept if staying == {cause.task for cause in wanted.causes} else wanted
 
 
 def _demand(task: TaskDescription) -> Demand:

@@ -26,6 +26,8 @@ INSUFFICIENT_RESOURCES = "InsufficientResources"
 RELEASE_IN_USE = "ReleaseInUse"
 NO_CAPABLE_NODE = "NoCapableNode"
 INVALID_PARAMETERS = "InvalidParameters"
+APPLICATION_NOT_VERIFIED = "ApplicationNotVerified"
+IMAGE_NOT_VERIFIED = "ImageNotVerified"
 POSTPONED = "Postponed"
 QUEUE_FULL = "QueueFull"
 QUEUE_TOO_LONG = "QueueTooLong"
@@ -36,6 +38,8 @@ REFUSAL_TEXTS: Mapping[str, str] = {
     "UnknownApplication": "the catalogue has no such application, or none provides what is asked for",
     INVALID_PARAMETERS: "the spec cannot be read, or the parameters break the application's schema",
     "NoVerifiedVersion": "no chart version in range has valid evidence under the release policy",
+    APPLICATION_NOT_VERIFIED: "the application has no valid evidence that it was composed and checked",
+    IMAGE_NOT_VERIFIED: "a pod would run an image that was not verified with its chart",
     "GuaranteeNotMet": "chart versions exist, but none guarantees what is required",
     NO_CAPABLE_NODE: "no agent with a usable node has the role, capabilities and neighbours that are asked for",
     INSUFFICIENT_RESOURCES: "the resource requests do not fit beside what is planned on the capable nodes",

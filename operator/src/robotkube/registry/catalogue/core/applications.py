@@ -14,6 +14,8 @@ from robotkube.registry.catalogue.core.entries import read_description, read_for
 from robotkube.registry.catalogue.core.guarantees import GuaranteeRequirement, read_requirements
 from robotkube.registry.catalogue.core.interface_declarations import DURABILITIES, RELIABILITIES
 from robotkube.registry.catalogue.core.versions import is_range
+from robotkube.registry.evidence.core.application_statements import MISSING as NO_EVIDENCE
+from robotkube.registry.evidence.core.application_statements import document_digest
 
 LINK_KINDS = ("mqtt", "ros")
 TOPIC_KEYS = ("name", "type", "channel", "reliability", "durability", "depth")
@@ -83,7 +85,10 @@ class Link:
 @dataclass(frozen=True)
 class Application:
     """What the catalogue offers. `parameters` is a JSON Schema; `initial_for` a role or empty; an application that
-    provides `link/<kind>` gives the bridge service that composition puts at both ends of links of that kind."""
+    provides `link/<kind>` gives the bridge service that composition puts at both ends of links of that kind.
+
+    `digest` is that of its document; `evidence` that of the envelope beside it, empty when there is none; `assured`
+    only when that was checked, else `evidence_problem` says what is missing."""
 
     name: str
     description: str
@@ -92,6 +97,10 @@ class Application:
     services: tuple[Service, ...]
     links: tuple[Link, ...] = ()
     initial_for: str = ""
+    digest: str = ""
+    evidence: str = ""
+    assured: bool = False
+    evidence_problem: str = NO_EVIDENCE
 
     @property
     def area(self) -> str:
@@ -131,6 +140,7 @@ def read_application(text: str, path: str) -> Application:
         services=tuple(services),
         links=tuple(links),
         initial_for=reader.word(spec.get("initialFor"), "spec.initialFor", NAME, default=""),
+        digest=document_digest(text),
     )
     reader.finish()
     return application

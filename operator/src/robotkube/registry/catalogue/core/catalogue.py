@@ -23,6 +23,7 @@ from robotkube.registry.catalogue.core.applications import Application, ChartReq
 from robotkube.registry.catalogue.core.chart_versions import ChartVersion, read_chart_version
 from robotkube.registry.catalogue.core.guarantees import GuaranteeRequirement, shortfall
 from robotkube.registry.catalogue.core.versions import in_range, version_key
+from robotkube.registry.evidence.core.application_statements import ApplicationAssessment
 
 __all__ = [
     "ASSURANCES",
@@ -43,6 +44,10 @@ RELEASE_POLICY = "policies/release.yaml"
 VERIFICATION_POLICY = "policies/verification.yaml"
 REASONS_MAX = 20
 PERSON, AUTOMATIC = "person", "automatic"
+VERIFIED, TRANSITION, NONE = "verified", "transition", "none"
+APPLICATION_ASSURANCES = (VERIFIED, TRANSITION, NONE)
+"""Which applications may be deployed: those whose evidence holds; those and such as have none, which an older gate
+published; all of them."""
 ASSURANCES: Mapping[str, frozenset[str]] = {
     "none": frozenset({"staged", "verified"}),
     "verified": frozenset({"verified"}),
@@ -66,32 +71,56 @@ class EvidenceAssessment(Protocol):
 
 @dataclass(frozen=True)
 class Catalogue:
-    """Everything that can be selected, at one commit of the catalogue repository."""
+    """Everything that can be selected, at one commit of the catalogue repository. `assurance` is what the release
+    policy asks of charts, `application_assurance` (of APPLICATION_ASSURANCES) what it asks of applications."""
 
     applications: Mapping[str, Application] = field(default_factory=dict)
     charts: Mapping[str, tuple[ChartVersion, ...]] = field(default_factory=dict)
     assurance: str = "verified"
     problems: tuple[str, ...] = ()
+    application_assurance: str = TRANSITION
 
     def bridge(self, kind: str) -> Application:
-        """The application whose service bridges links of that kind; RefusalError when there is not exactly one."""
+        """The application whose service bridges links of that kind; RefusalError when there is not exactly one, or when
+        the release policy forbids it."""
         bridges = [a for a in self.applications.values() if kind in a.bridges]
         if len(bridges) != 1:
             names = ", ".join(sorted(a.name for a in bridges)) or "none does"
             raise RefusalError("CompositionFailed", f"exactly one application must provide link/{kind}; {names}")
+        self.admit(bridges[0])
         return bridges[0]
+
+    def forbids(self, application: Application) -> str:
+        """Why the release policy forbids to deploy what an application asks for; empty when it allows it."""
+        if application.assured or self.application_assurance == NONE:
+            return ""
+        if self.application_assurance == TRANSITION and not application.evidence:
+            return ""
+        return f"no valid evidence: {application.evidence_problem}"
+
+    def admit(self, application: Application) -> None:
+        """RefusalError(ApplicationNotVerified) when the release policy forbids the application."""
+        if obstacle := self.forbids(application):
+            raise RefusalError("ApplicationNotVerified", f"application {application.name}: {obstacle}")
 
     def version(self, chart: str, version: str) -> ChartVersion | None:
         """One version of a chart; None when there is none."""
         return next((candidate for candidate in self.charts.get(chart, ()) if candidate.version == version), None)
 
-    def with_evidence(self, assessments: Mapping[tuple[str, str], EvidenceAssessment]) -> Catalogue:
-        """The catalogue with the assessments of (chart, version); versions without one stay without assurance."""
+    def with_evidence(
+        self,
+        assessments: Mapping[tuple[str, str], EvidenceAssessment],
+        applications: Mapping[str, ApplicationAssessment] | None = None,
+    ) -> Catalogue:
+        """The catalogue with the assessments of (chart, version) and of applications; what has none stays without
+        assurance."""
         charts = {
             chart: tuple(_assessed(version, assessments.get((chart, version.version))) for version in versions)
             for chart, versions in self.charts.items()
         }
-        return replace(self, charts=charts)
+        known = applications or {}
+        judged = {name: _judged(one, known.get(name)) for name, one in self.applications.items()}
+        return replace(self, charts=charts, applications=judged)
 
     def allows(self, candidate: ChartVersion) -> str:
         """Why the release policy forbids to deploy `candidate`; empty when it allows it."""
@@ -220,13 +249,22 @@ def _assessed(version: ChartVersion, assessment: EvidenceAssessment | None) -> C
     return replace(version, assured=assessment.assured, evidence_problem=problem)
 
 
+def _judged(application: Application, assessment: ApplicationAssessment | None) -> Application:
+    if assessment is None:
+        return application
+    problem = "; ".join(assessment.problems)
+    return replace(
+        application, evidence=assessment.evidence, assured=assessment.assured, evidence_problem=problem
+    )
+
+
 def read_catalogue(files: Mapping[str, str], published: bool = True) -> Catalogue:
     """The catalogue in `files` (path -> text); unusable files become problems. Nothing is assured yet.
 
     `published`: the files are those of the catalogue repository; otherwise sources, whose charts have no status."""
     applications: dict[str, Application] = {}
     charts: dict[str, list[ChartVersion]] = {}
-    assurance = "verified"
+    policy = ReleasePolicy("verified")
     problems: list[str] = []
     for path, parts in _entries(files):
         try:
@@ -235,10 +273,11 @@ def read_catalogue(files: Mapping[str, str], published: bool = True) -> Catalogu
             elif parts[0] == "charts" and len(parts) == 3:
                 charts.setdefault(parts[1], []).append(read_chart_version(files[path], path, published))
             elif path == RELEASE_POLICY:
-                assurance = read_release_policy(files[path], path).assurance
+                policy = read_release_policy(files[path], path)
         except DocumentError as error:
             problems += [f"{error.where}: {problem}" for problem in error.problems]
-    return Catalogue(applications, {name: tuple(v) for name, v in charts.items()}, assurance, tuple(problems))
+    versions = {name: tuple(v) for name, v in charts.items()}
+    return Catalogue(applications, versions, policy.assurance, tuple(problems), policy.applications)
 
 
 def _entries(files: Mapping[str, str]) -> Iterable[tuple[str, list[str]]]:
@@ -250,19 +289,23 @@ def _entries(files: Mapping[str, str]) -> Iterable[tuple[str, list[str]]]:
 @dataclass(frozen=True)
 class ReleasePolicy:
     """The content of policies/release.yaml. `assurance`: one of ASSURANCES; `initial_for`: whether applications that
-    run by themselves wait for a person's approval (PERSON, the default) or are published at once (AUTOMATIC)."""
+    run by themselves wait for a person's approval (PERSON, the default) or are published at once (AUTOMATIC);
+    `applications`: one of APPLICATION_ASSURANCES, TRANSITION when the file says nothing."""
 
     assurance: str
     initial_for: str = PERSON
+    applications: str = TRANSITION
 
 
 def read_release_policy(text: str, path: str) -> ReleasePolicy:
     """The release policy in `text`; DocumentError names every problem."""
     reader = Reader(path)
-    document = reader.mapping(read_mapping(text, path), "", ["assurance"], ["initialFor"])
+    document = reader.mapping(read_mapping(text, path), "", ["assurance"], ["initialFor", "applications"])
     assurance = read_one_of(reader, document.get("assurance"), "assurance", ASSURANCES)
-    initial_for = PERSON
+    initial_for, applications = PERSON, TRANSITION
     if "initialFor" in document:
         initial_for = read_one_of(reader, document["initialFor"], "initialFor", (PERSON, AUTOMATIC))
+    if "applications" in document:
+        applications = read_one_of(reader, document["applications"], "applications", APPLICATION_ASSURANCES)
     reader.finish()
-    return ReleasePolicy(assurance, initial_for)
+    return ReleasePolicy(assurance, initial_for, applications)

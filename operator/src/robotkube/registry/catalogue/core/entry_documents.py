@@ -6,16 +6,19 @@ from collections.abc import Iterable
 from typing import Any
 
 from robotkube.registry.catalogue.core.applications import Application, ChartRequirement
-from robotkube.registry.catalogue.core.catalogue import Catalogue
+from robotkube.registry.catalogue.core.catalogue import NONE, VERIFIED, Catalogue
 from robotkube.registry.catalogue.core.chart_versions import ChartVersion
 from robotkube.registry.catalogue.core.versions import version_key
 
 SOURCE = "source"
+UNVERIFIED = "unverified"
 
 
-def entry_documents(catalogue: Catalogue) -> list[dict[str, Any]]:
-    """Applications by name, then charts by name and version; what is not published yet has the state `source`."""
-    applications = [_application(a) for _, a in sorted(catalogue.applications.items())]
+def entry_documents(catalogue: Catalogue, published: bool = True) -> list[dict[str, Any]]:
+    """Applications by name, then charts by name and version; what is not `published` yet has the state `source`.
+
+    An application's state is `verified` when its evidence holds now, else `unverified`."""
+    applications = [_application(a, published) for _, a in sorted(catalogue.applications.items())]
     charts = [
         _chart(version, catalogue)
         for _, versions in sorted(catalogue.charts.items())
@@ -24,7 +27,8 @@ def entry_documents(catalogue: Catalogue) -> list[dict[str, Any]]:
     return applications + charts
 
 
-def _application(application: Application) -> dict[str, Any]:
+def _application(application: Application, published: bool) -> dict[str, Any]:
+    state = VERIFIED if application.assured else UNVERIFIED
     return {
         "kind": "application",
         "name": application.name,
@@ -32,6 +36,11 @@ def _application(application: Application) -> dict[str, Any]:
         "provides": list(application.provides),
         "needs": _distinct(_needs_of_application(application)),
         "initialFor": application.initial_for,
+        "state": state if published else SOURCE,
+        "digest": application.digest,
+        "evidence": application.evidence or NONE,
+        "assured": application.assured,
+        "evidence_problem": application.evidence_problem if published and not application.assured else "",
         "parameters": dict(application.parameters),
         "services": [
             {"name": s.name, "chart": s.chart.name, "provides": s.chart.provides, "version": s.chart.version}

@@ -1,7 +1,7 @@
 """The catalogue with its evidence verified: what manager and gate select from and check against.
 
 The last good catalogue stays while a newer one is broken: a broken file must never look like a withdrawal. A broken
-piece of evidence takes the assurance from its own chart version and from nothing else.
+piece of evidence takes the assurance from its own chart version or application and from nothing else.
 """
 
 from __future__ import annotations
@@ -17,6 +17,11 @@ from robotkube.foundation.documents.core.digests import sha256
 from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.foundation.forge.ports.repositories import RepositoryFiles
 from robotkube.registry.catalogue.core.catalogue import FOLDERS, Catalogue, ChartVersion, read_catalogue
+from robotkube.registry.evidence.core.application_statements import (
+    ApplicationAssessment,
+    assess_application,
+    statement_path,
+)
 from robotkube.registry.evidence.core.statements import Artefact, Assessment, Listing, VerifiedStatement, assess
 from robotkube.registry.evidence.core.verification_policy import PATH as POLICY_PATH
 from robotkube.registry.evidence.core.verification_policy import SUMMARY, VerificationPolicy, read_verification_policy
@@ -32,7 +37,7 @@ log = logging.getLogger(__name__)
 
 
 class EvidenceReader:
-    """Reads a catalogue from files and assesses the evidence of each chart version.
+    """Reads a catalogue from files and assesses the evidence of each chart version and of each application.
 
     `platforms` are those of the fleet: evidence is needed for each. What was verified once is known by its text until
     the trusted keys change. Not for several threads at once."""
@@ -66,7 +71,22 @@ class EvidenceReader:
         }
         self._assessments = assessed
         assessments = {key: assessment for key, (_, assessment) in assessed.items()}
-        return replace(catalogue.with_evidence(assessments), problems=(*catalogue.problems, *problems))
+        applications = {name: self._judge(name, policy, files) for name in catalogue.applications}
+        judged = catalogue.with_evidence(assessments, applications)
+        return replace(judged, problems=(*catalogue.problems, *problems))
+
+    def _judge(
+        self, name: str, policy: VerificationPolicy | None, files: Mapping[str, str]
+    ) -> ApplicationAssessment:
+        """The assessment of an application's statement."""
+        envelope = files.get(statement_path(name))
+        if envelope is None:
+            return ApplicationAssessment()
+        digest = sha256(envelope.encode("utf-8", "surrogatepass"))
+        if policy is None:
+            return ApplicationAssessment(digest, (f"the catalogue has no {POLICY_PATH} to assess its evidence by",))
+        text = files[f"applications/{name}.yaml"]
+        return assess_application(name, text, policy.digest, digest, self._verify(envelope))
 
     def _assess(
         self, version: ChartVersion, policy: VerificationPolicy | None, files: Mapping[str, str]

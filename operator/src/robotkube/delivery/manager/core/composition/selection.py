@@ -112,6 +112,7 @@ class Selector:
         return version_key(chosen[0].version if chosen else LOWEST)
 
     def _checked(self, application: Application, demand: Demand) -> Mapping[str, Any]:
+        self.catalogue.admit(application)
         parameters = with_defaults(application.parameters, demand.parameters)
         problems = self.validate(application.parameters, parameters, "parameters")
         if problems:
