@@ -463,7 +463,9 @@ def test_a_task_of_an_application_that_is_not_what_was_verified_is_refused(polic
         f"(release policy: applications {policy})",
     )
     allowed = replace(doubted, application_assurance="none")
-    assert proposal_checks.judge(proposal({}, files(release), message(ONE)), TIP, replace(RULES, catalogue=allowed)).accepted
+    assert proposal_checks.judge(
+        proposal({}, files(release), message(ONE)), TIP, replace(RULES, catalogue=allowed)
+    ).accepted
 
 
 def test_an_application_without_evidence_may_run_until_the_policy_asks_for_it() -> None:
@@ -471,4 +473,6 @@ def test_an_application_without_evidence_may_run_until_the_policy_asks_for_it() 
     plan = proposal({}, files(release), message(ONE))
     assert proposal_checks.judge(plan, TIP, RULES).accepted
     strict = replace(RULES, catalogue=replace(CATALOGUE, application_assurance="verified"))
-    assert "there is no evidence that it was composed and checked" in proposal_checks.judge(plan, TIP, strict).problems[0]
+    assert (
+        "there is no evidence that it was composed and checked" in proposal_checks.judge(plan, TIP, strict).problems[0]
+    )

@@ -78,7 +78,9 @@ def test_chart_versions_are_valid_with_and_without_a_status(path: Path) -> None:
 def test_the_release_policy_is_valid() -> None:
     path = REGISTRY / "policies" / "release.yaml"
     assert validate(schema("release-policy"), load(path)) == []
-    assert read_release_policy(path.read_text(), "policies/release.yaml") == ReleasePolicy("verified", PERSON, "verified")
+    assert read_release_policy(path.read_text(), "policies/release.yaml") == ReleasePolicy(
+        "verified", PERSON, "verified"
+    )
     assert read_release_policy("assurance: verified\n", "policies/release.yaml").initial_for == PERSON
     with pytest.raises(DocumentError, match="must be one of none, verified"):
         read_release_policy("assurance: some\n", "policies/release.yaml")

@@ -42,7 +42,11 @@ def trusted(tmp_path: Path, key: KeyFile) -> TrustedKeys:
 
 def files(key: KeyFile, text: str = TEXT, applications: str = "verified", **more: str) -> dict[str, str]:
     policy = {RELEASE_POLICY: f"assurance: verified\napplications: {applications}\n"}
-    return {**catalogue(published(key, artefact()), application_evidence(key, "relaying", TEXT), policy), PATH: text, **more}
+    return {
+        **catalogue(published(key, artefact()), application_evidence(key, "relaying", TEXT), policy),
+        PATH: text,
+        **more,
+    }
 
 
 def forbidden(trusted: TrustedKeys, found: Mapping[str, str]) -> str:

@@ -114,7 +114,9 @@ def test_evidence_of_a_chart_is_none_of_an_application_and_the_reverse() -> None
 
 def test_an_envelope_that_is_not_believed_is_there_all_the_same() -> None:
     assessment = assess_application("relaying", TEXT, POLICY.digest, ENVELOPE, "its signature does not fit")
-    assert assessment == ApplicationAssessment(ENVELOPE, ("the evidence cannot be believed: its signature does not fit",))
+    assert assessment == ApplicationAssessment(
+        ENVELOPE, ("the evidence cannot be believed: its signature does not fit",)
+    )
     assert ApplicationAssessment().problems == (
         "there is no evidence that it was composed and checked; publish it again",
     )

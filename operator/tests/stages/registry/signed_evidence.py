@@ -14,8 +14,8 @@ from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption,
 from robotkube.foundation.documents.core.digests import sha256
 from robotkube.foundation.documents.core.yaml_codec import write_mapping
 from robotkube.registry.charts.core.packing import published_digest
-from robotkube.registry.evidence.adapters.dsse import KeyFile, TrustedKeys
 from robotkube.registry.charts.core.references import ChartReference
+from robotkube.registry.evidence.adapters.dsse import KeyFile, TrustedKeys
 from robotkube.registry.evidence.core.application_statements import (
     TrialResult,
     application_statement,

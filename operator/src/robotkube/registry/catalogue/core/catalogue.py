@@ -253,9 +253,7 @@ def _judged(application: Application, assessment: ApplicationAssessment | None) 
     if assessment is None:
         return application
     problem = "; ".join(assessment.problems)
-    return replace(
-        application, evidence=assessment.evidence, assured=assessment.assured, evidence_problem=problem
-    )
+    return replace(application, evidence=assessment.evidence, assured=assessment.assured, evidence_problem=problem)
 
 
 def read_catalogue(files: Mapping[str, str], published: bool = True) -> Catalogue:

@@ -75,9 +75,7 @@ class EvidenceReader:
         judged = catalogue.with_evidence(assessments, applications)
         return replace(judged, problems=(*catalogue.problems, *problems))
 
-    def _judge(
-        self, name: str, policy: VerificationPolicy | None, files: Mapping[str, str]
-    ) -> ApplicationAssessment:
+    def _judge(self, name: str, policy: VerificationPolicy | None, files: Mapping[str, str]) -> ApplicationAssessment:
         """The assessment of an application's statement."""
         envelope = files.get(statement_path(name))
         if envelope is None:

@@ -76,7 +76,8 @@ def check(name: str, problems: Iterable[str], fix: str) -> Check:
     return Check(name, not distinct, "; ".join(shown), fix if distinct else "")
 
 
-def _kinds(rendering: Rendering) -> Iterator[str]:
+def foreign_kinds(rendering: Rendering) -> Iterator[str]:
+    """A sentence for each object of a kind that no release may have."""
     for item in rendering.objects:
         group = str(item.get("apiVersion", "")).rpartition("/")[0]
         if (group, item.get("kind")) not in ALLOWED_KINDS:
@@ -84,6 +85,10 @@ def _kinds(rendering: Rendering) -> Iterator[str]:
                 str(item.get("kind")), "the platform's AppProject lets no release have this kind"
             )
             yield f"{title(item)} ({item.get('apiVersion')}): {why}"
+
+
+def _kinds(rendering: Rendering) -> Iterator[str]:
+    yield from foreign_kinds(rendering)
     deployments = [item for item in rendering.objects if item.get("kind") == "Deployment"]
     if len(deployments) != 1:
         yield f"{len(deployments)} Deployments; a service is exactly one"
