@@ -33,6 +33,7 @@ from robotkube.registry.publication.core.submissions import (
     VerifiedChart,
     publisher_place,
 )
+from robotkube.registry.publication.loops.application_verification import ApplicationVerification
 from robotkube.registry.publication.loops.publication import PublicationLoop
 from robotkube.registry.publication.loops.submission_reader import PublicationSettings, SubmissionInProgress
 from robotkube.registry.publication.loops.verification import ChartInProgress, ChartVerification, VerifyingSettings
@@ -51,7 +52,13 @@ from robotkube.registry.suites.loops.queue import SuiteQueue
 from robotkube.registry.suites.loops.static import StaticSuite
 from robotkube.registry.suites.ports.suites import Subject
 from robotkube.registry.suites.settings import RunnerConfiguration
-from robotkube.testing.publishing import PUBLISHER, MemoryCatalogue, MemoryCatalogueForge, MemoryChartRegistry
+from robotkube.testing.publishing import (
+    PUBLISHER,
+    MemoryCatalogue,
+    MemoryCatalogueForge,
+    MemoryChartRegistry,
+    ScriptedTrials,
+)
 
 CHART, VERSION = "chart-of-the-walk", "0.1.0"
 VERIFIED = "verified"
@@ -165,7 +172,10 @@ def _gate(folder: Path, forge: MemoryCatalogueForge, registry: MemoryChartRegist
     settings = PublicationSettings("robotkube/catalogue", (PUBLISHER,), "gate", STAGING, VERIFIED, CHARTS)
     catalogue: Any = forge.catalogue  # of the port it has what publication needs
     tools = validation_tools()
-    return PublicationLoop(forge, catalogue, catalogue, registry, verifying, key, settings, tools, time.monotonic)
+    applications = ApplicationVerification(ScriptedTrials(), key, TrustedKeys(folder))
+    return PublicationLoop(
+        forge, catalogue, catalogue, registry, verifying, applications, key, settings, tools, time.monotonic
+    )
 
 
 def _without_programs(registry: MemoryChartRegistry) -> Any:

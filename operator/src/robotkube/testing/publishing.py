@@ -1,5 +1,6 @@
 """What publication needs, in memory: a catalogue repository that publishers propose to, an OCI registry of charts, and
-a suite-runner whose results a test decides. A test can make each of them fail at its next calls."""
+a suite-runner and trials of applications whose results a test decides. A test can make each of them fail at its next
+calls."""
 
 from __future__ import annotations
 
@@ -12,9 +13,12 @@ from robotkube.foundation.documents.core.digests import canonical_json, sha256
 from robotkube.foundation.forge.ports.pull_requests import PullRequest
 from robotkube.foundation.forge.ports.repositories import Commit
 from robotkube.registry.charts.core.packing import PackedChart, PulledChart
+from robotkube.registry.charts.core.references import ChartReference
 from robotkube.registry.charts.core.unpacking import unpack_chart
 from robotkube.registry.charts.ports import Attachment
+from robotkube.registry.evidence.core.application_statements import TrialResult
 from robotkube.registry.evidence.core.statements import Check, SuiteResult
+from robotkube.registry.evidence.core.verification_policy import PATH as POLICY_PATH
 from robotkube.registry.suites.core.requests import SuiteProgress, SuiteRequest
 from robotkube.testing.forges import MemoryForge, MemoryRepository
 
@@ -202,3 +206,29 @@ class ScriptedRunner:
         checks = self.checks.get(name, (Check(f"{name} looked at it", True),))
         outcome: Any = "passed" if all(check.passed for check in checks) else "failed"
         return SuiteResult(name, request.rule.version, outcome, checks, 1.5)
+
+
+@dataclass
+class ScriptedTrials:
+    """Trials of applications: every one passes, but for those in `problems` (application -> sentences) as long as the
+    catalogue has the file in `only_with` for it. `asked` holds the names and charts of all calls that tried any."""
+
+    problems: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    only_with: dict[str, str] = field(default_factory=dict)
+    asked: list[tuple[frozenset[str], frozenset[ChartReference]]] = field(default_factory=list)
+    fail: Exception | None = None
+
+    def __call__(
+        self, files: Mapping[str, str], names: Collection[str], submitted: Collection[ChartReference] = ()
+    ) -> Mapping[str, TrialResult]:
+        """The scripted results."""
+        if self.fail is not None:
+            raise self.fail
+        if POLICY_PATH not in files:
+            return {}
+        self.asked.append((frozenset(names), frozenset(submitted)))
+        return {name: TrialResult(self._problems(name, files), (), 1, 1) for name in names}
+
+    def _problems(self, name: str, files: Mapping[str, str]) -> tuple[str, ...]:
+        there = self.only_with.get(name)
+        return () if there is not None and there not in files else self.problems.get(name, ())

@@ -86,8 +86,9 @@ def sender(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sender]:
     listen = {"address": "127.0.0.1", "port": 0}
     configuration = read_settings(settings_file(folder, oci_registry=OCI_REGISTRY, listen=listen), read_configuration)
     schemas = BoundedSchemas()
-    gate = build_gate(configuration, folder / "work", schemas, ChartRenderer("never started"))
-    publication = build_publication(configuration, folder / "work", gate, schemas)
+    renderer = ChartRenderer("never started")
+    gate = build_gate(configuration, folder / "work", schemas, renderer)
+    publication = build_publication(configuration, folder / "work", gate, schemas, renderer)
     server = build_server(configuration, gate, publication, build_notes(configuration, folder / "work"))
     server.start()
     found = Sender(f"http://127.0.0.1:{server.port}", folder)

@@ -12,10 +12,17 @@ from robotkube.registry.evidence.core.statements import Artefact, Listing, asses
 from robotkube.registry.evidence.core.verification_policy import PATH as POLICY_PATH
 from robotkube.registry.evidence.core.verification_policy import read_verification_policy
 from robotkube.registry.publication.adapters.submission_folders import validation_tools
+from robotkube.registry.publication.loops.application_verification import ApplicationVerification
 from robotkube.registry.publication.loops.publication import PublicationLoop
 from robotkube.registry.publication.loops.submission_reader import PublicationSettings
 from robotkube.registry.publication.loops.verification import ChartVerification, VerifyingSettings
-from robotkube.testing.publishing import MemoryCatalogue, MemoryCatalogueForge, MemoryChartRegistry, ScriptedRunner
+from robotkube.testing.publishing import (
+    MemoryCatalogue,
+    MemoryCatalogueForge,
+    MemoryChartRegistry,
+    ScriptedRunner,
+    ScriptedTrials,
+)
 from tests.stages.registry.submissions import CATALOGUE, entry, entry_path, key, trusted
 
 CHARTS_URL = "oci://forge.invalid/verified"
@@ -34,6 +41,7 @@ class PublicationStage:
         self.forge = MemoryCatalogueForge(self.catalogue)
         self.registry = MemoryChartRegistry()
         self.runner = ScriptedRunner()
+        self.trials = ScriptedTrials()
         self.now = 100.0
         self.published = 0
         self.local_builds = False
@@ -58,6 +66,7 @@ class PublicationStage:
             self.catalogue,
             self.registry,
             verifying,
+            ApplicationVerification(self.trials, signer, verifier or self.verifier),
             signer,
             PublicationSettings(
                 "robotkube/catalogue", ("publisher",), "gate", "staging", "verified", CHARTS_URL, self.local_builds

@@ -15,12 +15,13 @@ from robotkube.foundation.forge.adapters.git import GitClone, ProposalWriter
 from robotkube.foundation.forge.adapters.hosts.gitea import GiteaForge
 from robotkube.registry.charts.adapters.oci import OciRegistry
 from robotkube.registry.publication.adapters.submission_folders import validation_tools
+from robotkube.registry.publication.loops.application_verification import ApplicationVerification
 from robotkube.registry.publication.loops.publication import PublicationLoop
 from robotkube.registry.publication.loops.submission_reader import PublicationSettings
 from robotkube.registry.publication.loops.submitting import SubmissionOutcome
 from robotkube.registry.publication.loops.verification import ChartVerification, VerifyingSettings
-from robotkube.registry.publication.ports import ChartSource, SubmittedSources
-from robotkube.testing.publishing import ScriptedRunner
+from robotkube.registry.publication.ports import ApplicationTrials, ChartSource, SubmittedSources
+from robotkube.testing.publishing import ScriptedRunner, ScriptedTrials
 from tests.stages.forge.catalogue_evidence import gate_key, trusted_keys
 from tests.stages.forge.installation import CHARTS_URL, Installation
 from tests.stages.paths import REPOSITORY
@@ -37,6 +38,7 @@ class Publishing:
     installation: Installation
     folder: Path
     runner: ScriptedRunner = field(default_factory=ScriptedRunner)
+    trials: ApplicationTrials = field(default_factory=ScriptedTrials)
     local_builds: bool = False
     lines: list[str] = field(default_factory=list)
 
@@ -67,6 +69,7 @@ class Publishing:
             ProposalWriter(folder, *account, "gate", time.time),
             self.registry,
             verifying,
+            ApplicationVerification(self.trials, gate_key(), trusted_keys()),
             gate_key(),
             PublicationSettings(
                 CATALOGUE, ("publisher",), "gate", "staging", "verified", CHARTS_URL, self.local_builds

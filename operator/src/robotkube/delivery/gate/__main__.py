@@ -21,12 +21,14 @@ from robotkube.delivery.deployment.core.merge_records import REFERENCE
 from robotkube.delivery.deployment.loops.unchecked_commits import Trust, UncheckedWatch
 from robotkube.delivery.gate.adapters.merge_journal import FileJournal
 from robotkube.delivery.gate.core.proposal_checks import Proposer
+from robotkube.delivery.gate.loops.application_trials import CompositionTrials
 from robotkube.delivery.gate.loops.gate import Gate, gate_metrics
 from robotkube.delivery.gate.loops.merge_records import MergeRecorder
 from robotkube.delivery.gate.loops.plan_notes import NoteWriter
 from robotkube.delivery.gate.loops.rules import GateSettings
 from robotkube.delivery.manager.core.placement.scopes import DeclaredManager, Scope, overlaps
 from robotkube.errors import DocumentError, UnavailableError
+from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
 from robotkube.foundation.documents.core.patterns import CHARTS_URL, HTTP_URL, REPOSITORY, WORD
 from robotkube.foundation.documents.core.reader import Reader
 from robotkube.foundation.forge.adapters.git import GitNotes
@@ -40,12 +42,13 @@ from robotkube.foundation.runtime.adapters.webhook_server import Post, Signed, W
 from robotkube.foundation.runtime.core.webhook_deliveries import WebhookDelivery
 from robotkube.foundation.runtime.process import Process, run
 from robotkube.registry.catalogue.adapters.bounded_validation import BoundedSchemas
-from robotkube.registry.catalogue.loops.verified_catalogue import AssuredCatalogue
+from robotkube.registry.catalogue.loops.verified_catalogue import AssuredCatalogue, EvidenceReader
 from robotkube.registry.charts.adapters.chart_renderer import ChartRenderer
 from robotkube.registry.charts.adapters.oci import OciRegistry
-from robotkube.registry.charts.loops.release_images import ReleaseImages
+from robotkube.registry.charts.loops.release_images import ReleaseImages, ReleaseObjects
 from robotkube.registry.charts.ports import ChartProgram
 from robotkube.registry.evidence.adapters.dsse import KeyFile, TrustedKeys
+from robotkube.registry.publication.loops.application_verification import ApplicationVerification
 from robotkube.registry.publication.loops.publication import PublicationLoop, publication_metrics
 from robotkube.registry.publication.loops.submission_reader import PublicationSettings
 from robotkube.registry.publication.loops.verification import ChartVerification, VerifyingSettings
@@ -241,7 +244,7 @@ def build_watch(
 
 
 def build_publication(
-    configuration: GateConfiguration, work: Path, gate: Gate, schemas: BoundedSchemas
+    configuration: GateConfiguration, work: Path, gate: Gate, schemas: BoundedSchemas, renderer: ChartProgram
 ) -> PublicationLoop:
     """The publication loop on adapters of its own, since it runs on a thread of its own; it wakes the gate after each
     publication."""
@@ -261,12 +264,17 @@ def build_publication(
     names = VerifyingSettings(
         settings.staging, settings.verified, settings.charts_url, f"{url}/{settings.catalogue}", configuration.verifier
     )
+    keys = TrustedKeys(configuration.keys)
+    objects = ReleaseObjects(registry, (settings.verified, settings.staging), renderer)
+    render = Jinja2Templates().render
+    trials = CompositionTrials(EvidenceReader(keys), render, schemas.validate, objects, time.monotonic)
     return PublicationLoop(
         forge,
         clone,
         configuration.forge.writer(forge, folder, account, account.username, time.time, branch),
         registry,
-        ChartVerification(registry, signer, TrustedKeys(configuration.keys), runner, names, time.monotonic, _now),
+        ChartVerification(registry, signer, keys, runner, names, time.monotonic, _now),
+        ApplicationVerification(trials, signer, keys),
         signer,
         settings,
         schemas.tools(),
@@ -355,12 +363,12 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     """Serve webhooks, health and metrics; run both loops on threads until the process shall end."""
     configuration = files.start_with_settings(process, read_configuration, environment, FORMER_KEYS)
     work = Path(environment.get("ROBOTKUBE_WORK", "/tmp/gate"))  # noqa: S108 - the pod's own volume
-    renderer = ChartRenderer(environment.get("ROBOTKUBE_RENDERER", RENDERER))
-    deployment_schemas = BoundedSchemas()
-    catalogue_schemas = BoundedSchemas()  # one each, so that neither loop waits for the other
+    program = environment.get("ROBOTKUBE_RENDERER", RENDERER)
+    deployment_schemas, renderer = BoundedSchemas(), ChartRenderer(program)
+    catalogue_schemas, trial_renderer = BoundedSchemas(), ChartRenderer(program)  # so that no loop waits for the other
     recorder = build_recorder(configuration, work)
     gate = build_gate(configuration, work, deployment_schemas, renderer, recorder)
-    publication = build_publication(configuration, work, gate, catalogue_schemas)
+    publication = build_publication(configuration, work, gate, catalogue_schemas, trial_renderer)
     notes = build_notes(configuration, work)
     server = build_server(configuration, gate, publication, notes)
     server.start()
@@ -380,6 +388,7 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     deployment_schemas.close()
     catalogue_schemas.close()
     renderer.close()
+    trial_renderer.close()
 
 
 def main() -> None:

@@ -1,13 +1,15 @@
-"""Charts and applications to be submitted, as they come from folders."""
+"""Charts and applications to be submitted, as they come from folders, and what tries applications."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 from robotkube.foundation.documents.core.yaml_codec import write_mapping
 from robotkube.registry.charts.core.packing import PackedChart
+from robotkube.registry.charts.core.references import ChartReference
+from robotkube.registry.evidence.core.application_statements import TrialResult
 from robotkube.registry.publication.core.submissions import (
     SubmittedChart,
     read_entry,
@@ -42,3 +44,16 @@ class SubmittedSources:
     charts: tuple[ChartSource, ...] = ()
     applications: Mapping[str, str] = field(default_factory=dict)
     kept: Mapping[str, str] = field(default_factory=dict)
+
+
+class ApplicationTrials(Protocol):
+    """What composes applications for samples of their parameters, renders what comes out and checks it."""
+
+    def __call__(
+        self, files: Mapping[str, str], names: Collection[str], submitted: Collection[ChartReference] = ()
+    ) -> Mapping[str, TrialResult]:
+        """The result for each application of `names` in a catalogue with these files (path -> text), in which the chart
+        versions `submitted` count as verified; for none of them while the catalogue has no verification policy.
+
+        UnavailableError when charts cannot be rendered now."""
+        ...

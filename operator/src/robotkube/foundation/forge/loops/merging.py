@@ -7,7 +7,7 @@ files; every commit on main's first-parent line is a state that was checked.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from robotkube.foundation.forge.ports.pull_requests import PullRequest
 from robotkube.foundation.forge.ports.repositories import Commit, Commits, MainBranch
@@ -17,12 +17,18 @@ SUBJECT_CHARACTERS_MAX = 200
 
 
 def merge_commit(
-    main: MainBranch, commits: Commits, pull: PullRequest, change: Commit, approvers: Sequence[str]
+    main: MainBranch,
+    commits: Commits,
+    pull: PullRequest,
+    change: Commit,
+    approvers: Sequence[str],
+    own: Mapping[str, str | None] | None = None,
 ) -> Commit:
     """The merge of `change` (as `changes_since_branch` gives it) into main's tip, read back from Git as it would be
-    pushed: its changes are those to main."""
+    pushed: its changes are those to main. `own` are files that the gate adds."""
     message = merge_message(pull.number, change.message, approvers)
-    return main.changes_since_branch(commits.commit(main.tip, change.changes, message, change.id, pull.author))
+    changes = {**change.changes, **(own or {})}
+    return main.changes_since_branch(commits.commit(main.tip, changes, message, change.id, pull.author))
 
 
 def merge_message(number: int, message: str, approvers: Sequence[str]) -> str:

@@ -27,6 +27,7 @@ from robotkube.registry.catalogue.core.catalogue import read_chart_version
 from robotkube.registry.catalogue.core.sources import CatalogueSources, SourceProblem, Tools
 from robotkube.registry.catalogue.core.validation import validate_sources
 from robotkube.registry.charts.core.packing import ENTRY_ANNOTATION, IMAGES_FILE, PulledChart, build_tag, entry_digest
+from robotkube.registry.charts.core.references import ChartReference
 from robotkube.registry.evidence.core.statements import Artefact
 from robotkube.registry.evidence.core.verification_policy import PATH as POLICY
 from robotkube.registry.evidence.core.verification_policy import read_verification_policy
@@ -70,6 +71,11 @@ class SubmittedChart:
     def path(self) -> str:
         """Path of the entry in the catalogue."""
         return f"{CHARTS}/{self.chart}/{self.version}.yaml"
+
+    @property
+    def reference(self) -> ChartReference:
+        """As trailers name it."""
+        return ChartReference(self.chart, self.version, self.digest)
 
     @property
     def tag(self) -> str:
@@ -316,6 +322,11 @@ def _image_problems(chart: SubmittedChart, data: bytes) -> Iterable[str]:
         yield f"{chart.path}: spec.images differ from the chart's {IMAGES_FILE}, which names {names}"
 
 
+def schema_path(entry: str) -> str:
+    """Where the values schema of the chart version stands whose entry is at `entry`."""
+    return f"{entry.removesuffix('.yaml')}.schema.json"
+
+
 def schema_text(files: Mapping[str, bytes]) -> str:
     """The chart's values.schema.json with its values.yaml as `default`, so that a release's values can be checked as
     Helm merges them. DocumentError names the file that is missing or cannot be read."""
@@ -357,7 +368,7 @@ def publication_files(submission: Submission, charts: Sequence[VerifiedChart]) -
             "policy": chart.policy,
         }
         files[entry.path] = write_mapping({**entry.document, "status": status})
-        files[entry.path.removesuffix(".yaml") + ".schema.json"] = chart.schema
+        files[schema_path(entry.path)] = chart.schema
         files |= {f"{entry.artefact.folder}/{name}.json": data.decode() for name, data in chart.envelopes.items()}
     return files
 

@@ -1,11 +1,12 @@
 """People's changes of the catalogue: policies, applications, withdrawals. The gate checks them and merges them when
-another person approved exactly the commit that it checked; nobody else moves main.
+another person approved exactly the commit that it checked; nobody else moves main. With an application it merges its
+own statement about it.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from robotkube.errors import DocumentError, RobotKubeError
 from robotkube.foundation.forge.core import merge_comments
@@ -16,7 +17,8 @@ from robotkube.foundation.forge.ports.pull_requests import Forge, PullRequest
 from robotkube.foundation.forge.ports.repositories import Commit, Commits, MainBranch
 from robotkube.registry.catalogue.core.sources import Tools
 from robotkube.registry.publication.core.changes import change_problems
-from robotkube.registry.publication.core.submissions import READ_FOLDERS
+from robotkube.registry.publication.core.submissions import APPLICATIONS, EVIDENCE, READ_FOLDERS
+from robotkube.registry.publication.loops.application_verification import ApplicationVerification, TriedApplications
 from robotkube.registry.publication.loops.submission_reader import PublicationSettings
 
 WAITS = "The gate merges exactly this commit when another person with write rights, who is no publisher, approves it."
@@ -26,13 +28,15 @@ log = logging.getLogger(__name__)
 
 class ChangesOfPeople:
     """The pull requests of all who are no publishers, at one catalogue repository; for one thread. `commits` makes
-    commits in the clone of `main`; `merged` is called after every push to main."""
+    commits in the clone of `main`; `applications` tries what they change; `merged` is called after every push to
+    main."""
 
     def __init__(
         self,
         forge: Forge,
         main: MainBranch,
         commits: Commits,
+        applications: ApplicationVerification,
         settings: PublicationSettings,
         tools: Tools,
         monotonic: Callable[[], float],
@@ -41,6 +45,7 @@ class ChangesOfPeople:
         self._forge = forge
         self._main = main
         self._commits = commits
+        self._applications = applications
         self._settings = settings
         self._tools = tools
         self._monotonic = monotonic
@@ -84,7 +89,7 @@ class ChangesOfPeople:
 
     def _decide(self, pull: PullRequest, change: Commit, approved_by: Sequence[str]) -> bool:
         """Whether there is nothing left to do before head, tip or approvals change."""
-        problems = self._problems(change)
+        tried, problems = self._judge(change.changes, change.irregular)
         overlaps = self._main.overlaps(change)
         if problems:
             self._say(pull.number, merge_comments.refused_text(change.id, problems))
@@ -93,13 +98,18 @@ class ChangesOfPeople:
         elif not approved_by:
             self._say(pull.number, merge_comments.accepted_text(change.id, WAITS))
         else:
-            return self._merge(pull, change, approved_by)
+            return self._merge(pull, change, approved_by, self._applications.statements(tried))
         return True
 
-    def _merge(self, pull: PullRequest, change: Commit, approved_by: Sequence[str]) -> bool:
-        """Push the merge after it was checked as it would stand on main; False when main has moved meanwhile."""
-        merge = merge_commit(self._main, self._commits, pull, change, approved_by)
-        problems = self._problems(merge)
+    def _merge(
+        self, pull: PullRequest, change: Commit, approved_by: Sequence[str], statements: Mapping[str, str]
+    ) -> bool:
+        """Push the merge, with the statements about its applications, after it was checked as it would stand on main;
+        False when main has moved meanwhile."""
+        merge = merge_commit(self._main, self._commits, pull, change, approved_by, statements)
+        added = statements.items()
+        theirs = {path: text for path, text in merge.changes.items() if (path, text) not in added}
+        _, problems = self._judge(theirs, merge.irregular)
         if problems:
             self._say(pull.number, merge_comments.refused_text(change.id, problems))
             return True
@@ -113,9 +123,18 @@ class ChangesOfPeople:
         self._merged()
         return True
 
-    def _problems(self, change: Commit) -> Sequence[str]:
+    def _judge(
+        self, changes: Mapping[str, str | None], irregular: Sequence[str]
+    ) -> tuple[TriedApplications, Sequence[str]]:
+        """What speaks against changes to main: what is wrong with the files, then with the applications among them."""
         files = self._main.files(self._main.tip, READ_FOLDERS)
-        return change_problems(change.changes, change.irregular, files, self._tools)
+        problems = change_problems(changes, irregular, files, self._tools)
+        if problems or not any(path.startswith(f"{APPLICATIONS}/") for path in changes):
+            return TriedApplications(), problems
+        main = {**files, **self._main.files(self._main.tip, (EVIDENCE,))}
+        after = {path: text for path, text in {**main, **changes}.items() if text is not None}
+        tried = self._applications.tried(main, after)
+        return tried, tried.problems
 
     def _approved_by(self, pull: PullRequest, commit: str) -> Sequence[str]:
         machines = (*self._settings.publishers, self._settings.account)

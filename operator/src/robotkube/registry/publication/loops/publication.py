@@ -27,6 +27,7 @@ from robotkube.registry.evidence.core.verification_policy import PATH as POLICY_
 from robotkube.registry.evidence.ports import Signer
 from robotkube.registry.publication.core.report import CHECKING, REFUSED, UNCHANGED, VERIFIED, WAITING
 from robotkube.registry.publication.core.submissions import KEYS, publication_files, publication_message
+from robotkube.registry.publication.loops.application_verification import ApplicationVerification
 from robotkube.registry.publication.loops.changes import ChangesOfPeople
 from robotkube.registry.publication.loops.report_comments import ReportComments
 from robotkube.registry.publication.loops.submission_reader import (
@@ -72,6 +73,7 @@ class PublicationLoop:
         commits: Commits,
         oci_registry: ChartRegistry,
         verifying: ChartVerification,
+        applications: ApplicationVerification,
         signer: Signer,
         settings: PublicationSettings,
         tools: Tools,
@@ -82,6 +84,7 @@ class PublicationLoop:
         self._main = main
         self._commits = commits
         self._verifying = verifying
+        self._applications = applications
         self._signer = signer
         self._settings = settings
         self._monotonic = monotonic
@@ -90,8 +93,8 @@ class PublicationLoop:
         self._underway: dict[int, SubmissionInProgress] = {}
         self._settled: dict[int, str] = {}
         self._comments = ReportComments(forge, settings)
-        self._reader = SubmissionReader(main, oci_registry, verifying, settings, tools)
-        self._people = ChangesOfPeople(forge, main, commits, settings, tools, monotonic, published)
+        self._reader = SubmissionReader(main, oci_registry, verifying, applications, settings, tools)
+        self._people = ChangesOfPeople(forge, main, commits, applications, settings, tools, monotonic, published)
         self._people_woken = True
         self._failed: dict[int, str] = {}
         self._key_written = False
@@ -257,6 +260,7 @@ class PublicationLoop:
             return  # main moved: the next round checks the submission again
         verified = [self._verifying.publish(chart) for chart in underway.charts]
         files = publication_files(underway.submission, verified)
+        files |= self._applications.statements(underway.applications)
         present = self._main.files(underway.tip, tuple({path.split("/", 1)[0] for path in files}))
         changes: dict[str, str | None] = {path: text for path, text in files.items() if present.get(path) != text}
         if not changes:

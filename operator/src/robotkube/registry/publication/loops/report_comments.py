@@ -33,6 +33,7 @@ class ReportComments:
             problems=tuple(underway.problems),
             waiting_for=underway.waiting_for,
             applications=tuple(underway.submission.applications),
+            notes=tuple(underway.applications.notes),
         )
         self._write(underway.number, report_text(content))
 

@@ -1,14 +1,14 @@
 """A submission as it stands against main's tip: its commit checked, its charts pulled and compared with their entries,
-results that still count collected."""
+results that still count collected, its applications tried."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from robotkube.errors import DocumentError, InputError
-from robotkube.foundation.documents.core.yaml_codec import read_mapping
+from robotkube.foundation.documents.core.yaml_codec import read_mapping, write_mapping
 from robotkube.foundation.forge.ports.repositories import Commit, MainBranch
 from robotkube.registry.catalogue.core.sources import Tools
 from robotkube.registry.charts.core.packing import PulledChart, build_tag
@@ -19,6 +19,7 @@ from robotkube.registry.evidence.core.verification_policy import PATH as POLICY_
 from robotkube.registry.evidence.core.verification_policy import VerificationPolicy, read_verification_policy
 from robotkube.registry.publication.core.approvals import approval_reasons
 from robotkube.registry.publication.core.submissions import (
+    EVIDENCE,
     READ_FOLDERS,
     Proposed,
     Submission,
@@ -26,8 +27,10 @@ from robotkube.registry.publication.core.submissions import (
     artefact_problems,
     publisher_place,
     read_submission,
+    schema_path,
     schema_text,
 )
+from robotkube.registry.publication.loops.application_verification import ApplicationVerification, TriedApplications
 from robotkube.registry.publication.loops.verification import ChartInProgress, ChartVerification
 from robotkube.registry.suites.core.requests import Replaced
 
@@ -65,23 +68,27 @@ class SubmissionInProgress:
     charts: list[ChartInProgress] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
     approval: tuple[str, ...] = ()
+    applications: TriedApplications = field(default_factory=TriedApplications)
     waiting_for: str = ""
 
 
 class SubmissionReader:
-    """Reads and checks submissions; `tools` are what validation needs."""
+    """Reads and checks submissions; `applications` tries what is composed of them, `tools` are what validation
+    needs."""
 
     def __init__(
         self,
         main: MainBranch,
         oci_registry: ChartRegistry,
         verifying: ChartVerification,
+        applications: ApplicationVerification,
         settings: PublicationSettings,
         tools: Tools,
     ) -> None:
         self._main = main
         self._oci_registry = oci_registry
         self._verifying = verifying
+        self._applications = applications
         self._settings = settings
         self._tools = tools
 
@@ -106,9 +113,21 @@ class SubmissionReader:
         underway.submission = submission
         underway.policy = policy
         underway.charts = charts
+        underway.applications = self._try(submission, charts, tip) if policy and not problems else TriedApplications()
+        problems += underway.applications.problems
         underway.problems = problems
         underway.approval = () if problems else approval_reasons(submission.applications, files)
         underway.tip = tip
+
+    def _try(self, submission: Submission, charts: Sequence[ChartInProgress], tip: str) -> TriedApplications:
+        """Try the applications of a submission, and those that it concerns, as the catalogue will be."""
+        main = self._main.files(tip, (*READ_FOLDERS, EVIDENCE))
+        after = {**main, **submission.applications}
+        for chart in charts:
+            path = chart.chart.path
+            after |= {path: write_mapping(chart.chart.document), schema_path(path): chart.schema}
+        references = {chart.chart.reference for chart in charts}
+        return self._applications.tried(main, after, references, unsigned=True)
 
     def _read(self, proposed: Proposed) -> Submission:
         try:
