@@ -21,10 +21,12 @@ from pymongo.errors import OperationFailure
 
 from robotkube.cli import main as cli
 from robotkube.foundation.runtime.adapters.webhook_server import WebServer
+from robotkube.registry.catalogue.core.catalogue import Catalogue
+from robotkube.registry.catalogue.loops.verified_catalogue import EvidenceReader
 from robotkube.registry.evidence.core.statements import Check
 from robotkube.registry.suites.adapters.runner_protocol import RunsEndpoint
 from robotkube.testing.publishing import ScriptedRunner
-from tests.stages.forge.catalogue_evidence import SEED, key_folder
+from tests.stages.forge.catalogue_evidence import SEED, key_folder, trusted_keys
 from tests.stages.forge.gitea import ForgeProcess
 from tests.stages.forge.installation import (
     CATALOGUE,
@@ -36,12 +38,12 @@ from tests.stages.forge.installation import (
     Installation,
     manager_secret,
 )
-from tests.stages.forge.real_charts import plan_of, published_bridge
+from tests.stages.forge.real_charts import PACKED_IMAGE, plan_of, published_bridge
 from tests.stages.kubernetes.api_server import ApiServerProcess
 from tests.stages.kubernetes.argocd_objects import NAMESPACE, bootstrap_kubeconfig, connect, install_argocd
 from tests.stages.programs import free_port, program
 from tests.stages.recording.database_server import SETUP_PASSWORD, SETUP_USER, DatabaseServer
-from tests.stages.registry.publications import write_sources
+from tests.stages.registry.publications import Publishing, write_sources
 from tests.stages.registry.signed_evidence import signing_key
 from tests.stages.registry.submissions import IMAGE
 from tests.stages.waiting import until
@@ -171,8 +173,9 @@ def gate_url(
     token = secret_file(tmp_path, "suites/token", SUITES_TOKEN)
     settings = gate_settings(installation, tmp_path, controller.url) | {"suites": {"url": runner[1], "token": token}}
     command = [sys.executable, "-m", "robotkube.delivery.gate"]
+    environment = {**write_settings(tmp_path, settings), "ROBOTKUBE_RENDERER": program("chart-renderer")}
     with (tmp_path / "log").open("wb") as log:
-        process = subprocess.Popen(command, env=write_settings(tmp_path, settings), stderr=log)
+        process = subprocess.Popen(command, env=environment, stderr=log)
     try:
         url = f"http://127.0.0.1:{installation.gate_port}"
         until(lambda: answers(f"{url}/readyz") == 200, "ready")
@@ -225,6 +228,8 @@ def test_the_gate_process_publishes_what_the_command_submits(
     assert [(row["kind"], row["verdict"]) for row in rows] == [("chart", "published"), ("application", "published")]
     assert rows[0]["evidence"].startswith(f"evidence/{name}/0.1.0_")
     assert (tmp_path / "kept" / rows[0]["evidence"]).is_file()
+    published_application = catalogue_of(installation).applications[name]
+    assert (published_application.assured, published_application.evidence_problem) == (True, "")
     assert submit(installation, tmp_path, name, "--application", name) == 0
     assert f"{name} 0.1.0: published already with this digest" in capsys.readouterr().err
     published = 'robotkube_gate_publications_total{verdict="published"} 1'
@@ -240,6 +245,54 @@ def test_the_gate_process_publishes_what_the_command_submits(
     found = submissions()
     assert [line["verdict"] for line in found] == ["refused", "published"]
     assert f"{name} 0.1.0" in found[1]["subject"]
+
+
+def catalogue_of(installation: Installation) -> Catalogue:
+    """The catalogue as managers see it."""
+    return EvidenceReader(trusted_keys()).read(Publishing(installation, Path()).main())
+
+
+def test_the_gate_process_refuses_an_application_whose_parameter_leads_to_a_foreign_image(
+    installation: Installation,
+    gate_url: str,
+    runner: tuple[ScriptedRunner, str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    name, foreign = f"text-{secrets.token_hex(3)}", "docker.io/library/busybox@sha256:" + "2" * 64
+    write_sources(tmp_path, name)
+    image_by_value(tmp_path / "charts" / "apps", name)
+    path = tmp_path / "registry" / "applications" / f"{name}.yaml"
+    document = yaml.safe_load(path.read_text())
+    choices = {"type": "string", "enum": [IMAGE, foreign], "default": IMAGE}
+    document["spec"]["parameters"]["properties"]["image"] = choices
+    document["spec"]["services"][0]["values"]["image"] = {"reference": "{{ parameters.image }}"}
+    path.write_text(yaml.safe_dump(document))
+    capsys.readouterr()
+    assert submit(installation, tmp_path, name, "--application", name) == 1
+    told = capsys.readouterr().err
+    assert f"applications/{name}.yaml: spec.services[0]: with parameters {{'" in told
+    assert f"'image': '{foreign}'" in told
+    assert f": a pod would run image {foreign}, which was not verified with chart" in told
+    assert runner[0].runs == []
+    assert name not in catalogue_of(installation).applications
+
+
+def image_by_value(charts: Path, name: str) -> None:
+    """Let the value `image.reference` of a chart name its image, by its library chart."""
+    library = charts / "robotkube-app" / "templates" / "_app.tpl"
+    text = library.read_text()
+    assert PACKED_IMAGE in text
+    library.write_text(text.replace(PACKED_IMAGE, f"(.root.Values.image).reference | default ({PACKED_IMAGE})"))
+    schema = json.loads((charts / name / "values.schema.json").read_text())
+    reference = {"type": "string", "description": "The image."}
+    schema["properties"]["image"] = {
+        "type": "object",
+        "description": "The image.",
+        "additionalProperties": False,
+        "properties": {"reference": reference},
+    }
+    (charts / name / "values.schema.json").write_text(json.dumps(schema))
 
 
 def test_wrong_sources_are_told_before_anything_is_sent(

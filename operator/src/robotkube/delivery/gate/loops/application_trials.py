@@ -256,8 +256,8 @@ class _Trial:
 
     def _report(self, about: tuple[str, ...], key: str, text: str, parameters: Parameters) -> None:
         """Report a problem; the same one of other samples only once."""
-        hint = f" (with parameters {dict(parameters)!r:.{PARAMETERS_SHOWN_MAX}})"
-        self._problems.setdefault(about, f"{key}: {text}{hint}")
+        shown = f"{dict(parameters)!r:.{PARAMETERS_SHOWN_MAX}}"  # first: what shows reports may cut long ones
+        self._problems.setdefault(about, f"{key}: with parameters {shown}: {text}")
 
 
 def _wrong(tried: Sequence[_Tried]) -> Sequence[_Tried]:
