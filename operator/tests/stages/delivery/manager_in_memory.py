@@ -22,11 +22,13 @@ from robotkube.delivery.manager.loops.reconciler import (
     ApplicationManager,
     ManagerPorts,
 )
+from robotkube.delivery.manager.loops.verified_images import VerifiedImages
 from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
 from robotkube.foundation.documents.adapters.json_schema import validate
 from robotkube.foundation.documents.core.digests import sha256
 from robotkube.registry.catalogue.loops.verified_catalogue import AssuredCatalogue
 from robotkube.registry.charts.core.packing import published_digest
+from robotkube.registry.charts.ports import RenderedImages
 from robotkube.registry.evidence.core.statements import Artefact, Listing
 from robotkube.testing.clusters import MemoryArgoCD, MemoryCluster, MemoryTasks
 from robotkube.testing.forges import MemoryForge, MemoryRepository
@@ -56,22 +58,28 @@ def schema_file(chart: str, version: str) -> dict[str, str]:
     return {f"charts/{chart}/{version}.schema.json": json.dumps(schema, indent=1, sort_keys=True) + "\n"}
 
 
-def catalogue_files(signing: Signing) -> dict[str, str]:
-    """The project's own catalogue, published with evidence."""
+def catalogue_files(signing: Signing, images: Sequence[str] = ()) -> dict[str, str]:
+    """The project's own catalogue, published with evidence; its charts run these images."""
     files = {str(p.relative_to(REGISTRY)): p.read_text() for p in REGISTRY.glob("applications/*.yaml")}
-    for index, path in enumerate(sorted(REGISTRY.glob("charts/*/*.yaml"))):
-        document = yaml.safe_load(path.read_text())
-        digest = f"sha256:{index + 1:012x}{index:052x}"  # sources are named by the first twelve
-        about = Artefact(path.parent.name, document["spec"]["version"], digest, PLATFORM)
-        schema = schema_file(about.chart, about.version)
-        signing.listed = Listing(published_digest(document["spec"], []), sha256("".join(schema.values()).encode()))
-        envelopes = signing.sign(about)
-        files |= {f"{about.folder}/{name}.json": data.decode() for name, data in envelopes.items()}
-        evidence = sha256(envelopes["summary"])
-        status = {"state": "verified", "digest": about.digest, "images": [], "evidence": evidence}
-        document["status"] = {**status, "policy": signing.policy.digest}
-        files |= {str(path.relative_to(REGISTRY)): yaml.safe_dump(document), **schema}
+    for path in sorted(REGISTRY.glob("charts/*/*.yaml")):
+        files |= chart_files(signing, path.parent.name, path.stem, images)
     return {**files, "policies/release.yaml": "assurance: verified\n", "policies/verification.yaml": POLICY_TEXT}
+
+
+def chart_files(signing: Signing, chart: str, version: str, images: Sequence[str]) -> dict[str, str]:
+    """A version of one of the project's charts, published with evidence."""
+    path = f"charts/{chart}/{version}.yaml"
+    document = yaml.safe_load((REGISTRY / path).read_text())
+    index = sorted(REGISTRY.glob("charts/*/*.yaml")).index(REGISTRY / path)
+    digest = f"sha256:{index + 1:012x}{index:052x}"  # sources are named by the first twelve
+    about = Artefact(chart, version, digest, PLATFORM)
+    schema = schema_file(chart, version)
+    signing.listed = Listing(published_digest(document["spec"], images), sha256("".join(schema.values()).encode()))
+    envelopes = signing.sign(about)
+    status = {"state": "verified", "digest": digest, "images": list(images), "evidence": sha256(envelopes["summary"])}
+    document["status"] = {**status, "policy": signing.policy.digest}
+    evidence = {f"{about.folder}/{name}.json": data.decode() for name, data in envelopes.items()}
+    return {path: yaml.safe_dump(document), **schema, **evidence}
 
 
 class UntilPaused(threading.Event):
@@ -86,8 +94,11 @@ class Stage:
     """Everything around one manager; the clock moves only when a test moves it."""
 
     notified: Sequence[str] = ()
+    images: RenderedImages | None = None
 
-    def __init__(self, folder: Path, vehicles: int = 3) -> None:
+    def __init__(self, folder: Path, vehicles: int = 3, image: str = "", images: RenderedImages | None = None) -> None:
+        """`image` is what the catalogue's charts run, `images` what releases would run when they are rendered."""
+        self.images = images
         key = self.key = signing_key(folder / "key")
         self.verifier = trusting(folder / "trusted", key)
         names = [(f"vehicle-{i:02d}", "vehicle") for i in range(vehicles)] + [("cloud-0", "cloud")]
@@ -98,7 +109,7 @@ class Stage:
         )
         self.repository, self.catalogue = MemoryRepository(), MemoryRepository()
         self.repository.push({"policies/initial.yaml": "add: []\nremove: []\n"}, "seed")
-        self.catalogue.push(catalogue_files(Signing(key)), "seed")
+        self.catalogue.push(catalogue_files(Signing(key), [image] if image else []), "seed")
         self.forge = MemoryForge(self.repository)
         self.tasks, self.argocd = MemoryTasks(), MemoryArgoCD()
         self.leadership = MemoryLeadership()
@@ -119,7 +130,8 @@ class Stage:
 
         catalogue, main = AssuredCatalogue(self.catalogue, self.verifier), MainReader(self.repository)
         render = Jinja2Templates().render
-        planner = Planner(self.settings, self.tasks, self.cluster, catalogue, main, render, validate)
+        looked_up = VerifiedImages(self.images)
+        planner = Planner(self.settings, self.tasks, self.cluster, catalogue, main, render, validate, images=looked_up)
         observer = PlanObserver(self.cluster, self.argocd, at_once, now_ns, monotonic)
         ports = ManagerPorts(self.tasks, self.cluster, self.repository, self.forge, self.forge, self.leadership)
         return ApplicationManager(ports, catalogue, main, planner, observer, now_ns, monotonic)
@@ -157,6 +169,10 @@ class Stage:
         tree = read_tree(self.repository.files(self.repository.tip, ("releases", "sources")))
         assert tree.problems == ()
         return dict(tree.releases)
+
+    def publish_again(self, chart: str, version: str, images: Sequence[str]) -> None:
+        """The chart version as if it had been published with these images."""
+        self.catalogue.push(chart_files(Signing(self.key), chart, version, images))
 
     def applications_signed(self) -> dict[str, str | None]:
         """Statements about all applications of the catalogue as they stand."""

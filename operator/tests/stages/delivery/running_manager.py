@@ -13,6 +13,7 @@ from robotkube.delivery.manager.loops.main_reader import MainReader
 from robotkube.delivery.manager.loops.planner import ManagerSettings, Planner
 from robotkube.delivery.manager.loops.proposals.plan_observer import PlanObserver
 from robotkube.delivery.manager.loops.reconciler import ApplicationManager
+from robotkube.delivery.manager.loops.verified_images import VerifiedImages
 from robotkube.delivery.manager.ports.manager_ports import ManagerPorts
 from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
 from robotkube.foundation.documents.adapters.json_schema import validate
@@ -20,6 +21,7 @@ from robotkube.foundation.forge.adapters.git import GitClone, ProposalWriter
 from robotkube.foundation.forge.adapters.hosts.gitea import GiteaForge
 from robotkube.foundation.forge.adapters.push_hooks import ObjectsRelay
 from robotkube.registry.catalogue.loops.verified_catalogue import AssuredCatalogue
+from robotkube.registry.charts.ports import RenderedImages
 from robotkube.testing.clusters import MemoryArgoCD, MemoryCluster, MemoryTasks
 from robotkube.testing.leadership import MemoryLeadership
 from tests.stages.delivery.manager_process import AGENTS
@@ -61,9 +63,13 @@ class RunningManager:
 
 
 def start_manager(
-    installation: Installation, folder: Path, tasks: MemoryTasks, leadership: MemoryLeadership | None = None
+    installation: Installation,
+    folder: Path,
+    tasks: MemoryTasks,
+    leadership: MemoryLeadership | None = None,
+    images: RenderedImages | None = None,
 ) -> RunningManager:
-    """A new manager on `folder`; it leads, unless a test says otherwise."""
+    """A new manager on `folder`; it leads, unless a test says otherwise. `images`: what renders releases."""
     url, account = installation.url, ("manager", installation.passwords["manager"])
     deployment = GitClone(url, "robotkube/deployment", *account, folder / "deployment")
     relay = objects_relay(installation)
@@ -72,7 +78,8 @@ def start_manager(
     nodes = [NodeState(name, name, role, frozenset({"recording"}), True) for name, role in AGENTS]
     cluster, main = MemoryCluster(nodes), MainReader(deployment)
     settings = ManagerSettings(tuple(Agent(name, role, name) for name, role in AGENTS), CHARTS_URL)
-    planner = Planner(settings, tasks, cluster, catalogue, main, Jinja2Templates().render, validate)
+    render, looked_up = Jinja2Templates().render, VerifiedImages(images)
+    planner = Planner(settings, tasks, cluster, catalogue, main, render, validate, images=looked_up)
     observer = PlanObserver(cluster, MemoryArgoCD(), lambda call: call(), time.time_ns, time.monotonic)
     forge = GiteaForge(url, "robotkube/deployment", *account)
     ports = ManagerPorts(tasks, cluster, deployment, proposals, forge, leadership or MemoryLeadership(TERM))

@@ -43,7 +43,7 @@ from robotkube.foundation.runtime.core.webhook_deliveries import WebhookDelivery
 from robotkube.foundation.runtime.process import Process, run
 from robotkube.registry.catalogue.adapters.bounded_validation import BoundedSchemas
 from robotkube.registry.catalogue.loops.verified_catalogue import AssuredCatalogue, EvidenceReader
-from robotkube.registry.charts.adapters.chart_renderer import ChartRenderer
+from robotkube.registry.charts.adapters.chart_renderer import PROGRAM, PROGRAM_VARIABLE, ChartRenderer
 from robotkube.registry.charts.adapters.oci import OciRegistry
 from robotkube.registry.charts.loops.release_images import ReleaseImages, ReleaseObjects
 from robotkube.registry.charts.ports import ChartProgram
@@ -59,7 +59,6 @@ from robotkube.registry.suites.ports.suites import SuiteRunner
 GRACE_SECONDS = 5.0
 STOP_POLL_SECONDS = 0.2
 OBJECTS_PATH = "/objects"
-RENDERER = "/usr/local/bin/chart-renderer"
 FORMER_KEYS = (files.OCI_REGISTRY,)
 
 
@@ -363,7 +362,7 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     """Serve webhooks, health and metrics; run both loops on threads until the process shall end."""
     configuration = files.start_with_settings(process, read_configuration, environment, FORMER_KEYS)
     work = Path(environment.get("ROBOTKUBE_WORK", "/tmp/gate"))  # noqa: S108 - the pod's own volume
-    program = environment.get("ROBOTKUBE_RENDERER", RENDERER)
+    program = environment.get(PROGRAM_VARIABLE, PROGRAM)
     deployment_schemas, renderer = BoundedSchemas(), ChartRenderer(program)
     catalogue_schemas, trial_renderer = BoundedSchemas(), ChartRenderer(program)  # so that no loop waits for the other
     recorder = build_recorder(configuration, work)

@@ -28,6 +28,7 @@ from robotkube.delivery.manager.loops.main_reader import MainReader
 from robotkube.delivery.manager.loops.planner import ManagerSettings, Planner
 from robotkube.delivery.manager.loops.proposals.plan_observer import PlanObserver
 from robotkube.delivery.manager.loops.reconciler import CATALOGUE, DEPLOYMENT, NODES, TASKS, ApplicationManager
+from robotkube.delivery.manager.loops.verified_images import VerifiedImages
 from robotkube.delivery.manager.ports.manager_ports import ManagerPorts
 from robotkube.delivery.manager.scope_settings import read_operators, read_seconds
 from robotkube.delivery.manager.task_gateways import STOP_SECONDS_MAX, BrokerSettings, read_broker, task_gateway
@@ -52,10 +53,15 @@ from robotkube.foundation.runtime.garbage_collection import Sweeper
 from robotkube.foundation.runtime.process import Process, run
 from robotkube.registry.catalogue.adapters.bounded_validation import BoundedSchemas
 from robotkube.registry.catalogue.loops.verified_catalogue import AssuredCatalogue
+from robotkube.registry.charts.adapters.chart_renderer import PROGRAM, PROGRAM_VARIABLE, ChartRenderer
+from robotkube.registry.charts.adapters.oci import OciRegistry
+from robotkube.registry.charts.loops.release_images import ReleaseImages
+from robotkube.registry.charts.ports import ChartProgram
 from robotkube.registry.evidence.adapters.dsse import TrustedKeys
 
 GRACE_SECONDS = 5.0
 SYNC_SECONDS_MAX = 60.0
+REGISTRY_SECONDS_MAX = 5.0  # a plan waits for a chart no longer: the gate looks at it then
 COMMIT_AUTHOR = "robotkube-manager"
 FORMER_KEYS = (files.OCI_REGISTRY,)
 
@@ -169,8 +175,10 @@ def build_manager(
     schemas: BoundedSchemas,
     leadership: Leadership,
     holds: DeviceHolds,
+    renderer: ChartProgram | None = None,
 ) -> ApplicationManager:
-    """The manager on its adapters; nothing is asked of the forge yet."""
+    """The manager on its adapters; nothing is asked of the forge yet. Without a `renderer` it proposes what the gate
+    alone looks at."""
     account = configuration.account
     branch = configuration.branch
     work.mkdir(parents=True, exist_ok=True)
@@ -188,11 +196,31 @@ def build_manager(
     argocd_account = (configuration.argocd_account.username, configuration.argocd_account.password)
     argocd = ArgoCDServer(configuration.argocd_url, *argocd_account, hook, configuration.argocd_project)
     render = Jinja2Templates().render
-    planner = Planner(configuration.manager, cluster, cluster, catalogue, main, render, schemas.validate, holds)
+    images = _images(configuration, renderer) if renderer else None
+    planner = Planner(
+        *(configuration.manager, cluster, cluster, catalogue, main, render, schemas.validate, holds),
+        VerifiedImages(images),
+    )
     observer = PlanObserver(cluster, argocd, BackgroundCall(), time.time_ns, time.monotonic)
     ports = ManagerPorts(cluster, cluster, deployment, proposals, forge, leadership, account.username)
     sweeper = Sweeper(time.monotonic)
     return ApplicationManager(ports, catalogue, main, planner, observer, time.time_ns, time.monotonic, sweeper)
+
+
+def _images(configuration: ManagerConfiguration, renderer: ChartProgram) -> ReleaseImages:
+    """What releases of published charts would run."""
+    account = configuration.account
+    registry = OciRegistry(configuration.forge.url, account.username, account.password, seconds=REGISTRY_SECONDS_MAX)
+    return ReleaseImages(registry, configuration.manager.charts_url.rpartition("/")[2], renderer)
+
+
+def _renderer(environment: Mapping[str, str]) -> ChartRenderer | None:
+    """The program that renders charts; None, with a warning, where it is not installed."""
+    program = environment.get(PROGRAM_VARIABLE, PROGRAM)
+    if Path(program).is_file():
+        return ChartRenderer(program)
+    log.warning("images are looked up by the gate alone, there is no program %s", program)
+    return None
 
 
 class Waker:
@@ -220,7 +248,8 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     schemas = BoundedSchemas()
     election = _election(configuration, api, waker, environment)
     holds = DeviceHolds(time.time_ns, lambda: waker(NODES))
-    manager = build_manager(configuration, cluster, work, schemas, election, holds)
+    renderer = _renderer(environment)
+    manager = build_manager(configuration, cluster, work, schemas, election, holds, renderer)
     gateway = _task_gateway(configuration, api, cluster, election, holds)
     names = [agent.name for agent in configuration.manager.agents]
     account = configuration.account.username
@@ -246,6 +275,8 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     leader.close()
     telemetry.close()
     schemas.close()
+    if renderer is not None:
+        renderer.close()
 
 
 def _election(

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from typing import Any
 
-from robotkube.delivery.deployment.core.commit_messages import NODE, REVERTS_MAX
+from robotkube.delivery.deployment.core.commit_messages import NODE, REPAIR, REVERTS_MAX
 from robotkube.delivery.deployment.core.releases import Release, TaskCause, Tree
 from robotkube.delivery.manager.core.composition.composer import (
     Composition,
@@ -34,30 +34,35 @@ from robotkube.delivery.manager.core.placement.placement import (
     next_loss_ns,
 )
 from robotkube.delivery.manager.core.placement.scopes import Operators
-from robotkube.delivery.manager.core.plans import Change, Plan, differences, fingerprint, lost_node_text, make_plan
+from robotkube.delivery.manager.core.plans import (
+    Change,
+    Plan,
+    describe,
+    differences,
+    fingerprint,
+    lost_node_text,
+    make_plan,
+)
+from robotkube.delivery.manager.core.standing_evidence import EVIDENCE_REASONS, with_doubtful
 from robotkube.delivery.manager.core.updates import Pin
 from robotkube.delivery.manager.loops.constraints import Constraints
 from robotkube.delivery.manager.loops.demand_ledger import DemandLedger
 from robotkube.delivery.manager.loops.main_reader import MainReader
 from robotkube.delivery.manager.loops.proposals.plan_records import PlanRecord
 from robotkube.delivery.manager.loops.updates import UpdatePlanner
+from robotkube.delivery.manager.loops.verified_images import INITIAL, ImageRefusals, VerifiedImages, blamed
 from robotkube.delivery.manager.ports.cluster import Cluster
 from robotkube.delivery.tasks.core.holds import DeviceHold
-from robotkube.delivery.tasks.core.task_description import (
-    APPLICATION_NOT_VERIFIED,
-    IMAGE_NOT_VERIFIED,
-    POSTPONED,
-    TaskDescription,
-)
+from robotkube.delivery.tasks.core.task_description import POSTPONED, TaskDescription
 from robotkube.delivery.tasks.ports.store import TaskStore
 from robotkube.foundation.documents.core.value_templates import Render
 from robotkube.foundation.kubernetes.core.objects import object_key
-from robotkube.registry.catalogue.loops.verified_catalogue import AssuredCatalogue
+from robotkube.registry.catalogue.loops.verified_catalogue import AssuredCatalogue, read_policy
 
 TASKS_PER_PLAN_MAX = 100
+REFUSED_PLANS_MAX = 10  # in one step, for the images that they would run
 HELD_MAX = 1000
 UNDECIDED = Refused(POSTPONED, "other pre-emptions are decided first; ask again")
-EVIDENCE_REASONS = frozenset({"NoVerifiedVersion", "GuaranteeNotMet", APPLICATION_NOT_VERIFIED, IMAGE_NOT_VERIFIED})
 
 log = logging.getLogger(__name__)
 
@@ -87,8 +92,10 @@ class Planner:
         render: Render,
         validate: Validate,
         holds: Callable[[], Sequence[DeviceHold]] = tuple,
+        images: VerifiedImages | None = None,
     ) -> None:
-        """`holds` are those that devices report by message; those on Nodes are read from the cluster."""
+        """`holds` are those that devices report by message; those on Nodes are read from the cluster. `images` looks up
+        what releases would run."""
         self._settings = settings
         self._store = tasks
         self._cluster = cluster
@@ -98,6 +105,8 @@ class Planner:
         self._main = main
         self._render = render
         self._validate = validate
+        self._images = images or VerifiedImages(None)
+        self._image_refusals = ImageRefusals()
         self._ledger = DemandLedger()
         self._lock = threading.Lock()
         self._memo = Memo()
@@ -180,8 +189,39 @@ class Planner:
         changes = self._unheld(step[1])
         if not changes or self._is_held(changes):
             return None
+        if problems := self._images.problems(changes, self._catalogue.catalogue):
+            self._updates.unfit(move, "; ".join(f"release {key}: {text}" for key, text in problems.items()))
+            return None
         plan = self._make_plan(changes, self.desired, self.tasks, move.cause, move.reason)
         return replace(plan, message=replace(plan.message, causes=(), reverts=move.undone[-REVERTS_MAX:]))
+
+    def verified(self, decide: Callable[[], Plan | None]) -> Plan | None:
+        """The plan that `decide` gives, when its releases would run what was verified with their charts; else demands
+        that lead to other images are refused, and it decides again. After REFUSED_PLANS_MAX plans the next step goes
+        on."""
+        for _ in range(REFUSED_PLANS_MAX):
+            plan = decide()
+            if plan is None or not self._refuse_unverified(plan):
+                return plan
+        self.next_due_ns = self._now_ns
+        return None
+
+    def _refuse_unverified(self, plan: Plan) -> bool:
+        """Refuse the demands whose releases in the plan would run other images; whether there are any. A repair only
+        brings back what main had."""
+        if REPAIR in plan.message.kinds:
+            return False
+        with self._lock:
+            problems = self._images.problems(plan.changes, self._catalogue.catalogue)
+            refused = blamed(problems, self.desired.outcomes, self._main.tree.releases) if problems else {}
+            self._image_refusals.add(refused, self._inputs_of)
+            return bool(refused)
+
+    def describe(self, plan: Plan) -> str:
+        """The pull request's body."""
+        policy, _ = read_policy(self._catalogue.files)
+        suites = [rule.name for rule in policy.suites] if policy else []
+        return describe(plan, self.desired, self.tasks, self._catalogue.catalogue, suites)
 
     def what_if(self, document: Mapping[str, Any]) -> Explanation:
         """Explain what would become of a TaskDescription (a new one, or one in place of that of its name) beside what
@@ -202,8 +242,17 @@ class Planner:
             changes = self._changes(resolution.desired, remember=False)
             outcome = resolution.outcomes.get(key, UNDECIDED)
             plan = self._difference(changes, resolution.desired, {**self.tasks, key: task})
+            refusal = self._unverified(key, outcome, plan)
+            outcome, plan = (refusal, None) if refusal else (outcome, plan)
             waits = self._constraints.waits(changes, self._all_holds(), self._now_ns).get(key, "")
             return explain(key, outcome, others, plan, self._main.tree, waits)
+
+    def _unverified(self, key: str, outcome: DemandOutcome, plan: Plan | None) -> Refused | None:
+        """The refusal of a demand for the images of its releases in a plan; None when there is none."""
+        if plan is None:
+            return None
+        problems = self._images.problems(plan.changes, self._catalogue.catalogue)
+        return blamed(problems, {key: outcome}, {}).get(key)
 
     def _difference(
         self, wanted: Sequence[Change], desired: Composition, tasks: Mapping[str, TaskDescription]
@@ -233,9 +282,8 @@ class Planner:
     def _changes(self, desired: Composition, remember: bool = True) -> tuple[Change, ...]:
         """The changes that bring main to `desired`; `remember` as in MainReader.respected."""
         own = self._constraints.own(self._main.tree).releases
-        kept = {path: release for path, release in self._kept_without_evidence(desired).items() if path in own}
-        wanted = {path: _unless_only_doubt(kept.get(path), one, desired) for path, one in desired.releases.items()}
-        return self._main.respected(differences({**kept, **wanted}, own), remember)
+        wanted = with_doubtful(desired, self._main.tree.releases, own, self._settings.agents)
+        return self._main.respected(differences(wanted, own), remember)
 
     def _unheld(self, changes: tuple[Change, ...]) -> tuple[Change, ...]:
         """The changes that no device holds; the others go on when the first hold ends, or when it is released."""
@@ -298,7 +346,17 @@ class Planner:
 
     def _inputs(self, task: TaskDescription) -> str:
         """The inputs of a refusal, as text: it stands until one of them changes."""
-        return f"{task.identity} {task.generation} {self._catalogue.tip} {self._main.policy_text}"
+        return f"{task.identity} {task.generation} {self._inputs_of_all}"
+
+    @property
+    def _inputs_of_all(self) -> str:
+        return f"{self._catalogue.tip} {self._main.policy_text}"
+
+    def _inputs_of(self, key: str) -> str | None:
+        """The inputs of a refusal of the demand `key`; None when its task is gone."""
+        if key.startswith(INITIAL):
+            return self._inputs_of_all
+        return self._inputs(self.tasks[key]) if key in self.tasks else None
 
     def _resolve(
         self, tasks: Sequence[TaskDescription], history: History, pins: Mapping[str, Pin] | None = None
@@ -338,7 +396,16 @@ class Planner:
         )
         initial = initial_demands(self._catalogue.catalogue, self._main.policy, own_fleet)
         wanted = [*initial, *self._demands_of(tasks)]
-        return resolve(wanted, lambda demands: compose(demands, inputs, self._memo), history, self._now_ns)
+        refused = self._image_refusals.standing(self._inputs_of)
+
+        def composed(demands: Sequence[Demand]) -> Composition:
+            if not refused:
+                return compose(demands, inputs, self._memo)
+            composition = compose([one for one in demands if one.key not in refused], inputs, self._memo)
+            left_out = {one.key: refused[one.key] for one in demands if one.key in refused}
+            return replace(composition, outcomes={**composition.outcomes, **left_out})
+
+        return resolve(wanted, composed, history, self._now_ns)
 
     def _demands_of(self, tasks: Sequence[TaskDescription]) -> list[Demand]:
         """A demand for each task; the same object as long as the task is the same."""
@@ -361,21 +428,6 @@ class Planner:
             known = (nodes, now_ns, until_ns, fleet(self._settings.agents, nodes, now_ns, seconds))
             self._known_fleet = known
         return known[3]
-
-    def _kept_without_evidence(self, desired: Composition) -> dict[str, Release]:
-        """Releases on main of demands that are refused for want of evidence only: what runs is not removed because a
-        policy, a key or an envelope changed, but it is not changed either."""
-        refused = _doubtful(desired)
-        if not refused:
-            return {}
-        agents = {k.split("/")[2] for k in refused if k.startswith("initial/")}
-        namespaces = {agent.namespace for agent in self._settings.agents if agent.name in agents}
-        return {
-            path: release
-            for path, release in self._main.tree.releases.items()
-            if any(c.task in refused for c in release.causes)
-            or (not release.causes and release.namespace in namespaces)
-        }
 
     def _log_refusals(self) -> None:
         """Log refusals of the initial configuration: it has no task whose status could show them."""
@@ -407,21 +459,6 @@ class Planner:
             self._held_differences[plan.fingerprint] = record
         while len(self._held_differences) > HELD_MAX:
             self._held_differences.pop(next(iter(self._held_differences)))
-
-
-def _doubtful(desired: Composition) -> frozenset[str]:
-    """The demands that are refused for want of evidence only."""
-    outcomes = desired.outcomes.items()
-    return frozenset(k for k, o in outcomes if isinstance(o, Refused) and o.reason in EVIDENCE_REASONS)
-
-
-def _unless_only_doubt(kept: Release | None, wanted: Release, desired: Composition) -> Release:
-    """A release as it is wanted; as main has it (`kept`) when it is shared, and nobody left it but demands that are
-    refused for want of evidence: what they run needs its part of it."""
-    if kept is None:
-        return wanted
-    staying = {cause.task for cause in kept.causes} - _doubtful(desired)
-    return kept if staying == {cause.task for cause in wanted.causes} else wanted
 
 
 def _demand(task: TaskDescription) -> Demand:

@@ -20,7 +20,7 @@ from robotkube.backoffs import Random, backoff
 from robotkube.delivery.deployment.core.commit_messages import REPAIR, write_message
 from robotkube.delivery.deployment.loops.main_history import Terms
 from robotkube.delivery.manager.core.explanations import Explanation
-from robotkube.delivery.manager.core.plans import Plan, describe
+from robotkube.delivery.manager.core.plans import Plan
 from robotkube.delivery.manager.loops.counters import ManagerStatistics
 from robotkube.delivery.manager.loops.main_reader import MainReader, catalogue_page
 from robotkube.delivery.manager.loops.planner import Planner
@@ -36,7 +36,7 @@ from robotkube.delivery.manager.ports.manager_ports import ManagerPorts
 from robotkube.delivery.tasks.core.task_description import FORGE_BUSY, FORGE_UNAVAILABLE, MAIN_BROKEN
 from robotkube.errors import RefusalError, RobotKubeError, UnavailableError
 from robotkube.foundation.forge.core.resync import RESYNC_SECONDS, is_quiet, resync_is_due
-from robotkube.registry.catalogue.loops.verified_catalogue import AssuredCatalogue, read_policy
+from robotkube.registry.catalogue.loops.verified_catalogue import AssuredCatalogue
 
 DECISION_POLL_SECONDS = 1.0  # the forge's webhook is the normal way; asking costs the forge what the gate needs
 DECISION_EAGER_SECONDS = 5.0
@@ -400,13 +400,17 @@ class ApplicationManager:
             self._flags -= PLANNED_FOR
             seen, self._demand_seen = self._demand_seen, None
         started = self._now_ns()
-        begun = self._monotonic()
-        plan = self._planner.plan(started) if not self._main.tree.problems else self._repairing.plan(started)
-        self.statistics.decided(self._monotonic() - begun)
+        plan = self._planner.verified(lambda: self._decide(started))
         if self._took_over(plan, seen or started, started) or plan is None:
             return
         named = self._repairing.named(plan)
         self._propose(named, record_of(named, seen or started, started))
+
+    def _decide(self, started: int) -> Plan | None:
+        begun = self._monotonic()
+        plan = self._planner.plan(started) if not self._main.tree.problems else self._repairing.plan(started)
+        self.statistics.decided(self._monotonic() - begun)
+        return plan
 
     def _took_over(self, plan: Plan | None, seen: int, started: int) -> bool:
         """Whether a proposal that is open already does what `plan` does, asked once per term; its decision is polled as
@@ -456,11 +460,7 @@ class ApplicationManager:
         )
 
     def _body(self, plan: Plan) -> str:
-        if REPAIR in plan.message.kinds:
-            return self._repairing.describe(plan)
-        policy, _ = read_policy(self._catalogue.files)
-        suites = [rule.name for rule in policy.suites] if policy else []
-        return describe(plan, self._planner.desired, self._planner.tasks, self._catalogue.catalogue, suites)
+        return (self._repairing if REPAIR in plan.message.kinds else self._planner).describe(plan)
 
     # -- reporting ------------------------------------------------------------------------------------------------
 

@@ -200,10 +200,14 @@ class UpdatePlanner:
         self._postponements = 0
         changes, problem = moved(move, compose(move.pins), steady, present)
         if not changes:
-            log.warning("update not made text=%r", problem)
-            self._unfit = (self._unfit[0], self._unfit[1] | frozenset(move.keys))
+            self.unfit(move, problem)
             return None
         return move, changes
+
+    def unfit(self, move: Move, problem: str) -> None:
+        """Log why a move cannot be made; it is not tried again before main or catalogue change."""
+        log.warning("update not made text=%r", problem)
+        self._unfit = (self._unfit[0], self._unfit[1] | frozenset(move.keys))
 
 
 def _releases(files: Mapping[str, str | None]) -> list[Release]:

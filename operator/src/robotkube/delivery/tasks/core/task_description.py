@@ -39,7 +39,7 @@ REFUSAL_TEXTS: Mapping[str, str] = {
     INVALID_PARAMETERS: "the spec cannot be read, or the parameters break the application's schema",
     "NoVerifiedVersion": "no chart version in range has valid evidence under the release policy",
     APPLICATION_NOT_VERIFIED: "the application has no valid evidence that it was composed and checked",
-    IMAGE_NOT_VERIFIED: "a pod would run an image that was not verified with its chart",
+    IMAGE_NOT_VERIFIED: "a pod would run an image that was not verified with its chart, or nobody can tell",
     "GuaranteeNotMet": "chart versions exist, but none guarantees what is required",
     NO_CAPABLE_NODE: "no agent with a usable node has the role, capabilities and neighbours that are asked for",
     INSUFFICIENT_RESOURCES: "the resource requests do not fit beside what is planned on the capable nodes",

@@ -18,6 +18,8 @@ from typing import Any
 from robotkube.errors import InputError, UnavailableError
 from robotkube.foundation.documents.core.json_codec import read_json
 
+PROGRAM = "/usr/local/bin/chart-renderer"  # where the platform's image has it
+PROGRAM_VARIABLE = "ROBOTKUBE_RENDERER"  # of the environment: another place
 SECONDS_MAX = 5.0
 PROCESSOR_SECONDS_MAX = 3_600  # of one process, over all its renderings
 MEMORY_BYTES_MAX = 256 * 1024 * 1024

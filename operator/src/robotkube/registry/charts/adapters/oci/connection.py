@@ -26,11 +26,12 @@ READING = {"Accept": f"{MANIFEST_TYPE}, {INDEX_TYPE}", "Accept-Encoding": "ident
 class RegistryConnection:
     """One registry; `url` is `http(s)://host:port`. Several threads may use it."""
 
-    def __init__(self, url: str, user: str, password: str) -> None:
+    def __init__(self, url: str, user: str, password: str, seconds: float | None = None) -> None:
+        """`seconds`: how long one connection, read or write may take, where TIMEOUT is too long."""
         auth = httpx.BasicAuth(user, password) if user else None
         self.url = url.rstrip("/")
         self._user = user
-        self._client = httpx.Client(base_url=f"{self.url}/v2/", auth=auth, timeout=TIMEOUT, trust_env=False)
+        self._client = httpx.Client(base_url=f"{self.url}/v2/", auth=auth, timeout=seconds or TIMEOUT, trust_env=False)
         self._held: dict[str, str] = {}  # blob digest -> a repository of this registry that has it
 
     def disconnect(self) -> None:

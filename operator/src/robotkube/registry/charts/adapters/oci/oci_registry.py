@@ -25,10 +25,17 @@ class OciRegistry:
     """A client of one OCI registry, port ChartRegistry; `url` is `http(s)://host:port`. Several threads may use it.
 
     `lock` is held while a list of attachments is changed: all clients of one process that attach share one. A version
-    is never replaced."""
+    is never replaced. `seconds` bounds each connection, read and write more tightly than RegistryConnection does."""
 
-    def __init__(self, url: str, user: str, password: str, lock: AbstractContextManager[Any] | None = None) -> None:
-        self._connection = RegistryConnection(url, user, password)
+    def __init__(
+        self,
+        url: str,
+        user: str,
+        password: str,
+        lock: AbstractContextManager[Any] | None = None,
+        seconds: float | None = None,
+    ) -> None:
+        self._connection = RegistryConnection(url, user, password, seconds)
         self._attachments = Attachments(self._connection, lock or threading.Lock())
 
     def __enter__(self) -> Self:
