@@ -150,6 +150,11 @@ def text(document: Mapping[str, Any]) -> str:
         *_section("what ran", ("from", "until", "release", "chart", "digest", "tasks", "nodes"), _ran(document)),
         *_section("who asked, who approved", ("time", "commit", "subject", "tasks", "checked"), _changes(document)),
         *_section("what had been verified", ("chart", "digest", "suite", "result", "key"), _verified(document)),
+        *_section(
+            "which applications had been checked",
+            ("application", "digest", "result", "key", "charts"),
+            _tried(document),
+        ),
         *_findings(document),
         "cannot be told",
         *(f"  {sentence}" for sentence in document["cannot_be_told"]),
@@ -210,6 +215,18 @@ def _verified(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:
         rows += [{**head, "suite": suite["suite"], "result": suite["result"].lower()} for suite in chart["suites"]]
         rows += [{**head, "suite": "summary", "result": chart["problem"] or "holds"}]
     return rows
+
+
+def _tried(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    return [
+        {
+            **row,
+            "digest": _short(row["digest"]),
+            "result": row["problem"] or "holds",
+            "charts": [chart.rpartition("@")[0] for chart in row["charts"]],
+        }
+        for row in document["applications"]
+    ]
 
 
 def _findings(document: Mapping[str, Any]) -> list[str]:

@@ -208,7 +208,12 @@ def test_an_empty_repository_is_said_in_words(clean: Platform, tmp_path: Path) -
 def test_an_empty_catalogue_is_a_finding(platform: Platform) -> None:
     platform.catalogue.git.references.delete("refs/heads/main")
     kinds = {kind for kind, _ in found(platform.audit())}
-    assert kinds == {"catalogue-not-readable", "catalogue-rewritten", "not-in-catalogue"}
+    assert kinds == {
+        "application-not-verified",
+        "catalogue-not-readable",
+        "catalogue-rewritten",
+        "not-in-catalogue",
+    }
 
 
 def test_a_folder_without_a_clone_is_said_in_words(tmp_path: Path) -> None:

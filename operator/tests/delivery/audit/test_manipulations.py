@@ -23,6 +23,10 @@ from tests.stages.delivery.manipulations import (
     all_outcomes_removed,
     all_records_removed,
     application_edited,
+    application_edited_and_deployed,
+    application_removed_and_deployed,
+    application_without_its_statement,
+    applications_not_asked_for,
     assurance_none_in_between,
     break_glass,
     break_glass_by_people_whom_nobody_checked,
@@ -73,12 +77,14 @@ from tests.stages.delivery.manipulations import (
     statement_edited,
     statement_for_other_bytes,
     statement_of_a_stranger,
+    statement_of_another_application,
     suite_missing,
     suite_not_asked_for,
     tag_moved,
     tag_removed,
     task_that_the_release_does_not_have,
     trailers_edited,
+    unsigned_application,
 )
 from tests.stages.paths import DOCS
 from tests.stages.registry.signed_evidence import POLICY_TEXT
@@ -155,6 +161,16 @@ MANIPULATIONS: list[tuple[Manipulate, str, str]] = [
     (tag_removed, "tag-moved", "the tag is gone"),
     (chart_deleted, "chart-missing", "there is no manifest of this digest"),
     (other_bytes_under_the_digest, "manifest-differs", "its bytes are sha256:"),
+    (application_edited, "application-not-valid", "applications/recording.yaml is not what was verified"),
+    (
+        application_edited_and_deployed,
+        "application-not-verified",
+        "application recording, asked for by cloud-0/third: no valid evidence: applications/recording.yaml is not what",
+    ),
+    (statement_of_another_application, "application-not-valid", "the evidence is about application 'other'"),
+    (application_without_its_statement, "application-not-valid", "there is no evidence that it was composed"),
+    (application_removed_and_deployed, "application-not-verified", "asked for by cloud-0/third: the catalogue at"),
+    (applications_not_asked_for, "policy-relaxed", "applications none; fewer applications have to be checked"),
 ]
 
 
@@ -223,7 +239,6 @@ def test_a_pull_request_into_which_main_was_merged_is_one_change_of_main(platfor
 BEYOND: list[tuple[Manipulate, str]] = [
     (everything_put_back, "whether main, catalogue and all notes together were put back to an earlier state"),
     (newest_outcome_rewritten_without_a_trace, "what was observed a manager saw once, and nobody signed it"),
-    (application_edited, "who changed applications of the catalogue (applications/): no signature covers them"),
 ]
 
 
@@ -233,6 +248,25 @@ def test_what_cannot_be_told_is_said(platform: Platform, manipulate: Manipulate,
     document = platform.audit()
     assert found(document) == []
     assert any(words in sentence for sentence in document["cannot_be_told"]), document["cannot_be_told"]
+
+
+def test_an_application_that_nobody_signed_is_named_where_the_policy_lets_it_pass(platform: Platform) -> None:
+    assert not any("who changed these applications" in sentence for sentence in platform.audit()["cannot_be_told"])
+    unsigned_application(platform)
+    document = platform.audit("cloud-0/third")
+    assert {kind for kind, _ in found(document)} == {"policy-relaxed"}
+    words = "who changed these applications of the catalogue: recording. No statement covers them"
+    assert any(words in sentence for sentence in document["cannot_be_told"])
+    (row,) = document["applications"]
+    assert (row["evidence"], row["key"], row["charts"]) == ("none", "", [])
+
+
+def test_what_an_application_had_been_tried_with_is_shown(clean: Platform) -> None:
+    document = clean.audit("cloud-0/second")
+    (row,) = document["applications"]
+    assert (row["application"], row["problem"]) == ("recording", "")
+    assert row["charts"] == [f"recorder@0.1.0@{RECORDER.digest}"]
+    assert row["key"] == document["as_of"]["keys"][0]
 
 
 def test_what_was_put_back_is_found_by_a_tip_that_was_kept(platform: Platform) -> None:

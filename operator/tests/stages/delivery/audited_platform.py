@@ -35,11 +35,13 @@ from tests.stages.delivery.people import People
 from tests.stages.registry.signed_evidence import (
     CHARTS_URL,
     PLATFORM,
+    application_evidence,
     catalogue,
     published,
     signing_key,
     trusting,
 )
+from tests.stages.registry.submissions import application
 
 BEGAN = 1_795_000_000  # 2026-11-18T11:06:40Z
 NOW = BEGAN + 86_400
@@ -68,6 +70,8 @@ def about(chart: str, version: str = "0.1.0") -> Artefact:
     return Artefact(chart, version, sha256(manifest_of(chart)), PLATFORM)
 
 
+APPLICATION = "applications/recording.yaml"
+RECORDING = application("recording", "recorder")
 RECORDER, BRIDGE = about("recorder"), about("bridge")
 
 
@@ -286,9 +290,13 @@ def make_platform(folder: Path) -> Platform:
 def _publish(platform: Platform) -> None:
     gate = signing_key(platform.folder / "gate-key", SEED_OF_GATE)
     offered = platform.catalogue
-    offered.commit(catalogue(), "seed\n", BEGAN, "administrator")
+    policy = {"policies/release.yaml": "assurance: verified\napplications: verified\n"}
+    offered.commit({**catalogue(), **policy}, "seed\n", BEGAN, "administrator")
     for number, (chart, images) in enumerate(((BRIDGE, ()), (RECORDER, (RECORDER_IMAGE,))), 1):
         files = published(gate, chart, images=images)
+        if chart is RECORDER:
+            tried = ChartReference(chart.chart, chart.version, chart.digest)
+            files |= {APPLICATION: RECORDING, **application_evidence(gate, "recording", RECORDING, charts=[tried])}
         platform.names[f"evidence of {chart.chart}"] = sha256(files[f"{chart.folder}/summary.json"].encode())
         message = f"publish: {chart.chart}\n"
         platform.names[f"publish {chart.chart}"] = offered.commit(files, message, BEGAN + number * MINUTE, "gate")

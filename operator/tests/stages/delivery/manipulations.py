@@ -15,11 +15,13 @@ from robotkube.foundation.documents.core.digests import canonical_json, sha256
 from robotkube.foundation.forge.adapters.git.notes import REFERENCE as OUTCOMES
 from robotkube.registry.charts.core.packing import build_tag
 from tests.stages.delivery.audited_platform import (
+    APPLICATION,
     BEGAN,
     BRIDGE,
     MINUTE,
     NOW,
     RECORDER,
+    RECORDING,
     SECOND,
     SEED_OF_GATE,
     SEED_OF_STRANGER,
@@ -33,8 +35,16 @@ from tests.stages.delivery.audited_platform import (
     plan_id,
     release,
 )
-from tests.stages.paths import REGISTRY
-from tests.stages.registry.signed_evidence import POLICY_TEXT, Signing, artefact, entry, listing, published, signing_key
+from tests.stages.registry.signed_evidence import (
+    POLICY_TEXT,
+    Signing,
+    application_evidence,
+    artefact,
+    entry,
+    listing,
+    published,
+    signing_key,
+)
 
 LATER = BEGAN + 60 * MINUTE
 Manipulate = Callable[[Platform], object]
@@ -388,6 +398,46 @@ def entry_not_readable(platform: Platform) -> None:
     publish(platform, {"charts/recorder/0.1.0.yaml": "a: [\n"})
 
 
+STATEMENT = "evidence/applications/recording.json"
+
+
+def application_edited(platform: Platform) -> None:
+    publish(platform, {APPLICATION: RECORDING.replace("rate: 5", "rate: 500")})
+
+
+def application_edited_and_deployed(platform: Platform) -> None:
+    application_edited(platform)
+    platform.merge(*third(platform), LATER + MINUTE)
+
+
+def statement_of_another_application(platform: Platform) -> None:
+    key = gates_key(platform).key
+    other = application_evidence(key, "other", RECORDING)["evidence/applications/other.json"]
+    publish(platform, {STATEMENT: other})
+
+
+def application_without_its_statement(platform: Platform) -> None:
+    platform.catalogue.commit({STATEMENT: None}, "nobody needs it\n", LATER, "ada")
+
+
+def application_removed_and_deployed(platform: Platform) -> None:
+    platform.catalogue.commit({APPLICATION: None, STATEMENT: None}, "away\n", LATER, "ada")
+    platform.merge(*third(platform), LATER + MINUTE)
+
+
+def applications_not_asked_for(platform: Platform) -> None:
+    changes = {"policies/release.yaml": "assurance: verified\napplications: none\n"}
+    platform.catalogue.commit(changes, "quickly\n", LATER, "ada")
+
+
+def unsigned_application(platform: Platform) -> None:
+    """One that an older gate published, for which a plan deploys, while the policy lets that pass."""
+    policy = "assurance: verified\napplications: transition\n"
+    publish(platform, {"policies/release.yaml": policy, APPLICATION: RECORDING.replace("rate: 5", "rate: 6")})
+    platform.catalogue.commit({STATEMENT: None}, "away\n", LATER + 1, "ada")
+    platform.merge(*third(platform), LATER + MINUTE)
+
+
 # -- registry -------------------------------------------------------------------------------------------------------
 
 
@@ -445,8 +495,3 @@ def newest_outcome_rewritten_without_a_trace(platform: Platform) -> None:
     notes = main.git[main.git.references[OUTCOMES].target]
     main.move(str(notes.parent_ids[0]), OUTCOMES)
     main.write_note(OUTCOMES, commit, text.replace("cloud-0-node", "cloud-1-node"))
-
-
-def application_edited(platform: Platform) -> None:
-    path = "applications/mqtt-bridge.yaml"
-    platform.catalogue.commit({path: (REGISTRY / path).read_text()}, "another bridge\n", LATER, "ada")

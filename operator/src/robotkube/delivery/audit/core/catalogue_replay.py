@@ -11,14 +11,16 @@ from robotkube.delivery.deployment.core.releases import Release
 from robotkube.errors import DocumentError
 from robotkube.foundation.forge.core.histories import HistoryCommit
 from robotkube.registry.catalogue.core.catalogue import (
+    APPLICATION_ASSURANCES,
     AUTOMATIC,
+    NONE,
     RELEASE_POLICY,
     VERIFICATION_POLICY,
     Catalogue,
     ReleasePolicy,
     read_release_policy,
 )
-from robotkube.registry.evidence.core.statements import NONE
+from robotkube.registry.evidence.core.application_statements import statement_path
 from robotkube.registry.evidence.core.verification_policy import VerificationPolicy, read_verification_policy
 
 ChartOf = tuple[str, str, str]
@@ -82,6 +84,11 @@ def _looser(before: ReleasePolicy | None, after: ReleasePolicy | None) -> Iterat
         yield f"{RELEASE_POLICY}: assurance none; nothing has to be verified to be deployed"
     if after.initial_for == AUTOMATIC and before is not None and before.initial_for != AUTOMATIC:
         yield f"{RELEASE_POLICY}: initialFor automatic; what runs by itself waits for nobody's approval"
+    asked = APPLICATION_ASSURANCES.index(after.applications)
+    if before is not None and asked > APPLICATION_ASSURANCES.index(before.applications):
+        yield f"{RELEASE_POLICY}: applications {after.applications}; fewer applications have to be checked"
+    elif before is None and after.applications == NONE:
+        yield f"{RELEASE_POLICY}: applications none; no application has to be checked"
 
 
 def _fewer(before: VerificationPolicy | None, after: VerificationPolicy | None) -> Iterator[str]:
@@ -118,6 +125,20 @@ def release_finding(release: Release, catalogue: Catalogue, commit: str, decided
     return Finding("evidence-not-valid", "deployment", where, what, commit, about) if problem else None
 
 
+def application_findings(release: Release, catalogue: Catalogue, commit: str, decided_by: str) -> Iterator[Finding]:
+    """What is wrong with the applications that a release's tasks asked for, in the catalogue that was decided by."""
+    for name in sorted({cause.application for cause in release.causes}):
+        application = catalogue.applications.get(name)
+        problem = (
+            f"the catalogue at {decided_by[:12]} had none" if application is None else catalogue.forbids(application)
+        )
+        if problem:
+            tasks = ", ".join(cause.task for cause in release.causes if cause.application == name)
+            where = f"release {release.key} by commit {commit}"
+            what = f"application {name}, asked for by {tasks}: {problem}"
+            yield Finding("application-not-verified", "deployment", where, what, commit, (release.key,))
+
+
 def earlier_policies(replayed: CatalogueReplay) -> Mapping[str, str]:
     """Every verification policy that main ever had: its digest -> its text."""
     policies: dict[str, str] = {}
@@ -132,7 +153,8 @@ def earlier_policies(replayed: CatalogueReplay) -> Mapping[str, str]:
 def tip_findings(
     catalogue: Catalogue, under: Mapping[str, Catalogue], tip: str, replayed: CatalogueReplay
 ) -> Iterator[Finding]:
-    """What is wrong in the catalogue as it stands: entries that cannot be read, versions whose evidence does not hold.
+    """What is wrong in the catalogue as it stands: entries that cannot be read, versions and applications whose
+    evidence does not hold.
 
     `under`: digest of an earlier policy -> the same catalogue by it; a version is judged by the policy that it was
     published under. A finding's commit is the last one that changed the entry or its evidence."""
@@ -141,6 +163,14 @@ def tip_findings(
     for problem in catalogue.problems:
         path = problem.partition(":")[0]
         yield Finding("catalogue-not-readable", "catalogue", path, problem, last.get(path, tip))
+    for name, application in sorted(catalogue.applications.items()):
+        assessed = [one.applications[name] for one in (catalogue, *under.values()) if name in one.applications]
+        if any(one.assured for one in assessed) or not catalogue.forbids(application):
+            continue
+        path = f"applications/{name}.yaml"
+        touched = [last[one] for one in (path, statement_path(name)) if one in last]
+        newest = max(touched, key=lambda commit: places[commit], default=tip)
+        yield Finding("application-not-valid", "catalogue", path, application.evidence_problem, newest, (name,))
     for version in sorted((v for found in catalogue.charts.values() for v in found), key=lambda v: v.reference):
         judged = under.get(version.policy, catalogue).version(version.chart, version.version) or version
         if judged.state != "verified" or judged.assured:

@@ -40,6 +40,9 @@ MEANINGS = {
     "no-evidence": "the release says itself that nothing was verified",
     "evidence-not-valid": "what ran was not shown to be what was verified",
     "entry-not-valid": "the catalogue offers a version whose evidence does not hold; it is selected nowhere",
+    "application-not-verified": "what a task led to was not shown to come of an application that was checked",
+    "application-not-valid": "the catalogue offers an application that is not what was checked; nothing is deployed "
+    "for it while the policy asks for that",
     "catalogue-not-readable": "entries of the catalogue cannot be read; what they said is not known here",
     "not-in-catalogue": "the release names a chart that the catalogue did not have",
     "chart-missing": "what ran cannot be fetched any more: it was deleted, or its tag was written again",

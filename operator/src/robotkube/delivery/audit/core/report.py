@@ -13,6 +13,7 @@ from robotkube.delivery.audit.core.merge_checks import Merges
 from robotkube.delivery.audit.core.outcomes import Outcomes
 from robotkube.delivery.audit.core.questions import Answered
 from robotkube.foundation.documents.core.times import time_text
+from robotkube.registry.evidence.core.statements import NONE
 
 Row = dict[str, Any]
 Evidence = tuple[str, str]
@@ -50,6 +51,7 @@ def document(
     merges: Merges,
     outcomes: Outcomes,
     verified: Sequence[Row],
+    applications: Sequence[Row],
     findings: Sequence[Finding],
     accepted: int,
     scope: AuditScope,
@@ -67,6 +69,7 @@ def document(
         "ran": [_run(run, times, outcomes, by_evidence) for run in answered.runs],
         "changes": [_change(change, merges) for change in answered.changes],
         "verified": list(verified),
+        "applications": list(applications),
         "findings": [
             {
                 "finding": one.kind,
@@ -80,7 +83,7 @@ def document(
             for one in findings
         ],
         "findings_accepted": accepted,
-        "cannot_be_told": list(_limits(answered, merges, outcomes, scope)),
+        "cannot_be_told": list(_limits(answered, merges, outcomes, applications, scope)),
     }
 
 
@@ -160,7 +163,9 @@ def seconds_text(seconds: int) -> str:
         return f"{seconds} s"
 
 
-def _limits(answered: Answered, merges: Merges, outcomes: Outcomes, scope: AuditScope) -> Iterator[str]:
+def _limits(
+    answered: Answered, merges: Merges, outcomes: Outcomes, applications: Sequence[Row], scope: AuditScope
+) -> Iterator[str]:
     """What Git and registry cannot know here, a sentence each."""
     yield (
         "Cannot be told from Git: which containers ran, and when each of them started and ended. Git has what main "
@@ -195,7 +200,9 @@ def _limits(answered: Answered, merges: Merges, outcomes: Outcomes, scope: Audit
         )
     if not scope.registry:
         yield "Not looked at: the OCI registry; whether charts are still there, and where their tags lead."
-    yield (
-        "Cannot be told from Git: who changed applications of the catalogue (applications/): no signature covers them. "
-        "What they led to is in main, and was checked there."
-    )
+    unsigned = [row["application"] for row in applications if row["evidence"] == NONE]
+    if unsigned:
+        yield (
+            f"Cannot be told from Git: who changed these applications of the catalogue: {', '.join(unsigned)}. No "
+            "statement covers them; what they led to is in main, and was checked there."
+        )

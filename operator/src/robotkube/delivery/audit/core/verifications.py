@@ -1,13 +1,16 @@
-"""What had been verified of a chart: its suites with their results, as the signed statements have them."""
+"""What had been verified: of a chart its suites with their results, of an application what it was tried with, as the
+signed statements have them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
+from robotkube.registry.catalogue.core.applications import Application
 from robotkube.registry.catalogue.core.chart_versions import ChartVersion
 from robotkube.registry.charts.core.references import ChartReference
-from robotkube.registry.evidence.core.statements import FAILED, VerifiedStatement
+from robotkube.registry.evidence.core.application_statements import tried_charts
+from robotkube.registry.evidence.core.statements import FAILED, NONE, VerifiedStatement
 from robotkube.registry.evidence.core.verification_policy import SUMMARY
 
 Row = dict[str, Any]
@@ -42,6 +45,25 @@ def verification_row(
         else "",
         "suites": [_suite(name, found) for name, found in sorted(statements.items()) if name != SUMMARY],
         "problem": problem,
+    }
+
+
+def application_row(
+    name: str, application: Application | None, found: VerifiedStatement | str | None, decided_by: str
+) -> Row:
+    """One application that tasks asked for: its statement, who signed it, with which charts it had been tried;
+    `problem` says why that does not hold, empty when it does. `found` is the statement that was there, or why it is not
+    believed."""
+    problem = "the catalogue did not have it" if application is None else application.evidence_problem
+    signed = found if isinstance(found, VerifiedStatement) else None
+    return {
+        "application": name,
+        "digest": application.digest if application else "",
+        "evidence": application.evidence if application and application.evidence else NONE,
+        "catalogue": decided_by,
+        "key": signed.key_id if signed else "",
+        "charts": [f"{chart}@{digest}" for chart, digest in sorted(tried_charts(signed).items())] if signed else [],
+        "problem": "" if application is not None and application.assured else problem,
     }
 
 

@@ -9,6 +9,7 @@ from functools import lru_cache
 from robotkube.delivery.audit.core import report
 from robotkube.delivery.audit.core.catalogue_replay import (
     CatalogueReplay,
+    application_findings,
     earlier_policies,
     release_finding,
     replay_catalogue,
@@ -19,7 +20,7 @@ from robotkube.delivery.audit.core.main_replay import MainReplay, replay
 from robotkube.delivery.audit.core.merge_checks import Merges, check_merges, main_moves, without_record
 from robotkube.delivery.audit.core.outcomes import read_outcomes
 from robotkube.delivery.audit.core.questions import Known, answer
-from robotkube.delivery.audit.core.verifications import verification_row
+from robotkube.delivery.audit.core.verifications import application_row, verification_row
 from robotkube.delivery.audit.ports import Manifests
 from robotkube.delivery.deployment.core.break_glass import ACCEPTED_PATH, SIGNERS_PATH
 from robotkube.delivery.deployment.core.merge_records import OUTCOMES_REFERENCE, REFERENCE
@@ -41,6 +42,7 @@ from robotkube.registry.catalogue.core.chart_versions import ChartVersion
 from robotkube.registry.catalogue.loops.verified_catalogue import EvidenceReader
 from robotkube.registry.charts.core.packing import build_tag
 from robotkube.registry.charts.core.references import ChartReference
+from robotkube.registry.evidence.core.application_statements import statement_path
 from robotkube.registry.evidence.core.statements import FOLDER, VerifiedStatement
 from robotkube.registry.evidence.ports import Verifier
 
@@ -118,7 +120,8 @@ class Auditor:
             at=self._now,
         )
         verified = self._verified(runs, merges, offered)
-        return report.document(answered, merges, outcomes, verified, kept, accepted, scope)
+        applications = self._applications(runs, merges, offered)
+        return report.document(answered, merges, outcomes, verified, applications, kept, accepted, scope)
 
     def _break_glass(self, commits: Sequence[HistoryCommit], merges: Merges) -> Mapping[str, UncheckedCommit]:
         """The commits without a record that say that they are break-glass, and whether people signed them."""
@@ -171,6 +174,7 @@ class Auditor:
                 finding = release_finding(release, catalogue, change.commit.id, decided_by)
                 if finding is not None:
                     yield finding
+                yield from application_findings(release, catalogue, change.commit.id, decided_by)
 
     def _tip(self, offered: CatalogueReplay) -> Iterator[Finding]:
         if not offered.commits:
@@ -211,6 +215,20 @@ class Auditor:
                 chart, release.evidence, version, self._statements(chart, decided_by), decided_by
             )
         return [rows[key] for key in sorted(rows)]
+
+    def _applications(self, runs: MainReplay, merges: Merges, offered: CatalogueReplay) -> list[report.Row]:
+        """A row for each application that a task of the runs asked for, by the catalogue of its first run."""
+        commits = {change.commit.id: change.commit for change in runs.changes}
+        rows: dict[str, report.Row] = {}
+        for run in runs.runs:
+            for name in sorted({cause.application for cause in run.release.causes} - rows.keys()):
+                if run.began in commits:
+                    decided_by = self._decided_by(commits[run.began], merges, offered)
+                    known = self._catalogue(decided_by).applications.get(name)
+                    text = self._files(decided_by).get(statement_path(name)) if decided_by else None
+                    found = self._verify(text) if text is not None else None
+                    rows[name] = application_row(name, known, found, decided_by)
+        return [rows[name] for name in sorted(rows)]
 
     def _statements(self, chart: ChartReference, commit: str) -> Mapping[str, VerifiedStatement | str]:
         if not commit:
