@@ -112,8 +112,8 @@ def inventory(application: Application, parameters: Parameters, render: Render) 
 
 def _named(application: Application, parameters: Parameters, render: Render) -> Iterator[str]:
     """Names that the templates for agents give; what needs a placement to be known is left out."""
-    names = {"parameters": with_defaults(application.parameters, parameters), "placement": {}}
-    names |= {"agent": f"{application.initial_for or ROLES[0]}-00"}
+    given = with_defaults(application.parameters, parameters)
+    names = {"parameters": given, "placement": {}, "agent": f"{application.initial_for or ROLES[0]}-00"}
     texts = [(service.for_each, service.placement.agent) for service in application.services]
     texts += [(link.for_each, end.get("agent", "")) for link in application.links for end in (link.source, link.target)]
     for for_each, text in texts:

@@ -15,7 +15,7 @@ from robotkube.delivery.deployment.core.releases import Release, Source, TaskCau
 from robotkube.errors import InputError
 from robotkube.foundation.documents.core.defaults import with_defaults
 from robotkube.registry.catalogue.core.catalogue import Catalogue
-from robotkube.registry.catalogue.core.image_coverage import coverage_problems, is_compared
+from robotkube.registry.catalogue.core.chart_versions import coverage_problems, is_compared
 from robotkube.registry.charts.core.references import ChartReference
 from robotkube.registry.charts.core.values_schemas import Validate, deployed
 

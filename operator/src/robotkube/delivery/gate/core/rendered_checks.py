@@ -7,7 +7,7 @@ from typing import Any
 
 from robotkube.delivery.deployment.core.releases import Release
 from robotkube.registry.catalogue.core.catalogue import Catalogue, ChartVersion
-from robotkube.registry.catalogue.core.image_coverage import coverage_problems, is_compared
+from robotkube.registry.catalogue.core.chart_versions import coverage_problems, is_compared
 from robotkube.registry.charts.core.pod_images import pod_images
 from robotkube.registry.evidence.core.verification_policy import VerificationPolicy
 from robotkube.registry.suites.core.static_checks import Rendering, foreign_kinds, object_checks

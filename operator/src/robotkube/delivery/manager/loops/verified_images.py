@@ -18,7 +18,7 @@ from robotkube.delivery.manager.core.plans import Change
 from robotkube.delivery.tasks.core.task_description import IMAGE_NOT_VERIFIED
 from robotkube.errors import InputError, UnavailableError
 from robotkube.registry.catalogue.core.catalogue import Catalogue
-from robotkube.registry.catalogue.core.image_coverage import coverage_problems, is_compared
+from robotkube.registry.catalogue.core.chart_versions import coverage_problems, is_compared
 from robotkube.registry.charts.core.references import ChartReference
 from robotkube.registry.charts.core.values_schemas import SAMPLE_PLAN
 from robotkube.registry.charts.ports import RenderedImages
