@@ -8,7 +8,7 @@
 {{- $manager := dict "name" .name "scope" $filled "operators" (.operators | default list) "replicas" (.replicas | default 1 | int) }}
 {{- $manager = merge $manager (pick . "nodeSelector" "tolerations" "affinity" "podAnnotations" "podLabels" "extraEnv" "priorityClassName") }}
 {{- $_ := set $manager "nodeLostSeconds" (.nodeLostSeconds | default 40 | int) }}
-{{- $_ := set $manager "resources" (.resources | default (dict "requests" (dict "cpu" "50m" "memory" "96Mi") "limits" (dict "memory" "256Mi"))) }}
+{{- $_ := set $manager "resources" (.resources | default (dict "requests" (dict "cpu" "50m" "memory" "96Mi") "limits" (dict "memory" "512Mi"))) }}
 {{- $found = append $found $manager }}
 {{- end }}
 {{- toYaml $found }}
