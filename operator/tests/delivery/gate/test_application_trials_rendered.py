@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -20,11 +21,13 @@ from robotkube.registry.charts.adapters.chart_renderer import ChartRenderer
 from robotkube.registry.charts.core.packing import build_tag
 from robotkube.registry.charts.core.references import ChartReference
 from robotkube.registry.charts.loops.release_images import ReleaseObjects
+from robotkube.registry.publication.core.submissions import schema_text
 from robotkube.testing.publishing import MemoryChartRegistry
 from tests.stages.delivery.manager_in_memory import schema_file
 from tests.stages.forge.real_charts import IMAGE, chart_with_image_value
-from tests.stages.paths import CHARTS, REGISTRY
+from tests.stages.paths import CHARTS, DOCS, REGISTRY
 from tests.stages.programs import program
+from tests.stages.registry.publications import write_sources
 from tests.stages.registry.signed_evidence import signing_key, trusting
 
 pytestmark = pytest.mark.toolchain
@@ -115,3 +118,22 @@ def test_a_value_that_names_an_image_is_found_where_a_parameter_leads_to_it(
     assert len(found.problems) == 1
     words = f"a pod would run image {FOREIGN}, which was not verified with chart"
     assert f"spec.services[0]: with parameters {{'image': '{FOREIGN}'}}: {words}" in found.problems[0]
+
+
+def test_the_application_of_the_how_to_passes_with_the_chart_that_the_command_writes(
+    catalogue: Catalogue, renderer: ChartRenderer, tmp_path: Path
+) -> None:
+    page = (DOCS / "how-to" / "add-an-application.md").read_text()
+    path = "registry/applications/greeting.yaml"
+    (text,) = re.findall(rf"^```yaml {path}\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)
+    write_sources(tmp_path, "text-relay")
+    entry = yaml.safe_load((tmp_path / "registry" / "charts" / "text-relay" / "0.1.0.yaml").read_text())
+    entry["spec"]["provides"] = ["text/relay"]
+    chart = tmp_path / "charts" / "apps" / "text-relay"
+    catalogue.add(chart, entry)
+    values = {name: (chart / name).read_bytes() for name in ("values.schema.json", "values.yaml")}
+    catalogue.files |= {"charts/text-relay/0.1.0.schema.json": schema_text(values)}
+    catalogue.files |= {path.removeprefix("registry/"): text}
+    found = trials(catalogue, renderer, tmp_path)(catalogue.files, ["greeting"], catalogue.submitted)["greeting"]
+    assert found.problems == ()
+    assert [chart.name for chart in found.charts] == ["text-relay"]

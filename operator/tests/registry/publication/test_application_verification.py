@@ -147,6 +147,15 @@ def test_what_an_older_gate_published_is_signed_by_the_next_publication_unless_t
     assert on_main(world, "other").assured
 
 
+def test_a_chart_submitted_again_brings_the_statements_that_are_missing(world: PublicationStage) -> None:
+    world.settle(world.submit(chart()))
+    world.catalogue.push({PATH: application()})
+    number = world.submit(chart())
+    assert "## Verified" in world.settle(number)
+    assert on_main(world).assured
+    assert set(world.catalogue.commits[world.catalogue.tip].changes) == {STATEMENT}
+
+
 def test_a_new_policy_lets_what_was_signed_be_signed_again_with_its_charts(world: PublicationStage) -> None:
     published(world)
     policy = "policies/verification.yaml"
