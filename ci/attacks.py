@@ -83,7 +83,6 @@ def refusals() -> Iterator[tuple[str, str, Refused]]:
 
 NOT_YET = NotYet()
 AS_MANAGER = Unseen("who has the manager's account does not ask the manager's selection")
-VALUES = Unseen("selection chooses versions by their evidence; what values lead to is the gate's check")
 NOT_ON_MAIN = Unseen("main does not have it: only what main has is selected")
 NOT_PROPOSED = Unseen("nothing is proposed: the gate reads pull requests and main")
 NOTHING_TO_JUDGE = Unseen("no pod, workload or Application is written: there is nothing to judge")
@@ -114,6 +113,8 @@ FOREIGN_IMAGE = Refused(
     "delivery/gate/test_images.py::"
     "test_a_plan_with_a_foreign_image_is_refused_and_one_with_the_verified_image_is_merged",
 )
+SELECTION = "delivery/manager/test_verified_images.py"
+TRIALS = "delivery/gate/test_application_trials.py"
 OTHER_CHART = Refused(
     "Application … is of … at …: only charts of … that are verified on the catalogue's main are applied, by digest",
     f"{APPLICATIONS}::test_an_application_of_anything_else_is_refused",
@@ -140,10 +141,48 @@ ATTACKS = (
     Attack(
         "image-by-publisher",
         "A publisher submits an application whose values lead to a foreign image",
-        VALUES,
-        FOREIGN_IMAGE,
+        Refused(
+            "release …: a pod would run image …, which was not verified with chart …",
+            f"{SELECTION}::test_a_task_that_leads_to_a_foreign_image_is_refused_and_nothing_is_proposed",
+        ),
+        Refused(
+            "spec.services[…]: with parameters …: a pod would run image …, which was not verified with chart …",
+            f"{TRIALS}::test_a_parameter_that_leads_where_no_release_may_go_is_named_with_its_value",
+            "the trial, before it is published",
+        ),
         IMAGE,
         NOT_YET,
+    ),
+    Attack(
+        "application-to-the-machine",
+        "A parameter of an application leads to its machine's files, or to privileges",
+        NOT_ON_MAIN,
+        Refused(
+            "spec.services[…]: with parameters …: …: type hostPath: a folder of the node",
+            f"{TRIALS}::test_a_parameter_that_leads_where_no_release_may_go_is_named_with_its_value",
+            "the trial, before it is published",
+        ),
+        Refused(
+            "in namespace … ask for a way to their machine (its network, processes, files, or privileges)",
+            f"{POLICIES}::test_no_pod_gets_a_way_to_its_machine",
+        ),
+        NOT_YET,
+    ),
+    Attack(
+        "application-edited",
+        "Who may write the catalogue's main edits an application after it was signed",
+        Refused(
+            "no valid evidence: applications/….yaml is not what was verified",
+            "registry/catalogue/test_verified_applications.py::"
+            "test_one_edited_after_signing_is_forbidden_also_in_transition",
+        ),
+        Refused(
+            "application …: no valid evidence: applications/….yaml is not what was verified",
+            "delivery/gate/test_proposal_checks.py::"
+            "test_a_task_of_an_application_that_is_not_what_was_verified_is_refused",
+        ),
+        VERIFIED_OTHERWISE,
+        VERIFIED_OTHERWISE,
     ),
     Attack(
         "runs-by-itself",
@@ -293,7 +332,10 @@ ATTACKS = (
     Attack(
         "image-volume",
         "A foreign image comes as a volume of a pod",
-        VALUES,
+        Refused(
+            "a pod would run image …, which was not verified with chart …",
+            f"{SELECTION}::test_an_image_that_is_a_volume_is_refused_as_well",
+        ),
         Refused(
             "a pod would run image …, which was not verified with chart …",
             "delivery/gate/test_image_checks.py::test_an_image_that_is_a_volume_is_refused_as_well",

@@ -13,6 +13,7 @@ from robotkube.errors import UnavailableError
 from robotkube.foundation.documents.core.yaml_codec import write_mapping
 from robotkube.registry.charts.core.references import ChartReference
 from robotkube.registry.evidence.core.application_statements import TrialResult
+from tests.stages.attacks import shown
 from tests.stages.delivery.trials import (
     FOREIGN,
     IMAGE,
@@ -82,6 +83,10 @@ def test_a_parameter_that_leads_where_no_release_may_go_is_named_with_its_value(
     text = next(problem for problem in problems if words in problem)
     place = "spec.services[0]" if key != "rate" else "spec"
     assert text.startswith(f"{place}: with parameters {{'choice': 'bad'}}: ")
+    if key == "image":
+        shown("gate", text, "image-by-publisher")
+    if "hostPath" in text:
+        shown("gate", text, "application-to-the-machine")
     if key != "rate":
         assert text.endswith("; release cloud-00/relay of chart relay 0.1.0")
 

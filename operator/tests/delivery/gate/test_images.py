@@ -55,7 +55,7 @@ def test_a_plan_with_a_foreign_image_is_refused_and_one_with_the_verified_image_
     words = f"spec.values: a pod would run image {FOREIGN}, which was not verified with chart {bridge.chart}"
     said = installation.comments(foreign)
     assert f"{words} (images: {IMAGE})" in said
-    shown("gate", said, "image-by-manager", "image-by-publisher")
+    shown("gate", said, "image-by-manager")
     verified = propose(installation, manager, bridge, "bridge-2", {"image": {"reference": IMAGE}})
     until(lambda: installation.pull_request(verified)["merged"], "merged")
     default = propose(installation, manager, bridge, "bridge-3", {})

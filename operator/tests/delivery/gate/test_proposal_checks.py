@@ -23,6 +23,7 @@ from robotkube.registry.catalogue.core.applications import Application
 from robotkube.registry.catalogue.core.catalogue import Catalogue, ChartVersion
 from robotkube.registry.charts.core.references import ChartReference
 from robotkube.registry.charts.core.values_schemas import overlay
+from tests.stages.attacks import shown
 
 ACCOUNT, TERM = "manager", 7
 TIP, PLAN, OLD_PLAN = "a" * 40, "20261121-100000-000001", "20261121-090000-000001"
@@ -462,6 +463,7 @@ def test_a_task_of_an_application_that_is_not_what_was_verified_is_refused(polic
         f"{release.path}: task cloud-0/one: application recording: no valid evidence: {EDITED['evidence_problem']} "
         f"(release policy: applications {policy})",
     )
+    shown("gate", verdict.problems[0], "application-edited")
     allowed = replace(doubted, application_assurance="none")
     assert proposal_checks.judge(
         proposal({}, files(release), message(ONE)), TIP, replace(RULES, catalogue=allowed)

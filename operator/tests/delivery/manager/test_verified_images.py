@@ -12,7 +12,10 @@ import pytest
 from robotkube.delivery.manager.loops.reconciler import CATALOGUE, TASKS
 from robotkube.delivery.manager.loops.verified_images import RELEASES_KEPT_MAX, VerifiedImages
 from robotkube.errors import InputError, UnavailableError
+from robotkube.registry.charts.core.packing import PulledChart
 from robotkube.registry.charts.core.references import ChartReference
+from robotkube.registry.charts.loops.release_images import ReleaseImages
+from tests.stages.attacks import shown
 from tests.stages.delivery.manager_in_memory import Stage
 
 IMAGE, FOREIGN = "forge:3000/ros@sha256:" + "3" * 64, "elsewhere:5000/miner@sha256:" + "4" * 64
@@ -85,9 +88,35 @@ def test_a_task_that_leads_to_a_foreign_image_is_refused_and_nothing_is_proposed
         f"release {RECORDER}: a pod would run image {FOREIGN}, which was not verified with chart "
     )
     assert f"(images: {IMAGE})" in message
+    shown("selection", message, "image-by-publisher")
     assert stage.tasks.told == [(key, "ImageNotVerified", message)]
     assert len(stage.forge.pulls) == 1
     assert stage.releases() == before
+
+
+class Charts:
+    """An OCI registry with one chart, and a program that renders a pod with an image as a volume of it."""
+
+    def pull_chart(self, repository: str, digest: str) -> PulledChart:
+        return PulledChart({}, {"Chart.yaml": b""}, b"", b"")
+
+    def render(
+        self, files: Mapping[str, bytes], values: Mapping[str, Any], release: str, namespace: str
+    ) -> list[dict[str, Any]]:
+        image = FOREIGN if release.startswith("recorder") else IMAGE
+        volume = {"name": "model", "image": {"reference": image}}
+        return [{"kind": "Pod", "spec": {"containers": [{"image": IMAGE}], "volumes": [volume]}}]
+
+
+def test_an_image_that_is_a_volume_is_refused_as_well(tmp_path: Path) -> None:
+    charts: Any = Charts()
+    stage = Stage(tmp_path, image=IMAGE, images=ReleaseImages(charts, "verified", charts))
+    stage.settle()
+    key = stage.ask()
+    stage.go()
+    status, reason, message = accepted(stage, key)
+    assert (status, reason) == ("False", "ImageNotVerified")
+    shown("selection", message, "image-volume")
 
 
 def test_others_go_on_in_the_same_step(stage: Stage, images: Images) -> None:

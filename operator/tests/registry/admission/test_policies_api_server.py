@@ -323,7 +323,7 @@ def test_no_pod_gets_a_way_to_its_machine(api: Api, namespace: str, way: str) ->
     """The policies themselves are files of a machine."""
     words = api.refusal("POST", path("Pod", namespace), {**pod(), "spec": pod_spec(**WAYS[way])}, REPLICA_SETS)
     assert words.startswith(f"pods in namespace {namespace} ask for a way to their machine")
-    shown("admission", words, "way-to-the-machine")
+    shown("admission", words, "way-to-the-machine", "application-to-the-machine")
 
 
 @pytest.mark.parametrize(

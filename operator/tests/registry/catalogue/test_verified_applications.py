@@ -12,6 +12,7 @@ from robotkube.registry.catalogue.core.catalogue import Catalogue, ReleasePolicy
 from robotkube.registry.catalogue.core.entry_documents import entry_documents
 from robotkube.registry.catalogue.loops.verified_catalogue import EvidenceReader
 from robotkube.registry.evidence.adapters.dsse import KeyFile, TrustedKeys
+from tests.stages.attacks import shown
 from tests.stages.registry.signed_evidence import (
     POLICY_TEXT,
     application_evidence,
@@ -69,6 +70,7 @@ def test_one_edited_after_signing_is_forbidden_also_in_transition(
 ) -> None:
     text = forbidden(trusted, files(key, EDITED, applications))
     assert text.startswith(f"no valid evidence: {PATH} is not what was verified (sha256:")
+    shown("selection", text, "application-edited")
     assert forbidden(trusted, files(key, EDITED, "none")) == ""
     read = EvidenceReader(trusted).read(files(key, EDITED, applications))
     with pytest.raises(RefusalError, match="application relaying: no valid evidence") as caught:
