@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from ci.attacks import ATTACKS, Attack, Cell, Refused, Unseen
+from ci.attack_cells import Attack, Cell, Refused, Unseen
+from ci.attacks import ATTACKS
 from ci.folders import PROJECT
 
 PAGE = PROJECT / "docs" / "explanation" / "trust.md"

@@ -8,63 +8,9 @@ in docs/explanation/trust.md of it (`ci.attack_reference`).
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 
-PLACES = ("selection", "gate", "admission", "nodes", "elsewhere")
-ANY = "…"
-
-
-@dataclass(frozen=True)
-class Refused:
-    """The words of a refusal, and the test that shows them: `<file below operator/tests>::<function>`. `by` says who
-    refuses, where the place does not."""
-
-    words: str
-    test: str
-    by: str = ""
-
-    @property
-    def pattern(self) -> re.Pattern[str]:
-        """What a real refusal matches somewhere."""
-        return re.compile(".*".join(map(re.escape, self.words.split(ANY))), re.DOTALL)
-
-
-@dataclass(frozen=True)
-class Unseen:
-    """Why an attack cannot be seen at a place."""
-
-    why: str
-
-
-@dataclass(frozen=True)
-class NotYet:
-    """A refusal that is being built."""
-
-
-Cell = Refused | Unseen | NotYet
-
-
-@dataclass(frozen=True)
-class Attack:
-    """One attack: `key` for tests, a sentence for people, and its cells by place; `elsewhere` only where it is refused
-    outside of the four places."""
-
-    key: str
-    sentence: str
-    selection: Cell
-    gate: Cell
-    admission: Cell
-    nodes: Cell
-    elsewhere: Refused | None = None
-
-    def cell(self, place: str) -> Cell | None:
-        """The cell of one of PLACES."""
-        if place not in PLACES:
-            raise KeyError(f"{place!r} is none of {', '.join(PLACES)}")
-        found: Cell | None = getattr(self, place)
-        return found
+from ci.attack_cells import PLACES, Attack, NotYet, Refused, Unseen
 
 
 def attack(key: str) -> Attack:

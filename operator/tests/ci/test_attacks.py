@@ -10,8 +10,9 @@ from typing import Any
 
 import pytest
 
-from ci import attack_reference, attacks
-from ci.attacks import ATTACKS, NotYet, Refused, Unseen, refusals
+from ci import attack_cells, attack_reference, attacks
+from ci.attack_cells import NotYet, Refused, Unseen
+from ci.attacks import ATTACKS, refusals
 from tests.stages import attacks as stage
 from tests.stages.paths import REPOSITORY
 
@@ -60,7 +61,7 @@ def test_what_was_asked_for_is_there_and_each_attack_once() -> None:
 
 def test_every_cell_says_something() -> None:
     for one in ATTACKS:
-        for place in attacks.PLACES:
+        for place in attack_cells.PLACES:
             cell = one.cell(place)
             assert place == "elsewhere" or cell is not None
             assert not isinstance(cell, Unseen) or cell.why
@@ -93,7 +94,7 @@ def test_words_with_gaps_are_found_in_a_refusal_and_others_are_not() -> None:
 def named(monkeypatch: pytest.MonkeyPatch) -> str:
     """One attack whose one refusal names the test `tests/a/test_b.py::test_c`."""
     cell = Refused("it … refused", "a/test_b.py::test_c")
-    one = attacks.Attack("only", "One", Unseen("x"), cell, Unseen("x"), NotYet())
+    one = attack_cells.Attack("only", "One", Unseen("x"), cell, Unseen("x"), NotYet())
     monkeypatch.setattr(attacks, "ATTACKS", (one,))
     monkeypatch.setattr(stage, "_shown", set())
     return "operator/tests/a/test_b.py::test_c"

@@ -11,7 +11,8 @@ from collections.abc import Generator
 
 import pytest
 
-from ci.attacks import Refused, attack, refusals
+from ci.attack_cells import Refused
+from ci.attacks import attack, refusals
 
 CURRENT = "PYTEST_CURRENT_TEST"
 _shown: set[tuple[str, str]] = set()
