@@ -211,10 +211,12 @@ class ScriptedRunner:
 @dataclass
 class ScriptedTrials:
     """Trials of applications: every one passes, but for those in `problems` (application -> sentences) as long as the
-    catalogue has the file in `only_with` for it. `asked` holds the names and charts of all calls that tried any."""
+    catalogue has the file in `only_with` for it; those of `unfinished` met their bounds. `asked` holds the names and
+    charts of all calls that tried any."""
 
     problems: dict[str, tuple[str, ...]] = field(default_factory=dict)
     only_with: dict[str, str] = field(default_factory=dict)
+    unfinished: set[str] = field(default_factory=set)
     asked: list[tuple[frozenset[str], frozenset[ChartReference]]] = field(default_factory=list)
     fail: Exception | None = None
 
@@ -224,10 +226,14 @@ class ScriptedTrials:
         """The scripted results."""
         if self.fail is not None:
             raise self.fail
-        if POLICY_PATH not in files:
+        if POLICY_PATH not in files or not names:
             return {}
         self.asked.append((frozenset(names), frozenset(submitted)))
-        return {name: TrialResult(self._problems(name, files), (), 1, 1) for name in names}
+        problems = {name: self._problems(name, files) for name in names}
+        return {name: TrialResult(problems[name], (), 1, 1, self._finished(name, problems[name])) for name in names}
+
+    def _finished(self, name: str, problems: tuple[str, ...]) -> bool:
+        return not problems or name not in self.unfinished
 
     def _problems(self, name: str, files: Mapping[str, str]) -> tuple[str, ...]:
         there = self.only_with.get(name)

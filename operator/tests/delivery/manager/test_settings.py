@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import yaml
 
-from robotkube.delivery.manager.__main__ import FORMER_KEYS, read_configuration
+from robotkube.delivery.manager.__main__ import FORMER_KEYS, read_configuration, renderer_of
 from robotkube.errors import DocumentError
 from robotkube.foundation.runtime.settings_file import read_settings, warn_of_former_keys
 from tests.stages.delivery.manager_process import Outside, write_settings
@@ -41,3 +41,15 @@ def test_a_key_under_both_names_is_refused(tmp_path: Path) -> None:
     path = settings(tmp_path, registry={"charts": OUTSIDE.charts_url})
     with pytest.raises(DocumentError, match="registry: is the former name of oci_registry, which is there as well"):
         read_settings(path, read_configuration, FORMER_KEYS)
+
+
+def test_without_the_program_that_renders_images_are_left_to_the_gate(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    missing = str(tmp_path / "chart-renderer")
+    assert renderer_of({"ROBOTKUBE_RENDERER": missing}) is None
+    assert f"images are looked up by the gate alone, there is no program {missing}" in caplog.text
+    Path(missing).touch()
+    renderer = renderer_of({"ROBOTKUBE_RENDERER": missing})
+    assert renderer is not None
+    renderer.close()

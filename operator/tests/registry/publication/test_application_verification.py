@@ -112,6 +112,18 @@ def test_what_did_not_pass_before_does_not_hold_up_a_chart_and_is_not_signed(wor
     assert STATEMENT not in world.main()
 
 
+def test_a_trial_that_was_not_finished_says_nothing_of_what_is_published(world: PublicationStage) -> None:
+    published(world)
+    signed = world.main()[STATEMENT]
+    world.trials.problems["relaying"] = ("spec: to try it needs more than 60 s",)
+    world.trials.only_with["relaying"] = "charts/relay/0.2.0.yaml"
+    world.trials.unfinished.add("relaying")
+    number = world.submit(chart(version="0.2.0", replaces="0.1.0"))
+    world.settle(number)
+    assert world.merged(number)
+    assert world.main()[STATEMENT] == signed
+
+
 def test_what_was_edited_past_the_gate_is_not_signed_by_a_later_publication(world: PublicationStage) -> None:
     published(world)
     signed = world.main()[STATEMENT]

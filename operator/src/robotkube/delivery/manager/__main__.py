@@ -214,7 +214,7 @@ def _images(configuration: ManagerConfiguration, renderer: ChartProgram) -> Rele
     return ReleaseImages(registry, configuration.manager.charts_url.rpartition("/")[2], renderer)
 
 
-def _renderer(environment: Mapping[str, str]) -> ChartRenderer | None:
+def renderer_of(environment: Mapping[str, str]) -> ChartRenderer | None:
     """The program that renders charts; None, with a warning, where it is not installed."""
     program = environment.get(PROGRAM_VARIABLE, PROGRAM)
     if Path(program).is_file():
@@ -248,7 +248,7 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     schemas = BoundedSchemas()
     election = _election(configuration, api, waker, environment)
     holds = DeviceHolds(time.time_ns, lambda: waker(NODES))
-    renderer = _renderer(environment)
+    renderer = renderer_of(environment)
     manager = build_manager(configuration, cluster, work, schemas, election, holds, renderer)
     gateway = _task_gateway(configuration, api, cluster, election, holds)
     names = [agent.name for agent in configuration.manager.agents]

@@ -35,7 +35,7 @@ from robotkube.registry.charts.ports import RenderedObjects
 from robotkube.registry.evidence.core.application_statements import TrialResult
 from robotkube.registry.evidence.core.verification_policy import VerificationPolicy
 
-SECONDS_MAX = 60.0  # of one application
+SECONDS_MAX = 60.0  # of all applications of one call
 RELEASES_MAX = 500  # different ones of one application
 OLDER_VERSIONS = 3  # of a chart, that are tried besides the one that is selected
 OLDER_SAMPLES = 3
@@ -73,12 +73,13 @@ class CompositionTrials:
         policy, _ = read_policy(files)
         if policy is None:
             return {}
+        until = self._monotonic() + SECONDS_MAX
         catalogue = _as_published(self._reader.read(files), submitted)
         schemas = _Schemas(files)
         results = {}
         for name in sorted(set(names) & set(catalogue.applications)):
             trial = _Trial(name, catalogue, policy, schemas, self._render, self._validate)
-            results[name] = trial.result(self._objects, self._monotonic)
+            results[name] = trial.result(self._objects, lambda: self._monotonic() > until)
         return results
 
 
@@ -150,19 +151,24 @@ class _Trial:
         self._validate = validate
         self._problems: dict[tuple[str, ...], str] = {}
 
-    def result(self, objects: RenderedObjects, monotonic: Callable[[], float]) -> TrialResult:
-        """What the trial finds; UnavailableError when `objects` cannot be had now."""
+    def result(self, objects: RenderedObjects, late: Callable[[], bool]) -> TrialResult:
+        """What the trial finds, as far as it comes until it is `late`; UnavailableError when `objects` cannot be had
+        now."""
         samples = sampled_parameters(self._subject, self._validate)
         if not samples:
             text = "no set of values was found that the schema accepts; add `examples: [...]` to the parameters"
             return TrialResult((f"spec.parameters: {text}",))
-        by_way = {way: [self._composed(way, one) for one in samples] for way in ways(self._subject)}
+        by_way = {way: [self._composed(way, one) for one in samples if not late()] for way in ways(self._subject)}
+        if late():
+            return _unfinished()
         way = min(by_way, key=lambda one: (len(_wrong(by_way[one])), -len(_met(by_way[one]))))
         self._report_refusals(by_way[way])
         tried = [one for compositions in by_way.values() for one in compositions]
         tried += self._with_older_versions(way, samples[:OLDER_SAMPLES], tried)
-        releases = self._render_all(tried, objects, monotonic)
-        charts = {ChartReference(release.chart, release.version, release.digest) for release in releases}
+        releases = _releases(tried)
+        if not self._render_all(releases, objects, late):
+            return _unfinished()
+        charts = {ChartReference(release.chart, release.version, release.digest) for release, _ in releases}
         problems = tuple(self._problems.values())
         return TrialResult(problems[:PROBLEMS_MAX], tuple(sorted(charts)), len(samples), len(releases))
 
@@ -216,24 +222,17 @@ class _Trial:
     # -- rendering ------------------------------------------------------------------------------------------------
 
     def _render_all(
-        self, tried: Sequence[_Tried], objects: RenderedObjects, monotonic: Callable[[], float]
-    ) -> Sequence[Release]:
-        """Render and check every release once; the releases."""
-        found = _releases(tried)
-        until = monotonic() + SECONDS_MAX
-        for number, (release, parameters) in enumerate(found):
-            if number >= RELEASES_MAX or monotonic() > until:
-                bounds = f"{RELEASES_MAX} releases and {SECONDS_MAX:.0f} s"
-                fix = "have fewer parameters with fewer values, or charts that render faster"
-                self._report(
-                    ("bounds",), "spec", f"its samples need more than {bounds} to be rendered; {fix}", parameters
-                )
-                break
+        self, releases: Sequence[tuple[Release, Parameters]], objects: RenderedObjects, late: Callable[[], bool]
+    ) -> bool:
+        """Render and check every release; False when they are too many, or it gets late."""
+        for number, (release, parameters) in enumerate(releases):
+            if number >= RELEASES_MAX or late():
+                return False
             for rule, problem in self._rendered(release, objects):
                 key = self._place(release)
                 text = f"{problem}; release {release.key} of chart {release.chart} {release.version}"
                 self._report((rule, key, release.chart, release.version), key, text, parameters)
-        return [release for release, _ in found]
+        return True
 
     def _rendered(self, release: Release, objects: RenderedObjects) -> Sequence[tuple[str, str]]:
         version = self._catalogue.version(release.chart, release.version)
@@ -258,6 +257,13 @@ class _Trial:
         """Report a problem; the same one of other samples only once."""
         shown = f"{dict(parameters)!r:.{PARAMETERS_SHOWN_MAX}}"  # first: what shows reports may cut long ones
         self._problems.setdefault(about, f"{key}: with parameters {shown}: {text}")
+
+
+def _unfinished() -> TrialResult:
+    """The result of a trial that met its bounds."""
+    bounds = f"{RELEASES_MAX} different releases, or {SECONDS_MAX:.0f} s with the others"
+    fix = "have fewer parameters with fewer values, or charts that render faster, or submit fewer at once"
+    return TrialResult((f"spec: to try it needs more than {bounds}; {fix}",), finished=False)
 
 
 def _wrong(tried: Sequence[_Tried]) -> Sequence[_Tried]:

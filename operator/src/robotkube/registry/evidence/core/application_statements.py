@@ -41,12 +41,13 @@ _KIND_ANNOTATION = "kind"
 class TrialResult:
     """What a trial of an application gave: `problems` are sentences for its author, `charts` the versions whose
     releases were rendered, `samples` how many sets of parameters were tried, `releases` how many different releases
-    they gave."""
+    they gave. One that is not `finished` met its bounds, which is a problem as well."""
 
     problems: tuple[str, ...] = ()
     charts: tuple[ChartReference, ...] = ()
     samples: int = 0
     releases: int = 0
+    finished: bool = True
 
     @property
     def passed(self) -> bool:

@@ -84,7 +84,10 @@ class ApplicationVerification:
             others |= {name for name in names - brought if statement_path(name) not in after}
         if not (brought or others):
             return TriedApplications()
-        results = self._trials(after, {*brought, *sorted(others)[:OTHERS_MAX]}, submitted)
+        results = {
+            **self._trials(after, brought, submitted),
+            **self._trials(after, sorted(others)[:OTHERS_MAX], submitted),
+        }
         problems = [
             f"applications/{name}.yaml: {problem}"
             for name in sorted(brought & set(results))
@@ -113,7 +116,7 @@ class ApplicationVerification:
     def _broken(
         self, failing: Collection[str], main: Mapping[str, str], results: Mapping[str, TrialResult]
     ) -> Sequence[str]:
-        """Problems of applications on main that passed before."""
+        """Problems of applications on main that passed before; of trials that were not finished nothing is known."""
         for name in sorted(failing):
             log.warning("application does not pass name=%s reason=%r", name, results[name].problems[0])
         before = self._trials(main, failing, ()) if failing else {}
@@ -122,6 +125,7 @@ class ApplicationVerification:
             for name in sorted(failing)
             if name in before and before[name].passed
             for problem in results[name].problems
+            if results[name].finished
         ]
 
     def statements(self, tried: TriedApplications) -> dict[str, str]:
