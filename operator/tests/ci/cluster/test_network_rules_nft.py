@@ -19,7 +19,7 @@ from ci.errors import SetUpError
 from robotkube.foundation.kubernetes.core.network_policies import NetworkPeer, NetworkPolicy, may_connect, read_policy
 from tests.stages.network import random_policies
 from tests.stages.network.nft_meaning import PlacedPod
-from tests.stages.network.real_nodes import HOST, HOST_ADDRESS, NOISE, RealNodes, key
+from tests.stages.network.real_nodes import HOST, HOST_ADDRESS, STRANGE, RealNodes, key
 from tests.stages.waiting import until
 
 pytestmark = pytest.mark.processes
@@ -240,10 +240,10 @@ def test_a_pod_that_nobody_knows_is_cut_off(nodes: RealNodes) -> None:
 
 def silent(nodes: RealNodes, source: PlacedPod, address: str) -> bool:
     """Whether what a pod sends to an address is dropped where it leaves the pod."""
-    before = nodes.drops().get(NOISE, 0)
+    before = nodes.drops().get(STRANGE, 0)
     with nodes.open(key(source), lambda: socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as sender:
         sender.sendto(b"first", (address, 8080))
-        until(lambda: nodes.drops()[NOISE] > before, "it is dropped")
+        until(lambda: nodes.drops()[STRANGE] > before, "it is dropped")
     return True
 
 
@@ -252,12 +252,12 @@ def test_nobody_sends_under_the_address_of_another(nodes: RealNodes) -> None:
     own = f"{BANK.peer.address}/32"
     nodes.inside(key(STORE), "ip", "addr", "add", own, "dev", "eth0")
     try:
-        before = nodes.drops()[NOISE]
+        before = nodes.drops()[STRANGE]
         with nodes.served(key(WEB), "UDP", 8080) as server:
             with nodes.open(key(STORE), lambda: socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as sender:
                 sender.bind((BANK.peer.address, 5000))
                 sender.sendto(b"first", (WEB.peer.address, 8080))
-                until(lambda: nodes.drops()[NOISE] > before, "it is dropped")
+                until(lambda: nodes.drops()[STRANGE] > before, "it is dropped")
             with pytest.raises(BlockingIOError):
                 server.recv(100)
     finally:
