@@ -1,19 +1,15 @@
 """Nodes and pods as the embedded cluster has them, of network namespaces alone: a machine with a bridge, nodes on it by
 cables, on each node a bridge with its pods. Nothing of it has a name outside, and all of it ends with its processes.
-
-Sockets are opened in a namespace by a thread that enters it; they stay there.
 """
 
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import os
 import re
 import socket
 import subprocess
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
@@ -23,6 +19,7 @@ from ci.cluster.network import run, run_inside
 from ci.cluster.network_rules import AttachedPod, Rulebook
 from ci.cluster.processes import Process, start_ticks
 from robotkube.foundation.kubernetes.core.network_policies import NetworkPolicy
+from tests.stages.network.namespaces import inside
 from tests.stages.network.nft_meaning import PlacedPod
 from tests.stages.waiting import until
 
@@ -30,7 +27,6 @@ HOST = "host"
 HOST_ADDRESS, NODES_PREFIX = "10.89.0.1", "10.89.0"
 ANSWER_SECONDS_MAX = 10.0
 LOOK_SECONDS = 0.01
-CLONE_NEWNET = 0x40000000
 PREPARED = """
 for name in all default; do
   ! [ -e /proc/sys/net/ipv6/conf/$name/disable_ipv6 ] || echo 1 > /proc/sys/net/ipv6/conf/$name/disable_ipv6
@@ -43,7 +39,6 @@ ip link set lo up
 DROPPED = re.compile(r'counter packets (\d+) bytes \d+ drop comment "([^"]*)"')
 STRANGE = "not under its own address"  # or not IPv4; of a pod that nobody knows also its answers to ARP
 T = TypeVar("T")
-_libc = ctypes.CDLL(None, use_errno=True)
 
 
 @dataclass
@@ -145,14 +140,7 @@ class RealNodes:
     def open(self, place: str, made: Callable[[], T]) -> T:
         """What `made` returns, called in a namespace: a socket that it makes stays there."""
 
-        def entered() -> T:
-            with Path(f"/proc/{self.pid(place)}/ns/net").open("rb") as namespace:
-                if _libc.setns(namespace.fileno(), CLONE_NEWNET):
-                    raise OSError(ctypes.get_errno(), f"the namespace of {place} cannot be entered")
-            return made()
-
-        with ThreadPoolExecutor(1) as thread:  # which ends there
-            return thread.submit(entered).result()
+        return inside(Path(f"/proc/{self.pid(place)}/ns/net"), made)
 
     @contextlib.contextmanager
     def served(self, place: str, protocol: str, port: int) -> Iterator[socket.socket]:
