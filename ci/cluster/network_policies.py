@@ -35,7 +35,7 @@ WEIGHT = 200  # among the daemons: a new pod waits for it
 NODE = ".node"  # what the processes that hold a node's namespaces are named by
 REPORT_SECONDS = 10.0  # how often the process says that it is there
 SILENT_SECONDS_MAX = 60.0
-BRIDGED = "/proc/sys/net/bridge/bridge-nf-call-iptables"
+BRIDGED = str(network.SETTINGS / network.BRIDGED.replace(".", "/"))
 # What the rules mean: a cluster that enforces others is another one.
 DEFINING = (
     *(Path(__file__).with_name(f"{name}.py") for name in ("following_network_policies", "network_rules", "pod_links")),
@@ -65,6 +65,16 @@ def choice() -> str:
     if word not in CHOICES:
         raise InputError(f"{VARIABLE}: {word!r} must be one of {', '.join(CHOICES)}")
     return word
+
+
+def lacking(settings: Path = network.SETTINGS) -> str | None:
+    """What this machine lacks to enforce policies, in a sentence; None when they are not to be enforced."""
+    if choice() == OFF or network.filters_bridges(settings):
+        return None
+    return (
+        f"The kernel has no {network.BRIDGE_MODULE}, so network policies would not hold between pods of one node: "
+        f"install the module, or set {VARIABLE}={OFF}."
+    )
 
 
 def rules(enforced: str) -> list[str]:

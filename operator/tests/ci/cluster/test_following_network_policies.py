@@ -6,6 +6,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -21,7 +22,7 @@ from ci.cluster.following_network_policies import (
     policy,
     woken,
 )
-from ci.cluster.network_policies import OFF, ON, REPORT_SECONDS, VARIABLE, Report, choice, rules
+from ci.cluster.network_policies import OFF, ON, REPORT_SECONDS, VARIABLE, Report, choice, lacking, rules
 from ci.cluster.pod_links import PodLink
 from ci.errors import InputError, SetUpError
 
@@ -292,6 +293,23 @@ def test_policies_are_enforced_when_somebody_says_so(monkeypatch: pytest.MonkeyP
     monkeypatch.setenv(VARIABLE, "yes")
     with pytest.raises(InputError, match=f"{VARIABLE}: 'yes' must be one of on, off"):
         choice()
+
+
+def test_a_machine_that_cannot_enforce_them_is_told_before_anything_is_built(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))  # where no modprobe is
+    monkeypatch.setenv(VARIABLE, ON)
+    sentence = lacking(tmp_path)
+    assert sentence is not None
+    assert "no br_netfilter, so network policies would not hold between pods of one node" in sentence
+    assert sentence.endswith(f"or set {VARIABLE}=off.")
+    monkeypatch.setenv(VARIABLE, OFF)
+    assert lacking(tmp_path) is None
+    (tmp_path / "net" / "bridge").mkdir(parents=True)
+    (tmp_path / "net" / "bridge" / "bridge-nf-call-iptables").touch()
+    monkeypatch.setenv(VARIABLE, ON)
+    assert lacking(tmp_path) is None
 
 
 def test_a_cluster_that_enforces_is_another_one_and_so_is_one_of_other_rules() -> None:
