@@ -15,18 +15,18 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from kubernetes.client import ApiClient
+
 from ci.cluster import network_policies
-from ci.cluster.addresses import plan_of
-from ci.cluster.api import Api
 from ci.cluster.network_policies import REPORT_SECONDS, Report
 from ci.cluster.network_rules import AttachedPod, Rulebook
-from ci.cluster.objects import Reader
 from ci.cluster.pod_links import RESULTS, NodeLinks, PodLink
 from ci.cluster.processes import Process
 from ci.cluster.records import ClusterFolders
 from ci.errors import SetUpError
-from robotkube.errors import InputError, RobotKubeError
-from robotkube.foundation.kubernetes.adapters.client import ResourceWatch, api_client
+from robotkube.errors import InputError, RobotKubeError, UnavailableError
+from robotkube.foundation.documents.core.json_codec import read_json_shortened
+from robotkube.foundation.kubernetes.adapters.client import ResourceWatch, api_client, call
 from robotkube.foundation.kubernetes.core.network_policies import NetworkPeer, NetworkPolicy, read_policy
 from robotkube.foundation.kubernetes.core.objects import object_key
 
@@ -181,16 +181,15 @@ class ClusterNodes:
 class ClusterObjects:
     """Policies, namespaces and pods of an API server; `changed` is set when one of them is another than before."""
 
-    def __init__(self, api: Reader, watches: Any, changed: threading.Event) -> None:
+    def __init__(self, api: ApiClient, changed: threading.Event) -> None:
+        def watch(path: str, reduce: Callable[[Object], Any]) -> ResourceWatch:
+            return ResourceWatch(api, path, "", reduce, lambda *_: changed.set())
+
         self._api = api
         self._complaints: set[str] = set()
-        self._pods = ResourceWatch(watches, PODS, "", known_pod, lambda *_: changed.set())
-        self._others = (
-            ResourceWatch(watches, POLICIES, "", lambda found: found.get("spec"), lambda *_: changed.set()),
-            ResourceWatch(
-                watches, NAMESPACES, "", lambda found: found["metadata"].get("labels"), lambda *_: changed.set()
-            ),
-        )
+        self._pods = watch(PODS, known_pod)
+        labels = watch(NAMESPACES, lambda found: found["metadata"].get("labels") or {})
+        self._others = (watch(POLICIES, lambda found: found["spec"]), labels)
 
     def start(self) -> None:
         """Begin to watch."""
@@ -203,9 +202,9 @@ class ClusterObjects:
             watch.stop()
 
     def observe(self) -> Observed:
-        """What is there now; SetUpError when it cannot be said."""
+        """What is there now; UnavailableError or InputError when it cannot be said."""
         if not self._pods.synced.is_set():
-            raise SetUpError(self._pods.complaint)
+            raise UnavailableError(self._pods.complaint)
         pods = dict(self._pods.values().values())  # before policies and namespaces
         namespaces = {one["metadata"]["name"]: one["metadata"].get("labels") or {} for one in self._items(NAMESPACES)}
         complaints: set[str] = set()
@@ -216,7 +215,7 @@ class ClusterObjects:
         return Observed(policies, namespaces, pods)
 
     def _items(self, path: str) -> Sequence[Object]:
-        return list(self._api.get(path)["items"])
+        return list(read_json_shortened(call(self._api, "GET", path).data)["items"])
 
 
 def follow(
@@ -257,9 +256,7 @@ def main() -> None:
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
     changed = threading.Event()
     nodes = ClusterNodes(folders)
-    # A connection for each reading: the API server closes one that was idle for long.
-    api = Api(str(plan_of(folders.name).gateway), folders.pki)
-    objects = ClusterObjects(api, api_client(str(folders.kubeconfig)), changed)
+    objects = ClusterObjects(api_client(str(folders.kubeconfig)), changed)
     objects.start()
     following = Following(nodes.links, objects.observe, nodes.apply)
     follow(following, lambda seconds: woken(changed, seconds), lambda report: report.write(folders), time.time)

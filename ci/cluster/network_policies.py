@@ -31,6 +31,7 @@ VARIABLE = "ROBOTKUBE_NETWORK_POLICIES"
 ON, OFF = "on", "off"
 CHOICES = (ON, OFF)
 PROCESS = "network-policies"
+STARTED_AGAIN = ("/bin/sh", "-c", AGAIN, "again")
 WEIGHT = 200  # among the daemons: a new pod waits for it
 NODE = ".node"  # what the processes that hold a node's namespaces are named by
 REPORT_SECONDS = 10.0  # how often the process says that it is there
@@ -105,11 +106,20 @@ def apply(holder: Process, text: str) -> None:
 
 def start_following(launcher: Launcher) -> Process:
     """The process that follows policies, namespaces and pods; it is started again when it ends."""
-    command = [sys.executable, "-m", "ci.cluster.following_network_policies", "--name", launcher.folders.name]
+    command, environment = following_command(launcher.folders), following_environment()
+    return launcher.start(PROCESS, command, STARTED_AGAIN, environment, WEIGHT)
+
+
+def following_command(folders: ClusterFolders) -> list[str]:
+    """The words that follow them once."""
+    return [sys.executable, "-m", "ci.cluster.following_network_policies", "--name", folders.name]
+
+
+def following_environment() -> dict[str, str]:
+    """Where it finds this project and the user's cache."""
     path = os.pathsep.join(str(PROJECT / part) for part in ("operator/src", "."))
     cache = {name: os.environ[name] for name in ("HOME", "XDG_CACHE_HOME") if name in os.environ}
-    environment = {**cache, "PYTHONPATH": path, "PYTHONUNBUFFERED": "1"}
-    return launcher.start(PROCESS, command, ["/bin/sh", "-c", AGAIN, "again"], environment, WEIGHT)
+    return {**cache, "PYTHONPATH": path, "PYTHONUNBUFFERED": "1"}
 
 
 def holders(folders: ClusterFolders) -> dict[str, Process]:

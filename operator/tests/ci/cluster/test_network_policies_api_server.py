@@ -4,7 +4,10 @@ after the API server or the process that follows was away."""
 from __future__ import annotations
 
 import json
-import threading
+import os
+import signal
+import subprocess
+import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -14,21 +17,19 @@ import httpx
 import pytest
 
 from ci.cluster import network_policies
-from ci.cluster.following_network_policies import (
-    NAMESPACES,
-    POLICIES,
-    ClusterNodes,
-    ClusterObjects,
-    Following,
-    follow,
-    woken,
+from ci.cluster.following_network_policies import NAMESPACES
+from ci.cluster.network_policies import (
+    PROCESS,
+    SILENT_SECONDS_MAX,
+    STARTED_AGAIN,
+    VARIABLE,
+    following_command,
+    following_environment,
+    status,
 )
-from ci.cluster.network_policies import PROCESS, SILENT_SECONDS_MAX, VARIABLE, Report, status
 from ci.cluster.pod_links import RESULTS, PodLink
 from ci.cluster.processes import Process
 from ci.cluster.records import ClusterFolders
-from ci.errors import SetUpError
-from robotkube.foundation.kubernetes.adapters.client import api_client
 from robotkube.foundation.kubernetes.core.network_policies import NetworkPeer
 from tests.stages import programs
 from tests.stages.kubernetes.api_server import ApiServerProcess
@@ -37,7 +38,7 @@ from tests.stages.network.real_nodes import RealNodes, key
 from tests.stages.network.results import write_result
 from tests.stages.waiting import until
 
-pytestmark = [pytest.mark.toolchain, pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning")]
+pytestmark = pytest.mark.toolchain
 
 HTTP = ("TCP", 8080)
 
@@ -57,16 +58,6 @@ class Server:
     process: ApiServerProcess
     client: httpx.Client
     pods: dict[str, str] = field(default_factory=dict)  # name -> uid
-
-    def get(self, path: str) -> dict[str, Any]:
-        """As `ci.cluster.api` does."""
-        try:
-            answer = self.client.get(path)
-        except httpx.HTTPError as error:
-            raise SetUpError(f"the API server does not answer: {error}") from error
-        if not answer.is_success:
-            raise SetUpError(f"GET {path}: {answer.status_code}")
-        return dict(answer.json())
 
     def make(self, path: str, name: str, spec: Any = None) -> dict[str, Any]:
         """A new object."""
@@ -95,44 +86,37 @@ class Server:
 
 @dataclass
 class Enforced:
-    """The process that follows, as a thread, and what it works on."""
+    """The process that follows, and what it works on."""
 
     server: Server
     nodes: RealNodes
     folders: ClusterFolders
-    ending: threading.Event = field(default_factory=threading.Event)
-    thread: threading.Thread | None = None
+    guard: subprocess.Popen[bytes] | None = None
 
     def start(self) -> None:
-        """Follow, as the process does when it starts."""
-        self.ending = threading.Event()
-        self.thread = threading.Thread(target=self._run, args=[self.ending])
-        self.thread.start()
+        """Start the process as the provider does, and what starts it again."""
+        command = [*STARTED_AGAIN, *following_command(self.folders)]
+        environment = {"PATH": os.environ["PATH"], **following_environment()}
+        with self.log.open("a") as said:
+            self.guard = subprocess.Popen(command, env=environment, stdout=said, stderr=said, start_new_session=True)
 
     def stop(self) -> None:
-        """End it, wherever it is."""
-        self.ending.set()
-        if self.thread:
-            self.thread.join(30)
-            assert not self.thread.is_alive()
+        """End both."""
+        if self.guard and self.guard.poll() is None:
+            os.killpg(self.guard.pid, signal.SIGKILL)
+            self.guard.wait(10)
 
-    def _run(self, ending: threading.Event) -> None:
-        changed = threading.Event()
-        nodes = ClusterNodes(self.folders)
-        objects = ClusterObjects(self.server, api_client(str(self.server.process.kubeconfig)), changed)
-        objects.start()
+    def kill(self) -> None:
+        """End the process alone."""
+        assert self.guard
+        children = Path(f"/proc/{self.guard.pid}/task/{self.guard.pid}/children").read_text(encoding="ascii")
+        os.kill(int(children), signal.SIGKILL)
 
-        def wait(seconds: float) -> bool:
-            if ending.is_set():
-                raise EOFError
-            return woken(changed, seconds)
-
-        try:
-            following = Following(nodes.links, objects.observe, nodes.apply)
-            with pytest.raises(EOFError):
-                follow(following, wait, lambda report: report.write(self.folders), lambda: 1000.0)
-        finally:
-            objects.stop()
+    @property
+    def log(self) -> Path:
+        """What it said."""
+        self.folders.log.mkdir(parents=True, exist_ok=True)
+        return self.folders.log / f"{PROCESS}.log"
 
     def attach(self, pod: PlacedPod, uid: str) -> Path:
         """The node gives a pod its address."""
@@ -178,14 +162,14 @@ def enforced(server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
             record(folders, nodes.holder(node))
         for pod in (WEB, STORE, FAR):
             found.attach(pod, server.pods[pod.peer.name])
+        folders.kubeconfig.write_text(server.process.kubeconfig.read_text(encoding="utf-8"), encoding="utf-8")
         found.start()
         until(lambda: all(found.known(pod) for pod in (WEB, STORE, FAR)), "the pods have rules")
         yield found
     finally:
         found.stop()
-        for item in server.get(POLICIES)["items"]:
-            server.delete(f"/apis/networking.k8s.io/v1/namespaces/shop/networkpolicies/{item['metadata']['name']}")
         nodes.close()
+        server.delete("/apis/networking.k8s.io/v1/namespaces/shop/networkpolicies")
 
 
 def record(folders: ClusterFolders, process: Process) -> None:
@@ -239,7 +223,7 @@ def test_rules_stay_while_the_api_server_is_away_and_follow_when_it_is_back(enfo
     enforced.server.process.stop_server()
     enforced.attach(NEW, "uid-of-nobody")
     until(lambda: "new pods are cut off: " in said(enforced), "it says that it cannot follow")
-    assert "does not answer" in said(enforced)
+    assert "API server: GET " in said(enforced)
     assert not enforced.reach(WEB, STORE)
     assert not enforced.reach(WEB, NEW)
     enforced.server.process.start_server()
@@ -261,7 +245,17 @@ def test_rules_stay_while_nobody_follows_and_are_right_when_somebody_does(enforc
     assert not enforced.reach(WEB, FAR)
 
 
-def said(enforced: Enforced, now: float = 1000.0) -> str:
+def test_a_process_that_is_killed_is_started_again(enforced: Enforced) -> None:
+    enforced.server.policy("deny")
+    until(lambda: not enforced.reach(WEB, STORE), "the policy is at work")
+    enforced.kill()
+    assert not enforced.reach(WEB, STORE)
+    enforced.server.policy("open", ingress=[{}])
+    until(lambda: enforced.reach(WEB, STORE), "what is new is at work")
+    assert "ended with 137: started again in 1 s" in enforced.log.read_text(encoding="utf-8")
+
+
+def said(enforced: Enforced, now: float | None = None) -> str:
     """The sentence of a cluster that was started with policies enforced."""
     record(enforced.folders, Process(PROCESS, 1, 0, ("python",), ""))
     return status(enforced.folders, now)
@@ -270,11 +264,10 @@ def said(enforced: Enforced, now: float = 1000.0) -> str:
 def test_the_status_says_what_is_enforced(enforced: Enforced) -> None:
     assert status(enforced.folders) == f"network policies: not enforced (the cluster was started with {VARIABLE}=off)"
     until(lambda: said(enforced) == "network policies: 0 enforced on 2 nodes", "it follows")
-    silent = said(enforced, 1000.0 + SILENT_SECONDS_MAX + 1)
+    silent = said(enforced, time.time() + SILENT_SECONDS_MAX + 1)
     assert (
         "the rules of 2 nodes stay as they are, new pods are cut off: the process network-policies does not" in silent
     )
     enforced.stop()
-    Report(0, 2, 1000.0).write(enforced.folders)
     enforced.nodes.inside("node-2", "nft", "flush", "ruleset")
     assert said(enforced) == "network policies: NOT enforced on node-2: start the cluster anew"
