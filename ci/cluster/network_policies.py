@@ -61,8 +61,8 @@ class Report:
 
 
 def choice() -> str:
-    """Whether policies are enforced: what the environment's ROBOTKUBE_NETWORK_POLICIES says, else off."""
-    word = os.environ.get(VARIABLE, "") or OFF
+    """Whether policies are enforced: what the environment's ROBOTKUBE_NETWORK_POLICIES says, else on."""
+    word = os.environ.get(VARIABLE, "") or ON
     if word not in CHOICES:
         raise InputError(f"{VARIABLE}: {word!r} must be one of {', '.join(CHOICES)}")
     return word

@@ -285,11 +285,11 @@ def test_a_change_right_after_a_wait_is_for_the_next_one() -> None:
     assert woken(changed, 0.0)
 
 
-def test_policies_are_enforced_when_somebody_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_policies_are_enforced_unless_somebody_says_otherwise(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(VARIABLE, raising=False)
-    assert choice() == OFF
-    monkeypatch.setenv(VARIABLE, ON)
     assert choice() == ON
+    monkeypatch.setenv(VARIABLE, OFF)
+    assert choice() == OFF
     monkeypatch.setenv(VARIABLE, "yes")
     with pytest.raises(InputError, match=f"{VARIABLE}: 'yes' must be one of on, off"):
         choice()
