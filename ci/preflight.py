@@ -23,7 +23,8 @@ def problems() -> tuple[str, ...]:
     """All sentences about what is missing or too small; empty when the machine will do. Starts nothing that stays."""
     if os.geteuid() != 0:
         return ("You are not root: the embedded cluster makes network namespaces and cgroups (use sudo).",)
-    checks: tuple[Callable[[], str | None], ...] = (_packages, _namespaces, _control_groups, _memory, _disk, _path, _go)
+    machine: tuple[Callable[[], str | None], ...] = (_packages, _namespaces, _control_groups, _bridges, _memory, _disk)
+    checks = (*machine, _path, _go)
     return tuple(problem for problem in (check() for check in checks) if problem)
 
 
@@ -55,6 +56,12 @@ def _control_groups() -> str | None:
     except OSError as error:
         return f"Control groups cannot be written ({error}): use a virtual machine, not a container."
     return None
+
+
+def _bridges() -> str | None:
+    from ci.cluster import network_policies
+
+    return network_policies.lacking()
 
 
 def _memory() -> str | None:

@@ -17,6 +17,7 @@ from ci.cluster import (
     images,
     joining,
     network,
+    network_policies,
     node_processes,
     objects,
     outages,
@@ -56,11 +57,12 @@ DEFINING = (
 
 class Embedded:
     """One cluster by name; its state is on disk, so any process may make this object. `admission_choice`: see
-    `admission.choice`."""
+    `admission.choice`; whether network policies are enforced: see `network_policies.choice`."""
 
     def __init__(self, name: str, binaries: Path, admission_choice: str = "") -> None:
         self.name = name
         self.admission = admission.choice(admission_choice)
+        self.network_policies = network_policies.choice()
         self.plan: AddressPlan = plan_of(name)
         self.folders = ClusterFolders(name)
         self.binaries = binaries
@@ -90,7 +92,8 @@ class Embedded:
 
     def status(self) -> str:
         """See Provider.status."""
-        return status.table(self.name, self.api(), recorded(self.folders))
+        table = status.table(self.name, self.api(), recorded(self.folders))
+        return f"{table}\n\n{network_policies.status(self.folders)}"
 
     def kubeconfig(self) -> Path:
         """See Provider.kubeconfig."""
@@ -150,7 +153,8 @@ class Embedded:
 
     def _rules(self, topology: Topology) -> list[str]:
         """What is enforced: other rules are another cluster."""
-        return admission.rules(self.folders, topology) if self.admission == admission.FILES else [self.admission]
+        admitted = admission.rules(self.folders, topology) if self.admission == admission.FILES else [self.admission]
+        return [*admitted, *network_policies.rules(self.network_policies)]
 
     def _import_new(self, wanted: Sequence[images.Image], step: Step) -> None:
         record = Record.read(self.folders.record)
@@ -185,6 +189,8 @@ class Embedded:
             control_plane.start_controllers(self.launcher, self.plan)
             if self.admission == admission.FILES:
                 admission.start_following(self.launcher)
+            if self.network_policies == network_policies.ON:
+                network_policies.start_following(self.launcher)
         with steps.step("kubelets, name service, volumes"):
             self._kubelets(placed, holders, runtimes)
             with self.api() as api:
@@ -214,6 +220,8 @@ class Embedded:
         holders = [node_processes.hold(node, self.launcher) for node in placed]
         wait_until(lambda: all(node.held.exists() for node in placed), "namespaces", HOLD_TIMEOUT_SECONDS, holders)
         network.connect(self.plan, [holder.pid for holder in holders])
+        if self.network_policies == network_policies.ON:
+            _in_parallel(network_policies.close, holders)
         return holders
 
     def _control_plane(self, topology: Topology, wanted: Sequence[images.Image]) -> list[Process]:

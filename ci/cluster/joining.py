@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ci.cluster import images, network, node_processes, objects, status
+from ci.cluster import images, network, network_policies, node_processes, objects, status
 from ci.cluster.addresses import plan_of
 from ci.cluster.api import Api
 from ci.cluster.node_processes import Node
@@ -47,6 +47,8 @@ def _connected(node: Node, launcher: Launcher, others: Sequence[Process]) -> Pro
     holder = node_processes.hold(node, launcher)
     wait_until(node.held.exists, "namespaces", HOLD_SECONDS_MAX, [holder])
     network.join(node.plan, node.index, holder.pid, [process.pid for process in others])
+    if network_policies.followed(launcher.folders):
+        network_policies.close(holder)
     return holder
 
 

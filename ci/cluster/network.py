@@ -17,6 +17,7 @@ from ci.cluster.records import Record
 from ci.errors import SetUpError
 
 TIMEOUT_SECONDS = 30
+SETTINGS = Path("/proc/sys")
 API_SERVER_PORT = 6443
 NAME_PORT = 53
 SOCKET_BUFFER_BYTES = 4 * 2**20  # a point cloud is one burst of datagrams
@@ -29,7 +30,8 @@ AT_LEAST = {
     "net.core.rmem_default": SOCKET_BUFFER_BYTES,
     "net.core.wmem_max": SOCKET_BUFFER_BYTES,
 }
-EXACTLY = {"net.bridge.bridge-nf-call-iptables": 0}  # nodes filter in their own namespaces
+BRIDGE_MODULE, BRIDGED = "br_netfilter", "net.bridge.bridge-nf-call-iptables"
+EXACTLY = {BRIDGED: 0}  # nodes filter in their own namespaces
 
 
 def run(command: Sequence[str], text: str | None = None) -> str:
@@ -42,10 +44,18 @@ def run(command: Sequence[str], text: str | None = None) -> str:
     return result.stdout
 
 
+def filters_bridges(settings: Path = SETTINGS) -> bool:
+    """Whether rules can see what passes a bridge, perhaps once the kernel's module is loaded."""
+    if _sysctl(BRIDGED, settings).exists():
+        return True
+    trial = ["modprobe", "--dry-run", "--quiet", BRIDGE_MODULE]
+    return bool(shutil.which(trial[0])) and not subprocess.run(trial, check=False, timeout=TIMEOUT_SECONDS).returncode
+
+
 def set_sysctls(record: Record, record_file: Path) -> None:
     """Raise the bounds of the machine; the former values are recorded first, and once."""
-    if not _sysctl("net.bridge.bridge-nf-call-iptables").exists() and shutil.which("modprobe"):
-        subprocess.run(["modprobe", "--quiet", "br_netfilter"], check=False, timeout=TIMEOUT_SECONDS)
+    if not _sysctl(BRIDGED).exists() and shutil.which("modprobe"):
+        subprocess.run(["modprobe", "--quiet", BRIDGE_MODULE], check=False, timeout=TIMEOUT_SECONDS)
     wanted: dict[str, str] = {}
     for name, value in (AT_LEAST | EXACTLY).items():
         path = _sysctl(name)
@@ -66,8 +76,8 @@ def restore_sysctls(record: Record) -> None:
         _sysctl(name).write_text(value)
 
 
-def _sysctl(name: str) -> Path:
-    return Path("/proc/sys") / name.replace(".", "/")
+def _sysctl(name: str, settings: Path = SETTINGS) -> Path:
+    return settings / name.replace(".", "/")
 
 
 def create_bridge(plan: AddressPlan) -> None:

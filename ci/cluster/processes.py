@@ -107,10 +107,10 @@ class Launcher:
         return {"PATH": f"{self.binaries}:{SEARCH_PATH}", "HOME": "/", MARK: self.folders.name, **COLLECTING, **more}
 
 
-def recorded(folders: ClusterFolders) -> tuple[Process, ...]:
-    """All recorded processes, ended ones too, by name."""
+def recorded(folders: ClusterFolders, names: str = "*") -> tuple[Process, ...]:
+    """All recorded processes of such names, ended ones too, by name."""
     processes = []
-    for path in sorted(folders.processes.glob("*.json")):
+    for path in sorted(folders.processes.glob(f"{names}.json")):
         document = json.loads(path.read_text(encoding="utf-8"))
         processes.append(Process(**{**document, "command": tuple(document["command"])}))
     return tuple(processes)

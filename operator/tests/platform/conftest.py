@@ -20,6 +20,7 @@ ORDER = (
     "cluster/test_embedded_provider",
     "cluster/test_images",
     "cluster/test_database",
+    "cluster/test_network",
     "cluster/test_rights",
     "suites/test_suites",
     "suites/test_refused_submissions",

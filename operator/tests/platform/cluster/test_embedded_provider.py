@@ -19,7 +19,7 @@ import pytest
 import yaml
 
 from ci import toolchain
-from ci.cluster import cgroups, cleaning, images, network, outages, processes, topology
+from ci.cluster import cgroups, cleaning, images, network, network_policies, outages, processes, topology
 from ci.cluster.addresses import plan_of
 from ci.cluster.embedded import Embedded
 from ci.cluster.node_processes import OWN_PLACES, socket_of
@@ -95,6 +95,14 @@ class Kubectl:
         )
         assert code is None or done.returncode == code, done.stderr
         return done.stdout + done.stderr
+
+
+@pytest.fixture(scope="module", autouse=True)
+def enforced() -> Iterator[None]:
+    """Network policies are enforced on the clusters of this module, whatever the default is."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(network_policies.VARIABLE, network_policies.ON)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -206,6 +214,54 @@ def test_the_host_reaches_services_and_pods(cluster: Embedded, probes: Kubectl) 
 )
 def test_pods_reach_nothing_else(probes: Kubectl, address: str, refusal: str) -> None:
     assert refusal in client(probes, address, code=1)
+
+
+def test_network_policies_are_enforced(cluster: Embedded, probes: Kubectl) -> None:
+    """The server's own node reaches it all the same, as its probes do; elsewhere nobody does while none is allowed."""
+    eventually(probes, "http://web.probe/", "web\n")
+    address = cluster.api().get("/api/v1/namespaces/probe/pods/web")["status"]["podIP"]
+    spec = {"podSelector": {"matchLabels": {"app": "web"}}, "policyTypes": ["Ingress"]}
+    metadata = {"name": "web", "namespace": "probe"}
+    kinds = {"apiVersion": "networking.k8s.io/v1", "kind": "NetworkPolicy", "metadata": metadata}
+    probes("apply", "-f", "-", given={**kinds, "spec": spec})
+    until(lambda: "deadline exceeded" in client(probes, "http://web.probe/", code=None), "the policy is at work")
+    url = f"http://{address}:8080/"
+    assert not reads(url)
+    holder = network_policies.holders(ClusterFolders(NAME))["cloud-0"]
+    assert reads(url, "nsenter", f"--net=/proc/{holder.pid}/ns/net")
+    clients = [{"podSelector": {"matchLabels": {"app": "client"}}}]
+    probes("apply", "-f", "-", given={**kinds, "spec": {**spec, "ingress": [{"from": clients}]}})
+    eventually(probes, "http://web.probe/", "web\n")
+    assert not reads(url)
+    probes("-n", "probe", "delete", "networkpolicy", "web")
+    until(lambda: reads(url), "without a policy everybody is let in")
+    until(lambda: cluster.status().endswith("network policies: 0 enforced on 3 nodes"), "the status says so")
+
+
+def reads(url: str, *through: str) -> bool:
+    """Whether the machine, or whoever it asks through, reads a page."""
+    command = [*through, "curl", "--silent", "--fail", "--max-time", "3", url]
+    return subprocess.run(command, capture_output=True, check=False).returncode == 0
+
+
+def test_the_process_that_follows_policies_is_started_again(probes: Kubectl) -> None:
+    """Without it new pods would stay cut off."""
+    [guard] = [one for one in processes.recorded(ClusterFolders(NAME)) if one.name == network_policies.PROCESS]
+    children = Path(f"/proc/{guard.pid}/task/{guard.pid}/children")
+    [follower] = map(int, children.read_text(encoding="ascii").split())
+    os.kill(follower, signal.SIGKILL)
+    reference = json.loads(probes("-n", "probe", "get", "pod", "client", "-o", "json"))["spec"]["containers"][0][
+        "image"
+    ]
+    probes("apply", "-f", "-", given=pod("late", "vehicle-00", reference))
+    probes("-n", "probe", "wait", "--for=condition=Ready", "pod", "late", "--timeout=60s")
+
+    def asks() -> bool:
+        return probes("-n", "probe", "exec", "late", "--", "/probe", "get", "http://web.probe/", code=None) == "web\n"
+
+    until(asks, "a new pod reaches others")
+    probes("-n", "probe", "delete", "pod", "late", "--grace-period=1")
+    assert children.read_text(encoding="ascii").split() != [str(follower)]
 
 
 def test_a_claim_is_a_folder_that_the_pods_group_may_write(cluster: Embedded, probes: Kubectl) -> None:

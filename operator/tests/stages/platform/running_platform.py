@@ -17,6 +17,7 @@ import httpx
 import pytest
 
 from ci.cluster import cleaning
+from ci.cluster.addresses import plan_of
 from ci.cluster.embedded import Embedded
 from ci.errors import SetUpError
 from ci.folders import PROJECT
@@ -34,6 +35,12 @@ VARIANT = "small"
 SCENARIO = PROJECT / "scenarios" / "pose-point-cloud-db-recording"
 STEPS = 6
 NODE_LOST_SECONDS = 10  # instead of 40: a story that loses a node waits for it
+# Tests ask the suite-runner as the gate does, and they are the machine.
+MACHINE = {"from": [{"ipBlock": {"cidr": f"{plan_of(NAME).gateway}/32"}}], "ports": [{"port": 8080}]}
+VALUES = {
+    "managers": [{"name": "manager", "nodeLostSeconds": NODE_LOST_SECONDS}],
+    "networkPolicies": {"extraIngress": {"suite-runner": [MACHINE]}},
+}
 DEPLOYMENT = "robotkube/deployment"
 WAIT_SECONDS_MAX = 60.0
 POLL_SECONDS = 0.5
@@ -132,8 +139,7 @@ def shared(config: pytest.Config) -> Platform:
     those of the small scenario."""
     with spoken(config):
         print(file=sys.stderr)
-        values = {"managers": [{"name": "manager", "nodeLostSeconds": NODE_LOST_SECONDS}]}
-        request = demo.Request(WIDEST, {}, NAME, "platform", values=values)
+        request = demo.Request(WIDEST, {}, NAME, "platform", values=VALUES)
         installer = demo.bring_up(request, Steps(STEPS))
     access = Access(installer.kubeconfig)
     return Platform(installer, Embedded(NAME, installer.binaries), access, definition.load(SCENARIO, [], VARIANT))

@@ -1,0 +1,175 @@
+"""NetworkPolicies in the embedded cluster: rules of nftables in each node's network namespace, which the provider
+makes of the cluster's policies.
+
+    <cluster>/network-policies.json   what the process that follows them did last (for `status`)
+
+Before a node starts a pod it has the rules of nobody: no pod reaches anything. A process of the host,
+`network-policies`, follows policies, namespaces and pods from then on (`ci.cluster.following_network_policies`).
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from ci.cluster import network
+from ci.cluster.network_rules import TABLE, Rulebook
+from ci.cluster.node_processes import AGAIN
+from ci.cluster.processes import Launcher, Process, recorded
+from ci.cluster.records import ClusterFolders, write_atomically
+from ci.errors import InputError, SetUpError
+from ci.folders import PROJECT
+from robotkube.foundation.kubernetes.core import network_policies as semantics
+
+VARIABLE = "ROBOTKUBE_NETWORK_POLICIES"
+ON, OFF = "on", "off"
+CHOICES = (ON, OFF)
+PROCESS = "network-policies"
+STARTED_AGAIN = ("/bin/sh", "-c", AGAIN, "again")
+WEIGHT = 200  # among the daemons: a new pod waits for it
+NODE = ".node"  # what the processes that hold a node's namespaces are named by
+REPORT_SECONDS = 10.0  # how often the process says that it is there
+SILENT_SECONDS_MAX = 60.0
+BRIDGED = str(network.SETTINGS / network.BRIDGED.replace(".", "/"))
+# What the rules mean: a cluster that enforces others is another one.
+DEFINING = (
+    *(Path(__file__).with_name(f"{name}.py") for name in ("following_network_policies", "network_rules", "pod_links")),
+    Path(__file__),
+    Path(semantics.__file__),
+)
+
+
+@dataclass(frozen=True)
+class Report:
+    """What the following process did last: how many policies are at work on how many nodes, as of when (seconds since
+    1970), and what keeps it from following."""
+
+    policies: int
+    nodes: int
+    at: float
+    problem: str = ""
+
+    def write(self, folders: ClusterFolders) -> None:
+        """Replace the cluster's report."""
+        write_atomically(_report_file(folders), json.dumps(asdict(self)))
+
+
+def choice() -> str:
+    """Whether policies are enforced: what the environment's ROBOTKUBE_NETWORK_POLICIES says, else on."""
+    word = os.environ.get(VARIABLE, "") or ON
+    if word not in CHOICES:
+        raise InputError(f"{VARIABLE}: {word!r} must be one of {', '.join(CHOICES)}")
+    return word
+
+
+def lacking(settings: Path = network.SETTINGS) -> str | None:
+    """What this machine lacks to enforce policies, in a sentence; None when they are not to be enforced."""
+    if choice() == OFF or network.filters_bridges(settings):
+        return None
+    return (
+        f"The kernel has no {network.BRIDGE_MODULE}, so network policies would not hold between pods of one node: "
+        f"install the module, or set {VARIABLE}={OFF}."
+    )
+
+
+def rules(enforced: str) -> list[str]:
+    """What is enforced, as text."""
+    return [enforced, *(path.read_text(encoding="utf-8") for path in DEFINING if enforced == ON)]
+
+
+def followed(folders: ClusterFolders) -> bool:
+    """Whether the cluster was started with policies enforced."""
+    return any(process.name == PROCESS for process in recorded(folders))
+
+
+def close(holder: Process) -> None:
+    """Give a node that has no pods yet the rules by which none reaches anything; SetUpError where its machine cannot
+    enforce them."""
+    if _run(holder, "cat", BRIDGED).strip() != "1":
+        raise SetUpError(
+            f"{holder.name}: {BRIDGED} is not 1, so nothing would be enforced between pods of one node: "
+            f"run `modprobe br_netfilter`, or start the cluster with {VARIABLE}={OFF}"
+        )
+    apply(holder, Rulebook([], []).node([]))
+
+
+def apply(holder: Process, text: str) -> None:
+    """Replace a node's rules in one step; SetUpError with what nft says against it."""
+    network.run([*_inside(holder), "nft", "-f", "-"], text)
+
+
+def start_following(launcher: Launcher) -> Process:
+    """The process that follows policies, namespaces and pods; it is started again when it ends."""
+    command, environment = following_command(launcher.folders), following_environment()
+    return launcher.start(PROCESS, command, STARTED_AGAIN, environment, WEIGHT)
+
+
+def following_command(folders: ClusterFolders) -> list[str]:
+    """The words that follow them once."""
+    return [sys.executable, "-m", "ci.cluster.following_network_policies", "--name", folders.name]
+
+
+def following_environment() -> dict[str, str]:
+    """Where it finds this project and the user's cache."""
+    path = os.pathsep.join(str(PROJECT / part) for part in ("operator/src", "."))
+    cache = {name: os.environ[name] for name in ("HOME", "XDG_CACHE_HOME") if name in os.environ}
+    return {**cache, "PYTHONPATH": path, "PYTHONUNBUFFERED": "1"}
+
+
+def holders(folders: ClusterFolders) -> dict[str, Process]:
+    """The processes that hold the nodes' namespaces, by node."""
+    return {process.name.removesuffix(NODE): process for process in recorded(folders, f"*{NODE}") if process.alive()}
+
+
+def status(folders: ClusterFolders, now: float | None = None) -> str:
+    """Whether policies are enforced, in a sentence for people: asked of each node's rules, not of what was wished."""
+    nodes = holders(folders)
+    without = [name for name, holder in sorted(nodes.items()) if not _has_rules(holder)]
+    if not followed(folders):
+        return f"network policies: not enforced (the cluster was started with {VARIABLE}={OFF})"
+    if without:
+        return f"network policies: NOT enforced on {', '.join(without)}: start the cluster anew"
+    report = _read_report(folders)
+    if report is None or (time.time() if now is None else now) - report.at > SILENT_SECONDS_MAX:
+        why = "the process network-policies does not follow"
+    else:
+        why = report.problem
+    if why or report is None:
+        log = folders.log / f"{PROCESS}.log"
+        return (
+            f"network policies: the rules of {len(nodes)} nodes stay as they are, new pods are cut off: {why} ({log})"
+        )
+    return f"network policies: {report.policies} enforced on {report.nodes} nodes"
+
+
+def _has_rules(holder: Process) -> bool:
+    tables = {line.removeprefix("table ") for line in _run(holder, "nft", "list", "tables").splitlines()}
+    return tables >= {f"{family} {TABLE}" for family in ("inet", "bridge")}
+
+
+def _run(holder: Process, *words: str) -> str:
+    """What a program says in the node's network namespace; nothing when it fails."""
+    command = [*_inside(holder), *words]
+    answer = subprocess.run(command, capture_output=True, text=True, timeout=network.TIMEOUT_SECONDS, check=False)
+    return answer.stdout
+
+
+def _inside(holder: Process) -> Sequence[str]:
+    return ("nsenter", f"--net=/proc/{holder.pid}/ns/net")
+
+
+def _report_file(folders: ClusterFolders) -> Path:
+    return folders.base / f"{PROCESS}.json"
+
+
+def _read_report(folders: ClusterFolders) -> Report | None:
+    try:
+        return Report(**json.loads(_report_file(folders).read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError):
+        return None
