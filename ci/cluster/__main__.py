@@ -36,7 +36,7 @@ def arguments() -> argparse.ArgumentParser:
     up.add_argument("--images", type=Path, default=None, help="lock file of the images")
     up.add_argument("--binaries", type=Path, default=None, help="folder of the tool chain's programs")
     up.add_argument(
-        "--admission", choices=admission.CHOICES, default="", help="enforce admission, from files (default: off)"
+        "--admission", choices=admission.CHOICES, default="", help="enforce admission (default: from files)"
     )
     up.add_argument(
         "--dry-run",

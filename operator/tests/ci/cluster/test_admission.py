@@ -57,11 +57,11 @@ def policies(folders: ClusterFolders) -> dict[str, str]:
     return {item["metadata"]["name"]: json.dumps(item) for item in items if not item["kind"].endswith("Binding")}
 
 
-def test_admission_is_off_unless_somebody_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert Embedded("demo", Path()).admission == admission.OFF
-    monkeypatch.setenv(admission.VARIABLE, "files")
+def test_admission_is_enforced_unless_somebody_switches_it_off(monkeypatch: pytest.MonkeyPatch) -> None:
     assert Embedded("demo", Path()).admission == admission.FILES
-    assert Embedded("demo", Path(), "off").admission == admission.OFF
+    monkeypatch.setenv(admission.VARIABLE, "off")
+    assert Embedded("demo", Path()).admission == admission.OFF
+    assert Embedded("demo", Path(), "files").admission == admission.FILES
     monkeypatch.setenv(admission.VARIABLE, "on")
     with pytest.raises(InputError, match="ROBOTKUBE_ADMISSION: 'on' must be one of files, off"):
         Embedded("demo", Path())

@@ -1,60 +1,32 @@
-"""What reaches main past manager and gate, or asks for more than a release may, is refused by Argo CD, and what nobody
-asked for is taken away again. What the gate refuses of the manager's: delivery/gate/test_gate.py.
+"""What reaches main past manager and gate is refused by the API server: Argo CD is not even told of it, the others go
+on, and what nobody asked for is taken away again. What the gate refuses of the manager's: delivery/gate/test_gate.py;
+what Argo CD refuses where there is no admission: test_refusals_without_admission.py.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from robotkube.delivery.deployment.core.releases import Release, Source, write_release, write_source
 from robotkube.errors import InputError
-from robotkube.registry.charts.adapters.chart_folders import pack
 from robotkube.registry.charts.adapters.oci import OciRegistry
+from tests.stages.attacks import words_of
 from tests.stages.platform.running_platform import Platform, Writer, asleep, eventually
+from tests.stages.platform.unchecked_releases import (
+    AGENT,
+    NAMES,
+    REFUSED_SECONDS_MAX,
+    application,
+    bring_to_main,
+    files,
+    push_chart,
+    reached_nothing,
+)
 
-AGENT, PLAN = "vehicle-02", "20261121-100000-abcdef"
-CHARTS = "oci://forge.robotkube.svc.cluster.local:3000/verified"
-REFUSED_SECONDS_MAX = 90.0
-VERSION = "0.2.2"
-CONFIGMAP = """
-apiVersion: v1
-kind: ConfigMap
-metadata: {name: {{ .Release.Name }}}
-data: {reached: the cluster}
-"""
-CLUSTER_ROLE = """
-apiVersion: rbac.authorization.k8s.io/v1
-kind: ClusterRole
-metadata: {name: everything-test}
-rules: [{apiGroups: ["*"], resources: ["*"], verbs: ["*"]}]
-"""
-UNKNOWN_DIGEST = "sha256:" + "d" * 64
-
-
-def push_chart(platform: Platform, folder: Path, name: str, organisation: str) -> str:
-    """A chart with a ConfigMap and a ClusterRole that no gate has seen; returns its digest."""
-    (folder / "templates").mkdir(parents=True)
-    (folder / "Chart.yaml").write_text(f"apiVersion: v2\nname: {name}\nversion: {VERSION}\n")
-    (folder / "values.yaml").write_text("{}\n")
-    (folder / "templates" / "configmap.yaml").write_text(CONFIGMAP)
-    (folder / "templates" / "clusterrole.yaml").write_text(CLUSTER_ROLE)
-    with OciRegistry(platform.forge_url(), "gate", platform.password("gate")) as registry:
-        return registry.push_chart(organisation, pack(folder, {}))
-
-
-def files(name: str, chart: str, digest: str, annotation: str = "") -> dict[str, str | None]:
-    """A release with its source; `annotation` stands where the chart's name should."""
-    release = Release(AGENT, name, chart, VERSION, digest, {}, plan=PLAN)
-    text = write_release(release)
-    if annotation:
-        text = text.replace(f"robotkube.io/chart: {chart}\n", f"robotkube.io/chart: {annotation}\n")
-        assert annotation in text
-    source = Source(AGENT, chart, digest, f"{CHARTS}/{chart}")
-    return {release.path: text, source.path: write_source(source)}
+REFUSAL = words_of("main-moved-past-the-gate", "admission")
+GENERATOR_LOG = ("-n", "argocd", "logs", "deployment/argocd-applicationset-controller", "--tail=4000")
 
 
 @pytest.fixture(scope="module")
@@ -67,61 +39,35 @@ def manager_asleep(platform: Platform) -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def refused(platform: Platform, manager_asleep: None, tmp_path_factory: pytest.TempPathFactory) -> Writer:
-    """Three releases on main that the gate has not seen, by the one account that may push there."""
-    digest = push_chart(platform, tmp_path_factory.mktemp("chart") / "everything", "everything", "verified")
-    staged = push_chart(platform, tmp_path_factory.mktemp("staged") / "staged", "staged", "staging")
-    gate = platform.writer("gate", tmp_path_factory.mktemp("gate"))
-    changes = files("everything", "everything", digest)
-    changes |= files("foreign", "elsewhere", staged, annotation="../staging/staged")
-    changes |= files("unknown", "mqtt-bridge", UNKNOWN_DIGEST)
-    gate.push(changes, "test: releases that no gate has seen\n")
-    return gate
+    """Three releases on main that the gate has not seen."""
+    return bring_to_main(platform, tmp_path_factory.mktemp("releases"))
 
 
-def application(platform: Platform, name: str) -> dict[str, Any]:
-    """The Application of a release of this module, empty when there is none."""
-    return dict(platform.access.applications().get(f"{AGENT}-{name}", {}))
+@pytest.mark.parametrize("name", NAMES)
+def test_argo_cd_is_not_told_of_a_chart_that_nobody_verified(platform: Platform, refused: Writer, name: str) -> None:
+    """Its generator is refused the Application, and says so for each."""
+    begin = f"Application {AGENT}-{name} is of "
+
+    def said() -> list[str]:
+        lines = platform.kubectl(*GENERATOR_LOG).splitlines()
+        return [line[line.index(begin) :] for line in lines if begin in line]
+
+    found = eventually(f"{name} is refused", said, REFUSED_SECONDS_MAX)
+    assert REFUSAL.pattern.search(found[-1])
+    assert application(platform, name) == {}
+    assert reached_nothing(platform)
 
 
-def conditions(found: Mapping[str, Any]) -> str:
-    """All that Argo CD says against an Application."""
-    status = found.get("status", {})
-    texts = [f"{entry['type']}: {entry['message']}" for entry in status.get("conditions", [])]
-    return "\n".join([*texts, status.get("operationState", {}).get("message", "")])
+def test_the_application_set_says_what_is_refused(platform: Platform, refused: Writer) -> None:
+    """What a person sees who asks why a release does not come: the first one by name."""
 
+    def said() -> str:
+        status = platform.get("-n", "argocd", "applicationset", "releases").get("status", {})
+        errors = [one for one in status.get("conditions", []) if one["type"] == "ErrorOccurred"]
+        return "".join(one["message"] for one in errors if one["status"] == "True")
 
-def test_a_cluster_role_is_refused_with_its_whole_release(platform: Platform, refused: Writer) -> None:
-    """Argo CD may not even read one, so it compares nothing; if it might, the AppProject would refuse it."""
-
-    def said() -> bool:
-        text = conditions(application(platform, "everything"))
-        return "ComparisonError" in text and 'cannot get resource "clusterroles"' in text
-
-    eventually("the ClusterRole is refused", said, REFUSED_SECONDS_MAX)
-    state = application(platform, "everything")["status"]
-    assert state["sync"]["status"] == "Unknown"
-    assert "operationState" not in state
-    assert platform.kubectl("get", "clusterrole", "everything-test", "--ignore-not-found") == ""
-    assert platform.kubectl("-n", AGENT, "get", "configmap", "everything", "--ignore-not-found") == ""
-
-
-def test_a_chart_from_elsewhere_is_refused(platform: Platform, refused: Writer) -> None:
-    def said() -> bool:
-        text = conditions(application(platform, "foreign"))
-        return "InvalidSpecError" in text and "is not permitted in project 'robotkube-apps'" in text
-
-    eventually("the source is refused", said, REFUSED_SECONDS_MAX)
-    assert application(platform, "foreign")["status"]["sync"]["status"] == "Unknown"
-    assert platform.kubectl("-n", AGENT, "get", "configmap", "foreign", "--ignore-not-found") == ""
-
-
-def test_a_digest_that_the_registry_does_not_have_changes_nothing(platform: Platform, refused: Writer) -> None:
-    def said() -> bool:
-        text = conditions(application(platform, "unknown"))
-        return "ComparisonError" in text and "not found" in text
-
-    eventually("the digest is not found", said, REFUSED_SECONDS_MAX)
-    assert application(platform, "unknown")["status"]["sync"]["status"] == "Unknown"
+    message = eventually("the ApplicationSet has an error", said, REFUSED_SECONDS_MAX)
+    assert f"Application {AGENT}-everything is of " in message
 
 
 def test_what_the_gate_refuses_is_merged_by_nobody(platform: Platform, refused: Writer, tmp_path: Path) -> None:
@@ -157,16 +103,12 @@ def test_the_other_releases_go_on(platform: Platform, refused: Writer) -> None:
     assert platform.available(AGENT, "mqtt-bridge")
 
 
-def test_what_is_taken_away_is_gone_by_gits_word_alone(platform: Platform, refused: Writer) -> None:
-    """The one that is no valid release: the manager leaves files alone that it cannot read."""
+def test_the_manager_takes_away_what_nobody_asked_for(platform: Platform, refused: Writer) -> None:
+    """By a pull request, as everything it does, but for the one that is no valid release: it leaves files alone that it
+    cannot read. The fixtures wake it again afterwards; it may be woken twice."""
     path = f"releases/{AGENT}/foreign.yaml"
     source = next(path for path in refused.clone.files(refused.clone.fetch(), ("sources",)) if "elsewhere" in path)
     refused.push({path: None, source: None}, "test: take the foreign release away\n")
-    eventually("the Application is gone", lambda: not application(platform, "foreign"), REFUSED_SECONDS_MAX)
-
-
-def test_the_manager_takes_away_what_nobody_asked_for(platform: Platform, refused: Writer) -> None:
-    """By a pull request, as everything it does. The fixtures wake it again afterwards; it may be woken twice."""
     platform.kubectl("-n", "robotkube", "scale", "deployment/manager", "--replicas=1")
 
     def clean() -> bool:
@@ -174,10 +116,7 @@ def test_the_manager_takes_away_what_nobody_asked_for(platform: Platform, refuse
         return not any(name.endswith(("everything.yaml", "unknown.yaml")) for name in left)
 
     eventually("main is as the catalogue and the tasks want it", clean, REFUSED_SECONDS_MAX)
-    gone = ("everything", "unknown")
-    eventually(
-        "the Applications are gone", lambda: not any(application(platform, n) for n in gone), REFUSED_SECONDS_MAX
-    )
     message = refused.clone.log(None, 1)[0].message
     assert message.startswith("deploy(initial)")
-    eventually("all other Applications synced and healthy", platform.settled)
+    eventually("all Applications synced and healthy", platform.settled)
+    assert not any(application(platform, name) for name in NAMES)

@@ -24,11 +24,10 @@ Object = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class Api:
-    """Requests as the administrator, or as the account that it impersonates; `server` is the process."""
+class Requests:
+    """Requests as the administrator, or as the account that it impersonates."""
 
     client: httpx.Client
-    server: ApiServerProcess
 
     def request(self, method: str, path: str, body: Any = None, user: str = ADMINISTRATOR, kind: str = "") -> Object:
         """The answer's document, of a refusal too (a Status)."""
@@ -49,6 +48,13 @@ class Api:
         message = str(answer["message"])
         assert "ValidatingAdmissionPolicy 'robotkube-" in message, message
         return message.partition("denied request: ")[2]
+
+
+@dataclass(frozen=True)
+class Api(Requests):
+    """The same to a server of the tests; `server` is its process."""
+
+    server: ApiServerProcess
 
 
 @contextmanager
