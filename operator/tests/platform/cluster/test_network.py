@@ -47,7 +47,7 @@ def attached(platform: Platform) -> dict[str, Attached]:
     pods = dict(known_pod(one) for one in api.get("/api/v1/pods")["items"])
     found: dict[str, Attached] = {}
     for node, holder in network_policies.holders(folders).items():
-        for path in (folders.node(node) / "cni-state" / RESULTS).iterdir():
+        for path in (folders.node(node) / "cni-state" / RESULTS).glob("*"):  # no folder before a node's first pod
             document = json.loads(path.read_text(encoding="utf-8"))
             link = read_link(document)
             if link.uid in pods:

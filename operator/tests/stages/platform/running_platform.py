@@ -54,17 +54,17 @@ def spoken(config: pytest.Config) -> AbstractContextManager[None]:
 
 
 def eventually(what: str, reached: Callable[[], Any], seconds: float = WAIT_SECONDS_MAX) -> Any:
-    """The first true answer; a poll that fails is repeated. Fails with `what` and the last answer after the bound."""
-    end, answer = time.monotonic() + seconds, None
+    """The first true answer; a poll that fails is repeated. Fails with `what` and the last answer, or the last poll's
+    failure, after the bound."""
+    end, last = time.monotonic() + seconds, None
     while time.monotonic() < end:
         try:
-            answer = reached()
+            if last := reached():
+                return last
         except (SetUpError, RunError) as error:
-            answer = None if time.monotonic() < end else error
-        if answer:
-            return answer
+            last = error
         time.sleep(POLL_SECONDS)
-    raise AssertionError(f"not within {seconds:.0f} s: {what}; last seen: {answer!r}")
+    raise AssertionError(f"not within {seconds:.0f} s: {what}; last seen: {last!r}")
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import json
 import struct
 import subprocess
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -20,6 +20,7 @@ from scenarios.runner import policy, proposing
 from scenarios.runner.acting import task
 from scenarios.runner.deployment import Deployment
 from scenarios.runner.inputs import Commit
+from scenarios.runner.waiting import RunError
 from tests.stages.platform.running_platform import Platform, eventually
 
 DEPLOYED_SECONDS_MAX = 90.0
@@ -277,7 +278,15 @@ def on_stage(platform: Platform) -> Iterator[Stage]:
         yield stage
         for key in stage.submitted:
             stage.withdraw(key)
-        eventually("main asks for what it did before", lambda: set(stage.releases()) == before, SETTLED_SECONDS_MAX)
+        eventually("main asks for what it did before", lambda: _same(stage.releases(), before), SETTLED_SECONDS_MAX)
+
+
+def _same(names: Iterable[str], before: set[str]) -> bool:
+    """True; RunError names what is different."""
+    releases = set(names)
+    if releases != before:
+        raise RunError(f"more: {sorted(releases - before)}; fewer: {sorted(before - releases)}")
+    return True
 
 
 def _end(process: subprocess.Popen[str]) -> None:
