@@ -37,6 +37,7 @@ class ForgeFolder:
         self._ask = ask
         self._clock = clock
         self._place: Path | None = None
+        self._why = ""
         self._asked = float("-inf")
 
     def __call__(self) -> Path:
@@ -46,10 +47,9 @@ class ForgeFolder:
             try:
                 self._place = self._ask()
             except SetUpError as error:
-                if self._place is None:
-                    raise UnavailableError(f"the forge is not installed yet: {error}") from error
+                self._why = str(error).strip()
         if self._place is None:
-            raise UnavailableError("the forge is not installed yet")
+            raise UnavailableError(f"the forge is not installed yet: {self._why}")
         return self._place
 
 

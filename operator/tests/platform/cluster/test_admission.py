@@ -171,4 +171,5 @@ def test_the_host_follows_the_catalogue_and_has_nothing_to_complain(platform: Pl
     log = (ClusterFolders(platform.name).log / f"{admission.PROCESS}.log").read_text()
     lines = [line for line in log.splitlines() if "WARNING" in line]
     assert [line for line in lines if "not installed yet" not in line and "no catalogue yet" not in line] == [], log
+    assert len([line for line in lines if "not installed yet" in line]) <= 2, log  # no claim yet, then no volume
     assert "admission policies written charts=" in log
