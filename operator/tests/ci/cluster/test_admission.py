@@ -196,7 +196,7 @@ def test_the_forges_folder_is_asked_now_and_then_and_the_last_answer_counts() ->
 
     place = ForgeFolder(ask, lambda: now[0])
     for _ in range(2):  # in the same words, or each would be logged
-        with pytest.raises(UnavailableError, match="^the forge is not installed yet: no volume$"):
+        with pytest.raises(UnavailableError, match=r"^the forge is not installed yet: no volume$"):
             place()
     now[0] += FIND_SECONDS
     assert place() == Path("/one")
