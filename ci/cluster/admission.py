@@ -14,20 +14,18 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ci import evidence
+from ci.cluster import host_processes
 from ci.cluster.images import Image
-from ci.cluster.node_processes import AGAIN
 from ci.cluster.objects import SUITE_NAMESPACES
 from ci.cluster.processes import Launcher, Process
 from ci.cluster.records import ClusterFolders, write_atomically
 from ci.cluster.topology import Topology
 from ci.errors import InputError
-from ci.folders import PROJECT
 from robotkube.errors import RobotKubeError
 from robotkube.registry.admission.adapters.listing_file import ListingFile
 from robotkube.registry.admission.adapters.policy_files import PolicyFiles
@@ -42,7 +40,7 @@ VARIABLE = "ROBOTKUBE_ADMISSION"
 FILES, OFF = "files", "off"
 CHOICES = (FILES, OFF)
 PROCESS = "admission"
-STARTED_AGAIN = ("/bin/sh", "-c", AGAIN, "again")
+MODULE = "ci.cluster.following_admission"
 CHARTS = "oci://forge.robotkube.svc.cluster.local:3000/verified"  # where charts/robotkube has them
 PLATFORM_ROLE = "platform"  # of machines that are no agents
 SETTINGS_KEYS = {"agents", "platform"}
@@ -90,19 +88,7 @@ def rules(folders: ClusterFolders, topology: Topology) -> list[str]:
 
 def start_following(launcher: Launcher) -> Process:
     """The process that follows the catalogue, started again when it ends: without it nothing that is published runs."""
-    return launcher.start(PROCESS, following_command(launcher.folders), STARTED_AGAIN, following_environment())
-
-
-def following_command(folders: ClusterFolders) -> list[str]:
-    """The words that follow the catalogue once."""
-    return [sys.executable, "-m", "ci.cluster.following_admission", "--name", folders.name]
-
-
-def following_environment() -> dict[str, str]:
-    """Where it finds this project and the user's cache."""
-    path = os.pathsep.join(str(PROJECT / part) for part in ("operator/src", "."))
-    cache = {name: os.environ[name] for name in ("HOME", "XDG_CACHE_HOME") if name in os.environ}
-    return {**cache, "PYTHONPATH": path, "PYTHONUNBUFFERED": "1"}
+    return host_processes.start(launcher, PROCESS, MODULE)
 
 
 def add(folders: ClusterFolders, agents: Sequence[str] = (), images: Sequence[Image] = ()) -> None:

@@ -12,26 +12,23 @@ from __future__ import annotations
 import json
 import os
 import subprocess
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from ci.cluster import network
+from ci.cluster import host_processes, network
 from ci.cluster.network_rules import TABLE, Rulebook
-from ci.cluster.node_processes import AGAIN
 from ci.cluster.processes import Launcher, Process, recorded
 from ci.cluster.records import ClusterFolders, write_atomically
 from ci.errors import InputError, SetUpError
-from ci.folders import PROJECT
 from robotkube.foundation.kubernetes.core import network_policies as semantics
 
 VARIABLE = "ROBOTKUBE_NETWORK_POLICIES"
 ON, OFF = "on", "off"
 CHOICES = (ON, OFF)
 PROCESS = "network-policies"
-STARTED_AGAIN = ("/bin/sh", "-c", AGAIN, "again")
+MODULE = "ci.cluster.following_network_policies"
 WEIGHT = 200  # among the daemons: a new pod waits for it
 NODE = ".node"  # what the processes that hold a node's namespaces are named by
 REPORT_SECONDS = 10.0  # how often the process says that it is there
@@ -106,20 +103,7 @@ def apply(holder: Process, text: str) -> None:
 
 def start_following(launcher: Launcher) -> Process:
     """The process that follows policies, namespaces and pods; it is started again when it ends."""
-    command, environment = following_command(launcher.folders), following_environment()
-    return launcher.start(PROCESS, command, STARTED_AGAIN, environment, WEIGHT)
-
-
-def following_command(folders: ClusterFolders) -> list[str]:
-    """The words that follow them once."""
-    return [sys.executable, "-m", "ci.cluster.following_network_policies", "--name", folders.name]
-
-
-def following_environment() -> dict[str, str]:
-    """Where it finds this project and the user's cache."""
-    path = os.pathsep.join(str(PROJECT / part) for part in ("operator/src", "."))
-    cache = {name: os.environ[name] for name in ("HOME", "XDG_CACHE_HOME") if name in os.environ}
-    return {**cache, "PYTHONPATH": path, "PYTHONUNBUFFERED": "1"}
+    return host_processes.start(launcher, PROCESS, MODULE, WEIGHT)
 
 
 def holders(folders: ClusterFolders) -> dict[str, Process]:

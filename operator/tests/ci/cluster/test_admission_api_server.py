@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from ci import evidence
-from ci.cluster import admission, topology
+from ci.cluster import admission, host_processes, topology
 from ci.cluster.catalogue_on_disk import CatalogueOnDisk
 from ci.cluster.following_admission import POLL_SECONDS, follow
 from ci.cluster.images import Image
@@ -117,8 +117,8 @@ def test_the_process_that_follows_is_started_again_when_it_ends(
     """Killed, say: nothing that is published would run until the cluster is made anew."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     folders, log = ClusterFolders("demo"), tmp_path / "log"
-    command = [*admission.STARTED_AGAIN, *admission.following_command(folders)]
-    environment = {"PATH": os.environ["PATH"], **admission.following_environment()}
+    command = [*host_processes.STARTED_AGAIN, *host_processes.command(admission.MODULE, folders)]
+    environment = {"PATH": os.environ["PATH"], **host_processes.environment()}
     with log.open("w") as said:  # without what admission prepares it ends by itself, and says why
         guard = subprocess.Popen(command, env=environment, stdout=said, stderr=said, start_new_session=True)
     try:

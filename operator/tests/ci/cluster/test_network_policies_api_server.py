@@ -16,15 +16,13 @@ from typing import Any
 import httpx
 import pytest
 
-from ci.cluster import network_policies
+from ci.cluster import host_processes, network_policies
 from ci.cluster.following_network_policies import NAMESPACES
 from ci.cluster.network_policies import (
+    MODULE,
     PROCESS,
     SILENT_SECONDS_MAX,
-    STARTED_AGAIN,
     VARIABLE,
-    following_command,
-    following_environment,
     status,
 )
 from ci.cluster.pod_links import RESULTS, PodLink
@@ -95,8 +93,8 @@ class Enforced:
 
     def start(self) -> None:
         """Start the process as the provider does, and what starts it again."""
-        command = [*STARTED_AGAIN, *following_command(self.folders)]
-        environment = {"PATH": os.environ["PATH"], **following_environment()}
+        command = [*host_processes.STARTED_AGAIN, *host_processes.command(MODULE, self.folders)]
+        environment = {"PATH": os.environ["PATH"], **host_processes.environment()}
         with self.log.open("a") as said:
             self.guard = subprocess.Popen(command, env=environment, stdout=said, stderr=said, start_new_session=True)
 
