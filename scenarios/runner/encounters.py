@@ -29,17 +29,17 @@ class Encounter:
     stored: tuple[Stored, ...]
     ledgers: Mapping[str, tuple[LedgerLine, ...]]
 
-    @property
+    @cached_property
     def agents(self) -> tuple[str, ...]:
         """The two vehicles that met."""
         return tuple(agent for agent in self.scenario.lidar_vehicles if agent in self.start.agents)
 
-    @property
+    @cached_property
     def topics(self) -> tuple[str, ...]:
         """The four topics of the window: poses and clouds of both vehicles."""
         return tuple(topic(agent) for topic in (pose_topic, cloud_topic) for agent in self.agents)
 
-    @property
+    @cached_property
     def cloud_topics(self) -> tuple[str, ...]:
         """Topics of the clouds alone."""
         return tuple(cloud_topic(agent) for agent in self.agents)
@@ -99,7 +99,7 @@ class Encounter:
         topics = {message.topic for message in self.readable}
         return sum(transform_topic(agent) not in topics for agent in self.agents)
 
-    @property
+    @cached_property
     def first_cloud(self) -> Stored | None:
         """The cloud that was stored first."""
         clouds = [message for message in self.readable if message.topic in self.cloud_topics and message.stored]

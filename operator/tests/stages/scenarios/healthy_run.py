@@ -10,6 +10,7 @@ import hashlib
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -70,8 +71,13 @@ class Run:
         self.known = replace(self.known, **values)
 
 
+@cache
+def _scenario() -> definition.Scenario:
+    return definition.load(FOLDER, ["vehicles=3", "pose_hz=20", "encounters=2"])
+
+
 def healthy(folder: Path) -> Run:
-    scenario = definition.load(FOLDER, ["vehicles=3", "pose_hz=20", "encounters=2"])
+    scenario = _scenario()
     run = Run(scenario, folder, {}, [], [], [], _known(scenario))
     end = routes.duration_seconds(scenario.parameters)
     for agent in scenario.lidar_vehicles:
