@@ -49,6 +49,12 @@ def imported(source: str, package: str = "") -> Iterator[str]:
 
 
 @cache
+def homes() -> Mapping[str, list[str]]:
+    """The installed distributions that every top-level package comes from."""
+    return packages_distributions()
+
+
+@cache
 def modules() -> Mapping[str, frozenset[str]]:
     """Every module of the package and what it imports."""
     return {module_name(path, SOURCES): imported_by(path, SOURCES) for path in SOURCES.rglob("*.py")}
@@ -87,10 +93,9 @@ def every_extra() -> frozenset[str]:
 
 def undeclared(names: frozenset[str], known: frozenset[str], own: frozenset[str]) -> dict[str, list[str]]:
     """Package that is imported and comes from elsewhere -> the distributions of which none is in `known`."""
-    homes = packages_distributions()
     tops = {name.partition(".")[0] for name in names} - set(sys.stdlib_module_names) - own
     sources = {
-        top: [distribution(one) for one in homes.get(top, [])] + [f"ros-jazzy-{top.replace('_', '-')}"] for top in tops
+        top: [distribution(one) for one in homes().get(top, [])] + [f"ros-jazzy-{top.replace('_', '-')}"] for top in tops
     }
     return {top: found for top, found in sorted(sources.items()) if not known.intersection(found)}
 
@@ -131,9 +136,8 @@ def test_every_module_that_runs_as_a_process_is_looked_at() -> None:
 
 def test_every_package_that_is_declared_for_the_platform_is_imported() -> None:
     """What nothing imports, such as a library that was replaced, goes."""
-    homes = packages_distributions()
     names = {name.partition(".")[0] for process in (*PLATFORM, *COMMAND_LINE) for name in reachable(process)}
-    used = {distribution(one) for name in names for one in homes.get(name, [])}
+    used = {distribution(one) for name in names for one in homes().get(name, [])}
     assert declared("platform") - used == set()
 
 
