@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +50,8 @@ MEETING = "cloud-0/meeting"
 START_NS = 1795250000_000000000
 
 
-def schema_file(chart: str, version: str) -> dict[str, str]:
+@cache
+def schema_file(chart: str, version: str) -> Mapping[str, str]:
     """The values schema of a chart of this project, with its values as default, as the gate publishes it."""
     found = [REPOSITORY / "charts" / folder / chart for folder in ("apps", "earlier")]
     source = next(f for f in found if yaml.safe_load((f / "Chart.yaml").read_text())["version"] == version)
@@ -66,10 +68,16 @@ def catalogue_files(signing: Signing, images: Sequence[str] = ()) -> dict[str, s
     return {**files, "policies/release.yaml": "assurance: verified\n", "policies/verification.yaml": POLICY_TEXT}
 
 
+@cache
+def _entry(path: str) -> Mapping[str, Any]:
+    document: Mapping[str, Any] = yaml.safe_load((REGISTRY / path).read_text())
+    return document
+
+
 def chart_files(signing: Signing, chart: str, version: str, images: Sequence[str]) -> dict[str, str]:
     """A version of one of the project's charts, published with evidence."""
     path = f"charts/{chart}/{version}.yaml"
-    document = yaml.safe_load((REGISTRY / path).read_text())
+    document = {**_entry(path)}
     index = sorted(REGISTRY.glob("charts/*/*.yaml")).index(REGISTRY / path)
     digest = f"sha256:{index + 1:012x}{index:052x}"  # sources are named by the first twelve
     about = Artefact(chart, version, digest, PLATFORM)
