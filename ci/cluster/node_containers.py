@@ -15,11 +15,13 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-from collections.abc import Iterator, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from ci.cluster.beside_kubelets import Container, Node
+from ci.cluster.pod_links import SETTLED_NS
 
 STATE = Path("run/containerd")
 RUNNING = (STATE / "io.containerd.runtime.v2.task", STATE / "io.containerd.sandbox.controller.v1.shim")
@@ -32,26 +34,53 @@ Seen = tuple[Path, str, str, int]  # a container's folder, its namespace, its id
 
 
 class NodeContainers:
-    """The containers of one node, from its folder. A container's file is read once."""
+    """The containers of one node, from its folder. Reading is cheap while nothing changes, and a container's file is
+    read once."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, clock_ns: Callable[[], int] = time.time_ns) -> None:
         self._folder = folder
+        self._clock_ns = clock_ns
         self._known: dict[Seen, Container] = {}
+        self._node = Node()
+        self._changed: Mapping[str, int] | None = None  # of each folder that says what `_node` has; None: read again
 
     def read(self) -> Node:
-        """What is there now; OSError when it cannot be read. What runs is read first: what the kubelet wrote down of it
-        is there by then."""
+        """What is there now; OSError when it cannot be read."""
+        if self._changed is None or self._changed != {place: _changed_ns(place) for place in self._changed}:
+            now = self._clock_ns()
+            changed = {place: _changed_ns(place) for place in self._places()}
+            self._node = self._read()
+            settled = all(now - at > SETTLED_NS for at in changed.values())
+            self._changed = changed if settled and len(self._known) == len(self._node.containers) else None
+        return self._node
+
+    def _places(self) -> Iterator[str]:
+        """The folders that change when a container, a link, a pod or a record comes or goes."""
+        for place in (*RUNNING, RECORDED, LINKS, PODS):
+            yield str(self._folder / place)
+        for place in RUNNING:
+            yield from (str(self._folder / place / namespace) for namespace in _names(self._folder / place))
+
+    def _read(self) -> Node:
+        """What runs is read first: what the kubelet wrote down of it is there by then."""
         seen = [one for place in RUNNING for one in _running(self._folder / place)]
-        self._known = {one: self._known.get(one) or _container(one) for one in seen}
-        found = tuple(self._known.values())
-        # A file that was not there yet, or only half: it is read again.
-        self._known = {one: container for one, container in self._known.items() if container.kind or container.program}
+        found = {one: self._known.get(one) or _container(one) for one in seen}
+        # A file that was not there yet, or only half, is read again.
+        self._known = {one: container for one, container in found.items() if container.kind or container.program}
         return Node(
-            found,
+            tuple(found.values()),
             links=dict(_links(self._folder / LINKS)),
             pods=frozenset(_names(self._folder / PODS)),
             recorded=frozenset(_names(self._folder / RECORDED)),
         )
+
+
+def _changed_ns(place: str) -> int:
+    """When a folder changed last; 0 as long as there is none."""
+    try:
+        return os.stat(place).st_mtime_ns  # noqa: PTH116 - a hundred of them in each look
+    except FileNotFoundError:
+        return 0
 
 
 def _running(place: Path) -> Iterator[Seen]:

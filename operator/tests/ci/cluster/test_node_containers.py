@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +13,9 @@ import pytest
 
 from ci.cluster.beside_kubelets import CONTAINER, SANDBOX, unknown
 from ci.cluster.node_containers import LINKS, PODS, RECORDED, RUNNING, NodeContainers
+from ci.cluster.pod_links import SETTLED_NS
 
+TICK_NS = 20_000_000  # of a folder's clock, at most
 TASKS, SHIMS = RUNNING
 CLAIMS = {"sandbox-id": "box", "sandbox-namespace": "vehicle-00", "sandbox-name": "web-1", "sandbox-uid": "uid-web"}
 
@@ -106,3 +110,47 @@ def test_a_node_that_cannot_be_read_is_said_to_be(node: Path) -> None:
     (node / TASKS).symlink_to(TASKS.name)  # a circle
     with pytest.raises(OSError, match="symbolic links"):
         NodeContainers(node).read()
+
+
+class Clock:
+    """Nanoseconds since 1970, as much later than now as a test says."""
+
+    def __init__(self) -> None:
+        self.later = 0
+
+    def __call__(self) -> int:
+        return time.time_ns() + self.later
+
+
+def test_what_has_not_changed_for_long_is_not_read_again(node: Path) -> None:
+    """Every two seconds, for every node."""
+    clock = Clock()
+    reader = NodeContainers(node, clock)
+    assert reader.read() is not reader.read(), "a folder's clock ticks in milliseconds: another change may follow"
+    clock.later = 2 * SETTLED_NS
+    settled = reader.read()
+    assert reader.read() is settled
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda node: run(node, TASKS / "k8s.io", "foreign", None),
+        lambda node: run(node, TASKS / "default", "foreign", None),
+        lambda node: run(node, SHIMS / "default", "foreign", None),
+        lambda node: shutil.rmtree(node / TASKS / "k8s.io" / "web"),
+        lambda node: link(node, "other.log"),
+        lambda node: (node / PODS / "uid-other").mkdir(),
+        lambda node: (node / RECORDED / "box").rmdir(),
+    ],
+)
+def test_any_change_is_seen_however_long_nothing_changed(node: Path, change: Callable[[Path], object]) -> None:
+    clock = Clock()
+    clock.later = 2 * SETTLED_NS
+    reader = NodeContainers(node, clock)
+    before = reader.read()
+    stamps = {place.stat().st_mtime_ns for place in node.rglob("*") if place.is_dir()}
+    while time.time_ns() - max(stamps) < TICK_NS:
+        continue
+    change(node)
+    assert reader.read() != before
