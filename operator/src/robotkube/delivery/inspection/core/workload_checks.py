@@ -1,0 +1,60 @@
+"""Strangers among the workloads of agents' namespaces: what no release has, and what is not as its chart renders it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+from robotkube.delivery.inspection.core.comparison import differences
+from robotkube.delivery.inspection.core.kubelet_pods import RELEASE_LABEL
+from robotkube.delivery.inspection.core.permitted import CHARTS_KIND, Permitted
+from robotkube.delivery.inspection.core.strangers import (
+    FOREIGN_CHART,
+    NO_RELEASE,
+    NOT_OF_THE_CHART,
+    Stranger,
+)
+
+Object = Mapping[str, Any]
+
+RESTORE = "Delete it, and Argo CD makes it anew as main says"
+WITHDRAW = "Submit the chart (robotkube registry submit), or take the release from main"
+REMOVE = "Delete it; what is to run is proposed as a release (robotkube task submit)"
+
+
+def strangers_among(workload: Object, kind: str, permitted: Permitted) -> Iterator[Stranger]:
+    """What is strange about one workload of an agent's namespace; nothing about one that is being deleted."""
+    metadata = workload["metadata"]
+    if metadata.get("deletionTimestamp") or _made_by(metadata, kind):
+        return
+    namespace, name = str(metadata["namespace"]), str(metadata["name"])
+    label = str((metadata.get("labels") or {}).get(RELEASE_LABEL, ""))
+    shape = permitted.release(namespace, name, label) if kind == CHARTS_KIND else None
+    place = f"{kind} {namespace}/{name}"
+    if shape is None:
+        yield Stranger(kind, namespace, name, NO_RELEASE, f"{place}: no release that main has renders it. {REMOVE}")
+        return
+    if not permitted.chart(shape.chart):
+        text = f"{place}: its chart {shape.chart} is not verified on the catalogue's main. {WITHDRAW}"
+        yield Stranger(kind, namespace, name, FOREIGN_CHART, text)
+    problem = _otherwise(workload, shape.versions(name))
+    if problem:
+        text = f"{place} is not what the chart of release {shape.name} renders: {problem}. {RESTORE}"
+        yield Stranger(kind, namespace, name, NOT_OF_THE_CHART, text)
+
+
+def _otherwise(workload: Object, versions: Iterable[Object]) -> str:
+    """How a workload differs from what main has; empty when it is as main has or had it."""
+    first = ""
+    for version in versions:
+        problems = differences(workload, version)
+        if not problems:
+            return ""
+        first = first or "; ".join(problems)
+    return first
+
+
+def _made_by(metadata: Object, kind: str) -> bool:
+    """Whether a controller made it of a workload that is looked at itself."""
+    owners = {owner.get("kind") for owner in metadata.get("ownerReferences") or () if owner.get("controller")}
+    return bool(owners & {"ReplicaSet": {"Deployment"}, "Job": {"CronJob"}}.get(kind, set()))
