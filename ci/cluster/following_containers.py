@@ -13,20 +13,21 @@ import time
 from collections.abc import Callable, Iterable
 from typing import Protocol
 
+from ci.cluster.addresses import plan_of
 from ci.cluster.beside_kubelets import Node, Unknown, Watched, message, unknown
-from ci.cluster.containers import REPORT_SECONDS, Report
+from ci.cluster.containers import PROCESS, REPORT_SECONDS, Report
 from ci.cluster.node_containers import NodeContainers
 from ci.cluster.processes import recorded
 from ci.cluster.records import ClusterFolders
 from robotkube.delivery.inspection.adapters.kubernetes_inspections import KubernetesInspections
 from robotkube.delivery.inspection.core.strangers import BESIDE_THE_KUBELET, CONTAINER, MACHINE, Look, Stranger
 from robotkube.delivery.inspection.loops.reporting import Reporter
-from robotkube.errors import RobotKubeError, UnavailableError
-from robotkube.foundation.kubernetes.adapters.client import api_client
+from robotkube.errors import InputError, RobotKubeError, UnavailableError
+from robotkube.foundation.kubernetes.adapters.http_client import ApiServer
 
 LOOK_SECONDS = 2.0  # between looks; with GRACE_SECONDS a stranger is named within 15 s
 AGAIN_SECONDS = 5.0  # after the cluster took no report
-NAMESPACE = "robotkube"  # the platform's
+NAMESPACE, API_PORT = "robotkube", 6443  # the platform's; of every cluster here
 CONTAINERD = ".containerd"  # what the nodes' runtimes are named by
 
 log = logging.getLogger("robotkube.containers")
@@ -110,10 +111,12 @@ class ClusterReports:
         try:
             for look in looks:
                 self._report(look)
-        except RobotKubeError as error:
+        except InputError as error:
+            return (
+                f"namespace {NAMESPACE} takes no Inspections; they are written once the platform is installed: {error}"
+            )
+        except UnavailableError as error:
             return str(error)
-        except KeyError:
-            return f"namespace {NAMESPACE} takes no Inspections yet: they are written once the platform is installed"
         return ""
 
 
@@ -156,13 +159,20 @@ def _say(report: Report, before: str) -> str:
     return text
 
 
+def api_server(url: str, folders: ClusterFolders) -> ApiServer:
+    """The API server, as the cluster's administrator, which the host is."""
+    pki = folders.pki
+    authority, certificate, key = (pki / name for name in ("ca.crt", "admin.crt", "admin.key"))
+    return ApiServer(url, authority_file=authority, certificate_file=certificate, key_file=key)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m ci.cluster.following_containers", description=__doc__)
     parser.add_argument("--name", required=True, help="of the cluster")
     folders = ClusterFolders(parser.parse_args().name)
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
-    inspections = KubernetesInspections(api_client(str(folders.kubeconfig)), NAMESPACE, "containers", time.time)
-    reporter = Reporter(inspections, time.time_ns)
+    api = api_server(f"https://{plan_of(folders.name).gateway}:{API_PORT}", folders)
+    reporter = Reporter(KubernetesInspections(api, NAMESPACE, PROCESS, time.time), time.time_ns)
     follow(
         Looking(ClusterNodes(folders), time.monotonic),
         ClusterReports(reporter.report, time.monotonic),

@@ -4,10 +4,9 @@ all of it."""
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -18,22 +17,14 @@ from ci.cluster.following_containers import AGAIN_SECONDS, LOOK_SECONDS, Cluster
 from ci.cluster.node_containers import RUNNING
 from ci.cluster.processes import Process, start_ticks
 from ci.cluster.records import ClusterFolders
-from robotkube.delivery.inspection.core.strangers import Look, Stranger
 from robotkube.delivery.inspection.loops.reporting import Reporter
-from robotkube.errors import UnavailableError
+from robotkube.errors import InputError, UnavailableError
+from tests.stages.delivery.inspections_in_memory import Clock, InspectionsInMemory
 
 CLUSTER = "containers"
 NAMED_SECONDS_MAX = 15
 FOREIGN = Container("default", "miner", program="/bin/miner")
 CLAIMING = Container("k8s.io", "miner", program="/bin/miner")
-
-
-class Clock:
-    def __init__(self) -> None:
-        self.now = 1000.0
-
-    def __call__(self) -> float:
-        return self.now
 
 
 class TwoNodes:
@@ -52,35 +43,18 @@ class TwoNodes:
         return node
 
 
-class MemoryInspections:
+class Inspections(InspectionsInMemory):
     """The cluster's Inspections; `failure` is raised by whatever is asked."""
 
     def __init__(self) -> None:
-        self.statuses: dict[str, Mapping[str, Any]] = {}
-        self.events: list[tuple[str, str]] = []
+        super().__init__()
         self.failure: Exception | None = None
         self.asked = 0
 
-    def names(self) -> tuple[str, ...]:
-        return tuple(self.statuses)
-
-    def status(self, name: str) -> Mapping[str, Any] | None:
+    def _answer(self) -> None:
         self.asked += 1
         if self.failure:
             raise self.failure
-        return self.statuses.get(name)
-
-    def write(self, look: Look, status: Mapping[str, Any]) -> None:
-        self.asked += 1
-        if self.failure:
-            raise self.failure
-        self.statuses[look.name] = status
-
-    def remove(self, name: str) -> None:
-        del self.statuses[name]
-
-    def report(self, look: Look, reason: str, stranger: Stranger) -> None:
-        self.events.append((look.name, reason))
 
 
 class EndedError(Exception):
@@ -93,10 +67,10 @@ class Cluster:
     def __init__(self) -> None:
         self.clock = Clock()
         self.nodes = TwoNodes()
-        self.inspections = MemoryInspections()
+        self.inspections = Inspections()
         self.kept: list[Report] = []
         self.looking = Looking(self.nodes, self.clock)
-        self.reporter = Reporter(self.inspections, lambda: int(self.clock() * 1e9))
+        self.reporter = Reporter(self.inspections, self.clock.ns)
         self.reports = ClusterReports(self.reporter.report, self.clock)
 
     def look(self, seconds: float = LOOK_SECONDS) -> None:
@@ -112,8 +86,7 @@ class Cluster:
             follow(self.looking, self.reports, self.kept.append, pause, self.clock)
 
     def condition(self, node: str, kind: str) -> str:
-        conditions = self.inspections.statuses[f"machine.{node}"]["conditions"]
-        return next(str(one["status"]) for one in conditions if one["type"] == kind)
+        return self.inspections.conditions(f"machine.{node}")[kind]
 
     def names(self, node: str) -> list[str]:
         return [one["name"] for one in self.inspections.statuses[f"machine.{node}"]["strangers"]]
@@ -146,8 +119,8 @@ def test_a_stranger_is_named_within_15_seconds_and_gone_after_it_has_ended(
     cluster.look()
     assert (cluster.names("vehicle-00"), cluster.kept[-1].strangers) == ([], {})
     assert cluster.inspections.events == [
-        ("machine.vehicle-00", "BesideTheKubelet"),
-        ("machine.vehicle-00", "StrangerGone"),
+        ("machine.vehicle-00", "BesideTheKubelet", f"Container {foreign.key}"),
+        ("machine.vehicle-00", "StrangerGone", f"Container {foreign.key}"),
     ]
 
 
@@ -174,7 +147,13 @@ def test_of_a_node_that_cannot_be_read_nothing_is_claimed(cluster: Cluster) -> N
 
 @pytest.mark.parametrize(
     ("failure", "words"),
-    [(KeyError("GET inspections"), "takes no Inspections yet"), (UnavailableError("nobody answers"), "nobody answers")],
+    [
+        (
+            InputError("no such kind"),
+            "takes no Inspections; they are written once the platform is installed: no such kind",
+        ),
+        (UnavailableError("nobody answers"), "nobody answers"),
+    ],
 )
 def test_while_the_cluster_takes_no_inspections_it_is_said_once_and_strangers_are_named(
     cluster: Cluster, caplog: pytest.LogCaptureFixture, failure: Exception, words: str
