@@ -18,9 +18,10 @@ from dataclasses import dataclass, field
 
 KUBELETS = "k8s.io"  # containerd's namespace of what kubelets start
 SANDBOX, CONTAINER = "sandbox", "container"
-# The kubelet writes its link when containerd has answered, and seventeen nodes share two cores: until then nothing is
-# said of a container in the kubelets' namespace. With a look every 2 s it is named 12 s after its start at the latest.
-GRACE_SECONDS = 8.0
+# The kubelet writes its link when containerd has answered, and seventeen nodes that start their pods share two cores:
+# until then nothing is said of a container in the kubelets' namespace. With a look every second it is named 14 s after
+# its start at the latest.
+GRACE_SECONDS = 12.0
 LINK_CHARACTERS_MAX = 255  # of a file's name, where the kubelet cuts it
 LINK_ENDING = ".log"
 
@@ -28,7 +29,7 @@ LINK_ENDING = ".log"
 @dataclass(frozen=True)
 class Container:
     """A container that a node's runtime runs. `runtime_namespace` and `id` are the runtime's; all others are what the
-    container says of itself. `made_ns`: when its files were made."""
+    container says of itself, but for `made_ns`, when its files were made, and `waits`: it was made and not started."""
 
     runtime_namespace: str
     id: str
@@ -40,6 +41,7 @@ class Container:
     pod_uid: str = ""
     name: str = ""
     program: str = ""
+    waits: bool = False
 
     @property
     def key(self) -> str:
@@ -74,9 +76,11 @@ class Unknown:
 
 
 def unknown(node: Node) -> tuple[Unknown, ...]:
-    """The containers of a node that nobody of the cluster started, or that its kubelet is just about to write down."""
-    others = [one for one in node.containers if one.runtime_namespace != KUBELETS]
-    own = [one for one in node.containers if one.runtime_namespace == KUBELETS]
+    """The containers of a node that nobody of the cluster started, or that its kubelet is just about to write down.
+    Nothing runs in one that waits."""
+    running = [one for one in node.containers if not one.waits]
+    others = [one for one in running if one.runtime_namespace != KUBELETS]
+    own = [one for one in running if one.runtime_namespace == KUBELETS]
     started = [one for one in own if _is_started(one, node)]
     sandboxes = _sandboxes(own, started, node)
     known = {one.id for one in (*started, *sandboxes)}

@@ -25,7 +25,7 @@ from robotkube.delivery.inspection.loops.reporting import Reporter
 from robotkube.errors import InputError, RobotKubeError, UnavailableError
 from robotkube.foundation.kubernetes.adapters.http_client import ApiServer
 
-LOOK_SECONDS = 2.0  # between looks; with GRACE_SECONDS a stranger is named within 15 s
+LOOK_SECONDS = 1.0  # between looks; with GRACE_SECONDS a stranger is named within 15 s
 AGAIN_SECONDS = 5.0  # after the cluster took no report
 NAMESPACE, API_PORT = "robotkube", 6443  # the platform's; of every cluster here
 CONTAINERD = ".containerd"  # what the nodes' runtimes are named by
@@ -61,7 +61,9 @@ class ClusterNodes:
         """What runs on it. While its runtime does not, nobody keeps its files: they say nothing."""
         if not self._alive[name]:
             raise UnavailableError("its containerd does not run; start the node again")
-        return self._nodes.setdefault(name, NodeContainers(self._folders.node(name))).read()
+        if name not in self._nodes:
+            self._nodes[name] = NodeContainers(self._folders.node(name))
+        return self._nodes[name].read()
 
 
 class Looking:

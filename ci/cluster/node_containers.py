@@ -2,6 +2,7 @@
 none is asked, so seventeen nodes are looked at in milliseconds.
 
     <node>/run/containerd/io.containerd.runtime.v2.task/<namespace>/<id>/   a container that runs, with its config.json
+    <node>/run/containerd/runc/<namespace>/<id>/exec.fifo                   it waits to be started
     <node>/run/containerd/io.containerd.sandbox.controller.v1.shim/...      a sandbox that a shim made (no kubelet's)
     <node>/run/containerd/io.containerd.grpc.v1.cri/sandboxes/<id>/         a sandbox that the CRI service made
     <node>/container-links/<pod>_<namespace>_<container>-<id>.log           a container that the kubelet started
@@ -28,6 +29,7 @@ RUNNING = (STATE / "io.containerd.runtime.v2.task", STATE / "io.containerd.sandb
 RECORDED = STATE / "io.containerd.grpc.v1.cri/sandboxes"
 LINKS, PODS = Path("container-links"), Path("kubelet/pods")
 SPECIFICATION = "config.json"
+WAITING, WAITS = "runc", "exec.fifo"
 ANNOTATIONS = "io.kubernetes.cri."
 PROGRAM_CHARACTERS_MAX = 200
 Seen = tuple[Path, str, str, int]  # a container's folder, its namespace, its id, and when its files were made
@@ -65,14 +67,18 @@ class NodeContainers:
         """What runs is read first: what the kubelet wrote down of it is there by then."""
         seen = [one for place in RUNNING for one in _running(self._folder / place)]
         found = {one: self._known.get(one) or _container(one) for one in seen}
-        # A file that was not there yet, or only half, is read again.
-        self._known = {one: container for one, container in found.items() if container.kind or container.program}
+        self._known = {one: container for one, container in found.items() if _is_settled(container)}
         return Node(
             tuple(found.values()),
             links=dict(_links(self._folder / LINKS)),
             pods=frozenset(_names(self._folder / PODS)),
             recorded=frozenset(_names(self._folder / RECORDED)),
         )
+
+
+def _is_settled(one: Container) -> bool:
+    """Whether it needs not be read again: it runs, and its file was there as a whole."""
+    return bool(one.kind or one.program) and not one.waits
 
 
 def _changed_ns(place: str) -> int:
@@ -104,7 +110,8 @@ def _container(seen: Seen) -> Container:
     folder, namespace, name, made_ns = seen
     try:
         document: Any = json.loads((folder / SPECIFICATION).read_bytes())
-        return Container(namespace, name, made_ns, **_claims(document))
+        waits = (folder.parents[2] / WAITING / namespace / name / WAITS).exists()
+        return Container(namespace, name, made_ns, waits=waits, **_claims(document))
     except (FileNotFoundError, ValueError, KeyError, TypeError, AttributeError, IndexError):
         return Container(namespace, name, made_ns)
 

@@ -70,6 +70,12 @@ def test_what_a_container_says_of_itself_makes_it_nobodys(foreign: Container) ->
     assert keys(with_containers(BOX, WEB, foreign)) == [foreign.id]
 
 
+def test_in_what_was_not_started_nothing_runs() -> None:
+    made = replace(WEB, id="foreign", waits=True)
+    assert unknown(with_containers(BOX, WEB, made, replace(made, runtime_namespace="default"))) == ()
+    assert keys(with_containers(BOX, WEB, replace(made, waits=False))) == ["foreign"]
+
+
 def test_an_id_that_the_kubelets_container_had_before_is_not_enough() -> None:
     again = replace(WEB, made_ns=30)
     assert keys(with_containers(BOX, again)) == [WEB.id]

@@ -110,7 +110,7 @@ def test_a_stranger_is_named_within_15_seconds_and_gone_after_it_has_ended(
 ) -> None:
     cluster.look()
     cluster.nodes.nodes["vehicle-00"] = Node((foreign,))
-    cluster.look(NAMED_SECONDS_MAX - LOOK_SECONDS)
+    cluster.look(NAMED_SECONDS_MAX - LOOK_SECONDS)  # it began right after a look
     assert cluster.names("vehicle-00") == [foreign.key]
     assert cluster.condition("vehicle-00", "Clean") == "False"
     assert cluster.names("vehicle-01") == []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import time
 from collections.abc import Callable
@@ -12,7 +13,7 @@ from typing import Any
 import pytest
 
 from ci.cluster.beside_kubelets import CONTAINER, SANDBOX, unknown
-from ci.cluster.node_containers import LINKS, PODS, RECORDED, RUNNING, NodeContainers
+from ci.cluster.node_containers import LINKS, PODS, RECORDED, RUNNING, STATE, NodeContainers
 from ci.cluster.pod_links import SETTLED_NS
 
 TICK_NS = 20_000_000  # of a folder's clock, at most
@@ -90,6 +91,19 @@ def test_a_file_that_was_not_whole_is_read_again(node: Path) -> None:
     assert [one.program for one in reader.read().containers if one.id == "foreign"] == [""]
     (folder / "config.json").write_text(json.dumps(specification("", "/late")), encoding="utf-8")
     assert [one.program for one in reader.read().containers if one.id == "foreign"] == ["/late"]
+
+
+def test_what_waits_to_be_started_is_read_again(node: Path) -> None:
+    clock = Clock()
+    clock.later = 2 * SETTLED_NS
+    reader = NodeContainers(node, clock)
+    run(node, TASKS / "k8s.io", "foreign", specification(CONTAINER, "/x"))
+    fifo = node / STATE / "runc/k8s.io/foreign/exec.fifo"
+    fifo.parent.mkdir(parents=True)
+    os.mkfifo(fifo)
+    assert unknown(reader.read()) == ()
+    fifo.unlink()
+    assert [one.container.id for one in unknown(reader.read())] == ["foreign"]
 
 
 def test_another_container_of_the_same_id_is_seen_to_be_another(node: Path) -> None:

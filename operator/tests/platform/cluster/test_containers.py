@@ -9,10 +9,11 @@ from typing import Any
 
 import pytest
 
-from ci.cluster import cgroups, images, node_processes, runc_records
+from ci.cluster import images, node_processes
 from ci.cluster.containers import PROCESS
 from ci.cluster.processes import recorded
 from ci.cluster.records import ClusterFolders
+from tests.stages.kubernetes.lone_node import remove_groups_of_namespaces
 from tests.stages.platform.running_platform import Platform, eventually
 
 NODE, FOREIGN = "vehicle-02", "foreign"
@@ -25,19 +26,17 @@ Ctr = Callable[..., str]
 @pytest.fixture
 def ctr(platform: Platform) -> Iterator[Ctr]:
     """`ctr` on a machine's own socket; what a test started is removed."""
-    folders = ClusterFolders(platform.name)
-    [holder] = recorded(folders, f"{NODE}.node")
+    [holder] = recorded(ClusterFolders(platform.name), f"{NODE}.node")
     own = [str(platform.provider.binaries / "ctr"), "--address", str(node_processes.socket_of(holder)), "--namespace"]
 
     def run(*words: str, check: bool = True) -> str:
         return subprocess.run([*own, *words], check=check, capture_output=True, text=True, timeout=60).stdout
 
     yield run
-    groups = runc_records.foreign_groups(folders.nodes, platform.name)
     for namespace in NAMESPACES:
         run(namespace, "tasks", "delete", "--force", FOREIGN, check=False)
         run(namespace, "containers", "delete", FOREIGN, check=False)
-    assert cgroups.remove_foreign(groups) == ()
+    remove_groups_of_namespaces()
 
 
 def inspection(platform: Platform, node: str) -> dict[str, Any]:

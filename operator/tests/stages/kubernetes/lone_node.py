@@ -105,9 +105,13 @@ def lone_node(lock: Path) -> Iterator[LoneNode]:
 
 
 def _remove_groups() -> None:
-    """Also the folders that the runtime made for its namespaces, empty by now."""
     assert not cgroups.remove(CLUSTER)
     assert not cgroups.remove_foreign(runc_records.foreign_groups(ClusterFolders(CLUSTER).nodes, CLUSTER))
+    remove_groups_of_namespaces()
+
+
+def remove_groups_of_namespaces() -> None:
+    """Remove the control groups that a runtime made for its namespaces, where they are empty."""
     for place in cgroups.hierarchies():
         for namespace in NAMESPACES:
             with contextlib.suppress(OSError):
