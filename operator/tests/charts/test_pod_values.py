@@ -20,6 +20,7 @@ WORKLOADS = {
     "managers": "Deployment/manager",
     "gate": "Deployment/gate",
     "suites": "Deployment/suite-runner",
+    "inspection": "Deployment/inspector",
     "broker": "Deployment/broker",
     "database": "StatefulSet/database",
     "forge": "StatefulSet/forge",

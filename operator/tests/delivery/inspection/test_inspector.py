@@ -146,6 +146,14 @@ def test_a_kubelet_that_does_not_answer_is_said_and_delays_nobody(stage: Stage) 
     assert stage.nodes.asked.count("b") == 2
 
 
+def test_a_kubelet_that_lists_nonsense_ends_nothing(stage: Stage) -> None:
+    nonsense = pod_object(uid="u4", spec={"initContainers": [{"name": "x", "image": "y", "securityContext": "z"}]})
+    stage.nodes.readings["b"] = reading(nonsense)
+    stage.run(30)
+    assert stage.conditions("kubelet.b") == UNSEEN
+    assert stage.conditions() == CLEAN
+
+
 def test_strangers_stay_named_while_the_kubelet_is_silent(stage: Stage) -> None:
     stage.nodes.readings["a"] = reading(pod_object(), STRANGER)
     stage.run(NAMED_SECONDS)
