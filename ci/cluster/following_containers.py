@@ -27,6 +27,7 @@ from robotkube.foundation.kubernetes.adapters.http_client import ApiServer
 
 LOOK_SECONDS = 1.0  # between looks; with GRACE_SECONDS a stranger is named within 15 s
 AGAIN_SECONDS = 5.0  # after the cluster took no report
+API_SECONDS_MAX = 5.0  # that a request may keep it from looking
 NAMESPACE, API_PORT = "robotkube", 6443  # the platform's; of every cluster here
 CONTAINERD = ".containerd"  # what the nodes' runtimes are named by
 
@@ -165,7 +166,7 @@ def api_server(url: str, folders: ClusterFolders) -> ApiServer:
     """The API server, as the cluster's administrator, which the host is."""
     pki = folders.pki
     authority, certificate, key = (pki / name for name in ("ca.crt", "admin.crt", "admin.key"))
-    return ApiServer(url, authority_file=authority, certificate_file=certificate, key_file=key)
+    return ApiServer(url, None, authority, API_SECONDS_MAX, certificate, key)
 
 
 def main() -> None:

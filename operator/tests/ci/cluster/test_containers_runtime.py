@@ -4,15 +4,17 @@ starts by the same runtime is not, whatever it says of itself."""
 from __future__ import annotations
 
 import json
+import sys
 import time
 from collections.abc import Iterator
 
 import pytest
 
-from ci.cluster import beside_kubelets, processes, runc_records
+from ci.cluster import beside_kubelets, containers, host_processes, processes, runc_records
 from ci.cluster.beside_kubelets import GRACE_SECONDS, Container
 from ci.cluster.following_containers import ClusterNodes, Looking
 from ci.cluster.node_containers import ANNOTATIONS, RUNNING, SPECIFICATION
+from ci.cluster.pki import Authority, Identity
 from robotkube.delivery.inspection.core.strangers import Stranger
 from tests.stages.attacks import shown
 from tests.stages.kubernetes.lone_node import CLUSTER, LoneNode, lone_node
@@ -22,6 +24,11 @@ from tests.stages.waiting import until
 pytestmark = pytest.mark.toolchain
 
 FOREIGN = "foreign"
+MAIN = f"""
+from ci.cluster import addresses, following_containers
+addresses.PLANS["{CLUSTER}"] = addresses._plan("{CLUSTER}", "127.91.0.0/24", "10.246.0.0/16", "10.98.0.0/16")
+following_containers.main()
+"""
 
 
 @pytest.fixture(scope="module")
@@ -146,6 +153,23 @@ def test_pods_that_come_and_go_raise_no_alarm(node: LoneNode) -> None:
 
 def started(node: LoneNode, name: str) -> bool:
     return any(link.startswith(f"{name}-") and f"_{name}-" in link for link in read(node).links)
+
+
+def test_the_process_names_it_where_nothing_can_be_written(foreign: LoneNode) -> None:
+    """Started as the provider starts it, for a cluster whose API server does not answer; it ends with its node."""
+    folders, launcher = foreign.folders, foreign.launcher
+    Authority(folders.pki).create()
+    Authority(folders.pki).issue(Identity("admin", "admin", ("system:masters",)))
+    command = [sys.executable, "-c", MAIN, "--name", CLUSTER]
+    launcher.start(containers.PROCESS, command, host_processes.STARTED_AGAIN, host_processes.environment())
+    until(lambda: "none beside the kubelets of 1 nodes" in containers.status(folders), "it looks")
+    run(foreign, "default")
+    until(lambda: "1 STARTED BESIDE THE KUBELETS" in containers.status(folders), "it is named", 15)
+    log = (folders.log / f"{containers.PROCESS}.log").read_text(encoding="utf-8")
+    assert log.count("not written to the cluster") == 2, "once, and once more with what runs beside the kubelet"
+    assert "container default/foreign on node vehicle-00 runs /probe" in log
+    end(foreign, "default")
+    until(lambda: "none beside" in containers.status(folders), "it is gone", 15)
 
 
 def test_it_ends_with_its_node(node: LoneNode) -> None:
