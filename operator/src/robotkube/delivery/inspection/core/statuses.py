@@ -1,0 +1,91 @@
+"""The status of an Inspection: what a look saw, with the times that the status before has."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from robotkube.delivery.inspection.core.strangers import API_VERSION, KIND, Look, Stranger
+
+STRANGERS_MAX = 50
+NAMED_MAX = 5  # strangers in a condition's message
+MESSAGE_CHARACTERS_MAX = 1000
+SEEN, CLEAN = "Seen", "Clean"
+LOOKED, NOT_SEEN, ALL_KNOWN, STRANGERS = "Looked", "NotSeen", "AllKnown", "Strangers"
+
+Status = Mapping[str, Any]
+
+
+def manifest(look: Look, namespace: str) -> dict[str, Any]:
+    """The Inspection of a look, without its status."""
+    spec = {"looksAt": look.looks_at} | ({"node": look.node} if look.node else {})
+    return {
+        "apiVersion": API_VERSION,
+        "kind": KIND,
+        "metadata": {"name": look.name, "namespace": namespace},
+        "spec": spec,
+    }
+
+
+def status_of(look: Look, before: Status, now: str) -> dict[str, Any]:
+    """The status after a look at time `now` (RFC 3339). Nothing was seen: the strangers of the status before stay,
+    since they were not seen to go, and Clean is Unknown."""
+    if look.problem:
+        kept = {key: before[key] for key in ("observedTime", "strangers", "strangersTotal") if key in before}
+        return {**kept, "conditions": _conditions(look, before, now)}
+    since = {_key(entry): entry.get("since", now) for entry in before.get("strangers") or ()}
+    ordered = sorted(look.strangers)
+    return {
+        "observedTime": now,
+        "strangers": [_entry(one, since.get(one.key, now)) for one in ordered[:STRANGERS_MAX]],
+        "strangersTotal": len(ordered),
+        "conditions": _conditions(look, before, now),
+    }
+
+
+def strangers_of(status: Status) -> tuple[Stranger, ...]:
+    """The strangers that a status lists."""
+    return tuple(
+        Stranger(
+            **{key: str(entry.get(key, "")) for key in ("kind", "namespace", "name", "reason", "message")},
+            **{key: str(entry.get(key, "")) for key in ("container", "image", "digest")},
+        )
+        for entry in status.get("strangers") or ()
+    )
+
+
+def _key(entry: Mapping[str, Any]) -> tuple[str, ...]:
+    return tuple(str(entry.get(key, "")) for key in ("kind", "namespace", "name", "container", "reason"))
+
+
+def _entry(one: Stranger, since: str) -> dict[str, str]:
+    words = {"kind": one.kind, "namespace": one.namespace, "name": one.name, "container": one.container}
+    words |= {"image": one.image, "digest": one.digest, "reason": one.reason}
+    given = {key: word for key, word in words.items() if word or key in ("namespace", "name")}
+    return {**given, "message": one.message[:MESSAGE_CHARACTERS_MAX], "since": since}
+
+
+def _conditions(look: Look, before: Status, now: str) -> list[dict[str, str]]:
+    if look.problem:
+        told = [
+            (SEEN, "False", NOT_SEEN, look.problem),
+            (CLEAN, "Unknown", NOT_SEEN, "nothing could be looked at, so nothing is claimed"),
+        ]
+    else:
+        clean = ("False", STRANGERS, named(look.strangers)) if look.strangers else ("True", ALL_KNOWN, "no strangers")
+        told = [(SEEN, "True", LOOKED, "looked"), (CLEAN, *clean)]
+    return [_condition(*entry, before=before, now=now) for entry in told]
+
+
+def named(strangers: Sequence[Stranger]) -> str:
+    """The first strangers by name, and how many more there are."""
+    first = ", ".join(f"{one} ({one.reason})" for one in sorted(strangers)[:NAMED_MAX])
+    more = len(strangers) - NAMED_MAX
+    return f"{first} and {more} more" if more > 0 else first
+
+
+def _condition(kind: str, state: str, reason: str, message: str, before: Status, now: str) -> dict[str, str]:
+    earlier = next((c for c in before.get("conditions") or () if c.get("type") == kind), {})
+    changed = now if earlier.get("status") != state else str(earlier.get("lastTransitionTime", now))
+    text = message[:MESSAGE_CHARACTERS_MAX]
+    return {"type": kind, "status": state, "reason": reason, "message": text, "lastTransitionTime": changed}
