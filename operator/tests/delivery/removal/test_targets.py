@@ -52,6 +52,7 @@ def test_a_deployment_loses_what_is_named() -> None:
     [
         (stranger("StaticPod"), "kubelet", "take its file out of the kubelet's folder of static pods"),
         (stranger("Container", container="x"), "machine", "stop the container there"),
+        (stranger("Pod", reason="ForeignPod"), "kubelet", "stop the container there"),
         (stranger("StaticPod", namespace="elsewhere"), "kubelet", "no request to it ends it"),
     ],
 )

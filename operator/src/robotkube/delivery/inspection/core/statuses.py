@@ -11,7 +11,8 @@ STRANGERS_MAX = 50
 NAMED_MAX = 5  # strangers in a condition's message
 MESSAGE_CHARACTERS_MAX = 1000
 SEEN, CLEAN = "Seen", "Clean"
-LOOKED, NOT_SEEN, ALL_KNOWN, STRANGERS = "Looked", "NotSeen", "AllKnown", "Strangers"
+LOOKED, NOT_SEEN, PARTLY_SEEN = "Looked", "NotSeen", "PartlySeen"
+ALL_KNOWN, STRANGERS = "AllKnown", "Strangers"
 
 Status = Mapping[str, Any]
 
@@ -66,15 +67,17 @@ def _entry(one: Stranger, since: str) -> dict[str, str]:
 
 
 def _conditions(look: Look, before: Status, now: str) -> list[dict[str, str]]:
+    seen = (SEEN, "True", LOOKED, "looked")
+    clean = (CLEAN, "True", ALL_KNOWN, "no strangers")
     if look.problem:
-        told = [
-            (SEEN, "False", NOT_SEEN, look.problem),
-            (CLEAN, "Unknown", NOT_SEEN, "nothing could be looked at, so nothing is claimed"),
-        ]
-    else:
-        clean = ("False", STRANGERS, named(look.strangers)) if look.strangers else ("True", ALL_KNOWN, "no strangers")
-        told = [(SEEN, "True", LOOKED, "looked"), (CLEAN, *clean)]
-    return [_condition(*entry, before=before, now=now) for entry in told]
+        seen = (SEEN, "False", NOT_SEEN, look.problem)
+        clean = (CLEAN, "Unknown", NOT_SEEN, "nothing could be looked at, so nothing is claimed")
+    elif look.partly:
+        seen = (SEEN, "False", PARTLY_SEEN, look.partly)
+        clean = (CLEAN, "Unknown", PARTLY_SEEN, "no strangers in what could be looked at")
+    if look.strangers:
+        clean = (CLEAN, "False", STRANGERS, named(look.strangers))
+    return [_condition(*entry, before=before, now=now) for entry in (seen, clean)]
 
 
 def named(strangers: Sequence[Stranger]) -> str:

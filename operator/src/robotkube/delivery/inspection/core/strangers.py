@@ -60,12 +60,13 @@ class Stranger:
 @dataclass(frozen=True)
 class Look:
     """What one look saw. `problem` is empty, or says why it could not look: then nothing is claimed, and `strangers`
-    is empty."""
+    is empty. `partly` says what of it could not be seen while the rest was."""
 
     looks_at: str
     strangers: tuple[Stranger, ...] = ()
     node: str = ""
     problem: str = ""
+    partly: str = ""
 
     @property
     def name(self) -> str:

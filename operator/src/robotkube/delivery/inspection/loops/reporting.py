@@ -70,15 +70,23 @@ class Reporter:
                 self._looked_ns.pop(name, None)
                 self._written.pop(name, None)
 
+    def known(self, name: str) -> tuple[Stranger, ...]:
+        """The strangers that the Inspection `name` has now."""
+        return strangers_of(self._before(name))
+
     def metrics(self) -> list[Series]:
         """Strangers by place and reason, and how old the last look that saw anything is; for any thread."""
         with self._lock:
             looks, looked = list(self._looks.values()), dict(self._looked_ns)
         now = self._now_ns()
         places = {look.name: (look.looks_at, look.node) for look in looks}
-        strangers = Counter((*places[look.name], one.reason) for look in looks for one in look.strangers)
-        ages = {places[name]: (now - at) / 1e9 for name, at in looked.items()}
-        unseen = {places[look.name]: float(bool(look.problem)) for look in looks}
+        strangers: Counter[tuple[str, ...]] = Counter(
+            (*places[look.name], one.reason) for look in looks for one in look.strangers
+        )
+        ages: dict[tuple[str, ...], float] = {places[name]: (now - at) / 1e9 for name, at in looked.items()}
+        unseen: dict[tuple[str, ...], float] = {
+            places[look.name]: float(bool(look.problem or look.partly)) for look in looks
+        }
         counted = {key: float(count) for key, count in strangers.items()}
         return [_gauge("strangers", counted, "reason"), _gauge("look_age_seconds", ages), _gauge("unseen", unseen)]
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from robotkube.delivery.inspection.core.statuses import SEEN
+from robotkube.delivery.inspection.core.statuses import PARTLY_SEEN, SEEN
 from robotkube.delivery.inspection.core.strangers import Stranger
 from robotkube.foundation.documents.core.times import time_ns
 
@@ -14,7 +14,6 @@ AGE_SECONDS_MAX = 150  # an inspector writes at least every 60 s
 SKEW_SECONDS_MAX = 60  # of the clocks of two machines
 STRANGERS_MAX = 50
 EXCESS_MAX = 50
-PARTLY_SEEN = "PartlySeen"
 
 Object = Mapping[str, Any]
 

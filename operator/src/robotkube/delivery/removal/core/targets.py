@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from robotkube.delivery.inspection.core.strangers import CONTAINER, MACHINE, POD, STATIC_POD
+from robotkube.delivery.inspection.core.strangers import CONTAINER, FOREIGN_POD, MACHINE, POD, STATIC_POD, Stranger
 from robotkube.delivery.removal.core.named import NamedStranger
 
 DEPLOYMENT = "Deployment"  # the one kind of workload that releases have
@@ -61,15 +61,9 @@ Target = PodTarget | WorkloadTarget | Left
 def target_of(named: NamedStranger, looks_at: str, policy: RemovalPolicy) -> Target:
     """What becomes of a stranger of an Inspection that looks at `looks_at`."""
     stranger = named.stranger
-    if stranger.kind == STATIC_POD or looks_at == MACHINE:
+    if stranger.kind == STATIC_POD or stranger.reason == FOREIGN_POD or looks_at == MACHINE:
         return Left(
-            NOT_BY_API,
-            f"{stranger} was not started by the API server, so no request to it ends it. Go to its machine: "
-            + (
-                "take its file out of the kubelet's folder of static pods"
-                if stranger.kind == STATIC_POD
-                else "stop the container there"
-            ),
+            NOT_BY_API, f"{stranger} was not started by the API server, so no request to it ends it. {_by(stranger)}"
         )
     if stranger.namespace not in policy.agents:
         return Left(
@@ -79,6 +73,13 @@ def target_of(named: NamedStranger, looks_at: str, policy: RemovalPolicy) -> Tar
     if stranger.kind in (POD, CONTAINER):
         return _pod(named, policy)
     return _workload(named, policy)
+
+
+def _by(stranger: Stranger) -> str:
+    """What a person does about what no request ends."""
+    if stranger.kind == STATIC_POD:
+        return "Go to its machine, and take its file out of the kubelet's folder of static pods"
+    return "Go to its machine, and stop the container there"
 
 
 def _pod(named: NamedStranger, policy: RemovalPolicy) -> Target:

@@ -90,12 +90,15 @@ def config_map_warning(
 class ApiServer:
     """The API server as one account calls it. The token is read anew for every request: kubelets replace it hourly.
 
-    All calls share one kept-alive connection and may be made from any thread."""
+    All calls share one kept-alive connection and may be made from any thread. A process of a machine shows a
+    certificate (`certificate_file` with its `key_file`) where a pod has a token."""
 
     url: str
     token_file: Path | None = None
     authority_file: Path | None = None
     timeout_seconds: float = TIMEOUT_SECONDS
+    certificate_file: Path | None = None
+    key_file: Path | None = None
     _connection: http.client.HTTPConnection | None = field(default=None, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
@@ -152,6 +155,8 @@ class ApiServer:
         import ssl
 
         context = ssl.create_default_context(cafile=self.authority_file)
+        if self.certificate_file is not None:
+            context.load_cert_chain(self.certificate_file, self.key_file)
         return http.client.HTTPSConnection(parts.netloc, timeout=timeout_seconds, context=context)
 
     def headers(self, content_type: str = "application/json") -> dict[str, str]:

@@ -56,7 +56,7 @@ def _workload(item: Object, domain: Domain, allowed: Allowed) -> Iterator[str]:
     if item.get("spec", {}).get("replicas") == 0 and item["kind"] == "ReplicaSet":
         return  # an earlier revision: nothing of it runs
     for reference in pod_images([item]):
-        if not _listed(reference, namespace, domain, allowed):
+        if not is_listed(reference, namespace, domain, allowed):
             yield f"image {reference or '(none)'} is not listed for this namespace"
     owners = item["metadata"].get("ownerReferences", [])
     closed = (*domain.agents, domain.platform, domain.argocd)
@@ -65,6 +65,7 @@ def _workload(item: Object, domain: Domain, allowed: Allowed) -> Iterator[str]:
 
 
 def _listed(reference: str, namespace: str, domain: Domain, allowed: Allowed) -> bool:
+    """Whether an image may run in a namespace, by the policies' rules."""
     repository, _, digest = reference.partition("@")
     if not repository or not DIGEST.fullmatch(digest):
         return not (domain.elsewhere or namespace in (*domain.agents, *domain.tests, domain.platform, domain.argocd))
