@@ -180,6 +180,16 @@ database:
 {{- end }}
 {{- end }}
 
+{{- define "robotkube.removerSettings" -}}
+listen: {address: 0.0.0.0, port: 8081}
+log_level: {{ .Values.logLevel }}
+namespace: {{ .Release.Namespace }}
+agents: [{{ range $i, $agent := .Values.agents }}{{ if $i }}, {{ end }}{{ $agent.name }}{{ end }}]
+pods: {{ .Values.remover.pods }}
+workloads: {{ .Values.remover.workloads }}
+per_minute: {{ .Values.remover.perMinute | int }}
+{{- end }}
+
 {{- define "robotkube.teardownSettings" -}}
 log_level: {{ .Values.logLevel }}
 argocd: {namespace: {{ .Values.argocd.namespace }}, project: robotkube-apps, application_set: releases}
