@@ -22,6 +22,7 @@ PARTS_OF_CONTAINERS = ("env", "envFrom", "ports", "volumeDevices", "volumeMounts
 LISTS_OF_PODS = ("hostAliases", "imagePullSecrets", "tolerations", "topologySpreadConstraints", "volumes")
 LIMITS_OF_PODS = ("automountServiceAccountToken", "hostUsers", "runtimeClassName", "securityContext")
 LIMITS_OF_CONTAINERS = ("securityContext",)
+WORDS = ("labels", "annotations")
 CREATING = "request.operation == 'CREATE'"
 EPHEMERAL = "has(request.subResource) && request.subResource == 'ephemeralcontainers'"
 WRITER = "request.userInfo.username"
@@ -86,10 +87,10 @@ def only_taken_away() -> str:
     containers = f"k in {texts(LISTS_OF_CONTAINERS)} && {each}"
     return " && ".join(
         [
-            *(_fewer_words(f"metadata.?{name}") for name in ("labels", "annotations")),
-            *(_fewer_words(f"spec.template.?metadata.?{name}") for name in ("labels", "annotations")),
+            *(_fewer_words(f"metadata.?{name}") for name in WORDS),
+            *(_fewer_words(f"spec.template.metadata.?{name}") for name in WORDS),
             _fewer("object.spec", "oldObject.spec", "k", "k == 'template'"),
-            _fewer("object.spec.template", "oldObject.spec.template", "k", "k in ['metadata','spec']"),
+            _fewer("object.spec.template.metadata", "oldObject.spec.template.metadata", "k", f"k in {texts(WORDS)}"),
             _fewer("variables.pod", "variables.before", "k", f"{lists} || {containers}"),
             *(f"variables.pod.?{name} == variables.before.?{name}" for name in LIMITS_OF_PODS),
         ]
