@@ -1,11 +1,15 @@
-"""What looking needs: the Inspections of the cluster, and places where strangers are reported."""
+"""What looking needs: nodes, workloads, what may run, and the Inspections in which strangers are reported."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Protocol
 
+from robotkube.delivery.inspection.core.kubelet_pods import KubeletPod, RuntimePod
+from robotkube.delivery.inspection.core.permitted import Permitted
 from robotkube.delivery.inspection.core.strangers import Look, Stranger
+from robotkube.foundation.forge.ports.repositories import Commit, MainHistory
 
 
 class Inspections(Protocol):
@@ -30,4 +34,69 @@ class Inspections(Protocol):
 
     def report(self, look: Look, reason: str, stranger: Stranger) -> None:
         """Write an Event on the look's Inspection."""
+        ...
+
+
+@dataclass(frozen=True)
+class NodeAddress:
+    """A node with the address of its kubelet. `digests`: whether its runtime says by which digest an image was
+    named."""
+
+    name: str
+    host: str
+    port: int
+    digests: bool = True
+
+
+@dataclass(frozen=True)
+class NodeReading:
+    """What a kubelet lists: what it was told to run, and what its runtime has. The second is read first, so that a pod
+    that starts meanwhile is in the first."""
+
+    pods: tuple[KubeletPod, ...]
+    running: tuple[RuntimePod, ...]
+
+
+class Nodes(Protocol):
+    """The nodes of the cluster and their kubelets. UnavailableError: no answer; InputError: refused, with the fix."""
+
+    def addresses(self) -> Sequence[NodeAddress]:
+        """All nodes, by name."""
+        ...
+
+    def read(self, node: NodeAddress) -> NodeReading:
+        """What the node's kubelet lists; for several threads, one per node."""
+        ...
+
+
+class Workloads(Protocol):
+    """Workloads of agents' namespaces. Errors as those of Nodes."""
+
+    @property
+    def kinds(self) -> Sequence[str]:
+        """Kinds of workloads that there are besides Deployment."""
+        ...
+
+    def read(self, namespace: str, kind: str) -> Sequence[Mapping[str, Any]]:
+        """The workloads of a kind in a namespace, each with its namespace in its metadata."""
+        ...
+
+
+class PermittedSource(Protocol):
+    """What may run, as far as it is known here."""
+
+    def refresh(self) -> None:
+        """Read what has changed. UnavailableError and InputError leave what is known as it is."""
+        ...
+
+    def permitted(self) -> Permitted | None:
+        """What may run now; None before it was read once."""
+        ...
+
+
+class DeploymentHistory(MainHistory, Protocol):
+    """The deployment's main, commit by commit."""
+
+    def commit(self, commit: str) -> Commit:
+        """A commit that is here, with its changes; DocumentError when it is too large to be read."""
         ...

@@ -66,9 +66,10 @@ class RuntimePod:
     containers: tuple[tuple[str, str], ...]
 
 
-def read_pods(document: Object) -> tuple[KubeletPod, ...]:
-    """The pods in a kubelet's list."""
-    return tuple(_pod(item) for item in document.get("items") or ())
+def read_pods(document: Object, digests: bool) -> tuple[KubeletPod, ...]:
+    """The pods in a kubelet's list. `digests`: whether its runtime says by which digest an image was named (containerd
+    does; others may say that of one platform's part of it)."""
+    return tuple(_pod(item, digests) for item in document.get("items") or ())
 
 
 def read_runtime_pods(document: Object) -> tuple[RuntimePod, ...]:
@@ -80,18 +81,24 @@ def _runtime_pod(item: Object) -> RuntimePod:
     metadata = item.get("metadata") or {}
     containers = (item.get("spec") or {}).get("containers") or ()
     named = tuple((str(entry.get("name", "")), str(entry.get("image", ""))) for entry in containers)
-    return RuntimePod(*(str(metadata.get(key, "")) for key in ("uid", "namespace", "name")), containers=named)
+    return RuntimePod(_text(metadata, "uid"), _text(metadata, "namespace"), _text(metadata, "name"), named)
 
 
-def _pod(item: Object) -> KubeletPod:
+def _text(metadata: Object, key: str) -> str:
+    return str(metadata.get(key, ""))
+
+
+def _pod(item: Object, digests: bool) -> KubeletPod:
     metadata = item.get("metadata") or {}
     spec = item.get("spec") or {}
     status = item.get("status") or {}
     annotations = metadata.get("annotations") or {}
     volumes = (volume.get("image") for volume in spec.get("volumes") or ())
     return KubeletPod(
-        *(str(metadata.get(key, "")) for key in ("uid", "namespace", "name")),
-        containers=tuple(_containers(spec, status)),
+        uid=_text(metadata, "uid"),
+        namespace=_text(metadata, "namespace"),
+        name=_text(metadata, "name"),
+        containers=tuple(_containers(spec, status if digests else {})),
         static=annotations.get(SOURCE, API_SOURCE) != API_SOURCE,
         finished=status.get("phase") in FINISHED,
         ends=_end(metadata),

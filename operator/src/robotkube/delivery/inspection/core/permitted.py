@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,41 +17,59 @@ CHARTS_KIND = "Deployment"  # the one kind of workload that releases are made of
 
 @dataclass(frozen=True)
 class ReleaseShape:
-    """The workloads of a release by name: as main has it now, and as it had it before, newest first. `unknown` says why
-    they are not known now; then `workloads` is empty."""
+    """The workloads of a release by name: as main has it now, and as it had it before, newest first: Argo CD applies
+    what main says a moment later, and a pod stays until the one that replaces it is ready. `chart` is
+    `<name>@<digest>`. `unknown` says why its workloads are not known now; then there are none."""
 
+    name: str
+    chart: str
     workloads: Mapping[str, Object]
     earlier: Sequence[Mapping[str, Object]] = ()
     unknown: str = ""
 
-    def versions(self, name: str) -> tuple[Object, ...]:
+    def versions(self, workload: str) -> Iterator[Object]:
         """What a workload of this name may look like, today's first."""
-        return tuple(shape[name] for shape in (self.workloads, *self.earlier) if name in shape)
-
-    @property
-    def all(self) -> tuple[Object, ...]:
-        """Every workload that main has or had."""
-        return tuple(item for shape in (self.workloads, *self.earlier) for item in shape.values())
+        if workload in self.workloads:
+            yield self.workloads[workload]
+        yield from (shape[workload] for shape in self.earlier if workload in shape)
 
 
 @dataclass(frozen=True)
 class Permitted:
-    """What may run. `lately`: images that were listed a moment ago: what runs them is being replaced. `releases` by
-    `<namespace>/<name>`, with those that main had a moment ago and that are being taken away."""
+    """What may run. `releases` by namespace, with those that main had a moment ago and that are being taken away.
+    `installed`: references of the platform's images as it was installed with, where they name no digest. `lately`:
+    images and charts that were listed a moment ago: what runs them is being replaced."""
 
     domain: Domain
     allowed: Allowed
-    releases: Mapping[str, ReleaseShape] = field(default_factory=dict)
+    releases: Mapping[str, Sequence[ReleaseShape]] = field(default_factory=dict)
+    installed: frozenset[str] = frozenset()
     lately: frozenset[str] = frozenset()
 
     def image(self, reference: str, namespace: str) -> bool:
         """Whether an image may run in a namespace."""
-        listed = is_listed(reference, namespace, self.domain, self.allowed)
-        return listed or (namespace in self.domain.agents and reference.partition("@")[2] in self.lately)
+        if is_listed(reference, namespace, self.domain, self.allowed) or not self.is_judged(namespace):
+            return True
+        if namespace in self.domain.agents:
+            return reference.partition("@")[2] in self.lately
+        return namespace not in self.domain.tests and reference in self.installed
 
-    def release(self, namespace: str, name: str) -> ReleaseShape | None:
-        """A release that main has."""
-        return self.releases.get(f"{namespace}/{name}")
+    def chart(self, chart: str) -> bool:
+        """Whether releases may be of a chart."""
+        return chart in self.allowed.charts or chart in self.lately
+
+    def release(self, namespace: str, workload: str, label: str = "") -> ReleaseShape | None:
+        """The release that a workload is of: the one whose chart renders it, else one of the name `label` of which that
+        is not known now."""
+        shapes = self.releases.get(namespace, ())
+        rendering = (shape for shape in shapes if any(True for _ in shape.versions(workload)))
+        unknown = (shape for shape in shapes if shape.unknown and shape.name == label)
+        return next(rendering, None) or next(unknown, None)
+
+    def is_judged(self, namespace: str) -> bool:
+        """Whether images and makers of pods matter there: Argo CD and others are known where the cluster is ours."""
+        domain = self.domain
+        return domain.elsewhere or namespace in (*domain.agents, *domain.tests, domain.platform)
 
     def is_ours(self, namespace: str) -> bool:
         """Whether a namespace is one of agents, tests, the platform or Argo CD."""

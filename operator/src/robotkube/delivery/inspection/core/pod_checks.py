@@ -8,7 +8,7 @@ from typing import Any
 
 from robotkube.delivery.inspection.core.comparison import differences
 from robotkube.delivery.inspection.core.kubelet_pods import EPHEMERAL, Container, KubeletPod, RuntimePod
-from robotkube.delivery.inspection.core.permitted import Permitted, ReleaseShape
+from robotkube.delivery.inspection.core.permitted import Permitted
 from robotkube.delivery.inspection.core.strangers import (
     CONTAINER,
     FOREIGN_CONTAINER,
@@ -29,7 +29,7 @@ MAKERS = ("ReplicaSet", "StatefulSet", "DaemonSet", "Job", "ReplicationControlle
 REMOVE = "Delete it; what is to run is proposed as a release (robotkube task submit)"
 ON_THE_MACHINE = "It was started on the machine: look who has access to it, and stop it there"
 HOST_KEYS = ("hostNetwork", "hostPID", "hostIPC")
-COMPARED_KEYS = ("image", "command", "args", "securityContext", "workingDir", "lifecycle")
+COMPARED_KEYS = ("image", "command", "args", "env", "envFrom", "securityContext", "workingDir", "lifecycle")
 
 
 def strangers_on(
@@ -94,9 +94,15 @@ def _of_pod(pod: KubeletPod, permitted: Permitted, now: float) -> Iterator[Stran
         yield from _added(pod)
     if pod.namespace in domain.agents:
         yield from _release(pod, permitted)
-    elif pod.namespace in (domain.platform, domain.argocd) and pod.owner[0] not in MAKERS:
+    elif pod.namespace in _closed(permitted) and pod.owner[0] not in MAKERS:
         text = f"pod {pod.namespace}/{pod.name}: no controller made it, and in this namespace they alone do. Delete it"
         yield _stranger(pod, NO_CONTROLLER, text)
+
+
+def _closed(permitted: Permitted) -> tuple[str, ...]:
+    """Namespaces besides the agents' in which controllers alone make pods."""
+    domain = permitted.domain
+    return tuple(name for name in (domain.platform, domain.argocd) if permitted.is_judged(name))
 
 
 def _images(pod: KubeletPod, permitted: Permitted) -> Iterator[Stranger]:
@@ -116,8 +122,8 @@ def _images(pod: KubeletPod, permitted: Permitted) -> Iterator[Stranger]:
 
 def _foreign_image(pod: KubeletPod, container: Container, image: str) -> Stranger:
     text = (
-        f"container {container.name} of pod {pod.namespace}/{pod.name} runs image {image}, which is not listed for this "
-        f"namespace. {REMOVE}"
+        f"container {container.name} of pod {pod.namespace}/{pod.name} runs image {image}, which is not listed for "
+        f"this namespace. {REMOVE}"
     )
     digest = image.partition("@")[2]
     return Stranger(CONTAINER, pod.namespace, pod.name, FOREIGN_IMAGE, text, container.name, image, digest)
@@ -135,23 +141,29 @@ def _added(pod: KubeletPod) -> Iterator[Stranger]:
 
 def _release(pod: KubeletPod, permitted: Permitted) -> Iterator[Stranger]:
     """Whether a pod is of a release that main has, and is what that release's chart renders."""
-    shape = permitted.release(pod.namespace, pod.release)
-    if shape is None or pod.owner[0] != "ReplicaSet":
+    kind, name = pod.owner
+    workload = name.rpartition("-")[0]  # the name of its Deployment
+    shape = permitted.release(pod.namespace, workload, pod.release) if kind == "ReplicaSet" else None
+    if shape is None:
         what = f"release {pod.release}" if pod.release else "any release"
         text = f"pod {pod.namespace}/{pod.name} is not of {what} that main of the deployment has. {REMOVE}"
         yield _stranger(pod, NO_RELEASE, text)
     elif not shape.unknown:
-        problem = _otherwise(pod, shape)
+        problem = _otherwise(pod, shape.versions(workload))
         if problem:
             text = f"pod {pod.namespace}/{pod.name} is not what the chart of its release renders: {problem}. {REMOVE}"
             yield _stranger(pod, NOT_OF_THE_CHART, text)
 
 
-def _otherwise(pod: KubeletPod, shape: ReleaseShape) -> str:
-    """How a pod differs from the release's template; empty when it is as main has or had it."""
-    templates = [item["spec"]["template"]["spec"] for item in shape.all]
-    problems = [_differs(pod.spec or {}, template) for template in templates]
-    return "" if not problems or "" in problems else problems[0]
+def _otherwise(pod: KubeletPod, versions: Iterable[Mapping[str, Any]]) -> str:
+    """How a pod differs from its workload's template; empty when it is as main has or had it."""
+    first = ""
+    for version in versions:
+        problem = _differs(pod.spec or {}, version["spec"]["template"]["spec"])
+        if not problem:
+            return ""
+        first = first or problem
+    return first
 
 
 def _differs(spec: Mapping[str, Any], template: Mapping[str, Any]) -> str:
@@ -171,7 +183,8 @@ def _essence(spec: Mapping[str, Any]) -> dict[str, Any]:
     }
     host = {key: True for key in HOST_KEYS if spec.get(key)}
     paths = [volume["hostPath"] for volume in spec.get("volumes") or () if volume.get("hostPath")]
-    return {**containers, **host, "volumes": paths, "serviceAccountName": spec.get("serviceAccountName")}
+    account = spec.get("serviceAccountName") or "default"
+    return {**containers, **host, "volumes": paths, "serviceAccountName": account}
 
 
 def _stranger(pod: KubeletPod, reason: str, text: str, kind: str = POD, image: str = "") -> Stranger:

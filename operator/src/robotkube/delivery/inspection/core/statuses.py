@@ -88,7 +88,7 @@ def named(strangers: Sequence[Stranger]) -> str:
 
 
 def _condition(kind: str, state: str, reason: str, message: str, before: Status, now: str) -> dict[str, str]:
-    earlier = next((c for c in before.get("conditions") or () if c.get("type") == kind), {})
+    earlier: Status = next((c for c in before.get("conditions") or () if c.get("type") == kind), {})
     changed = now if earlier.get("status") != state else str(earlier.get("lastTransitionTime", now))
     text = message[:MESSAGE_CHARACTERS_MAX]
     return {"type": kind, "status": state, "reason": reason, "message": text, "lastTransitionTime": changed}

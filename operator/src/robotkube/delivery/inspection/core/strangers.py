@@ -19,6 +19,7 @@ FOREIGN_POD = "ForeignPod"  # the runtime has it, and its kubelet does not know 
 STATIC = "StaticPod"  # put on the machine, not made by the API server
 NO_RELEASE = "NoRelease"  # in an agent's namespace, and of no release that main has
 NO_CONTROLLER = "NoController"  # in a namespace where controllers alone make pods, and made by none
+FOREIGN_CHART = "ForeignChart"  # a release of a chart that is not verified on the catalogue's main
 NOT_OF_THE_CHART = "NotOfTheChart"  # a workload is not what its release's chart renders
 BESIDE_THE_KUBELET = "BesideTheKubelet"  # a container of the machine's runtime that no pod of its kubelet has
 REASONS = (
@@ -28,6 +29,7 @@ REASONS = (
     STATIC,
     NO_RELEASE,
     NO_CONTROLLER,
+    FOREIGN_CHART,
     NOT_OF_THE_CHART,
     BESIDE_THE_KUBELET,
 )

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from robotkube.delivery.inspection.core.comparison import differences
 from robotkube.delivery.inspection.core.kubelet_pods import RELEASE_LABEL
 from robotkube.delivery.inspection.core.permitted import CHARTS_KIND, Permitted
-from robotkube.delivery.inspection.core.strangers import NO_RELEASE, NOT_OF_THE_CHART, Stranger
+from robotkube.delivery.inspection.core.strangers import (
+    FOREIGN_CHART,
+    NO_RELEASE,
+    NOT_OF_THE_CHART,
+    Stranger,
+)
 
 Object = Mapping[str, Any]
 
 RESTORE = "Delete it, and Argo CD makes it anew as main says"
+WITHDRAW = "Submit the chart (robotkube registry submit), or take the release from main"
 REMOVE = "Delete it; what is to run is proposed as a release (robotkube task submit)"
 
 
@@ -22,20 +28,30 @@ def strangers_among(workload: Object, kind: str, permitted: Permitted) -> Iterat
     if metadata.get("deletionTimestamp") or _made_by(metadata, kind):
         return
     namespace, name = str(metadata["namespace"]), str(metadata["name"])
-    release = str((metadata.get("labels") or {}).get(RELEASE_LABEL, ""))
-    shape = permitted.release(namespace, release)
-    versions = shape.versions(name) if shape and kind == CHARTS_KIND else ()
+    label = str((metadata.get("labels") or {}).get(RELEASE_LABEL, ""))
+    shape = permitted.release(namespace, name, label) if kind == CHARTS_KIND else None
     place = f"{kind} {namespace}/{name}"
-    if shape and shape.unknown and kind == CHARTS_KIND:
+    if shape is None:
+        yield Stranger(kind, namespace, name, NO_RELEASE, f"{place}: no release that main has renders it. {REMOVE}")
         return
-    if not versions:
-        what = f"release {release} does not have it" if shape else "no release that main of the deployment has"
-        yield Stranger(kind, namespace, name, NO_RELEASE, f"{place}: {what}. {REMOVE}")
-        return
-    problems = [differences(workload, version) for version in versions]
-    if () not in problems:
-        text = f"{place} is not what the chart of release {release} renders: {'; '.join(problems[0])}. {RESTORE}"
+    if not permitted.chart(shape.chart):
+        text = f"{place}: its chart {shape.chart} is not verified on the catalogue's main. {WITHDRAW}"
+        yield Stranger(kind, namespace, name, FOREIGN_CHART, text)
+    problem = _otherwise(workload, shape.versions(name))
+    if problem:
+        text = f"{place} is not what the chart of release {shape.name} renders: {problem}. {RESTORE}"
         yield Stranger(kind, namespace, name, NOT_OF_THE_CHART, text)
+
+
+def _otherwise(workload: Object, versions: Iterable[Object]) -> str:
+    """How a workload differs from what main has; empty when it is as main has or had it."""
+    first = ""
+    for version in versions:
+        problems = differences(workload, version)
+        if not problems:
+            return ""
+        first = first or "; ".join(problems)
+    return first
 
 
 def _made_by(metadata: Object, kind: str) -> bool:

@@ -64,7 +64,7 @@ def _workload(item: Object, domain: Domain, allowed: Allowed) -> Iterator[str]:
         yield "no controller made this pod"
 
 
-def _listed(reference: str, namespace: str, domain: Domain, allowed: Allowed) -> bool:
+def is_listed(reference: str, namespace: str, domain: Domain, allowed: Allowed) -> bool:
     """Whether an image may run in a namespace, by the policies' rules."""
     repository, _, digest = reference.partition("@")
     if not repository or not DIGEST.fullmatch(digest):

@@ -1,0 +1,42 @@
+"""Workloads of namespaces, by the API server: from what it holds in memory, so that asking often costs little."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+from urllib.parse import quote
+
+from robotkube.delivery.inspection.core.permitted import CHARTS_KIND
+from robotkube.errors import InputError
+from robotkube.foundation.kubernetes.adapters.http_client import ApiServer
+
+PATHS: Mapping[str, tuple[str, str]] = {
+    CHARTS_KIND: ("/apis/apps/v1", "deployments"),
+    "ReplicaSet": ("/apis/apps/v1", "replicasets"),
+    "StatefulSet": ("/apis/apps/v1", "statefulsets"),
+    "DaemonSet": ("/apis/apps/v1", "daemonsets"),
+    "Job": ("/apis/batch/v1", "jobs"),
+    "CronJob": ("/apis/batch/v1", "cronjobs"),
+    "ReplicationController": ("/api/v1", "replicationcontrollers"),
+}
+
+
+class KubernetesWorkloads:
+    """The port Workloads."""
+
+    def __init__(self, api: ApiServer) -> None:
+        self._api = api
+
+    @property
+    def kinds(self) -> Sequence[str]:
+        """Kinds besides Deployment."""
+        return [kind for kind in PATHS if kind != CHARTS_KIND]
+
+    def read(self, namespace: str, kind: str) -> Sequence[Mapping[str, Any]]:
+        """The workloads of a kind in a namespace."""
+        group, plural = PATHS[kind]
+        path = f"{group}/namespaces/{quote(namespace)}/{plural}"
+        answer = self._api.get(f"{path}?resourceVersion=0")
+        if answer is None:
+            raise InputError(f"{path}: the API server does not know this kind")
+        return list(answer.get("items") or ())

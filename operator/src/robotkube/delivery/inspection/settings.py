@@ -1,0 +1,97 @@
+"""Settings of the inspector (docs/reference/settings.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from robotkube.delivery.inspection.loops.permitted import Installation
+from robotkube.errors import InputError
+from robotkube.foundation.documents.core.patterns import CHARTS_URL, IMAGE, NAME, REPOSITORY, WORD
+from robotkube.foundation.documents.core.reader import Reader
+from robotkube.foundation.forge.connect import ForgeAddress, read_address
+from robotkube.foundation.runtime import settings_file as files
+from robotkube.registry.admission.core.allowed import digests_of
+from robotkube.registry.admission.core.domain import Domain
+
+
+@dataclass(frozen=True)
+class InspectorConfiguration:
+    """Everything the process needs, secrets included. `verify`: whether kubelets have to show a certificate of the
+    cluster."""
+
+    listen: files.Listen
+    log_level: str
+    forge: ForgeAddress
+    account: files.Credentials
+    deployment: str
+    catalogue: str
+    branch: str
+    charts_url: str
+    keys: Path
+    namespace: str
+    installation: Installation
+    verify: bool
+
+
+def read_configuration(reader: Reader, document: Mapping[str, Any]) -> InspectorConfiguration:
+    """The settings document of the inspector."""
+    keys = ["listen", "log_level", "forge", "oci_registry", "evidence", "namespaces", "images", "kubelets"]
+    root = reader.mapping(document, "", keys)
+    forge_keys = ["url", "credentials", "deployment", "catalogue", "branch"]
+    forge = reader.mapping(root.get("forge") or {}, "forge", forge_keys, ["kind", "api"])
+    registry = reader.mapping(root.get("oci_registry") or {}, "oci_registry", ["charts"])
+    evidence = reader.mapping(root.get("evidence") or {}, "evidence", ["keys"])
+    kubelets = reader.mapping(root.get("kubelets") or {}, "kubelets", ["verify"])
+    charts_url = reader.word(registry.get("charts"), "oci_registry.charts", CHARTS_URL)
+    namespaces = reader.mapping(
+        root.get("namespaces") or {}, "namespaces", ["agents", "tests", "platform", "argocd", "others"]
+    )
+    platform = reader.word(namespaces.get("platform"), "namespaces.platform", NAME)
+    return InspectorConfiguration(
+        listen=files.listen(reader, root.get("listen")),
+        log_level=files.log_level(reader, root.get("log_level")),
+        forge=read_address(reader, forge),
+        account=files.credentials(reader, forge.get("credentials"), "forge.credentials"),
+        deployment=reader.word(forge.get("deployment"), "forge.deployment", REPOSITORY),
+        catalogue=reader.word(forge.get("catalogue"), "forge.catalogue", REPOSITORY),
+        branch=reader.word(forge.get("branch"), "forge.branch", WORD),
+        charts_url=charts_url,
+        keys=Path(reader.word(evidence.get("keys"), "evidence.keys", files.PATH)),
+        namespace=platform,
+        installation=_installation(reader, namespaces, platform, charts_url, root.get("images")),
+        verify=_yes_or_no(reader, kubelets.get("verify"), "kubelets.verify"),
+    )
+
+
+def _installation(
+    reader: Reader, namespaces: Mapping[str, Any], platform: str, charts_url: str, images: Any
+) -> Installation:
+    references = _words(reader, images, "images", IMAGE)
+    by_digest = [reference for reference in references if "@" in reference]
+    try:
+        domain = Domain(
+            agents=_words(reader, namespaces.get("agents"), "namespaces.agents", NAME),
+            tests=_words(reader, namespaces.get("tests"), "namespaces.tests", NAME),
+            charts=charts_url,
+            platform=platform,
+            argocd=reader.word(namespaces.get("argocd"), "namespaces.argocd", NAME),
+            elsewhere=_yes_or_no(reader, namespaces.get("others"), "namespaces.others"),
+        )
+        return Installation(domain, digests_of(by_digest), frozenset(references) - frozenset(by_digest))
+    except InputError as error:
+        reader.problems.append(str(error))
+        return Installation(Domain((), (), "oci://none.invalid/none"), ())
+
+
+def _words(reader: Reader, value: Any, path: str, pattern: Any) -> tuple[str, ...]:
+    items = enumerate(reader.sequence(value, path))
+    return tuple(reader.word(item, f"{path}[{index}]", pattern) for index, item in items)
+
+
+def _yes_or_no(reader: Reader, value: Any, path: str) -> bool:
+    if not isinstance(value, bool):
+        reader.problems.append(f"{path}: must be true or false")
+    return value is True
