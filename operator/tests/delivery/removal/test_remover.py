@@ -140,7 +140,7 @@ def test_first_the_workload_then_its_pods(stage: Stage) -> None:
     time."""
     stage.cluster.deployments = {"detector": deployment()}
     stage.cluster.pods = {"detector-abc12-x": pod("detector-abc12-x", "uid-2", owner="detector")}
-    beside = stranger("Container", "detector-abc12-x", container="side", uid="uid-2")
+    beside = stranger("Container", "detector-abc12-x", container="side", uid="uid-2", reason="ForeignContainer")
     stage.name(beside)
     stage.name(changed(), name="releases", looks_at="releases")
     stage.turn()

@@ -27,8 +27,8 @@ DEPLOYMENT = {"generation": 3, "excess": ["/spec/template/spec/containers/1"], "
 
 
 def target(entry: dict[str, Any], policy: RemovalPolicy = POLICY, looks_at: str = "kubelet") -> Target:
-    [named] = read_inspection(inspection(entry), "Removed").strangers
-    return target_of(named, looks_at, policy)
+    [one] = read_inspection(inspection(entry), "Removed").strangers
+    return target_of(one, looks_at, policy)
 
 
 def left(*arguments: Any, **more: Any) -> Left:
@@ -39,7 +39,9 @@ def left(*arguments: Any, **more: Any) -> Left:
 
 def test_a_pod_goes_at_once_and_one_with_a_foreign_container_in_order() -> None:
     assert target(stranger()) == PodTarget("vehicle-00", "foreign", UID, 1)
-    assert target(stranger("Container", container="side")) == PodTarget("vehicle-00", "foreign", UID, 10)
+    assert target(stranger("Container", container="side", reason="ForeignContainer")) == PodTarget(
+        "vehicle-00", "foreign", UID, 10
+    )
 
 
 def test_a_deployment_loses_what_is_named() -> None:

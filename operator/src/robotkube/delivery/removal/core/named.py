@@ -6,27 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from robotkube.delivery.inspection.core.statuses import PARTLY_SEEN, SEEN
+from robotkube.delivery.inspection.core.statuses import PARTLY_SEEN, SEEN, strangers_of
 from robotkube.delivery.inspection.core.strangers import Stranger
 from robotkube.foundation.documents.core.times import time_ns
 
 AGE_SECONDS_MAX = 150  # an inspector writes at least every 60 s
 SKEW_SECONDS_MAX = 60  # of the clocks of two machines
-STRANGERS_MAX = 50
-EXCESS_MAX = 50
 
 Object = Mapping[str, Any]
-
-
-@dataclass(frozen=True)
-class NamedStranger:
-    """A stranger, and which object exactly is meant: its `uid`, and for a workload the `generation` that was compared
-    with the chart and the JSON pointers into it (`excess`) of what the chart does not render."""
-
-    stranger: Stranger
-    uid: str = ""
-    generation: int = 0
-    excess: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -38,7 +25,7 @@ class NamedStrangers:
     uid: str
     looks_at: str
     seen_ns: int | None
-    strangers: tuple[NamedStranger, ...]
+    strangers: tuple[Stranger, ...]
     condition: Object
 
     def is_believed(self, now_ns: int) -> bool:
@@ -59,7 +46,7 @@ def read_inspection(document: Object, removed: str) -> NamedStrangers:
         uid=str(metadata.get("uid", "")),
         looks_at=str((document.get("spec") or {}).get("looksAt", "")),
         seen_ns=_time(status) if _is_seen(conditions.get(SEEN, {})) else None,
-        strangers=tuple(map(_named, (status.get("strangers") or ())[:STRANGERS_MAX])),
+        strangers=strangers_of(status),
         condition=conditions.get(removed, {}),
     )
 
@@ -74,13 +61,3 @@ def _time(status: Object) -> int | None:
         return time_ns(str(status.get("observedTime", "")))
     except ValueError:
         return None
-
-
-def _named(entry: Object) -> NamedStranger:
-    words = ("kind", "namespace", "name", "reason", "message", "container", "image", "digest")
-    return NamedStranger(
-        Stranger(**{word: str(entry.get(word, "")) for word in words}),
-        str(entry.get("uid", "")),
-        int(entry.get("generation") or 0),
-        tuple(map(str, (entry.get("excess") or ())[:EXCESS_MAX])),
-    )

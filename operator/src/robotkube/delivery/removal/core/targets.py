@@ -4,8 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from robotkube.delivery.inspection.core.strangers import CONTAINER, FOREIGN_POD, MACHINE, POD, STATIC_POD, Stranger
-from robotkube.delivery.removal.core.named import NamedStranger
+from robotkube.delivery.inspection.core.strangers import (
+    CONTAINER,
+    FOREIGN_POD,
+    MACHINE,
+    NO_RELEASE,
+    POD,
+    STATIC_POD,
+    Stranger,
+)
 
 DEPLOYMENT = "Deployment"  # the one kind of workload that releases have
 STRANGER_GRACE_SECONDS = 1  # nobody needs what a foreign pod would still finish
@@ -58,9 +65,8 @@ class Left:
 Target = PodTarget | WorkloadTarget | Left
 
 
-def target_of(named: NamedStranger, looks_at: str, policy: RemovalPolicy) -> Target:
+def target_of(stranger: Stranger, looks_at: str, policy: RemovalPolicy) -> Target:
     """What becomes of a stranger of an Inspection that looks at `looks_at`."""
-    stranger = named.stranger
     if stranger.kind == STATIC_POD or stranger.reason == FOREIGN_POD or looks_at == MACHINE:
         return Left(
             NOT_BY_API, f"{stranger} was not started by the API server, so no request to it ends it. {_by(stranger)}"
@@ -71,8 +77,8 @@ def target_of(named: NamedStranger, looks_at: str, policy: RemovalPolicy) -> Tar
             f"{stranger} is in no agent's namespace, and the remover has rights in no other. Look at it, and delete it",
         )
     if stranger.kind in (POD, CONTAINER):
-        return _pod(named, policy)
-    return _workload(named, policy)
+        return _pod(stranger, policy)
+    return _workload(stranger, policy)
 
 
 def _by(stranger: Stranger) -> str:
@@ -82,27 +88,25 @@ def _by(stranger: Stranger) -> str:
     return "Go to its machine, and stop the container there"
 
 
-def _pod(named: NamedStranger, policy: RemovalPolicy) -> Target:
-    stranger = named.stranger
+def _pod(stranger: Stranger, policy: RemovalPolicy) -> Target:
     if not policy.pods:
         return Left(NOT_BY_POLICY, f"{stranger} stays: remover.pods is false. Look at it, and delete its pod")
-    if not named.uid:
+    if not stranger.uid:
         return Left(NOT_SAID, f"{stranger} stays: which pod is meant is not said. Look at it, and delete its pod")
-    grace = STRANGER_GRACE_SECONDS if stranger.kind == POD else SHARED_GRACE_SECONDS
-    return PodTarget(stranger.namespace, stranger.name, named.uid, grace)
+    grace = STRANGER_GRACE_SECONDS if stranger.reason == NO_RELEASE else SHARED_GRACE_SECONDS
+    return PodTarget(stranger.namespace, stranger.name, stranger.uid, grace)
 
 
-def _workload(named: NamedStranger, policy: RemovalPolicy) -> Target:
-    stranger = named.stranger
+def _workload(stranger: Stranger, policy: RemovalPolicy) -> Target:
     if not policy.workloads:
         return Left(NOT_BY_POLICY, f"{stranger} stays: remover.workloads is false. Look at it, and restore it")
-    if stranger.kind != DEPLOYMENT or not (named.uid and named.excess):
+    if stranger.kind != DEPLOYMENT or not (stranger.uid and stranger.excess):
         return Left(
             NOT_SAID,
             f"{stranger} stays: only what was added to a release's Deployment is taken away. Argo CD puts back what "
             "the chart has otherwise; delete what no release has (kubectl delete)",
         )
-    return WorkloadTarget(stranger.namespace, stranger.name, named.uid, named.generation, named.excess)
+    return WorkloadTarget(stranger.namespace, stranger.name, stranger.uid, stranger.generation, stranger.excess)
 
 
 def merged(targets: list[WorkloadTarget]) -> list[WorkloadTarget]:

@@ -117,7 +117,7 @@ class Remover:
         )
 
     def _targets(self, one: NamedStrangers) -> list[Target]:
-        return [target_of(named, one.looks_at, self._policy) for named in one.strangers]
+        return [target_of(stranger, one.looks_at, self._policy) for stranger in one.strangers]
 
     def _act(self, inspections: Sequence[NamedStrangers]) -> Answers:
         """Take away what these name: workloads first, each target once."""
