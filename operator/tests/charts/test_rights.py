@@ -33,6 +33,8 @@ Rights = dict[str, str]
 READ = "get list watch"
 TASKS, STATUS = "taskdescriptions.robotkube.io", "taskdescriptions/status.robotkube.io"
 EVENTS, LEASES = "events.events.k8s.io", "leases.coordination.k8s.io"
+GROUP = "robotkube.io"
+INSPECTIONS = f"inspections.{GROUP}"
 NODES = {"nodes": READ}
 ANSWERS = {TASKS: "create delete get list patch watch", STATUS: "patch update", EVENTS: "create", "pods": READ}
 APPLICATIONS = {"applications.argoproj.io": READ}
@@ -98,6 +100,10 @@ EXACTLY: dict[str, dict[str, Rights]] = {
     "robotkube:gate": {},
     "robotkube:default": {},
     "robotkube:suite-runner": {"robotkube-suite-0": ROOM},
+    "robotkube:remover": {
+        "robotkube": {INSPECTIONS: "list", f"inspections/status.{GROUP}": "patch", EVENTS: "create"},
+        **dict.fromkeys(AGENTS, {"pods": "delete get", "deployments.apps": "get patch"}),
+    },
     "robotkube:bootstrap": {"argocd": SET_UP},
     "robotkube:teardown": {"argocd": TEARING_DOWN},
     "robotkube-suite-0:application": {"robotkube-suite-0": SETTINGS},

@@ -36,9 +36,8 @@ class KubernetesRemoval:
         self._path = custom_path(GROUP, VERSION, namespace, PLURAL)
 
     def inspections(self) -> Sequence[Object]:
-        """All Inspections, as the API server has them at hand."""
-        query = urlencode({"resourceVersion": "0", "limit": str(INSPECTIONS_MAX)})
-        answer = self._api.get(f"{self._path}?{query}")
+        """All Inspections."""
+        answer = self._api.get(f"{self._path}?limit={INSPECTIONS_MAX}")
         if answer is None:
             raise InputError("the API server has no Inspections; install the platform's chart, which defines them")
         return list(answer.get("items") or ())
