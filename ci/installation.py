@@ -217,4 +217,9 @@ def platform_values(references: Mapping[str, str], topology: Topology) -> dict[s
             agent["claims"] = [{"name": "bags", "size": BAGS_SIZE}]
         agents.setdefault(node.agent, agent)
     images = {name: references[name] for name in PLATFORM_IMAGES}
-    return {"images": images, "agents": list(agents.values()), "suites": {"pool": SUITE_NAMESPACES}}
+    return {
+        "images": images,
+        "agents": list(agents.values()),
+        "suites": {"pool": SUITE_NAMESPACES},
+        "inspection": {"images": sorted(set(references.values()))},  # Argo CD's among them
+    }

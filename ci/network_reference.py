@@ -24,6 +24,7 @@ NAMESPACES = {
 AT = {
     "name-service": "UDP and TCP, `networkPolicies.dns.ports`",
     "api-server": "TCP, `networkPolicies.apiServer.ports`",
+    "kubelets": "TCP, `networkPolicies.kubelets.ports`",
     "collector": "TCP, the port in `traces.endpoint`",
     "multicast": "UDP, every port of 239.255.0.1",
     "same": "every port and protocol",

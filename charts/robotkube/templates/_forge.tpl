@@ -1,6 +1,6 @@
 {{- /* Accounts besides the administrator; what each may do: docs/reference/settings.md. */ -}}
 {{- define "robotkube.forgeAccounts" -}}
-{{ include "robotkube.managerNames" . }} gate argocd publisher image-publisher suite-runner {{ include "robotkube.people" . }}
+{{ include "robotkube.managerNames" . }} gate argocd publisher image-publisher suite-runner inspector {{ include "robotkube.people" . }}
 {{- end }}
 
 {{- /* Accounts of people, separated by blanks; the first ones of the values when an upgrade reuses older values. */ -}}
@@ -27,7 +27,7 @@
 
 {{- /* Names that neither a manager nor a person may have. */ -}}
 {{- define "robotkube.platformNames" -}}
-administrator argocd bootstrap broker database default forge gate image-publisher observer publisher robotkube staging staging-publisher suite-runner teardown verified
+administrator argocd bootstrap broker database default forge gate image-publisher inspector observer publisher robotkube staging staging-publisher suite-runner teardown verified
 {{- end }}
 
 {{- /* Who hears from the forge. Each has a secret of its own, so that none can speak to another in the forge's name. */ -}}

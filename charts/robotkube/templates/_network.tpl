@@ -27,7 +27,8 @@
 {{- if eq .Values.broker.kind "external" }}{{ $_ := set $found "broker" (list (int .Values.broker.external.port)) }}{{ end }}
 {{- if eq .Values.database.kind "external" }}{{ $_ := set $found "database" (list (int .Values.database.external.port)) }}{{ end }}
 {{- if not .Values.suites.enabled }}{{ $_ := set $found "suite-runner" list }}{{ end }}
-{{- if not .Values.remover.enabled }}{{ $_ := set $found "remover" list }}{{ end }}
+{{- if not (include "robotkube.inspection" . | fromYaml).enabled }}{{ $_ := set $found "inspector" list }}{{ end }}
+{{- if not (include "robotkube.remover" . | fromYaml).enabled }}{{ $_ := set $found "remover" list }}{{ end }}
 {{- $_ := set $found "collector" list }}
 {{- with .Values.traces.endpoint }}{{ $_ := set $found "collector" (list (include "robotkube.portOfUrl" . | int)) }}{{ end }}
 {{- toYaml $found }}
@@ -98,6 +99,12 @@
 {{- else if eq $to "api-server" }}
 - ports: {{ include "robotkube.networkPorts" (dict "protocol" "TCP" "ports" $values.apiServer.ports) }}
   {{- with $values.apiServer.to }}
+  to: {{- toYaml . | nindent 2 }}
+  {{- end }}
+{{- else if eq $to "kubelets" }}
+{{- $kubelets := $values.kubelets | default dict }}
+- ports: {{ include "robotkube.networkPorts" (dict "protocol" "TCP" "ports" ($kubelets.ports | default (list 10250))) }}
+  {{- with $kubelets.to }}
   to: {{- toYaml . | nindent 2 }}
   {{- end }}
 {{- else if hasKey .elsewhere $to }}
@@ -172,7 +179,7 @@ spec:
 {{- define "robotkube.networkRefusals" -}}
 {{- $values := .Values.networkPolicies }}
 {{- if $values.enabled }}
-{{- $lists := dict "apiServer.to" $values.apiServer.to "dns.to" $values.dns.to "outside.to" $values.outside.to "metrics.from" $values.metrics.from }}
+{{- $lists := dict "apiServer.to" $values.apiServer.to "dns.to" $values.dns.to "outside.to" $values.outside.to "kubelets.to" (get ($values.kubelets | default dict) "to") "metrics.from" $values.metrics.from }}
 {{- range $name, $peers := $values.clients }}{{ $_ := set $lists (printf "clients.%s" $name) $peers }}{{ end }}
 {{- range $key, $peers := $lists }}{{ range $i, $peer := $peers }}
 {{- if and (hasKey $peer "podSelector") (not (hasKey $peer "namespaceSelector")) }}

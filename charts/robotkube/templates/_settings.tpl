@@ -101,19 +101,19 @@ forge:
   - {name: robotkube, packages: {image-publisher: write, gate: read, suite-runner: read}}
   - {name: staging-publisher, packages: {publisher: write, gate: read, suite-runner: read}}
   - {name: staging, packages: {gate: write, suite-runner: read}}
-  - {name: verified, packages: {gate: write, {{ $readers }}: read, argocd: read, suite-runner: read}}
+  - {name: verified, packages: {gate: write, {{ $readers }}: read, argocd: read, suite-runner: read, inspector: read}}
   repositories:
   - name: robotkube/deployment
     description: What runs on the fleet, one file per release
     branch: main
     seed: /etc/robotkube/seed/deployment
-    access: { {{- $readers }}: read, gate: write, argocd: read, {{ $people }}: write}
+    access: { {{- $readers }}: read, gate: write, argocd: read, inspector: read, {{ $people }}: write}
     main: [gate]
   - name: robotkube/catalogue
     description: What may be deployed
     branch: main
     seed: /etc/robotkube/seed/catalogue
-    access: { {{- $readers }}: read, gate: write, publisher: read, {{ $people }}: write}
+    access: { {{- $readers }}: read, gate: write, publisher: read, inspector: read, {{ $people }}: write}
     main: [gate]
   webhooks:
   {{- range $process := splitList " " (include "robotkube.hearers" .) }}
@@ -178,16 +178,6 @@ database:
   kind: {{ .Values.database.kind }}
   arguments: {{ toJson .Values.database.arguments }}
 {{- end }}
-{{- end }}
-
-{{- define "robotkube.removerSettings" -}}
-listen: {address: 0.0.0.0, port: 8081}
-log_level: {{ .Values.logLevel }}
-namespace: {{ .Release.Namespace }}
-agents: [{{ range $i, $agent := .Values.agents }}{{ if $i }}, {{ end }}{{ $agent.name }}{{ end }}]
-pods: {{ .Values.remover.pods }}
-workloads: {{ .Values.remover.workloads }}
-per_minute: {{ .Values.remover.perMinute | int }}
 {{- end }}
 
 {{- define "robotkube.teardownSettings" -}}

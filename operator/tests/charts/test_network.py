@@ -26,13 +26,14 @@ PLATFORM = CHARTS / "robotkube"
 PROFILES = Path(__file__).parent / "profiles"
 PAGE = REPOSITORY / "docs" / "reference" / "network.md"
 EDGE = re.compile(r"^\| (`.*`) \| `([a-z-]+)` \| (?:TCP (\d+)|[^|]+) \|", re.MULTILINE)
-PORTS = (53, 80, 443, 1883, 3000, 6379, 6443, 7000, 7400, 8080, 8081, 8083, 22, 27017)
+PORTS = (53, 80, 443, 1883, 3000, 6379, 6443, 7000, 7400, 8080, 8081, 8083, 10250, 22, 27017)
 ASKED = [*(("TCP", port) for port in PORTS), ("UDP", 53), ("UDP", 7400), ("UDP", 8080)]
-AT = {"name-service": [("TCP", 53), ("UDP", 53)], "api-server": [("TCP", 6443)]}
+AT = {"name-service": [("TCP", 53), ("UDP", 53)], "api-server": [("TCP", 6443)], "kubelets": [("TCP", 10250)]}
 
 MONITORING = {"namespaceSelector": {"matchLabels": {"kubernetes.io/metadata.name": "monitoring"}}}
 STATED: Object = {  # what people state on a cluster of their own
     "apiServer": {"to": [{"ipBlock": {"cidr": "172.18.0.2/32"}}], "ports": [6443]},
+    "kubelets": {"to": [{"ipBlock": {"cidr": "172.18.0.4/32"}}]},
     "clients": {
         key: [{"ipBlock": {"cidr": "192.0.2.10/32"}}] for key in ("forge", "manager", "gate", "broker", "database")
     },
@@ -40,11 +41,13 @@ STATED: Object = {  # what people state on a cluster of their own
 }
 ELSEWHERE = (
     NetworkPeer("api-server", "172.18.0.2"),
+    NetworkPeer("kubelet", "172.18.0.4"),
     NetworkPeer("client", "192.0.2.10"),
     NetworkPeer("internet", "203.0.113.9"),
     NetworkPeer("group", "239.255.0.1"),
 )
 HOST = NetworkPeer("host", str(PLANS["test"].gateway))
+NODE = NetworkPeer("node", str(PLANS["test"].node(0)))
 
 
 def pod(namespace: str, name: str, labels: Mapping[str, str], number: int) -> NetworkPeer:
@@ -86,8 +89,8 @@ def policies(objects: Sequence[Object]) -> list[NetworkPolicy]:
 
 def meaning(everybody: Mapping[str, NetworkPeer], recording: Sequence[str]) -> dict[str, set[str]]:
     """The names of the table: which pods each means."""
-    names = ("manager", "gate", "suite-runner", "remover", "forge", "broker", "database", "bootstrap", "teardown")
-    found = {name: {f"robotkube/{name}"} for name in names}
+    names = ("manager", "gate", "suite-runner", "inspector", "remover", "forge", "broker", "database", "bootstrap")
+    found = {name: {f"robotkube/{name}"} for name in (*names, "teardown")}
     found["remover"] &= set(everybody)  # where it is installed
     found["manager"].add("robotkube/manager-again")
     for name in ("repo-server", "application-controller", "applicationset-controller", "redis"):
@@ -171,10 +174,11 @@ def test_the_embedded_cluster_allows_what_the_table_says_and_nothing_else(
     embedded: Any, argocd: list[Object], apps: Mapping[str, Any]
 ) -> None:
     everybody = pods(embedded, argocd, apps, ("vehicle-00", "cloud-0"))
-    everybody |= {one.name: one for one in (HOST, *ELSEWHERE[2:])}
+    everybody |= {one.name: one for one in (HOST, NODE, *ELSEWHERE[3:])}
     means = meaning(everybody, ["cloud-0"]) | {
         word: {"host"} for word in ("api-server", "name-service", "metrics", "clients")
     }
+    means["kubelets"] = {"host", "node"}  # the gateway is an address of the nodes' network
     wanted = expected(means) - {("host", "robotkube/gate", "TCP", 8080)}  # nobody on the host calls the gate
     rules = [*policies(embedded.objects), *policies(argocd)]
     found = table(rules, everybody)
@@ -191,7 +195,7 @@ def test_a_cluster_of_ones_own_allows_what_the_table_says_and_nothing_else(
     everybody |= {one.name: one for one in ELSEWHERE}
     means = meaning(everybody, ["cloud-0"])
     means |= {"api-server": {"api-server"}, "name-service": {"kube-system/coredns"}, "clients": {"client"}}
-    means["metrics"] = {"monitoring/prometheus"}
+    means |= {"metrics": {"monitoring/prometheus"}, "kubelets": {"kubelet"}}
 
     def elsewhere(reach: Reach) -> bool:
         return not_ours(reach) or all(name.startswith((*FREE, "argocd/")) or "/" not in name for name in reach[:2])
@@ -205,7 +209,7 @@ def test_what_a_vehicle_and_a_chart_under_test_reach(
 ) -> None:
     """Written down by hand, beside the table."""
     everybody = pods(embedded, argocd, apps, ("vehicle-00", "cloud-0"))
-    everybody |= {one.name: one for one in (HOST, *ELSEWHERE[2:])}
+    everybody |= {one.name: one for one in (HOST, NODE, *ELSEWHERE[3:])}
     rules = [*policies(embedded.objects), *policies(argocd)]
 
     def whom(who: str) -> set[tuple[str, str, int]]:

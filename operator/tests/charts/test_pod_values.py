@@ -20,6 +20,7 @@ WORKLOADS = {
     "managers": "Deployment/manager",
     "gate": "Deployment/gate",
     "suites": "Deployment/suite-runner",
+    "inspection": "Deployment/inspector",
     "remover": "Deployment/remover",
     "broker": "Deployment/broker",
     "database": "StatefulSet/database",

@@ -36,6 +36,15 @@ EVENTS, LEASES = "events.events.k8s.io", "leases.coordination.k8s.io"
 GROUP = "robotkube.io"
 INSPECTIONS = f"inspections.{GROUP}"
 NODES = {"nodes": READ}
+INSPECTIONS = "inspections.robotkube.io"
+LOOKED_AT = dict.fromkeys(
+    [
+        *(f"{kind}.apps" for kind in ("daemonsets", "deployments", "replicasets", "statefulsets")),
+        *(f"{kind}.batch" for kind in ("cronjobs", "jobs")),
+        "replicationcontrollers",
+    ],
+    "list",
+)
 ANSWERS = {TASKS: "create delete get list patch watch", STATUS: "patch update", EVENTS: "create", "pods": READ}
 APPLICATIONS = {"applications.argoproj.io": READ}
 SETTINGS = {"configmaps": READ}
@@ -98,6 +107,15 @@ EXACTLY: dict[str, dict[str, Rights]] = {
         "robotkube": lease("manager-north"),
     },
     "robotkube:gate": {},
+    "robotkube:inspector": {
+        "*": {"nodes": "list", "nodes/pods": "get"},
+        **dict.fromkeys(("vehicle-00", "vehicle-01", "cloud-0"), LOOKED_AT),
+        "robotkube": {
+            INSPECTIONS: "create delete get list",
+            "inspections/status.robotkube.io": "patch",
+            EVENTS: "create",
+        },
+    },
     "robotkube:default": {},
     "robotkube:suite-runner": {"robotkube-suite-0": ROOM},
     "robotkube:remover": {

@@ -19,7 +19,8 @@ class Table:
     is the document.
 
     `text` is what people get in place of the table. `refusal`: why the command ends as refused although it has data to
-    show; empty when it does not.
+    show; empty when it does not. `more` are further tables: for programs keys of the one document, for people what
+    follows when it has rows.
     """
 
     name: str
@@ -28,11 +29,12 @@ class Table:
     single: bool = False
     refusal: str = ""
     text: str = ""
+    more: Sequence[Table] = ()
 
 
 def write(table: Table, form: str, stream: TextIO) -> None:
     """Write the table to `stream` in one of FORMATS."""
-    document = dict(table.rows[0]) if table.single else {table.name: [dict(row) for row in table.rows]}
+    document = dict(table.rows[0]) if table.single else _lists(table)
     if form == "json":
         stream.write(json.dumps(document, indent=2, sort_keys=True) + "\n")
     elif form == "table" and table.text:
@@ -40,7 +42,12 @@ def write(table: Table, form: str, stream: TextIO) -> None:
     elif form == "yaml" or table.single:
         stream.write(write_mapping(document))
     else:
-        stream.writelines(f"{line}\n" for line in lines(table))
+        tables = [one for one in (table, *table.more) if one.rows or not table.more]
+        stream.write("\n".join("".join(f"{line}\n" for line in lines(one)) for one in tables))
+
+
+def _lists(table: Table) -> dict[str, Any]:
+    return {one.name: [dict(row) for row in one.rows] for one in (table, *table.more)}
 
 
 def lines(table: Table) -> list[str]:

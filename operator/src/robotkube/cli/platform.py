@@ -9,6 +9,7 @@ import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from robotkube.delivery.inspection.core.strangers import PLURAL as INSPECTIONS
 from robotkube.delivery.tasks.adapters.kubernetes_tasks import KubernetesTasks
 from robotkube.delivery.tasks.core.task_description import GROUP, PLURAL, VERSION
 from robotkube.errors import InputError, RefusalError, UnavailableError
@@ -90,6 +91,13 @@ class Platform:
     def applications(self) -> Sequence[Mapping[str, Any]]:
         """The Argo CD Applications."""
         return self._items(f"/apis/argoproj.io/v1alpha1/namespaces/{self._argocd}/applications")
+
+    def inspections(self) -> Sequence[Mapping[str, Any]]:
+        """The Inspections; none where the platform has no definition of them."""
+        try:
+            return self._items(f"/apis/{GROUP}/{VERSION}/namespaces/{self._namespace}/{INSPECTIONS}")
+        except InputError:
+            return ()
 
     def page(self, path: str) -> Mapping[str, Any]:
         """A JSON page of the manager."""

@@ -1,4 +1,5 @@
-"""The command `robotkube status`: where main of the deployment repository stands, and what is there unchecked."""
+"""The command `robotkube status`: where main of the deployment repository stands, what is there unchecked, and what
+runs that may not."""
 
 from __future__ import annotations
 
@@ -9,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from robotkube.cli import inspections
 from robotkube.cli.forge_access import REPOSITORY, AccountAtForge, forge_account, reaching
 from robotkube.cli.output import Table
 from robotkube.cli.platform import Platform
@@ -48,8 +50,9 @@ def asking(parser: argparse.ArgumentParser) -> None:
 
 
 def show_status(options: argparse.Namespace) -> Table:
-    """Show each commit of main that the gate did not check and that stands; refused when there is one, or when main has
-    no records. It reads Git alone, so it answers also while the gate is away."""
+    """Show each commit of main that the gate did not check and that stands, and each stranger that runs; refused when
+    there is one, or when main has no records. It reads Git and the Inspections alone, so it answers also while gate and
+    inspector are away. With --forge-url the cluster is not asked."""
     if options.forge_url and not options.keys:
         raise InputError(
             "--forge-url needs --keys with the public keys that you trust (docs/how-to/audit-a-platform.md)"
@@ -58,18 +61,29 @@ def show_status(options: argparse.Namespace) -> Table:
     with tempfile.TemporaryDirectory(prefix="robotkube-status-") as folder:
         keys = options.keys or _cluster_keys(Platform(options), Path(folder) / "keys")
         watch = read_main(access, Path(folder), TrustedKeys(keys), time.monotonic, time.sleep)
+    if options.forge_url:
+        return _shown(watch, None)
+    return _shown(watch, inspections.seen(Platform(options).inspections(), time.time_ns()))
+
+
+def _shown(watch: UncheckedWatch, seen: inspections.Seen | None) -> Table:
+    """What stands on main unchecked, and what was seen to run; None where nobody asked."""
     found = f"main of {REPOSITORY} is at {watch.tip[:12]}"
     rows = [_row(one) for one in watch.standing]
-    problems = [*_counted(watch.standing), *([watch.problem] if watch.problem else [])]
+    tables = seen.tables if seen else ()
+    main = [*_counted(watch.standing), *([watch.problem] if watch.problem else [])]
+    problems = [f"{'; '.join(main)}: {STEP}" if rows else "; ".join(main)] if main else []
+    if seen and seen.problem:
+        problems.append(seen.problem)
     if problems:
-        refusal = f"{found}; {'; '.join(problems)}: {STEP}" if rows else f"{found}; {'; '.join(problems)}"
-        return Table("unchecked", COLUMNS, rows, refusal=refusal)
+        blind = [seen.blind] if seen and seen.blind else []
+        return Table("unchecked", COLUMNS, rows, refusal="; ".join([found, *problems, *blind]), more=tables)
     text = f"{found}; everything on it was checked by the gate, or has been replaced or accepted\n"
     if watch.before_records:
         text += (
             f"{watch.before_records} of its commits came before the gate's first record, which nothing vouches for\n"
         )
-    return Table("unchecked", COLUMNS, rows, text=text)
+    return Table("unchecked", COLUMNS, rows, text=text + (seen.text if seen else ""), more=tables)
 
 
 def read_main(

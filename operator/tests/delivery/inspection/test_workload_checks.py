@@ -49,6 +49,7 @@ def test_as_the_api_server_has_it() -> None:
         ("spec/template/metadata/labels/team", "x", "labels.team is x, which the chart does not have"),
         ("metadata/annotations/team", "x", "metadata.annotations.team is x, which the chart does not have"),
         ("metadata/labels/team", "x", "metadata.labels.team is x"),
+        ("metadata/annotations/example.com", "", "metadata.annotations.example.com is , which the chart does not have"),
         ("spec/strategy/type", "RollingUpdate", "strategy.type is RollingUpdate, not Recreate"),
         ("spec/paused", True, "spec.paused is True"),
         ("spec/template/spec/containers/0/resources/requests/cpu", "2", "cpu is 2, not 1000m"),

@@ -49,14 +49,14 @@ from tests.stages.programs import free_port
 
 END_SECONDS_MAX = 20.0
 ACCOUNTS = (
-    *("manager", "gate", "argocd", "publisher", "image-publisher", "suite-runner"),
+    *("manager", "gate", "argocd", "publisher", "image-publisher", "suite-runner", "inspector"),
     *("operator-team", "reviewer"),
 )
 PACKAGES: Mapping[str, Mapping[str, str]] = {
     "robotkube": {"image-publisher": "write", "gate": "read", "suite-runner": "read"},
     "staging-publisher": {"publisher": "write", "gate": "read", "suite-runner": "read"},
     "staging": {"gate": "write", "suite-runner": "read"},
-    "verified": {"gate": "write", "manager": "read", "argocd": "read", "suite-runner": "read"},
+    "verified": {"gate": "write", "manager": "read", "argocd": "read", "suite-runner": "read", "inspector": "read"},
 }
 CHARTS_URL = "oci://forge.robotkube.svc.cluster.local:3000/verified"
 WEBHOOK_SECRET = "webhook secret of the gate"  # noqa: S105

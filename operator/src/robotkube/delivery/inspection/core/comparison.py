@@ -26,6 +26,7 @@ NOT_COMPARED = frozenset(["spec.replicas"])
 NAMES = ("name", "mountPath", "containerPort", "key")
 """Keys by which entries of a list are told apart, for the words of a difference."""
 QUANTITIES = ("resources.limits", "resources.requests", "emptyDir", "divisor")
+WORDS = ("labels", "annotations")  # an empty one says something
 EMPTY: tuple[Any, ...] = (None, "", 0, False, [], {})
 
 
@@ -77,7 +78,11 @@ def is_explained(live: Object, key: str, place: str) -> bool:
         return bool(live[key] == live.get("serviceAccountName"))
     if place in DEFAULTS:
         return bool(live[key] == DEFAULTS[place])
-    return live[key] in EMPTY and not isinstance(live[key], (bool, int))
+    return (
+        live[key] in EMPTY
+        and not isinstance(live[key], (bool, int))
+        and not place.removesuffix(f".{key}").endswith(WORDS)
+    )
 
 
 def _lists(live: Sequence[Any], rendered: Sequence[Any], place: str, words: str) -> Iterator[str]:

@@ -20,6 +20,7 @@ from robotkube.foundation.runtime.ports import Series
 
 HEARTBEAT_SECONDS = 60
 GONE = "StrangerGone"
+FIELDS = "inspection=%s kind=%s namespace=%s name=%s container=%s image=%s reason=%s message=%r"
 
 log = logging.getLogger(__name__)
 
@@ -102,10 +103,10 @@ class Reporter:
         earlier = {one.key: one for one in strangers_of(before)}
         later = {one.key: one for one in strangers_of(status)}
         for key in sorted(later.keys() - earlier.keys()):
-            _log("stranger appeared", look, later[key])
+            log.warning(f"stranger appeared {FIELDS}", *_fields(look, later[key]))
             self._inspections.report(look, later[key].reason, later[key])
         for key in sorted(earlier.keys() - later.keys()):
-            _log("stranger gone", look, earlier[key])
+            log.warning(f"stranger gone {FIELDS}", *_fields(look, earlier[key]))
             self._inspections.report(look, GONE, earlier[key])
 
 
@@ -116,19 +117,9 @@ def _is_same(before: Status, status: Status, now_ns: int) -> bool:
     return now_ns - time_ns(before["observedTime"]) < HEARTBEAT_SECONDS * 10**9 if "observedTime" in before else True
 
 
-def _log(event: str, look: Look, one: Stranger) -> None:
-    log.warning(
-        "%s inspection=%s kind=%s namespace=%s name=%s container=%s image=%s reason=%s message=%r",
-        event,
-        look.name,
-        one.kind,
-        one.namespace or "-",
-        one.name,
-        one.container or "-",
-        one.image or "-",
-        one.reason,
-        one.message,
-    )
+def _fields(look: Look, one: Stranger) -> tuple[str, ...]:
+    place = (one.kind, one.namespace or "-", one.name, one.container or "-")
+    return (look.name, *place, one.image or "-", one.reason, one.message)
 
 
 def _gauge(name: str, values: Mapping[tuple[str, ...], float], *labels: str) -> Series:

@@ -1,0 +1,238 @@
+"""The inspector's loop: looks, confirmations and what is reported."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from robotkube.delivery.inspection.loops.inspector import Inspector
+from robotkube.delivery.inspection.loops.looks import NodeLooks, ReleaseLooks
+from robotkube.delivery.inspection.loops.reporting import Reporter
+from robotkube.delivery.inspection.ports import NodeReading
+from tests.stages.delivery.inspected_node import FOREIGN_IMAGE, deployment, permitted, pod_object, pods, running
+from tests.stages.delivery.inspections_in_memory import (
+    Clock,
+    InspectionsInMemory,
+    NodesInMemory,
+    SourceInMemory,
+    WorkloadsInMemory,
+)
+
+STEP_SECONDS = 0.5
+NAMED_SECONDS = 15
+CLEAN = {"Seen": "True", "Clean": "True"}
+STRANGE = {"Seen": "True", "Clean": "False"}
+UNSEEN = {"Seen": "False", "Clean": "Unknown"}
+
+
+class Stage:
+    """An inspector in memory, with one node `a` on which all is as it should be."""
+
+    def __init__(self, **readings: NodeReading | None) -> None:
+        self.clock = Clock()
+        self.nodes = NodesInMemory({"a": reading(pod_object()), **readings})
+        self.workloads = WorkloadsInMemory(("Deployment", deployment()))
+        self.source = SourceInMemory(permitted())
+        self.inspections = InspectionsInMemory()
+        self.made: list[Inspector] = []
+        self.start()
+
+    def start(self) -> None:
+        """Start the process, anew: it has forgotten everything."""
+        self.reporter = Reporter(self.inspections, self.clock.ns)
+        looks = (NodeLooks(self.clock), ReleaseLooks(self.workloads))
+        self.inspector = Inspector(self.nodes, looks, self.source, self.reporter, self.clock)
+        self.made.append(self.inspector)
+
+    def run(self, seconds: float) -> None:
+        """Let time pass."""
+        end = self.clock.now + seconds
+        while self.clock.now < end:
+            self.inspector.step()
+            self.clock.now += STEP_SECONDS
+
+    def conditions(self, name: str = "kubelet.a") -> dict[str, str]:
+        return self.inspections.conditions(name)
+
+
+def reading(*objects: dict[str, Any], runs: Any = ()) -> NodeReading:
+    return NodeReading(pods(*objects), running(*runs))
+
+
+@pytest.fixture
+def stage() -> Iterator[Stage]:
+    stage = Stage()
+    yield stage
+    for inspector in stage.made:
+        inspector.stop()
+
+
+STRANGER = pod_object(uid="u2", name="stranger", image=FOREIGN_IMAGE, owner=("", ""))
+
+
+def test_nothing_is_strange(stage: Stage) -> None:
+    stage.run(30)
+    assert stage.conditions() == CLEAN
+    assert stage.conditions("releases") == CLEAN
+    assert stage.inspections.events == []
+    assert stage.inspector.reasons_not_ready() == []
+
+
+def test_a_stranger_is_named_in_time_and_gone_again(stage: Stage) -> None:
+    stage.run(31.5)
+    stage.nodes.readings["a"] = reading(pod_object(), STRANGER)
+    stage.run(NAMED_SECONDS)
+    assert stage.conditions() == STRANGE
+    status = stage.inspections.statuses["kubelet.a"]
+    assert [one["reason"] for one in status["strangers"]] == ["ForeignImage", "NoRelease"]
+    assert status["strangersTotal"] == 2
+    assert [reason for _, reason, _ in stage.inspections.events] == ["ForeignImage", "NoRelease"]
+    assert "Container vehicle-00/stranger/detector (ForeignImage)" in status["conditions"][1]["message"]
+    stage.nodes.readings["a"] = reading(pod_object())
+    stage.run(NAMED_SECONDS)
+    assert stage.conditions() == CLEAN
+    assert [reason for _, reason, _ in stage.inspections.events[2:]] == ["StrangerGone", "StrangerGone"]
+
+
+def test_a_sidecar_is_named_in_time(stage: Stage) -> None:
+    stage.run(31.5)
+    changed = deployment()
+    changed["metadata"]["resourceVersion"] = "8"
+    changed["spec"]["template"]["spec"]["containers"].append({"name": "miner", "image": FOREIGN_IMAGE})
+    stage.workloads.workloads[:] = [("Deployment", changed)]
+    stage.run(NAMED_SECONDS)
+    assert stage.conditions("releases") == STRANGE
+    stage.workloads.workloads[:] = [("Deployment", deployment())]
+    stage.run(NAMED_SECONDS)
+    assert stage.conditions("releases") == CLEAN
+
+
+def test_another_kind_of_workload_is_named(stage: Stage) -> None:
+    stage.workloads.workloads.append(("StatefulSet", deployment()))
+    stage.run(60)
+    (one,) = stage.inspections.statuses["releases"]["strangers"]
+    assert (one["kind"], one["reason"]) == ("StatefulSet", "NoRelease")
+
+
+def test_what_a_publication_explains_is_never_named(stage: Stage) -> None:
+    """Pods of a release may stand before the inspector has followed main and catalogue."""
+    stage.run(31.5)
+    stage.source.now = permitted(releases={})
+    stage.source.next = permitted()
+    stage.run(NAMED_SECONDS)
+    assert stage.conditions() == CLEAN
+    assert stage.inspections.events == []
+
+
+def test_what_is_strange_once_is_not_named(stage: Stage) -> None:
+    stage.run(31.5)
+    stage.nodes.readings["a"] = reading(pod_object(), runs=[("u9", "starting", {"detector": "x"})])
+    before = len(stage.nodes.asked)
+    while len(stage.nodes.asked) == before:
+        stage.run(STEP_SECONDS)
+    stage.nodes.readings["a"] = reading(pod_object())
+    stage.run(30)
+    assert stage.inspections.events == []
+
+
+def test_a_kubelet_that_does_not_answer_is_said_and_delays_nobody(stage: Stage) -> None:
+    stage.nodes.readings["b"] = None
+    stage.run(60)
+    assert stage.conditions("kubelet.b") == UNSEEN
+    assert "timed out" in stage.inspections.statuses["kubelet.b"]["conditions"][0]["message"]
+    assert stage.conditions() == CLEAN
+    assert stage.nodes.asked.count("b") == 2
+
+
+def test_strangers_stay_named_while_the_kubelet_is_silent(stage: Stage) -> None:
+    stage.nodes.readings["a"] = reading(pod_object(), STRANGER)
+    stage.run(NAMED_SECONDS)
+    stage.nodes.readings["a"] = None
+    stage.run(30)
+    assert stage.conditions() == UNSEEN
+    assert stage.inspections.statuses["kubelet.a"]["strangersTotal"] == 2
+    assert len(stage.inspections.events) == 2
+
+
+def test_a_kubelet_that_starts_is_not_believed_yet(stage: Stage) -> None:
+    """It knows its static pods, and of the API server's nothing yet, while all containers run on."""
+    stage.run(31.5)
+    stage.start()
+    stage.nodes.readings["a"] = reading(runs=[("u1", "detector-5d9c7b-x", {"detector": "x"})])
+    stage.run(30)
+    assert stage.conditions() == UNSEEN
+    assert "it is starting" in stage.inspections.statuses["kubelet.a"]["conditions"][0]["message"]
+    stage.nodes.readings["a"] = reading(pod_object(), runs=[("u1", "detector-5d9c7b-x", {"detector": "x"})])
+    stage.run(30)
+    assert stage.conditions() == CLEAN
+    assert stage.inspections.events == []
+
+
+def test_a_pod_that_its_kubelet_forgot_first_is_none(stage: Stage) -> None:
+    stage.run(31.5)
+    runs = [("u1", "detector-5d9c7b-x", {"detector": "x"}), ("u2", "next", {"detector": "x"})]
+    stage.nodes.readings["a"] = reading(pod_object(uid="u2", name="next"), runs=runs)
+    stage.run(60)
+    assert stage.inspections.events == []
+
+
+def test_a_restart_repeats_nothing(stage: Stage) -> None:
+    stage.nodes.readings["a"] = reading(pod_object(), STRANGER)
+    stage.run(NAMED_SECONDS)
+    since = [one["since"] for one in stage.inspections.statuses["kubelet.a"]["strangers"]]
+    stage.start()
+    stage.run(30)
+    assert len(stage.inspections.events) == 2
+    assert [one["since"] for one in stage.inspections.statuses["kubelet.a"]["strangers"]] == since
+
+
+def test_before_anything_was_read_nothing_is_claimed(stage: Stage) -> None:
+    stage.source.now = None
+    stage.nodes.readings["a"] = reading(STRANGER)
+    stage.run(30)
+    assert stage.conditions() == UNSEEN
+    assert stage.conditions("releases") == UNSEEN
+
+
+def test_what_could_not_be_written_is_written_by_the_next_look(stage: Stage) -> None:
+    stage.run(31.5)
+    stage.inspections.away = True
+    stage.nodes.readings["a"] = reading(pod_object(), STRANGER)
+    stage.run(NAMED_SECONDS)
+    assert "no answer" in stage.inspector.reasons_not_ready()[0]
+    stage.inspections.away = False
+    stage.run(NAMED_SECONDS)
+    assert stage.conditions() == STRANGE
+    assert len(stage.inspections.events) == 2
+
+
+def test_a_node_that_is_gone_leaves_no_inspection(stage: Stage) -> None:
+    stage.nodes.readings["b"] = reading(pod_object(uid="u3"))
+    stage.run(31.5)
+    assert "kubelet.b" in stage.inspections.names()
+    del stage.nodes.readings["b"]
+    stage.run(40)
+    assert stage.inspections.names() == ("kubelet.a", "releases")
+
+
+def test_an_unchanged_status_is_written_once_a_minute(stage: Stage) -> None:
+    stage.run(30)
+    before = stage.inspections.writes
+    stage.run(120)
+    assert stage.inspections.writes - before == 4
+
+
+def test_metrics(stage: Stage) -> None:
+    stage.nodes.readings["b"] = None
+    stage.nodes.readings["a"] = reading(pod_object(), STRANGER)
+    stage.run(31.5)
+    series = {one.name: one.values for one in stage.reporter.metrics()}
+    assert series["robotkube_inspection_strangers"] == {
+        ("kubelet", "a", "ForeignImage"): 1.0,
+        ("kubelet", "a", "NoRelease"): 1.0,
+    }
+    assert series["robotkube_inspection_unseen"][("kubelet", "b")] == 1.0
+    assert series["robotkube_inspection_look_age_seconds"][("kubelet", "a")] < 11
+    assert ("kubelet", "b") not in series["robotkube_inspection_look_age_seconds"]
