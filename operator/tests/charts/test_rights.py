@@ -48,6 +48,7 @@ LOOKED_AT = dict.fromkeys(
 ANSWERS = {TASKS: "create delete get list patch watch", STATUS: "patch update", EVENTS: "create", "pods": READ}
 APPLICATIONS = {"applications.argoproj.io": READ}
 SETTINGS = {"configmaps": READ}
+REMOVING = {"pods": "delete get", "deployments.apps": "get patch"}
 CLUSTER_WIDE = {"configmaps": READ, "deployments.apps": READ, "pods": READ, "replicasets.apps": READ}
 RELEASES = dict.fromkeys(("configmaps", "deployments.apps"), "create delete get list patch watch")
 EVERY_VERB = "create delete get list patch update watch"
@@ -120,7 +121,7 @@ EXACTLY: dict[str, dict[str, Rights]] = {
     "robotkube:suite-runner": {"robotkube-suite-0": ROOM},
     "robotkube:remover": {
         "robotkube": {INSPECTIONS: "list", f"inspections/status.{GROUP}": "patch", EVENTS: "create"},
-        **dict.fromkeys(AGENTS, {"pods": "delete get", "deployments.apps": "get patch"}),
+        **dict.fromkeys(AGENTS, REMOVING),
     },
     "robotkube:bootstrap": {"argocd": SET_UP},
     "robotkube:teardown": {"argocd": TEARING_DOWN},

@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from robotkube.delivery.removal.core.returns import PAUSE_SECONDS_MAX, PAUSE_SECONDS_MIN
 from robotkube.delivery.removal.core.targets import RemovalPolicy
 from robotkube.delivery.removal.loops.remover import POLL_SECONDS, SILENCE_SECONDS_MAX, Remover
 from robotkube.delivery.removal.loops.removing import ROLL_OUT_SECONDS
+from robotkube.delivery.removal.loops.returns import PAUSE_SECONDS_MAX, PAUSE_SECONDS_MIN
 from robotkube.foundation.runtime.adapters.prometheus_series import MetricsPage
 from tests.delivery.removal.cluster_in_memory import ClusterInMemory
 from tests.delivery.removal.examples import NOW_NS, UID, deployment, inspection, pod, stranger

@@ -4,14 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from robotkube.delivery.removal.core.returns import (
-    FORGET_SECONDS,
-    PAUSE_SECONDS_MAX,
-    PAUSE_SECONDS_MIN,
-    Maker,
-    Returns,
-    maker_of,
-)
+from robotkube.delivery.removal.core.makers import Maker, maker_of
+from robotkube.delivery.removal.loops.returns import FORGET_SECONDS, PAUSE_SECONDS_MAX, PAUSE_SECONDS_MIN, Returns
 from tests.delivery.removal.examples import pod
 
 ONE, OTHER = Maker("vehicle-00", "Deployment", "detector"), Maker("vehicle-00", "Pod", "foreign")

@@ -61,7 +61,8 @@ def _in_list(live: list[Any], rendered: list[Any], place: str, pointer: str) -> 
     for index, (key, entry) in enumerate(zip(keys, live, strict=True)):
         own = [other for one, other in zip(known, rendered, strict=True) if one == key]
         same = [number for number, one in enumerate(keys) if one == key]
-        kept = sorted(sorted(same, key=lambda number, own=own: live[number] not in own)[: len(own)])
+        alike = [number for number in same if live[number] in own]
+        kept = sorted([*alike, *(number for number in same if number not in alike)][: len(own)])
         if index not in kept:
             yield f"{pointer}/{index}"
         else:

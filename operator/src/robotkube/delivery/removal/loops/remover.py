@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from robotkube.backoffs import Random, backoff
 from robotkube.delivery.removal.core.conditions import REMOVED, Outcome, condition_of
 from robotkube.delivery.removal.core.named import NamedStrangers, read_inspection
-from robotkube.delivery.removal.core.returns import Returns
 from robotkube.delivery.removal.core.targets import (
     Left,
     PodTarget,
@@ -20,7 +19,8 @@ from robotkube.delivery.removal.core.targets import (
     merged,
     target_of,
 )
-from robotkube.delivery.removal.loops.removing import Place, Removing
+from robotkube.delivery.removal.loops.removing import NamedIn, Removing
+from robotkube.delivery.removal.loops.returns import Returns
 from robotkube.delivery.removal.ports import RemovalCluster
 from robotkube.errors import RobotKubeError
 from robotkube.foundation.documents.core.times import time_text
@@ -121,10 +121,10 @@ class Remover:
 
     def _act(self, inspections: Sequence[NamedStrangers]) -> Answers:
         """Take away what these name: workloads first, each target once."""
-        places: dict[Target, Place] = {}
+        places: dict[Target, NamedIn] = {}
         for one in inspections:
             for target in self._targets(one):
-                places.setdefault(target, Place(one.name, one.uid))
+                places.setdefault(target, NamedIn(one.name, one.uid))
         parts = [target for target in places if isinstance(target, WorkloadTarget)]
         whole = merged(parts)
         self._removing.begin(whole)

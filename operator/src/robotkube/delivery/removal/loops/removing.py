@@ -16,9 +16,10 @@ from robotkube.delivery.removal.core.conditions import (
     TOO_MANY,
     Outcome,
 )
+from robotkube.delivery.removal.core.makers import DEPLOYMENT, Maker, maker_of
 from robotkube.delivery.removal.core.patches import restoring_patch
-from robotkube.delivery.removal.core.returns import DEPLOYMENT, PAUSE_SECONDS_MAX, Maker, Returns, maker_of
 from robotkube.delivery.removal.core.targets import NOT_BY_API, PodTarget, WorkloadTarget
+from robotkube.delivery.removal.loops.returns import PAUSE_SECONDS_MAX, Returns
 from robotkube.delivery.removal.ports import RemovalCluster
 from robotkube.errors import InputError
 
@@ -32,7 +33,7 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class Place:
+class NamedIn:
     """Where a target is named: an Inspection, with its UID."""
 
     inspection: str
@@ -60,7 +61,7 @@ class Removing:
         self._returns.forget(self._now)
         self._changed = {_maker(one) for one in workloads}
 
-    def restore(self, target: WorkloadTarget, place: Place) -> Outcome:
+    def restore(self, target: WorkloadTarget, place: NamedIn) -> Outcome:
         """Take out of a Deployment what its chart does not render."""
         maker = _maker(target)
         waiting = self._waits(RESTORE, maker)
@@ -81,7 +82,7 @@ class Removing:
         act = _Act(RESTORE, "Restored", f"{maker} was restored: {words} taken away", maker, place)
         return self._done(act, lambda: self._cluster.patch_deployment(deployment, patch))
 
-    def delete(self, target: PodTarget, place: Place) -> Outcome:
+    def delete(self, target: PodTarget, place: NamedIn) -> Outcome:
         """Delete a pod."""
         name = f"Pod {target.namespace}/{target.name}"
         try:
@@ -165,7 +166,7 @@ class _Act:
     event: str
     sentence: str
     maker: Maker
-    place: Place
+    place: NamedIn
 
 
 def _maker(target: WorkloadTarget) -> Maker:
