@@ -69,6 +69,21 @@ CHANGED = Refused(
     "deployments … changed by …: in an agent's namespace nothing runs but what main says. Change the release on main",
     f"{POLICIES}::test_nobody_else_changes_a_workload_of_an_agent",
 )
+INSPECTION = "delivery/inspection/test_attacks.py"
+RUNS_FOREIGN_IMAGE = Refused(
+    "container … of pod … runs image …, which is not listed for this namespace",
+    f"{INSPECTION}::test_a_pod_with_an_image_that_is_not_listed",
+)
+ON_THE_MACHINE = Refused("has a way to its machine: …", f"{INSPECTION}::test_a_way_to_the_machine")
+RUNS_FOREIGN_CHART = Refused(
+    "its chart … is not verified on the catalogue's main",
+    f"{INSPECTION}::test_a_release_of_a_chart_that_is_not_verified",
+)
+OF_NO_RELEASE = Refused("no release that main has renders it", f"{INSPECTION}::test_a_workload_that_main_does_not_have")
+OTHERWISE = Refused(
+    "is not what the chart of release … renders",
+    "delivery/inspection/test_workloads_api_server.py::test_what_somebody_adds_to_a_workload_is_named",
+)
 RESERVED = Refused(
     "only the account gate writes notes, tags and whatever else is no branch",
     f"{RIGHTS}::test_a_person_writes_nothing_but_branches",
@@ -82,7 +97,7 @@ ATTACKS = (
         AS_MANAGER,
         FOREIGN_IMAGE,
         IMAGE,
-        NOT_YET,
+        RUNS_FOREIGN_IMAGE,
     ),
     Attack(
         "image-by-publisher",
@@ -97,7 +112,7 @@ ATTACKS = (
             "the trial, before it is published",
         ),
         IMAGE,
-        NOT_YET,
+        RUNS_FOREIGN_IMAGE,
     ),
     Attack(
         "application-to-the-machine",
@@ -112,7 +127,7 @@ ATTACKS = (
             "in namespace … ask for a way to their machine (its network, processes, files, or privileges)",
             f"{POLICIES}::test_no_pod_gets_a_way_to_its_machine",
         ),
-        NOT_YET,
+        ON_THE_MACHINE,
     ),
     Attack(
         "application-edited",
@@ -151,7 +166,7 @@ ATTACKS = (
             "test_what_the_gate_refuses_reaches_main_by_nobody_though_edits_are_to_be_respected",
         ),
         IMAGE,
-        NOT_YET,
+        RUNS_FOREIGN_IMAGE,
     ),
     Attack(
         "entry-called-verified",
@@ -169,7 +184,7 @@ ATTACKS = (
             "registry/admission/test_listing.py::test_without_its_signature_a_version_is_not_listed",
             "the list",
         ),
-        NOT_YET,
+        RUNS_FOREIGN_CHART,
     ),
     Attack(
         "verdict-overwritten",
@@ -182,7 +197,7 @@ ATTACKS = (
             "it lists another envelope of suite static", f"{EVIDENCE}::test_evidence_that_does_not_hold_is_refused"
         ),
         Unseen("only the summary is looked up, which is one signature over the chart with its images"),
-        NOT_YET,
+        Unseen("only the summary is looked up, which is one signature over the chart with its images"),
     ),
     Attack(
         "status-forged",
@@ -190,7 +205,7 @@ ATTACKS = (
         NO_DEMAND,
         Refused("a plan may only touch", "delivery/gate/test_gate.py::test_a_forged_status_changes_nothing"),
         OTHER_CHART,
-        NOT_YET,
+        RUNS_FOREIGN_CHART,
     ),
     Attack(
         "withdrawn-version",
@@ -204,7 +219,7 @@ ATTACKS = (
             "delivery/gate/test_gate.py::test_what_the_catalogue_withdrew_is_refused_when_both_are_told_at_once",
         ),
         OTHER_CHART,
-        NOT_YET,
+        RUNS_FOREIGN_CHART,
     ),
     Attack(
         "tag-moves",
@@ -218,7 +233,10 @@ ATTACKS = (
             "a tag can be moved after it was checked, a digest cannot",
             f"{POLICIES}::test_a_test_namespace_takes_any_image_by_digest_from_the_suite_runner",
         ),
-        NOT_YET,
+        Refused(
+            "container … of pod … runs image …, which is not listed for this namespace",
+            f"{INSPECTION}::test_a_tag_that_has_moved",
+        ),
     ),
     Attack(
         "application-by-argocd",
@@ -226,7 +244,7 @@ ATTACKS = (
         NO_DEMAND,
         NOT_PROPOSED,
         OTHER_CHART,
-        NOT_YET,
+        OF_NO_RELEASE,
     ),
     Attack(
         "operation-with-source",
@@ -237,7 +255,7 @@ ATTACKS = (
             "operation.sync names another source or revision than the Application, or manifests of its own",
             f"{APPLICATIONS}::test_an_operation_brings_nothing_of_its_own",
         ),
-        NOT_YET,
+        OF_NO_RELEASE,
     ),
     Attack(
         "project-widened",
@@ -260,10 +278,14 @@ ATTACKS = (
             "controllers make their pods",
             f"{POLICIES}::test_nobody_but_controllers_makes_pods_of_an_agent",
         ),
-        NOT_YET,
+        Refused(
+            "pod … is not of …release … that main of the deployment has", f"{INSPECTION}::test_a_pod_of_no_release"
+        ),
     ),
-    Attack("sidecar", "A sidecar is added to a release's Deployment", NO_DEMAND, NOT_PROPOSED, CHANGED, NOT_YET),
-    Attack("annotation", "An annotation is added to a release's Deployment", NO_DEMAND, NOT_PROPOSED, CHANGED, NOT_YET),
+    Attack("sidecar", "A sidecar is added to a release's Deployment", NO_DEMAND, NOT_PROPOSED, CHANGED, OTHERWISE),
+    Attack(
+        "annotation", "An annotation is added to a release's Deployment", NO_DEMAND, NOT_PROPOSED, CHANGED, OTHERWISE
+    ),
     Attack(
         "ephemeral-container",
         "A container is added to a pod that runs (`kubectl debug`)",
@@ -273,7 +295,10 @@ ATTACKS = (
             "no container may be added to a pod that runs in namespace …: nobody verified the pod with it",
             f"{POLICIES}::test_containers_are_not_added_to_pods_of_an_agent",
         ),
-        NOT_YET,
+        Refused(
+            "container … was added to pod … while it ran (kubectl debug)",
+            f"{INSPECTION}::test_a_container_added_to_a_pod_that_runs",
+        ),
     ),
     Attack(
         "image-volume",
@@ -287,7 +312,9 @@ ATTACKS = (
             "delivery/gate/test_image_checks.py::test_an_image_that_is_a_volume_is_refused_as_well",
         ),
         IMAGE,
-        NOT_YET,
+        Refused(
+            "has image … as a volume, which may not run here", f"{INSPECTION}::test_an_image_as_a_volume"
+        ),
     ),
     Attack(
         "way-to-the-machine",
@@ -302,7 +329,7 @@ ATTACKS = (
             "in namespace … ask for a way to their machine (its network, processes, files, or privileges)",
             f"{POLICIES}::test_no_pod_gets_a_way_to_its_machine",
         ),
-        NOT_YET,
+        ON_THE_MACHINE,
     ),
     Attack(
         "policy-deleted",
@@ -329,9 +356,19 @@ ATTACKS = (
             "ci/cluster/test_admission_api_server.py::"
             "test_a_publication_is_at_work_without_a_request_to_the_server",
         ),
-        NOT_YET,
+        Refused(
+            "container … of pod … runs image …, which is not listed for this namespace",
+            "delivery/inspection/test_permitted.py::test_while_the_forge_is_away_the_last_list_counts",
+        ),
     ),
-    Attack("static-pod", "A static pod is put on a machine", NO_DEMAND, NOT_PROPOSED, FROM_MACHINE, NOT_YET),
+    Attack(
+        "static-pod",
+        "A static pod is put on a machine",
+        NO_DEMAND,
+        NOT_PROPOSED,
+        FROM_MACHINE,
+        Refused("static pod …: a file of the machine names it", f"{INSPECTION}::test_a_static_pod"),
+    ),
     Attack(
         "beside-the-kubelet",
         "A container is started beside the kubelet, by the machine's own runtime",
@@ -350,7 +387,7 @@ ATTACKS = (
             "its log, afterwards",
         ),
         OTHER_CHART,
-        NOT_YET,
+        RUNS_FOREIGN_CHART,
         Refused(
             "has no record of the gate: main was moved past it, or the record was taken away",
             f"{STATUS}::test_each_kind_has_words_of_its_own",
@@ -363,7 +400,7 @@ ATTACKS = (
         NO_DEMAND,
         NOT_PROPOSED,
         OTHER_CHART,
-        NOT_YET,
+        RUNS_FOREIGN_CHART,
         Refused(
             "only says that it is break-glass: its signatures do not hold, so main was moved past gate and hook",
             f"{STATUS}::test_each_kind_has_words_of_its_own",
@@ -401,7 +438,10 @@ ATTACKS = (
             "namespaces, by digest",
             f"{POLICIES}::test_the_platform_runs_its_own_images",
         ),
-        NOT_YET,
+        Refused(
+            "container … of pod … runs image …, which is not listed for this namespace",
+            f"{INSPECTION}::test_an_image_that_was_pushed_to_the_platforms_organisation",
+        ),
         Refused("401 Unauthorized: reqPackageAccess", f"{PACKAGE_RIGHTS}::test_writing", "the OCI registry"),
     ),
     Attack(
@@ -477,6 +517,6 @@ ATTACKS = (
         NOT_PROPOSED,
         Unseen("who may impersonate an account is that account: the rules on images and machines hold, those on who "
         "asks do not"),
-        NOT_YET,
+        OF_NO_RELEASE,
     ),
 )  # fmt: skip

@@ -143,7 +143,15 @@ def test_a_kubelet_that_does_not_answer_is_said_and_delays_nobody(stage: Stage) 
     assert stage.conditions("kubelet.b") == UNSEEN
     assert "timed out" in stage.inspections.statuses["kubelet.b"]["conditions"][0]["message"]
     assert stage.conditions() == CLEAN
-    assert stage.nodes.asked.count("b") == 2
+    assert stage.nodes.asked.count("b") == 3  # after 10 s again, then every 30 s
+
+
+def test_a_kubelet_that_lists_nonsense_ends_nothing(stage: Stage) -> None:
+    nonsense = pod_object(uid="u4", spec={"initContainers": [{"name": "x", "image": "y", "securityContext": "z"}]})
+    stage.nodes.readings["b"] = reading(nonsense)
+    stage.run(30)
+    assert stage.conditions("kubelet.b") == UNSEEN
+    assert stage.conditions() == CLEAN
 
 
 def test_strangers_stay_named_while_the_kubelet_is_silent(stage: Stage) -> None:

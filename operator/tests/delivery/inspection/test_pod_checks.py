@@ -101,13 +101,35 @@ def test_a_pod_that_differs_from_its_chart_is_named() -> None:
     (one,) = _seen(changed)
     assert one.reason == "NotOfTheChart"
     assert "extra added" in one.message
-    for key, value in {"command": ["sh"], "securityContext": {"privileged": True}, "env": []}.items():
+    for key, value in {"command": ["sh"], "securityContext": {"runAsUser": 0}, "env": []}.items():
         changed = pod_object()
         changed["spec"]["containers"][0][key] = value
         assert _reasons(_seen(changed)) == ["NotOfTheChart"], key
-    assert _reasons(_seen(pod_object(spec={"hostNetwork": True}))) == ["NotOfTheChart"]
-    on_host = [{"name": "root", "hostPath": {"path": "/"}}]
-    assert _reasons(_seen(pod_object(spec={"volumes": on_host}))) == ["NotOfTheChart"]
+
+
+@pytest.mark.parametrize("namespace", ["vehicle-00", "robotkube", "robotkube-suite-0", "argocd", "default"])
+def test_a_way_to_the_machine_is_named(namespace: str) -> None:
+    ways: list[tuple[dict[str, Any], str]] = [
+        ({"hostNetwork": True}, "hostNetwork"),
+        ({"volumes": [{"name": "root", "hostPath": {"path": "/"}}]}, "hostPath /"),
+    ]
+    for spec, words in ways:
+        found = _seen(pod_object(namespace, spec=spec), elsewhere=True)
+        assert [one.message for one in found if one.reason == "WayToTheMachine" and words in one.message], words
+    privileged = pod_object(namespace)
+    privileged["spec"]["containers"][0]["securityContext"] = {
+        "privileged": True,
+        "capabilities": {"add": ["SYS_ADMIN"]},
+    }
+    found = _seen(privileged, elsewhere=True)
+    (one,) = [one for one in found if one.reason == "WayToTheMachine"]
+    assert "container detector is privileged, container detector has SYS_ADMIN" in one.message
+
+
+def test_a_capability_that_restricted_pods_may_have_is_none() -> None:
+    bound = pod_object("robotkube", owner=("ReplicaSet", "x-1"), image=PLATFORM_IMAGE)
+    bound["spec"]["containers"][0]["securityContext"] = {"capabilities": {"add": ["NET_BIND_SERVICE"]}}
+    assert not _seen(bound)
 
 
 def test_a_pod_as_main_had_it_before_is_none() -> None:

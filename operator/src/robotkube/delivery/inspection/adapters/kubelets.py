@@ -52,8 +52,22 @@ class Kubelets:
 
     def read(self, node: NodeAddress) -> NodeReading:
         """What the node's kubelet lists."""
-        running = read_runtime_pods(self._get(node, RUNNING))
-        return NodeReading(read_pods(self._get(node, PODS), node.digests), running)
+        running = self._get(node, RUNNING)
+        pods = self._get(node, PODS)
+        try:
+            return NodeReading(read_pods(pods, node.digests), read_runtime_pods(running))
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            raise UnavailableError(
+                f"kubelet of node {node.name}: what it lists is no list of pods: {error!r}"
+            ) from error
+
+    def close(self) -> None:
+        """Give kept connections back; the next question makes a new one."""
+        with self._lock:
+            kept = list(self._connections.values())
+            self._connections.clear()
+        for connection in kept:
+            connection.close()
 
     def _get(self, node: NodeAddress, path: str) -> Mapping[str, Any]:
         what = f"kubelet of node {node.name} ({node.host}:{node.port}), GET {path}"

@@ -54,6 +54,7 @@ OF_CONTAINERS: Mapping[str, Any] = {
     "resources": {},
     "ports.*.protocol": "TCP",
     "env.*.valueFrom.fieldRef.apiVersion": "v1",
+    "env.*.valueFrom.resourceFieldRef.divisor": "0",
     "lifecycle.postStart.httpGet.scheme": "HTTP",
     "lifecycle.preStop.httpGet.scheme": "HTTP",
     "securityContext.procMount": "Default",

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from robotkube.delivery.inspection.core.comparison import differences
-from robotkube.delivery.inspection.core.kubelet_pods import EPHEMERAL, Container, KubeletPod, RuntimePod
+from robotkube.delivery.inspection.core.kubelet_pods import EPHEMERAL, KINDS, Container, KubeletPod, RuntimePod
 from robotkube.delivery.inspection.core.permitted import Permitted
 from robotkube.delivery.inspection.core.strangers import (
     CONTAINER,
@@ -17,6 +17,7 @@ from robotkube.delivery.inspection.core.strangers import (
     NO_CONTROLLER,
     NO_RELEASE,
     NOT_OF_THE_CHART,
+    ON_THE_HOST,
     POD,
     STATIC,
     STATIC_POD,
@@ -90,6 +91,10 @@ def _of_pod(pod: KubeletPod, permitted: Permitted, now: float) -> Iterator[Stran
         return  # it is being taken away
     yield from _images(pod, permitted)
     domain = permitted.domain
+    way = _way_to_the_machine(pod.spec or {}) if permitted.is_judged(pod.namespace) else ""
+    if way:
+        text = f"pod {pod.namespace}/{pod.name} has a way to its machine: {way}. Nothing here needs one. {REMOVE}"
+        yield _stranger(pod, ON_THE_HOST, text)
     if pod.namespace in (*domain.agents, *domain.tests):
         yield from _added(pod)
     if pod.namespace in domain.agents:
@@ -97,6 +102,23 @@ def _of_pod(pod: KubeletPod, permitted: Permitted, now: float) -> Iterator[Stran
     elif pod.namespace in _closed(permitted) and pod.owner[0] not in MAKERS:
         text = f"pod {pod.namespace}/{pod.name}: no controller made it, and in this namespace they alone do. Delete it"
         yield _stranger(pod, NO_CONTROLLER, text)
+
+
+def _way_to_the_machine(spec: Mapping[str, Any]) -> str:
+    """What of a pod admission would refuse as a way to its machine, in words; empty when there is none."""
+    ways = [key for key in HOST_KEYS if spec.get(key)]
+    ways += [
+        f"hostPath {volume['hostPath'].get('path')}" for volume in spec.get("volumes") or () if "hostPath" in volume
+    ]
+    for kind in KINDS:
+        for entry in spec.get(kind) or ():
+            context = entry.get("securityContext") or {}
+            added = set((context.get("capabilities") or {}).get("add") or ()) - {"NET_BIND_SERVICE"}
+            if context.get("privileged"):
+                ways.append(f"container {entry.get('name')} is privileged")
+            if added:
+                ways.append(f"container {entry.get('name')} has {', '.join(sorted(added))}")
+    return ", ".join(ways)
 
 
 def _closed(permitted: Permitted) -> tuple[str, ...]:
@@ -168,7 +190,7 @@ def _otherwise(pod: KubeletPod, versions: Iterable[Mapping[str, Any]]) -> str:
     """How a pod differs from its workload's template; empty when it is as main has or had it."""
     first = ""
     for version in versions:
-        problem = _differs(pod.spec or {}, version["spec"]["template"]["spec"])
+        problem = _differs(pod.spec or {}, ((version.get("spec") or {}).get("template") or {}).get("spec") or {})
         if not problem:
             return ""
         first = first or problem

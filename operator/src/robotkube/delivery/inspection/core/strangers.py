@@ -21,6 +21,7 @@ NO_RELEASE = "NoRelease"  # in an agent's namespace, and of no release that main
 NO_CONTROLLER = "NoController"  # in a namespace where controllers alone make pods, and made by none
 FOREIGN_CHART = "ForeignChart"  # a release of a chart that is not verified on the catalogue's main
 NOT_OF_THE_CHART = "NotOfTheChart"  # a workload is not what its release's chart renders
+ON_THE_HOST = "WayToTheMachine"  # a pod that asks for its machine's network, processes, files, or for privileges
 BESIDE_THE_KUBELET = "BesideTheKubelet"  # a container of the machine's runtime that no pod of its kubelet has
 REASONS = (
     FOREIGN_IMAGE,
@@ -31,6 +32,7 @@ REASONS = (
     NO_CONTROLLER,
     FOREIGN_CHART,
     NOT_OF_THE_CHART,
+    ON_THE_HOST,
     BESIDE_THE_KUBELET,
 )
 

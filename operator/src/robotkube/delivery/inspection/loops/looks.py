@@ -15,6 +15,7 @@ from robotkube.errors import InputError, UnavailableError
 REMEMBERED_SECONDS = 600.0  # a kubelet forgets a pod before the last container of it has ended
 STARTING_SECONDS = 60.0
 FINE_MAX = 20_000
+MALFORMED = (AttributeError, KeyError, TypeError, ValueError)  # one kubelet must not end the looks at all others
 NOTHING_READ = "what may run was not read yet: the forge or the OCI registry does not answer"
 STARTING = "its kubelet has no list of pods of the API server yet, while its runtime has some: it is starting"
 
@@ -40,6 +41,10 @@ class NodeLooks:
             strangers = strangers_on(reading.pods, reading.running, names, permitted, now)
         except UnavailableError as error:  # what main had before is rendered when it is asked for
             return Look(KUBELET, node=node.name, problem=str(error))
+        except MALFORMED as error:
+            return Look(
+                KUBELET, node=node.name, problem=f"what its kubelet lists is of no form that pods have: {error!r}"
+            )
         return Look(KUBELET, strangers, node.name)
 
     def _remember(self, node: str, reading: NodeReading, now: float) -> Mapping[str, tuple[frozenset[str], float]]:

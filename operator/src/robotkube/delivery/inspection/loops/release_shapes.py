@@ -74,7 +74,7 @@ class ReleaseShapes:
 
     def _shape(self, path: str, release: Release) -> ReleaseShape:
         chart = f"{release.chart}@{release.digest}"
-        earlier = _Earlier(self._earlier.get(path, ()), self._workloads)
+        earlier = _Earlier((one for one in self._earlier.get(path, ()) if one != release), self._workloads)
         try:
             return ReleaseShape(release.name, chart, self._workloads(release), earlier)
         except (InputError, UnavailableError) as error:

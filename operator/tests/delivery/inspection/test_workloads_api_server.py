@@ -1,0 +1,158 @@
+"""Workloads as a real API server returns them, compared with what was applied: it fills in nothing that looks strange,
+and what somebody added while no policy looked is named."""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from robotkube.delivery.inspection.adapters.kubernetes_workloads import KubernetesWorkloads
+from robotkube.delivery.inspection.core.comparison import differences
+from robotkube.delivery.inspection.core.permitted import Permitted, ReleaseShape
+from robotkube.delivery.inspection.core.strangers import Stranger
+from robotkube.delivery.inspection.core.workload_checks import strangers_among
+from robotkube.foundation.kubernetes.adapters.http_client import ApiServer
+from robotkube.registry.admission.core.allowed import Allowed
+from tests.stages.attacks import shown
+from tests.stages.delivery.inspected_node import CHART, DOMAIN, RENDERED, VERIFIED
+from tests.stages.kubernetes.judged_api_server import MERGE, Api, judged_api_server
+
+pytestmark = [pytest.mark.toolchain]  # a server of its own
+APPLY = "application/apply-patch+yaml"
+JSON_PATCH = "application/json-patch+json"
+PLACE = "/apis/apps/v1/namespaces/vehicle-00/deployments"
+HTTP = {"httpGet": {"port": 8081}}
+
+POD: dict[str, Any] = {
+    "serviceAccountName": "application",
+    "initContainers": [{"name": "first", "image": f"x.example/y@{VERIFIED}", "command": ["true"]}],
+    "containers": [
+        {
+            "name": "detector",
+            "image": f"forge.example/robotkube/ros@{VERIFIED}",
+            "ports": [{"containerPort": 8081}],
+            "env": [
+                {"name": "EMPTY", "value": ""},
+                {"name": "NODE", "valueFrom": {"fieldRef": {"fieldPath": "spec.nodeName"}}},
+                {"name": "CPU", "valueFrom": {"resourceFieldRef": {"resource": "limits.cpu"}}},
+                {"name": "KEY", "valueFrom": {"secretKeyRef": {"name": "a", "key": "b"}}},
+            ],
+            "envFrom": [{"configMapRef": {"name": "a"}}],
+            "livenessProbe": HTTP,
+            "readinessProbe": {"tcpSocket": {"port": 8081}},
+            "startupProbe": {"grpc": {"port": 8081}},
+            "lifecycle": {"preStop": {"httpGet": {"port": 8081, "path": "/"}}},
+            "resources": {"requests": {"cpu": "1000m", "memory": "0.5Gi"}, "limits": {"cpu": 2, "memory": "1024Mi"}},
+            "securityContext": {"allowPrivilegeEscalation": False, "capabilities": {"drop": ["ALL"]}},
+            "volumeMounts": [{"name": "settings", "mountPath": "/etc/x", "readOnly": True}],
+        }
+    ],
+    "volumes": [
+        {"name": "settings", "configMap": {"name": "a"}},
+        {"name": "secret", "secret": {"secretName": "a"}},
+        {"name": "tmp", "emptyDir": {"sizeLimit": "1024Mi"}},
+        {"name": "plain", "emptyDir": {}},
+        {"name": "claim", "persistentVolumeClaim": {"claimName": "a"}},
+        {"name": "down", "downwardAPI": {"items": [{"path": "a", "fieldRef": {"fieldPath": "metadata.name"}}]}},
+        {
+            "name": "token",
+            "projected": {
+                "sources": [
+                    {"serviceAccountToken": {"path": "token"}},
+                    {"configMap": {"name": "a", "items": [{"key": "a", "path": "b"}]}},
+                    {"downwardAPI": {"items": [{"path": "a", "fieldRef": {"fieldPath": "metadata.name"}}]}},
+                ]
+            },
+        },
+    ],
+    "topologySpreadConstraints": [
+        {"maxSkew": 1, "topologyKey": "zone", "whenUnsatisfiable": "ScheduleAnyway", "labelSelector": {}}
+    ],
+}
+SILENT = {"apiVersion": "apps/v1", "kind": "Deployment", "metadata": {"name": "silent"}}
+"""As little as a manifest may say: everything else is filled in."""
+
+
+def rendered(pod: dict[str, Any], name: str, **spec: Any) -> dict[str, Any]:
+    labels = {"app.kubernetes.io/instance": "detector"}
+    template = {"metadata": {"labels": labels}, "spec": pod}
+    whole = {"selector": {"matchLabels": labels}, "template": template, **spec}
+    return {**SILENT, "metadata": {"name": name, "labels": labels}, "spec": whole}
+
+
+@pytest.fixture(scope="module")
+def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
+    with judged_api_server(tmp_path_factory.mktemp("api"), None) as (api, _):
+        api.done("POST", "/api/v1/namespaces", {"metadata": {"name": "vehicle-00"}})
+        yield api
+
+
+def applied(api: Api, item: dict[str, Any]) -> dict[str, Any]:
+    """The object after it was applied as Argo CD does."""
+    path = f"{PLACE}/{item['metadata']['name']}"
+    api.done("PATCH", f"{path}?fieldManager=argocd-controller&force=true", item, kind=APPLY)
+    return api.done("GET", path)
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [{}, {"strategy": {"type": "Recreate"}}, {"strategy": {"type": "RollingUpdate"}}, {"replicas": 3}],
+    ids=str,
+)
+def test_what_the_api_server_fills_in_is_explained(api: Api, spec: dict[str, Any]) -> None:
+    item = rendered(POD, f"silent-{len(str(spec))}", **spec)
+    assert differences(applied(api, item), item) == ()
+
+
+def test_fields_of_which_nothing_is_said_are_explained(api: Api) -> None:
+    item = rendered({"containers": [{"name": "a", "image": f"x.example/y@{VERIFIED}"}]}, "least")
+    assert differences(applied(api, item), item) == ()
+
+
+def named(api: Api, name: str) -> Stranger:
+    """The stranger that the API server's workloads of a name are, as the inspector reads them."""
+    shape = ReleaseShape("detector", CHART, {name: json.loads(json.dumps({**RENDERED, "metadata": METADATA}))})
+    permitted = Permitted(DOMAIN, Allowed((VERIFIED,), (), (CHART,)), {"vehicle-00": [shape]})
+    listed = api.done("GET", f"{PLACE}?resourceVersion=0")["items"]
+    (one,) = [
+        stranger
+        for item in listed
+        if item["metadata"]["name"] == name
+        for stranger in strangers_among(item, "Deployment", permitted)
+    ]
+    return one
+
+
+METADATA = {"name": "detector", "labels": {"app.kubernetes.io/instance": "detector"}}
+
+
+def test_what_somebody_adds_to_a_workload_is_named(api: Api) -> None:
+    item = copy.deepcopy(dict(RENDERED))
+    applied(api, item)
+    note = {"metadata": {"annotations": {"example.com/note": "x"}}}
+    api.done("PATCH", f"{PLACE}/detector", note, kind=MERGE)
+    shown("nodes", named(api, "detector").message, "annotation")
+    api.done("PATCH", f"{PLACE}/detector", {"metadata": {"annotations": None}}, kind=MERGE)
+    sidecar = [{"op": "add", "path": "/spec/template/spec/containers/-", "value": {"name": "miner", "image": "x"}}]
+    api.done("PATCH", f"{PLACE}/detector", sidecar, kind=JSON_PATCH)
+    assert "miner added" in named(api, "detector").message
+    shown("nodes", named(api, "detector").message, "sidecar")
+
+
+def test_every_kind_of_workload_can_be_listed(api: Api) -> None:
+    """By the inspector's own adapter."""
+    server = api.server
+    token = server.folder / "token"
+    token.write_text(server.token)
+    reached = ApiServer(f"https://127.0.0.1:{server.port}", token, _authority(api))
+    workloads = KubernetesWorkloads(reached)
+    assert {kind: len(workloads.read("cloud-0", kind)) for kind in workloads.kinds} == dict.fromkeys(workloads.kinds, 0)
+    reached.close()
+
+
+def _authority(api: Api) -> Any:
+    return api.server.folder / "certificates" / "apiserver.crt"
