@@ -19,6 +19,7 @@ PLACEHOLDERS = Domain(
     charts="oci://placeholder.example/verified",
     platform="placeholder-platform",
     argocd="placeholder-argocd",
+    remover="placeholder-remover",
 )
 
 

@@ -9,7 +9,8 @@
 {{- range $names }}{{ $quoted = append $quoted (quote .) }}{{ $literal = append $literal (squote .) }}{{ end }}
 {{- $text = $text | replace (quote $placeholder) (join ", " $quoted) | replace (squote $placeholder) (join "," $literal) }}
 {{- end }}
-{{- $text = $text | replace "placeholder-platform" .Release.Namespace | replace "placeholder-argocd" .Values.argocd.namespace }}
+{{- if not (include "robotkube.remover" . | fromYaml).enabled }}{{ $text = $text | replace "system:serviceaccount:placeholder-platform:placeholder-remover" "" }}{{ end }}
+{{- $text = $text | replace "placeholder-remover" "remover" | replace "placeholder-platform" .Release.Namespace | replace "placeholder-argocd" .Values.argocd.namespace }}
 {{- $text = $text | replace "oci://placeholder.example/verified" (include "robotkube.charts" .) }}
 {{- $without := list }}
 {{- if not $agents }}{{ $without = append $without "robotkube-agents" }}{{ end }}

@@ -134,6 +134,9 @@
 {{- end }}
 {{- end }}
 {{- end }}
+{{- if and (include "robotkube.remover" . | fromYaml).enabled (not (include "robotkube.inspection" . | fromYaml).enabled) }}
+{{- $problems = append $problems "remover.enabled is true, but inspection.enabled is false: nobody names what is to be removed. Set inspection.enabled: true, or remover.enabled: false." }}
+{{- end }}
 {{- $evidence := .Values.evidence }}
 {{- if and $evidence.existingSecret (not $evidence.trustedKeys) }}
 {{- $problems = append $problems (printf "evidence.existingSecret is %q, but evidence.trustedKeys is empty: nobody would believe what that key signs. Put its public key there (openssl pkey -in key.pem -pubout)." $evidence.existingSecret) }}

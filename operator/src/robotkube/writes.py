@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Literal, TypeVar
 
-WriteKind = Literal["git", "forge", "lease", "status", "event", "task", "message", "argocd"]
+WriteKind = Literal["git", "forge", "lease", "status", "event", "task", "message", "argocd", "workload"]
 Method = TypeVar("Method", bound=Callable[..., object])
 
 WRITES: dict[str, WriteKind] = {}

@@ -39,11 +39,11 @@ def rendered(helm: Helm) -> Rendered:
     return helm.template(PLATFORM, *FILES, admission={"enabled": True})
 
 
-def domain(embedded: Rendered) -> Domain:
+def domain(embedded: Rendered, remover: str = "") -> Domain:
     namespaces = [item["metadata"] for item in embedded.of_kind("Namespace")]
     agents = [item["name"] for item in namespaces if "robotkube.io/agent" in item["labels"]]
     tests = [item["name"] for item in namespaces if item["name"].startswith("robotkube-suite-")]
-    return Domain(tuple(agents), tuple(tests), admission.CHARTS)
+    return Domain(tuple(agents), tuple(tests), admission.CHARTS, remover=remover)
 
 
 def policies(rendered: Rendered) -> list[dict[str, Any]]:
@@ -61,6 +61,16 @@ def test_they_are_what_the_code_makes_for_this_installation(rendered: Rendered) 
     assert {item["metadata"].pop("labels")["app.kubernetes.io/component"] for item in found} == {"admission"}
     made = for_api(domain(rendered))
     assert by_name(found) == by_name(made)
+
+
+def test_the_remover_is_named_where_it_is_enabled(helm: Helm) -> None:
+    """Where it is not, nobody but Argo CD changes a workload."""
+    found = helm.template(PLATFORM, *FILES, admission={"enabled": True}, remover={"enabled": True})
+    made = policies(found)
+    for item in made:
+        item["metadata"].pop("labels")
+    assert by_name(made) == by_name(for_api(domain(found, "remover")))
+    assert "system:serviceaccount:robotkube:remover" in str(made)
 
 
 def by_name(documents: list[dict[str, Any]]) -> dict[tuple[str, str], dict[str, Any]]:

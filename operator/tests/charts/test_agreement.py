@@ -15,6 +15,8 @@ import yaml
 from robotkube.delivery.deployment.core.policies.initial import InitialPolicy, read_initial_policy
 from robotkube.delivery.gate import __main__ as gate
 from robotkube.delivery.manager import __main__ as manager
+from robotkube.delivery.removal import __main__ as remover
+from robotkube.delivery.removal.core.targets import RemovalPolicy
 from robotkube.errors import InputError
 from robotkube.foundation.runtime.settings_file import read_settings
 from robotkube.registry.catalogue.core.catalogue import read_release_policy
@@ -56,6 +58,14 @@ def test_processes_read_the_settings_the_chart_writes(
 ) -> None:
     path = mounted(request.getfixturevalue(profile), process, tmp_path)
     assert read_settings(path, PROCESSES[process].read_configuration)
+
+
+def test_the_remover_reads_the_settings_the_chart_writes(official: Any, tmp_path: Path) -> None:
+    settings = read_settings(mounted(official, "remover", tmp_path), remover.read_configuration)
+    assert settings.policy == RemovalPolicy(frozenset({"vehicle-00", "vehicle-01", "cloud-0"}))
+    assert settings.namespace == "robotkube"
+    [container] = dict(official.pods)["Deployment/remover"]["containers"]
+    assert container["ports"] == [{"name": "health", "containerPort": settings.listen.port}]
 
 
 @pytest.mark.parametrize("profile", ["official", "embedded"])

@@ -89,8 +89,9 @@ def policies(objects: Sequence[Object]) -> list[NetworkPolicy]:
 
 def meaning(everybody: Mapping[str, NetworkPeer], recording: Sequence[str]) -> dict[str, set[str]]:
     """The names of the table: which pods each means."""
-    names = ("manager", "gate", "suite-runner", "inspector", "forge", "broker", "database", "bootstrap", "teardown")
-    found = {name: {f"robotkube/{name}"} for name in names}
+    names = ("manager", "gate", "suite-runner", "inspector", "remover", "forge", "broker", "database", "bootstrap")
+    found = {name: {f"robotkube/{name}"} for name in (*names, "teardown")}
+    found["remover"] &= set(everybody)  # where it is installed
     found["manager"].add("robotkube/manager-again")
     for name in ("repo-server", "application-controller", "applicationset-controller", "redis"):
         found[name] = {f"argocd/argocd-{name}"}

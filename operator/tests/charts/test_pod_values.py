@@ -21,6 +21,7 @@ WORKLOADS = {
     "gate": "Deployment/gate",
     "suites": "Deployment/suite-runner",
     "inspection": "Deployment/inspector",
+    "remover": "Deployment/remover",
     "broker": "Deployment/broker",
     "database": "StatefulSet/database",
     "forge": "StatefulSet/forge",

@@ -40,6 +40,10 @@ REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
         {"suites": {"enabled": False}, "networkPolicies": {"extraEgress": {"tested": ANYWHERE}}},
         "networkPolicies.extraEgress.tested: these values install no pods of this name. Take the rules out.",
     ),
+    "a remover that nobody tells": (
+        {"inspection": {"enabled": False}, "remover": {"enabled": True}},
+        "remover.enabled is true, but inspection.enabled is false: nobody names what is to be removed. Set inspection.",
+    ),
     "name that is no label": (
         {"agents": [CLOUD, {**VEHICLE, "name": "Vehicle_1"}]},
         'agents[1] "Vehicle_1": the name becomes a namespace and a ROS name. Use lower case letters',

@@ -22,6 +22,7 @@ PROFILES = ("official", "embedded")
 PLATFORM_CPU_MAX = 1.2
 PLATFORM = CHARTS / "robotkube"
 PROFILE = Path(__file__).parent / "profiles" / "official.yaml"
+REMOVER, AGENTS = "Deployment/remover", ("vehicle-00", "vehicle-01", "cloud-0")
 WRITE_VERBS = {"create", "update", "patch", "delete", "deletecollection", "*", "bind", "escalate", "impersonate"}
 
 
@@ -76,7 +77,7 @@ def container_problems(container: Object) -> list[str]:
 
 
 def test_every_pod_of_the_platform_runs_restricted(platform: Any) -> None:
-    assert len(platform.pods) == 9
+    assert len(platform.pods) == 9 + (REMOVER in dict(platform.pods))
     assert {name: found for name, pod in platform.pods if (found := restricted_problems(pod))} == {}
 
 
@@ -184,7 +185,9 @@ def test_the_gate_has_no_right_and_no_token(platform: Any) -> None:
         for subject in binding["subjects"]
         if subject.get("namespace") == "robotkube"
     ]
-    assert {name for name, _ in subjects} == {"manager", "bootstrap", "teardown", "suite-runner", "inspector"}
+    removers = {"remover"} if REMOVER in dict(platform.pods) else set()
+    own = {"manager", "bootstrap", "teardown", "suite-runner", "inspector"}
+    assert {name for name, _ in subjects} == own | removers
     pod = dict(platform.pods)["Deployment/gate"]
     assert pod["automountServiceAccountToken"] is False
     assert "serviceAccountToken" not in json.dumps(pod["volumes"])
@@ -201,7 +204,10 @@ def test_no_right_reaches_pods_for_writing_or_secrets_for_listing(platform: Any)
         in_test_namespace = role["metadata"].get("namespace", "").startswith("robotkube-suite-")
         for rule in role["rules"]:
             assert "*" not in [*rule["verbs"], *rule["resources"], *rule["apiGroups"]]
-            if "pods" in rule["resources"] and not in_test_namespace:
+            if "pods" in rule["resources"] and role["metadata"]["name"] == "remover":
+                assert rule["verbs"] == ["get", "delete"]
+                assert role["metadata"]["namespace"] in AGENTS
+            elif "pods" in rule["resources"] and not in_test_namespace:
                 assert not WRITE_VERBS & set(rule["verbs"])
             if "secrets" in rule["resources"] and in_test_namespace:
                 assert rule["verbs"] == ["create", "delete"]

@@ -33,6 +33,8 @@ Rights = dict[str, str]
 READ = "get list watch"
 TASKS, STATUS = "taskdescriptions.robotkube.io", "taskdescriptions/status.robotkube.io"
 EVENTS, LEASES = "events.events.k8s.io", "leases.coordination.k8s.io"
+GROUP = "robotkube.io"
+INSPECTIONS = f"inspections.{GROUP}"
 NODES = {"nodes": READ}
 INSPECTIONS = "inspections.robotkube.io"
 LOOKED_AT = dict.fromkeys(
@@ -46,6 +48,7 @@ LOOKED_AT = dict.fromkeys(
 ANSWERS = {TASKS: "create delete get list patch watch", STATUS: "patch update", EVENTS: "create", "pods": READ}
 APPLICATIONS = {"applications.argoproj.io": READ}
 SETTINGS = {"configmaps": READ}
+REMOVING = {"pods": "delete get", "deployments.apps": "get patch"}
 CLUSTER_WIDE = {"configmaps": READ, "deployments.apps": READ, "pods": READ, "replicasets.apps": READ}
 RELEASES = dict.fromkeys(("configmaps", "deployments.apps"), "create delete get list patch watch")
 EVERY_VERB = "create delete get list patch update watch"
@@ -116,6 +119,10 @@ EXACTLY: dict[str, dict[str, Rights]] = {
     },
     "robotkube:default": {},
     "robotkube:suite-runner": {"robotkube-suite-0": ROOM},
+    "robotkube:remover": {
+        "robotkube": {INSPECTIONS: "list", f"inspections/status.{GROUP}": "patch", EVENTS: "create"},
+        **dict.fromkeys(AGENTS, REMOVING),
+    },
     "robotkube:bootstrap": {"argocd": SET_UP},
     "robotkube:teardown": {"argocd": TEARING_DOWN},
     "robotkube-suite-0:application": {"robotkube-suite-0": SETTINGS},

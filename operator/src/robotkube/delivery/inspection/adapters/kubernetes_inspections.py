@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from typing import Any
+from urllib.parse import urlencode
 
 from robotkube.delivery.inspection.core.statuses import manifest
 from robotkube.delivery.inspection.core.strangers import API_VERSION, GROUP, KIND, PLURAL, VERSION, Look, Stranger
@@ -13,6 +14,8 @@ from robotkube.foundation.kubernetes.adapters.http_client import ApiServer, cust
 from robotkube.writes import writes
 
 EVENT_NOTE_BYTES_MAX = 1024
+APPLY = "application/apply-patch+yaml"
+NOT_FOUND = 404
 
 
 class KubernetesInspections:
@@ -40,11 +43,14 @@ class KubernetesInspections:
 
     @writes("status")
     def write(self, look: Look, status: Mapping[str, Any]) -> None:
-        """Replace the status; the Inspection is made when it is missing."""
-        path = f"{self._path(look.name)}/status"
-        if not self._api.patch(path, {"status": status}):
+        """Replace the status, but for conditions of others: by server-side apply, in the name of the controller. The
+        Inspection is made when it is missing."""
+        query = urlencode({"fieldManager": f"robotkube-{self._controller}", "force": "true"})
+        path = f"{self._path(look.name)}/status?{query}"
+        body = {**manifest(look, self._namespace), "status": status}
+        if self._api.request("PATCH", path, body, APPLY)[0] == NOT_FOUND:
             self._api.create(self._path(), manifest(look, self._namespace))
-            self._api.patch(path, {"status": status})
+            self._api.request("PATCH", path, body, APPLY)
             self._uids.pop(look.name, None)
 
     @writes("status")

@@ -61,7 +61,7 @@ def _mappings(live: Object, rendered: Object, place: str, words: str) -> Iterato
     for key in sorted({*live, *rendered}):
         inner = f"{place}.{key}"
         if key not in rendered:
-            if not _is_explained(live, key, inner):
+            if not is_explained(live, key, inner):
                 yield f"{words}.{key} is {_short(live[key])}, which the chart does not have"
         elif key not in live:
             if rendered[key] not in EMPTY and inner not in NOT_COMPARED:
@@ -70,7 +70,7 @@ def _mappings(live: Object, rendered: Object, place: str, words: str) -> Iterato
             yield from _compared(live[key], rendered[key], inner, f"{words}.{key}")
 
 
-def _is_explained(live: Object, key: str, place: str) -> bool:
+def is_explained(live: Object, key: str, place: str) -> bool:
     """Whether a field that the chart does not name was filled in."""
     if place in OF_CONTROLLERS or place in NOT_COMPARED:
         return True

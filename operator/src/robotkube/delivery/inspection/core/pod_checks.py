@@ -75,7 +75,7 @@ def _of_runtime(item: RuntimePod, known: frozenset[str] | None) -> Iterator[Stra
             text = f"{place} {counts[name]} times, and the pod names it once. {ON_THE_MACHINE}"
         else:
             continue
-        yield Stranger(CONTAINER, item.namespace, item.name, FOREIGN_CONTAINER, text, name, images[name])
+        yield Stranger(CONTAINER, item.namespace, item.name, FOREIGN_CONTAINER, text, name, images[name], uid=item.uid)
 
 
 def _of_pod(pod: KubeletPod, permitted: Permitted, now: float) -> Iterator[Stranger]:
@@ -148,7 +148,7 @@ def _foreign_image(pod: KubeletPod, container: Container, image: str) -> Strange
         f"this namespace. {REMOVE}"
     )
     digest = image.partition("@")[2]
-    return Stranger(CONTAINER, pod.namespace, pod.name, FOREIGN_IMAGE, text, container.name, image, digest)
+    return Stranger(CONTAINER, pod.namespace, pod.name, FOREIGN_IMAGE, text, container.name, image, digest, uid=pod.uid)
 
 
 def _added(pod: KubeletPod) -> Iterator[Stranger]:
@@ -158,7 +158,16 @@ def _added(pod: KubeletPod) -> Iterator[Stranger]:
                 f"container {container.name} was added to pod {pod.namespace}/{pod.name} while it ran (kubectl debug): "
                 "nobody verified the pod with it. Delete the pod; its controller makes it anew"
             )
-            yield Stranger(CONTAINER, pod.namespace, pod.name, FOREIGN_CONTAINER, text, container.name, container.image)
+            yield Stranger(
+                CONTAINER,
+                pod.namespace,
+                pod.name,
+                FOREIGN_CONTAINER,
+                text,
+                container.name,
+                container.image,
+                uid=pod.uid,
+            )
 
 
 def _release(pod: KubeletPod, permitted: Permitted) -> Iterator[Stranger]:
@@ -210,4 +219,5 @@ def _essence(spec: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _stranger(pod: KubeletPod, reason: str, text: str, kind: str = POD, image: str = "") -> Stranger:
-    return Stranger(kind, pod.namespace, pod.name, reason, text, image=image, digest=image.partition("@")[2])
+    digest = image.partition("@")[2]
+    return Stranger(kind, pod.namespace, pod.name, reason, text, image=image, digest=digest, uid=pod.uid)

@@ -11,6 +11,8 @@ STRANGERS_MAX = 50
 NAMED_MAX = 5  # strangers in a condition's message
 MESSAGE_CHARACTERS_MAX = 1000
 SEEN, CLEAN = "Seen", "Clean"
+OWN = (SEEN, CLEAN)
+"""The conditions of who looks. Others may write conditions of their own beside them."""
 LOOKED, NOT_SEEN, PARTLY_SEEN = "Looked", "NotSeen", "PartlySeen"
 ALL_KNOWN, STRANGERS = "AllKnown", "Strangers"
 
@@ -44,14 +46,24 @@ def status_of(look: Look, before: Status, now: str) -> dict[str, Any]:
     }
 
 
+def own(status: Status) -> dict[str, Any]:
+    """The status without what others wrote into it."""
+    conditions = {str(one.get("type")): one for one in status.get("conditions") or ()}
+    kept = [conditions[kind] for kind in OWN if kind in conditions]
+    return {**status, "conditions": kept} if "conditions" in status else dict(status)
+
+
 def strangers_of(status: Status) -> tuple[Stranger, ...]:
     """The strangers that a status lists."""
-    return tuple(
-        Stranger(
-            **{key: str(entry.get(key, "")) for key in ("kind", "namespace", "name", "reason", "message")},
-            **{key: str(entry.get(key, "")) for key in ("container", "image", "digest")},
-        )
-        for entry in status.get("strangers") or ()
+    return tuple(map(_stranger, status.get("strangers") or ()))
+
+
+def _stranger(entry: Mapping[str, Any]) -> Stranger:
+    words = ("kind", "namespace", "name", "reason", "message", "container", "image", "digest", "uid")
+    return Stranger(
+        **{word: str(entry.get(word, "")) for word in words},
+        generation=int(entry.get("generation") or 0),
+        excess=tuple(map(str, entry.get("excess") or ())),
     )
 
 
@@ -59,10 +71,12 @@ def _key(entry: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(str(entry.get(key, "")) for key in ("kind", "namespace", "name", "container", "reason"))
 
 
-def _entry(one: Stranger, since: str) -> dict[str, str]:
+def _entry(one: Stranger, since: str) -> dict[str, Any]:
     words = {"kind": one.kind, "namespace": one.namespace, "name": one.name, "container": one.container}
-    words |= {"image": one.image, "digest": one.digest, "reason": one.reason}
-    given = {key: word for key, word in words.items() if word or key in ("namespace", "name")}
+    words |= {"image": one.image, "digest": one.digest, "reason": one.reason, "uid": one.uid}
+    given: dict[str, Any] = {key: word for key, word in words.items() if word or key in ("namespace", "name")}
+    if one.excess:
+        given |= {"generation": one.generation, "excess": list(one.excess)}
     return {**given, "message": one.message[:MESSAGE_CHARACTERS_MAX], "since": since}
 
 

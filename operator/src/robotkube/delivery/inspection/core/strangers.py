@@ -40,7 +40,8 @@ REASONS = (
 @dataclass(frozen=True, order=True)
 class Stranger:
     """Something that runs and may not. `kind` is that of the object (Pod, Deployment, ...), Container or StaticPod;
-    `message` says what, why and what to do."""
+    `message` says what, why and what to do. `uid`: of the pod or workload that is meant; of a workload also the
+    `generation` that was compared, and JSON pointers into that (`excess`) to what its chart does not render."""
 
     kind: str
     namespace: str
@@ -50,6 +51,9 @@ class Stranger:
     container: str = ""
     image: str = ""
     digest: str = ""
+    uid: str = ""
+    generation: int = 0
+    excess: tuple[str, ...] = ()
 
     @property
     def key(self) -> tuple[str, ...]:

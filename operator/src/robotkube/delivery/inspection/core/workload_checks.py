@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 from robotkube.delivery.inspection.core.comparison import differences
+from robotkube.delivery.inspection.core.excess import excess
 from robotkube.delivery.inspection.core.kubelet_pods import RELEASE_LABEL
 from robotkube.delivery.inspection.core.permitted import CHARTS_KIND, Permitted
 from robotkube.delivery.inspection.core.strangers import (
@@ -37,10 +39,12 @@ def strangers_among(workload: Object, kind: str, permitted: Permitted) -> Iterat
     if not permitted.chart(shape.chart):
         text = f"{place}: its chart {shape.chart} is not verified on the catalogue's main. {WITHDRAW}"
         yield Stranger(kind, namespace, name, FOREIGN_CHART, text)
-    problem = _otherwise(workload, shape.versions(name))
+    versions = list(shape.versions(name))
+    problem = _otherwise(workload, versions)
     if problem:
         text = f"{place} is not what the chart of release {shape.name} renders: {problem}. {RESTORE}"
-        yield Stranger(kind, namespace, name, NOT_OF_THE_CHART, text)
+        one = Stranger(kind, namespace, name, NOT_OF_THE_CHART, text, uid=str(metadata.get("uid", "")))
+        yield replace(one, generation=int(metadata.get("generation") or 0), excess=excess(workload, versions))
 
 
 def _otherwise(workload: Object, versions: Iterable[Object]) -> str:

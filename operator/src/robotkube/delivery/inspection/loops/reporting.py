@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
-from robotkube.delivery.inspection.core.statuses import status_of, strangers_of
+from robotkube.delivery.inspection.core.statuses import own, status_of, strangers_of
 from robotkube.delivery.inspection.core.strangers import Look, Stranger
 from robotkube.delivery.inspection.ports import Inspections
 from robotkube.foundation.documents.core.times import time_ns, time_text
@@ -93,7 +93,7 @@ class Reporter:
 
     def _before(self, name: str) -> Status:
         if name not in self._written:
-            self._written[name] = self._inspections.status(name) or {}
+            self._written[name] = own(self._inspections.status(name) or {})
         return self._written[name]
 
     def _tell(self, look: Look, before: Status, status: Status) -> None:

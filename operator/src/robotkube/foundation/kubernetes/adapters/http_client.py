@@ -23,7 +23,7 @@ import random
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -47,6 +47,8 @@ KEEPALIVE_INTERVAL_SECONDS = 5
 KEEPALIVE_PROBES = 3
 
 ConfigMapData = Mapping[str, str]
+Body = Mapping[str, Any] | Sequence[Mapping[str, Any]]
+"""A document, or the steps of a JSON patch."""
 
 
 def config_map_path(namespace: str, name: str = "") -> str:
@@ -88,8 +90,8 @@ def config_map_warning(
 class ApiServer:
     """The API server as one account calls it. The token is read anew for every request: kubelets replace it hourly.
 
-    `get`, `create`, `patch` and `delete` share one kept-alive connection and may be called from any thread. A process
-    of a machine shows a certificate (`certificate_file` with its `key_file`) where a pod has a token."""
+    All calls share one kept-alive connection and may be made from any thread. A process of a machine shows a
+    certificate (`certificate_file` with its `key_file`) where a pod has a token."""
 
     url: str
     token_file: Path | None = None
@@ -132,6 +134,12 @@ class ApiServer:
         """Delete an object; False when there was none."""
         return self._call("DELETE", path)[0] != 404
 
+    def request(
+        self, method: str, path: str, body: Body | None = None, content_type: str = "application/json"
+    ) -> tuple[int, dict[str, Any]]:
+        """Status and document of any other request. 404 and 409 are answers, too."""
+        return self._call(method, path, body, content_type)
+
     def close(self) -> None:
         """Give the kept connection back; the next call makes a new one."""
         with self._lock:
@@ -159,7 +167,7 @@ class ApiServer:
         return headers
 
     def _call(
-        self, method: str, path: str, body: Mapping[str, Any] | None = None, content_type: str = "application/json"
+        self, method: str, path: str, body: Body | None = None, content_type: str = "application/json"
     ) -> tuple[int, dict[str, Any]]:
         data = None if body is None else json.dumps(body).encode()
         with self._lock:

@@ -9,7 +9,7 @@ from robotkube.foundation.documents.core.patterns import CHARTS_URL, FOLDER, NAM
 
 CONTROLLERS = "kube-system"
 APPLICATION_CONTROLLER, GENERATOR = "argocd-application-controller", "argocd-applicationset-controller"
-SUITE_RUNNER = "suite-runner"
+SUITE_RUNNER, REMOVER = "suite-runner", "remover"
 PROJECT = "robotkube-apps"
 # Who of the controller manager makes pods: the controller of what stands above them.
 POD_MAKERS = (
@@ -34,7 +34,8 @@ class Domain:
     """Namespaces of `agents` (releases run there), of `tests` (suites try charts there), of the platform and of Argo
     CD; `charts` is the one place of charts that may run, as `oci://<host>/<organisation>`. `elsewhere`: all other
     namespaces of the cluster are judged too, which is right only where nobody else uses it. `volumes`: the one folder
-    of machines that volumes may be in; empty where that is not known here."""
+    of machines that volumes may be in; empty where that is not known here. `remover`: the platform's account that may
+    take away what no chart renders; empty where nobody may."""
 
     agents: tuple[str, ...]
     tests: tuple[str, ...]
@@ -43,12 +44,15 @@ class Domain:
     argocd: str = "argocd"
     elsewhere: bool = False
     volumes: str = ""
+    remover: str = REMOVER
 
     def __post_init__(self) -> None:
         """InputError names what is no name: policies are made of these words, so nothing else may stand in them."""
         for name in (*self.agents, *self.tests, self.platform, self.argocd):
             if not NAME.fullmatch(name):
                 raise InputError(f"admission: {name[:120]!r} is no name of a namespace")
+        if self.remover and not NAME.fullmatch(self.remover):
+            raise InputError(f"admission: {self.remover[:120]!r} is no name of a service account")
         if not CHARTS_URL.fullmatch(self.charts):
             raise InputError(f"admission: {self.charts[:200]!r} must be oci://<host>/<organisation>")
         if self.volumes and not FOLDER.fullmatch(self.volumes):
@@ -68,6 +72,11 @@ class Domain:
     def suite_runner(self) -> str:
         """The account that starts charts under test."""
         return account(self.platform, SUITE_RUNNER)
+
+    @property
+    def remover_account(self) -> str:
+        """The account that takes away what no chart renders; empty, which is nobody's, where none may."""
+        return account(self.platform, self.remover) if self.remover else ""
 
 
 def account(namespace: str, name: str) -> str:

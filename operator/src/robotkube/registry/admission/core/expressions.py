@@ -16,6 +16,13 @@ RESOURCES = (
     ("apps", ("daemonsets", "deployments", "replicasets", "statefulsets")),
     ("batch", ("cronjobs", "jobs")),
 )
+# What becomes shorter when something is taken away from a container, entry by entry; and what limits pods and
+# containers, so that it is no addition and still must not be taken away.
+PARTS_OF_CONTAINERS = ("env", "envFrom", "ports", "volumeDevices", "volumeMounts")
+LISTS_OF_PODS = ("hostAliases", "imagePullSecrets", "tolerations", "topologySpreadConstraints", "volumes")
+LIMITS_OF_PODS = ("automountServiceAccountToken", "hostUsers", "runtimeClassName", "securityContext")
+LIMITS_OF_CONTAINERS = ("securityContext",)
+WORDS = ("labels", "annotations")
 CREATING = "request.operation == 'CREATE'"
 EPHEMERAL = "has(request.subResource) && request.subResource == 'ephemeralcontainers'"
 WRITER = "request.userInfo.username"
@@ -62,6 +69,47 @@ def changed(parts: tuple[str, ...]) -> str:
 
 def _optional(part: str) -> str:
     return ".".join(f"?{word}" for word in part.split("."))
+
+
+def only_taken_away() -> str:
+    """Whether an update of a Deployment does nothing but take away what was there: containers, entries of their lists
+    and of the pod's, whole fields, labels and annotations. Nothing comes, no value changes, an image least of all, and
+    what limits the pod stays."""
+    container = " && ".join(
+        [
+            "c.name == o.name",
+            _fewer("c", "o", "n", _fewer_entries(PARTS_OF_CONTAINERS, "c", "o", "n")),
+            *(f"c.?{name} == o.?{name}" for name in LIMITS_OF_CONTAINERS),
+        ]
+    )
+    lists = _fewer_entries(LISTS_OF_PODS, "variables.pod", "variables.before", "k")
+    each = f"variables.pod[k].all(c, variables.before[k].exists(o, {container}))"
+    containers = f"k in {texts(LISTS_OF_CONTAINERS)} && {each}"
+    return " && ".join(
+        [
+            *(_fewer_words(f"metadata.?{name}") for name in WORDS),
+            *(_fewer_words(f"spec.template.metadata.?{name}") for name in WORDS),
+            _fewer("object.spec", "oldObject.spec", "k", "k == 'template'"),
+            _fewer("object.spec.template.metadata", "oldObject.spec.template.metadata", "k", f"k in {texts(WORDS)}"),
+            _fewer("variables.pod", "variables.before", "k", f"{lists} || {containers}"),
+            *(f"variables.pod.?{name} == variables.before.?{name}" for name in LIMITS_OF_PODS),
+        ]
+    )
+
+
+def _fewer(new: str, old: str, key: str, otherwise: str) -> str:
+    """Whether every key of one mapping is one of the other, with the same value or `otherwise`."""
+    return f"{new}.all({key}, {key} in {old} && ({new}[{key}] == {old}[{key}] || {otherwise}))"
+
+
+def _fewer_words(place: str) -> str:
+    new, old = (f"{whole}.{place}.orValue({{}})" for whole in ("object", "oldObject"))
+    return f"{new}.all(k, k in {old} && {new}[k] == {old}[k])"
+
+
+def _fewer_entries(names: tuple[str, ...], new: str, old: str, key: str) -> str:
+    """Whether the value of `key` is a list, one of `names`, that has only entries which it had before."""
+    return f"{key} in {texts(names)} && {new}[{key}].all(e, e in {old}[{key}])"
 
 
 def one_of(names: tuple[str, ...]) -> str:

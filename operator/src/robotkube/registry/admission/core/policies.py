@@ -33,6 +33,7 @@ from robotkube.registry.admission.core.expressions import (
     image_variables,
     on_host,
     one_of,
+    only_taken_away,
     sentence,
 )
 from robotkube.registry.admission.core.lists import Literals, Lookup, Parameters, parameter_keys, texts
@@ -121,7 +122,11 @@ def _agents(domain: Domain, lookup: Lookup) -> Policy:
             "their pods, so that what runs is what main says. Ask for it by a task (robotkube task submit), or "
             "propose a release",
         ),
-        _kept(writer, ": in an agent's namespace nothing runs but what main says. Change the release on main"),
+        _kept(
+            writer,
+            ": in an agent's namespace nothing runs but what main says. Change the release on main",
+            _taken_away(domain.remover_account),
+        ),
     ]
     return _workloads("agents", Place(domain.agents), _unlisted(lookup), rules, lookup.parameters)
 
@@ -184,13 +189,18 @@ def _made(makers: Mapping[str, Sequence[str]], why: str) -> Validation:
     )
 
 
-def _kept(writer: str, why: str) -> Validation:
-    """Who changes what matters of an object that is there."""
+def _kept(writer: str, why: str, *exceptions: str) -> Validation:
+    """Who changes what matters of an object that is there; `exceptions` are changes that may be as well."""
     writers = one_of((writer, *controllers(*KEEPERS)))
     return Validation(
-        f"{CREATING} || {EPHEMERAL} || {writers} || !({changed(KEPT)})",
+        " || ".join([CREATING, EPHEMERAL, writers, f"!({changed(KEPT)})", *exceptions]),
         sentence("", RESOURCE, " ", "request.name", " changed by ", WRITER, why),
     )
+
+
+def _taken_away(remover: str) -> str:
+    """The remover takes away what no chart renders, of the one kind of workload that releases have."""
+    return f"{WRITER} == '{remover}' && {RESOURCE} == 'deployments' && {only_taken_away()}"
 
 
 def _images(why: str) -> Validation:
