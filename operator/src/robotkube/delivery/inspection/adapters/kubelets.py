@@ -61,6 +61,14 @@ class Kubelets:
                 f"kubelet of node {node.name}: what it lists is no list of pods: {error!r}"
             ) from error
 
+    def close(self) -> None:
+        """Give kept connections back; the next question makes a new one."""
+        with self._lock:
+            kept = list(self._connections.values())
+            self._connections.clear()
+        for connection in kept:
+            connection.close()
+
     def _get(self, node: NodeAddress, path: str) -> Mapping[str, Any]:
         what = f"kubelet of node {node.name} ({node.host}:{node.port}), GET {path}"
         try:

@@ -18,7 +18,7 @@ from robotkube.errors import InputError, UnavailableError
 
 LOOK_SECONDS = 10.0
 AGAIN_SECONDS = CONFIRM_SECONDS + 0.1
-SILENT_SECONDS = 30.0  # until a kubelet that did not answer is asked again
+SILENT_SECONDS = 30.0  # until a kubelet is asked again that did not answer twice: it may be away for long
 NODES_SECONDS = 30.0  # how often the list of nodes is read
 REFRESH_SECONDS = 30.0  # how often what may run is read, while nothing is strange
 AT_ONCE = 4  # kubelets that are asked at the same time
@@ -57,6 +57,7 @@ class Inspector:
         self._clock = clock
         self._due = _Schedule()
         self._addresses: dict[str, NodeAddress] = {}
+        self._silent: set[str] = set()  # nodes whose kubelet did not answer the last time
         self._confirmations: dict[str, Confirmations] = {}
         self._problems: dict[str, str] = {"start": "nothing was looked at yet"}
         self._pool = ThreadPoolExecutor(AT_ONCE, thread_name_prefix="kubelets")
@@ -119,9 +120,11 @@ class Inspector:
         if isinstance(answer, NodeReading):
             look = self._node_looks.look(node, answer, self._source.permitted())
             self._due.nodes[node.name] = now + LOOK_SECONDS
+            self._silent.discard(node.name)
         else:
             look = Look(KUBELET, node=node.name, problem=str(answer))
-            self._due.nodes[node.name] = now + SILENT_SECONDS
+            self._due.nodes[node.name] = now + (SILENT_SECONDS if node.name in self._silent else LOOK_SECONDS)
+            self._silent.add(node.name)
         if self._report(look):
             self._due.nodes[node.name] = now + AGAIN_SECONDS
 
