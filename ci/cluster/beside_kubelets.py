@@ -116,9 +116,10 @@ def _elsewhere(one: Container) -> str:
 
 
 def _why(one: Container) -> str:
-    claim = f", though it says to be of pod {one.pod_namespace}/{one.pod}" if one.pod else ""
+    pod = f"pod {one.pod_namespace}/{one.pod}"
     if one.kind == SANDBOX:
-        return f"the kubelet made no such sandbox{claim}"
+        return f"the kubelet made no such sandbox, though it says to be that of {pod}"
+    claim = f", though it says to be container {one.name} of {pod}" if one.pod else ""
     return f"the kubelet started no such container{claim}"
 
 

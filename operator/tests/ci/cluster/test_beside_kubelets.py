@@ -158,5 +158,5 @@ def test_the_message_says_what_why_and_what_to_do() -> None:
     [one] = unknown(with_containers(BOX, WEB, replace(WEB, id="foreign")))
     text = message("vehicle-00", one)
     assert "container k8s.io/foreign on node vehicle-00 runs /web" in text
-    assert "the kubelet started no such container, though it says to be of pod vehicle-00/web-1" in text
+    assert "the kubelet started no such container, though it says to be container web of pod vehicle-00/web-1" in text
     assert "`ctr --namespace k8s.io tasks kill --signal SIGKILL foreign`" in text

@@ -121,7 +121,7 @@ def test_what_it_says_of_itself_does_not_make_it_the_kubelets(foreign: LoneNode,
     run(foreign, "k8s.io", *options)
     assert unknown(foreign) == ["k8s.io/foreign"]
     [one] = beside_kubelets.unknown(read(foreign))
-    assert "though it says to be of pod vehicle-00/web-vehicle-00" in one.why
+    assert "of pod vehicle-00/web-vehicle-00" in one.why
 
 
 def test_pods_that_come_and_go_raise_no_alarm(node: LoneNode) -> None:
