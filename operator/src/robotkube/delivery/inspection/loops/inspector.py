@@ -21,6 +21,7 @@ AGAIN_SECONDS = CONFIRM_SECONDS + 0.1
 SILENT_SECONDS = 30.0  # until a kubelet is asked again that did not answer twice: it may be away for long
 NODES_SECONDS = 30.0  # how often the list of nodes is read
 REFRESH_SECONDS = 30.0  # how often what may run is read, while nothing is strange
+MACHINES_SECONDS = 5.0  # how often it is read what machines' own processes report
 AT_ONCE = 4  # kubelets that are asked at the same time
 IDLE_SECONDS = 0.5
 
@@ -86,7 +87,7 @@ class Inspector:
             self._due.list = now + NODES_SECONDS
             self._attempt("nodes", self._list_nodes)
         if now >= self._due.machines:
-            self._due.machines = now + LOOK_SECONDS
+            self._due.machines = now + MACHINES_SECONDS
             self._attempt("machines", lambda: self._reporter.hear(f"{MACHINE}."))
         due = [self._addresses[name] for name, at in self._due.nodes.items() if at <= now]
         for node, answer in zip(due, self._pool.map(self._ask, due), strict=True):
