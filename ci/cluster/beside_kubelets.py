@@ -19,9 +19,10 @@ from dataclasses import dataclass, field
 KUBELETS = "k8s.io"  # containerd's namespace of what kubelets start
 SANDBOX, CONTAINER = "sandbox", "container"
 # The kubelet writes its link when containerd has answered, and seventeen nodes that start their pods share two cores:
-# until then nothing is said of a container in the kubelets' namespace. With a look every second it is named 14 s after
-# its start at the latest.
-GRACE_SECONDS = 12.0
+# until then nothing is said of a container in the kubelets' namespace. With a look every second it is named 10 s after
+# its start at the latest, and 14 s after it where it is not known whether it was started.
+GRACE_SECONDS = 8.0
+MAKING_SECONDS = 12.0  # of one that runc has not made yet, or that another runtime runs
 LINK_CHARACTERS_MAX = 255  # of a file's name, where the kubelet cuts it
 LINK_ENDING = ".log"
 
@@ -29,7 +30,8 @@ LINK_ENDING = ".log"
 @dataclass(frozen=True)
 class Container:
     """A container that a node's runtime runs. `runtime_namespace` and `id` are the runtime's; all others are what the
-    container says of itself, but for `made_ns`, when its files were made, and `waits`: it was made and not started."""
+    container says of itself, but for `made_ns`, when its files were made, and what runc wrote down of it: it
+    `waits` to be started, or was `started`."""
 
     runtime_namespace: str
     id: str
@@ -42,6 +44,7 @@ class Container:
     name: str = ""
     program: str = ""
     waits: bool = False
+    started: bool = False
 
     @property
     def key(self) -> str:
@@ -73,6 +76,11 @@ class Unknown:
     container: Container
     why: str
     certain: bool = False  # no kubelet could make it a known one a moment later
+
+    @property
+    def grace_seconds(self) -> float:
+        """How long it may stay unknown before it is named."""
+        return GRACE_SECONDS if self.container.started else MAKING_SECONDS
 
 
 def unknown(node: Node) -> tuple[Unknown, ...]:
@@ -116,9 +124,10 @@ def _elsewhere(one: Container) -> str:
 
 
 def _why(one: Container) -> str:
-    claim = f", though it says to be of pod {one.pod_namespace}/{one.pod}" if one.pod else ""
+    pod = f"pod {one.pod_namespace}/{one.pod}"
     if one.kind == SANDBOX:
-        return f"the kubelet made no such sandbox{claim}"
+        return f"the kubelet made no such sandbox, though it says to be that of {pod}"
+    claim = f", though it says to be container {one.name} of {pod}" if one.pod else ""
     return f"the kubelet started no such container{claim}"
 
 
@@ -138,7 +147,9 @@ class Watched:
     def named(self, node: str, seen: Iterable[Unknown], now: float) -> tuple[Unknown, ...]:
         """Those of a node that are to be named."""
         return tuple(
-            one for one in seen if one.certain or now - self.since.get((node, one.container.key), now) >= GRACE_SECONDS
+            one
+            for one in seen
+            if one.certain or now - self.since.get((node, one.container.key), now) >= one.grace_seconds
         )
 
 

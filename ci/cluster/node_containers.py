@@ -2,7 +2,8 @@
 none is asked, so seventeen nodes are looked at in milliseconds.
 
     <node>/run/containerd/io.containerd.runtime.v2.task/<namespace>/<id>/   a container that runs, with its config.json
-    <node>/run/containerd/runc/<namespace>/<id>/exec.fifo                   it waits to be started
+    <node>/run/containerd/runc/<namespace>/<id>/                            runc has made it (state.json), and it waits
+                                                                            to be started as long as there is exec.fifo
     <node>/run/containerd/io.containerd.sandbox.controller.v1.shim/...      a sandbox that a shim made (no kubelet's)
     <node>/run/containerd/io.containerd.grpc.v1.cri/sandboxes/<id>/         a sandbox that the CRI service made
     <node>/container-links/<pod>_<namespace>_<container>-<id>.log           a container that the kubelet started
@@ -29,7 +30,7 @@ RUNNING = (STATE / "io.containerd.runtime.v2.task", STATE / "io.containerd.sandb
 RECORDED = STATE / "io.containerd.grpc.v1.cri/sandboxes"
 LINKS, PODS = Path("container-links"), Path("kubelet/pods")
 SPECIFICATION = "config.json"
-WAITING, WAITS = "runc", "exec.fifo"
+RECORDS, MADE, WAITS = "runc", "state.json", "exec.fifo"
 ANNOTATIONS = "io.kubernetes.cri."
 PROGRAM_CHARACTERS_MAX = 200
 Seen = tuple[Path, str, str, int]  # a container's folder, its namespace, its id, and when its files were made
@@ -78,7 +79,7 @@ class NodeContainers:
 
 def _is_settled(one: Container) -> bool:
     """Whether it needs not be read again: it runs, and its file was there as a whole."""
-    return bool(one.kind or one.program) and not one.waits
+    return bool(one.kind or one.program) and one.started
 
 
 def _changed_ns(place: str) -> int:
@@ -110,13 +111,15 @@ def _container(seen: Seen) -> Container:
     folder, namespace, name, made_ns = seen
     try:
         document: Any = json.loads((folder / SPECIFICATION).read_bytes())
-        waits = (folder.parents[2] / WAITING / namespace / name / WAITS).exists()
-        return Container(namespace, name, made_ns, waits=waits, **_claims(document))
+        records = folder.parents[2] / RECORDS / namespace / name
+        made = (records / MADE).exists()  # asked first: the other one is there before it
+        waits = (records / WAITS).exists()
+        return Container(namespace, name, made_ns, **_claims(document), waits=waits, started=made and not waits)
     except (FileNotFoundError, ValueError, KeyError, TypeError, AttributeError, IndexError):
         return Container(namespace, name, made_ns)
 
 
-def _claims(document: Mapping[str, Any]) -> dict[str, str]:
+def _claims(document: Mapping[str, Any]) -> dict[str, Any]:
     """What an OCI runtime configuration says, as containerd's CRI service annotates it."""
     said = document.get("annotations") or {}
     keys = {

@@ -11,6 +11,7 @@ import pytest
 from ci.cluster.beside_kubelets import (
     CONTAINER,
     GRACE_SECONDS,
+    MAKING_SECONDS,
     SANDBOX,
     Container,
     Node,
@@ -21,7 +22,9 @@ from ci.cluster.beside_kubelets import (
 )
 
 BOX = Container("k8s.io", "b0" * 32, 10, SANDBOX, "b0" * 32, "vehicle-00", "web-1", "uid-web", program="/pause")
-WEB = Container("k8s.io", "c1" * 32, 20, CONTAINER, BOX.id, "vehicle-00", "web-1", "uid-web", "web", "/web")
+WEB = Container(
+    "k8s.io", "c1" * 32, 20, CONTAINER, BOX.id, "vehicle-00", "web-1", "uid-web", "web", "/web", started=True
+)
 NODE = Node((BOX, WEB), {WEB.link: 21}, frozenset(["uid-web"]), frozenset([BOX.id]))
 
 
@@ -125,11 +128,12 @@ class Looks:
         return [one.container.id for one in self.watched.named(node, seen, self.now)]
 
 
-def test_what_says_to_be_a_kubelets_is_named_when_it_stays_unknown() -> None:
+@pytest.mark.parametrize(("started", "seconds"), [(True, GRACE_SECONDS), (False, MAKING_SECONDS)])
+def test_what_says_to_be_a_kubelets_is_named_when_it_stays_unknown(started: bool, seconds: float) -> None:
     looks = Looks()
-    seen = [Unknown(WEB, "why")]
-    named = [looks.named(seen) for _ in range(int(GRACE_SECONDS) + 1)]
-    assert named == [[]] * int(GRACE_SECONDS) + [[WEB.id]]
+    seen = [Unknown(replace(WEB, started=started), "why")]
+    named = [looks.named(seen) for _ in range(int(seconds) + 1)]
+    assert named == [[]] * int(seconds) + [[WEB.id]]
 
 
 def test_what_was_known_in_between_begins_anew() -> None:
@@ -158,5 +162,5 @@ def test_the_message_says_what_why_and_what_to_do() -> None:
     [one] = unknown(with_containers(BOX, WEB, replace(WEB, id="foreign")))
     text = message("vehicle-00", one)
     assert "container k8s.io/foreign on node vehicle-00 runs /web" in text
-    assert "the kubelet started no such container, though it says to be of pod vehicle-00/web-1" in text
+    assert "the kubelet started no such container, though it says to be container web of pod vehicle-00/web-1" in text
     assert "`ctr --namespace k8s.io tasks kill --signal SIGKILL foreign`" in text

@@ -32,6 +32,9 @@ def run(node: Path, place: Path, name: str, document: object | None) -> Path:
     folder.mkdir(parents=True)
     if document is not None:
         (folder / "config.json").write_text(json.dumps(document), encoding="utf-8")
+    records = node / STATE / "runc" / place.name / name
+    records.mkdir(parents=True, exist_ok=True)
+    (records / "state.json").touch()
     return folder
 
 
@@ -99,11 +102,22 @@ def test_what_waits_to_be_started_is_read_again(node: Path) -> None:
     reader = NodeContainers(node, clock)
     run(node, TASKS / "k8s.io", "foreign", specification(CONTAINER, "/x"))
     fifo = node / STATE / "runc/k8s.io/foreign/exec.fifo"
-    fifo.parent.mkdir(parents=True)
     os.mkfifo(fifo)
     assert unknown(reader.read()) == ()
     fifo.unlink()
-    assert [one.container.id for one in unknown(reader.read())] == ["foreign"]
+    assert [(one.container.id, one.container.started) for one in unknown(reader.read())] == [("foreign", True)]
+
+
+def test_what_runc_has_not_made_yet_is_read_again(node: Path) -> None:
+    clock = Clock()
+    clock.later = 2 * SETTLED_NS
+    reader = NodeContainers(node, clock)
+    run(node, TASKS / "k8s.io", "foreign", specification(CONTAINER, "/x"))
+    state = node / STATE / "runc/k8s.io/foreign/state.json"
+    state.unlink()
+    assert [one.container.started for one in unknown(reader.read())] == [False]
+    state.touch()
+    assert [one.container.started for one in unknown(reader.read())] == [True]
 
 
 def test_another_container_of_the_same_id_is_seen_to_be_another(node: Path) -> None:
