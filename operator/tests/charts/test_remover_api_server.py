@@ -5,12 +5,16 @@ from __future__ import annotations
 
 import copy
 import json
+import os
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import httpx
 import pytest
 import yaml
 
@@ -40,6 +44,7 @@ from robotkube.registry.admission.core.policies import LIST, list_entries
 from tests.charts.conftest import PLATFORM, PROFILES
 from tests.stages.delivery.inspected_node import CHART, IMAGE, RENDERED, VERIFIED, permitted
 from tests.stages.kubernetes.installed_chart import Cluster, prepared_cluster
+from tests.stages.programs import free_port, program
 from tests.stages.waiting import until
 
 pytestmark = pytest.mark.toolchain
@@ -301,6 +306,44 @@ def test_a_container_beside_the_own_ones_takes_its_pod_along(stage: Stage) -> No
     assert stage.condition("kubelet.one") == ("False", "NotByPolicy")
     stage.new_remover().turn()
     assert stage.administrator.get(path) is None
+
+
+@pytest.fixture
+def as_remover(stage: Stage) -> Iterator[str]:
+    """Where the API server takes calls as the remover's account."""
+    kubeconfig = stage.cluster.kubeconfig
+    environment = {**os.environ, "KUBECONFIG": str(kubeconfig), "HOME": str(kubeconfig.parent)}
+    words = [program("kubectl"), "proxy", "--port=0", f"--as={REMOVER}"]
+    proxy = subprocess.Popen(words, env=environment, stdout=subprocess.PIPE, text=True)
+    assert proxy.stdout is not None
+    yield "http://" + proxy.stdout.readline().split()[-1]
+    proxy.kill()
+    proxy.communicate(timeout=10)
+
+
+def test_the_process_removes_until_it_is_stopped(stage: Stage, as_remover: str, tmp_path: Path) -> None:
+    """As the chart configures it, but at a port that is free here; within 128 MiB, as its limit says."""
+    port = free_port()
+    config = (stage.cluster.kubeconfig.parent / "config.yaml").read_text().replace("8081", str(port))
+    (tmp_path / "config.yaml").write_text(config.replace("address: 0.0.0.0", "address: 127.0.0.1"))
+    variables = {"ROBOTKUBE_API_SERVER": as_remover, "ROBOTKUBE_CONFIG": str(tmp_path / "config.yaml")}
+    stranger = stage.pod()
+    stage.named(Look(KUBELET, (foreign(stranger),), node="one"))
+    command = [sys.executable, "-m", "robotkube.delivery.removal"]
+    process = subprocess.Popen(command, env={**os.environ, **variables}, stderr=subprocess.PIPE, text=True)
+    try:
+        path = f"{PODS.format(AGENT)}/{stranger['metadata']['name']}"
+        until(lambda: stage.administrator.get(path) is None, "the pod is gone")
+        until(lambda: httpx.get(f"http://127.0.0.1:{port}/readyz").is_success, "it is ready")
+        page = httpx.get(f"http://127.0.0.1:{port}/metrics").text
+        assert 'robotkube_removals_total{act="delete",result="done"} 1.0' in page
+        [resident] = [line.split()[1] for line in page.splitlines() if line.startswith("process_resident_memory")]
+        assert float(resident) < 64 * 1024 * 1024
+    finally:
+        process.terminate()
+        _, written = process.communicate(timeout=20)
+    assert process.returncode == 0, written
+    assert "stranger removed" in written
 
 
 NAMES = {"metadata": {"name": "x"}}

@@ -29,6 +29,7 @@ ORDER = (
     "cluster/test_bridges",
     "cluster/test_admission",
     "cluster/test_inspection",
+    "cluster/test_removal",
     "cluster/test_restoring",
     "cluster/test_sharing",
     "cluster/test_three_vehicles",
