@@ -88,7 +88,8 @@ def test_what_every_component_takes_stands_once() -> None:
     assert found.count("| `podLabels` |") == 1
     assert "gate.podLabels" not in found
     assert (
-        "Each of `managers[]`, `gate`, `suites`, `broker`, `database`, `forge`, `bootstrap`, `teardown` takes" in found
+        "Each of `managers[]`, `gate`, `suites`, `broker`, `database`, `forge`, `inspection`, `bootstrap`, `teardown` takes"
+        in found
     )
     assert "| `managers[].replicas` | `1` |" in found
 
