@@ -10,7 +10,7 @@ import pytest
 from robotkube.delivery.deployment.core.releases import Release, write_release
 from robotkube.delivery.inspection.core.permitted import Permitted, ReleaseShape
 from robotkube.delivery.inspection.core.pod_checks import strangers_on
-from robotkube.delivery.inspection.loops.permitted import LATELY_SECONDS, Installation, PermittedReader
+from robotkube.delivery.inspection.loops.permitted import LATELY_SECONDS, InstalledPlatform, PermittedReader
 from robotkube.delivery.inspection.loops.release_shapes import REMOVED_SECONDS, ReleaseShapes
 from robotkube.errors import InputError, UnavailableError
 from robotkube.foundation.forge.ports.repositories import Commit
@@ -112,7 +112,7 @@ class Stage:
     def start(self) -> None:
         shapes = ReleaseShapes(self.history, self.charts, self.clock)
         catalogue: Any = self.listing
-        self.reader = PermittedReader(catalogue, shapes, Installation(DOMAIN, ()), self.clock)
+        self.reader = PermittedReader(catalogue, shapes, InstalledPlatform(DOMAIN, ()), self.clock)
 
     def read(self) -> Permitted:
         self.reader.refresh()

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from robotkube.delivery.inspection.loops.permitted import Installation
+from robotkube.delivery.inspection.loops.permitted import InstalledPlatform
 from robotkube.errors import InputError
 from robotkube.foundation.documents.core.patterns import CHARTS_URL, IMAGE, NAME, REPOSITORY, WORD
 from robotkube.foundation.documents.core.reader import Reader
@@ -32,7 +32,7 @@ class InspectorConfiguration:
     charts_url: str
     keys: Path
     namespace: str
-    installation: Installation
+    installation: InstalledPlatform
     verify: bool
 
 
@@ -68,7 +68,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> Inspector
 
 def _installation(
     reader: Reader, namespaces: Mapping[str, Any], platform: str, charts_url: str, images: Any
-) -> Installation:
+) -> InstalledPlatform:
     references = _words(reader, images, "images", IMAGE)
     by_digest = [reference for reference in references if "@" in reference]
     try:
@@ -80,10 +80,10 @@ def _installation(
             argocd=reader.word(namespaces.get("argocd"), "namespaces.argocd", NAME),
             elsewhere=_yes_or_no(reader, namespaces.get("others"), "namespaces.others"),
         )
-        return Installation(domain, digests_of(by_digest), frozenset(references) - frozenset(by_digest))
+        return InstalledPlatform(domain, digests_of(by_digest), frozenset(references) - frozenset(by_digest))
     except InputError as error:
         reader.problems.append(str(error))
-        return Installation(Domain((), (), "oci://none.invalid/none"), ())
+        return InstalledPlatform(Domain((), (), "oci://none.invalid/none"), ())
 
 
 def _words(reader: Reader, value: Any, path: str, pattern: Any) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ LATELY_SECONDS = 60.0  # a withdrawal is a plan, a commit and Argo CD's sync awa
 
 
 @dataclass(frozen=True)
-class Installation:
+class InstalledPlatform:
     """Whose namespaces are whose, the digests of the platform's images, and the references of those without one."""
 
     domain: Domain
@@ -31,7 +31,7 @@ class PermittedReader:
         self,
         catalogue: CatalogueListing,
         releases: ReleaseShapes,
-        installation: Installation,
+        installation: InstalledPlatform,
         clock: Callable[[], float],
     ) -> None:
         self._catalogue = catalogue
