@@ -87,8 +87,9 @@ def test_what_every_component_takes_stands_once() -> None:
     found = chart_reference.readme("robotkube", f"{chart_reference.BEGIN}{chart_reference.END}")
     assert found.count("| `podLabels` |") == 1
     assert "gate.podLabels" not in found
-    names = ("managers[]", "gate", "suites", "broker", "database", "forge", "inspection", "bootstrap", "teardown")
-    assert f"Each of {', '.join(f'`{name}`' for name in names)} takes" in found
+    components = ("gate", "suites", "broker", "database", "forge", "inspection", "remover", "bootstrap", "teardown")
+    listed = ", ".join(f"`{name}`" for name in ("managers[]", *components))
+    assert f"Each of {listed} takes" in " ".join(found.split())
     assert "| `managers[].replicas` | `1` |" in found
 
 
