@@ -32,12 +32,7 @@ class Unseen:
     why: str
 
 
-@dataclass(frozen=True)
-class NotYet:
-    """A refusal that is being built."""
-
-
-Cell = Refused | Unseen | NotYet
+Cell = Refused | Unseen
 
 
 @dataclass(frozen=True)

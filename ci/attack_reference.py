@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from ci.attack_cells import Attack, Cell, Refused, Unseen
+from ci.attack_cells import Attack, Cell, Unseen
 from ci.attacks import ATTACKS
 from ci.folders import PROJECT
 
@@ -31,12 +31,12 @@ def _cells(one: Attack) -> Iterator[Cell | None]:
 def _text(cell: Cell | None, reasons: list[str]) -> str:
     if cell is None:
         return "-"
-    if isinstance(cell, Refused):
-        file, _, _ = cell.test.partition("::")
-        words = cell.words.replace("|", "\\|")
-        by = f"{cell.by}: " if cell.by else ""
-        return f"{by}*{words}* ([test]({TESTS}/{file}))"
-    return f"- ({reasons.index(cell.why) + 1})" if isinstance(cell, Unseen) else "not yet"
+    if isinstance(cell, Unseen):
+        return f"- ({reasons.index(cell.why) + 1})"
+    file, _, _ = cell.test.partition("::")
+    words = cell.words.replace("|", "\\|")
+    by = f"{cell.by}: " if cell.by else ""
+    return f"{by}*{words}* ([test]({TESTS}/{file}))"
 
 
 def rewritten(page: str) -> str:

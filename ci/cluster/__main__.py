@@ -25,7 +25,7 @@ def arguments() -> argparse.ArgumentParser:
     for name, text in (
         ("up", "start the cluster, or use the running one if it equals"),
         ("down", "remove the cluster and prove it"),
-        ("status", "nodes, pods that are not ready, cost of the cluster's processes"),
+        ("status", "nodes, pods that are not ready, cost of the cluster's processes, what runs beside the kubelets"),
         ("run-dir", "print the folder of the cluster's files"),
     ):
         command = commands.add_parser(name, help=text)

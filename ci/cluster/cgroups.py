@@ -12,9 +12,10 @@ and a weight here (100 is an ordinary one): what is to keep its pace goes first.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 ROOT = Path("/sys/fs/cgroup")
@@ -130,14 +131,34 @@ def remove(cluster: str) -> tuple[Path, ...]:
     """Remove the cluster's folders; returns those that stayed after the bounded attempts."""
     for _ in range(REMOVAL_ATTEMPTS):
         for folder in folders(cluster):
-            try:
-                folder.rmdir()
-            except OSError:
-                continue  # still has members: the next attempt finds it
+            _remove_empty(folder)  # one that still has members is found by the next attempt
         if not folders(cluster):
             return ()
         time.sleep(REMOVAL_PAUSE_SECONDS)
     return folders(cluster)
+
+
+def remove_foreign(paths: Iterable[Path]) -> tuple[Path, ...]:
+    """Remove folders outside of the cluster's, with what is below them; returns those that stayed. The folder above
+    goes as well when nothing else is in it: a runtime makes one for each of its namespaces."""
+    left = tuple(paths)
+    above = {path.parent for path in left}
+    for _ in range(REMOVAL_ATTEMPTS):
+        for path in left:
+            for parent, _, _ in os.walk(path, topdown=False):
+                _remove_empty(Path(parent))
+        left = tuple(path for path in left if path.is_dir())
+        if not left:
+            break
+        time.sleep(REMOVAL_PAUSE_SECONDS)
+    for path in above - set(hierarchies()):
+        _remove_empty(path)
+    return left
+
+
+def _remove_empty(folder: Path) -> None:
+    with contextlib.suppress(OSError):  # it has members, or went away
+        folder.rmdir()
 
 
 def cpu_seconds(cluster: str, process: str) -> float | None:

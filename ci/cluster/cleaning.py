@@ -8,7 +8,7 @@ import subprocess
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from ci.cluster import cgroups, mounts, network, processes
+from ci.cluster import cgroups, mounts, network, processes, runc_records
 from ci.cluster.addresses import plan_of
 from ci.cluster.records import ClusterFolders, Record
 from ci.errors import SetUpError
@@ -26,6 +26,7 @@ def remove(name: str, keep_logs: bool = True) -> tuple[str, ...]:
     processes.kill_all(name)
     network.remove(plan)
     cgroups.remove(name)
+    cgroups.remove_foreign(runc_records.foreign_groups(folders.nodes, name))
     _unmount(folders.base)
     network.restore_sysctls(record)
     for folder in reversed(record.made_folders):
@@ -47,7 +48,8 @@ def _existing(name: str) -> Iterator[str]:
     for kind, names in (("links", network.links(plan)), ("nftables", network.tables(plan))):
         yield from [f"{kind}: {', '.join(names)}"] if names else []
     yield from _counted("route", "routes", len(network.routes(plan)))
-    yield from _counted("control group", "control groups", len(cgroups.folders(name)))
+    groups = (*cgroups.folders(name), *runc_records.foreign_groups(folders.nodes, name))
+    yield from _counted("control group", "control groups", len(groups))
     own = [process.pid for process in processes.recorded(folders) if process.alive()]
     yield from _counted("mount", "mounts", len(mounts.below(folders.base)) + mounts.in_namespaces(own))
     made = [folder for folder in Record.read(folders.record).made_folders if Path(folder).exists()]
@@ -78,7 +80,8 @@ def leftovers(name: str) -> tuple[str, ...]:
     left += [f"link {link}" for link in network.links(plan)]
     left += [f"nftables {table}" for table in network.tables(plan)]
     left += [f"route {route}" for route in network.routes(plan)]
-    left += [f"cgroup {folder}" for folder in cgroups.folders(name)]
+    groups = (*cgroups.folders(name), *runc_records.foreign_groups(folders.nodes, name))
+    left += [f"cgroup {folder}" for folder in groups]
     left += [f"mount {place}" for place in mounts.below(folders.base)]
     left += [f"folder {folder}" for folder in record.made_folders if Path(folder).exists()]
     return tuple(left)

@@ -13,6 +13,7 @@ from typing import TypeVar
 from ci.cluster import (
     admission,
     cleaning,
+    containers,
     control_plane,
     images,
     joining,
@@ -45,10 +46,14 @@ T = TypeVar("T")
 DEFINING = (
     "addresses",
     "admission",
+    "beside_kubelets",
     "cgroups",
     "containerd",
+    "containers",
     "control_plane",
+    "following_containers",
     "network",
+    "node_containers",
     "node_processes",
     "objects",
     "pki",
@@ -93,7 +98,7 @@ class Embedded:
     def status(self) -> str:
         """See Provider.status."""
         table = status.table(self.name, self.api(), recorded(self.folders))
-        return f"{table}\n\n{network_policies.status(self.folders)}"
+        return f"{table}\n\n{containers.status(self.folders)}\n{network_policies.status(self.folders)}"
 
     def kubeconfig(self) -> Path:
         """See Provider.kubeconfig."""
@@ -191,6 +196,7 @@ class Embedded:
                 admission.start_following(self.launcher)
             if self.network_policies == network_policies.ON:
                 network_policies.start_following(self.launcher)
+            containers.start_following(self.launcher)
         with steps.step("kubelets, name service, volumes"):
             self._kubelets(placed, holders, runtimes)
             with self.api() as api:

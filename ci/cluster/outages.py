@@ -26,7 +26,8 @@ def stop(cluster: str, node: str) -> None:
     outlives the bound, or when there is no such node."""
     names = tuple(process.name for process in _daemons(ClusterFolders(cluster), node))
     deadline = time.monotonic() + KILL_TIMEOUT_SECONDS
-    while pids := cgroups.processes_of_node(cluster, node, names):
+    nodes = ClusterFolders(cluster).nodes
+    while pids := cgroups.processes_of_node(cluster, node, names) | processes.in_containers(nodes, node):
         if time.monotonic() > deadline:
             raise SetUpError(f"node {node}: processes {sorted(pids)} outlived SIGKILL for {KILL_TIMEOUT_SECONDS} s")
         for pid in pids:

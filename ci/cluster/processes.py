@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from ci.cluster import cgroups
+from ci.cluster import cgroups, runc_records
 from ci.cluster.records import ClusterFolders, write_atomically
 from ci.errors import SetUpError
 
@@ -130,9 +130,12 @@ def wait_until(condition: Callable[[], bool], what: str, seconds: float, culprit
 
 
 def strays(cluster: str) -> set[int]:
-    """Every process of the cluster that can be found: by record, control group and the mark in its environment."""
-    pids = {process.pid for process in recorded(ClusterFolders(cluster)) if process.alive()}
+    """Every process of the cluster that can be found: by record, control group and the mark in its environment, and
+    what runs in containers that somebody started by a node's runtime."""
+    folders = ClusterFolders(cluster)
+    pids = {process.pid for process in recorded(folders) if process.alive()}
     pids |= cgroups.processes(cluster)
+    pids |= in_containers(folders.nodes)
     mark = f"{MARK}={cluster}".encode()
     for entry in Path("/proc").iterdir():
         if not entry.name.isdecimal():
@@ -143,6 +146,11 @@ def strays(cluster: str) -> set[int]:
         except OSError:
             continue  # ended meanwhile
     return {pid for pid in pids if start_ticks(pid) is not None and pid != os.getpid()}
+
+
+def in_containers(nodes: Path, node: str = "*") -> set[int]:
+    """The first processes of containers that run on one node, or on all in a folder."""
+    return {pid for pid, start in runc_records.first_processes(nodes, node) if start_ticks(pid) == start}
 
 
 def kill_all(cluster: str) -> set[int]:

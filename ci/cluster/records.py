@@ -64,9 +64,14 @@ class ClusterFolders:
         """The administrator's kubeconfig."""
         return self.base / "kubeconfig"
 
+    @property
+    def nodes(self) -> Path:
+        """A folder for each node."""
+        return self.base / "nodes"
+
     def node(self, name: str) -> Path:
         """One node's files."""
-        return self.base / "nodes" / name
+        return self.nodes / name
 
 
 @dataclass

@@ -41,6 +41,7 @@ ORDER = (
     "cluster/test_how_to_detector",
     "cluster/test_agents",
     "cluster/test_updates",
+    "cluster/test_containers",
     "cluster/test_refusals",
     "cluster/test_lifecycle",
     "cluster/test_refusals_without_admission",

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from robotkube.delivery.inspection.core.strangers import Look, Stranger
 from robotkube.delivery.inspection.loops.inspector import Inspector
 from robotkube.delivery.inspection.loops.looks import NodeLooks, ReleaseLooks
 from robotkube.delivery.inspection.loops.reporting import Reporter
@@ -244,3 +245,20 @@ def test_metrics(stage: Stage) -> None:
     assert series["robotkube_inspection_unseen"][("kubelet", "b")] == 1.0
     assert series["robotkube_inspection_look_age_seconds"][("kubelet", "a")] < 11
     assert ("kubelet", "b") not in series["robotkube_inspection_look_age_seconds"]
+
+
+def test_what_the_machines_own_process_reports_is_in_the_metrics(stage: Stage) -> None:
+    """It serves none itself."""
+    beside = Stranger("Container", "", "default/miner", "BesideTheKubelet", "container default/miner: why")
+    others = Reporter(stage.inspections, stage.clock.ns)
+    others.report(Look("machine", (beside,), "a"))
+    others.report(Look("machine", node="b", problem="dark"))
+    stage.run(15)
+    series = {one.name: one.values for one in stage.reporter.metrics()}
+    assert series["robotkube_inspection_strangers"] == {("machine", "a", "BesideTheKubelet"): 1.0}
+    assert series["robotkube_inspection_look_age_seconds"][("machine", "a")] == pytest.approx(15, abs=1)
+    unseen = series["robotkube_inspection_unseen"]
+    assert (unseen[("machine", "a")], unseen[("machine", "b")]) == (0.0, 1.0)
+    stage.inspections.remove("machine.a")
+    stage.run(11)
+    assert not {one.name: one.values for one in stage.reporter.metrics()}["robotkube_inspection_strangers"]

@@ -23,6 +23,10 @@ class InspectionsInMemory:
     def names(self) -> tuple[str, ...]:
         return tuple(sorted(self.statuses))
 
+    def standing(self, prefix: str) -> Mapping[str, Mapping[str, Any]]:
+        self._answer()
+        return {name: status for name, status in self.statuses.items() if name.startswith(prefix)}
+
     def status(self, name: str) -> Mapping[str, Any] | None:
         self._answer()
         return self.statuses.get(name)

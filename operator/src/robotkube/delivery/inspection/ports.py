@@ -20,6 +20,10 @@ class Inspections(Protocol):
         """Names of all Inspections."""
         ...
 
+    def standing(self, prefix: str) -> Mapping[str, Mapping[str, Any]]:
+        """The statuses of the Inspections whose names begin with `prefix`, by name."""
+        ...
+
     def status(self, name: str) -> Mapping[str, Any] | None:
         """The status of an Inspection as it stands; empty when it has none yet, None when there is no such object."""
         ...

@@ -33,6 +33,12 @@ class KubernetesInspections:
         answer = self._api.get(self._path()) or {}
         return tuple(sorted(str(item["metadata"]["name"]) for item in answer.get("items") or ()))
 
+    def standing(self, prefix: str) -> Mapping[str, Mapping[str, Any]]:
+        """The statuses of those whose names begin with `prefix`."""
+        answer = self._api.get(self._path()) or {}
+        named = {str(item["metadata"]["name"]): item for item in answer.get("items") or ()}
+        return {name: dict(item.get("status") or {}) for name, item in named.items() if name.startswith(prefix)}
+
     def status(self, name: str) -> Mapping[str, Any] | None:
         """The status as it stands."""
         item = self._api.get(self._path(name))

@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
-from robotkube.delivery.inspection.core.statuses import own, status_of, strangers_of
+from robotkube.delivery.inspection.core.statuses import look_of, own, status_of, strangers_of
 from robotkube.delivery.inspection.core.strangers import Look, Stranger
 from robotkube.delivery.inspection.ports import Inspections
 from robotkube.foundation.documents.core.times import time_ns, time_text
@@ -74,6 +74,18 @@ class Reporter:
     def known(self, name: str) -> tuple[Stranger, ...]:
         """The strangers that the Inspection `name` has now."""
         return strangers_of(self._before(name))
+
+    def hear(self, prefix: str) -> None:
+        """Read the Inspections that begin with `prefix`, which another process writes, for the metrics."""
+        standing = self._inspections.standing(prefix)
+        with self._lock:
+            for name in [name for name in self._looks if name.startswith(prefix)]:
+                del self._looks[name]
+                self._looked_ns.pop(name, None)
+            for name, status in standing.items():
+                self._looks[name] = look_of(name, status)
+                if "observedTime" in status:
+                    self._looked_ns[name] = time_ns(status["observedTime"])
 
     def metrics(self) -> list[Series]:
         """Strangers by place and reason, and how old the last look that saw anything is; for any thread."""

@@ -1,0 +1,85 @@
+"""Containers in the embedded cluster: a process of the host, `containers`, looks at what every node's runtime runs and
+names what nobody of the cluster started (`ci.cluster.following_containers`).
+
+    <cluster>/containers.json   what its last look saw (for `status`)
+
+Who starts a container by a machine's own runtime asks neither API server nor kubelet: nothing in the cluster sees it.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+from ci.cluster import host_processes
+from ci.cluster.processes import Launcher, Process, recorded
+from ci.cluster.records import ClusterFolders, write_atomically
+
+PROCESS = "containers"
+MODULE = "ci.cluster.following_containers"
+REPORT_SECONDS = 10.0  # how often the process says that it is there
+SILENT_SECONDS_MAX = 60.0
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a look saw: `strangers` in sentences and why a node was `unseen`, by node; how many nodes were looked at, as
+    of when (seconds since 1970), and what keeps the process from writing it to the cluster."""
+
+    nodes: int
+    at: float
+    strangers: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    unseen: Mapping[str, str] = field(default_factory=dict)
+    problem: str = ""
+
+    def says(self, other: Report | None) -> bool:
+        """Whether the other one says the same, at whatever time."""
+        return other is not None and {**asdict(self), "at": 0} == {**asdict(other), "at": 0}
+
+    def write(self, folders: ClusterFolders) -> None:
+        """Replace the cluster's report."""
+        write_atomically(_report_file(folders), json.dumps(asdict(self)))
+
+
+def start_following(launcher: Launcher) -> Process:
+    """The process that looks at the nodes' containers; it is started again when it ends."""
+    return host_processes.start(launcher, PROCESS, MODULE)
+
+
+def status(folders: ClusterFolders, now: float | None = None) -> str:
+    """What runs beside the kubelets, for people: a sentence, and a line for each stranger and each node that was not
+    seen."""
+    report = _read_report(folders)
+    log = folders.log / f"{PROCESS}.log"
+    if not recorded(folders, PROCESS):
+        return "containers: not looked at: the cluster has no process containers; start it anew"
+    if report is None or (time.time() if now is None else now) - report.at > SILENT_SECONDS_MAX:
+        return f"containers: not looked at: the process containers does not look ({log})"
+    return "\n".join([_sentence(report), *_lines(report, log)])
+
+
+def _sentence(report: Report) -> str:
+    count = sum(map(len, report.strangers.values()))
+    if count:
+        return f"containers: {count} STARTED BESIDE THE KUBELETS of {report.nodes} nodes"
+    return f"containers: none beside the kubelets of {report.nodes} nodes"
+
+
+def _lines(report: Report, log: Path) -> list[str]:
+    lines = [f"  {text}" for _, texts in sorted(report.strangers.items()) for text in texts]
+    lines += [f"  {node} was not looked at: {why}" for node, why in sorted(report.unseen.items())]
+    return lines + ([f"  not written to the cluster: {report.problem} ({log})"] if report.problem else [])
+
+
+def _report_file(folders: ClusterFolders) -> Path:
+    return folders.base / f"{PROCESS}.json"
+
+
+def _read_report(folders: ClusterFolders) -> Report | None:
+    try:
+        return Report(**json.loads(_report_file(folders).read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError):
+        return None

@@ -1,0 +1,136 @@
+"""What the host's process sees stands in a real API server, written with the administrator's certificate: first there
+is no kind to write, then no namespace, then all of it."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+
+from ci.cluster.addresses import plan_of
+from ci.cluster.beside_kubelets import Container, Node
+from ci.cluster.containers import PROCESS
+from ci.cluster.following_containers import NAMESPACE, ClusterReports, Looking, api_server
+from ci.cluster.pki import Authority, control_plane_identities
+from ci.cluster.records import ClusterFolders
+from robotkube.delivery.inspection.adapters.kubernetes_inspections import KubernetesInspections
+from robotkube.delivery.inspection.loops.reporting import Reporter
+from robotkube.foundation.kubernetes.adapters.client import api_client
+from robotkube.foundation.kubernetes.adapters.http_client import ApiServer
+from tests.stages.kubernetes.api_calls import Api, served
+from tests.stages.kubernetes.api_server import ApiServerProcess
+from tests.stages.paths import REPOSITORY
+from tests.stages.waiting import until
+
+pytestmark = [
+    pytest.mark.toolchain,
+    pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning"),
+]
+
+DEFINITION = REPOSITORY / "charts/robotkube/templates/inspections/customresourcedefinition.yaml"
+DEFINITIONS = "/apis/apiextensions.k8s.io/v1/customresourcedefinitions"
+INSPECTIONS = f"/apis/robotkube.io/v1alpha1/namespaces/{NAMESPACE}/inspections"
+EVENTS = f"/apis/events.k8s.io/v1/namespaces/{NAMESPACE}/events"
+FOREIGN = Container("default", "miner", program="/bin/miner")
+
+
+@pytest.fixture
+def folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ClusterFolders:
+    """A cluster's certificates."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    found = ClusterFolders("containers")
+    authority = Authority(found.pki)
+    authority.create()
+    for identity in control_plane_identities(plan_of("test")):
+        if identity.name in ("admin", "apiserver"):
+            authority.issue(identity)
+    return found
+
+
+@pytest.fixture
+def server(folders: ClusterFolders, tmp_path: Path) -> Iterator[ApiServerProcess]:
+    """An API server with these certificates, in which nothing is installed."""
+    pki = folders.pki
+    options = (
+        f"--client-ca-file={pki / 'ca.crt'}",
+        f"--tls-cert-file={pki / 'apiserver.crt'}",
+        f"--tls-private-key-file={pki / 'apiserver.key'}",
+    )
+    process = ApiServerProcess(tmp_path, options)
+    try:
+        process.start()
+        yield process
+    finally:
+        process.stop()
+
+
+@pytest.fixture
+def api(server: ApiServerProcess) -> Iterator[Api]:
+    made = Api(api_client(str(server.kubeconfig)))
+    yield made
+    made.client.rest_client.pool_manager.clear()
+
+
+@pytest.fixture
+def own(folders: ClusterFolders, server: ApiServerProcess) -> Iterator[ApiServer]:
+    """The host's connection."""
+    made = api_server(f"https://localhost:{server.port}", folders)
+    yield made
+    made.close()
+
+
+class OneNode:
+    """A node in memory."""
+
+    def __init__(self) -> None:
+        self.node = Node((FOREIGN,))
+
+    def names(self) -> tuple[str, ...]:
+        return ("vehicle-00",)
+
+    def read(self, name: str) -> Node:
+        assert name == "vehicle-00"
+        return self.node
+
+
+def install_definition(api: Api) -> None:
+    text = "".join(line for line in DEFINITION.read_text().splitlines(True) if "{{" not in line)
+    api.post(DEFINITIONS, yaml.safe_load(text))
+    until(lambda: served(api, INSPECTIONS), "the kind is served")
+
+
+def test_a_stranger_is_written_as_soon_as_the_platform_is_there(api: Api, own: ApiServer) -> None:
+    reporter = Reporter(KubernetesInspections(own, NAMESPACE, PROCESS, time.time), time.time_ns)
+    node, now = OneNode(), 0.0
+    looking = Looking(node, lambda: now)
+
+    def reported() -> str:
+        return ClusterReports(reporter.report, lambda: now)(looking.looks())
+
+    assert "takes no Inspections; they are written once the platform is installed" in reported()
+    install_definition(api)
+    assert f'namespaces "{NAMESPACE}" not found' in reported()
+    api.post("/api/v1/namespaces", {"apiVersion": "v1", "kind": "Namespace", "metadata": {"name": NAMESPACE}})
+    assert reported() == ""
+
+    written = api.get(f"{INSPECTIONS}/machine.vehicle-00")
+    assert written["spec"] == {"looksAt": "machine", "node": "vehicle-00"}
+    [stranger] = written["status"]["strangers"]
+    assert (stranger["kind"], stranger["name"], stranger["reason"]) == ("Container", FOREIGN.key, "BesideTheKubelet")
+    assert "on node vehicle-00 runs /bin/miner" in stranger["message"]
+    assert {one["type"]: one["status"] for one in written["status"]["conditions"]} == {"Seen": "True", "Clean": "False"}
+
+    node.node = Node()
+    assert reported() == ""
+    assert api.get(f"{INSPECTIONS}/machine.vehicle-00")["status"]["strangersTotal"] == 0
+    events = api.get(EVENTS)["items"]
+    assert sorted((one["reason"], one["type"]) for one in events) == [
+        ("BesideTheKubelet", "Warning"),
+        ("StrangerGone", "Normal"),
+    ]
+    assert {one["reportingController"] for one in events} == {"robotkube.io/containers"}
+    assert json.dumps(events).count("machine.vehicle-00") >= len(events)
