@@ -27,6 +27,7 @@
 {{- if eq .Values.broker.kind "external" }}{{ $_ := set $found "broker" (list (int .Values.broker.external.port)) }}{{ end }}
 {{- if eq .Values.database.kind "external" }}{{ $_ := set $found "database" (list (int .Values.database.external.port)) }}{{ end }}
 {{- if not .Values.suites.enabled }}{{ $_ := set $found "suite-runner" list }}{{ end }}
+{{- if not .Values.admission.enabled }}{{ $_ := set $found "admission" list }}{{ end }}
 {{- $_ := set $found "collector" list }}
 {{- with .Values.traces.endpoint }}{{ $_ := set $found "collector" (list (include "robotkube.portOfUrl" . | int)) }}{{ end }}
 {{- toYaml $found }}

@@ -30,7 +30,7 @@ imagePullSecrets: {{- toYaml . | nindent 2 }}
 {{- $given := dict "commonLabels" (.Values.commonLabels | default dict) }}
 {{- $components := dict }}
 {{- range $i, $manager := .Values.managers }}{{ $_ := set $components (printf "managers[%d]" $i) $manager }}{{ end }}
-{{- range $name := list "gate" "suites" "broker" "database" "forge" "bootstrap" "teardown" }}{{ $_ := set $components $name (index $.Values $name) }}{{ end }}
+{{- range $name := list "gate" "suites" "broker" "database" "forge" "admission" "bootstrap" "teardown" }}{{ $_ := set $components $name (index $.Values $name) }}{{ end }}
 {{- range $name, $values := $components }}
 {{- range $key := list "podLabels" "podAnnotations" }}{{ $_ := set $given (printf "%s.%s" $name $key) (get $values $key | default dict) }}{{ end }}
 {{- end }}
@@ -51,7 +51,7 @@ securityContext:
   capabilities: {drop: [ALL]}
 {{- end }}
 
-{{- /* Probes of manager, gate and suite-runner, at a port whose places clients of the other one cannot take. */ -}}
+{{- /* Probes of manager, gate, suite-runner and admission, at a port whose places clients of the other one cannot take. */ -}}
 {{- define "robotkube.probes" -}}
 startupProbe: {httpGet: {path: /livez, port: health}, periodSeconds: 1, failureThreshold: 60}
 readinessProbe: {httpGet: {path: /readyz, port: health}, periodSeconds: 5, timeoutSeconds: 3, failureThreshold: 2}

@@ -7,7 +7,6 @@ import copy
 import pytest
 
 from ci import (
-    admission_reference,
     architecture,
     chart_reference,
     command_reference,
@@ -59,11 +58,6 @@ def test_every_edge_leads_from_known_pods_to_known_pods_for_a_reason() -> None:
 def test_the_readmes_of_charts_are_current(chart: str) -> None:
     text = (chart_reference.CHARTS / chart / "README.md").read_text(encoding="utf-8")
     assert text == chart_reference.readme(chart, text), "run: make reference"
-
-
-def test_the_admission_policies_of_the_chart_are_those_of_the_code() -> None:
-    text = admission_reference.POLICIES.read_text(encoding="utf-8")
-    assert text == admission_reference.text(), "run: make reference"
 
 
 def test_every_chart_but_the_earlier_ones_is_described() -> None:
