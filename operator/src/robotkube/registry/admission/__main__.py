@@ -102,7 +102,7 @@ def changed_main(delivery: WebhookDelivery, catalogue: str, branch: str) -> str 
 
 
 class AdmissionWriter:
-    """The process's parts on their adapters; nothing is asked or written before `start`."""
+    """The process's parts on their adapters; nothing is asked or written before `run`."""
 
     def __init__(self, configuration: AdmissionConfiguration, api: ApiClient, work: Path) -> None:
         work.mkdir(parents=True, exist_ok=True)
@@ -124,15 +124,18 @@ class AdmissionWriter:
             health_port=configuration.listen.health_port,
         )
 
-    def start(self) -> None:
-        """Begin to serve and to watch."""
+    def run(self, stopping: threading.Event) -> None:
+        """Serve, watch and follow until `stopping` is set."""
         self.server.start()
         self.place.start()
-
-    def stop(self) -> None:
-        """End what `start` began."""
+        threading.Thread(target=self._wake_with, args=(stopping,), daemon=True).start()
+        self.follower.run(stopping)
         self.place.stop()
         self.server.stop()
+
+    def _wake_with(self, stopping: threading.Event) -> None:
+        stopping.wait()
+        self.follower.wake()
 
     def _touched(self) -> None:
         self.follower.wake()
@@ -154,16 +157,8 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     api = api_client(kubeconfig, in_cluster=kubeconfig is None)
     work = Path(environment.get("ROBOTKUBE_WORK", "/tmp/admission"))  # noqa: S108 - the pod's own volume
     writer = AdmissionWriter(configuration, api, work)
-    writer.start()
     process.log("started", **writer.server.ports, agents=len(configuration.domain.agents))
-    threading.Thread(target=_stop_with, args=(process, writer.follower), daemon=True).start()
-    writer.follower.run(process.stopping)
-    writer.stop()
-
-
-def _stop_with(process: Process, follower: Follower) -> None:
-    process.stopping.wait()
-    follower.wake()
+    writer.run(process.stopping)
 
 
 def main() -> None:
