@@ -81,9 +81,8 @@ def test_what_every_component_takes_stands_once() -> None:
     found = chart_reference.readme("robotkube", f"{chart_reference.BEGIN}{chart_reference.END}")
     assert found.count("| `podLabels` |") == 1
     assert "gate.podLabels" not in found
-    assert (
-        "Each of `managers[]`, `gate`, `suites`, `broker`, `database`, `forge`, `bootstrap`, `teardown` takes" in found
-    )
+    parts = ("managers[]", "gate", "suites", "broker", "database", "forge", "admission", "bootstrap", "teardown")
+    assert f"Each of {', '.join(f'`{part}`' for part in parts)} takes" in found
     assert "| `managers[].replicas` | `1` |" in found
 
 
