@@ -39,7 +39,7 @@ from tests.stages.kubernetes.installed_chart import Cluster, prepared_cluster
 from tests.stages.kubernetes.judged_api_server import Requests
 from tests.stages.programs import free_port
 from tests.stages.registry.admission_examples import REPLICA_SETS, digest, image, path, pod
-from tests.stages.registry.signed_evidence import artefact, published, signing_key
+from tests.stages.registry.signed_evidence import artefact, published, signing_key, trusting
 from tests.stages.settings_mounted import mounted
 from tests.stages.waiting import until
 
@@ -126,7 +126,7 @@ def settings_of(rendered: Rendered, forge: ForgeProcess, port: int, key: KeyFile
     document = yaml.safe_load(found.read_text())
     document["forge"]["url"] = forge.url
     document["listen"] = {"address": "127.0.0.1", "port": port}
-    (folder / "keys" / "gate.pem").write_text(key.public_key)
+    trusting(folder / "keys", key)
     found.write_text(yaml.safe_dump(document))
     return found
 

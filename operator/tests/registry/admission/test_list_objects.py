@@ -45,7 +45,9 @@ def test_a_list_that_does_not_fit_is_refused_whole_and_says_what_to_do() -> None
     images = tuple(digest(number) for number in range(KEYS_CHARACTERS_MAX // 70))
     assert len(images) > 8500
     list_object("robots", AllowedVersions((), images))
-    with pytest.raises(InputError, match=r"ConfigMap admission-list: 1 charts and 8571 images .* withdraw old versions"):
+    with pytest.raises(
+        InputError, match=r"ConfigMap admission-list: 1 charts and 8571 images .* withdraw old versions"
+    ):
         list_object("robots", AllowedVersions((f"app@{digest(9)}",), images))
 
 
