@@ -7,7 +7,7 @@ platform.{{ regexFind "@sha256:[0-9a-f]+" . | trimPrefix "@sha256:" }}: ""
 
 {{- /* What admission is told by the values; filled in where an upgrade reuses older ones. */ -}}
 {{- define "robotkube.admissionResources" -}}
-{{- toYaml (.Values.admission.resources | default (dict "requests" (dict "cpu" "20m" "memory" "64Mi") "limits" (dict "memory" "256Mi"))) }}
+{{- toYaml (.Values.admission.resources | default (dict "requests" (dict "cpu" "20m" "memory" "96Mi") "limits" (dict "memory" "256Mi"))) }}
 {{- end }}
 
 {{- define "robotkube.admissionSettings" -}}

@@ -142,7 +142,7 @@ def test_what_people_set_for_its_pod_reaches_it(helm: Helm) -> None:
     assert (spec["nodeSelector"], spec["priorityClassName"]) == ({"disk": "fast"}, "platform-critical")
     [container] = spec["containers"]
     assert container["env"][-1]["name"] == "HTTP_PROXY"
-    assert container["resources"]["requests"] == {"cpu": "30m", "memory": "64Mi"}
+    assert container["resources"]["requests"] == {"cpu": "30m", "memory": "96Mi"}
 
 
 def test_it_reaches_forge_and_api_server_and_the_forge_reaches_it(rendered: Rendered) -> None:

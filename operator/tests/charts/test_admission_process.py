@@ -53,7 +53,10 @@ LISTS = "/api/v1/namespaces/robotkube/configmaps"
 POLICIES = "/apis/admissionregistration.k8s.io/v1/validatingadmissionpolicies"
 BINDINGS = "/apis/admissionregistration.k8s.io/v1/validatingadmissionpolicybindings"
 ACCOUNT = account("robotkube", "admission")
-OWN = ("ClusterRole", "ClusterRoleBinding", "Role", "RoleBinding", "ServiceAccount", "ConfigMap")
+OWN = (
+    *("ClusterRole", "ClusterRoleBinding", "Role", "RoleBinding", "ServiceAccount"),
+    *("ConfigMap", "Service", "Deployment", "NetworkPolicy"),
+)
 
 
 @dataclass

@@ -117,7 +117,7 @@ class AdmissionWriter:
         self.server = WebServer(
             configuration.listen.address,
             configuration.listen.port,
-            self.follower.reasons_not_ready,
+            lambda: [*self.follower.reasons_not_ready(), *self.place.complaints()],
             MetricsPage(self.follower.metrics, self._metrics).text,
             configuration.webhook_secret.encode(),
             self._deliver,

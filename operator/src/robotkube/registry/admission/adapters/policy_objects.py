@@ -18,6 +18,7 @@ from typing import Any
 
 from kubernetes.client import ApiClient
 
+from robotkube.errors import UnavailableError
 from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.foundation.kubernetes.adapters.client import ResourceWatch, call
 from robotkube.registry.admission.core.list_objects import WRITER, read_list
@@ -30,6 +31,7 @@ COLLECTIONS = {POLICY: f"{API}/validatingadmissionpolicies", BINDING: f"{API}/va
 ROLES = "/apis/rbac.authorization.k8s.io/v1/clusterroles"
 APPLY = "application/apply-patch+yaml"
 CONTENT = ("spec", "data", "binaryData", "immutable")
+LIST_SECONDS_MAX = 2.0
 METADATA = ("labels", "annotations", "ownerReferences")
 
 Key = tuple[str, str]
@@ -61,9 +63,12 @@ class PolicyObjects:
         ]
 
     def start(self) -> None:
-        """Begin to watch."""
+        """Begin to watch, and wait for the first lists, so that no change comes before its watch; not for long, since
+        writing does without them."""
         for watch in self._watches:
             watch.start()
+        for watch in self._watches:
+            watch.synced.wait(LIST_SECONDS_MAX)
 
     def stop(self) -> None:
         """End the watches."""
@@ -71,7 +76,7 @@ class PolicyObjects:
             watch.stop()
 
     def complaints(self) -> list[str]:
-        """A sentence per watch that does not run."""
+        """A sentence per watch that does not run: what somebody changes is not seen then."""
         return [watch.complaint for watch in self._watches if watch.complaint]
 
     def intact(self) -> bool:
@@ -81,9 +86,9 @@ class PolicyObjects:
     def write(self, documents: Sequence[Document]) -> bool:
         """Write what differs from the last time and what somebody touched, one after the other; remove policies that
         are not among `documents`. What fails is written with the next call."""
+        owner = self._owner()
         with self._lock:
             touched, self._touched = self._touched, set()
-        owner = self._owner()
         wanted = {(item["kind"], item["metadata"]["name"]): _owned(item, owner) for item in documents}
         try:
             due = [key for key in wanted if key in touched or self._written.get(key) != wanted[key]]
@@ -116,11 +121,11 @@ class PolicyObjects:
         path, stands = f"{self._collections[kind]}/{name}", self.read(kind, name)
         if stands is None:
             query = [("fieldManager", WRITER), ("force", "true")]
-            now = _document(call(self._api, "PATCH", path, query, document, APPLY))
+            now = self._send("PATCH", path, query, document, APPLY)
         else:
             version = {"resourceVersion": stands["metadata"]["resourceVersion"]}
             body = {**document, "metadata": {**document["metadata"], **version}}
-            now = _document(call(self._api, "PUT", path, [("fieldManager", WRITER)], body))
+            now = self._send("PUT", path, [("fieldManager", WRITER)], body, "application/json")
         changed = stands is None or stands["metadata"]["resourceVersion"] != now["metadata"]["resourceVersion"]
         if changed and self._written.get(key) == document:
             self.restored += 1
@@ -130,15 +135,26 @@ class PolicyObjects:
             self._contents[key] = _content(now)
         return changed
 
+    def _send(
+        self, method: str, path: str, query: Sequence[tuple[str, str]], body: Document, kind: str
+    ) -> dict[str, Any]:
+        try:
+            return _document(call(self._api, method, path, query, body, kind))
+        except KeyError as error:
+            raise UnavailableError(
+                f"API server: {method} {path}: there is no such place, or nothing there any more; admission needs "
+                "Kubernetes 1.30 or newer"
+            ) from error
+
     def _remove(self, key: Key) -> bool:
         kind, name = key
         try:
             call(self._api, "DELETE", f"{self._collections[kind]}/{name}").read()
+            removed = True
         except KeyError:
-            return False
-        finally:
-            self._written.pop(key, None)
-        return True
+            removed = False
+        self._written.pop(key, None)
+        return removed
 
     def _watch(self, kind: str, path: str, field: str) -> ResourceWatch:
         def reduce(item: Document) -> str | None:
