@@ -4,6 +4,9 @@ behind a real forge that the chart's Job has set up."""
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -311,6 +314,38 @@ def test_the_account_may_do_this_and_nothing_else(stage: Stage) -> None:
         assert refused("DELETE", f"{place}/others")
     role = "/apis/rbac.authorization.k8s.io/v1/clusterroles/robotkube-admission"
     assert refused("PATCH", role, {"rules": []}, "application/merge-patch+json")
+
+
+def test_the_command_follows_until_it_is_told_to_end(stage: Stage, rendered: Rendered, tmp_path: Path) -> None:
+    """As the pod starts it; beside the process of these tests, which writes the same."""
+    port = free_port()
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(sys.path),
+        "ROBOTKUBE_CONFIG": str(settings_of(rendered, stage.forge, port, stage.key, tmp_path / "own")),
+        "ROBOTKUBE_WORK": str(tmp_path / "work"),
+        "KUBECONFIG": str(kubeconfig_of(stage.cluster, tmp_path)),
+    }
+    page = f"http://127.0.0.1:{port}"
+    command = [sys.executable, "-m", "robotkube.registry.admission"]
+    with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True) as started:
+        try:
+            until(lambda: started.poll() is not None or answers(f"{page}/readyz"), "it is ready")
+            metrics = httpx.get(f"{page}/metrics").text
+        finally:
+            started.terminate()
+            said = started.communicate(timeout=30)[1]
+    assert started.returncode == 0, said
+    assert "robotkube_admission_behind 0.0" in metrics
+    assert 'robotkube_admission_listed{kind="images"} 1.0' in metrics
+    assert '"event": "started"' in said
+
+
+def answers(url: str) -> bool:
+    try:
+        return httpx.get(url, timeout=5).is_success
+    except httpx.HTTPError:
+        return False
 
 
 def test_policies_of_what_is_gone_are_removed(stage: Stage, cluster: Cluster, tmp_path: Path) -> None:
