@@ -29,6 +29,7 @@
 {{- if not .Values.suites.enabled }}{{ $_ := set $found "suite-runner" list }}{{ end }}
 {{- if not (include "robotkube.inspection" . | fromYaml).enabled }}{{ $_ := set $found "inspector" list }}{{ end }}
 {{- if not (include "robotkube.remover" . | fromYaml).enabled }}{{ $_ := set $found "remover" list }}{{ end }}
+{{- if not .Values.admission.enabled }}{{ $_ := set $found "admission" list }}{{ end }}
 {{- $_ := set $found "collector" list }}
 {{- with .Values.traces.endpoint }}{{ $_ := set $found "collector" (list (include "robotkube.portOfUrl" . | int)) }}{{ end }}
 {{- toYaml $found }}

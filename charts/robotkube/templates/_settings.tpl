@@ -113,14 +113,16 @@ forge:
     description: What may be deployed
     branch: main
     seed: /etc/robotkube/seed/catalogue
-    access: { {{- $readers }}: read, gate: write, publisher: read, inspector: read, {{ $people }}: write}
+    access: { {{- $readers }}: read, gate: write, publisher: read, inspector: read, {{ if .Values.admission.enabled }}admission: read, {{ end }}{{ $people }}: write}
     main: [gate]
   webhooks:
   {{- range $process := splitList " " (include "robotkube.hearers" .) }}
   {{- $secret := printf "/var/run/secrets/robotkube/webhook/%s/secret" $process }}
   {{- $url := printf "http://%s:8080/webhook" (include "robotkube.host" (dict "root" $ "name" $process)) }}
   {{- $events := eq $process "gate" | ternary "[push, pull_request, pull_request_comment]" "[push, pull_request]" }}
+  {{- if ne $process "admission" }}
   - {repository: robotkube/deployment, url: {{ $url | quote }}, events: {{ $events }}, secret: {{ $secret }}}
+  {{- end }}
   {{- $events = eq $process "gate" | ternary "[push, pull_request]" "[push]" }}
   - {repository: robotkube/catalogue, url: {{ $url | quote }}, events: {{ $events }}, secret: {{ $secret }}}
   {{- end }}

@@ -105,7 +105,7 @@ def meaning(everybody: Mapping[str, NetworkPeer], recording: Sequence[str]) -> d
         "subject": {n for n in tested if "subject" in n},
         "helper": {n for n in tested if "helper" in n},
     }
-    return found | {"collector": set()}
+    return found | {"collector": set(), "admission": set()}  # not installed
 
 
 def expected(means: Mapping[str, set[str]]) -> set[Reach]:

@@ -6,7 +6,7 @@ import argparse
 import base64
 import contextlib
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from robotkube.delivery.inspection.core.strangers import PLURAL as INSPECTIONS
@@ -18,6 +18,7 @@ from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.foundation.kubernetes.adapters import client
 
 OBJECTS_MAX = 5000
+PAGE_OBJECTS = 500
 FORGE = "forge"
 EVIDENCE_KEYS = "evidence-keys"
 IMAGES = "platform-images"
@@ -168,6 +169,38 @@ class Platform:
         except KeyError:
             return {}
         return read_mapping(data.get(IMAGES_KEY, "{}"), f"configmap {self._namespace}/{IMAGES}")
+
+    def agents(self) -> Sequence[str]:
+        """The namespaces of declared agents."""
+        return [
+            item["metadata"]["name"] for item in self._items("/api/v1/namespaces", [("labelSelector", AGENT_LABEL)])
+        ]
+
+    def namespaces(self) -> Sequence[str]:
+        """All namespaces of the cluster."""
+        return [item["metadata"]["name"] for item in self._items("/api/v1/namespaces")]
+
+    def project(self, name: str) -> Mapping[str, Any]:
+        """An AppProject of Argo CD; InputError when there is none."""
+        where = f"/apis/argoproj.io/v1alpha1/namespaces/{self._argocd}/appprojects/{name}"
+        try:
+            return self._read("GET", where)
+        except KeyError as error:
+            raise InputError(f"no AppProject {name} in namespace {self._argocd}; see --argocd-namespace") from error
+
+    def everything(self, path: str) -> Iterator[Mapping[str, Any]]:
+        """All objects of a kind, page after page; InputError when the cluster does not know the kind."""
+        token = ""
+        while True:
+            query = [("limit", str(PAGE_OBJECTS)), ("continue", token)]
+            try:
+                page = self._read("GET", path, query)
+            except KeyError as error:
+                raise InputError(f"the cluster has no {path}; is the platform installed?") from error
+            yield from page["items"]
+            token = page["metadata"].get("continue", "")
+            if not token:
+                return
 
     def _one(self, method: str, key: str, query: Sequence[tuple[str, str]] = ()) -> Mapping[str, Any]:
         namespace, separator, name = key.partition("/")

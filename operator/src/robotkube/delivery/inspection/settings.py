@@ -62,7 +62,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> Inspector
         keys=Path(reader.word(evidence.get("keys"), "evidence.keys", files.PATH)),
         namespace=platform,
         installation=_installation(reader, namespaces, platform, charts_url, root.get("images")),
-        verify=_yes_or_no(reader, kubelets.get("verify"), "kubelets.verify"),
+        verify=reader.truth(kubelets.get("verify"), "kubelets.verify"),
     )
 
 
@@ -78,7 +78,7 @@ def _installation(
             charts=charts_url,
             platform=platform,
             argocd=reader.word(namespaces.get("argocd"), "namespaces.argocd", NAME),
-            elsewhere=_yes_or_no(reader, namespaces.get("others"), "namespaces.others"),
+            elsewhere=reader.truth(namespaces.get("others"), "namespaces.others"),
         )
         return InstalledPlatform(domain, digests_of(by_digest), frozenset(references) - frozenset(by_digest))
     except InputError as error:
@@ -89,9 +89,3 @@ def _installation(
 def _words(reader: Reader, value: Any, path: str, pattern: Any) -> tuple[str, ...]:
     items = enumerate(reader.sequence(value, path))
     return tuple(reader.word(item, f"{path}[{index}]", pattern) for index, item in items)
-
-
-def _yes_or_no(reader: Reader, value: Any, path: str) -> bool:
-    if not isinstance(value, bool):
-        reader.problems.append(f"{path}: must be true or false")
-    return value is True

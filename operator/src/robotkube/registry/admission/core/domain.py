@@ -59,6 +59,12 @@ class Domain:
             raise InputError(f"admission: {self.volumes[:200]!r} must be an absolute folder, of plain characters")
 
     @property
+    def of_the_platform(self) -> tuple[str, ...]:
+        """Namespaces in which the platform's images run. Argo CD's counts where its images are known: where the whole
+        cluster is ours."""
+        return (self.platform, *([self.argocd] if self.elsewhere else []))
+
+    @property
     def application_controller(self) -> str:
         """The account that writes releases' workloads."""
         return account(self.argocd, APPLICATION_CONTROLLER)
