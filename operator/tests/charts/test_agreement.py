@@ -14,6 +14,7 @@ import yaml
 
 from robotkube.delivery.deployment.core.policies.initial import InitialPolicy, read_initial_policy
 from robotkube.delivery.gate import __main__ as gate
+from robotkube.delivery.inspection import __main__ as inspector
 from robotkube.delivery.manager import __main__ as manager
 from robotkube.delivery.removal import __main__ as remover
 from robotkube.delivery.removal.core.targets import RemovalPolicy
@@ -38,6 +39,7 @@ PROFILES = Path(__file__).parent / "profiles"
 PROCESSES: dict[str, Any] = {
     "bootstrap": bootstrap,
     "gate": gate,
+    "inspector": inspector,
     "manager": manager,
     "suite-runner": suite_runner,
     "teardown": teardown,

@@ -12,6 +12,7 @@ from robotkube.delivery.inspection.loops.inspector import Inspector
 from robotkube.delivery.inspection.loops.looks import NodeLooks, ReleaseLooks
 from robotkube.delivery.inspection.loops.reporting import Reporter
 from robotkube.delivery.inspection.ports import NodeReading
+from robotkube.foundation.runtime.settings_file import split_message
 from tests.stages.delivery.inspected_node import FOREIGN_IMAGE, deployment, permitted, pod_object, pods, running
 from tests.stages.delivery.inspections_in_memory import (
     Clock,
@@ -95,6 +96,15 @@ def test_a_stranger_is_named_in_time_and_gone_again(stage: Stage) -> None:
     stage.run(NAMED_SECONDS)
     assert stage.conditions() == CLEAN
     assert [reason for _, reason, _ in stage.inspections.events[2:]] == ["StrangerGone", "StrangerGone"]
+
+
+def test_the_log_tells_reason_and_message_apart(stage: Stage, caplog: pytest.LogCaptureFixture) -> None:
+    stage.nodes.readings["a"] = reading(pod_object(), STRANGER)
+    stage.run(NAMED_SECONDS)
+    lines = [split_message(record.getMessage()) for record in caplog.records]
+    fields = [fields for event, fields in lines if event == "stranger appeared" and fields["container"] != "-"]
+    assert [one["reason"] for one in fields] == ["ForeignImage"]
+    assert FOREIGN_IMAGE in fields[0]["message"]
 
 
 def test_a_sidecar_is_named_in_time(stage: Stage) -> None:

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
+import yaml
 
 from robotkube.delivery.inspection.adapters.kubernetes_workloads import KubernetesWorkloads
 from robotkube.delivery.inspection.core.comparison import differences
@@ -20,8 +21,11 @@ from robotkube.registry.admission.core.allowed import Allowed
 from tests.stages.attacks import shown
 from tests.stages.delivery.inspected_node import CHART, DOMAIN, RENDERED, VERIFIED
 from tests.stages.kubernetes.judged_api_server import MERGE, Api, judged_api_server
+from tests.stages.paths import REPOSITORY
 
 pytestmark = [pytest.mark.toolchain]  # a server of its own
+GOLDEN = REPOSITORY / "operator" / "tests" / "charts" / "golden"
+APPS = ("bag-player", "event-detector", "mqtt-bridge", "object-detection", "object-tracking")
 APPLY = "application/apply-patch+yaml"
 JSON_PATCH = "application/json-patch+json"
 PLACE = "/apis/apps/v1/namespaces/vehicle-00/deployments"
@@ -105,6 +109,14 @@ def applied(api: Api, item: dict[str, Any]) -> dict[str, Any]:
 )
 def test_what_the_api_server_fills_in_is_explained(api: Api, spec: dict[str, Any]) -> None:
     item = rendered(POD, f"silent-{len(str(spec))}", **spec)
+    assert differences(applied(api, item), item) == ()
+
+
+@pytest.mark.parametrize("chart", APPS)
+def test_our_own_charts_are_as_they_are_rendered(api: Api, chart: str) -> None:
+    documents = yaml.safe_load_all((GOLDEN / f"{chart}.yaml").read_text(encoding="utf-8"))
+    [item] = [one for one in documents if one and one["kind"] == "Deployment"]
+    item["metadata"]["name"] = chart
     assert differences(applied(api, item), item) == ()
 
 

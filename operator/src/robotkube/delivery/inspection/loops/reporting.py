@@ -20,7 +20,6 @@ from robotkube.foundation.runtime.ports import Series
 
 HEARTBEAT_SECONDS = 60
 GONE = "StrangerGone"
-FIELDS = "inspection=%s kind=%s namespace=%s name=%s container=%s image=%s reason=%s message=%r"
 
 log = logging.getLogger(__name__)
 
@@ -115,10 +114,16 @@ class Reporter:
         earlier = {one.key: one for one in strangers_of(before)}
         later = {one.key: one for one in strangers_of(status)}
         for key in sorted(later.keys() - earlier.keys()):
-            log.warning(f"stranger appeared {FIELDS}", *_fields(look, later[key]))
+            log.warning(
+                "stranger appeared inspection=%s kind=%s namespace=%s name=%s container=%s message=%r reason=%s",
+                *_fields(look, later[key]),
+            )
             self._inspections.report(look, later[key].reason, later[key])
         for key in sorted(earlier.keys() - later.keys()):
-            log.warning(f"stranger gone {FIELDS}", *_fields(look, earlier[key]))
+            log.warning(
+                "stranger gone inspection=%s kind=%s namespace=%s name=%s container=%s message=%r reason=%s",
+                *_fields(look, earlier[key]),
+            )
             self._inspections.report(look, GONE, earlier[key])
 
 
@@ -131,7 +136,7 @@ def _is_same(before: Status, status: Status, now_ns: int) -> bool:
 
 def _fields(look: Look, one: Stranger) -> tuple[str, ...]:
     place = (one.kind, one.namespace or "-", one.name, one.container or "-")
-    return (look.name, *place, one.image or "-", one.reason, one.message)
+    return (look.name, *place, one.message, one.reason)
 
 
 def _gauge(name: str, values: Mapping[tuple[str, ...], float], *labels: str) -> Series:
