@@ -56,7 +56,7 @@ def own(status: Status) -> dict[str, Any]:
 def look_of(name: str, status: Status) -> Look:
     """The look at a place of one node that a status says, by the name of its Inspection."""
     looks_at, _, node = name.partition(".")
-    seen = next((one for one in status.get("conditions") or () if one.get("type") == SEEN), {})
+    seen: Status = next((one for one in status.get("conditions") or () if one.get("type") == SEEN), {})
     problem = "" if seen.get("status") == "True" else str(seen.get("message") or "nobody looked yet")
     return Look(looks_at, () if problem else strangers_of(status), node, problem)
 
