@@ -18,6 +18,7 @@ PLACEHOLDERS = Domain(
     tests=("placeholder-test",),
     charts="oci://placeholder.example/verified",
     platform="placeholder-platform",
+    gate="placeholder-gate",
     argocd="placeholder-argocd",
 )
 

@@ -9,7 +9,7 @@
 {{- range $names }}{{ $quoted = append $quoted (quote .) }}{{ $literal = append $literal (squote .) }}{{ end }}
 {{- $text = $text | replace (quote $placeholder) (join ", " $quoted) | replace (squote $placeholder) (join "," $literal) }}
 {{- end }}
-{{- $text = $text | replace "placeholder-platform" .Release.Namespace | replace "placeholder-argocd" .Values.argocd.namespace }}
+{{- $text = $text | replace "placeholder-platform" .Release.Namespace | replace "placeholder-gate" (include "robotkube.gateNamespace" .) | replace "placeholder-argocd" .Values.argocd.namespace }}
 {{- $text = $text | replace "oci://placeholder.example/verified" (include "robotkube.charts" .) }}
 {{- $without := list }}
 {{- if not $agents }}{{ $without = append $without "robotkube-agents" }}{{ end }}

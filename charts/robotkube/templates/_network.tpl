@@ -12,7 +12,7 @@
 {{- end }}
 {{- if .Values.suites.enabled }}{{ range $i := until (int .Values.suites.pool) }}{{ $test = append $test (include "robotkube.testNamespace" $i) }}{{ end }}{{ end }}
 {{- $argocd := list .Values.argocd.namespace }}
-{{- toYaml (dict "platform" (list .Release.Namespace) "argocd" $argocd "agents" $agents "recording" $recording "test" $test) }}
+{{- toYaml (dict "platform" (list .Release.Namespace) "gate" (list (include "robotkube.gateNamespace" .)) "argocd" $argocd "agents" $agents "recording" $recording "test" $test) }}
 {{- end }}
 
 {{- /* What stands elsewhere or is not installed: party -> the ports at which it is reached there, as YAML. Without ports it is nowhere. */ -}}
@@ -27,6 +27,7 @@
 {{- if eq .Values.broker.kind "external" }}{{ $_ := set $found "broker" (list (int .Values.broker.external.port)) }}{{ end }}
 {{- if eq .Values.database.kind "external" }}{{ $_ := set $found "database" (list (int .Values.database.external.port)) }}{{ end }}
 {{- if not .Values.suites.enabled }}{{ $_ := set $found "suite-runner" list }}{{ end }}
+{{- if .Values.evidence.existingSecret }}{{ $_ := set $found "gate-key" list }}{{ end }}
 {{- $_ := set $found "collector" list }}
 {{- with .Values.traces.endpoint }}{{ $_ := set $found "collector" (list (include "robotkube.portOfUrl" . | int)) }}{{ end }}
 {{- toYaml $found }}

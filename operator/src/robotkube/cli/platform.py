@@ -19,6 +19,7 @@ from robotkube.foundation.kubernetes.adapters import client
 OBJECTS_MAX = 5000
 FORGE = "forge"
 EVIDENCE_KEYS = "evidence-keys"
+MADE_KEYS = "robotkube.io/made-keys"  # its annotation with the ConfigMap of keys that were made in the cluster
 IMAGES = "platform-images"
 IMAGES_KEY = "images.yaml"
 DATABASE_ACCOUNT = "database-account"
@@ -143,23 +144,27 @@ class Platform:
 
     def evidence_keys(self) -> Mapping[str, str]:
         """The public keys that this installation trusts, as PEM texts by file name; InputError when it names none."""
-        where = f"/api/v1/namespaces/{self._namespace}/configmaps/{EVIDENCE_KEYS}"
-        try:
-            found: Mapping[str, str] = self._read("GET", where).get("data") or {}
-        except KeyError:
-            found = {}
+        given = self._config_map(EVIDENCE_KEYS)
+        found: dict[str, str] = dict(given.get("data") or {})
+        made = (given.get("metadata", {}).get("annotations") or {}).get(MADE_KEYS)
+        if made:
+            found |= self._config_map(made).get("data") or {}
         if not found:
-            raise InputError(f"no ConfigMap {EVIDENCE_KEYS} in namespace {self._namespace}; give --keys FOLDER")
+            what = f"no public key in ConfigMap {EVIDENCE_KEYS}{f' or {made}' if made else ''}"
+            raise InputError(f"{what} of namespace {self._namespace}; give --keys FOLDER")
         return found
 
     def images(self) -> Mapping[str, str]:
         """The references by digest of the platform's images, by name."""
-        where = f"/api/v1/namespaces/{self._namespace}/configmaps/{IMAGES}"
+        data = self._config_map(IMAGES).get("data") or {}
+        return read_mapping(data.get(IMAGES_KEY, "{}"), f"configmap {self._namespace}/{IMAGES}")
+
+    def _config_map(self, name: str) -> Mapping[str, Any]:
+        """A ConfigMap of the platform's namespace; empty when there is none."""
         try:
-            data = self._read("GET", where).get("data") or {}
+            return self._read("GET", f"/api/v1/namespaces/{self._namespace}/configmaps/{name}")
         except KeyError:
             return {}
-        return read_mapping(data.get(IMAGES_KEY, "{}"), f"configmap {self._namespace}/{IMAGES}")
 
     def _one(self, method: str, key: str, query: Sequence[tuple[str, str]] = ()) -> Mapping[str, Any]:
         namespace, separator, name = key.partition("/")

@@ -31,22 +31,23 @@ KEEPERS = (
 
 @dataclass(frozen=True)
 class Domain:
-    """Namespaces of `agents` (releases run there), of `tests` (suites try charts there), of the platform and of Argo
-    CD; `charts` is the one place of charts that may run, as `oci://<host>/<organisation>`. `elsewhere`: all other
-    namespaces of the cluster are judged too, which is right only where nobody else uses it. `volumes`: the one folder
-    of machines that volumes may be in; empty where that is not known here."""
+    """Namespaces of `agents` (releases run there), of `tests` (suites try charts there), of the platform, of its gate
+    and of Argo CD; `charts` is the one place of charts that may run, as `oci://<host>/<organisation>`. `elsewhere`: all
+    other namespaces of the cluster are judged too, which is right only where nobody else uses it. `volumes`: the one
+    folder of machines that volumes may be in; empty where that is not known here."""
 
     agents: tuple[str, ...]
     tests: tuple[str, ...]
     charts: str
     platform: str = "robotkube"
+    gate: str = "robotkube-gate"
     argocd: str = "argocd"
     elsewhere: bool = False
     volumes: str = ""
 
     def __post_init__(self) -> None:
         """InputError names what is no name: policies are made of these words, so nothing else may stand in them."""
-        for name in (*self.agents, *self.tests, self.platform, self.argocd):
+        for name in (*self.agents, *self.tests, self.platform, self.gate, self.argocd):
             if not NAME.fullmatch(name):
                 raise InputError(f"admission: {name[:120]!r} is no name of a namespace")
         if not CHARTS_URL.fullmatch(self.charts):

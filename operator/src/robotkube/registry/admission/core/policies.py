@@ -153,12 +153,12 @@ def _platform(domain: Domain, lookup: Lookup) -> Policy:
             ": in the platform's namespaces controllers alone make pods. Change the values of the chart",
         ),
     )
-    place = Place((domain.platform, *([domain.argocd] if domain.elsewhere else [])))
+    place = Place((domain.platform, domain.gate, *([domain.argocd] if domain.elsewhere else [])))
     return _workloads("platform", place, _unlisted(lookup), [_images(NOT_OF_THE_PLATFORM), pods], lookup.parameters)
 
 
 def _elsewhere(domain: Domain, lookup: Lookup) -> Policy:
-    place = Place((*domain.agents, *domain.tests, domain.platform, domain.argocd), others=True)
+    place = Place((*domain.agents, *domain.tests, domain.platform, domain.gate, domain.argocd), others=True)
     return _workloads("elsewhere", place, _unlisted(lookup), [_images(NOT_KNOWN)], lookup.parameters)
 
 

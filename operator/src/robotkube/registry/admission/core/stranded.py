@@ -59,7 +59,7 @@ def _workload(item: Object, domain: Domain, allowed: Allowed) -> Iterator[str]:
         if not _listed(reference, namespace, domain, allowed):
             yield f"image {reference or '(none)'} is not listed for this namespace"
     owners = item["metadata"].get("ownerReferences", [])
-    closed = (*domain.agents, domain.platform, domain.argocd)
+    closed = (*domain.agents, domain.platform, domain.gate, domain.argocd)
     if item["kind"] == "Pod" and namespace in closed and not any(owner.get("controller") for owner in owners):
         yield "no controller made this pod"
 
@@ -67,11 +67,12 @@ def _workload(item: Object, domain: Domain, allowed: Allowed) -> Iterator[str]:
 def _listed(reference: str, namespace: str, domain: Domain, allowed: Allowed) -> bool:
     repository, _, digest = reference.partition("@")
     if not repository or not DIGEST.fullmatch(digest):
-        return not (domain.elsewhere or namespace in (*domain.agents, *domain.tests, domain.platform, domain.argocd))
+        ours = (*domain.agents, *domain.tests, domain.platform, domain.gate, domain.argocd)
+        return not (domain.elsewhere or namespace in ours)
     if namespace in domain.tests:
         return True
     if namespace in domain.agents:
         return digest in allowed.verified
-    if namespace in (domain.platform, domain.argocd):
+    if namespace in (domain.platform, domain.gate, domain.argocd):
         return digest in allowed.platform
     return not domain.elsewhere or digest in allowed.platform or digest in allowed.verified
