@@ -28,6 +28,7 @@ webhook:
 evidence:
   keys: /etc/robotkube/keys
 platform_namespace: {{ .Release.Namespace }}
+gate_namespace: {{ include "robotkube.gateNamespace" . }}
 argocd: {namespace: {{ .Values.argocd.namespace }}}
 agents: {{ toJson $agents }}
 test_namespaces: {{ toJson $tests }}

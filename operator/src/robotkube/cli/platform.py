@@ -21,10 +21,12 @@ OBJECTS_MAX = 5000
 PAGE_OBJECTS = 500
 FORGE = "forge"
 EVIDENCE_KEYS = "evidence-keys"
+MADE_KEYS = "robotkube.io/made-keys"  # its annotation with the ConfigMap of keys that were made in the cluster
 IMAGES = "platform-images"
 IMAGES_KEY = "images.yaml"
 DATABASE_ACCOUNT = "database-account"
 AGENT_LABEL = "robotkube.io/agent"
+GATE_SELECTOR = "app.kubernetes.io/part-of=robotkube,app.kubernetes.io/component=gate"
 DETECTOR_SELECTOR = "app.kubernetes.io/name=event-detector"
 
 
@@ -152,29 +154,40 @@ class Platform:
 
     def evidence_keys(self) -> Mapping[str, str]:
         """The public keys that this installation trusts, as PEM texts by file name; InputError when it names none."""
-        where = f"/api/v1/namespaces/{self._namespace}/configmaps/{EVIDENCE_KEYS}"
-        try:
-            found: Mapping[str, str] = self._read("GET", where).get("data") or {}
-        except KeyError:
-            found = {}
+        given = self._config_map(EVIDENCE_KEYS)
+        found: dict[str, str] = dict(given.get("data") or {})
+        made = (given.get("metadata", {}).get("annotations") or {}).get(MADE_KEYS)
+        if made:
+            found |= self._config_map(made).get("data") or {}
         if not found:
-            raise InputError(f"no ConfigMap {EVIDENCE_KEYS} in namespace {self._namespace}; give --keys FOLDER")
+            what = f"no public key in ConfigMap {EVIDENCE_KEYS}{f' or {made}' if made else ''}"
+            raise InputError(f"{what} of namespace {self._namespace}; give --keys FOLDER")
         return found
 
     def images(self) -> Mapping[str, str]:
         """The references by digest of the platform's images, by name."""
-        where = f"/api/v1/namespaces/{self._namespace}/configmaps/{IMAGES}"
+        data = self._config_map(IMAGES).get("data") or {}
+        return read_mapping(data.get(IMAGES_KEY, "{}"), f"configmap {self._namespace}/{IMAGES}")
+
+    def _config_map(self, name: str) -> Mapping[str, Any]:
+        """A ConfigMap of the platform's namespace; empty when there is none."""
         try:
-            data = self._read("GET", where).get("data") or {}
+            return self._read("GET", f"/api/v1/namespaces/{self._namespace}/configmaps/{name}")
         except KeyError:
             return {}
-        return read_mapping(data.get(IMAGES_KEY, "{}"), f"configmap {self._namespace}/{IMAGES}")
 
     def agents(self) -> Sequence[str]:
         """The namespaces of declared agents."""
         return [
             item["metadata"]["name"] for item in self._items("/api/v1/namespaces", [("labelSelector", AGENT_LABEL)])
         ]
+
+    def gate_namespace(self) -> str:
+        """The namespace in which the gate stands alone: the one of the usual name, else the one that says so."""
+        usual = f"{self._namespace}-gate"
+        labelled = self._items("/api/v1/namespaces", [("labelSelector", GATE_SELECTOR)])
+        named = [item["metadata"]["name"] for item in labelled]
+        return usual if usual in named or not named else named[0]
 
     def namespaces(self) -> Sequence[str]:
         """All namespaces of the cluster."""

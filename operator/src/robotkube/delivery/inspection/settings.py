@@ -47,7 +47,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> Inspector
     kubelets = reader.mapping(root.get("kubelets") or {}, "kubelets", ["verify"])
     charts_url = reader.word(registry.get("charts"), "oci_registry.charts", CHARTS_URL)
     namespaces = reader.mapping(
-        root.get("namespaces") or {}, "namespaces", ["agents", "tests", "platform", "argocd", "others"]
+        root.get("namespaces") or {}, "namespaces", ["agents", "tests", "platform", "gate", "argocd", "others"]
     )
     platform = reader.word(namespaces.get("platform"), "namespaces.platform", NAME)
     return InspectorConfiguration(
@@ -77,6 +77,7 @@ def _installation(
             tests=_words(reader, namespaces.get("tests"), "namespaces.tests", NAME),
             charts=charts_url,
             platform=platform,
+            gate=reader.word(namespaces.get("gate"), "namespaces.gate", NAME),
             argocd=reader.word(namespaces.get("argocd"), "namespaces.argocd", NAME),
             elsewhere=reader.truth(namespaces.get("others"), "namespaces.others"),
         )

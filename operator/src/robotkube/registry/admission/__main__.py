@@ -54,7 +54,7 @@ class AdmissionConfiguration:
 def read_configuration(reader: Reader, document: Mapping[str, Any]) -> AdmissionConfiguration:
     """Read the settings document of the process."""
     keys = ["listen", "log_level", "forge", "oci_registry", "evidence", "webhook"]
-    keys += ["platform_namespace", "argocd", "agents", "test_namespaces", "remover"]
+    keys += ["platform_namespace", "gate_namespace", "argocd", "agents", "test_namespaces", "remover"]
     root = reader.mapping(document, "", keys)
     forge_keys = ["url", "credentials", "catalogue", "branch"]
     forge = reader.mapping(root.get("forge") or {}, "forge", forge_keys, ["kind", "api"])
@@ -81,6 +81,7 @@ def _domain(reader: Reader, root: Mapping[str, Any]) -> Domain:
         tests=_words(reader, root.get("test_namespaces"), "test_namespaces"),
         charts=reader.word(registry.get("charts"), "oci_registry.charts", CHARTS_URL),
         platform=reader.word(root.get("platform_namespace"), "platform_namespace", WORD),
+        gate=reader.word(root.get("gate_namespace"), "gate_namespace", WORD),
         argocd=reader.word(argocd.get("namespace"), "argocd.namespace", WORD),
         remover=REMOVER if reader.truth(root.get("remover"), "remover") else "",
     )

@@ -168,7 +168,7 @@ def _platform(domain: Domain, lookup: Lookup) -> Policy:
 
 
 def _elsewhere(domain: Domain, lookup: Lookup) -> Policy:
-    place = Place((*domain.agents, *domain.tests, domain.platform, domain.argocd), others=True)
+    place = Place((*domain.agents, *domain.tests, domain.platform, domain.gate, domain.argocd), others=True)
     return _workloads("elsewhere", place, _unlisted(lookup), [_images(NOT_KNOWN)], lookup.parameters)
 
 
