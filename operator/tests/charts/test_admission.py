@@ -67,7 +67,7 @@ def test_the_process_reads_what_the_chart_writes_and_judges_this_installation(
     assert found.domain == domain(rendered)
     assert found.account.username == "admission"
     assert (found.listen.port, found.listen.health_port) == (8080, 8081)
-    keys = rendered.one("ConfigMap", "evidence-keys")["data"]
+    keys = rendered.one("ConfigMap", "evidence-keys", None)["data"]
     assert {path.name for path in found.evidence_keys.iterdir()} == set(keys)
 
 
@@ -79,6 +79,12 @@ def test_the_remover_is_named_where_it_is_enabled(helm: Helm, tmp_path: Path) ->
     [remover] = [item for item in found.of_kind("ServiceAccount") if item["metadata"]["name"] == read.domain.remover]
     assert read.domain.remover_account == account(remover["metadata"].get("namespace", "robotkube"), "remover")
     assert read.domain.remover_account in str(for_api(read.domain))
+
+
+def test_the_gates_namespace_is_judged_as_the_platforms(helm: Helm, tmp_path: Path) -> None:
+    found = helm.template(PLATFORM, *FILES, admission={"enabled": True}, gate={"namespace": "signing"})
+    read = read_settings(mounted(found, "admission", tmp_path), process.read_configuration)
+    assert read.domain.of_the_platform == ("robotkube", "signing")
 
 
 def test_without_agents_and_suites_it_judges_none(helm: Helm, tmp_path: Path) -> None:
@@ -122,8 +128,8 @@ def test_its_account_writes_these_names_and_nothing_else(rendered: Rendered) -> 
 
 def test_its_pod_holds_no_signing_key_and_is_restricted(rendered: Rendered) -> None:
     pod = dict(rendered.pods)["Deployment/admission"]
-    [projected] = [one["projected"]["sources"] for one in pod["volumes"] if "projected" in one]
-    names = {source["secret"]["name"] for source in projected}
+    sources = [source for one in pod["volumes"] for source in one.get("projected", {}).get("sources", ())]
+    names = {source["secret"]["name"] for source in sources if "secret" in source}
     assert names == {"forge-account-admission", "forge-webhook-admission"}
     [container] = pod["containers"]
     assert pod["securityContext"]["runAsNonRoot"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +44,7 @@ def test_only_the_gate_mounts_the_key_and_stands_where_it_is(platform: Any, prof
     mounting = {process for process, (_, mounts) in own.items() if mounts}
     # What an older installation has under this name, in the platform's namespace, is moved by the Job.
     assert {process.rpartition("-")[0] for process in mounting} <= {"gate-key"}
-    assert len(platform.pods) == 8 + len(mounting)
+    assert len(platform.pods) == 9 + ("Deployment/remover" in dict(platform.pods)) + len(mounting)
 
 
 def test_the_namespace_of_the_gate_holds_what_the_gate_needs(platform: Any) -> None:
@@ -84,14 +85,28 @@ def test_a_key_that_is_given_is_made_by_nobody(embedded: Any) -> None:
     assert keys["embedded.pem"].startswith("-----BEGIN PUBLIC KEY-----\n")
 
 
-def test_gate_and_manager_take_keys_from_the_same_place(platform: Any, profile: str) -> None:
-    pods = dict(platform.pods)
+READERS = {"gate": GATE, "manager": None, "inspector": None}  # who verifies signatures, and where
+
+
+def test_all_who_verify_take_keys_from_the_same_place(platform: Any, profile: str) -> None:
     names = ["evidence-keys", *(["gate-public-key"] if profile == "official" else [])]
+    assert_reading(platform, READERS, names)
+
+
+def test_admission_takes_keys_from_there_as_well(helm: Any) -> None:
+    """The made one too: it would list nothing that the gate signed."""
+    rendered = helm.template(PLATFORM, PROFILE, PROFILE.with_name("admission.yaml"))
+    assert_reading(rendered, {**READERS, "admission": None}, ["evidence-keys", "gate-public-key"])
+
+
+def assert_reading(rendered: Any, readers: Mapping[str, str | None], names: Sequence[str]) -> None:
+    """These processes, and no others, mount the keys of these ConfigMaps where their settings say."""
+    pods = dict(rendered.pods)
     volume = {"name": "keys", "projected": {"sources": [{"configMap": {"name": name}} for name in names]}}
     mounting = {where for where, pod in pods.items() if volume in pod["volumes"]}
-    assert mounting == {"Deployment/gate", "Deployment/manager"}
-    for process, namespace in (("gate", GATE), ("manager", None)):
-        settings = yaml.safe_load(platform.one("ConfigMap", process, namespace)["data"]["config.yaml"])
+    assert mounting == {f"Deployment/{process}" for process in readers}
+    for process, namespace in readers.items():
+        settings = yaml.safe_load(rendered.one("ConfigMap", process, namespace)["data"]["config.yaml"])
         assert settings["evidence"]["keys"] == "/etc/robotkube/keys"
         mounts = pods[f"Deployment/{process}"]["containers"][0]["volumeMounts"]
         assert {"name": "keys", "mountPath": "/etc/robotkube/keys", "readOnly": True} in mounts
@@ -101,7 +116,7 @@ def test_a_second_trusted_key_restarts_who_reads_it(helm: Any, embedded: Any) ->
     [pem] = embedded.one("ConfigMap", "evidence-keys")["data"].values()
     files = (PLATFORM / "values-embedded.yaml", PROFILE.with_name("embedded.yaml"))
     after = helm.template(PLATFORM, *files, evidence={"trustedKeys": {"next": pem}})
-    for name, namespace in (("gate", GATE), ("manager", None)):
+    for name, namespace in READERS.items():
         assert list(after.one("ConfigMap", "evidence-keys", namespace)["data"]) == ["embedded.pem", "next.pem"]
         old, new = (found.one("Deployment", name, namespace)["spec"]["template"] for found in (embedded, after))
         assert old["metadata"]["annotations"] != new["metadata"]["annotations"]

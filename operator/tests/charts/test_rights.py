@@ -16,6 +16,7 @@ from kubernetes import client, config
 from kubernetes.client.exceptions import ApiException
 
 from robotkube.foundation.documents.core.yaml_codec import write_mapping
+from robotkube.registry.admission.core.policies import API_POLICIES
 from tests.stages.attacks import shown
 from tests.stages.detector.process import COMMAND, is_up, read
 from tests.stages.detector.proximity_settings import SETTINGS as DETECTOR
@@ -29,6 +30,7 @@ pytestmark = [  # a server of its own
     pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning"),
 ]
 PROFILES = Path(__file__).parent / "profiles"
+INSTALLED = ("official", "managers", "admission")
 Rights = dict[str, str]
 
 READ = "get list watch"
@@ -37,7 +39,6 @@ EVENTS, LEASES = "events.events.k8s.io", "leases.coordination.k8s.io"
 GROUP = "robotkube.io"
 INSPECTIONS = f"inspections.{GROUP}"
 NODES = {"nodes": READ}
-INSPECTIONS = "inspections.robotkube.io"
 LOOKED_AT = dict.fromkeys(
     [
         *(f"{kind}.apps" for kind in ("daemonsets", "deployments", "replicasets", "statefulsets")),
@@ -90,6 +91,7 @@ GENERATING = {
     f"{LEASES} 58ac56fa.applicationsets.argoproj.io": "create get update",
     "secrets": READ,
 }
+POLICIES = [f"validatingadmission{kind}.admissionregistration.k8s.io" for kind in ("policies", "policybindings")]
 PUBLISHING = {"configmaps": "create", "configmaps gate-public-key": "get patch"}
 AGENTS = ("vehicle-00", "vehicle-01", "cloud-0")
 NAMESPACES = ("robotkube", "robotkube-gate", "argocd", "default", *AGENTS, "robotkube-suite-0")
@@ -123,6 +125,18 @@ EXACTLY: dict[str, dict[str, Rights]] = {
     "robotkube:gate-key": {
         "robotkube": PUBLISHING,
         "robotkube-gate": {**PUBLISHING, "secrets": "create"},
+    },
+    "robotkube:admission": {
+        "*": {
+            **dict.fromkeys(POLICIES, "list watch"),
+            **{f"{kind} {name}": "create delete get patch update" for kind in POLICIES for name in API_POLICIES},
+            "clusterroles.rbac.authorization.k8s.io robotkube-admission": "get",
+            "configmaps *": "get",
+        },
+        "robotkube": {
+            "configmaps admission-list": EVERY_VERB,
+            "configmaps admission-platform": "get",
+        },
     },
     "robotkube:default": {},
     "robotkube:suite-runner": {"robotkube-suite-0": ROOM},
@@ -159,11 +173,11 @@ GATE, KEY = "robotkube-gate", "gate-key"
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory, argocd: list[dict[str, Any]]) -> Iterator[Cluster]:
-    """Argo CD as in the embedded cluster, and two managers with disjoint scopes."""
+    """Argo CD as in the embedded cluster, two managers with disjoint scopes, and admission by a process."""
     with prepared_cluster(tmp_path_factory.mktemp("api")) as found:
         manifests = yaml.dump_all([o for o in argocd if o["kind"] != "CustomResourceDefinition"])
         found.kubectl("apply", "--server-side", "-n", "argocd", "-f", "-", text=manifests)
-        files = [option for name in ("official", "managers") for option in ("-f", str(PROFILES / f"{name}.yaml"))]
+        files = [option for name in INSTALLED for option in ("-f", str(PROFILES / f"{name}.yaml"))]
         found.helm("install", "robotkube", str(CHART), *files, "--no-hooks")
         yield found
 
@@ -251,7 +265,8 @@ def test_no_account_at_all_may_read_the_key_of_the_gate(installed: Cluster, revi
     """The gate itself has it from its volume."""
     everyone = accounts(installed)
     assert len(everyone) > 30
-    assert {"robotkube-gate:gate", "robotkube:gate-key"} <= set(everyone)
+    processes = ("gate-key", "inspector", "remover", "admission")
+    assert {"robotkube-gate:gate", *(f"robotkube:{name}" for name in processes)} <= set(everyone)
     assert [
         (account, verb)
         for account in everyone
