@@ -12,13 +12,11 @@ import os
 import secrets
 from pathlib import Path
 
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
-from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
-
 from ci.errors import SetUpError
 from ci.folders import user_cache
 from robotkube.errors import InputError
 from robotkube.registry.evidence.adapters.dsse import KeyFile
+from robotkube.registry.evidence.adapters.key_pairs import new_key_pair
 
 OWNER_ONLY = 0o600
 
@@ -53,7 +51,7 @@ def kept_folder(place: Path | None = None) -> Path:
 
 def _make(path: Path) -> None:
     """Another process may do the same: the first one's key stays."""
-    text = Ed25519PrivateKey.generate().private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+    text = new_key_pair().private.encode()
     part = path.with_name(f"{path.name}.{secrets.token_hex(4)}")
     with os.fdopen(os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, OWNER_ONLY), "wb") as file:
         file.write(text)

@@ -25,11 +25,14 @@ from ci.errors import SetUpError
 from ci.folders import PROJECT
 from gitops.argocd import render
 
-NAMESPACE, ARGOCD = "robotkube", "argocd"
+NAMESPACE, GATE, ARGOCD = "robotkube", "robotkube-gate", "argocd"  # of the release, of its gate alone, of Argo CD
 CHART = PROJECT / "charts" / "robotkube"
 INSTALL_TIMEOUT_SECONDS = 420
 ROLLOUT_TIMEOUT_SECONDS = 240
 RESTRICTED = {"pod-security.kubernetes.io/enforce": "restricted"}
+# What Helm asks of an object that is there before the chart that has it.
+HELMS_LABEL = {"app.kubernetes.io/managed-by": "Helm"}
+HELMS_OWN = {"meta.helm.sh/release-name": NAMESPACE, "meta.helm.sh/release-namespace": NAMESPACE}
 BAGS_SIZE = "2Gi"
 NO_VALUES: Mapping[str, Any] = MappingProxyType({})
 PLAYERS = ("vehicle", "roadside")  # roles whose agents play a bag
@@ -94,9 +97,10 @@ class Installer:
         }
         self.kubectl("apply", "--server-side", "-f", "-", text=yaml.safe_dump(secret))
 
-    def namespace(self, name: str, labels: Mapping[str, str]) -> None:
-        """A namespace with labels, whether it is there or not."""
-        namespace = {"apiVersion": "v1", "kind": "Namespace", "metadata": {"name": name, "labels": dict(labels)}}
+    def namespace(self, name: str, labels: Mapping[str, str], annotations: Mapping[str, str] = NO_VALUES) -> None:
+        """A namespace with labels and annotations, whether it is there or not."""
+        metadata = {"name": name, "labels": dict(labels), "annotations": dict(annotations)}
+        namespace = {"apiVersion": "v1", "kind": "Namespace", "metadata": metadata}
         self.kubectl("apply", "--server-side", "--force-conflicts", "-f", "-", text=yaml.safe_dump(namespace))
 
     def platform(
@@ -109,7 +113,8 @@ class Installer:
         """`helm upgrade --install robotkube` with the embedded profile, the images and the agents of the topology, and
         further `values`.
 
-        The namespace comes first: a chart cannot say that its own namespace takes only restricted pods.
+        Two namespaces come first: a chart cannot say that its own takes only restricted pods, and the gate's has the
+        key in it before the gate starts.
         """
         place = self.work / "values.yaml"
         self.work.mkdir(parents=True, exist_ok=True)
@@ -122,10 +127,13 @@ class Installer:
                 "upgrade", "--install", NAMESPACE, str(chart), *options, "--timeout", f"{INSTALL_TIMEOUT_SECONDS}s"
             )
         except SetUpError as error:
-            raise SetUpError(f"{error}\n{self.state(NAMESPACE)}\n{self.state(ARGOCD)}") from error
+            states = "\n".join(map(self.state, (NAMESPACE, GATE, ARGOCD)))
+            raise SetUpError(f"{error}\n{states}") from error
         self.bind_claims()
-        for namespace in (NAMESPACE, ARGOCD):
+        for namespace in (NAMESPACE, GATE, ARGOCD):
             self.rollout(namespace)
+        if chart == CHART:  # until then an older gate had the key there
+            self.kubectl("-n", NAMESPACE, "delete", "secret", KEY_SECRET, "--ignore-not-found")
 
     def bind_claims(self) -> None:
         """Bind volume claims of agents with one node now. Left to the first pod, the scheduler checks once in a second
@@ -139,13 +147,16 @@ class Installer:
             text = yaml.safe_dump({"apiVersion": "v1", "kind": "List", "items": bound})
             self.kubectl("apply", "--server-side", "--field-manager=robotkube-installation", "-f", "-", text=text)
 
-    def signing_key(self) -> dict[str, Any]:
-        """The Secret with this user's signing key; returns what the chart has to know of it."""
+    def signing_key(self, namespace: str = GATE) -> dict[str, Any]:
+        """The Secret with this user's signing key, where the gate mounts it and not by Helm, which would keep a copy;
+        returns what the chart has to know of it."""
         key = evidence.signing_key()
+        if namespace == GATE:
+            self.namespace(GATE, RESTRICTED | HELMS_LABEL, HELMS_OWN)
         secret = {
             "apiVersion": "v1",
             "kind": "Secret",
-            "metadata": {"name": KEY_SECRET, "namespace": NAMESPACE},
+            "metadata": {"name": KEY_SECRET, "namespace": namespace},
             "stringData": {"key.pem": evidence.key_file().read_text(encoding="utf-8")},
         }
         self.kubectl("apply", "--server-side", "--force-conflicts", "-f", "-", text=yaml.safe_dump(secret))

@@ -16,6 +16,7 @@ PAGE = TOP / "docs" / "reference" / "network.md"
 BEGIN, END = "<!-- written by `make reference`: begin -->", "<!-- end -->"
 NAMESPACES = {
     "platform": "the platform's",
+    "gate": "the gate's",
     "argocd": "Argo CD's",
     "agents": "each agent's",
     "recording": "each recording agent's",

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from ci import (
-    admission_reference,
     architecture,
     attack_reference,
     chart_reference,
@@ -195,7 +194,6 @@ if __name__ == "__main__":
     print(detector.relative_to(TOP))
     print(rule_reference.PAGE.relative_to(TOP), *(path.relative_to(TOP) for path in chart_reference.write()))
     print(PAGE.relative_to(TOP), METRICS_PAGE.relative_to(TOP), commands.relative_to(TOP))
-    admission_reference.POLICIES.write_text(admission_reference.text(), encoding="utf-8")
     print(network_reference.write().relative_to(TOP))
     architecture.write()
     attack_reference.write()

@@ -19,14 +19,13 @@ from ci.cluster.catalogue_on_disk import CatalogueOnDisk
 from ci.cluster.records import ClusterFolders
 from ci.errors import SetUpError
 from robotkube.errors import RobotKubeError, UnavailableError
+from robotkube.registry.admission.loops.follower import Follower
 from robotkube.registry.admission.loops.following import CatalogueListing, Following
 from robotkube.registry.evidence.adapters.dsse import TrustedKeys
 
 POLL_SECONDS = 0.2  # a publication is followed within a second
 FIND_SECONDS = 5.0  # how long the forge's volume is taken to be the same
 NAMESPACE, CLAIM, REPOSITORIES = "robotkube", "forge", "repositories"  # where charts/robotkube has the forge's files
-
-log = logging.getLogger("robotkube.admission")
 
 
 class ForgeFolder:
@@ -60,15 +59,9 @@ def forge_folder(api: objects.Reader) -> ForgeFolder:
 
 def follow(following: Following, pause: Callable[[], None]) -> None:
     """Step for ever; a problem is logged when it comes and when it is another one."""
-    problem = ""
+    follower = Follower(following, time.monotonic, (RobotKubeError, SetUpError))
     while True:
-        try:
-            following.step()
-            problem = ""
-        except (RobotKubeError, SetUpError) as error:
-            if str(error) != problem:
-                log.warning("admission: the policies stay as they are: %s", error)
-            problem = str(error)
+        follower.step()
         pause()
 
 

@@ -22,22 +22,9 @@ from ci.errors import InputError, SetUpError
 from robotkube.errors import RobotKubeError, UnavailableError
 from robotkube.registry.admission.core.allowed import digests_of
 from robotkube.registry.admission.core.listing import AllowedVersions
-from robotkube.registry.admission.core.stranded import Stranded, stranded
+from robotkube.registry.admission.core.stranded import APPLICATIONS, KINDS, Stranded, counted, stranded
 from robotkube.registry.admission.loops.following import CatalogueListing
 from robotkube.registry.evidence.adapters.dsse import TrustedKeys
-
-KINDS = {
-    "/api/v1/pods": "Pod",
-    "/api/v1/podtemplates": "PodTemplate",
-    "/api/v1/replicationcontrollers": "ReplicationController",
-    "/apis/apps/v1/daemonsets": "DaemonSet",
-    "/apis/apps/v1/deployments": "Deployment",
-    "/apis/apps/v1/replicasets": "ReplicaSet",
-    "/apis/apps/v1/statefulsets": "StatefulSet",
-    "/apis/batch/v1/cronjobs": "CronJob",
-    "/apis/batch/v1/jobs": "Job",
-}
-APPLICATIONS = "/apis/argoproj.io/v1alpha1/applications"
 
 
 @dataclass(frozen=True)
@@ -65,9 +52,7 @@ def report(api: Reader, folders: ClusterFolders, topology: Topology, images: Seq
     except RobotKubeError as error:
         raise InputError(f"images of the platform: {error}") from error
     result = stranded(_objects(api), admission.domain_of(admission.agents_of(topology), folders), allowed)
-    counts = f"{len(allowed.charts)} charts, {len(allowed.verified)} images, {len(allowed.platform)} of the platform"
-    verdict = f"{len(result)} objects would be stranded" if result else "nothing would be stranded"
-    return Report(result, (*found.problems, *map(str, result), f"{verdict} ({counts} listed)"))
+    return Report(result, (*found.problems, *map(str, result), counted(result, allowed)))
 
 
 def _listing(api: Reader, scratch: Path) -> AllowedVersions:

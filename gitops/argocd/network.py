@@ -19,6 +19,7 @@ TABLE = CHART / "files" / "network.yaml"
 PROFILE = CHART / "values-embedded.yaml"
 WORD = "argocd"  # this namespace in the table
 PLATFORM = "robotkube"  # namespace and release of the platform in the embedded cluster
+OTHERS = {"platform": PLATFORM, "gate": f"{PLATFORM}-gate"}  # their namespaces by the table's words
 NAME_PORT = 53
 API_SERVER, NAME_SERVICE = "api-server", "name-service"
 
@@ -75,7 +76,7 @@ def _peer(party: Mapping[str, Any], namespace: str) -> Object:
     """Pods of Argo CD or of the platform; no others are its peers."""
     own = party["namespaces"] == WORD
     component = {"app.kubernetes.io/component": party.get("component"), "app.kubernetes.io/instance": PLATFORM}
-    names = {"kubernetes.io/metadata.name": namespace if own else PLATFORM}
+    names = {"kubernetes.io/metadata.name": namespace if own else OTHERS.get(party["namespaces"], "")}
     return {
         "namespaceSelector": {"matchLabels": names},
         "podSelector": {"matchLabels": party["labels"] if own else component},

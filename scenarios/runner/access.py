@@ -17,7 +17,7 @@ from kubernetes.client.exceptions import ApiException
 
 from scenarios.runner.waiting import RunError
 
-PLATFORM, ARGOCD = "robotkube", "argocd"
+PLATFORM, GATE, ARGOCD = "robotkube", "robotkube-gate", "argocd"  # of the platform, of its gate alone, of Argo CD
 ANSWER_SECONDS_MAX = 10
 CONFIGMAP = "simulation"
 HEALTH_PORT = 8081
@@ -168,11 +168,12 @@ class Access:
 
     def kill(self, component: str) -> None:
         """Ends the pods of a part of the platform at once, as a crash would; its Deployment makes others."""
-        for pod in self.pods(PLATFORM):
-            if (pod.metadata.labels or {}).get("app.kubernetes.io/name") == component:
-                what = f"pod {PLATFORM}/{pod.metadata.name}"
-                name = pod.metadata.name
-                self._call(self.core.delete_namespaced_pod, what, name, PLATFORM, grace_period_seconds=0)
+        for namespace in (PLATFORM, GATE):
+            for pod in self.pods(namespace):
+                if (pod.metadata.labels or {}).get("app.kubernetes.io/name") == component:
+                    name = pod.metadata.name
+                    delete = self.core.delete_namespaced_pod
+                    self._call(delete, f"pod {namespace}/{name}", name, namespace, grace_period_seconds=0)
 
     def set_schedulable(self, node: str, schedulable: bool) -> None:
         """Cordons a node, or takes that back."""

@@ -1,31 +1,36 @@
-{{- /* Admission policies, as the code makes them (files/admission/policies.json, by `make reference`), with this installation's names. */ -}}
-{{- define "robotkube.admissionPolicies" -}}
-{{- $agents := list }}{{ range .Values.agents }}{{ $agents = append $agents .name }}{{ end }}
-{{- $tests := list }}
-{{- if .Values.suites.enabled }}{{ range $i := until (int .Values.suites.pool) }}{{ $tests = append $tests (include "robotkube.testNamespace" $i) }}{{ end }}{{ end }}
-{{- $text := .Files.Get "files/admission/policies.json" }}
-{{- range $placeholder, $names := dict "placeholder-agent" $agents "placeholder-test" $tests }}
-{{- $quoted := list }}{{ $literal := list }}
-{{- range $names }}{{ $quoted = append $quoted (quote .) }}{{ $literal = append $literal (squote .) }}{{ end }}
-{{- $text = $text | replace (quote $placeholder) (join ", " $quoted) | replace (squote $placeholder) (join "," $literal) }}
-{{- end }}
-{{- if not (include "robotkube.remover" . | fromYaml).enabled }}{{ $text = $text | replace "system:serviceaccount:placeholder-platform:placeholder-remover" "" }}{{ end }}
-{{- $text = $text | replace "placeholder-remover" "remover" | replace "placeholder-platform" .Release.Namespace | replace "placeholder-argocd" .Values.argocd.namespace }}
-{{- $text = $text | replace "oci://placeholder.example/verified" (include "robotkube.charts" .) }}
-{{- $without := list }}
-{{- if not $agents }}{{ $without = append $without "robotkube-agents" }}{{ end }}
-{{- if not $tests }}{{ $without = append $without "robotkube-tests" }}{{ end }}
-{{- $labels := include "robotkube.labels" (dict "root" . "component" "admission") | fromYaml }}
-{{- range ($text | fromJson).items }}{{ if not (has .metadata.name $without) }}
-{{- $_ := set .metadata "labels" $labels }}
----
-{{ toYaml . }}
-{{- end }}{{ end }}
-{{- end }}
-
-{{- /* Digests of the platform's images, as keys. */ -}}
+{{- /* Digests of the platform's images, as keys. Helm writes them, not the process: its own pod has to be among them first. */ -}}
 {{- define "robotkube.platformDigests" -}}
 {{- range .Values.images }}{{ if contains "@sha256:" . }}
 platform.{{ regexFind "@sha256:[0-9a-f]+" . | trimPrefix "@sha256:" }}: ""
 {{- end }}{{ end }}
+{{- end }}
+
+{{- /* What admission is told by the values; filled in where an upgrade reuses older ones. */ -}}
+{{- define "robotkube.admissionResources" -}}
+{{- toYaml (.Values.admission.resources | default (dict "requests" (dict "cpu" "20m" "memory" "96Mi") "limits" (dict "memory" "256Mi"))) }}
+{{- end }}
+
+{{- define "robotkube.admissionSettings" -}}
+{{- $agents := list }}{{ range .Values.agents }}{{ $agents = append $agents .name }}{{ end }}
+{{- $tests := list }}
+{{- if .Values.suites.enabled }}{{ range $i := until (int .Values.suites.pool) }}{{ $tests = append $tests (include "robotkube.testNamespace" $i) }}{{ end }}{{ end -}}
+listen: {address: 0.0.0.0, port: 8080, health_port: 8081}
+log_level: {{ .Values.logLevel }}
+forge:
+  {{- include "robotkube.forgeAddress" . | nindent 2 }}
+  credentials: /var/run/secrets/robotkube/forge
+  catalogue: robotkube/catalogue
+  branch: main
+oci_registry:
+  charts: {{ include "robotkube.charts" . }}
+webhook:
+  secret: /var/run/secrets/robotkube/webhook/secret
+evidence:
+  keys: /etc/robotkube/keys
+platform_namespace: {{ .Release.Namespace }}
+gate_namespace: {{ include "robotkube.gateNamespace" . }}
+argocd: {namespace: {{ .Values.argocd.namespace }}}
+agents: {{ toJson $agents }}
+test_namespaces: {{ toJson $tests }}
+remover: {{ (include "robotkube.remover" . | fromYaml).enabled }}
 {{- end }}

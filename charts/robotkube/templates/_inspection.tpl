@@ -25,6 +25,7 @@ namespaces:
   agents: [{{ range $i, $agent := .Values.agents }}{{ if $i }}, {{ end }}{{ $agent.name }}{{ end }}]
   tests: [{{ if .Values.suites.enabled }}{{ range $i := until (int .Values.suites.pool) }}{{ if $i }}, {{ end }}{{ include "robotkube.testNamespace" $i }}{{ end }}{{ end }}]
   platform: {{ .Release.Namespace }}
+  gate: {{ include "robotkube.gateNamespace" . }}
   argocd: {{ .Values.argocd.namespace }}
   others: {{ $inspection.otherNamespaces }}
 images:

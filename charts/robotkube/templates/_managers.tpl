@@ -98,7 +98,7 @@
 {{- end }}
 {{- end }}
 {{- range $name := $manager.scope.namespaces }}
-{{- if has $name (list $.Release.Namespace $.Values.argocd.namespace) }}
+{{- if has $name (list $.Release.Namespace (include "robotkube.gateNamespace" $) $.Values.argocd.namespace) }}
 {{ printf "%s: scope.namespaces names %q, which belongs to the platform: no task can stand there. Take it out." $at $name }}
 {{- end }}
 {{- end }}

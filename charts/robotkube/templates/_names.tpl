@@ -44,6 +44,10 @@ app.kubernetes.io/instance: {{ .root.Release.Name }}
 {{ .name }}.{{ .namespace | default .root.Release.Namespace }}.svc.{{ .root.Values.clusterDomain }}
 {{- end }}
 
+{{- define "robotkube.gateHost" -}}
+{{ include "robotkube.host" (dict "root" . "name" "gate" "namespace" (include "robotkube.gateNamespace" .)) }}
+{{- end }}
+
 {{- define "robotkube.forgeHost" -}}
 {{- if eq .Values.forge.kind "external" -}}
 {{ regexReplaceAll "^https?://" .Values.forge.external.url "" }}

@@ -12,7 +12,7 @@
 {{- end }}
 {{- if .Values.suites.enabled }}{{ range $i := until (int .Values.suites.pool) }}{{ $test = append $test (include "robotkube.testNamespace" $i) }}{{ end }}{{ end }}
 {{- $argocd := list .Values.argocd.namespace }}
-{{- toYaml (dict "platform" (list .Release.Namespace) "argocd" $argocd "agents" $agents "recording" $recording "test" $test) }}
+{{- toYaml (dict "platform" (list .Release.Namespace) "gate" (list (include "robotkube.gateNamespace" .)) "argocd" $argocd "agents" $agents "recording" $recording "test" $test) }}
 {{- end }}
 
 {{- /* What stands elsewhere or is not installed: party -> the ports at which it is reached there, as YAML. Without ports it is nowhere. */ -}}
@@ -29,6 +29,8 @@
 {{- if not .Values.suites.enabled }}{{ $_ := set $found "suite-runner" list }}{{ end }}
 {{- if not (include "robotkube.inspection" . | fromYaml).enabled }}{{ $_ := set $found "inspector" list }}{{ end }}
 {{- if not (include "robotkube.remover" . | fromYaml).enabled }}{{ $_ := set $found "remover" list }}{{ end }}
+{{- if not .Values.admission.enabled }}{{ $_ := set $found "admission" list }}{{ end }}
+{{- if .Values.evidence.existingSecret }}{{ $_ := set $found "gate-key" list }}{{ end }}
 {{- $_ := set $found "collector" list }}
 {{- with .Values.traces.endpoint }}{{ $_ := set $found "collector" (list (include "robotkube.portOfUrl" . | int)) }}{{ end }}
 {{- toYaml $found }}

@@ -3,7 +3,7 @@
 {{- define "robotkube.refusals" -}}
 {{- $problems := list }}
 {{- $roles := list "cloud" "edge" "roadside" "vehicle" }}
-{{- $taken := list .Release.Namespace .Values.argocd.namespace "default" "kube-system" "kube-public" "kube-node-lease" }}
+{{- $taken := list .Release.Namespace (include "robotkube.gateNamespace" .) .Values.argocd.namespace "default" "kube-system" "kube-public" "kube-node-lease" }}
 {{- if .Values.suites.enabled }}{{ range $i := until (int .Values.suites.pool) }}{{ $taken = append $taken (include "robotkube.testNamespace" $i) }}{{ end }}{{ end }}
 {{- $seen := list }}
 {{- range $i, $agent := .Values.agents }}
@@ -137,19 +137,8 @@
 {{- if and (include "robotkube.remover" . | fromYaml).enabled (not (include "robotkube.inspection" . | fromYaml).enabled) }}
 {{- $problems = append $problems "remover.enabled is true, but inspection.enabled is false: nobody names what is to be removed. Set inspection.enabled: true, or remover.enabled: false." }}
 {{- end }}
-{{- $evidence := .Values.evidence }}
-{{- if and $evidence.existingSecret (not $evidence.trustedKeys) }}
-{{- $problems = append $problems (printf "evidence.existingSecret is %q, but evidence.trustedKeys is empty: nobody would believe what that key signs. Put its public key there (openssl pkey -in key.pem -pubout)." $evidence.existingSecret) }}
-{{- end }}
-{{- range $name, $pem := $evidence.trustedKeys }}
-{{- if contains "PRIVATE KEY" $pem }}
-{{- $problems = append $problems (printf "evidence.trustedKeys.%s: is a private key; it would stand in a ConfigMap. Give the public one (openssl pkey -in key.pem -pubout), and use another key from now on." $name) }}
-{{- else if not (regexMatch "^\\s*-----BEGIN (PUBLIC KEY|CERTIFICATE)-----\\s" $pem) }}
-{{- $problems = append $problems (printf "evidence.trustedKeys.%s: must be PEM that begins with -----BEGIN PUBLIC KEY----- or -----BEGIN CERTIFICATE-----." $name) }}
-{{- end }}
-{{- if and (eq $name "gate") (not $evidence.existingSecret) }}
-{{- $problems = append $problems "evidence.trustedKeys.gate: this name belongs to the key that the chart makes. Use another name, or give that key's Secret in evidence.existingSecret." }}
-{{- end }}
+{{- range $line := splitList "\n" (include "robotkube.evidenceRefusals" .) }}
+{{- if trim $line }}{{ $problems = append $problems (trim $line) }}{{ end }}
 {{- end }}
 {{- if $problems }}
 {{- $text := printf "robotkube: %d problem(s) in the values, nothing was changed:" (len $problems) }}

@@ -26,7 +26,7 @@ webhook:
 evidence:
   keys: /etc/robotkube/keys
 gate:
-  objects: http://{{ include "robotkube.host" (dict "root" . "name" "gate") }}:8080/objects/{{ $manager.name }}
+  objects: http://{{ include "robotkube.gateHost" . }}:8080/objects/{{ $manager.name }}
 lease: {namespace: {{ .Release.Namespace }}, name: robotkube-manager-{{ $manager.name }}}
 agents:
 {{- include "robotkube.agents" . }}
@@ -113,16 +113,23 @@ forge:
     description: What may be deployed
     branch: main
     seed: /etc/robotkube/seed/catalogue
-    access: { {{- $readers }}: read, gate: write, publisher: read, inspector: read, {{ $people }}: write}
+    access: { {{- $readers }}: read, gate: write, publisher: read, inspector: read, {{ if .Values.admission.enabled }}admission: read, {{ end }}{{ $people }}: write}
     main: [gate]
   webhooks:
   {{- range $process := splitList " " (include "robotkube.hearers" .) }}
   {{- $secret := printf "/var/run/secrets/robotkube/webhook/%s/secret" $process }}
-  {{- $url := printf "http://%s:8080/webhook" (include "robotkube.host" (dict "root" $ "name" $process)) }}
+  {{- $host := eq $process "gate" | ternary (include "robotkube.gateHost" $) (include "robotkube.host" (dict "root" $ "name" $process)) }}
+  {{- $url := printf "http://%s:8080/webhook" $host }}
   {{- $events := eq $process "gate" | ternary "[push, pull_request, pull_request_comment]" "[push, pull_request]" }}
+  {{- if ne $process "admission" }}
   - {repository: robotkube/deployment, url: {{ $url | quote }}, events: {{ $events }}, secret: {{ $secret }}}
+  {{- end }}
   {{- $events = eq $process "gate" | ternary "[push, pull_request]" "[push]" }}
   - {repository: robotkube/catalogue, url: {{ $url | quote }}, events: {{ $events }}, secret: {{ $secret }}}
+  {{- end }}
+  former_webhooks:                # where the gate stood before it had a namespace of its own
+  {{- range list "deployment" "catalogue" }}
+  - {repository: robotkube/{{ . }}, url: "http://{{ include "robotkube.host" (dict "root" $ "name" "gate") }}:8080/webhook"}
   {{- end }}
 {{- end }}
 {{- if ne .Values.database.kind "external" }}
@@ -178,6 +185,13 @@ database:
   kind: {{ .Values.database.kind }}
   arguments: {{ toJson .Values.database.arguments }}
 {{- end }}
+{{- end }}
+
+{{- define "robotkube.gateKeySettings" -}}
+log_level: {{ .Values.logLevel }}
+secret: {namespace: {{ include "robotkube.gateNamespace" . }}, name: gate-key}
+public_keys: {namespaces: [{{ include "robotkube.gateNamespace" . }}, {{ .Release.Namespace }}], name: gate-public-key}
+former_key: /var/run/secrets/robotkube/former/key.pem          # of the namespace where the gate stood before; there or not
 {{- end }}
 
 {{- define "robotkube.teardownSettings" -}}

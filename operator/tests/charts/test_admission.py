@@ -1,37 +1,25 @@
-"""The platform chart's admission policies: those of the embedded cluster's files, as objects that an administrator can
-delete."""
+"""The platform chart's admission: a process that writes policies and list, and what it may. The policies are those of
+the embedded cluster's files, as objects that an administrator can delete."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from ci.cluster import admission
-from robotkube.registry.admission.core.domain import Domain
-from robotkube.registry.admission.core.policies import LIST, for_api, list_entries, platform_entries
+from robotkube.foundation.runtime.settings_file import read_settings
+from robotkube.registry.admission import __main__ as process
+from robotkube.registry.admission.core.domain import Domain, account
+from robotkube.registry.admission.core.policies import API_POLICIES, LIST, PLATFORM_LIST, for_api, platform_entries
+from robotkube.setup import bootstrap
 from tests.charts.conftest import PLATFORM, PROFILES, Helm, Rendered
-from tests.stages.kubernetes.judged_api_server import Api, judged_api_server
-from tests.stages.registry.admission_examples import (
-    APPLICATION_CONTROLLER,
-    APPLICATIONS,
-    GENERATOR,
-    REPLICA_SETS,
-    STRANGE,
-    VERIFIED,
-    application,
-    digest,
-    path,
-    pod,
-    workload,
-)
-from tests.stages.waiting import until
+from tests.stages.settings_mounted import mounted
 
 pytestmark = pytest.mark.toolchain
 FILES = (PLATFORM / "values-embedded.yaml", PROFILES / "embedded.yaml")
-POLICIES = "/apis/admissionregistration.k8s.io/v1"
-DRY = "?dryRun=All"
+VERBS = ["get", "create", "patch", "update", "delete"]
 
 
 @pytest.fixture(scope="module")
@@ -41,100 +29,156 @@ def rendered(helm: Helm) -> Rendered:
 
 def domain(embedded: Rendered, remover: str = "") -> Domain:
     namespaces = [item["metadata"] for item in embedded.of_kind("Namespace")]
-    agents = [item["name"] for item in namespaces if "robotkube.io/agent" in item["labels"]]
-    tests = [item["name"] for item in namespaces if item["name"].startswith("robotkube-suite-")]
+    agents = sorted(item["name"] for item in namespaces if "robotkube.io/agent" in item["labels"])
+    tests = sorted(item["name"] for item in namespaces if item["name"].startswith("robotkube-suite-"))
     return Domain(tuple(agents), tuple(tests), admission.CHARTS, remover=remover)
 
 
-def policies(rendered: Rendered) -> list[dict[str, Any]]:
-    return [item for item in rendered.objects if item["apiVersion"].startswith("admissionregistration.k8s.io/")]
+def of_admission(rendered: Rendered) -> set[tuple[str, str]]:
+    labels = [(item, item["metadata"].get("labels", {})) for item in rendered.objects]
+    key = "app.kubernetes.io/component"
+    return {(item["kind"], item["metadata"]["name"]) for item, own in labels if own.get(key) == "admission"}
 
 
-def test_without_the_value_there_are_none(embedded: Rendered) -> None:
-    assert policies(embedded) == []
-    assert not [item for item in embedded.of_kind("ConfigMap") if item["metadata"]["name"].startswith("admission")]
+def test_without_the_value_there_is_nothing_of_it(embedded: Rendered) -> None:
+    assert of_admission(embedded) == set()
+    assert not [item for item in embedded.objects if "admission" in item["metadata"]["name"]]
 
 
-def test_they_are_what_the_code_makes_for_this_installation(rendered: Rendered) -> None:
-    """The same rules as in the embedded cluster's files, but for where the list stands."""
-    found = policies(rendered)
-    assert {item["metadata"].pop("labels")["app.kubernetes.io/component"] for item in found} == {"admission"}
-    made = for_api(domain(rendered))
-    assert by_name(found) == by_name(made)
+def test_helm_installs_the_process_and_the_platforms_list_and_no_policy(rendered: Rendered) -> None:
+    """What the process writes has one writer."""
+    assert of_admission(rendered) == {
+        ("ServiceAccount", "admission"),
+        ("Service", "admission"),
+        ("Deployment", "admission"),
+        ("ConfigMap", "admission"),
+        ("ConfigMap", PLATFORM_LIST),
+        ("ClusterRole", "robotkube-admission"),
+        ("ClusterRoleBinding", "robotkube-admission"),
+        ("Role", "robotkube-admission"),
+        ("RoleBinding", "robotkube-admission"),
+    }
 
 
-def test_the_remover_is_named_where_it_is_enabled(helm: Helm) -> None:
+def test_the_process_reads_what_the_chart_writes_and_judges_this_installation(
+    rendered: Rendered, tmp_path: Path
+) -> None:
+    found = read_settings(mounted(rendered, "admission", tmp_path), process.read_configuration)
+    assert found.domain == domain(rendered)
+    assert found.account.username == "admission"
+    assert (found.listen.port, found.listen.health_port) == (8080, 8081)
+    keys = rendered.one("ConfigMap", "evidence-keys", None)["data"]
+    assert {path.name for path in found.evidence_keys.iterdir()} == set(keys)
+
+
+def test_the_remover_is_named_where_it_is_enabled(helm: Helm, tmp_path: Path) -> None:
     """Where it is not, nobody but Argo CD changes a workload."""
     found = helm.template(PLATFORM, *FILES, admission={"enabled": True}, remover={"enabled": True})
-    made = policies(found)
-    for item in made:
-        item["metadata"].pop("labels")
-    assert by_name(made) == by_name(for_api(domain(found, "remover")))
-    assert "system:serviceaccount:robotkube:remover" in str(made)
+    read = read_settings(mounted(found, "admission", tmp_path), process.read_configuration)
+    assert read.domain == domain(found, "remover")
+    [remover] = [item for item in found.of_kind("ServiceAccount") if item["metadata"]["name"] == read.domain.remover]
+    assert read.domain.remover_account == account(remover["metadata"].get("namespace", "robotkube"), "remover")
+    assert read.domain.remover_account in str(for_api(read.domain))
 
 
-def by_name(documents: list[dict[str, Any]]) -> dict[tuple[str, str], dict[str, Any]]:
-    return {(item["kind"], item["metadata"]["name"]): item for item in documents}
+def test_the_gates_namespace_is_judged_as_the_platforms(helm: Helm, tmp_path: Path) -> None:
+    found = helm.template(PLATFORM, *FILES, admission={"enabled": True}, gate={"namespace": "signing"})
+    read = read_settings(mounted(found, "admission", tmp_path), process.read_configuration)
+    assert read.domain.of_the_platform == ("robotkube", "signing")
 
 
-def test_the_embedded_cluster_knows_where_the_chart_has_charts(embedded: Rendered) -> None:
-    [project] = embedded.of_kind("AppProject")
-    assert project["spec"]["sourceRepos"] == [f"{admission.CHARTS}/*"]
+def test_without_agents_and_suites_it_judges_none(helm: Helm, tmp_path: Path) -> None:
+    values: dict[str, Any] = {"admission": {"enabled": True}, "agents": [], "suites": {"enabled": False}}
+    found = helm.template(PLATFORM, *FILES, **values)
+    read = read_settings(mounted(found, "admission", tmp_path), process.read_configuration)
+    assert (read.domain.agents, read.domain.tests) == ((), ())
+
+
+def test_the_forge_knows_its_account_and_calls_it_for_the_catalogue_alone(rendered: Rendered, tmp_path: Path) -> None:
+    own = read_settings(mounted(rendered, "admission", tmp_path / "own"), process.read_configuration)
+    made = read_settings(mounted(rendered, "bootstrap", tmp_path / "bootstrap"), bootstrap.read_configuration).forge
+    assert made is not None
+    assert [one.password for one in made.setup.accounts if one.name == "admission"] == [own.account.password]
+    access = {one.name: one.access.get("admission", "none") for one in made.setup.repositories}
+    assert access == {"robotkube/deployment": "none", "robotkube/catalogue": "read"}
+    assert not [one for one in made.setup.organisations if "admission" in one.packages]
+    [hook] = [one for one in made.setup.webhooks if "//admission." in one.url]
+    assert (hook.repository, hook.url) == (
+        "robotkube/catalogue",
+        "http://admission.robotkube.svc.cluster.local:8080/webhook",
+    )
+    assert hook.secret == own.webhook_secret
+    assert hook.secret not in [one.secret for one in made.setup.webhooks if one is not hook]
+
+
+def test_its_account_writes_these_names_and_nothing_else(rendered: Rendered) -> None:
+    [writing, watching, parameters, itself] = rendered.one("ClusterRole", "robotkube-admission")["rules"]
+    assert (sorted(writing["resourceNames"]), writing["verbs"]) == (sorted(API_POLICIES), VERBS)
+    assert watching["verbs"] == ["list", "watch"]
+    assert (parameters["resources"], parameters["resourceNames"], parameters["verbs"]) == (
+        ["configmaps"],
+        ["*"],
+        ["get"],
+    )
+    assert (itself["resourceNames"], itself["verbs"]) == (["robotkube-admission"], ["get"])
+    [own, platform] = rendered.one("Role", "robotkube-admission")["rules"]
+    assert own["resourceNames"] == [LIST]
+    assert (platform["resourceNames"], platform["verbs"]) == ([PLATFORM_LIST], ["get"])
+
+
+def test_its_pod_holds_no_signing_key_and_is_restricted(rendered: Rendered) -> None:
+    pod = dict(rendered.pods)["Deployment/admission"]
+    sources = [source for one in pod["volumes"] for source in one.get("projected", {}).get("sources", ())]
+    names = {source["secret"]["name"] for source in sources if "secret" in source}
+    assert names == {"forge-account-admission", "forge-webhook-admission"}
+    [container] = pod["containers"]
+    assert pod["securityContext"]["runAsNonRoot"]
+    assert container["securityContext"] == {
+        "allowPrivilegeEscalation": False,
+        "readOnlyRootFilesystem": True,
+        "capabilities": {"drop": ["ALL"]},
+    }
+    assert {"startupProbe", "readinessProbe", "livenessProbe"} <= set(container)
+
+
+def test_what_people_set_for_its_pod_reaches_it(helm: Helm) -> None:
+    given = {
+        "nodeSelector": {"disk": "fast"},
+        "podLabels": {"team": "fleet"},
+        "podAnnotations": {"example.com/scrape": "true"},
+        "extraEnv": [{"name": "HTTP_PROXY", "value": "http://exit.example:3128"}],
+        "priorityClassName": "platform-critical",
+        "resources": {"requests": {"cpu": "30m"}},
+    }
+    found = helm.template(PLATFORM, *FILES, admission={"enabled": True, **given})
+    template = found.one("Deployment", "admission")["spec"]["template"]
+    assert template["metadata"]["labels"]["team"] == "fleet"
+    assert template["metadata"]["annotations"]["example.com/scrape"] == "true"
+    spec = template["spec"]
+    assert (spec["nodeSelector"], spec["priorityClassName"]) == ({"disk": "fast"}, "platform-critical")
+    [container] = spec["containers"]
+    assert container["env"][-1]["name"] == "HTTP_PROXY"
+    assert container["resources"]["requests"] == {"cpu": "30m", "memory": "96Mi"}
+
+
+def test_it_reaches_forge_and_api_server_and_the_forge_reaches_it(rendered: Rendered) -> None:
+    found = rendered.one("NetworkPolicy", "admission", "robotkube")["spec"]
+    assert found["podSelector"]["matchLabels"]["app.kubernetes.io/component"] == "admission"
+    called = {
+        (peer["podSelector"]["matchLabels"]["app.kubernetes.io/component"]) for peer in found["ingress"][0]["from"]
+    }
+    assert (called, found["ingress"][0]["ports"]) == ({"forge"}, [{"port": 8080, "protocol": "TCP"}])
+    assert sorted(port["port"] for rule in found["egress"] for port in rule["ports"]) == [53, 53, 3000, 6443]
 
 
 def test_the_platforms_images_are_listed_by_the_chart(rendered: Rendered) -> None:
-    listed = rendered.one("ConfigMap", "admission-platform")["data"]
+    """By Helm, and before the Deployments: the process's own pod has to be among them."""
+    listed = rendered.one("ConfigMap", PLATFORM_LIST)["data"]
     images = {c["image"] for _, spec in rendered.pods for c in [*spec["containers"], *spec.get("initContainers", [])]}
     assert set(platform_entries(image.partition("@")[2] for image in images)) <= set(listed)
-
-
-def test_without_agents_and_suites_their_policies_are_missing(helm: Helm) -> None:
-    found = helm.template(PLATFORM, *FILES, admission={"enabled": True}, agents=[], suites={"enabled": False})
-    names = {item["metadata"]["name"] for item in policies(found)}
-    assert names == {"robotkube-platform", "robotkube-applications", "robotkube-projects"}
 
 
 def test_an_image_by_tag_is_refused_with_the_fix(helm: Helm) -> None:
     said = helm.refusal(PLATFORM, PROFILES / "official.yaml", admission={"enabled": True})
     assert 'admission.enabled is true, but images.gitea is "docker.io/gitea/gitea:' in said
     assert "Give <repository>@sha256:<digest>, or set admission.enabled: false." in said
-
-
-@pytest.fixture(scope="module")
-def api(rendered: Rendered, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
-    """An API server with the rendered policies, after they have come to work."""
-    with judged_api_server(tmp_path_factory.mktemp("api"), None) as (api, _):
-        for name in ("robotkube", "argocd", "vehicle-00", "elsewhere"):
-            api.done("POST", "/api/v1/namespaces", {"metadata": {"name": name}})
-        for item in (*policies(rendered), rendered.one("ConfigMap", "admission-platform")):
-            kind = {"ValidatingAdmissionPolicy": "validatingadmissionpolicies"}.get(
-                item["kind"], "validatingadmissionpolicybindings"
-            )
-            place = "/api/v1/namespaces/robotkube/configmaps" if item["kind"] == "ConfigMap" else f"{POLICIES}/{kind}"
-            api.done("POST", place, item)
-        until(lambda: "denied request" in str(api.request("POST", APPLICATIONS + DRY, application(), GENERATOR)))
-        yield api
-
-
-def test_nothing_starts_before_the_list_is_there_and_what_it_has_afterwards(api: Api, rendered: Rendered) -> None:
-    pods, applied = path("Pod", "vehicle-00") + DRY, application()
-    applied["spec"]["destination"]["namespace"] = "vehicle-00"
-    until(lambda: "no params found" in str(api.request("POST", pods, pod(), REPLICA_SETS)))
-    made = {"apiVersion": "v1", "kind": "ConfigMap", "metadata": {"name": LIST}}
-    listed = list_entries((f"event-detector@{digest(9)}",), (digest(1),))
-    api.done("POST", "/api/v1/namespaces/robotkube/configmaps", {**made, "data": listed})
-    until(lambda: api.request("POST", pods, pod(), REPLICA_SETS)["kind"] == "Pod")
-    api.done("POST", path("Deployment", "vehicle-00") + DRY, workload("Deployment"), APPLICATION_CONTROLLER)
-    until(lambda: api.request("POST", APPLICATIONS + DRY, applied, GENERATOR)["kind"] == "Application")
-    for reference in (STRANGE, "ros:1.0", digest(1), f"{VERIFIED}@{digest(3)}", f"a@image.{digest(1)[7:]}"):
-        assert api.refusal("POST", pods, pod(reference), REPLICA_SETS).startswith(f"image {reference} may not run in")
-    for source in ({"targetRevision": digest(8)}, {"repoURL": f"{admission.CHARTS}/mqtt-bridge"}):
-        other = application(source={**applied["spec"]["source"], **source})
-        words = api.refusal("POST", APPLICATIONS, other, GENERATOR)
-        assert "that are verified on the catalogue's main are applied" in words
-    own = next(c["image"] for _, spec in rendered.pods for c in spec["containers"])
-    api.done("POST", path("Deployment", "robotkube") + DRY, workload("Deployment", own))
-    assert api.refusal("POST", path("Deployment", "robotkube"), workload("Deployment", VERIFIED))
-    api.done("POST", path("Pod", "elsewhere") + DRY, pod(STRANGE))  # other people's
-    api.done("DELETE", f"{POLICIES}/validatingadmissionpolicybindings/robotkube-agents")  # as an administrator can
-    until(lambda: api.request("POST", pods, pod(STRANGE))["kind"] == "Pod")

@@ -28,10 +28,10 @@ from robotkube.robots.bags.core.playback import read_player_settings
 from robotkube.robots.bridge.core.settings import read_bridge_settings
 from robotkube.robots.detector.core.settings import read_detector_settings
 from robotkube.robots.perception.core.settings import read_detection_settings, read_tracking_settings
-from robotkube.setup import bootstrap, teardown
+from robotkube.setup import bootstrap, gate_key, teardown
 from tests.stages.forge.installation import ACCOUNTS, PACKAGES
 from tests.stages.paths import CHARTS
-from tests.stages.settings_mounted import mounted, write
+from tests.stages.settings_mounted import GATE, mounted, write
 
 pytestmark = pytest.mark.toolchain
 
@@ -70,6 +70,11 @@ def test_the_remover_reads_the_settings_the_chart_writes(official: Any, tmp_path
     assert container["ports"] == [{"name": "health", "containerPort": settings.listen.port}]
 
 
+def test_the_job_that_makes_the_key_reads_the_settings_the_chart_writes(official: Any, tmp_path: Path) -> None:
+    found = read_settings(mounted(official, "gate-key", tmp_path), gate_key.read_configuration)
+    assert found.namespaces == (found.namespace, "robotkube") == ("robotkube-gate", "robotkube")
+
+
 @pytest.mark.parametrize("profile", ["official", "embedded"])
 @pytest.mark.parametrize("process", ["gate", "manager", "suite-runner"])
 def test_probes_ask_the_port_for_health_and_services_the_other(
@@ -82,7 +87,7 @@ def test_probes_ask_the_port_for_health_and_services_the_other(
     assert ports == {"http": listen.port, "health": listen.health_port}
     probes = [container[f"{kind}Probe"]["httpGet"] for kind in ("startup", "readiness", "liveness")]
     assert [probe["port"] for probe in probes] == ["health"] * 3
-    [served] = rendered.one("Service", process)["spec"]["ports"]
+    [served] = rendered.one("Service", process, GATE if process == "gate" else None)["spec"]["ports"]
     assert (served["port"], served["targetPort"]) == (listen.port, "http")
 
 
@@ -120,7 +125,7 @@ def test_each_webhook_has_a_secret_of_its_own_that_both_ends_know(helm: Any, tmp
     assert hearing.proposer_secrets == own
     assert len({hearing.webhook_secret, *own.values()}) == 3
     for name, found in managers.items():
-        assert found.gate_objects_url == f"http://gate.robotkube.svc.cluster.local:8080{gate.OBJECTS_PATH}/{name}"
+        assert found.gate_objects_url == f"http://gate.robotkube-gate.svc.cluster.local:8080{gate.OBJECTS_PATH}/{name}"
     making = read_settings(mounted(rendered, "bootstrap", tmp_path / "bootstrap"), bootstrap.read_configuration)
     assert making.forge is not None
     called = {(str(httpx.URL(hook.url).host).partition(".")[0], hook.secret) for hook in making.forge.setup.webhooks}

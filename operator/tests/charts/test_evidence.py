@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
-from cryptography.hazmat.primitives.serialization import load_pem_private_key
-from cryptography.x509 import load_pem_x509_certificate
 
-from robotkube.registry.evidence.adapters.dsse import KeyFile, TrustedKeys
 from tests.stages.paths import CHARTS
-from tests.stages.registry.signed_evidence import Signing, artefact
+from tests.stages.settings_mounted import GATE, KEY_SECRETS
 
 pytestmark = pytest.mark.toolchain
 
@@ -37,60 +34,79 @@ def platform(request: pytest.FixtureRequest, profile: str) -> Any:
     return request.getfixturevalue(profile)
 
 
-def test_only_the_gate_mounts_the_key(platform: Any, profile: str) -> None:
-    name = GATE_KEYS[profile]
-    assert [where for where, pod in platform.pods if name in json.dumps(pod)] == ["Deployment/gate"]
-    assert len(platform.pods) == 8
+def test_only_the_gate_mounts_the_key_and_stands_where_it_is(platform: Any, profile: str) -> None:
+    name, own = GATE_KEYS[profile], {}
+    for workload in platform.of_kind("Deployment", "StatefulSet", "Job"):
+        text = json.dumps(workload["spec"]["template"]["spec"]["volumes"])
+        own[workload["metadata"]["name"]] = (workload["metadata"].get("namespace"), f'"{name}"' in text)
+    assert {process for process, (namespace, _) in own.items() if namespace == GATE} == {"gate"}
+    assert own.pop("gate") == (GATE, True)
+    mounting = {process for process, (_, mounts) in own.items() if mounts}
+    # What an older installation has under this name, in the platform's namespace, is moved by the Job.
+    assert {process.rpartition("-")[0] for process in mounting} <= {"gate-key"}
+    assert len(platform.pods) == 9 + ("Deployment/remover" in dict(platform.pods)) + len(mounting)
+
+
+def test_the_namespace_of_the_gate_holds_what_the_gate_needs(platform: Any) -> None:
+    labels = platform.one("Namespace", GATE)["metadata"]["labels"]
+    assert labels["pod-security.kubernetes.io/enforce"] == "restricted"
+    there = {(o["kind"], o["metadata"]["name"]) for o in platform.objects if o["metadata"].get("namespace") == GATE}
+    secrets = {name for kind, name in there if kind == "Secret"}
+    mounted = {
+        source["secret"]["name"]
+        for volume in dict(platform.pods)["Deployment/gate"]["volumes"]
+        for source in volume.get("projected", {}).get("sources", [])
+        if "secret" in source
+    }
+    assert secrets == mounted - set(KEY_SECRETS)
+    kinds = {kind for kind, _ in there} - {"Secret", "Role", "RoleBinding"}
+    assert kinds == {"ConfigMap", "Deployment", "NetworkPolicy", "Service", "ServiceAccount"}
 
 
 def test_no_account_may_read_secrets_where_the_key_is(platform: Any) -> None:
     for role in platform.of_kind("Role", "ClusterRole"):
-        if role["kind"] == "ClusterRole" or role["metadata"].get("namespace") in (None, "robotkube"):
-            assert not [rule for rule in role["rules"] if "secrets" in rule["resources"]]
+        if role["kind"] == "ClusterRole" or role["metadata"].get("namespace") in (None, "robotkube", GATE):
+            assert [rule["verbs"] for rule in role["rules"] if "secrets" in rule["resources"]] in ([], [["create"]])
     known = {(role["kind"], role["metadata"]["name"]) for role in platform.of_kind("Role", "ClusterRole")}
     for binding in platform.of_kind("RoleBinding", "ClusterRoleBinding"):
         assert (binding["roleRef"]["kind"], binding["roleRef"]["name"]) in known
 
 
-def test_the_made_key_stands_nowhere_but_in_its_secret(official: Any) -> None:
-    pair = official.one("Secret", "gate-key")["stringData"]
-    key = load_pem_private_key(pair["key.pem"].encode(), None)
-    assert isinstance(key, Ed25519PrivateKey)
-    body = pair["key.pem"].splitlines()[1]
-    assert official.text.count(body) == 1
-    assert official.text.count("PRIVATE KEY-----") == 2
-    keys = official.one("ConfigMap", "evidence-keys")["data"]
-    assert list(keys) == ["gate.pem"]
-    assert keys["gate.pem"] == pair["certificate.pem"]
-    assert load_pem_x509_certificate(keys["gate.pem"].encode()).public_key() == key.public_key()
+def test_no_key_and_nothing_of_one_is_in_what_helm_keeps(platform: Any) -> None:
+    assert "PRIVATE KEY" not in platform.text
+    assert [o for o in platform.of_kind("Secret") if o["metadata"]["name"] in KEY_SECRETS] == []
 
 
-def test_the_made_key_signs_what_its_certificate_verifies(official: Any, tmp_path: Path) -> None:
-    (tmp_path / "key").write_text(official.one("Secret", "gate-key")["stringData"]["key.pem"])
-    (tmp_path / "gate.pem").write_text(official.one("ConfigMap", "evidence-keys")["data"]["gate.pem"])
-    key, trusted = KeyFile(tmp_path / "key"), TrustedKeys(tmp_path)
-    envelopes = Signing(key).sign(artefact())
-    assert {trusted.verify(data).key_id for data in envelopes.values()} == {key.key_id}
-
-
-def test_a_given_key_is_named_and_its_public_half_trusted(embedded: Any) -> None:
-    assert "PRIVATE KEY" not in embedded.text
-    assert [o for o in embedded.of_kind("Secret") if o["metadata"]["name"] == "gate-key"] == []
+def test_a_key_that_is_given_is_made_by_nobody(embedded: Any) -> None:
+    assert [o["metadata"]["name"] for o in embedded.objects if o["metadata"]["name"].startswith("gate-key")] == []
     keys = embedded.one("ConfigMap", "evidence-keys")["data"]
+    assert keys == embedded.one("ConfigMap", "evidence-keys", GATE)["data"]
     assert list(keys) == ["embedded.pem"]
     assert keys["embedded.pem"].startswith("-----BEGIN PUBLIC KEY-----\n")
 
 
-def test_gate_and_manager_take_keys_from_the_same_place(platform: Any) -> None:
-    pods = dict(platform.pods)
-    mounting = {
-        where
-        for where, pod in pods.items()
-        if {"name": "keys", "configMap": {"name": "evidence-keys"}} in pod["volumes"]
-    }
-    assert mounting == {"Deployment/gate", "Deployment/manager"}
-    for process in ("gate", "manager"):
-        settings = yaml.safe_load(platform.one("ConfigMap", process)["data"]["config.yaml"])
+READERS = {"gate": GATE, "manager": None, "inspector": None}  # who verifies signatures, and where
+
+
+def test_all_who_verify_take_keys_from_the_same_place(platform: Any, profile: str) -> None:
+    names = ["evidence-keys", *(["gate-public-key"] if profile == "official" else [])]
+    assert_reading(platform, READERS, names)
+
+
+def test_admission_takes_keys_from_there_as_well(helm: Any) -> None:
+    """The made one too: it would list nothing that the gate signed."""
+    rendered = helm.template(PLATFORM, PROFILE, PROFILE.with_name("admission.yaml"))
+    assert_reading(rendered, {**READERS, "admission": None}, ["evidence-keys", "gate-public-key"])
+
+
+def assert_reading(rendered: Any, readers: Mapping[str, str | None], names: Sequence[str]) -> None:
+    """These processes, and no others, mount the keys of these ConfigMaps where their settings say."""
+    pods = dict(rendered.pods)
+    volume = {"name": "keys", "projected": {"sources": [{"configMap": {"name": name}} for name in names]}}
+    mounting = {where for where, pod in pods.items() if volume in pod["volumes"]}
+    assert mounting == {f"Deployment/{process}" for process in readers}
+    for process, namespace in readers.items():
+        settings = yaml.safe_load(rendered.one("ConfigMap", process, namespace)["data"]["config.yaml"])
         assert settings["evidence"]["keys"] == "/etc/robotkube/keys"
         mounts = pods[f"Deployment/{process}"]["containers"][0]["volumeMounts"]
         assert {"name": "keys", "mountPath": "/etc/robotkube/keys", "readOnly": True} in mounts
@@ -100,11 +116,51 @@ def test_a_second_trusted_key_restarts_who_reads_it(helm: Any, embedded: Any) ->
     [pem] = embedded.one("ConfigMap", "evidence-keys")["data"].values()
     files = (PLATFORM / "values-embedded.yaml", PROFILE.with_name("embedded.yaml"))
     after = helm.template(PLATFORM, *files, evidence={"trustedKeys": {"next": pem}})
-    assert list(after.one("ConfigMap", "evidence-keys")["data"]) == ["embedded.pem", "next.pem"]
-    for name in ("gate", "manager"):
-        old, new = (found.one("Deployment", name)["spec"]["template"] for found in (embedded, after))
+    for name, namespace in READERS.items():
+        assert list(after.one("ConfigMap", "evidence-keys", namespace)["data"]) == ["embedded.pem", "next.pem"]
+        old, new = (found.one("Deployment", name, namespace)["spec"]["template"] for found in (embedded, after))
         assert old["metadata"]["annotations"] != new["metadata"]["annotations"]
         assert old["spec"] == new["spec"]
+
+
+def test_another_pod_of_the_key_is_another_job(helm: Any, official: Any) -> None:
+    """A Job's pods cannot be changed: an upgrade with the same name and another pod would be refused."""
+
+    def job(**values: Any) -> Object:
+        [found] = [o for o in helm.template(PLATFORM, PROFILE, **values).of_kind("Job") if "gate-key" in str(o["spec"])]
+        return dict(found)
+
+    [same] = [o for o in official.of_kind("Job") if o["metadata"]["name"].startswith("gate-key-")]
+    assert job() == same
+    assert "helm.sh/hook" not in same["metadata"].get("annotations", {}), "hooks wait for what waits for the key"
+    image = "registry.example/robotkube/platform@sha256:" + "7" * 64
+    for other in (job(images={"platform": image}), job(gate={"namespace": "signing"}), job(logLevel="debug")):
+        assert other["metadata"]["name"] != same["metadata"]["name"]
+        assert other["spec"] != same["spec"]
+
+
+def test_the_gate_stands_where_values_say(helm: Any) -> None:
+    rendered = helm.template(PLATFORM, PROFILE, gate={"namespace": "signing"})
+    assert "robotkube-gate" not in {o["metadata"].get("namespace") for o in rendered.objects}
+    assert rendered.one("Deployment", "gate", "signing")
+    settings = yaml.safe_load(rendered.one("ConfigMap", "manager")["data"]["config.yaml"])
+    assert settings["gate"]["objects"].startswith("http://gate.signing.svc.cluster.local:8080/")
+
+
+def test_webhooks_to_where_the_gate_stood_before_go(official: Any) -> None:
+    forge = yaml.safe_load(official.one("ConfigMap", "bootstrap")["data"]["config.yaml"])["forge"]
+    called = {hook["url"] for hook in forge["webhooks"]}
+    former = {hook["url"] for hook in forge["former_webhooks"]}
+    assert "http://gate.robotkube-gate.svc.cluster.local:8080/webhook" in called
+    assert former == {"http://gate.robotkube.svc.cluster.local:8080/webhook"}
+    assert {hook["repository"] for hook in forge["former_webhooks"]} == {r["name"] for r in forge["repositories"]}
+
+
+def test_on_an_external_forge_the_gates_secrets_stand_with_the_gate_alone(helm: Any) -> None:
+    external = {"kind": "external", "external": {"url": "https://git.example"}}
+    rendered = helm.template(PLATFORM, PROFILE, forge=external)
+    for name in ("forge-account-gate", "forge-webhook-gate"):
+        assert [o["metadata"].get("namespace") for o in rendered.objects if o["metadata"]["name"] == name] == [GATE]
 
 
 def test_the_suite_runner_may_do_its_work_in_its_namespaces_and_nothing_elsewhere(platform: Any) -> None:
@@ -219,5 +275,5 @@ def test_without_suites_nothing_runs_charts_and_the_gate_knows(helm: Any) -> Non
     assert "suite-runner" not in {where.partition("/")[2] for where, _ in rendered.pods}
     named = {o["metadata"]["name"] for o in rendered.objects if o["kind"] not in ("Secret", "ConfigMap")}
     assert not [name for name in named if "suite" in name]
-    assert "suites" not in yaml.safe_load(rendered.one("ConfigMap", "gate")["data"]["config.yaml"])
+    assert "suites" not in yaml.safe_load(rendered.one("ConfigMap", "gate", GATE)["data"]["config.yaml"])
     assert "suite-runner-token" not in json.dumps(dict(rendered.pods)["Deployment/gate"])

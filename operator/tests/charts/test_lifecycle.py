@@ -21,7 +21,7 @@ pytestmark = pytest.mark.toolchain
 LOADER = yaml.CSafeLoader
 KEPT = [
     ("Secret", "robotkube-seed"),
-    ("Secret", "gate-key"),
+    ("Namespace", "robotkube-gate"),
     ("Lease", "robotkube-manager-manager"),
     ("Namespace", "robotkube-suite-0"),
     ("CustomResourceDefinition", "taskdescriptions.robotkube.io"),
@@ -62,17 +62,28 @@ def installed(cluster: Cluster, values: Path, older: dict[str, Any]) -> Cluster:
 
 
 def selectors(cluster: Cluster) -> dict[str, Any]:
-    """UID and selector of every workload, by kind and name: what was made anew has another UID."""
-    found = json.loads(cluster.kubectl("get", "deployments,statefulsets", "-o", "json"))["items"]
+    """UID and selector of every workload, by kind, namespace and name: what was made anew has another UID."""
+    found = json.loads(cluster.kubectl("get", "deployments,statefulsets", "-A", "-o", "json"))["items"]
     return {
-        f"{one['kind']}/{one['metadata']['name']}": (one["metadata"]["uid"], one["spec"]["selector"]) for one in found
+        f"{one['kind']} {one['metadata']['namespace']}/{one['metadata']['name']}": (
+            one["metadata"]["uid"],
+            one["spec"]["selector"],
+        )
+        for one in found
     }
 
 
 def test_an_upgrade_from_the_commit_before_makes_no_workload_anew(installed: Cluster, older: dict[str, Any]) -> None:
     assert len(older) >= 6
     now = selectors(installed)
-    assert {name: now.get(name) for name in older} == older
+    stays = {name: one for name, one in older.items() if name != "Deployment robotkube/gate"}  # decision 0040
+    assert {name: now.get(name) for name in stays} == stays
+    assert {name for name in now if name.endswith("/gate")} == {"Deployment robotkube-gate/gate"}
+
+
+def test_the_key_that_the_chart_before_made_is_there_to_be_moved(installed: Cluster, charts_before: Path) -> None:
+    if (charts_before / "robotkube" / "templates" / "evidence" / "secret.yaml").exists():
+        assert installed.kubectl("get", "secret", "gate-key", "-o", "name")
 
 
 def test_the_api_server_has_the_network_policies_as_they_were_meant(
@@ -143,7 +154,8 @@ def test_the_api_server_refuses_a_bad_task(installed: Cluster, spec: dict[str, A
 
 
 ACCOUNTS = [
-    *(f"robotkube:{name}" for name in ("gate", "manager", "suite-runner", "bootstrap", "teardown", "default")),
+    *(f"robotkube:{name}" for name in ("manager", "suite-runner", "bootstrap", "teardown", "gate-key", "default")),
+    *(f"robotkube-gate:{name}" for name in ("gate", "default")),
     *(f"robotkube-suite-0:{name}" for name in ("application", "mqtt-bridge", "default")),
     *(f"cloud-0:{name}" for name in ("application", "event-detector")),
 ]
@@ -152,7 +164,7 @@ ACCOUNTS = [
 @pytest.mark.parametrize("verb", ["get", "list", "watch"])
 @pytest.mark.parametrize("account", ACCOUNTS)
 def test_nobody_may_read_the_key_of_the_gate(installed: Cluster, account: str, verb: str) -> None:
-    question = (verb, "secrets/gate-key", "-n", "robotkube", f"--as=system:serviceaccount:{account}")
+    question = (verb, "secrets/gate-key", "-n", "robotkube-gate", f"--as=system:serviceaccount:{account}")
     assert installed.run("kubectl", "auth", "can-i", *question).stdout.strip() == "no"
 
 

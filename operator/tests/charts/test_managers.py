@@ -16,7 +16,7 @@ from robotkube.delivery.manager import __main__ as manager
 from robotkube.errors import DocumentError
 from robotkube.foundation.runtime.settings_file import read_settings
 from tests.stages.paths import CHARTS
-from tests.stages.settings_mounted import mounted
+from tests.stages.settings_mounted import GATE, mounted
 
 pytestmark = pytest.mark.toolchain
 
@@ -33,7 +33,8 @@ def two(helm: Any) -> Any:
 
 
 def settings(rendered: Any, name: str) -> dict[str, Any]:
-    return dict(yaml.safe_load(rendered.one("ConfigMap", name)["data"]["config.yaml"]))
+    namespace = GATE if name == "gate" else None
+    return dict(yaml.safe_load(rendered.one("ConfigMap", name, namespace)["data"]["config.yaml"]))
 
 
 def test_managers_render_as_committed(two: Any, golden: Callable[[str, str], None]) -> None:

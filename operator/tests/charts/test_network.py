@@ -89,10 +89,12 @@ def policies(objects: Sequence[Object]) -> list[NetworkPolicy]:
 
 def meaning(everybody: Mapping[str, NetworkPeer], recording: Sequence[str]) -> dict[str, set[str]]:
     """The names of the table: which pods each means."""
-    names = ("manager", "gate", "suite-runner", "inspector", "remover", "forge", "broker", "database", "bootstrap")
-    found = {name: {f"robotkube/{name}"} for name in (*names, "teardown")}
+    names = ("manager", "suite-runner", "inspector", "remover", "forge", "broker", "database", "bootstrap", "teardown")
+    found = {name: {f"robotkube/{name}"} for name in names}
     found["remover"] &= set(everybody)  # where it is installed
     found["manager"].add("robotkube/manager-again")
+    found["gate"] = {"robotkube-gate/gate"}
+    found["gate-key"] = {name for name in everybody if name.startswith("robotkube/gate-key-")}
     for name in ("repo-server", "application-controller", "applicationset-controller", "redis"):
         found[name] = {f"argocd/argocd-{name}"}
     found["argocd-server"] = {"argocd/argocd-server"}
@@ -105,7 +107,7 @@ def meaning(everybody: Mapping[str, NetworkPeer], recording: Sequence[str]) -> d
         "subject": {n for n in tested if "subject" in n},
         "helper": {n for n in tested if "helper" in n},
     }
-    return found | {"collector": set()}
+    return found | {"collector": set(), "admission": set()}  # not installed
 
 
 def expected(means: Mapping[str, set[str]]) -> set[Reach]:
@@ -179,7 +181,7 @@ def test_the_embedded_cluster_allows_what_the_table_says_and_nothing_else(
         word: {"host"} for word in ("api-server", "name-service", "metrics", "clients")
     }
     means["kubelets"] = {"host", "node"}  # the gateway is an address of the nodes' network
-    wanted = expected(means) - {("host", "robotkube/gate", "TCP", 8080)}  # nobody on the host calls the gate
+    wanted = expected(means) - {("host", "robotkube-gate/gate", "TCP", 8080)}  # nobody on the host calls the gate
     rules = [*policies(embedded.objects), *policies(argocd)]
     found = table(rules, everybody)
     assert difference({one for one in found if not not_ours(one)}, wanted) == NOTHING
@@ -227,10 +229,14 @@ def test_what_a_vehicle_and_a_chart_under_test_reach(
     assert whom("robotkube-suite-0/subject") == {*multicast, ("host", "TCP", 6443)}
     assert whom("robotkube-suite-0/helper") == multicast
     assert whom("robotkube/broker") == whom("robotkube/database") == set()
-    assert whom("robotkube/gate") == {
+    assert whom("robotkube-gate/gate") == {
         ("host", "TCP", 53),
         ("host", "UDP", 53),
         ("argocd/argocd-applicationset-controller", "TCP", 7000),
+        ("robotkube/forge", "TCP", 3000),
+        ("robotkube/manager", "TCP", 8080),
+        ("robotkube/manager-again", "TCP", 8080),
+        ("robotkube/suite-runner", "TCP", 8080),
     }
 
 
@@ -289,7 +295,7 @@ def test_what_stands_elsewhere_is_reached_at_its_port_alone(helm: Any) -> None:
         own = pod(namespace, "pod", labels, 0)
         return {port for protocol, port in asked if may_connect(rules, own, there, protocol, port).allowed}
 
-    assert reached("robotkube", "gate") == {443, 8443}  # 443: gitlab's public API
+    assert reached("robotkube-gate", "gate") == {443, 8443}  # 443: gitlab's public API
     assert reached("robotkube", "manager") == {443, 8443, 8883, 4318}
     assert reached("vehicle-00") == {8883}
     assert reached("cloud-0") == {8883, 27018}
@@ -305,7 +311,7 @@ def test_further_rules_reach_the_pods_they_are_for(helm: Any) -> None:
     rules = policies(helm.template(PLATFORM, PROFILES / "official.yaml", networkPolicies=stated).objects)
     vehicle, gate = (
         pod("vehicle-00", "pod", {}, 0),
-        pod("robotkube", "gate", {"app.kubernetes.io/component": "gate"}, 1),
+        pod("robotkube-gate", "gate", {"app.kubernetes.io/component": "gate"}, 1),
     )
     to, by = NetworkPeer("to", "192.0.2.20"), NetworkPeer("by", "192.0.2.30")
     assert may_connect(rules, vehicle, to, "TCP", 8443).allowed

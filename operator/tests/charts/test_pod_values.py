@@ -28,6 +28,8 @@ WORKLOADS = {
     "bootstrap": "Job/bootstrap",
     "teardown": "Job/teardown",
 }
+KEY_JOB = "Job/gate-key"  # its name goes on with a hash, its pod has the gate's values
+EVERYBODY = {*WORKLOADS.values(), KEY_JOB}
 TOLERATION = {"key": "dedicated", "operator": "Equal", "value": "platform", "effect": "NoSchedule"}
 RULE = {"matchExpressions": [{"key": "disk", "operator": "In", "values": ["fast"]}]}
 AFFINITY = {"nodeAffinity": {"requiredDuringSchedulingIgnoredDuringExecution": {"nodeSelectorTerms": [RULE]}}}
@@ -52,7 +54,8 @@ def values_of(component: str, values: Object) -> Object:
 def seen(rendered: Any, key: str) -> dict[str, Any]:
     """What every workload's pod has where a value leads to."""
     workloads = rendered.of_kind("Deployment", "StatefulSet", "Job")
-    return {f"{one['kind']}/{one['metadata']['name']}": part(one["spec"]["template"], key) for one in workloads}
+    found = {f"{one['kind']}/{one['metadata']['name']}": part(one["spec"]["template"], key) for one in workloads}
+    return {KEY_JOB if name.startswith(f"{KEY_JOB}-") else name: value for name, value in found.items()}
 
 
 def part(template: Object, key: str) -> Any:
@@ -82,14 +85,15 @@ def test_what_is_set_for_a_component_reaches_its_pods_alone(
     shaped: Callable[[str], Any], component: str, key: str
 ) -> None:
     found = seen(shaped(component), key)
-    assert set(found) == set(WORKLOADS.values())
-    assert {name for name, value in found.items() if holds(value, GIVEN[key])} == {WORKLOADS[component]}
+    assert set(found) == EVERYBODY
+    own = {WORKLOADS[component], *([KEY_JOB] if component == "gate" else [])}
+    assert {name for name, value in found.items() if holds(value, GIVEN[key])} == own
 
 
 @pytest.mark.parametrize("key", EVERYWHERE)
 def test_what_is_set_for_the_chart_reaches_every_pod(helm: Any, key: str) -> None:
     found = seen(helm.template(PLATFORM, PROFILE, **{key: EVERYWHERE[key]}), key)
-    assert {name for name, value in found.items() if holds(value, EVERYWHERE[key])} == set(WORKLOADS.values())
+    assert {name for name, value in found.items() if holds(value, EVERYWHERE[key])} == EVERYBODY
 
 
 def test_common_labels_are_on_every_object_and_in_no_selector(helm: Any) -> None:
@@ -104,7 +108,7 @@ def test_common_labels_are_on_every_object_and_in_no_selector(helm: Any) -> None
 def test_a_component_without_a_place_of_its_own_has_the_platforms(helm: Any, key: str) -> None:
     whole: Any = {"nodeSelector": {"role": "platform"}, "tolerations": [{"operator": "Exists"}]}
     found = seen(helm.template(PLATFORM, PROFILE, platform=whole, gate={key: GIVEN[key]}), key)
-    assert found.pop("Deployment/gate") == GIVEN[key]
+    assert found.pop("Deployment/gate") == found.pop(KEY_JOB) == GIVEN[key]
     assert all(value == whole[key] for value in found.values())
 
 
@@ -113,17 +117,7 @@ def test_what_is_set_to_nothing_changes_nothing(helm: Any) -> None:
     values = {key: type(value)() for key, value in EVERYWHERE.items()}
     for component in WORKLOADS:
         values |= values_of(component, empty)
-    assert without_keys(helm.template(PLATFORM, PROFILE, **values)) == without_keys(helm.template(PLATFORM, PROFILE))
-
-
-def without_keys(rendered: Any) -> list[Object]:
-    """All objects but the gate's key, which is made anew each time, and the pods that carry its hash."""
-    made_anew = {"gate-key", "evidence-keys"}
-    kept = [one for one in rendered.objects if one["metadata"]["name"] not in made_anew]
-    for one in kept:
-        metadata = one.get("spec", {}).get("template", {}).get("metadata", {})
-        metadata.get("annotations", {}).pop("robotkube.io/keys", None)
-    return kept
+    assert helm.template(PLATFORM, PROFILE, **values).objects == helm.template(PLATFORM, PROFILE).objects
 
 
 @pytest.mark.parametrize("component", WORKLOADS)

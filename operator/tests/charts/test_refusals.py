@@ -58,6 +58,14 @@ REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "name declared twice": ({"agents": [CLOUD, VEHICLE, VEHICLE]}, 'agents[2] "vehicle-00": declared twice.'),
     "namespace of the platform": ({"agents": [CLOUD, {**VEHICLE, "name": "robotkube"}]}, "Use another name."),
+    "namespace of the gate": (
+        {"agents": [CLOUD, {**VEHICLE, "name": "robotkube-gate"}]},
+        'agents[1] "robotkube-gate": this namespace belongs to the cluster or the platform.',
+    ),
+    "a gate beside others": (
+        {"gate": {"namespace": "robotkube"}},
+        'gate.namespace: "robotkube" is used by others, and who may read Secrets there could sign. Leave it out, or',
+    ),
     "namespace of Argo CD": (
         {"agents": [CLOUD, {**VEHICLE, "name": "argocd"}]},
         "this namespace belongs to the cluster",
@@ -178,7 +186,7 @@ REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "trusted key with the name of the made one": (
         {"evidence": {"trustedKeys": {"gate": PUBLIC_KEY}}},
-        "evidence.trustedKeys.gate: this name belongs to the key that the chart makes.",
+        "evidence.trustedKeys.gate: this name belongs to the key that is made here.",
     ),
     "short seed": ({"secrets": {"seed": "too short"}}, "secrets.seed is shorter than 32 characters."),
 }

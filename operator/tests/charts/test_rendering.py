@@ -11,6 +11,7 @@ import pytest
 import yaml
 
 from tests.stages.paths import CHARTS
+from tests.stages.settings_mounted import GATE, KEY_SECRETS, pod_of
 
 pytestmark = pytest.mark.toolchain
 
@@ -76,8 +77,13 @@ def container_problems(container: Object) -> list[str]:
     return problems
 
 
+def made_keys(platform: Any) -> int:
+    """Whether the chart has the key made: 1 or 0 Jobs."""
+    return len([name for name, _ in platform.pods if name.startswith("Job/gate-key-")])
+
+
 def test_every_pod_of_the_platform_runs_restricted(platform: Any) -> None:
-    assert len(platform.pods) == 9 + (REMOVER in dict(platform.pods))
+    assert len(platform.pods) == 9 + (REMOVER in dict(platform.pods)) + made_keys(platform)
     assert {name: found for name, pod in platform.pods if (found := restricted_problems(pod))} == {}
 
 
@@ -183,11 +189,12 @@ def test_the_gate_has_no_right_and_no_token(platform: Any) -> None:
         (subject["name"], binding["metadata"]["name"])
         for binding in platform.of_kind("RoleBinding", "ClusterRoleBinding")
         for subject in binding["subjects"]
-        if subject.get("namespace") == "robotkube"
+        if subject.get("namespace") in ("robotkube", "robotkube-gate")
     ]
     removers = {"remover"} if REMOVER in dict(platform.pods) else set()
+    job = {"gate-key"} if made_keys(platform) else set()
     own = {"manager", "bootstrap", "teardown", "suite-runner", "inspector"}
-    assert {name for name, _ in subjects} == own | removers
+    assert {name for name, _ in subjects} == own | removers | job
     pod = dict(platform.pods)["Deployment/gate"]
     assert pod["automountServiceAccountToken"] is False
     assert "serviceAccountToken" not in json.dumps(pod["volumes"])
@@ -211,6 +218,8 @@ def test_no_right_reaches_pods_for_writing_or_secrets_for_listing(platform: Any)
                 assert not WRITE_VERBS & set(rule["verbs"])
             if "secrets" in rule["resources"] and in_test_namespace:
                 assert rule["verbs"] == ["create", "delete"]
+            elif "secrets" in rule["resources"] and role["metadata"].get("namespace") == "robotkube-gate":
+                assert rule["verbs"] == ["create"]
             elif "secrets" in rule["resources"]:
                 assert rule["resourceNames"] == ["argocd-secret"]
 
@@ -287,16 +296,15 @@ def test_the_seed_is_mounted_as_the_folders_that_the_settings_name(official: Any
 
 @pytest.mark.parametrize("process", ["manager", "gate", "suite-runner", "bootstrap", "teardown"])
 def test_every_secret_that_settings_name_is_mounted(platform: Any, process: str) -> None:
-    workload = "Job" if process in {"bootstrap", "teardown"} else "Deployment"
-    pod = dict(platform.pods)[f"{workload}/{process}"]
     mounted = set()
-    for volume in pod["volumes"]:
-        for source in volume.get("projected", {}).get("sources", []):
-            if source["secret"]["name"] != "kept-gate-key":  # made by a person
-                secret = platform.one("Secret", source["secret"]["name"])
-                assert {item["key"] for item in source["secret"]["items"]} <= set(secret["stringData"])
-            mounted |= {f"/var/run/secrets/robotkube/{item['path']}" for item in source["secret"]["items"]}
-    settings = yaml.safe_load(platform.one("ConfigMap", process)["data"]["config.yaml"])
+    namespace = GATE if process == "gate" else None
+    projected = [volume["projected"] for volume in pod_of(platform, process)["volumes"] if "projected" in volume]
+    for source in (found["secret"] for one in projected for found in one["sources"] if "secret" in found):
+        if source["name"] not in KEY_SECRETS:
+            secret = platform.one("Secret", source["name"], namespace)
+            assert {item["key"] for item in source["items"]} <= set(secret["stringData"])
+        mounted |= {f"/var/run/secrets/robotkube/{item['path']}" for item in source["items"]}
+    settings = yaml.safe_load(platform.one("ConfigMap", process, namespace)["data"]["config.yaml"])
     for path in named_paths(settings):
         assert path in mounted or {f"{path}/username", f"{path}/password"} <= mounted, path
 
@@ -319,7 +327,7 @@ def test_what_must_stay_is_kept(official: Any) -> None:
         ("CustomResourceDefinition", None, "taskdescriptions.robotkube.io"),
         ("CustomResourceDefinition", None, "inspections.robotkube.io"),
         ("Secret", None, "robotkube-seed"),
-        ("Secret", None, "gate-key"),
+        ("Namespace", None, "robotkube-gate"),
         ("Lease", None, "robotkube-manager-manager"),
         ("PersistentVolumeClaim", "robotkube-suite-0", "scratch"),
         ("PersistentVolumeClaim", "robotkube-suite-1", "scratch"),
@@ -338,8 +346,9 @@ def test_each_agent_has_a_password_of_its_own(official: Any) -> None:
     secrets = [o["stringData"]["password"] for o in official.of_kind("Secret") if "password" in o["stringData"]]
     given = {secret for secret in secrets if secrets.count(secret) == 1}
     assert all(len(secret) == 60 for secret in secrets)
-    # Written twice on purpose: the forge's account argocd (forge, charts, deployment), a recorder's database account.
-    assert len(set(secrets) - given) == 2
+    # Written twice on purpose: the forge's accounts argocd (forge, charts, deployment) and gate (bootstrap, the gate),
+    # and a recorder's database account.
+    assert len(set(secrets) - given) == 3
     assert official.one("Secret", "broker-account", "vehicle-00")["stringData"]["password"] in given
 
 

@@ -13,8 +13,10 @@ from typing import Any
 import pytest
 import yaml
 from kubernetes import client, config
+from kubernetes.client.exceptions import ApiException
 
 from robotkube.foundation.documents.core.yaml_codec import write_mapping
+from robotkube.registry.admission.core.policies import API_POLICIES
 from tests.stages.attacks import shown
 from tests.stages.detector.process import COMMAND, is_up, read
 from tests.stages.detector.proximity_settings import SETTINGS as DETECTOR
@@ -28,6 +30,7 @@ pytestmark = [  # a server of its own
     pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning"),
 ]
 PROFILES = Path(__file__).parent / "profiles"
+INSTALLED = ("official", "managers", "admission")
 Rights = dict[str, str]
 
 READ = "get list watch"
@@ -36,7 +39,6 @@ EVENTS, LEASES = "events.events.k8s.io", "leases.coordination.k8s.io"
 GROUP = "robotkube.io"
 INSPECTIONS = f"inspections.{GROUP}"
 NODES = {"nodes": READ}
-INSPECTIONS = "inspections.robotkube.io"
 LOOKED_AT = dict.fromkeys(
     [
         *(f"{kind}.apps" for kind in ("daemonsets", "deployments", "replicasets", "statefulsets")),
@@ -89,8 +91,10 @@ GENERATING = {
     f"{LEASES} 58ac56fa.applicationsets.argoproj.io": "create get update",
     "secrets": READ,
 }
-NAMESPACES = ("robotkube", "argocd", "default", "vehicle-00", "vehicle-01", "cloud-0", "robotkube-suite-0")
+POLICIES = [f"validatingadmission{kind}.admissionregistration.k8s.io" for kind in ("policies", "policybindings")]
+PUBLISHING = {"configmaps": "create", "configmaps gate-public-key": "get patch"}
 AGENTS = ("vehicle-00", "vehicle-01", "cloud-0")
+NAMESPACES = ("robotkube", "robotkube-gate", "argocd", "default", *AGENTS, "robotkube-suite-0")
 # account -> namespace -> what it may do there; what it may do everywhere stands under "*"
 EXACTLY: dict[str, dict[str, Rights]] = {
     "robotkube:manager": {
@@ -107,7 +111,6 @@ EXACTLY: dict[str, dict[str, Rights]] = {
         "argocd": APPLICATIONS,
         "robotkube": lease("manager-north"),
     },
-    "robotkube:gate": {},
     "robotkube:inspector": {
         "*": {"nodes": "list", "nodes/pods": "get"},
         **dict.fromkeys(("vehicle-00", "vehicle-01", "cloud-0"), LOOKED_AT),
@@ -115,6 +118,24 @@ EXACTLY: dict[str, dict[str, Rights]] = {
             INSPECTIONS: "create delete get list",
             "inspections/status.robotkube.io": "patch",
             EVENTS: "create",
+        },
+    },
+    "robotkube-gate:gate": {},
+    "robotkube-gate:default": {},
+    "robotkube:gate-key": {
+        "robotkube": PUBLISHING,
+        "robotkube-gate": {**PUBLISHING, "secrets": "create"},
+    },
+    "robotkube:admission": {
+        "*": {
+            **dict.fromkeys(POLICIES, "list watch"),
+            **{f"{kind} {name}": "create delete get patch update" for kind in POLICIES for name in API_POLICIES},
+            "clusterroles.rbac.authorization.k8s.io robotkube-admission": "get",
+            "configmaps *": "get",
+        },
+        "robotkube": {
+            "configmaps admission-list": EVERY_VERB,
+            "configmaps admission-platform": "get",
         },
     },
     "robotkube:default": {},
@@ -147,16 +168,16 @@ EXACTLY: dict[str, dict[str, Rights]] = {
         "argocd": {**OWN_OBJECTS, "configmaps": EVERY_VERB, "events": "create list", "secrets": EVERY_VERB}
     },
 }
-KEY = "gate-key"
+GATE, KEY = "robotkube-gate", "gate-key"
 
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory, argocd: list[dict[str, Any]]) -> Iterator[Cluster]:
-    """Argo CD as in the embedded cluster, and two managers with disjoint scopes."""
+    """Argo CD as in the embedded cluster, two managers with disjoint scopes, and admission by a process."""
     with prepared_cluster(tmp_path_factory.mktemp("api")) as found:
         manifests = yaml.dump_all([o for o in argocd if o["kind"] != "CustomResourceDefinition"])
         found.kubectl("apply", "--server-side", "-n", "argocd", "-f", "-", text=manifests)
-        files = [option for name in ("official", "managers") for option in ("-f", str(PROFILES / f"{name}.yaml"))]
+        files = [option for name in INSTALLED for option in ("-f", str(PROFILES / f"{name}.yaml"))]
         found.helm("install", "robotkube", str(CHART), *files, "--no-hooks")
         yield found
 
@@ -195,7 +216,8 @@ def test_an_account_may_do_exactly_this(installed: Cluster, everybody: Rights, a
 
 
 def test_every_account_of_the_platform_is_listed(installed: Cluster) -> None:
-    assert {account for account in accounts(installed) if account.startswith(("robotkube:", "argocd:"))} <= set(EXACTLY)
+    ours = ("robotkube:", "robotkube-gate:", "argocd:")
+    assert {account for account in accounts(installed) if account.startswith(ours)} <= set(EXACTLY)
 
 
 def accounts(cluster: Cluster) -> list[str]:
@@ -217,30 +239,88 @@ def reviews(installed: Cluster) -> Iterator[client.AuthorizationV1Api]:
     connection.close()
 
 
+READING = ("get", "list", "watch")
+WRITING = ("update", "patch", "delete", "deletecollection")  # the API server may answer with what was there
+
+
+def may(
+    reviews: client.AuthorizationV1Api, account: str, verb: str, namespace: str, resource: str, name: str = ""
+) -> bool:
+    """What the API server says about a request of an account; `resource` may have a subresource."""
+    groups = ["system:serviceaccounts", f"system:serviceaccounts:{account.partition(':')[0]}", "system:authenticated"]
+    kind, _, subresource = resource.partition("/")
+    group, _, kind = kind.rpartition(".")
+    attributes = {"group": group, "resource": kind, "subresource": subresource, "verb": verb, "name": name}
+    user = {"user": f"system:serviceaccount:{account}", "groups": groups}
+    review = {"spec": {**user, "resourceAttributes": {**attributes, "namespace": namespace}}}
+    return bool(reviews.create_subject_access_review(review).status.allowed)
+
+
 def reads_secrets(reviews: client.AuthorizationV1Api, account: str, namespace: str, name: str = "") -> bool:
     """Whether the account may read this Secret, or any of the namespace, by any verb."""
-    groups = ["system:serviceaccounts", f"system:serviceaccounts:{account.partition(':')[0]}", "system:authenticated"]
-    user = {"user": f"system:serviceaccount:{account}", "groups": groups}
-    for verb in ("get", "list", "watch"):
-        attributes = {"resource": "secrets", "verb": verb, "namespace": namespace, "name": name}
-        review = {"spec": {**user, "resourceAttributes": attributes}}
-        if reviews.create_subject_access_review(review).status.allowed:
-            return True
-    return False
+    return any(may(reviews, account, verb, namespace, "secrets", name) for verb in READING)
 
 
 def test_no_account_at_all_may_read_the_key_of_the_gate(installed: Cluster, reviews: client.AuthorizationV1Api) -> None:
     """The gate itself has it from its volume."""
     everyone = accounts(installed)
     assert len(everyone) > 30
-    assert [account for account in everyone if reads_secrets(reviews, account, "robotkube", KEY)] == []
+    processes = ("gate-key", "inspector", "remover", "admission")
+    assert {"robotkube-gate:gate", *(f"robotkube:{name}" for name in processes)} <= set(everyone)
+    assert [
+        (account, verb)
+        for account in everyone
+        for verb in (*READING, *WRITING)
+        if may(reviews, account, verb, GATE, "secrets", KEY) or may(reviews, account, verb, GATE, "secrets")
+    ] == []
+
+
+AROUND = [  # other ways to what a pod of a namespace mounts
+    *((verb, "pods") for verb in ("create", "update", "patch")),
+    *((verb, f"pods/{way}") for verb in ("create", "get") for way in ("exec", "attach", "portforward", "proxy")),
+    *((verb, "pods/ephemeralcontainers") for verb in ("update", "patch")),
+    *((verb, f"apps.{kind}") for verb in ("create", "patch") for kind in ("deployments", "replicasets", "daemonsets")),
+    *((verb, f"batch.{kind}") for verb in ("create", "patch") for kind in ("jobs", "cronjobs")),
+    ("create", "serviceaccounts/token"),
+    ("create", "rbac.authorization.k8s.io.rolebindings"),
+    ("escalate", "rbac.authorization.k8s.io.roles"),
+    ("patch", "configmaps"),
+]
+
+
+def test_no_account_at_all_has_another_way_to_the_key(installed: Cluster, reviews: client.AuthorizationV1Api) -> None:
+    """Not by a pod of its own there, nor into that of the gate."""
+    asked = [(account, *question) for account in accounts(installed) for question in AROUND]
+    assert [question for question in asked if may(reviews, question[0], question[1], GATE, question[2])] == []
+
+
+def test_everybody_is_refused_the_key_of_the_gate(installed: Cluster) -> None:
+    """By trying, each account; an administrator gets it."""
+    installed.kubectl("create", "secret", "generic", KEY, "-n", GATE, "--from-literal=key.pem=x")
+    assert installed.kubectl("get", "secret", KEY, "-n", GATE, "-o", "name").strip() == f"secret/{KEY}"
+    connection = config.new_client_from_config(str(installed.kubeconfig))
+    try:
+        for account in accounts(installed):
+            connection.set_default_header("Impersonate-User", f"system:serviceaccount:{account}")
+            for read in (
+                lambda core: core.read_namespaced_secret(KEY, GATE),
+                lambda core: core.list_namespaced_secret(GATE),
+                lambda core: core.patch_namespaced_secret(KEY, GATE, {}),
+                lambda core: core.delete_namespaced_secret(KEY, GATE, propagation_policy="Foreground"),
+            ):
+                with pytest.raises(ApiException) as refusal:
+                    read(client.CoreV1Api(connection))
+                assert refusal.value.status == 403, account
+    finally:
+        connection.close()
+        installed.kubectl("delete", "secret", KEY, "-n", GATE)
 
 
 @pytest.mark.parametrize("program", ["server", "applicationset-controller", "application-controller", "repo-server"])
 def test_argo_cd_is_refused_the_key_of_the_gate(installed: Cluster, program: str) -> None:
     """By trying."""
     account = f"system:serviceaccount:argocd:argocd-{program}"
-    done = installed.run("kubectl", "get", "secret", KEY, "-n", "robotkube", "--as", account)
+    done = installed.run("kubectl", "get", "secret", KEY, "-n", GATE, "--as", account)
     assert (done.returncode, done.stdout) == (1, "")
     shown("elsewhere", done.stderr, "key-read")
 

@@ -25,6 +25,7 @@ PLATFORM = (
     "robotkube.registry.catalogue.adapters.bounded_validation",
     "robotkube.registry.suites.__main__",
     "robotkube.setup.teardown",
+    "robotkube.setup.gate_key",
 )
 ROBOT = (
     "robotkube.robots.bridge.__main__",

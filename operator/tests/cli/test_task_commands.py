@@ -1,5 +1,6 @@
 """The command line on a real API server: data on stdout, talk on stderr, exit codes."""
 
+import argparse
 import io
 import json
 from collections.abc import Mapping
@@ -9,7 +10,9 @@ from typing import TextIO
 import pytest
 
 from robotkube.cli.main import main
+from robotkube.cli.platform import Platform
 from robotkube.cli.tasks import watch
+from robotkube.errors import InputError
 from tests.stages.kubernetes.api_calls import TASKS, Api
 from tests.stages.kubernetes.api_server import ApiServerProcess
 
@@ -158,6 +161,24 @@ def test_submitting_finds_forge_account_and_images_in_the_cluster(line: Line, ap
     code, _, err = line.run(*words)
     assert code == 2
     assert "(known: platform)" in err
+
+
+def test_keys_that_count_are_those_given_and_those_made_in_the_cluster(api_server: ApiServerProcess, api: Api) -> None:
+    names = {"context": None, "platform_namespace": "verifying", "argocd_namespace": "argocd", "manager": "manager"}
+    platform = Platform(argparse.Namespace(kubeconfig=str(api_server.kubeconfig), **names))
+    api.post("/api/v1/namespaces", {"metadata": {"name": "verifying"}})
+    with pytest.raises(InputError, match="no public key in ConfigMap evidence-keys of namespace verifying; give"):
+        platform.evidence_keys()
+    maps = "/api/v1/namespaces/verifying/configmaps"
+    made = {"robotkube.io/made-keys": "gate-public-key"}
+    api.post(maps, {"metadata": {"name": "evidence-keys", "annotations": made}, "data": {}})
+    with pytest.raises(InputError, match="no public key in ConfigMap evidence-keys or gate-public-key of namespace"):
+        platform.evidence_keys()
+    api.post(maps, {"metadata": {"name": "gate-public-key"}, "data": {"gate-1.pem": "one"}})
+    assert platform.evidence_keys() == {"gate-1.pem": "one"}
+    api.delete(f"{maps}/evidence-keys")
+    api.post(maps, {"metadata": {"name": "evidence-keys"}, "data": {"mine.pem": "two"}})
+    assert platform.evidence_keys() == {"mine.pem": "two"}, "a key that was made before a given one counts no more"
 
 
 def test_an_unreachable_cluster(

@@ -10,7 +10,7 @@ import pytest
 
 from robotkube.errors import InputError, UnavailableError
 from robotkube.setup.adapters.gitea_administration import GiteaAdministration
-from robotkube.setup.loops.bootstrap import Bootstrap, Repository, plan_teams
+from robotkube.setup.loops.bootstrap import Bootstrap, FormerWebhook, Repository, plan_teams
 from tests.stages.forge.gitea import ForgeProcess
 from tests.stages.forge.installation import ACCOUNTS, CATALOGUE, Installation, forge_setup
 
@@ -62,6 +62,20 @@ def test_access_that_is_taken_back_is_gone(installation: Installation, administr
     assert given.changed == ["team robotkube/catalogue-read", "team robotkube/catalogue-write"]
     taken.forge(installation.setup, administration)
     assert taken.changed == given.changed
+
+
+def test_a_webhook_to_where_nobody_answers_any_more_goes_and_others_stay(
+    installation: Installation, administration: GiteaAdministration
+) -> None:
+    repository, former = "robotkube/deployment", "http://127.0.0.1:9/former"
+    for url in (former, "http://127.0.0.1:9/of-a-person"):
+        administration.make_webhook(repository, url, ("push",), "s")
+    setup = replace(installation.setup, former_webhooks=(FormerWebhook(repository, former),))
+    run, again = bootstrap(), bootstrap()
+    run.forge(setup, administration)
+    again.forge(setup, administration)
+    assert (run.changed, again.changed) == ([f"no webhook {repository} to {former}"], [])
+    assert administration.remove_webhook(repository, "http://127.0.0.1:9/of-a-person")
 
 
 def test_the_seed_is_the_first_commit_and_never_comes_again(installation: Installation) -> None:

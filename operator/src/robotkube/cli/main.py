@@ -146,7 +146,7 @@ def commands() -> Sequence[Command]:
         Command(
             "registry",
             "admission",
-            "the ConfigMap of what may run, for the platform chart's admission policies",
+            "what may run, as a ConfigMap; or what would not start again (--stranded)",
             admission_list.show_list,
             admission_list.listing_arguments,
         ),

@@ -6,7 +6,7 @@ import argparse
 import base64
 import contextlib
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from robotkube.delivery.inspection.core.strangers import PLURAL as INSPECTIONS
@@ -18,12 +18,15 @@ from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.foundation.kubernetes.adapters import client
 
 OBJECTS_MAX = 5000
+PAGE_OBJECTS = 500
 FORGE = "forge"
 EVIDENCE_KEYS = "evidence-keys"
+MADE_KEYS = "robotkube.io/made-keys"  # its annotation with the ConfigMap of keys that were made in the cluster
 IMAGES = "platform-images"
 IMAGES_KEY = "images.yaml"
 DATABASE_ACCOUNT = "database-account"
 AGENT_LABEL = "robotkube.io/agent"
+GATE_SELECTOR = "app.kubernetes.io/part-of=robotkube,app.kubernetes.io/component=gate"
 DETECTOR_SELECTOR = "app.kubernetes.io/name=event-detector"
 
 
@@ -151,23 +154,66 @@ class Platform:
 
     def evidence_keys(self) -> Mapping[str, str]:
         """The public keys that this installation trusts, as PEM texts by file name; InputError when it names none."""
-        where = f"/api/v1/namespaces/{self._namespace}/configmaps/{EVIDENCE_KEYS}"
-        try:
-            found: Mapping[str, str] = self._read("GET", where).get("data") or {}
-        except KeyError:
-            found = {}
+        given = self._config_map(EVIDENCE_KEYS)
+        found: dict[str, str] = dict(given.get("data") or {})
+        made = (given.get("metadata", {}).get("annotations") or {}).get(MADE_KEYS)
+        if made:
+            found |= self._config_map(made).get("data") or {}
         if not found:
-            raise InputError(f"no ConfigMap {EVIDENCE_KEYS} in namespace {self._namespace}; give --keys FOLDER")
+            what = f"no public key in ConfigMap {EVIDENCE_KEYS}{f' or {made}' if made else ''}"
+            raise InputError(f"{what} of namespace {self._namespace}; give --keys FOLDER")
         return found
 
     def images(self) -> Mapping[str, str]:
         """The references by digest of the platform's images, by name."""
-        where = f"/api/v1/namespaces/{self._namespace}/configmaps/{IMAGES}"
+        data = self._config_map(IMAGES).get("data") or {}
+        return read_mapping(data.get(IMAGES_KEY, "{}"), f"configmap {self._namespace}/{IMAGES}")
+
+    def _config_map(self, name: str) -> Mapping[str, Any]:
+        """A ConfigMap of the platform's namespace; empty when there is none."""
         try:
-            data = self._read("GET", where).get("data") or {}
+            return self._read("GET", f"/api/v1/namespaces/{self._namespace}/configmaps/{name}")
         except KeyError:
             return {}
-        return read_mapping(data.get(IMAGES_KEY, "{}"), f"configmap {self._namespace}/{IMAGES}")
+
+    def agents(self) -> Sequence[str]:
+        """The namespaces of declared agents."""
+        return [
+            item["metadata"]["name"] for item in self._items("/api/v1/namespaces", [("labelSelector", AGENT_LABEL)])
+        ]
+
+    def gate_namespace(self) -> str:
+        """The namespace in which the gate stands alone: the one of the usual name, else the one that says so."""
+        usual = f"{self._namespace}-gate"
+        labelled = self._items("/api/v1/namespaces", [("labelSelector", GATE_SELECTOR)])
+        named = [item["metadata"]["name"] for item in labelled]
+        return usual if usual in named or not named else named[0]
+
+    def namespaces(self) -> Sequence[str]:
+        """All namespaces of the cluster."""
+        return [item["metadata"]["name"] for item in self._items("/api/v1/namespaces")]
+
+    def project(self, name: str) -> Mapping[str, Any]:
+        """An AppProject of Argo CD; InputError when there is none."""
+        where = f"/apis/argoproj.io/v1alpha1/namespaces/{self._argocd}/appprojects/{name}"
+        try:
+            return self._read("GET", where)
+        except KeyError as error:
+            raise InputError(f"no AppProject {name} in namespace {self._argocd}; see --argocd-namespace") from error
+
+    def everything(self, path: str) -> Iterator[Mapping[str, Any]]:
+        """All objects of a kind, page after page; InputError when the cluster does not know the kind."""
+        token = ""
+        while True:
+            query = [("limit", str(PAGE_OBJECTS)), ("continue", token)]
+            try:
+                page = self._read("GET", path, query)
+            except KeyError as error:
+                raise InputError(f"the cluster has no {path}; is the platform installed?") from error
+            yield from page["items"]
+            token = page["metadata"].get("continue", "")
+            if not token:
+                return
 
     def _one(self, method: str, key: str, query: Sequence[tuple[str, str]] = ()) -> Mapping[str, Any]:
         namespace, separator, name = key.partition("/")

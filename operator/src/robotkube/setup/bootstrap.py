@@ -32,6 +32,7 @@ from robotkube.setup.loops.bootstrap import (
     DatabaseAccount,
     ForgeAccount,
     ForgeSetup,
+    FormerWebhook,
     Organisation,
     Repository,
     Webhook,
@@ -147,7 +148,7 @@ def _database_account(reader: Reader, value: Any, path: str) -> DatabaseAccount:
 
 def _forge(reader: Reader, value: Any) -> ForgeConfiguration:
     keys = ["url", "administrator", "accounts", "organisations", "repositories", "webhooks"]
-    values = reader.mapping(value, "forge", keys)
+    values = reader.mapping(value, "forge", keys, ["former_webhooks"])
     return ForgeConfiguration(
         url=reader.word(values.get("url"), "forge.url", HTTP_URL),
         administrator=files.credentials(reader, values.get("administrator"), "forge.administrator"),
@@ -156,6 +157,7 @@ def _forge(reader: Reader, value: Any) -> ForgeConfiguration:
             organisations=tuple(_organisation(reader, *i) for i in _items(reader, values, "forge", "organisations")),
             repositories=tuple(_repository(reader, *i) for i in _items(reader, values, "forge", "repositories")),
             webhooks=tuple(_webhook(reader, *item) for item in _items(reader, values, "forge", "webhooks")),
+            former_webhooks=_former_webhooks(reader, values) if "former_webhooks" in values else (),
         ),
     )
 
@@ -220,6 +222,15 @@ def _webhook(reader: Reader, value: Any, path: str) -> Webhook:
         events=events,
         secret=files.secret(reader, values.get("secret"), f"{path}.secret"),
     )
+
+
+def _former_webhooks(reader: Reader, values: Mapping[str, Any]) -> tuple[FormerWebhook, ...]:
+    former = []
+    for item, path in _items(reader, values, "forge", "former_webhooks"):
+        hook = reader.mapping(item, path, ["repository", "url"])
+        repository = reader.word(hook.get("repository"), f"{path}.repository", REPOSITORY)
+        former.append(FormerWebhook(repository, reader.word(hook.get("url"), f"{path}.url", HTTP_URL)))
+    return tuple(former)
 
 
 def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:

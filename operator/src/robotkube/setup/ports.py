@@ -45,6 +45,10 @@ class ForgeAdministration(Protocol):
         """Make a webhook with signed deliveries, one per repository and url."""
         ...
 
+    def remove_webhook(self, repository: str, url: str) -> bool:
+        """Remove the webhooks of a repository to `url`."""
+        ...
+
 
 class DatabaseAdministration(Protocol):
     """The database as its administrator."""
@@ -96,4 +100,29 @@ class InstalledReleases(Protocol):
 
     def remaining(self) -> Sequence[str]:
         """Names of the Argo CD Applications that are still there."""
+        ...
+
+
+class GateKeyObjects(Protocol):
+    """The Secret with the gate's key, which this side can make and not read, and the ConfigMaps with public keys.
+    UnavailableError when the API server does not answer, InputError when it refuses."""
+
+    def has_key(self) -> bool:
+        """Whether there is a Secret of that name, whatever is in it."""
+        ...
+
+    def public_keys(self) -> Mapping[str, Mapping[str, str]]:
+        """Namespace -> the public keys of its ConfigMap by file name; none where there is no ConfigMap."""
+        ...
+
+    def publish(self, namespace: str, keys: Mapping[str, str]) -> None:
+        """Add public keys to the namespace's ConfigMap, which is made when there is none."""
+        ...
+
+    def withdraw(self, namespace: str, name: str) -> None:
+        """Take a public key out of the namespace's ConfigMap."""
+        ...
+
+    def keep(self, private_key: str) -> bool:
+        """Make the Secret; False when somebody else has made it meanwhile."""
         ...

@@ -24,11 +24,12 @@ from ci.cluster.following_admission import FIND_SECONDS, ForgeFolder, follow
 from ci.cluster.images import Image
 from ci.cluster.pki import Authority
 from ci.cluster.records import ClusterFolders
-from ci.cluster.stranded import APPLICATIONS, KINDS, report, stranded_now
+from ci.cluster.stranded import report, stranded_now
 from ci.errors import InputError, SetUpError
 from ci.folders import PROJECT
 from robotkube.errors import UnavailableError
 from robotkube.registry.admission.core.expressions import RESOURCES
+from robotkube.registry.admission.core.stranded import APPLICATIONS, KINDS
 from robotkube.registry.admission.loops.following import CatalogueListing
 from robotkube.registry.evidence.adapters.dsse import TrustedKeys
 from tests.stages.registry.admission_examples import CHART, CHARTS, application, digest, image, pod, workload

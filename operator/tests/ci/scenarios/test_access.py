@@ -11,7 +11,7 @@ from kubernetes import client
 
 from scenarios import definition
 from scenarios.runner import acting
-from scenarios.runner.access import PLATFORM, Access
+from scenarios.runner.access import GATE, PLATFORM, Access
 from scenarios.runner.tasks import TaskWatch
 from scenarios.runner.waiting import RunError
 from tests.stages.kubernetes.api_calls import Api
@@ -32,7 +32,7 @@ SUBMITTED = [
 @pytest.fixture
 def access(api_server: ApiServerProcess, api: Api) -> Iterator[Access]:
     found = Access(api_server.kubeconfig)
-    for namespace in {given["namespace"] for given in SUBMITTED} | {PLATFORM}:
+    for namespace in {given["namespace"] for given in SUBMITTED} | {PLATFORM, GATE}:
         with contextlib.suppress(client.ApiException):  # it is there already
             found.core.create_namespace({"metadata": {"name": namespace}})
     yield found
@@ -76,5 +76,10 @@ def test_nodes_are_cordoned_and_parts_of_the_platform_killed(access: Access) -> 
     access.core.create_namespaced_pod(PLATFORM, pod | {"spec": {"containers": [{"name": "m", "image": "m"}]}})
     access.kill("gate")
     assert [one.metadata.name for one in access.pods(PLATFORM)] == ["manager-x"]
+    gate = {"metadata": {"name": "gate-x", "labels": {"app.kubernetes.io/name": "gate"}}}
+    access.core.create_namespaced_pod(GATE, gate | {"spec": {"containers": [{"name": "g", "image": "g"}]}})
     access.kill("manager")
     assert list(access.pods(PLATFORM)) == []
+    assert [one.metadata.name for one in access.pods(GATE)] == ["gate-x"]
+    access.kill("gate")
+    assert list(access.pods(GATE)) == []

@@ -33,6 +33,7 @@ NO_IDENTIFIERS = {
     ("robots/rules/adapters/cel.py", "_LOOP"): "where an expression names the variable of a loop",
     ("robots/bags/core/playback.py", "_LINE"): "a line of a ledger, with a bare SHA-256",
     ("registry/publication/core/submissions.py", "_EVIDENCE_FILE"): "a path, with the first letters of a digest",
+    ("registry/admission/core/lists.py", "PARAMETER_KEY"): "a key of a ConfigMap, with a bare SHA-256",
 }
 SCHEMAS_ALONE = {
     r"\{\{": "a value template",

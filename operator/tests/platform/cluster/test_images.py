@@ -34,7 +34,7 @@ def test_the_registry_serves_the_same_digests(platform: Platform) -> None:
 
 def test_pods_run_what_the_charts_name_by_digest(platform: Platform) -> None:
     references = {image.reference for image in preparing.everything().images}
-    for namespace in ("robotkube", "argocd"):
+    for namespace in ("robotkube", "robotkube-gate", "argocd"):
         for pod in platform.get("-n", namespace, "pods")["items"]:
             used = {container["image"] for container in pod["spec"]["containers"]}
             assert used <= references, pod["metadata"]["name"]

@@ -106,7 +106,7 @@ def said(policies: list[NetworkPolicy], source: NetworkPeer, others: Iterable[Ne
 def test_every_pod_reaches_whom_the_policies_say_and_nobody_else(
     platform: Platform, pods: Mapping[str, Attached], policies: list[NetworkPolicy]
 ) -> None:
-    assert {key.split("/")[0] for key in pods} >= {"robotkube", "argocd", "cloud-0", "vehicle-00"}
+    assert {key.split("/")[0] for key in pods} >= {"robotkube", "robotkube-gate", "argocd", "cloud-0", "vehicle-00"}
 
     def difference(own: Attached) -> set[Reach]:
         others = [host(platform), *(one.peer for one in pods.values() if one.key != own.key)]

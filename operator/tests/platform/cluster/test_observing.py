@@ -63,7 +63,7 @@ def hooks_lost(platform: Platform) -> Iterator[None]:
 
 def hook_is_reachable(platform: Platform) -> bool:
     """Whether the gate's pod can connect to the service of the hook: its nodes' rules follow the selector later."""
-    answer = platform.kubectl("-n", "robotkube", "exec", "deployment/gate", "--", "python3", "-c", CONNECT)
+    answer = platform.kubectl("-n", "robotkube-gate", "exec", "deployment/gate", "--", "python3", "-c", CONNECT)
     return answer.strip() == "connected"
 
 

@@ -3,23 +3,27 @@ Exactly what they may, by the same chart on an API server alone: charts/test_rig
 
 from __future__ import annotations
 
+import base64
+import gzip
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 import pytest
 from kubernetes import client, config
 
+from ci.installation import GATE as GATE_NAMESPACE
 from ci.installation import KEY_SECRET
 from tests.stages.platform.running_platform import Platform
 
-MANAGER, GATE, RUNNER = "robotkube/manager", "robotkube/gate", "robotkube/suite-runner"
+MANAGER, GATE, RUNNER = "robotkube/manager", f"{GATE_NAMESPACE}/gate", "robotkube/suite-runner"
 CHART_UNDER_TEST = "robotkube-suite-0/application"
 SYNCING, GENERATING, SERVING = (
     f"argocd/argocd-{name}" for name in ("application-controller", "applicationset-controller", "server")
 )
 KEY = f"secrets/{KEY_SECRET}"
 ACCOUNTS = (MANAGER, GATE, RUNNER, CHART_UNDER_TEST, "cloud-0/event-detector", "vehicle-00/mqtt-bridge")
-NAMESPACES = ("robotkube", "argocd", "cloud-0", "vehicle-00", "default")
+NAMESPACES = ("robotkube", GATE_NAMESPACE, "argocd", "cloud-0", "vehicle-00", "default")
 WRITE = ("create", "update", "patch", "delete", "deletecollection")
 EVERYWHERE = ""
 # (verbs, API group, resource, subresource)
@@ -69,8 +73,8 @@ ASKED = (
     (MANAGER, "list applications.argoproj.io -n argocd", "yes"),
     (MANAGER, "patch taskdescriptions.robotkube.io --subresource=status -n cloud-0", "yes"),
     (GATE, "get pods", "no"),
-    *((account, f"get {KEY} -n robotkube", "no") for account in (MANAGER, GATE, RUNNER, CHART_UNDER_TEST)),
-    *((account, f"get {KEY} -n robotkube", "no") for account in (SYNCING, GENERATING, SERVING)),
+    *((account, f"get {KEY} -n {GATE_NAMESPACE}", "no") for account in (MANAGER, GATE, RUNNER, CHART_UNDER_TEST)),
+    *((account, f"get {KEY} -n {GATE_NAMESPACE}", "no") for account in (SYNCING, GENERATING, SERVING)),
     (SYNCING, "list secrets -n cloud-0", "no"),
     (SYNCING, "create deployments.apps -n cloud-0", "yes"),
     (SYNCING, "create deployments.apps -n robotkube", "no"),
@@ -143,7 +147,26 @@ def test_kubectl_says_the_same(platform: Platform, account: str, question: str, 
 
 def test_robots_pods_hold_no_token_but_the_mounted_one(platform: Platform) -> None:
     """A service account's token is mounted only where the process needs it."""
-    for namespace in ("robotkube", "cloud-0", "vehicle-00", "robotkube-suite-0", "robotkube-suite-1"):
+    for namespace in ("robotkube", GATE_NAMESPACE, "cloud-0", "vehicle-00", "robotkube-suite-0", "robotkube-suite-1"):
         for account in platform.get("-n", namespace, "serviceaccounts")["items"]:
             if account["metadata"]["name"] != "default":
                 assert account.get("automountServiceAccountToken") is False, (namespace, account["metadata"]["name"])
+
+
+def test_only_the_gate_stands_where_its_key_is(platform: Platform) -> None:
+    """And the key stands nowhere else, in no Secret of Helm's releases either."""
+    pods = platform.get("-n", GATE_NAMESPACE, "pods")["items"]
+    assert {pod["metadata"]["labels"]["app.kubernetes.io/name"] for pod in pods} == {"gate"}
+    secrets = platform.get("secrets", "-A")["items"]
+    [key] = [one for one in secrets if one["metadata"]["name"] == KEY_SECRET]
+    assert key["metadata"]["namespace"] == GATE_NAMESPACE
+    body = base64.b64decode(key["data"]["key.pem"]).decode().splitlines()[1]
+    assert [one["metadata"]["name"] for one in secrets if body in texts(one)] == [KEY_SECRET]
+
+
+def texts(secret: Mapping[str, Any]) -> str:
+    """What a Secret says; a release of Helm's is compressed and encoded once more."""
+    found = [base64.b64decode(value) for value in secret.get("data", {}).values()]
+    if secret["type"] == "helm.sh/release.v1":
+        found = [gzip.decompress(base64.b64decode(value)) for value in found]
+    return "".join(value.decode(errors="replace") for value in found)

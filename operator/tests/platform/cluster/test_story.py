@@ -93,11 +93,12 @@ def test_all_our_namespaces_enforce_restricted_pods(platform: Platform) -> None:
     items = platform.get("namespaces")["items"]
     labels = {item["metadata"]["name"]: item["metadata"].get("labels", {}) for item in items}
     enforced = {name for name, found in labels.items() if found.get(ENFORCE) == "restricted"}
-    assert {"robotkube", "argocd", *platform.agents} <= enforced
+    assert {"robotkube", "robotkube-gate", "argocd", *platform.agents} <= enforced
 
 
 def test_every_pod_runs_as_an_ordinary_user_on_a_read_only_root(platform: Platform, story: Story) -> None:
-    ours = [*platform.get("-n", "robotkube", "pods")["items"], *story.pods.values()]
+    platforms = [pod for place in ("robotkube", "robotkube-gate") for pod in platform.get("-n", place, "pods")["items"]]
+    ours = [*platforms, *story.pods.values()]
     names = {pod["metadata"]["labels"].get("app.kubernetes.io/name") for pod in ours}
     assert {"manager", "gate", "broker", "forge", "database", "mqtt-bridge", "event-detector", "bag-player"} <= names
     assert any(pod["metadata"]["name"].startswith("recorder-") for pod in ours)

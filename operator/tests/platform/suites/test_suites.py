@@ -75,7 +75,7 @@ for name, url in {
     "catalogue-repository": f"{FORGE}/api/v1/repos/robotkube/catalogue",
     "registry-staging": f"{FORGE}/v2/staging/mqtt-bridge/tags/list",
     "registry-verified": f"{FORGE}/v2/verified/mqtt-bridge/tags/list",
-    "secrets": f"{API}/api/v1/namespaces/robotkube/secrets/gate-key",
+    "secrets": f"{API}/api/v1/namespaces/robotkube-gate/secrets/gate-key",
     "own-secrets": f"{API}/api/v1/namespaces/robotkube-suite-0/secrets",
     "pods": f"{API}/api/v1/namespaces/robotkube-suite-0/pods",
 }.items():
@@ -278,7 +278,7 @@ def test_the_runner_may_do_what_its_test_namespaces_need_and_nothing_elsewhere(
 ) -> None:
     pool = suite_namespaces.pool(platform)
     assert [allowed(reviews, namespace) for namespace in pool] == [IN_A_TEST_NAMESPACE] * len(pool)
-    others = ["", "robotkube", "argocd", "default", "kube-system", *platform.agents[:2]]
+    others = ["", "robotkube", "robotkube-gate", "argocd", "default", "kube-system", *platform.agents[:2]]
     assert {namespace: allowed(reviews, namespace) for namespace in others} == {name: {} for name in others}
 
 
@@ -289,7 +289,7 @@ def test_the_runner_may_do_what_its_test_namespaces_need_and_nothing_elsewhere(
         ("create pods -n robotkube-suite-0", "yes"),
         ("get secrets -n robotkube-suite-0", "no"),
         ("create pods -n robotkube", "no"),
-        ("get secrets/gate-key -n robotkube", "no"),
+        ("get secrets/gate-key -n robotkube-gate", "no"),
         ("create deployments.apps -n cloud-0", "no"),
         ("create namespaces", "no"),
     ],

@@ -272,7 +272,7 @@ SECRETS = f"/api/v1/namespaces/{NAMESPACE}/secrets"
         ("POST", "/api/v1/namespaces/cloud-0/configmaps"),
         ("POST", "/api/v1/namespaces/default/secrets"),
         ("POST", "/apis/apps/v1/namespaces/argocd/deployments"),
-        ("GET", "/api/v1/namespaces/robotkube/secrets/gate-key"),
+        ("GET", "/api/v1/namespaces/robotkube-gate/secrets/gate-key"),
         ("GET", "/api/v1/namespaces/robotkube/configmaps"),
         ("POST", "/api/v1/namespaces"),
         ("GET", "/api/v1/pods"),

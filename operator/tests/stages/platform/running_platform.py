@@ -26,7 +26,7 @@ from ci.steps import Steps
 from robotkube.foundation.forge.adapters.git import GitClone, ProposalWriter
 from scenarios import definition, demo
 from scenarios.definition import Scenario
-from scenarios.runner.access import Access
+from scenarios.runner.access import GATE, PLATFORM, Access
 from scenarios.runner.waiting import RunError
 from tests.stages.paths import WIDEST
 
@@ -163,14 +163,15 @@ def stop_demo(config: pytest.Config) -> None:
 @contextmanager
 def asleep(platform: Platform, component: str) -> Iterator[None]:
     """A Deployment of the platform does not run meanwhile; afterwards it does, even if somebody woke it before."""
-    platform.kubectl("-n", "robotkube", "scale", f"deployment/{component}", "--replicas=0")
-    chosen = ("-n", "robotkube", "wait", "--for=delete", "pod", "-l", f"app.kubernetes.io/name={component}")
+    namespace = GATE if component == "gate" else PLATFORM
+    platform.kubectl("-n", namespace, "scale", f"deployment/{component}", "--replicas=0")
+    chosen = ("-n", namespace, "wait", "--for=delete", "pod", "-l", f"app.kubernetes.io/name={component}")
     platform.kubectl(*chosen, "--timeout=30s")
     try:
         yield
     finally:
-        platform.kubectl("-n", "robotkube", "scale", f"deployment/{component}", "--replicas=1")
-        platform.kubectl("-n", "robotkube", "rollout", "status", f"deployment/{component}", "--timeout=60s")
+        platform.kubectl("-n", namespace, "scale", f"deployment/{component}", "--replicas=1")
+        platform.kubectl("-n", namespace, "rollout", "status", f"deployment/{component}", "--timeout=60s")
 
 
 @dataclass(frozen=True)

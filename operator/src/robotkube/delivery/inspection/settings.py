@@ -47,7 +47,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> Inspector
     kubelets = reader.mapping(root.get("kubelets") or {}, "kubelets", ["verify"])
     charts_url = reader.word(registry.get("charts"), "oci_registry.charts", CHARTS_URL)
     namespaces = reader.mapping(
-        root.get("namespaces") or {}, "namespaces", ["agents", "tests", "platform", "argocd", "others"]
+        root.get("namespaces") or {}, "namespaces", ["agents", "tests", "platform", "gate", "argocd", "others"]
     )
     platform = reader.word(namespaces.get("platform"), "namespaces.platform", NAME)
     return InspectorConfiguration(
@@ -62,7 +62,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> Inspector
         keys=Path(reader.word(evidence.get("keys"), "evidence.keys", files.PATH)),
         namespace=platform,
         installation=_installation(reader, namespaces, platform, charts_url, root.get("images")),
-        verify=_yes_or_no(reader, kubelets.get("verify"), "kubelets.verify"),
+        verify=reader.truth(kubelets.get("verify"), "kubelets.verify"),
     )
 
 
@@ -77,8 +77,9 @@ def _installation(
             tests=_words(reader, namespaces.get("tests"), "namespaces.tests", NAME),
             charts=charts_url,
             platform=platform,
+            gate=reader.word(namespaces.get("gate"), "namespaces.gate", NAME),
             argocd=reader.word(namespaces.get("argocd"), "namespaces.argocd", NAME),
-            elsewhere=_yes_or_no(reader, namespaces.get("others"), "namespaces.others"),
+            elsewhere=reader.truth(namespaces.get("others"), "namespaces.others"),
         )
         return InstalledPlatform(domain, digests_of(by_digest), frozenset(references) - frozenset(by_digest))
     except InputError as error:
@@ -89,9 +90,3 @@ def _installation(
 def _words(reader: Reader, value: Any, path: str, pattern: Any) -> tuple[str, ...]:
     items = enumerate(reader.sequence(value, path))
     return tuple(reader.word(item, f"{path}[{index}]", pattern) for index, item in items)
-
-
-def _yes_or_no(reader: Reader, value: Any, path: str) -> bool:
-    if not isinstance(value, bool):
-        reader.problems.append(f"{path}: must be true or false")
-    return value is True

@@ -35,18 +35,11 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> RemoverCo
         namespace=reader.word(root.get("namespace"), "namespace", NAME),
         policy=RemovalPolicy(
             frozenset(reader.word(name, f"agents[{index}]", NAME) for index, name in enumerate(agents)) - {""},
-            pods=_switch(reader, root, "pods"),
-            workloads=_switch(reader, root, "workloads"),
+            pods=reader.truth(root.get("pods"), "pods"),
+            workloads=reader.truth(root.get("workloads"), "workloads"),
             per_minute=_per_minute(reader, root),
         ),
     )
-
-
-def _switch(reader: Reader, root: Mapping[str, Any], key: str) -> bool:
-    value = root.get(key)
-    if not isinstance(value, bool):
-        reader.problems.append(f"{key}: must be true or false")
-    return value is True
 
 
 def _per_minute(reader: Reader, root: Mapping[str, Any]) -> int:

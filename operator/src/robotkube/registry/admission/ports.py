@@ -21,7 +21,12 @@ class PolicyPlace(Protocol):
     """Where the API server finds its policies."""
 
     def write(self, documents: Sequence[Mapping[str, Any]]) -> bool:
-        """Replace the policies, all at once; False when they stood there already."""
+        """Replace the policies, all at once where the place can; False when they stood there already."""
+        ...
+
+    def intact(self) -> bool:
+        """Whether what was written last still stands there, as far as is known here; else it has to be written
+        again."""
         ...
 
 

@@ -192,7 +192,7 @@ class GiteaAdministration:
         config = {"url": url, "content_type": "json", "secret": secret}
         written, shown = _hook_events(events)
         wanted = {"config": config, "events": sorted(written), "active": True}
-        hooks = [hook for hook in self._pages(path) if (hook.get("config") or {}).get("url") == url]
+        hooks = self._webhooks(path, url)
         for double in hooks[1:]:
             self._call("DELETE", f"{path}/{double['id']}")
         if not hooks:
@@ -200,6 +200,17 @@ class GiteaAdministration:
             return True
         self._call("PATCH", f"{path}/{hooks[0]['id']}", wanted)
         return set(hooks[0].get("events") or []) != shown or not hooks[0].get("active")
+
+    def remove_webhook(self, repository: str, url: str) -> bool:
+        """Remove the webhooks of a repository to `url`."""
+        path = f"/repos/{repository}/hooks"
+        hooks = self._webhooks(path, url)
+        for hook in hooks:
+            self._call("DELETE", f"{path}/{hook['id']}")
+        return bool(hooks)
+
+    def _webhooks(self, path: str, url: str) -> list[Any]:
+        return [hook for hook in self._pages(path) if (hook.get("config") or {}).get("url") == url]
 
     def _find(self, path: str) -> Any:
         """The object at a path; None when it is not there."""

@@ -78,13 +78,22 @@ class Webhook:
 
 
 @dataclass(frozen=True)
+class FormerWebhook:
+    """Deliveries of `repository`'s events to a `url` at which nobody answers any more."""
+
+    repository: str
+    url: str
+
+
+@dataclass(frozen=True)
 class ForgeSetup:
-    """What the forge has to hold."""
+    """What the forge has to hold, and `former_webhooks` that it must not."""
 
     accounts: tuple[ForgeAccount, ...]
     organisations: tuple[Organisation, ...]
     repositories: tuple[Repository, ...]
     webhooks: tuple[Webhook, ...]
+    former_webhooks: tuple[FormerWebhook, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -178,7 +187,8 @@ class Bootstrap:
         log.info("step done step=%r changed=%s", what, str(changed).lower())
 
     def forge(self, setup: ForgeSetup, forge: ForgeAdministration) -> None:
-        """Accounts, organisations, repositories with their seed, teams, protection, webhooks, in that order."""
+        """Accounts, organisations, repositories with their seed, teams, protection, webhooks, in that order; webhooks
+        to former addresses go when those to today's are there."""
         self._step("forge answers", forge.answers)
         for account in setup.accounts:
             self._step(f"account {account.name}", lambda a=account: forge.make_account(a.name, a.password))  # type: ignore[misc]
@@ -197,6 +207,11 @@ class Bootstrap:
             self._step(
                 f"webhook {hook.repository} to {hook.url}",
                 lambda h=hook: forge.make_webhook(h.repository, h.url, h.events, h.secret),  # type: ignore[misc]
+            )
+        for former in setup.former_webhooks:
+            self._step(
+                f"no webhook {former.repository} to {former.url}",
+                lambda f=former: forge.remove_webhook(f.repository, f.url),  # type: ignore[misc]
             )
 
     def _repository(self, repository: Repository, forge: ForgeAdministration) -> None:

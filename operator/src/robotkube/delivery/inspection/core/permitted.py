@@ -69,9 +69,9 @@ class Permitted:
     def is_judged(self, namespace: str) -> bool:
         """Whether images and makers of pods matter there: Argo CD and others are known where the cluster is ours."""
         domain = self.domain
-        return domain.elsewhere or namespace in (*domain.agents, *domain.tests, domain.platform)
+        return domain.elsewhere or namespace in (*domain.agents, *domain.tests, *domain.of_the_platform)
 
     def is_ours(self, namespace: str) -> bool:
-        """Whether a namespace is one of agents, tests, the platform or Argo CD."""
+        """Whether a namespace is one of agents, tests, the platform, its gate or Argo CD."""
         domain = self.domain
-        return namespace in (*domain.agents, *domain.tests, domain.platform, domain.argocd)
+        return namespace in (*domain.agents, *domain.tests, *domain.of_the_platform, domain.argocd)

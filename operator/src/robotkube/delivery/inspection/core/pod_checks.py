@@ -99,7 +99,7 @@ def _of_pod(pod: KubeletPod, permitted: Permitted, now: float) -> Iterator[Stran
         yield from _added(pod)
     if pod.namespace in domain.agents:
         yield from _release(pod, permitted)
-    elif pod.namespace in _closed(permitted) and pod.owner[0] not in MAKERS:
+    elif pod.namespace in domain.of_the_platform and pod.owner[0] not in MAKERS:
         text = f"pod {pod.namespace}/{pod.name}: no controller made it, and in this namespace they alone do. Delete it"
         yield _stranger(pod, NO_CONTROLLER, text)
 
@@ -119,12 +119,6 @@ def _way_to_the_machine(spec: Mapping[str, Any]) -> str:
             if added:
                 ways.append(f"container {entry.get('name')} has {', '.join(sorted(added))}")
     return ", ".join(ways)
-
-
-def _closed(permitted: Permitted) -> tuple[str, ...]:
-    """Namespaces besides the agents' in which controllers alone make pods."""
-    domain = permitted.domain
-    return tuple(name for name in (domain.platform, domain.argocd) if permitted.is_judged(name))
 
 
 def _images(pod: KubeletPod, permitted: Permitted) -> Iterator[Stranger]:

@@ -75,6 +75,12 @@ class Reader:
             return ""
         return value
 
+    def truth(self, value: Any, path: str) -> bool:
+        """The value `true` or `false`; no when it is a problem."""
+        if not isinstance(value, bool):
+            self.problems.append(f"{path}: must be true or false")
+        return value is True
+
     def sequence(self, value: Any, path: str) -> list[Any]:
         """The list `value`; empty when it is missing or a problem."""
         if value is None:

@@ -113,10 +113,12 @@ class ResourceWatch:
         reduce: Callable[[Object], Any],
         changed: Callable[[str, Any, Any], None],
         jitter: Random = random.random,
+        field_selector: str = "",
     ) -> None:
+        """`selector` of labels; `field_selector` such as `metadata.name=one`, for an account that may watch one."""
         self._api = api
         self._path = path
-        self._selector = selector
+        self._selectors = [("labelSelector", selector), ("fieldSelector", field_selector)]
         self._reduce = reduce
         self._changed = changed
         self._jitter = jitter
@@ -157,7 +159,7 @@ class ResourceWatch:
     def _list(self) -> str:
         """Read all objects anew, and return the version from which changes follow."""
         values: dict[str, Any] = {}
-        query = [("limit", str(PAGE_OBJECTS)), ("labelSelector", self._selector)]
+        query = [("limit", str(PAGE_OBJECTS)), *self._selectors]
         version = ""
         token = ""
         for _ in range(PAGES_MAX):
@@ -183,7 +185,7 @@ class ResourceWatch:
             ("allowWatchBookmarks", "true"),
             ("resourceVersion", version),
             ("timeoutSeconds", str(WATCH_SECONDS)),
-            ("labelSelector", self._selector),
+            *self._selectors,
         ]
         answer = call(self._api, "GET", self._path, query, seconds=SILENCE_SECONDS_MAX)
         try:

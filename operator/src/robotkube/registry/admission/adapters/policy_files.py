@@ -50,6 +50,10 @@ class PolicyFiles:
         _replace(self.policies, self._folder, text)
         return True
 
+    def intact(self) -> bool:
+        """Always: who may write this machine's files is beyond this."""
+        return True
+
     def _configuration(self) -> dict[str, Any]:
         api = "apiserver.config.k8s.io/v1"
         folder = {"staticManifestsDir": str(self._manifests)}

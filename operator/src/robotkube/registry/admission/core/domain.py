@@ -31,16 +31,17 @@ KEEPERS = (
 
 @dataclass(frozen=True)
 class Domain:
-    """Namespaces of `agents` (releases run there), of `tests` (suites try charts there), of the platform and of Argo
-    CD; `charts` is the one place of charts that may run, as `oci://<host>/<organisation>`. `elsewhere`: all other
-    namespaces of the cluster are judged too, which is right only where nobody else uses it. `volumes`: the one folder
-    of machines that volumes may be in; empty where that is not known here. `remover`: the platform's account that may
-    take away what no chart renders; empty where nobody may."""
+    """Namespaces of `agents` (releases run there), of `tests` (suites try charts there), of the platform, of its gate
+    and of Argo CD; `charts` is the one place of charts that may run, as `oci://<host>/<organisation>`. `elsewhere`: all
+    other namespaces of the cluster are judged too, which is right only where nobody else uses it. `volumes`: the one
+    folder of machines that volumes may be in; empty where that is not known here. `remover`: the platform's account
+    that may take away what no chart renders; empty where nobody may."""
 
     agents: tuple[str, ...]
     tests: tuple[str, ...]
     charts: str
     platform: str = "robotkube"
+    gate: str = "robotkube-gate"
     argocd: str = "argocd"
     elsewhere: bool = False
     volumes: str = ""
@@ -48,7 +49,7 @@ class Domain:
 
     def __post_init__(self) -> None:
         """InputError names what is no name: policies are made of these words, so nothing else may stand in them."""
-        for name in (*self.agents, *self.tests, self.platform, self.argocd):
+        for name in (*self.agents, *self.tests, self.platform, self.gate, self.argocd):
             if not NAME.fullmatch(name):
                 raise InputError(f"admission: {name[:120]!r} is no name of a namespace")
         if self.remover and not NAME.fullmatch(self.remover):
@@ -57,6 +58,12 @@ class Domain:
             raise InputError(f"admission: {self.charts[:200]!r} must be oci://<host>/<organisation>")
         if self.volumes and not FOLDER.fullmatch(self.volumes):
             raise InputError(f"admission: {self.volumes[:200]!r} must be an absolute folder, of plain characters")
+
+    @property
+    def of_the_platform(self) -> tuple[str, ...]:
+        """Namespaces in which the platform's images run. Argo CD's counts where its images are known: where the whole
+        cluster is ours."""
+        return (self.platform, self.gate, *([self.argocd] if self.elsewhere else []))
 
     @property
     def application_controller(self) -> str:

@@ -24,11 +24,12 @@ Statements = Mapping[str, VerifiedStatement | str]
 @dataclass(frozen=True)
 class AllowedVersions:
     """Charts and images that may run, as `Allowed` has them, and why versions that call themselves verified are not
-    among them (a sentence each)."""
+    among them (a sentence each). `commit`: of main, which this is the list of; empty where nobody knows."""
 
     charts: tuple[str, ...] = ()
     verified: tuple[str, ...] = ()
     problems: tuple[str, ...] = ()
+    commit: str = ""
 
     def with_platform(self, digests: tuple[str, ...]) -> Allowed:
         """The whole list, with the digests of the platform's images."""

@@ -6,6 +6,7 @@ for 1,000 digests. An expression has at most 100,000 characters (cel-go), so lon
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -65,11 +66,19 @@ class Parameters:
 
 
 AT = "@sha256:"
+PARAMETER_KEY = re.compile(r"(?P<prefix>[a-z]+)(\.(?P<chart>.+))?\.(?P<hex>[0-9a-f]{64})")
 
 
 def parameter_keys(prefix: str, words: Iterable[str]) -> dict[str, str]:
     """Entries of the ConfigMap for digests, or for charts as `<name>@<digest>`."""
     return {f"{prefix}.{word.replace(AT, '.').removeprefix('sha256:')}": "" for word in words}
+
+
+def parameter_words(prefix: str, keys: Iterable[str]) -> tuple[str, ...]:
+    """The words of which `parameter_keys` made these keys; what it did not make is left out."""
+    found = (PARAMETER_KEY.fullmatch(key) for key in keys)
+    parts = [(key["chart"] or "", key["hex"]) for key in found if key and key["prefix"] == prefix]
+    return tuple(sorted(f"{chart}{AT}{digest}" if chart else f"sha256:{digest}" for chart, digest in parts))
 
 
 def texts(words: Iterable[str]) -> str:

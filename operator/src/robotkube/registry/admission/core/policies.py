@@ -39,6 +39,7 @@ from robotkube.registry.admission.core.expressions import (
 from robotkube.registry.admission.core.lists import Literals, Lookup, Parameters, parameter_keys, texts
 
 FILE_SUFFIX = ".static.k8s.io"
+API_POLICIES = tuple(f"robotkube-{name}" for name in ("agents", "tests", "platform", "applications", "projects"))
 LIST = "admission-list"
 PLATFORM_LIST = "admission-platform"
 DIGEST_FORM = "^[^@]+@sha256:[0-9a-f]{64}$"
@@ -149,7 +150,6 @@ def _tests(domain: Domain) -> Policy:
 
 
 def _platform(domain: Domain, lookup: Lookup) -> Policy:
-    """Argo CD's namespace counts where its images are known: where the whole cluster is ours."""
     pods = Validation(
         f"!({CREATING}) || {RESOURCE} != 'pods' || {one_of(PODS)}",
         sentence(
@@ -158,12 +158,17 @@ def _platform(domain: Domain, lookup: Lookup) -> Policy:
             ": in the platform's namespaces controllers alone make pods. Change the values of the chart",
         ),
     )
-    place = Place((domain.platform, *([domain.argocd] if domain.elsewhere else [])))
-    return _workloads("platform", place, _unlisted(lookup), [_images(NOT_OF_THE_PLATFORM), pods], lookup.parameters)
+    return _workloads(
+        "platform",
+        Place(domain.of_the_platform),
+        _unlisted(lookup),
+        [_images(NOT_OF_THE_PLATFORM), pods],
+        lookup.parameters,
+    )
 
 
 def _elsewhere(domain: Domain, lookup: Lookup) -> Policy:
-    place = Place((*domain.agents, *domain.tests, domain.platform, domain.argocd), others=True)
+    place = Place((*domain.agents, *domain.tests, domain.platform, domain.gate, domain.argocd), others=True)
     return _workloads("elsewhere", place, _unlisted(lookup), [_images(NOT_KNOWN)], lookup.parameters)
 
 

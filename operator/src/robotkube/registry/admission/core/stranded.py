@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +12,19 @@ from robotkube.registry.admission.core.domain import Domain
 from robotkube.registry.charts.core.pod_images import pod_images
 
 Object = Mapping[str, Any]
+KINDS = {
+    "/api/v1/pods": "Pod",
+    "/api/v1/podtemplates": "PodTemplate",
+    "/api/v1/replicationcontrollers": "ReplicationController",
+    "/apis/apps/v1/daemonsets": "DaemonSet",
+    "/apis/apps/v1/deployments": "Deployment",
+    "/apis/apps/v1/replicasets": "ReplicaSet",
+    "/apis/apps/v1/statefulsets": "StatefulSet",
+    "/apis/batch/v1/cronjobs": "CronJob",
+    "/apis/batch/v1/jobs": "Job",
+}
+"""Where the API lists what the policies judge in namespaces, and the kind, which items of lists do not say."""
+APPLICATIONS = "/apis/argoproj.io/v1alpha1/applications"
 
 
 @dataclass(frozen=True, order=True)
@@ -40,6 +53,13 @@ def stranded(objects: Iterable[Object], domain: Domain, allowed: Allowed) -> tup
     return tuple(sorted(found))
 
 
+def counted(found: Sequence[Stranded], allowed: Allowed) -> str:
+    """The verdict in one line."""
+    counts = f"{len(allowed.charts)} charts, {len(allowed.verified)} images, {len(allowed.platform)} of the platform"
+    verdict = f"{len(found)} objects would be stranded" if found else "nothing would be stranded"
+    return f"{verdict} ({counts} listed)"
+
+
 def _application(item: Object, domain: Domain, allowed: Allowed) -> Iterator[str]:
     source = item["spec"].get("source", {})
     address, revision = str(source.get("repoURL", "")), str(source.get("targetRevision", ""))
@@ -59,7 +79,7 @@ def _workload(item: Object, domain: Domain, allowed: Allowed) -> Iterator[str]:
         if not is_listed(reference, namespace, domain, allowed):
             yield f"image {reference or '(none)'} is not listed for this namespace"
     owners = item["metadata"].get("ownerReferences", [])
-    closed = (*domain.agents, domain.platform, domain.argocd)
+    closed = (*domain.agents, *domain.of_the_platform)
     if item["kind"] == "Pod" and namespace in closed and not any(owner.get("controller") for owner in owners):
         yield "no controller made this pod"
 
@@ -68,11 +88,11 @@ def is_listed(reference: str, namespace: str, domain: Domain, allowed: Allowed) 
     """Whether an image may run in a namespace, by the policies' rules."""
     repository, _, digest = reference.partition("@")
     if not repository or not DIGEST.fullmatch(digest):
-        return not (domain.elsewhere or namespace in (*domain.agents, *domain.tests, domain.platform, domain.argocd))
+        return not (domain.elsewhere or namespace in (*domain.agents, *domain.tests, *domain.of_the_platform))
     if namespace in domain.tests:
         return True
     if namespace in domain.agents:
         return digest in allowed.verified
-    if namespace in (domain.platform, domain.argocd):
+    if namespace in domain.of_the_platform:
         return digest in allowed.platform
     return not domain.elsewhere or digest in allowed.platform or digest in allowed.verified

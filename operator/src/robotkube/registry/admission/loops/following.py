@@ -7,13 +7,15 @@ file never look like a withdrawal.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 from robotkube.errors import DocumentError, InputError
 from robotkube.foundation.documents.core.digests import sha256
 from robotkube.registry.admission.core.domain import Domain
+from robotkube.registry.admission.core.list_objects import documents_for_api
 from robotkube.registry.admission.core.listing import VERIFIED, AllowedVersions, listing
 from robotkube.registry.admission.core.policies import for_files
 from robotkube.registry.admission.ports import CatalogueHistory, ListingMemory, PolicyPlace
@@ -38,6 +40,7 @@ class CatalogueListing:
         self._repository = repository
         self._verifier = verifier
         self._verify = lru_cache(ENVELOPES_CACHED_MAX)(self._outcome)
+        self.tip = ""  # of main as it was seen last
         self._seen = ""  # the commit until which history was read
         self._earlier: dict[tuple[str, ...], ChartVersion] = {}  # by all that is signed of an entry
         self._summaries: dict[str, str] = {}  # by the digest of the envelope
@@ -48,6 +51,7 @@ class CatalogueListing:
 
         UnavailableError when the forge does not answer, InputError when a key cannot be read."""
         tip = self._repository.fetch()
+        self.tip = tip
         keys = self._verifier.trusted()
         if not tip or (tip, keys) == self._key:
             return None
@@ -60,7 +64,7 @@ class CatalogueListing:
         versions = [*filter(None, current.values()), *self._earlier.values()]
         named = {version.evidence for version in versions} & set(self._summaries)
         statements = {digest: self._verify(self._summaries[digest]) for digest in named}
-        result = listing(current, self._earlier.values(), statements)
+        result = replace(listing(current, self._earlier.values(), statements), commit=tip)
         self._key = (tip, keys)
         return result
 
@@ -119,6 +123,20 @@ class Surroundings:
     platform: tuple[str, ...]
 
 
+Form = Callable[[Surroundings, AllowedVersions], Sequence[Mapping[str, Any]]]
+"""What a place gets written for surroundings and a list."""
+
+
+def form_of_files(around: Surroundings, found: AllowedVersions) -> Sequence[Mapping[str, Any]]:
+    """Policies with the list in them."""
+    return for_files(around.domain, found.with_platform(around.platform))
+
+
+def form_of_objects(around: Surroundings, found: AllowedVersions) -> Sequence[Mapping[str, Any]]:
+    """Policies, and beside them the list; the platform's images are listed by who installs it."""
+    return documents_for_api(around.domain, found)
+
+
 class Following:
     """The policies of a place, kept to what a catalogue lists. `surroundings` are asked each time: agents join, and
     images come. Until the catalogue has been read, the list is that of `memory`: in a new cluster the platform's images
@@ -130,36 +148,49 @@ class Following:
         place: PolicyPlace,
         surroundings: Callable[[], Surroundings],
         memory: ListingMemory,
+        form: Form = form_of_files,
     ) -> None:
         self._catalogue = catalogue
         self._place = place
         self._surroundings = surroundings
         self._memory = memory
+        self._form = form
+        self._listing: AllowedVersions | None = None
         self._written: tuple[Surroundings, AllowedVersions] | None = None
-        self._listing = memory.load()
+
+    @property
+    def tip(self) -> str:
+        """Main's tip as it was seen last; empty before that."""
+        return self._catalogue.tip
+
+    @property
+    def written(self) -> AllowedVersions | None:
+        """The list that was written last; None when this process has written none yet."""
+        return self._written[1] if self._written else None
 
     def step(self) -> bool:
         """One look at surroundings and catalogue; whether the policies changed.
 
         Raises what `CatalogueListing.read` does, and InputError for what makes no policies; then they stay."""
-        changed = self._write()
+        if self._listing is None:
+            self._listing = self._memory.load()
+        changed = self._write(self._listing)
         found = self._catalogue.read()
         if found is None:
             return changed
         for problem in found.problems:
             log.warning("admission: %s", problem)
         self._listing = found
-        changed = self._write() or changed
+        changed = self._write(found) or changed
         self._memory.save(found)
         return changed
 
-    def _write(self) -> bool:
-        wanted = (self._surroundings(), self._listing)
-        if wanted == self._written:
+    def _write(self, found: AllowedVersions) -> bool:
+        around = self._surroundings()
+        if (around, found) == self._written and self._place.intact():
             return False
-        around, found = wanted
-        changed = self._place.write(for_files(around.domain, found.with_platform(around.platform)))
-        self._written = wanted
+        changed = self._place.write(self._form(around, found))
+        self._written = (around, found)
         if changed:
             counts = (len(found.charts), len(found.verified), len(around.platform))
             log.info("admission policies written charts=%d images=%d platform_images=%d", *counts)

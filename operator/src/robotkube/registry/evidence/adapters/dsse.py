@@ -57,7 +57,7 @@ class KeyFile:
 
     def __init__(self, path: Path) -> None:
         """InputError names the file when it holds no such key; its content is never shown."""
-        self._key = _private_key(path)
+        self._key = read_private_key(path)
         self._public = self._key.public_key()
         self.key_id = key_id(self._public)
         self.public_key = self._public.public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo).decode()
@@ -114,7 +114,8 @@ def key_id(key: Ed25519PublicKey) -> str:
     ]
 
 
-def _private_key(path: Path) -> Ed25519PrivateKey:
+def read_private_key(path: Path) -> Ed25519PrivateKey:
+    """The key in a PEM file; InputError names the file when it holds none, and never shows its content."""
     try:
         key = load_pem_private_key(path.read_bytes()[:KEY_BYTES_MAX], None)
     except OSError as error:
