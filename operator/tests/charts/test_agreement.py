@@ -70,6 +70,12 @@ def test_the_remover_reads_the_settings_the_chart_writes(official: Any, tmp_path
     assert container["ports"] == [{"name": "health", "containerPort": settings.listen.port}]
 
 
+def test_the_inspector_judges_the_gates_namespace_as_the_platforms(helm: Any, tmp_path: Path) -> None:
+    rendered = helm.template(CHARTS / "robotkube", PROFILES / "official.yaml", gate={"namespace": "signing"})
+    settings = read_settings(mounted(rendered, "inspector", tmp_path), inspector.read_configuration)
+    assert settings.installation.domain.of_the_platform == ("robotkube", "signing")
+
+
 def test_the_job_that_makes_the_key_reads_the_settings_the_chart_writes(official: Any, tmp_path: Path) -> None:
     found = read_settings(mounted(official, "gate-key", tmp_path), gate_key.read_configuration)
     assert found.namespaces == (found.namespace, "robotkube") == ("robotkube-gate", "robotkube")

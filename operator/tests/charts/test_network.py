@@ -3,6 +3,7 @@ docs/reference/network.md says, and deny everything else."""
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -299,6 +300,15 @@ def test_what_stands_elsewhere_is_reached_at_its_port_alone(helm: Any) -> None:
     assert reached("robotkube", "manager") == {443, 8443, 8883, 4318}
     assert reached("vehicle-00") == {8883}
     assert reached("cloud-0") == {8883, 27018}
+
+
+def test_every_part_of_the_chart_may_be_given_further_rules() -> None:
+    table = yaml.safe_load((PLATFORM / "files" / "network.yaml").read_text(encoding="utf-8"))
+    parties = [name for name, party in table["parties"].items() if party["namespaces"] != "argocd"]
+    schema = json.loads((PLATFORM / "values.schema.json").read_text(encoding="utf-8"))
+    values = schema["properties"]["networkPolicies"]["properties"]
+    for key in ("extraIngress", "extraEgress"):
+        assert values[key]["propertyNames"]["enum"] == parties
 
 
 def test_further_rules_reach_the_pods_they_are_for(helm: Any) -> None:

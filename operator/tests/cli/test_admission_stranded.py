@@ -36,7 +36,9 @@ CONFIG_MAPS = "/api/v1/namespaces/robotkube/configmaps"
 def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
     """A platform without admission, with an agent, and Argo CD by a tag as its own manifests have it."""
     with judged_api_server(tmp_path_factory.mktemp("api"), None) as (found, _):
-        for name, labels in (("robotkube", {}), ("argocd", {}), ("vehicle-00", {"robotkube.io/agent": "vehicle-00"})):
+        gate = {"app.kubernetes.io/part-of": "robotkube", "app.kubernetes.io/component": "gate"}
+        agent = {"robotkube.io/agent": "vehicle-00"}
+        for name, labels in (("robotkube", {}), ("signing", gate), ("argocd", {}), ("vehicle-00", agent)):
             found.done("POST", "/api/v1/namespaces", {"metadata": {"name": name, "labels": labels}})
         images = {"images.yaml": write_mapping({"platform": image(2), "ros": image(4)})}
         found.done("POST", CONFIG_MAPS, {"metadata": {"name": "platform-images"}, "data": images})
@@ -73,6 +75,7 @@ def test_what_would_not_start_again_is_named_with_the_reason(
 ) -> None:
     api.done("POST", path("Deployment", "vehicle-00"), workload("Deployment", image(3), "stranger"))
     api.done("POST", path("Deployment", "robotkube"), workload("Deployment", image(3), "patched"))
+    api.done("POST", path("Deployment", "signing"), workload("Deployment", image(3), "another"))
     made: dict[str, Any] = application()
     made["spec"]["destination"]["namespace"] = "elsewhere"
     api.done("POST", APPLICATIONS, made)
@@ -83,9 +86,10 @@ def test_what_would_not_start_again_is_named_with_the_reason(
         "catalogue's main",
         "argocd/application/vehicle-00-detector: namespace elsewhere is no agent's",
         f"robotkube/deployment/patched: image {image(3)} is not listed for this namespace",
+        f"signing/deployment/another: image {image(3)} is not listed for this namespace",
         f"vehicle-00/deployment/stranger: image {image(3)} is not listed for this namespace",
     ]
-    assert "4 objects would be stranded" in printed.err
+    assert "5 objects would be stranded" in printed.err
 
 
 def test_without_a_platform_it_says_what_is_missing(

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from ci import evidence
+from ci import evidence, installation
 from ci.cluster import __main__ as commands
 from ci.cluster import admission, control_plane, topology
 from ci.cluster.addresses import plan_of
@@ -94,6 +94,10 @@ def test_the_api_server_is_started_with_the_files_only_where_they_are_enforced(f
         "--feature-gates=ManifestBasedAdmissionControlConfig=true",
         f"--admission-control-config-file={admission.folder(folders) / 'admission.yaml'}",
     }
+
+
+def test_the_gates_namespace_is_judged_where_the_installer_has_it(folders: ClusterFolders) -> None:
+    assert installation.GATE in admission.surroundings(folders).domain.of_the_platform
 
 
 def test_who_joins_and_what_is_imported_later_counts(folders: ClusterFolders) -> None:

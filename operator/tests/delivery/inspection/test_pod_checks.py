@@ -195,6 +195,7 @@ def test_a_pod_that_the_kubelet_does_not_know_is_named_unless_it_knew_it_lately(
     ("namespace", "elsewhere", "expected"),
     [
         ("robotkube", False, ["ForeignImage", "NoController"]),
+        ("robotkube-gate", False, ["ForeignImage", "NoController"]),
         ("argocd", True, ["ForeignImage", "NoController"]),
         ("argocd", False, []),
         ("robotkube-suite-0", False, []),
@@ -208,7 +209,8 @@ def test_other_namespaces(namespace: str, elsewhere: bool, expected: list[str]) 
 
 def test_pods_of_the_platform_and_of_its_jobs_are_none() -> None:
     for owner in [("ReplicaSet", "gate-1"), ("Job", "bootstrap"), ("StatefulSet", "forge")]:
-        assert not _seen(pod_object("robotkube", owner=owner, image=PLATFORM_IMAGE))
+        for namespace in ("robotkube", "robotkube-gate"):
+            assert not _seen(pod_object(namespace, owner=owner, image=PLATFORM_IMAGE))
 
 
 def test_an_image_of_the_platform_without_a_digest_is_known_by_its_name() -> None:

@@ -36,7 +36,7 @@ from tests.stages.waiting import until
 
 pytestmark = [pytest.mark.toolchain]  # a server of its own
 POLICIES = "/apis/admissionregistration.k8s.io/v1/validatingadmissionpolicies"
-NAMESPACES = ("vehicle-00", "cloud-0", "robotkube-suite-0", "robotkube", "argocd", "elsewhere")
+NAMESPACES = ("vehicle-00", "cloud-0", "robotkube-suite-0", "robotkube", "robotkube-gate", "argocd", "elsewhere")
 MAKERS = {"vehicle-00": REPLICA_SETS, "robotkube-suite-0": SUITE_RUNNER, "robotkube": REPLICA_SETS}
 OTHERS = {"vehicle-00": ADMINISTRATOR, "robotkube-suite-0": ADMINISTRATOR, "robotkube": ADMINISTRATOR}
 DRY = "?dryRun=All"
@@ -239,7 +239,7 @@ def test_containers_are_not_added_to_pods_under_test(api: Api) -> None:
     api.done("DELETE", f"{place}/tried?gracePeriodSeconds=0")
 
 
-@pytest.mark.parametrize("namespace", ["robotkube", "argocd"])
+@pytest.mark.parametrize("namespace", ["robotkube", "robotkube-gate", "argocd"])
 def test_the_platform_runs_its_own_images(api: Api, namespace: str) -> None:
     api.done("POST", path("Deployment", namespace) + DRY, workload("Deployment", OF_THE_PLATFORM))
     api.done("POST", path("Pod", namespace) + DRY, pod(OF_THE_PLATFORM), REPLICA_SETS)
