@@ -102,6 +102,12 @@ class Stage:
         documents = [one for one in self.platform.access.tasks() if one["metadata"]["namespace"] == namespace]
         return {f"{namespace}/{one['metadata']['name']}": one for one in documents}
 
+    def withdrawn(self) -> set[str]:
+        """Tasks that releases on main name and that are gone: what the next plan takes away."""
+        named = {task for release in self.releases() for task in self.annotation_of(release).split()}
+        there = (one["metadata"] for one in self.platform.access.tasks())
+        return named - {f"{one['namespace']}/{one['name']}" for one in there}
+
     def condition(self, key: str, kind: str = "Accepted") -> Mapping[str, str]:
         """A condition of a task, empty while it has none: what its submitter reads."""
         found = self.platform.access.task(*key.split("/", 1)) or {}
@@ -268,12 +274,14 @@ class Stage:
 
 @contextmanager
 def on_stage(platform: Platform) -> Iterator[Stage]:
-    """A stage that begins with everything as main asks for, and ends with main asking for what it did before."""
+    """A stage that begins with everything as main asks for and nothing on main that is being taken away, and ends with
+    main asking for what it did before."""
     eventually("all Applications synced and healthy", platform.settled, SETTLED_SECONDS_MAX)
     forge, story = platform.access.endpoint("forge"), platform.scenario.story
     person, approver = (platform.access.forge_account(name) for name in (story.person, story.approver))
     with Deployment(forge, *person, approver=approver) as deployment:
         stage = Stage(platform, deployment)
+        eventually("main has releases of no task that is gone", lambda: not stage.withdrawn(), SETTLED_SECONDS_MAX)
         before = set(stage.releases())
         yield stage
         for key in stage.submitted:
