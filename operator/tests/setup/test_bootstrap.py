@@ -160,4 +160,4 @@ def test_teams_give_the_fewest_rights(installation: Installation) -> None:
     assert teams["staging/packages-write"].members == {"gate"}
     assert teams["staging/packages-write"].units == {"repo.packages": "write"}
     assert teams["verified/packages-write"].members == {"gate"}
-    assert teams["verified/packages-read"].members == {"manager", "argocd", "suite-runner"}
+    assert teams["verified/packages-read"].members == {"manager", "argocd", "suite-runner", "inspector"}
