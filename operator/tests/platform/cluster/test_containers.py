@@ -41,9 +41,10 @@ def ctr(platform: Platform) -> Iterator[Ctr]:
 
 
 def inspection(platform: Platform, node: str) -> dict[str, Any]:
-    """What stands of a machine in the cluster."""
+    """What stands of a machine in the cluster; the remover's condition stays where it has been."""
     status = platform.get("-n", "robotkube", "inspections", f"machine.{node}")["status"]
-    return {**status, "conditions": {one["type"]: one["status"] for one in status["conditions"]}}
+    conditions = {one["type"]: one["status"] for one in status["conditions"] if one["type"] != "Removed"}
+    return {**status, "conditions": conditions}
 
 
 def strangers(platform: Platform) -> list[str]:
