@@ -95,6 +95,7 @@ def _processes(platform: Platform, what: str) -> list[Process]:
     return [one for one in recorded(ClusterFolders(platform.name)) if one.name == f"{AGENT}.{what}"]
 
 
+@pytest.mark.thorough
 def test_a_static_pod_is_named(platform: Platform, tmp_path: Path) -> None:
     pause = next(one for one in images.read_lock(images.lock_file()) if one.name == images.SANDBOX)
     manifest = {

@@ -13,6 +13,7 @@ from robotkube.registry.admission.core.domain import account
 from tests.stages.paths import CHARTS
 from tests.stages.platform.running_platform import Platform, eventually
 
+pytestmark = pytest.mark.thorough
 AGENT, RELEASE = "vehicle-02", "mqtt-bridge"
 GONE_SECONDS_MAX = 30
 SETTLED_SECONDS_MAX = 60
