@@ -39,12 +39,16 @@ from robotkube.errors import InputError
 from robotkube.foundation.documents.core.times import time_text
 from robotkube.foundation.kubernetes.adapters.http_client import ApiServer
 from robotkube.foundation.runtime.settings_file import read_settings
+from robotkube.registry.admission import __main__ as admission
 from robotkube.registry.admission.core.domain import APPLICATION_CONTROLLER, account
-from robotkube.registry.admission.core.policies import LIST, list_entries
-from tests.charts.conftest import PLATFORM, PROFILES
+from robotkube.registry.admission.core.list_objects import documents_for_api
+from robotkube.registry.admission.core.listing import AllowedVersions
+from tests.charts.conftest import PLATFORM, Helm
+from tests.charts.test_admission import FILES
 from tests.stages.delivery.inspected_node import CHART, IMAGE, RENDERED, VERIFIED, permitted
 from tests.stages.kubernetes.installed_chart import Cluster, prepared_cluster
 from tests.stages.programs import free_port, program
+from tests.stages.settings_mounted import mounted
 from tests.stages.waiting import until
 
 pytestmark = pytest.mark.toolchain
@@ -126,18 +130,16 @@ class Stage:
 
 
 @pytest.fixture(scope="module")
-def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
+def stage(helm: Helm, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
     folder = tmp_path_factory.mktemp("api")
-    files = [
-        option
-        for path in (PLATFORM / "values-embedded.yaml", PROFILES / "embedded.yaml")
-        for option in ("-f", str(path))
-    ]
+    files = [option for path in FILES for option in ("-f", str(path))]
     switches = ("--set", "remover.enabled=true", "--set", "admission.enabled=true")
     with prepared_cluster(folder) as cluster:
         cluster.helm("install", "robotkube", str(PLATFORM), *files, *switches, "--no-hooks")
-        listed = {"apiVersion": "v1", "kind": "ConfigMap", "metadata": {"name": LIST, "namespace": "robotkube"}}
-        cluster.kubectl("create", "-f", "-", text=json.dumps({**listed, "data": list_entries((CHART,), (VERIFIED,))}))
+        rendered = helm.template(PLATFORM, *FILES, admission={"enabled": True}, remover={"enabled": True})
+        judged = read_settings(mounted(rendered, "admission", folder), admission.read_configuration).domain
+        written = documents_for_api(judged, AllowedVersions((CHART,), (VERIFIED,)))  # as the chart's process does
+        cluster.kubectl("apply", "-f", "-", text=json.dumps({"apiVersion": "v1", "kind": "List", "items": written}))
         server = yaml.safe_load(cluster.kubeconfig.read_text())["clusters"][0]["cluster"]["server"]
         for name, user in (("argocd", ARGOCD), ("controller", REPLICA_SETS)):  # as their rights in a cluster
             cluster.kubectl("create", "clusterrolebinding", name, "--clusterrole=cluster-admin", f"--user={user}")
