@@ -19,6 +19,7 @@ from robotkube.foundation.kubernetes.adapters import client
 
 OBJECTS_MAX = 5000
 PAGE_OBJECTS = 500
+PAGES_MAX = 200
 FORGE = "forge"
 EVIDENCE_KEYS = "evidence-keys"
 MADE_KEYS = "robotkube.io/made-keys"  # its annotation with the ConfigMap of keys that were made in the cluster
@@ -202,9 +203,10 @@ class Platform:
             raise InputError(f"no AppProject {name} in namespace {self._argocd}; see --argocd-namespace") from error
 
     def everything(self, path: str) -> Iterator[Mapping[str, Any]]:
-        """All objects of a kind, page after page; InputError when the cluster does not know the kind."""
+        """All objects of a kind, page after page; InputError when the cluster does not know the kind, or has more than
+        are asked for."""
         token = ""
-        while True:
+        for _ in range(PAGES_MAX):
             query = [("limit", str(PAGE_OBJECTS)), ("continue", token)]
             try:
                 page = self._read("GET", path, query)
@@ -214,6 +216,7 @@ class Platform:
             token = page["metadata"].get("continue", "")
             if not token:
                 return
+        raise InputError(f"the cluster has more than {PAGES_MAX * PAGE_OBJECTS} {path}; remove old ones")
 
     def _one(self, method: str, key: str, query: Sequence[tuple[str, str]] = ()) -> Mapping[str, Any]:
         namespace, separator, name = key.partition("/")

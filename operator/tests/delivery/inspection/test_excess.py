@@ -18,7 +18,7 @@ def rendered() -> dict[str, Any]:
         "image": "a@sha256:1",
         "env": [{"name": "A", "value": "1"}],
         "args": ["--one"],
-        "volumeMounts": [{"name": "tmp", "mountPath": "/work/a"}, {"name": "tmp", "mountPath": "/work/b"}],
+        "volumeMounts": [{"name": "tmp", "mountPath": "/data/a"}, {"name": "tmp", "mountPath": "/data/b"}],
         "ports": [{"name": "http", "containerPort": 8080}],
     }
     sources = [{"serviceAccountToken": {"path": "token"}}]
@@ -68,7 +68,7 @@ ADDED: dict[str, Any] = {
     f"{TEMPLATE}/containers/0/env/0": lambda o: container(o)["env"].insert(0, {"name": "A", "value": "2"}),
     f"{TEMPLATE}/containers/0/command": lambda o: container(o).update(command=["sh"]),
     f"{TEMPLATE}/containers/0/volumeMounts/2": lambda o: container(o)["volumeMounts"].append(
-        {"name": "tmp", "mountPath": "/work/c"}
+        {"name": "tmp", "mountPath": "/data/c"}
     ),
     f"{TEMPLATE}/containers/0/ports/1": lambda o: container(o)["ports"].append({"containerPort": 9090}),
     "/spec/template/metadata/annotations": lambda o: o["spec"]["template"]["metadata"].update(
