@@ -8,7 +8,6 @@ Who starts a container by a machine's own runtime asks neither API server nor ku
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -16,7 +15,7 @@ from pathlib import Path
 
 from ci.cluster import host_processes
 from ci.cluster.processes import Launcher, Process, recorded
-from ci.cluster.records import ClusterFolders, write_atomically
+from ci.cluster.records import ClusterFolders
 
 PROCESS = "containers"
 MODULE = "ci.cluster.following_containers"
@@ -41,7 +40,7 @@ class Report:
 
     def write(self, folders: ClusterFolders) -> None:
         """Replace the cluster's report."""
-        write_atomically(_report_file(folders), json.dumps(asdict(self)))
+        host_processes.keep_report(folders, PROCESS, self)
 
 
 def start_following(launcher: Launcher) -> Process:
@@ -52,7 +51,7 @@ def start_following(launcher: Launcher) -> Process:
 def status(folders: ClusterFolders, now: float | None = None) -> str:
     """What runs beside the kubelets, for people: a sentence, and a line for each stranger and each node that was not
     seen."""
-    report = _read_report(folders)
+    report = host_processes.read_report(folders, PROCESS, Report)
     log = folders.log / f"{PROCESS}.log"
     if not recorded(folders, PROCESS):
         return "containers: not looked at: the cluster has no process containers; start it anew"
@@ -72,14 +71,3 @@ def _lines(report: Report, log: Path) -> list[str]:
     lines = [f"  {text}" for _, texts in sorted(report.strangers.items()) for text in texts]
     lines += [f"  {node} was not looked at: {why}" for node, why in sorted(report.unseen.items())]
     return lines + ([f"  not written to the cluster: {report.problem} ({log})"] if report.problem else [])
-
-
-def _report_file(folders: ClusterFolders) -> Path:
-    return folders.base / f"{PROCESS}.json"
-
-
-def _read_report(folders: ClusterFolders) -> Report | None:
-    try:
-        return Report(**json.loads(_report_file(folders).read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError):
-        return None

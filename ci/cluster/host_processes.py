@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, TypeVar
 
 from ci.cluster.node_processes import AGAIN
 from ci.cluster.processes import Launcher, Process
-from ci.cluster.records import ClusterFolders
+from ci.cluster.records import ClusterFolders, write_atomically
 from ci.folders import PROJECT
 
+R = TypeVar("R")
 STARTED_AGAIN = ("/bin/sh", "-c", AGAIN, "again")
 
 
@@ -28,3 +33,20 @@ def environment() -> dict[str, str]:
     path = os.pathsep.join(str(PROJECT / part) for part in ("operator/src", "."))
     cache = {name: os.environ[name] for name in ("HOME", "XDG_CACHE_HOME") if name in os.environ}
     return {**cache, "PYTHONPATH": path, "PYTHONUNBUFFERED": "1"}
+
+
+def keep_report(folders: ClusterFolders, name: str, report: Any) -> None:
+    """Leave what a process last saw, a dataclass of plain values, for who asks how the cluster is."""
+    write_atomically(_report_file(folders, name), json.dumps(asdict(report)))
+
+
+def read_report(folders: ClusterFolders, name: str, kind: type[R]) -> R | None:
+    """What a process left last; None when there is nothing, or nothing that can be read."""
+    try:
+        return kind(**json.loads(_report_file(folders, name).read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError):
+        return None
+
+
+def _report_file(folders: ClusterFolders, name: str) -> Path:
+    return folders.base / f"{name}.json"

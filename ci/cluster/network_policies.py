@@ -9,18 +9,17 @@ Before a node starts a pod it has the rules of nobody: no pod reaches anything. 
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 from ci.cluster import host_processes, network
 from ci.cluster.network_rules import TABLE, Rulebook
 from ci.cluster.processes import Launcher, Process, recorded
-from ci.cluster.records import ClusterFolders, write_atomically
+from ci.cluster.records import ClusterFolders
 from ci.errors import InputError, SetUpError
 from robotkube.foundation.kubernetes.core import network_policies as semantics
 
@@ -54,7 +53,7 @@ class Report:
 
     def write(self, folders: ClusterFolders) -> None:
         """Replace the cluster's report."""
-        write_atomically(_report_file(folders), json.dumps(asdict(self)))
+        host_processes.keep_report(folders, PROCESS, self)
 
 
 def choice() -> str:
@@ -119,7 +118,7 @@ def status(folders: ClusterFolders, now: float | None = None) -> str:
         return f"network policies: not enforced (the cluster was started with {VARIABLE}={OFF})"
     if without:
         return f"network policies: NOT enforced on {', '.join(without)}: start the cluster anew"
-    report = _read_report(folders)
+    report = host_processes.read_report(folders, PROCESS, Report)
     if report is None or (time.time() if now is None else now) - report.at > SILENT_SECONDS_MAX:
         why = "the process network-policies does not follow"
     else:
@@ -146,14 +145,3 @@ def _run(holder: Process, *words: str) -> str:
 
 def _inside(holder: Process) -> Sequence[str]:
     return ("nsenter", f"--net=/proc/{holder.pid}/ns/net")
-
-
-def _report_file(folders: ClusterFolders) -> Path:
-    return folders.base / f"{PROCESS}.json"
-
-
-def _read_report(folders: ClusterFolders) -> Report | None:
-    try:
-        return Report(**json.loads(_report_file(folders).read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError):
-        return None
