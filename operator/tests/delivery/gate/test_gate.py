@@ -301,9 +301,7 @@ def test_what_the_catalogue_withdrew_is_refused_when_both_are_told_at_once(
     installation: Installation, gate: RunningGate, manager: Clone
 ) -> None:
     """The gate is busy while a version is withdrawn and a plan with it proposed; it reads the catalogue first."""
-    gate.gate.stop(gate.stopping)
-    gate.thread.join(20)
-    gate.server.stop()
+    pause(gate)
     path, plan = "charts/event-detector/0.2.2.yaml", installation.plan()
     number = installation.propose(
         manager, manager.commit(release_files(plan, "late"), message(plan), [manager.tip()]), plan
@@ -312,15 +310,47 @@ def test_what_the_catalogue_withdrew_is_refused_when_both_are_told_at_once(
     installation.publish({path: CATALOGUE[path].replace("state: verified", "state: withdrawn")})
     try:
         gate.gate.wake("push", {"repository": {"full_name": "robotkube/catalogue"}})
-        opened = {"number": number, "user": {"login": "manager"}, "head": {"sha": head}}
-        repository = {"full_name": "robotkube/deployment"}
-        gate.gate.wake("pull_request", {"repository": repository, "action": "opened", "pull_request": opened})
+        wake(gate, number, head)
         assert gate.gate.answer_hints() == 1
         shown("gate", installation.comments(number), "withdrawn-version")
         assert installation.pull_request(number)["state"] == "closed"
         assert not merged(installation, number)
     finally:
         installation.publish({path: CATALOGUE[path]})
+
+
+@pytest.mark.parametrize("instead", ["nothing", "another commit"])
+def test_what_is_not_proposed_any_more_is_not_merged(
+    installation: Installation, gate: RunningGate, manager: Clone, instead: str
+) -> None:
+    """The delivery that names a pull request comes when it is closed, or has another head."""
+    pause(gate)
+    plan, before = installation.plan(), manager.tip()
+    first, second = (manager.commit(release_files(plan, name), message(plan), [before]) for name in ("one", "two"))
+    number = installation.propose(manager, first, plan)
+    if instead == "nothing":
+        installation.close(number)
+    else:
+        assert manager.push(second, "refs/for/main", [f"topic={plan}", "force-push=true"]) == ""
+    wake(gate, number, first)
+    assert gate.gate.answer_hints() == 1
+    assert manager.tip() == before
+    gate.gate.round()
+    assert manager.tip() == (before if instead == "nothing" else second)
+
+
+def pause(gate: RunningGate) -> None:
+    """No thread of the gate runs any more, and no delivery reaches it: rounds are up to the test."""
+    gate.gate.stop(gate.stopping)
+    gate.thread.join(20)
+    gate.server.stop()
+
+
+def wake(gate: RunningGate, number: int, head: str) -> None:
+    """What the forge delivers when a manager proposes a commit."""
+    opened = {"number": number, "user": {"login": "manager"}, "head": {"sha": head}}
+    repository = {"full_name": "robotkube/deployment"}
+    gate.gate.wake("pull_request", {"repository": repository, "action": "opened", "pull_request": opened})
 
 
 def test_a_hook_that_nobody_took_is_sent_again(installation: Installation, tmp_path: Path, manager: Clone) -> None:

@@ -276,6 +276,10 @@ class Installation:
                 if answer.status_code != httpx.codes.PRECONDITION_FAILED:  # merged meanwhile
                     answer.raise_for_status()
 
+    def close(self, number: int) -> None:
+        """Close a pull request as its proposer would."""
+        self.client("gate").patch(f"/pulls/{number}", json={"state": "closed"}).raise_for_status()
+
     def comments(self, number: int) -> str:
         """All comments as one text."""
         return "\n".join(item["body"] for item in self.client("gate").get(f"/issues/{number}/comments").json())

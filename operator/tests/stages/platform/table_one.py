@@ -102,11 +102,13 @@ class Stage:
         documents = [one for one in self.platform.access.tasks() if one["metadata"]["namespace"] == namespace]
         return {f"{namespace}/{one['metadata']['name']}": one for one in documents}
 
-    def withdrawn(self) -> set[str]:
-        """Tasks that releases on main name and that are gone: what the next plan takes away."""
-        named = {task for release in self.releases() for task in self.annotation_of(release).split()}
-        there = (one["metadata"] for one in self.platform.access.tasks())
-        return named - {f"{one['namespace']}/{one['name']}" for one in there}
+    def standing(self) -> set[str]:
+        """Releases on main; fails while one names a task that is gone: the next plan takes it away."""
+        there = {f"{one['namespace']}/{one['name']}" for one in (one["metadata"] for one in self.platform.access.tasks())}
+        releases = set(self.releases())
+        if gone := {task for release in releases for task in self.annotation_of(release).split()} - there:
+            raise RunError(f"main has releases of {sorted(gone)}")
+        return releases
 
     def condition(self, key: str, kind: str = "Accepted") -> Mapping[str, str]:
         """A condition of a task, empty while it has none: what its submitter reads."""
@@ -281,8 +283,7 @@ def on_stage(platform: Platform) -> Iterator[Stage]:
     person, approver = (platform.access.forge_account(name) for name in (story.person, story.approver))
     with Deployment(forge, *person, approver=approver) as deployment:
         stage = Stage(platform, deployment)
-        eventually("main has releases of no task that is gone", lambda: not stage.withdrawn(), SETTLED_SECONDS_MAX)
-        before = set(stage.releases())
+        before = eventually("main has releases of no task that is gone", stage.standing, SETTLED_SECONDS_MAX)
         yield stage
         for key in stage.submitted:
             stage.withdraw(key)

@@ -275,6 +275,8 @@ class Gate:
             return
         case, pushed = self._joined(case)
         commit = case.commit
+        if case.mergeable and not self._still_proposed(case):
+            return
         judged = self._monotonic()
         before = self._main.tip
         merged = case.mergeable and self._merge(case, pushed, before)
@@ -305,6 +307,15 @@ class Gate:
         merge = merge_commit(self._main, self._commits, case.pull, case.commit, case.approvers)
         verdict = self._rules.judge(case.pull.author, self._rules.proposal(merge))
         return replace(case, verdict=verdict), merge.id
+
+    def _still_proposed(self, case: _Case) -> bool:
+        """Whether the pull request is open with what was judged: a webhook may come late, and judging takes a while, in
+        which whoever proposed it can close it or propose something else."""
+        now = self._forge.pull_request(case.pull.number)
+        if now.state == "open" and now.head == case.pull.head:
+            return True
+        log.info("proposal withdrawn number=%d state=%s head=%s", now.number, now.state, now.head[:12])
+        return False
 
     def _plans(self, pull: PullRequest) -> bool:
         """Whether its author is a manager."""
