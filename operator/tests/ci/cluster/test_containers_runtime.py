@@ -162,9 +162,11 @@ def test_the_process_names_it_where_nothing_can_be_written(foreign: LoneNode) ->
     until(lambda: "none beside the kubelets of 1 nodes" in containers.status(folders), "it looks")
     run(foreign, "default")
     until(lambda: "1 STARTED BESIDE THE KUBELETS" in containers.status(folders), "it is named", 15)
-    log = (folders.log / f"{containers.PROCESS}.log").read_text(encoding="utf-8")
-    assert log.count("not written to the cluster") == 2, "once, and once more with what runs beside the kubelet"
-    assert "container default/foreign on node vehicle-00 runs /probe" in log
+    log = folders.log / f"{containers.PROCESS}.log"
+    words = "container default/foreign on node vehicle-00 runs /probe"
+    until(lambda: words in log.read_text(encoding="utf-8"), "it is logged")
+    count = log.read_text(encoding="utf-8").count("not written to the cluster")
+    assert count == 2, "once, and once more with what runs beside the kubelet"
     end(foreign, "default")
     until(lambda: "none beside" in containers.status(folders), "it is gone", 15)
 
