@@ -83,12 +83,17 @@ class DataPath:
         """Whether the agent's bridge has been connected."""
         return '"connected"' in (self.folder / agent / f"{BRIDGE}.log").read_text()
 
-    def heard(self, agent: str) -> bool:
-        """Whether the agent's player has found a subscription for each topic that is bridged: what it publishes before
-        is lost."""
-        lines = _metrics(self.players[agent]).splitlines()
-        none = [f'robotkube_player_matched_subscriptions{{topic="{track.name}"}} 0' for track in self.bridged[agent]]
-        return bool(lines) and not set(none) & set(lines)
+    def unheard(self) -> dict[str, str]:
+        """Agent -> what its player lacks: topics that are bridged and that nobody has subscribed to, whose messages
+        would be lost; or that it does not answer."""
+        lacks = {agent: self._unheard(agent) for agent in self.agents}
+        return {agent: text for agent, text in lacks.items() if text}
+
+    def _unheard(self, agent: str) -> str:
+        lines = set(_metrics(self.players[agent]).splitlines())
+        count = 'robotkube_player_matched_subscriptions{{topic="{}"}} 0'
+        names = [track.name for track in self.bridged[agent] if count.format(track.name) in lines]
+        return ", ".join(names) if lines else "no answer"
 
     def order(self, start: int) -> None:
         """Let all players play from `start` (ns)."""

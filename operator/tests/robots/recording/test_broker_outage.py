@@ -19,6 +19,7 @@ from rosbags.typesys import Stores, get_typestore
 from robotkube.cli import main as cli
 from robotkube.cli.recordings import commands as cli_recordings
 from robotkube.cli.recordings.volumes import HOSTNAME
+from robotkube.robots.recording.core.audits import SOURCE
 from robotkube.robots.recording.loops.reading import audits, stored_messages
 from robotkube.robots.recording.loops.recorder import BEGIN_SECONDS_MAX
 from tests.stages.recording.database_server import DatabaseServer
@@ -43,6 +44,9 @@ CLOUDS = CLOUD.format(agent="vehicle_00")
 POSES = [POSE.format(agent=agent.replace("-", "_")) for agent in AGENTS]
 TRANSFORMS = TRANSFORM.format(agent="vehicle_00")
 BRIDGE = "mqtt-bridge of vehicle-00"
+PLACES = {BRIDGE, SOURCE}
+"""Where clouds are lost: the vehicle's bridge has no room for all; on a busy machine some do not even come so far,
+which the recorder concludes from the stamps that it received."""
 IN_FLIGHT_MAX = 10
 """Poses of one frame or two: what the broker has acknowledged and not passed on dies with it."""
 
@@ -99,8 +103,10 @@ def test_the_audit_has_what_the_ledgers_say_is_missing(way: RecordedPath) -> Non
         gaps
     )
     assert sum(gap.count or 0 for gap in gaps) == len(missing)
-    assert {stamp for gap in gaps for stamp in (gap.first, gap.last)} <= set(missing)
-    assert {gap.where for gap in gaps} == {BRIDGE}
+    told_by_bridge = [gap for gap in gaps if gap.where == BRIDGE]
+    assert told_by_bridge
+    assert {stamp for gap in told_by_bridge for stamp in (gap.first, gap.last)} <= set(missing)
+    assert {gap.where for gap in gaps} <= PLACES
     assert not any(gap.covers(stamp) for gap in gaps for stamp in clouds)
 
 
@@ -156,7 +162,7 @@ def test_verify_proves_the_checksums_and_names_the_gaps(
     assert (clouds["missing"], clouds["lost"], clouds["unexplained"]) == (missing, missing, 0)
     assert {(row["mismatches"], row["duplicates"], row["unreadable"]) for row in rows.values()} == {(0, 0, 0)}
     assert f"{CLOUDS}: {len(clouds['gaps'])} gaps" in err
-    assert {gap["where"] for gap in clouds["gaps"]} == {BRIDGE}
+    assert BRIDGE in {gap["where"] for gap in clouds["gaps"]} <= PLACES
 
 
 def test_everything_about_it_is_shown(
@@ -165,10 +171,8 @@ def test_everything_about_it_is_shown(
     assert command(way, monkeypatch, "show") == 0
     shown = yaml.safe_load(capsys.readouterr().out)
     (gap, *_) = shown["audits"][CLOUDS]["gaps"]
-    assert (gap["where"], gap["first"]) == (
-        BRIDGE,
-        min(gap.first for gap in audits(way.reader, RECORDING)[CLOUDS].gaps),
-    )
+    first = min(audits(way.reader, RECORDING)[CLOUDS].gaps, key=lambda one: one.first)
+    assert (gap["where"], gap["first"]) == (first.where, first.first)
     files = [hashlib.sha256(path.read_bytes()).hexdigest() for path in (way.claim / RECORDING).iterdir()]
     assert sorted(file["sha256"] for file in shown["files"]) == sorted(files)
 

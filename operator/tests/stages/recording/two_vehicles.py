@@ -61,7 +61,7 @@ class RecordedPath(DataPath):
         self.begin()
         until(lambda: all(map(self.connected, (*self.agents, "cloud-0"))), "bridges connected", START_SECONDS_MAX)
         until(lambda: answers(self.recorder_address), "the recorder is ready", START_SECONDS_MAX)
-        until(lambda: all(map(self.heard, self.agents)), "the players are heard", START_SECONDS_MAX)
+        until(lambda: not self.unheard(), "the players are heard", START_SECONDS_MAX, self.unheard)
         start = time.time() + LEAD_SECONDS
         self.order(int(start * SECOND))
         time.sleep(max(0.0, start + killed_after - time.time()))
