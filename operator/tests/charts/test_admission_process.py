@@ -275,7 +275,9 @@ def test_while_the_forge_is_away_the_last_list_stays_and_comes_back(stage: Stage
 
 def test_a_process_that_starts_while_the_forge_is_away_keeps_the_list(stage: Stage, tmp_path: Path) -> None:
     before = stage.listed()["data"]
-    nowhere = replace(stage.settings, forge=replace(stage.settings.forge, url=f"http://127.0.0.1:{free_port()}"))
+    forge = stage.settings.forge
+    away = replace(forge, address=replace(forge.address, url=f"http://127.0.0.1:{free_port()}"))
+    nowhere = replace(stage.settings, forge=away)
     listen = replace(nowhere.listen, port=free_port())
     access = api_client(str(kubeconfig_of(stage.cluster, tmp_path)))
     again = process.AdmissionWriter(replace(nowhere, listen=listen), access, tmp_path / "work")
