@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from ci.attack_cells import PLACES, Attack, Refused, Unseen
 from ci.attack_shared import (
     APPLICATIONS,
-    ARGOCD,
     AS_MANAGER,
     BY_DIGEST,
     CHANGED,
@@ -28,14 +27,11 @@ from ci.attack_shared import (
     NOT_ON_MAIN,
     NOT_PROPOSED,
     NOTHING_RUNS,
-    NOTHING_TO_JUDGE,
     OF_NO_RELEASE,
     ON_THE_MACHINE,
     OTHER_CHART,
     OTHERWISE,
-    PACKAGE_RIGHTS,
     POLICIES,
-    RESERVED,
     RUNS_FOREIGN_CHART,
     RUNS_FOREIGN_IMAGE,
     SELECTION,
@@ -44,6 +40,7 @@ from ci.attack_shared import (
     VERIFIED,
     VERIFIED_OTHERWISE,
 )
+from ci.attacks_on_servers import ON_SERVERS
 
 
 def attack(key: str) -> Attack:
@@ -313,6 +310,18 @@ ATTACKS = (
         NOTHING_RUNS,
     ),
     Attack(
+        "policy-deleted-elsewhere",
+        "An administrator deletes an admission policy, its binding or the list (other clusters)",
+        NO_DEMAND,
+        NOT_PROPOSED,
+        Refused(
+            "admission object restored kind=… name=…",
+            "charts/test_admission_process.py::test_what_an_administrator_deletes_comes_back",
+            "the process that writes it again, while it runs",
+        ),
+        NOTHING_RUNS,
+    ),
+    Attack(
         "verifier-off",
         "The gate, or what follows the catalogue, is switched off",
         NOT_ON_MAIN,
@@ -338,6 +347,17 @@ ATTACKS = (
         NOT_PROPOSED,
         FROM_MACHINE,
         Refused("static pod …: a file of the machine names it", f"{INSPECTION}::test_a_static_pod"),
+    ),
+    Attack(
+        "container-into-a-pod",
+        "A container is put into a pod that runs, by the machine's own runtime",
+        NO_DEMAND,
+        NOT_PROPOSED,
+        FROM_MACHINE,
+        Refused(
+            "container … runs in pod …, which does not name it. It was started on the machine",
+            f"{INSPECTION}::test_a_container_that_the_runtime_was_told_to_put_into_a_pod",
+        ),
     ),
     Attack(
         "beside-the-kubelet",
@@ -382,101 +402,7 @@ ATTACKS = (
             "`robotkube status`, afterwards",
         ),
     ),
-    Attack(
-        "notes-pushed",
-        "The gate's notes (records, outcomes) are pushed by force",
-        NO_DEMAND,
-        NOT_PROPOSED,
-        NOTHING_TO_JUDGE,
-        NOTHING_RUNS,
-        RESERVED,
-    ),
-    Attack(
-        "staged-tag-overwritten",
-        "A publisher overwrites the tag of what is being tried",
-        NOT_ON_MAIN,
-        Refused(
-            "has no digest …; submit it again",
-            "registry/publication/test_publication_on_forge.py::"
-            "test_a_publisher_who_writes_a_tag_again_changes_nothing_that_is_tried",
-        ),
-        OTHER_CHART,
-        NOTHING_RUNS,
-    ),
-    Attack(
-        "platform-image-pushed",
-        "A publisher pushes or deletes an image in the organisation of the platform's",
-        NO_DEMAND,
-        NOT_PROPOSED,
-        Refused(
-            "image … may not run in namespace …: only images that the platform was installed with run in its "
-            "namespaces, by digest",
-            f"{POLICIES}::test_the_platform_runs_its_own_images",
-        ),
-        Refused(
-            "container … of pod … runs image …, which is not listed for this namespace",
-            f"{INSPECTION}::test_an_image_that_was_pushed_to_the_platforms_organisation",
-        ),
-        Refused("401 Unauthorized: reqPackageAccess", f"{PACKAGE_RIGHTS}::test_writing", "the OCI registry"),
-    ),
-    Attack(
-        "key-read",
-        "An account of Argo CD reads the signing key",
-        NO_DEMAND,
-        NOT_PROPOSED,
-        Unseen("policies judge what is written; who may read is a matter of rights"),
-        NOTHING_RUNS,
-        Refused(
-            'secrets "gate-key" is forbidden: User "system:serviceaccount:argocd:…" cannot get resource "secrets"',
-            "charts/test_rights.py::test_argo_cd_is_refused_the_key_of_the_gate",
-            "the cluster's rights",
-        ),
-    ),
-    Attack(
-        "repo-server-asked",
-        "The repo-server is asked to fetch an internal address",
-        NO_DEMAND,
-        NOT_PROPOSED,
-        NOTHING_TO_JUDGE,
-        NOTHING_RUNS,
-        Refused(
-            "TLSV13_ALERT_CERTIFICATE_REQUIRED",
-            f"{ARGOCD}::test_the_repo_server_answers_who_shows_the_certificate_and_nobody_else",
-            "the repo-server",
-        ),
-    ),
-    Attack(
-        "hook-unsigned",
-        "An unsigned hook of a forge that is not used, in GitLab's form",
-        NO_DEMAND,
-        NOT_PROPOSED,
-        NOTHING_TO_JUDGE,
-        NOTHING_RUNS,
-        Refused("Webhook processing failed", f"{ARGOCD}::test_an_unsigned_hook_of_no_forge_is_taken", "Argo CD"),
-    ),
-    Attack(
-        "slow-connections",
-        "Sixty slow connections to the gate",
-        NO_DEMAND,
-        Refused(
-            "connections refused count=… last_source=…",
-            "foundation/runtime/test_slow_clients.py::test_refusals_are_logged_once_in_a_while",
-            "its log",
-        ),
-        NOTHING_TO_JUDGE,
-        NOTHING_RUNS,
-    ),
-    Attack(
-        "deep-json",
-        "A request to the gate nests JSON 100,000 deep",
-        NO_DEMAND,
-        Refused(
-            "the body is not readable as JSON",
-            "delivery/gate/test_requests.py::test_what_is_deep_or_no_json_is_refused_with_words",
-        ),
-        NOTHING_TO_JUDGE,
-        NOTHING_RUNS,
-    ),
+    *ON_SERVERS,
     Attack(
         "exec",
         "A command is run in a container that runs (`kubectl exec`)",

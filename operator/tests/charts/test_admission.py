@@ -65,7 +65,7 @@ def test_the_process_reads_what_the_chart_writes_and_judges_this_installation(
 ) -> None:
     found = read_settings(mounted(rendered, "admission", tmp_path), process.read_configuration)
     assert found.domain == domain(rendered)
-    assert found.account.username == "admission"
+    assert found.forge.account.username == "admission"
     assert (found.listen.port, found.listen.health_port) == (8080, 8081)
     keys = rendered.one("ConfigMap", "evidence-keys", None)["data"]
     assert {path.name for path in found.evidence_keys.iterdir()} == set(keys)
@@ -98,7 +98,7 @@ def test_the_forge_knows_its_account_and_calls_it_for_the_catalogue_alone(render
     own = read_settings(mounted(rendered, "admission", tmp_path / "own"), process.read_configuration)
     made = read_settings(mounted(rendered, "bootstrap", tmp_path / "bootstrap"), bootstrap.read_configuration).forge
     assert made is not None
-    assert [one.password for one in made.setup.accounts if one.name == "admission"] == [own.account.password]
+    assert [one.password for one in made.setup.accounts if one.name == "admission"] == [own.forge.account.password]
     access = {one.name: one.access.get("admission", "none") for one in made.setup.repositories}
     assert access == {"robotkube/deployment": "none", "robotkube/catalogue": "read"}
     assert not [one for one in made.setup.organisations if "admission" in one.packages]

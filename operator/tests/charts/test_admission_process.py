@@ -35,6 +35,7 @@ from robotkube.setup.adapters.gitea_administration import GiteaAdministration
 from robotkube.setup.loops.bootstrap import Bootstrap
 from tests.charts.conftest import PLATFORM, Helm, Rendered
 from tests.charts.test_admission import FILES
+from tests.stages.attacks import shown
 from tests.stages.forge.gitea import ForgeProcess
 from tests.stages.forge.installation import Clone
 from tests.stages.kubernetes.controllers import controlling
@@ -237,12 +238,14 @@ def test_what_no_trusted_key_signed_is_not_listed(stage: Stage, tmp_path: Path) 
     "place",
     [f"{LISTS}/{LIST}", f"{POLICIES}/robotkube-agents", f"{BINDINGS}/robotkube-agents"],
 )
-def test_what_an_administrator_deletes_comes_back(stage: Stage, place: str) -> None:
+def test_what_an_administrator_deletes_comes_back(stage: Stage, place: str, caplog: pytest.LogCaptureFixture) -> None:
     before, restored = stage.api.done("GET", place), stage.counted("restored_total")
     stage.api.done("DELETE", place)
     until(lambda: stage.api.request("GET", place)["kind"] == before["kind"], "it is there again")
     until(lambda: stage.starts(image(1)) and not stage.starts(image(3)), "it is at work again")
     until(lambda: stage.counted("restored_total") == restored + 1, "and counted")
+    until(lambda: "admission object restored" in caplog.text, "and said")
+    shown("admission", caplog.text, "policy-deleted-elsewhere")
 
 
 def test_what_somebody_adds_is_taken_away(stage: Stage) -> None:
@@ -275,7 +278,9 @@ def test_while_the_forge_is_away_the_last_list_stays_and_comes_back(stage: Stage
 
 def test_a_process_that_starts_while_the_forge_is_away_keeps_the_list(stage: Stage, tmp_path: Path) -> None:
     before = stage.listed()["data"]
-    nowhere = replace(stage.settings, forge=replace(stage.settings.forge, url=f"http://127.0.0.1:{free_port()}"))
+    forge = stage.settings.forge
+    away = replace(forge, address=replace(forge.address, url=f"http://127.0.0.1:{free_port()}"))
+    nowhere = replace(stage.settings, forge=away)
     listen = replace(nowhere.listen, port=free_port())
     access = api_client(str(kubeconfig_of(stage.cluster, tmp_path)))
     again = process.AdmissionWriter(replace(nowhere, listen=listen), access, tmp_path / "work")

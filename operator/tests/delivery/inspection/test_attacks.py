@@ -84,6 +84,12 @@ def test_a_container_added_to_a_pod_that_runs() -> None:
     shown("nodes", _words("ForeignContainer", pod_object(spec=added)), "ephemeral-container")
 
 
+def test_a_container_that_the_runtime_was_told_to_put_into_a_pod() -> None:
+    """By the runtime's own interface for kubelets, in the sandbox of a pod that runs."""
+    text = _words("ForeignContainer", pod_object(), [("u1", "detector-5d9c7b-x", {"detector": IMAGE, "miner": IMAGE})])
+    shown("nodes", text, "container-into-a-pod")
+
+
 def test_a_static_pod() -> None:
     text = _words("StaticPod", pod_object(annotations={"kubernetes.io/config.source": "file"}))
     shown("nodes", text, "static-pod")

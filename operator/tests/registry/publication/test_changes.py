@@ -91,6 +91,10 @@ REFUSED = {
     ),
     "a key": ({"keys/mine.pem": "x"}, "keys/mine.pem: the gate alone writes this file"),
     "a schema": ({"charts/relay/0.1.0.schema.json": "{}"}, "0.1.0.schema.json: the gate alone writes this file"),
+    "who may break the glass": (
+        {"policies/signers": "anna ssh-ed25519 AAAA\n"},
+        "policies/signers: break-glass is for the deployment repository, where it stands out afterwards; leave it out",
+    ),
     "nothing": ({}, "the pull request changes nothing"),
 }
 

@@ -6,10 +6,7 @@ trusted_keys(), signing(artefact)                   what gate and manager trust;
 
 from __future__ import annotations
 
-import atexit
 import json
-import shutil
-import tempfile
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
@@ -19,31 +16,22 @@ import yaml
 from robotkube.registry.evidence.adapters.dsse import KeyFile, TrustedKeys
 from robotkube.registry.evidence.core.statements import Artefact
 from tests.stages.paths import REPOSITORY
-from tests.stages.registry.signed_evidence import PLATFORM, POLICY_TEXT, Signing, entry, published, signing_key
+from tests.stages.registry.signed_evidence import PLATFORM, POLICY_TEXT, Signing, entry, published, seeded_key
 
 CHARTS, REGISTRY = REPOSITORY / "charts" / "apps", REPOSITORY / "registry"
+PUBLIC_KEYS = Path(__file__).parent / "trusted_keys"
 SEED, OTHER_SEED = 1, 2
 
 
-@cache
 def key_folder() -> Path:
-    """A folder of public keys, as it is mounted in gate and manager: one key."""
-    folder = _folder_of_this_run("keys")
-    key = gate_key()
-    (folder / f"{key.key_id}.pem").write_text(key.public_key)
-    return folder
+    """A folder of public keys, as it is mounted in gate and manager: the one of `gate_key()`."""
+    return PUBLIC_KEYS
 
 
 @cache
 def gate_key(seed: int = SEED) -> KeyFile:
-    """The gate's key; with OTHER_SEED one that nobody trusts."""
-    return signing_key(_folder_of_this_run(f"key-{seed}"), seed)
-
-
-def _folder_of_this_run(name: str) -> Path:
-    folder = Path(tempfile.mkdtemp(prefix=f"robotkube-{name}-"))
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    return folder
+    """The gate's key, which is in no file; with OTHER_SEED one that nobody trusts."""
+    return seeded_key(seed)
 
 
 def trusted_keys() -> TrustedKeys:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -55,13 +56,27 @@ POLICY = read_verification_policy(POLICY_TEXT, PATH)
 def signing_key(folder: Path, seed: int | None = None) -> KeyFile:
     """A key of its own in `folder`/key.pem; always the same one for a `seed`."""
     folder.mkdir(parents=True, exist_ok=True)
-    if seed is None:
-        private = Ed25519PrivateKey.generate()
-    else:
-        private = Ed25519PrivateKey.from_private_bytes(hashlib.sha256(str(seed).encode()).digest())
     path = folder / "key.pem"
-    path.write_bytes(private.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
+    path.write_bytes(_pem(Ed25519PrivateKey.generate() if seed is None else _private(seed)))
     return KeyFile(path)
+
+
+def seeded_key(seed: int) -> KeyFile:
+    """The key of a `seed`, read from memory: no file stays, however the process ends."""
+    memory = os.memfd_create("key")
+    try:
+        os.write(memory, _pem(_private(seed)))
+        return KeyFile(Path(f"/proc/self/fd/{memory}"))
+    finally:
+        os.close(memory)
+
+
+def _private(seed: int) -> Ed25519PrivateKey:
+    return Ed25519PrivateKey.from_private_bytes(hashlib.sha256(str(seed).encode()).digest())
+
+
+def _pem(key: Ed25519PrivateKey) -> bytes:
+    return key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
 
 
 def trusting(folder: Path, *keys: KeyFile) -> TrustedKeys:

@@ -29,11 +29,11 @@ from robotkube.delivery.gate.loops.rules import GateSettings
 from robotkube.delivery.manager.core.placement.scopes import DeclaredManager, Scope, overlaps
 from robotkube.errors import DocumentError, UnavailableError
 from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
-from robotkube.foundation.documents.core.patterns import CHARTS_URL, HTTP_URL, REPOSITORY, WORD
+from robotkube.foundation.documents.core.patterns import CHARTS_URL, HTTP_URL, WORD
 from robotkube.foundation.documents.core.reader import Reader
 from robotkube.foundation.forge.adapters.git import GitNotes
 from robotkube.foundation.forge.adapters.push_hooks import PushRelay, SignedPushHook
-from robotkube.foundation.forge.connect import ForgeAddress, read_address
+from robotkube.foundation.forge.connect import ForgeAddress, read_forge
 from robotkube.foundation.forge.core.commit_objects import read_objects
 from robotkube.foundation.forge.ports.repositories import MainBranch
 from robotkube.foundation.runtime import settings_file as files
@@ -89,24 +89,22 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> GateConfi
     """The configuration in the gate's settings document."""
     keys = ["listen", "log_level", "forge", "oci_registry", "local_builds", "evidence", "hook", "webhook"]
     root = reader.mapping(document, "", keys, ["suites"])
-    forge_keys = ["url", "credentials", "deployment", "catalogue", "branch", "proposers", "publishers"]
-    forge = reader.mapping(root.get("forge") or {}, "forge", forge_keys, ["kind", "api"])
+    forge = root.get("forge") or {}
+    access = read_forge(reader, forge, more=["proposers", "publishers"])
     registry = reader.mapping(root.get("oci_registry") or {}, "oci_registry", ["charts", "staging"])
     evidence = reader.mapping(root.get("evidence") or {}, "evidence", ["key", "keys", "verifier"])
     hook = reader.mapping(root.get("hook") or {}, "hook", ["url", "secret"])
     webhook = reader.mapping(root.get("webhook") or {}, "webhook", ["secret"])
-    account = files.credentials(reader, forge.get("credentials"), "forge.credentials")
     charts_url = reader.word(registry.get("charts"), "oci_registry.charts", CHARTS_URL)
-    catalogue = reader.word(forge.get("catalogue"), "forge.catalogue", REPOSITORY)
     suites_url, suites_token = _suites(reader, root.get("suites"))
     webhook_secret = files.secret(reader, webhook.get("secret"), "webhook.secret")
     proposers = _proposers(reader, forge.get("proposers"), webhook_secret)
     return GateConfiguration(
         listen=files.listen(reader, root.get("listen")),
         log_level=files.log_level(reader, root.get("log_level")),
-        forge=read_address(reader, forge),
-        account=account,
-        branch=reader.word(forge.get("branch"), "forge.branch", WORD),
+        forge=access.address,
+        account=access.account,
+        branch=access.branch,
         hook_url=reader.word(hook.get("url"), "hook.url", HTTP_URL),
         hook_secret=files.secret(reader, hook.get("secret"), "hook.secret"),
         webhook_secret=webhook_secret,
@@ -117,16 +115,16 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> GateConfi
         suites_url=suites_url,
         suites_token=suites_token,
         gate=GateSettings(
-            account=account.username,
-            deployment=reader.word(forge.get("deployment"), "forge.deployment", REPOSITORY),
-            catalogue=catalogue,
+            account=access.account.username,
+            deployment=access.deployment,
+            catalogue=access.catalogue,
             proposers=tuple(proposer for proposer, _ in proposers),
             charts_url=charts_url,
         ),
         publication=PublicationSettings(
-            catalogue=catalogue,
+            catalogue=access.catalogue,
             publishers=tuple(_words(reader, forge.get("publishers"), "forge.publishers")),
-            account=account.username,
+            account=access.account.username,
             staging=_organisation(reader.word(registry.get("staging"), "oci_registry.staging", CHARTS_URL)),
             verified=_organisation(charts_url),
             charts_url=charts_url,

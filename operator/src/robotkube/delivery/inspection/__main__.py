@@ -39,11 +39,11 @@ CONTROLLER = "inspector"
 
 def build_source(configuration: InspectorConfiguration, work: Path, renderer: ChartProgram) -> PermittedReader:
     """What may run, on its adapters; nothing is asked of the forge yet."""
-    forge, account, branch = configuration.forge, configuration.account, configuration.branch
+    forge = configuration.forge
     work.mkdir(parents=True, exist_ok=True)
-    catalogue = forge.clone(configuration.catalogue, account, work / "catalogue", branch)
-    deployment = forge.clone(configuration.deployment, account, work / "deployment", branch)
-    registry = OciRegistry(forge.url, account.username, account.password)
+    catalogue = forge.clone(forge.catalogue, work / "catalogue")
+    deployment = forge.clone(forge.deployment, work / "deployment")
+    registry = OciRegistry(forge.address.url, forge.account.username, forge.account.password)
     objects = ReleaseObjects(registry, (configuration.charts_url.rpartition("/")[2],), renderer)
     return PermittedReader(
         CatalogueListing(catalogue, TrustedKeys(configuration.keys)),

@@ -9,9 +9,9 @@ from typing import Any
 
 from robotkube.delivery.inspection.loops.permitted import InstalledPlatform
 from robotkube.errors import InputError
-from robotkube.foundation.documents.core.patterns import CHARTS_URL, IMAGE, NAME, REPOSITORY, WORD
+from robotkube.foundation.documents.core.patterns import CHARTS_URL, IMAGE, NAME
 from robotkube.foundation.documents.core.reader import Reader
-from robotkube.foundation.forge.connect import ForgeAddress, read_address
+from robotkube.foundation.forge.connect import ForgeSettings, read_forge
 from robotkube.foundation.runtime import settings_file as files
 from robotkube.registry.admission.core.allowed import digests_of
 from robotkube.registry.admission.core.domain import Domain
@@ -24,11 +24,7 @@ class InspectorConfiguration:
 
     listen: files.Listen
     log_level: str
-    forge: ForgeAddress
-    account: files.Credentials
-    deployment: str
-    catalogue: str
-    branch: str
+    forge: ForgeSettings
     charts_url: str
     keys: Path
     namespace: str
@@ -40,8 +36,6 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> Inspector
     """The settings document of the inspector."""
     keys = ["listen", "log_level", "forge", "oci_registry", "evidence", "namespaces", "images", "kubelets"]
     root = reader.mapping(document, "", keys)
-    forge_keys = ["url", "credentials", "deployment", "catalogue", "branch"]
-    forge = reader.mapping(root.get("forge") or {}, "forge", forge_keys, ["kind", "api"])
     registry = reader.mapping(root.get("oci_registry") or {}, "oci_registry", ["charts"])
     evidence = reader.mapping(root.get("evidence") or {}, "evidence", ["keys"])
     kubelets = reader.mapping(root.get("kubelets") or {}, "kubelets", ["verify"])
@@ -53,11 +47,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> Inspector
     return InspectorConfiguration(
         listen=files.listen(reader, root.get("listen")),
         log_level=files.log_level(reader, root.get("log_level")),
-        forge=read_address(reader, forge),
-        account=files.credentials(reader, forge.get("credentials"), "forge.credentials"),
-        deployment=reader.word(forge.get("deployment"), "forge.deployment", REPOSITORY),
-        catalogue=reader.word(forge.get("catalogue"), "forge.catalogue", REPOSITORY),
-        branch=reader.word(forge.get("branch"), "forge.branch", WORD),
+        forge=read_forge(reader, root.get("forge")),
         charts_url=charts_url,
         keys=Path(reader.word(evidence.get("keys"), "evidence.keys", files.PATH)),
         namespace=platform,

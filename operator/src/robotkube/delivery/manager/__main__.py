@@ -37,10 +37,10 @@ from robotkube.delivery.tasks.loops.device_holds import DeviceHolds
 from robotkube.delivery.tasks.loops.mqtt_gateway import MqttTaskGateway, gateway_metrics
 from robotkube.errors import UnavailableError
 from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
-from robotkube.foundation.documents.core.patterns import CHARTS_URL, HTTP_URL, REPOSITORY, WORD
+from robotkube.foundation.documents.core.patterns import CHARTS_URL, HTTP_URL, WORD
 from robotkube.foundation.documents.core.reader import Reader
 from robotkube.foundation.forge.adapters.push_hooks import ObjectsRelay, SignedPushHook
-from robotkube.foundation.forge.connect import ForgeAddress, read_address
+from robotkube.foundation.forge.connect import ForgeSettings, read_forge
 from robotkube.foundation.kubernetes.adapters.client import api_client
 from robotkube.foundation.kubernetes.adapters.leader_proxy import LeaderRequests
 from robotkube.foundation.kubernetes.adapters.lease import LeaseElection, identity_of
@@ -74,11 +74,7 @@ class ManagerConfiguration:
 
     listen: files.Listen
     log_level: str
-    forge: ForgeAddress
-    account: files.Credentials
-    deployment: str
-    catalogue: str
-    branch: str
+    forge: ForgeSettings
     argocd_url: str
     argocd_account: files.Credentials
     argocd_namespace: str
@@ -100,8 +96,6 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ManagerCo
     keys = ["listen", "log_level", "forge", "oci_registry", "evidence", "argocd", "hook", "webhook"]
     keys += ["agents", "lease", "scope", "operators", "node_lost_seconds"]
     root = reader.mapping(document, "", keys, ["broker", "traces", "gate", "managers"])
-    forge_keys = ["url", "credentials", "deployment", "catalogue", "branch"]
-    forge = reader.mapping(root.get("forge") or {}, "forge", forge_keys, ["kind", "api"])
     oci_registry = reader.mapping(root.get("oci_registry") or {}, "oci_registry", ["charts"])
     argocd = reader.mapping(root.get("argocd") or {}, "argocd", ["url", "credentials", "namespace", "project"])
     hook = reader.mapping(root.get("hook") or {}, "hook", ["url", "secret"])
@@ -113,11 +107,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ManagerCo
     return ManagerConfiguration(
         listen=files.listen(reader, root.get("listen")),
         log_level=files.log_level(reader, root.get("log_level")),
-        forge=read_address(reader, forge),
-        account=files.credentials(reader, forge.get("credentials"), "forge.credentials"),
-        deployment=reader.word(forge.get("deployment"), "forge.deployment", REPOSITORY),
-        catalogue=reader.word(forge.get("catalogue"), "forge.catalogue", REPOSITORY),
-        branch=reader.word(forge.get("branch"), "forge.branch", WORD),
+        forge=read_forge(reader, root.get("forge")),
         argocd_url=reader.word(argocd.get("url"), "argocd.url", HTTP_URL),
         argocd_account=files.credentials(reader, argocd.get("credentials"), "argocd.credentials"),
         argocd_namespace=reader.word(argocd.get("namespace"), "argocd.namespace", WORD),
@@ -179,20 +169,22 @@ def build_manager(
 ) -> ApplicationManager:
     """The manager on its adapters; nothing is asked of the forge yet. Without a `renderer` it proposes what the gate
     alone looks at."""
-    account = configuration.account
-    branch = configuration.branch
+    access = configuration.forge
     work.mkdir(parents=True, exist_ok=True)
-    deployment = configuration.forge.clone(configuration.deployment, account, work / "deployment", branch)
-    forge = configuration.forge.pull_requests(configuration.deployment, account, branch)
+    deployment = access.clone(access.deployment, work / "deployment")
+    forge = access.pull_requests(access.deployment)
     secret = configuration.webhook_secret.encode()
     gate_url = configuration.gate_objects_url
-    send = ObjectsRelay(gate_url, secret, configuration.deployment).send if gate_url else None
-    proposals = configuration.forge.writer(forge, work / "deployment", account, COMMIT_AUTHOR, time.time, branch, send)
-    clone = configuration.forge.clone(configuration.catalogue, account, work / "catalogue", branch)
+    send = ObjectsRelay(gate_url, secret, access.deployment).send if gate_url else None
+    proposals = access.address.writer(
+        forge, work / "deployment", access.account, COMMIT_AUTHOR, time.time, access.branch, send
+    )
+    clone = access.clone(access.catalogue, work / "catalogue")
     catalogue = AssuredCatalogue(clone, TrustedKeys(configuration.evidence_keys))
     main = MainReader(deployment)
-    deployment_url = f"{configuration.forge.url}/{configuration.deployment}"
-    hook = SignedPushHook(configuration.hook_url, configuration.hook_secret.encode(), deployment_url, branch=branch)
+    deployment_url = f"{access.address.url}/{access.deployment}"
+    signed = configuration.hook_secret.encode()
+    hook = SignedPushHook(configuration.hook_url, signed, deployment_url, branch=access.branch)
     argocd_account = (configuration.argocd_account.username, configuration.argocd_account.password)
     argocd = ArgoCDServer(configuration.argocd_url, *argocd_account, hook, configuration.argocd_project)
     render = Jinja2Templates().render
@@ -202,15 +194,15 @@ def build_manager(
         VerifiedImages(images),
     )
     observer = PlanObserver(cluster, argocd, BackgroundCall(), time.time_ns, time.monotonic)
-    ports = ManagerPorts(cluster, cluster, deployment, proposals, forge, leadership, account.username)
+    ports = ManagerPorts(cluster, cluster, deployment, proposals, forge, leadership, access.account.username)
     sweeper = Sweeper(time.monotonic)
     return ApplicationManager(ports, catalogue, main, planner, observer, time.time_ns, time.monotonic, sweeper)
 
 
 def _images(configuration: ManagerConfiguration, renderer: ChartProgram) -> ReleaseImages:
     """What releases of published charts would run."""
-    account = configuration.account
-    registry = OciRegistry(configuration.forge.url, account.username, account.password, seconds=REGISTRY_SECONDS_MAX)
+    url, account = configuration.forge.address.url, configuration.forge.account
+    registry = OciRegistry(url, account.username, account.password, seconds=REGISTRY_SECONDS_MAX)
     return ReleaseImages(registry, configuration.manager.charts_url.rpartition("/")[2], renderer)
 
 
@@ -252,7 +244,7 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     manager = build_manager(configuration, cluster, work, schemas, election, holds, renderer)
     gateway = _task_gateway(configuration, api, cluster, election, holds)
     names = [agent.name for agent in configuration.manager.agents]
-    account = configuration.account.username
+    account = configuration.forge.account.username
     telemetry = ManagerTelemetry(manager, cluster, cluster, names, holds, configuration.traces, account)
     leader = LeaderRequests(election)
     server = build_server(configuration, manager, cluster, gateway, telemetry, leader)
@@ -333,7 +325,7 @@ def build_server(
     """The web server: its deliveries wake the manager, its pages and answers are those of the one that leads."""
 
     def deliver(delivery: WebhookDelivery) -> None:
-        if change := changed_by(delivery, configuration.catalogue):
+        if change := changed_by(delivery, configuration.forge.catalogue):
             manager.wake(*change)
 
     def metrics() -> str:

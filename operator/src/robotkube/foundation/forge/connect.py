@@ -1,13 +1,14 @@
-"""The forge that a process uses: `forge.kind`, `forge.url`, `forge.api` of its settings, and the adapters for it."""
+"""The forge that a process uses: the key `forge` of its settings, and the adapters for it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from robotkube.foundation.documents.core.entry_reader import read_one_of
-from robotkube.foundation.documents.core.patterns import HTTP_URL
+from robotkube.foundation.documents.core.patterns import HTTP_URL, REPOSITORY, WORD
 from robotkube.foundation.documents.core.reader import Reader
 from robotkube.foundation.forge.adapters.git import GitClone, ProposalWriter
 from robotkube.foundation.forge.adapters.hosts import github, gitlab
@@ -58,8 +59,42 @@ class ForgeAddress:
         return ProposalWriter(folder, account.username, account.password, author, clock, branch, opens, send_objects)
 
 
-def read_address(reader: Reader, forge: Mapping[str, object]) -> ForgeAddress:
-    """The keys `url`, `kind` and `api` of the settings' `forge`."""
+@dataclass(frozen=True)
+class ForgeSettings:
+    """A forge as one process uses it: by its account there, the branch `branch` of these repositories. `deployment` is
+    empty where a process does not use it."""
+
+    address: ForgeAddress
+    account: files.Credentials
+    branch: str
+    catalogue: str
+    deployment: str = ""
+
+    def clone(self, repository: str, folder: Path) -> GitClone:
+        """A bare clone of `<organisation>/<name>` in `folder`."""
+        return self.address.clone(repository, self.account, folder, self.branch)
+
+    def pull_requests(self, repository: str) -> AnyForge:
+        """The port Forge for `<organisation>/<name>`."""
+        return self.address.pull_requests(repository, self.account, self.branch)
+
+
+def read_forge(reader: Reader, value: Any, deployment: bool = True, more: Iterable[str] = ()) -> ForgeSettings:
+    """The settings' `forge`, with the key `deployment` or without; `more` are keys that the caller reads."""
+    repositories = ["catalogue", *(["deployment"] if deployment else [])]
+    forge = reader.mapping(
+        value or {}, "forge", ["url", "credentials", "branch", *repositories, *more], ["kind", "api"]
+    )
+    names = {key: reader.word(forge.get(key), f"forge.{key}", REPOSITORY) for key in repositories}
+    return ForgeSettings(
+        address=_address(reader, forge),
+        account=files.credentials(reader, forge.get("credentials"), "forge.credentials"),
+        branch=reader.word(forge.get("branch"), "forge.branch", WORD),
+        **names,
+    )
+
+
+def _address(reader: Reader, forge: Mapping[str, object]) -> ForgeAddress:
     return ForgeAddress(
         reader.word(forge.get("url"), "forge.url", HTTP_URL),
         read_one_of(reader, forge.get("kind", GITEA), "forge.kind", (GITEA, GITHUB, GITLAB)),

@@ -17,9 +17,9 @@ from typing import Any
 
 from kubernetes.client import ApiClient
 
-from robotkube.foundation.documents.core.patterns import CHARTS_URL, REPOSITORY, WORD
+from robotkube.foundation.documents.core.patterns import CHARTS_URL, WORD
 from robotkube.foundation.documents.core.reader import Reader
-from robotkube.foundation.forge.connect import ForgeAddress, read_address
+from robotkube.foundation.forge.connect import ForgeSettings, read_forge
 from robotkube.foundation.kubernetes.adapters.client import api_client
 from robotkube.foundation.runtime import settings_file as files
 from robotkube.foundation.runtime.adapters.prometheus_series import MetricsPage
@@ -42,10 +42,7 @@ class AdmissionConfiguration:
 
     listen: files.Listen
     log_level: str
-    forge: ForgeAddress
-    account: files.Credentials
-    catalogue: str
-    branch: str
+    forge: ForgeSettings
     webhook_secret: str
     evidence_keys: Path
     domain: Domain
@@ -56,17 +53,12 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> Admission
     keys = ["listen", "log_level", "forge", "oci_registry", "evidence", "webhook"]
     keys += ["platform_namespace", "gate_namespace", "argocd", "agents", "test_namespaces", "remover"]
     root = reader.mapping(document, "", keys)
-    forge_keys = ["url", "credentials", "catalogue", "branch"]
-    forge = reader.mapping(root.get("forge") or {}, "forge", forge_keys, ["kind", "api"])
     evidence = reader.mapping(root.get("evidence") or {}, "evidence", ["keys"])
     webhook = reader.mapping(root.get("webhook") or {}, "webhook", ["secret"])
     return AdmissionConfiguration(
         listen=files.listen(reader, root.get("listen")),
         log_level=files.log_level(reader, root.get("log_level")),
-        forge=read_address(reader, forge),
-        account=files.credentials(reader, forge.get("credentials"), "forge.credentials"),
-        catalogue=reader.word(forge.get("catalogue"), "forge.catalogue", REPOSITORY),
-        branch=reader.word(forge.get("branch"), "forge.branch", WORD),
+        forge=read_forge(reader, root.get("forge"), deployment=False),
         webhook_secret=files.secret(reader, webhook.get("secret"), "webhook.secret"),
         evidence_keys=Path(reader.word(evidence.get("keys"), "evidence.keys", files.PATH)),
         domain=_domain(reader, root),
@@ -109,8 +101,7 @@ class AdmissionWriter:
     def __init__(self, configuration: AdmissionConfiguration, api: ApiClient, work: Path) -> None:
         work.mkdir(parents=True, exist_ok=True)
         self._configuration = configuration
-        forge, account = configuration.forge, configuration.account
-        clone = forge.clone(configuration.catalogue, account, work / "catalogue", configuration.branch)
+        clone = configuration.forge.clone(configuration.forge.catalogue, work / "catalogue")
         listing = CatalogueListing(clone, TrustedKeys(configuration.evidence_keys))
         self.place = PolicyObjects(api, configuration.domain.platform, self._touched)
         around = Surroundings(configuration.domain, ())
@@ -143,7 +134,8 @@ class AdmissionWriter:
         self.follower.wake()
 
     def _deliver(self, delivery: WebhookDelivery) -> None:
-        tip = changed_main(delivery, self._configuration.catalogue, self._configuration.branch)
+        forge = self._configuration.forge
+        tip = changed_main(delivery, forge.catalogue, forge.branch)
         if tip is not None:
             self.follower.wake(tip)
 

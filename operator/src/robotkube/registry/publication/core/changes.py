@@ -15,6 +15,7 @@ from robotkube.registry.catalogue.core.sources import Tools
 from robotkube.registry.publication.core.submissions import CHARTS, EVIDENCE, KEYS, READ_FOLDERS, new_findings
 
 VERIFIED, WITHDRAWN = "verified", "withdrawn"
+SIGNERS = "policies/signers"  # with it the forge's hook would take break-glass here as well
 
 
 def change_problems(
@@ -36,8 +37,11 @@ def change_problems(
 
 
 def _of_the_gate(path: str, text: str | None, main: Mapping[str, str]) -> Iterable[str]:
-    """Problems of a file that the gate writes: what a person may do with it is take it away, or withdraw a version."""
+    """Problems of a file that is not for people: what a person may do with it is take it away, or withdraw a
+    version."""
     folder = path.split("/", 1)[0]
+    if text is not None and path == SIGNERS:
+        yield f"{path}: break-glass is for the deployment repository, where it stands out afterwards; leave it out"
     if text is None or folder not in (CHARTS, EVIDENCE, KEYS):
         return
     if folder != CHARTS or not path.endswith(".yaml"):
