@@ -13,7 +13,7 @@ from scenarios.runner.inputs import Commit
 from tests.stages.platform.running_platform import Platform, asleep, eventually
 from tests.stages.platform.table_one import Stage
 
-OBSERVED_SECONDS_MAX = 60.0  # Argo CD looks by itself every 180 s
+OBSERVED_SECONDS_MAX = 60.0  # Argo CD looks by itself every 300 s
 REPAIRED_SECONDS_MAX = 60.0
 READY, COMMITTED = "Ready", "Committed"
 BROKEN = "releases/vehicle-02/broken.yaml"
