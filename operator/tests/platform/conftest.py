@@ -45,6 +45,7 @@ ORDER = (
     "cluster/test_refusals",
     "cluster/test_lifecycle",
     "cluster/test_refusals_without_admission",
+    "cluster/test_other_cluster",
     "cluster/test_interrupting",
     "cluster/test_scenarios",
     *(f"table_one/test_p{number:02}" for number in range(1, 11)),
