@@ -43,6 +43,7 @@ class NodeLinks:
         self._changed_ns = -1
         self._settled = False
         self._links: dict[str, PodLink | None] = {}
+        self._known: frozenset[PodLink] = frozenset()  # the same one while nothing changes: it is compared often
 
     def read(self) -> frozenset[PodLink]:
         """The links now. A file that cannot be read (it is being written, or is no result) gives none, and is read
@@ -55,11 +56,12 @@ class NodeLinks:
             self._settled = self._clock_ns() - changed > SETTLED_NS
             self._changed_ns = changed
             self._read_new()
-        return frozenset(link for link in self._links.values() if link)
+        return self._known
 
     def _read_new(self) -> None:
         names = {path.name for path in self._folder.iterdir() if _is_result(path.name)}
         self._links = {name: self._links.get(name) or _read(self._folder / name) for name in sorted(names)}
+        self._known = frozenset(link for link in self._links.values() if link)
         self._settled = self._settled and None not in self._links.values()
 
 

@@ -104,7 +104,8 @@ class Stage:
 
     def standing(self) -> set[str]:
         """Releases on main; fails while one names a task that is gone: the next plan takes it away."""
-        there = {f"{one['namespace']}/{one['name']}" for one in (one["metadata"] for one in self.platform.access.tasks())}
+        metadata = [one["metadata"] for one in self.platform.access.tasks()]
+        there = {f"{one['namespace']}/{one['name']}" for one in metadata}
         releases = set(self.releases())
         if gone := {task for release in releases for task in self.annotation_of(release).split()} - there:
             raise RunError(f"main has releases of {sorted(gone)}")
