@@ -22,7 +22,8 @@ from robotkube.delivery.deployment.core.releases import Release, Source, TaskCau
 from robotkube.delivery.deployment.loops.unchecked_commits import Trust, UncheckedWatch
 from robotkube.delivery.gate.__main__ import OBJECTS_PATH, objects_posts
 from robotkube.delivery.gate.core.proposal_checks import Proposer
-from robotkube.delivery.gate.loops.gate import Gate, gate_metrics
+from robotkube.delivery.gate.loops.gate import Gate
+from robotkube.delivery.gate.loops.gate_statistics import gate_metrics
 from robotkube.delivery.gate.loops.merge_records import MergeRecorder
 from robotkube.delivery.gate.loops.rules import GateSettings
 from robotkube.foundation.documents.adapters.json_schema import validate

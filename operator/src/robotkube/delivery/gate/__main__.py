@@ -22,7 +22,8 @@ from robotkube.delivery.deployment.loops.unchecked_commits import Trust, Uncheck
 from robotkube.delivery.gate.adapters.merge_journal import FileJournal
 from robotkube.delivery.gate.core.proposal_checks import Proposer
 from robotkube.delivery.gate.loops.application_trials import CompositionTrials
-from robotkube.delivery.gate.loops.gate import Gate, gate_metrics
+from robotkube.delivery.gate.loops.gate import Gate
+from robotkube.delivery.gate.loops.gate_statistics import gate_metrics
 from robotkube.delivery.gate.loops.merge_records import MergeRecorder
 from robotkube.delivery.gate.loops.plan_notes import NoteWriter
 from robotkube.delivery.gate.loops.rules import GateSettings

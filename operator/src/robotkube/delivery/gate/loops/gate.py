@@ -14,7 +14,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from robotkube.delivery.deployment.core.merge_records import MergeRecord
@@ -22,10 +22,11 @@ from robotkube.delivery.deployment.core.policies.merge import APPROVAL, AUTOMATI
 from robotkube.delivery.deployment.loops.unchecked_commits import UncheckedWatch
 from robotkube.delivery.gate.core import verdict_comments
 from robotkube.delivery.gate.core.proposal_checks import ProposalVerdict, ProposedCommit
+from robotkube.delivery.gate.loops.gate_statistics import GateStatistics
 from robotkube.delivery.gate.loops.merge_records import MergeRecorder
 from robotkube.delivery.gate.loops.pending_objects import PendingObjects
 from robotkube.delivery.gate.loops.rules import GateRules, GateSettings
-from robotkube.delivery.gate.loops.unchecked_report import UncheckedCounts, UncheckedReport
+from robotkube.delivery.gate.loops.unchecked_report import UncheckedReport
 from robotkube.errors import DocumentError, InputError, RobotKubeError
 from robotkube.foundation.forge.core.commit_objects import CommitObjects
 from robotkube.foundation.forge.core.resync import RESYNC_SECONDS, resync_is_due
@@ -33,7 +34,6 @@ from robotkube.foundation.forge.core.reviews import approvers
 from robotkube.foundation.forge.loops.merging import merge_commit
 from robotkube.foundation.forge.ports.pull_requests import Forge, PullRequest, PushHook
 from robotkube.foundation.forge.ports.repositories import Commit, Commits, MainBranch
-from robotkube.foundation.runtime.ports import Series, by_one
 from robotkube.registry.catalogue.loops.verified_catalogue import AssuredCatalogue
 from robotkube.registry.charts.core.values_schemas import Validate
 from robotkube.registry.charts.ports import RenderedImages
@@ -41,27 +41,11 @@ from robotkube.registry.charts.ports import RenderedImages
 POLL_SECONDS = 2.0  # open pull requests, when no webhook came for so long
 SILENT_SECONDS_MAX = 30.0  # not ready when the forge was not seen for longer
 HINTS_MAX = 100
-VERDICTS = ("accepted", "refused", "stale", "checked", "failed")
-HOOKS = ("received", "lost")
-SOURCES = ("sent", "fetched")
 WAKING_ACTIONS = frozenset({"opened", "reopened", "synchronized", "synchronize"})  # the last is GitHub's
 REVIEWED = "reviewed"
 REPAIR = "repair"  # in records, the way of a plan that only brings a broken main back
 
 log = logging.getLogger(__name__)
-
-
-@dataclass
-class GateStatistics:
-    """The gate's counters since its start; `decision_seconds` is the sum over all decided proposals, from the moment
-    the round turned to it until main moved or the refusal stood."""
-
-    verdicts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(VERDICTS, 0))
-    hooks: dict[str, int] = field(default_factory=lambda: dict.fromkeys(HOOKS, 0))
-    sources: dict[str, int] = field(default_factory=lambda: dict.fromkeys(SOURCES, 0))
-    decision_seconds: float = 0.0
-    rounds: int = 0
-    unchecked: UncheckedCounts = field(default_factory=UncheckedCounts)
 
 
 @dataclass(frozen=True)
@@ -452,58 +436,3 @@ class Gate:
             1000 * (announced - decided),
             case.commit.message.partition("\n")[0],
         )
-
-
-def gate_metrics(statistics: GateStatistics) -> Sequence[Series]:
-    """The statistics as metrics."""
-    prefix = "robotkube_gate_"
-    return (
-        Series(
-            f"{prefix}proposals_total",
-            "counter",
-            "Decided heads of pull requests by verdict.",
-            by_one(statistics.verdicts),
-            ("verdict",),
-        ),
-        Series(
-            f"{prefix}proposals_read_total",
-            "counter",
-            "Decided heads by where their objects came from.",
-            by_one(statistics.sources),
-            ("source",),
-        ),
-        Series(
-            f"{prefix}hooks_total",
-            "counter",
-            "Announcements of merged commits to Argo CD.",
-            by_one(statistics.hooks),
-            ("result",),
-        ),
-        Series(
-            f"{prefix}decision_seconds_total",
-            "counter",
-            "Time from reading proposals to decisions.",
-            {(): statistics.decision_seconds},
-        ),
-        Series(
-            f"{prefix}break_glass_commits",
-            "gauge",
-            "Commits of main that two registered people signed, and no checked commit has replaced or accepted.",
-            {(): statistics.unchecked.break_glass_commits},
-        ),
-        Series(
-            f"{prefix}break_glass_files",
-            "gauge",
-            "Files that main still has as such commits brought them.",
-            {(): statistics.unchecked.break_glass_files},
-        ),
-        Series(
-            f"{prefix}unchecked_commits",
-            "gauge",
-            "Other commits of main that the gate did not check, by how: without its record, or with signatures that do "
-            "not hold.",
-            by_one(statistics.unchecked.others),
-            ("how",),
-        ),
-        Series(f"{prefix}rounds_total", "counter", "Rounds over the open proposals.", {(): statistics.rounds}),
-    )
