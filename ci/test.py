@@ -1,5 +1,5 @@
 """`make test`: four groups, each with its time; `--fast` runs the one of them that needs no other program, and
-`--thorough` two groups of slower proofs instead. Exit code 1 when anything failed.
+`--thorough` three groups of slower proofs instead. Exit code 1 when anything failed.
 
 What a group needs (Debian packages, tool chain, images) is made before its time begins, once, and cached. Tests find
 the programs of the tool chain in the folder ROBOTKUBE_TOOLCHAIN_BIN. A group that runs no test has failed.
@@ -25,6 +25,9 @@ from ci.errors import SetUpError
 TOP = Path(__file__).resolve().parent.parent
 TESTS = "operator/tests"
 TEARDOWN_SECONDS_MAX = 120
+EXAMPLES = "ROBOTKUBE_EXAMPLES"
+FEW_EXAMPLES, ALL_EXAMPLES = 40, 200
+FASTEST = "not processes and not toolchain and not platform and not thorough"
 
 
 @dataclass(frozen=True)
@@ -32,7 +35,8 @@ class Group:
     """One group of tests, those of its `marker`, or the checks when there is none.
 
     `goal_seconds` is what it may take on a quiet machine of two cores; `seconds_max`, and it is ended. `needs` is what
-    `preparing.prepare` makes before. Each of the `processes` runs whole files, with servers of its own.
+    `preparing.prepare` makes before. Each of the `processes` runs whole files, with servers of its own. `examples` is
+    how many a random test tries, unless the environment says it.
     """
 
     name: str
@@ -40,6 +44,7 @@ class Group:
     goal_seconds: int
     needs: str
     processes: int = 1
+    examples: int = FEW_EXAMPLES
 
     @property
     def seconds_max(self) -> int:
@@ -48,13 +53,13 @@ class Group:
 
 GROUPS = (
     Group("check", "", 60, "nothing"),
-    Group("fast", "not processes and not toolchain and not platform and not thorough", 90, "tests", 2),
+    Group("fast", FASTEST, 90, "tests", 2),
     Group("processes", "(processes or toolchain) and not platform and not thorough", 320, "toolchain", 3),
     Group("platform", "platform and not thorough", 620, "images"),
 )
 FAST = GROUPS[1]
-FAST_EXAMPLES = "40"  # of the 200 that a random test tries, when only the fast tests run
 THOROUGH = (
+    Group("random", f"random and {FASTEST}", 600, "tests", 2, ALL_EXAMPLES),
     Group("proofs", "thorough and not platform", 3000, "images", 2),
     Group("clusters", "thorough and platform", 3000, "images"),
 )
@@ -109,7 +114,7 @@ def temporary_folder(group: Group) -> Iterator[tuple[Path, dict[str, str]]]:
     """
     with tempfile.TemporaryDirectory(prefix="robotkube-", ignore_cleanup_errors=True) as folder:
         own = {} if group.needs == "images" else {"TMPDIR": folder}
-        yield Path(folder), {**os.environ, **own}
+        yield Path(folder), {EXAMPLES: str(group.examples), **os.environ, **own}
 
 
 def wait(process: subprocess.Popen[bytes], group: Group) -> int:
@@ -162,8 +167,6 @@ def main() -> int:
     parser.add_argument("--only", action="append", choices=[group.name for group in every], help="run only this group")
     parser.add_argument("places", nargs="*", default=[TESTS], help=f"folders or files of tests; all of {TESTS} if none")
     arguments = parser.parse_args()
-    if arguments.fast:
-        os.environ.setdefault("ROBOTKUBE_EXAMPLES", FAST_EXAMPLES)
     tier = THOROUGH if arguments.thorough else (FAST,) if arguments.fast else GROUPS
     groups = [group for group in every if group.name in arguments.only] if arguments.only else list(tier)
     finished: list[Result] = []

@@ -73,6 +73,29 @@ def test_a_test_of_any_marks_is_in_one_group(marks: tuple[str, ...]) -> None:
     assert len(chosen) == 1
 
 
+@pytest.mark.parametrize("mark", ["", *MARKS])
+def test_a_random_test_that_is_fast_is_tried_with_more_examples_too(mark: str) -> None:
+    marks = {"random", mark}
+    chosen = {
+        group.name: group.examples
+        for group in (*groups.GROUPS, *groups.THOROUGH)
+        if group.marker and Expression.compile(group.marker).evaluate(lambda name, **_: name in marks)
+    }
+    fast = {"fast": groups.FEW_EXAMPLES, "random": groups.ALL_EXAMPLES}
+    assert chosen == fast if not mark else len(chosen) == 1
+
+
+def test_a_group_says_how_many_examples(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the environment says goes first."""
+    monkeypatch.delenv(groups.EXAMPLES, raising=False)
+    for group in groups.THOROUGH:
+        with groups.temporary_folder(group) as (_, environment):
+            assert environment[groups.EXAMPLES] == str(group.examples)
+    monkeypatch.setenv(groups.EXAMPLES, "7")
+    with groups.temporary_folder(groups.FAST) as (_, environment):
+        assert environment[groups.EXAMPLES] == "7"
+
+
 def test_each_test_counts_once_as_its_worst(tmp_path: Path) -> None:
     code, counts = counted(tmp_path, "mixed", MIXED)
     assert (code, counts) == (1, results.Counts(1, 2, 1))
