@@ -40,7 +40,7 @@ def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
         agent = {"robotkube.io/agent": "vehicle-00"}
         for name, labels in (("robotkube", {}), ("signing", gate), ("argocd", {}), ("vehicle-00", agent)):
             found.done("POST", "/api/v1/namespaces", {"metadata": {"name": name, "labels": labels}})
-        images = {"images.yaml": write_mapping({"platform": image(2), "ros": image(4)})}
+        images = {"images.yaml": write_mapping({"platform": image(2), "ros": image(4), "mongo": "mongo:8"})}
         found.done("POST", CONFIG_MAPS, {"metadata": {"name": "platform-images"}, "data": images})
         head = {"apiVersion": "argoproj.io/v1alpha1", "kind": "AppProject", "metadata": {"name": "robotkube-apps"}}
         found.done("POST", PROJECTS, {**head, "spec": {"sourceRepos": [f"{CHARTS}/*"]}})
@@ -67,7 +67,11 @@ def arguments(api: Api, tmp_path: Path) -> list[str]:
 def test_where_nothing_would_be_stranded_it_says_so(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     """Other people's workloads, Argo CD's by a tag among them, are not judged."""
     assert main(arguments) == 0
-    assert capsys.readouterr().out == "nothing would be stranded (1 charts, 1 images, 2 of the platform listed)\n"
+    printed = capsys.readouterr()
+    assert printed.out == "nothing would be stranded (1 charts, 1 images, 2 of the platform listed)\n"
+    assert (
+        "images.mongo of the platform's chart: 'mongo:8' names no digest, so nothing of it would start" in printed.err
+    )
 
 
 def test_what_would_not_start_again_is_named_with_the_reason(

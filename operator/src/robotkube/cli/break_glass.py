@@ -105,6 +105,10 @@ def push_change(options: argparse.Namespace) -> Table:
     if len(good) < PEOPLE_MIN:
         problem = f"{options.file}: signed by {', '.join(good) or 'nobody'}; {PEOPLE_MIN} registered people are needed"
         raise RefusalError("TooFewSignatures", problem)
+    if options.name not in registered:
+        people = ", ".join(sorted(registered))
+        problem = f"{options.name!r} may not push it: {SIGNERS_PATH} on main names {people}"
+        raise RefusalError("NotRegistered", problem)
     # the time that was signed: the same change is the same commit, so a push that was cut off can be made again
     seconds = int(datetime.strptime(change.time, TIME_FORMAT).replace(tzinfo=UTC).timestamp())
     commit = clone.commit(change.parent, change.tree, change.message, options.name, seconds)

@@ -89,6 +89,14 @@ def test_a_question_is_answered(
 def test_evidence_and_commits_can_be_asked_for(clean: Platform) -> None:
     evidence = clean.audit(clean.names["evidence of bridge"])
     assert (evidence["understood_as"], releases(evidence)) == (["evidence digest"], ["vehicle-00/mqtt-bridge"])
+    for word in (RECORDER.digest[:19], RECORDER.digest.partition(":")[2][:12]):  # as tables shorten it
+        document = clean.audit(word)
+        assert (document["understood_as"], releases(document)) == (
+            ["chart digest"],
+            ["cloud-0/recorder-a", "cloud-0/recorder-b"],
+        )
+    image = RECORDER_IMAGE.partition("@sha256:")[2][:12]
+    assert clean.audit(image)["understood_as"] == ["image digest"]
     commit = clean.names["recorder"]
     for word in (commit, commit[:9]):
         document = clean.audit(word)

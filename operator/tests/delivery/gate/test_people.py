@@ -86,7 +86,7 @@ def test_a_policy_waits_for_another_person_and_is_merged_as_it_was_approved(
     commit = person.commit(changes, "Take vehicle-00 away\n\nRobotKube-Approved-By: me\n", [tip])
     number = installation.propose(person, commit, installation.plan())
     text = said(installation, number, f"Checked {commit[:12]}: nothing speaks against it.")
-    assert "the gate merges exactly this commit when another person with write rights approves it" in text
+    assert "the gate merges what exactly this commit changes when another person with write rights approves it" in text
     assert review(installation, "operator-team", number, commit) in (403, 422)  # nobody approves for himself
     assert review(installation, "manager", number, commit) == 200  # it may say so, and it does not count
     assert review(installation, "gate", number, commit) == 200  # nor does what is said with the gate's own account

@@ -351,6 +351,8 @@ def test_two_people_do_it_by_command(
     assert push_as("operator-team") == 1
     assert "what operator-team, reviewer signed is not this change" in capfd.readouterr().err
     Path(file).write_text(original)
+    assert push_as("publisher") == 1
+    assert "'publisher' may not push it: policies/signers on main names " in capfd.readouterr().err
     assert push_as("operator-team") == 0
     assert (
         person.repository[person.tip()].peel(pygit2.Commit).message.startswith("Take the edits back\n\nRobotKube-Break")

@@ -43,6 +43,13 @@ def test_a_refusal_names_suite_check_finding_and_fix() -> None:
     assert "published as" not in text
 
 
+@pytest.mark.parametrize("state", ["waiting", "queued"])
+def test_suites_that_a_refusal_leaves_out_did_not_run(state: str) -> None:
+    suite = SuiteReport("install", "2", state)
+    assert "| install 2 | not run |  |  |" in report(REFUSED, PASSED, suite)
+    assert f"| install 2 | {state} |  |  |" in report(CHECKING, PASSED, suite)
+
+
 def test_a_verified_chart_says_where_it_and_its_evidence_are() -> None:
     text = report(VERIFIED, PASSED, evidence="sha256:" + "e" * 64, applications=("applications/relaying.yaml",))
     assert "It is published the moment this pull request shows as merged." in text

@@ -20,6 +20,7 @@ from robotkube.cli.output import Table
 from robotkube.cli.platform import Platform
 from robotkube.cli.registry.submit import CATALOGUE, choosing_forge, forge_access
 from robotkube.errors import InputError
+from robotkube.foundation.documents.core.patterns import IMAGE_BY_DIGEST
 from robotkube.foundation.forge.adapters.git import GitClone
 from robotkube.registry.admission.core.allowed import digests_of
 from robotkube.registry.admission.core.domain import PROJECT, Domain
@@ -72,7 +73,11 @@ def _stranded(platform: Platform, options: argparse.Namespace, found: AllowedVer
     references = [reference for reference in platform.images().values() if reference]
     if not references:
         raise InputError(f"no ConfigMap platform-images in {options.platform_namespace}; is the platform installed?")
-    allowed = found.with_platform(digests_of(references))
+    by_tag = {name: one for name, one in platform.images().items() if one and not IMAGE_BY_DIGEST.fullmatch(one)}
+    for name, reference in by_tag.items():
+        text = f"images.{name} of the platform's chart: {reference!r} names no digest, so nothing of it would start"
+        print(f"robotkube: {text}; write <repository>@sha256:<digest>", file=sys.stderr)
+    allowed = found.with_platform(digests_of(set(references) - set(by_tag.values())))
     objects = stranded(_objects(platform), _domain(platform, options), allowed)
     verdict = counted(objects, allowed)
     rows = [asdict(one) for one in objects]

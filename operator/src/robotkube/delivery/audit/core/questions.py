@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from robotkube.delivery.audit.core.main_replay import MainChange, MainReplay, ReleaseRun
 from robotkube.delivery.audit.core.outcomes import Observed
 from robotkube.errors import InputError
-from robotkube.foundation.documents.core.patterns import COMMIT, COMMIT_START, DIGEST, POD_NAME
+from robotkube.foundation.documents.core.patterns import COMMIT, COMMIT_START, DIGEST_START, POD_NAME
 
 WORD_CHARACTERS_MAX = 512
 
@@ -53,7 +53,7 @@ def answer(word: str, known: Known) -> Answered:
     if not kinds:
         raise InputError(
             f"nothing on main has to do with {word!r}; give a release or task (<namespace>/<name>), the id of an "
-            "event, trace or plan, a commit, a pod (<namespace>/<name>), or a digest (sha256:...)"
+            "event, trace or plan, a commit, a pod (<namespace>/<name>), or a digest (sha256:..., 7 digits or more)"
         )
     runs = tuple(known.main.runs[place] for place in sorted(places))
     commits |= {commit for run in runs for commit in (run.began, run.ended)}
@@ -82,8 +82,8 @@ def _readings(word: str, known: Known) -> dict[str, Reading]:
             c.commit.id for c in known.main.changes if (c.commit.id == word if exact else c.commit.id.startswith(word))
         ]
         readings["commit"] = (lambda run: run.began in ids, lambda change: change.commit.id in ids)
-    if DIGEST.fullmatch(word):
-        readings |= _digests(word, known)
+    if match := DIGEST_START.fullmatch(word):
+        readings |= _digests(f"sha256:{match['digits']}", known)
     releases = {run.release.key for run in known.main.runs}
     pod = release_of_pod(word, releases)
     if pod and word not in releases:
@@ -99,18 +99,20 @@ def _named(part: Callable[..., str], word: str) -> Callable[[MainChange], bool]:
     return lambda change: change.message is not None and any(part(cause) == word for cause in change.message.causes)
 
 
-def _digests(word: str, known: Known) -> dict[str, Reading]:
+def _digests(start: str, known: Known) -> dict[str, Reading]:
+    """Readings of a digest, whole or as tables shorten it."""
+
     def nothing(change: MainChange) -> bool:
         return False
 
     def runs_image(run: ReleaseRun) -> bool:
         pinned = known.images.get(run.release.digest, ())
         seen = known.observed.get(run.began, {}).get(run.release.key)
-        return any(word in image for image in (*pinned, *(seen.images if seen else ())))
+        return any(f"@{start}" in image for image in (*pinned, *(seen.images if seen else ())))
 
     return {
-        "chart digest": (lambda run: run.release.digest == word, nothing),
-        "evidence digest": (lambda run: run.release.evidence == word, nothing),
+        "chart digest": (lambda run: run.release.digest.startswith(start), nothing),
+        "evidence digest": (lambda run: run.release.evidence.startswith(start), nothing),
         "image digest": (runs_image, nothing),
     }
 

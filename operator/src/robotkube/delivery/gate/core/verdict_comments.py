@@ -40,5 +40,6 @@ def checked_text(commit: str, proposal: ProposedCommit, verdict: ProposalVerdict
 
 def _next_step(way: Way) -> str:
     if way == APPROVAL:
-        return f"{PATH}: the gate merges exactly this commit when another person with write rights approves it."
+        who = "when another person with write rights approves it"
+        return f"{PATH}: the gate merges what exactly this commit changes {who}."
     return f"{PATH} names no way to main for these files: name them under `person` there, in a pull request of its own."

@@ -97,6 +97,9 @@ def _verdict(report: Report) -> str:
     return f"{done} of {total} suites passed so far."
 
 
+NOT_ENDED = ("waiting", "queued")  # of a suite that never begins when the submission is refused
+
+
 def _is_bad(suite: SuiteReport) -> bool:
     return suite.state in ("failed", "unfinished")
 
@@ -115,7 +118,7 @@ def _chart_lines(chart: ChartReport, report: Report) -> list[str]:
     artefact = chart.artefact
     lines = [f"### {plain(f'{artefact.chart} {artefact.version}')}", ""]
     lines += ["| suite | result | time | |", "| --- | --- | --- | --- |"]
-    lines += [_row(suite) for suite in chart.suites]
+    lines += [_row(suite, report.verdict == REFUSED) for suite in chart.suites]
     lines.append("")
     for suite in chart.suites:
         if _is_bad(suite):
@@ -129,9 +132,10 @@ def _chart_lines(chart: ChartReport, report: Report) -> list[str]:
     return [*lines, ""]
 
 
-def _row(suite: SuiteReport) -> str:
+def _row(suite: SuiteReport, ended: bool) -> str:
     seconds = "" if suite.seconds is None else f"{suite.seconds:.1f} s"
-    state = f"**{_word(suite)}**" if _is_bad(suite) else suite.state
+    words = f"**{_word(suite)}**" if _is_bad(suite) else suite.state
+    state = "not run" if ended and suite.state in NOT_ENDED else words
     return f"| {plain(suite.name)} {plain(suite.version)} | {state} | {seconds} | {plain(suite.note)} |"
 
 

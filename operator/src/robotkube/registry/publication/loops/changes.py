@@ -21,7 +21,8 @@ from robotkube.registry.publication.core.submissions import APPLICATIONS, EVIDEN
 from robotkube.registry.publication.loops.application_verification import ApplicationVerification, TriedApplications
 from robotkube.registry.publication.loops.submission_reader import PublicationSettings
 
-WAITS = "The gate merges exactly this commit when another person with write rights, who is no publisher, approves it."
+WHO = "another person with write rights, who is no publisher"
+WAITS = f"The gate merges what exactly this commit changes when {WHO}, approves it."
 
 log = logging.getLogger(__name__)
 
