@@ -26,6 +26,7 @@ TOP = Path(__file__).resolve().parent.parent
 TESTS = "operator/tests"
 TEARDOWN_SECONDS_MAX = 120
 EXAMPLES = "ROBOTKUBE_EXAMPLES"
+MEMORY, MEMORY_BYTES_MIN = Path("/dev/shm"), 4 * 2**30  # noqa: S108 - the folder in it is made by tempfile
 FEW_EXAMPLES, ALL_EXAMPLES = 40, 200
 FASTEST = "not processes and not toolchain and not platform and not thorough"
 
@@ -111,10 +112,23 @@ def spread(processes: int) -> list[str]:
 def temporary_folder(group: Group) -> Iterator[tuple[Path, dict[str, str]]]:
     """A folder that is deleted, and the environment in which a group's tests run: also what a killed process leaves in
     its folder for temporary files goes. Nodes of a cluster may run longer than the tests: theirs stays the machine's.
+    Fast tests make and delete 100,000 small files, which memory does ten times as fast as a disk.
     """
-    with tempfile.TemporaryDirectory(prefix="robotkube-", ignore_cleanup_errors=True) as folder:
+    place = in_memory() if group.needs == "tests" else None
+    with tempfile.TemporaryDirectory(prefix="robotkube-", dir=place, ignore_cleanup_errors=True) as folder:
         own = {} if group.needs == "images" else {"TMPDIR": folder}
         yield Path(folder), {EXAMPLES: str(group.examples), **os.environ, **own}
+
+
+def in_memory(place: Path = MEMORY) -> str | None:
+    """The folder whose files are kept in memory, where programs may be started from it and it has room."""
+    try:
+        room = os.statvfs(place)
+    except OSError:
+        return None
+    free = min(room.f_bavail * room.f_frsize, os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    suits = not room.f_flag & os.ST_NOEXEC and free >= MEMORY_BYTES_MIN
+    return str(place) if suits and os.access(place, os.W_OK) else None
 
 
 def wait(process: subprocess.Popen[bytes], group: Group) -> int:

@@ -96,6 +96,14 @@ def test_a_group_says_how_many_examples(monkeypatch: pytest.MonkeyPatch) -> None
         assert environment[groups.EXAMPLES] == "7"
 
 
+def test_temporary_files_are_in_memory_where_that_has_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(groups, "MEMORY_BYTES_MIN", 1)
+    assert groups.in_memory(tmp_path) == str(tmp_path)
+    assert groups.in_memory(tmp_path / "none") is None
+    monkeypatch.setattr(groups, "MEMORY_BYTES_MIN", 2**60)
+    assert groups.in_memory(tmp_path) is None
+
+
 def test_each_test_counts_once_as_its_worst(tmp_path: Path) -> None:
     code, counts = counted(tmp_path, "mixed", MIXED)
     assert (code, counts) == (1, results.Counts(1, 2, 1))
