@@ -254,6 +254,17 @@ ATTACKS = (
         "annotation", "An annotation is added to a release's Deployment", NO_DEMAND, NOT_PROPOSED, CHANGED, OTHERWISE
     ),
     Attack(
+        "pod-changed-as-made",
+        "A mutating policy or webhook gives pods of a release a probe, a mount or a volume more",
+        NO_DEMAND,
+        NOT_PROPOSED,
+        Unseen("who asks for it is the controller that makes the pod, and its images are verified ones"),
+        Refused(
+            "pod … is not what the chart of its release renders",
+            f"{INSPECTION}::test_a_pod_that_was_changed_as_it_was_made",
+        ),
+    ),
+    Attack(
         "ephemeral-container",
         "A container is added to a pod that runs (`kubectl debug`)",
         NO_DEMAND,
