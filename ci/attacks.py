@@ -23,10 +23,12 @@ from ci.attack_shared import (
     IMAGE,
     INSIDE,
     INSPECTION,
+    INSPECTOR,
     NO_DEMAND,
     NOT_ON_MAIN,
     NOT_PROPOSED,
     NOTHING_RUNS,
+    NOTHING_TO_JUDGE,
     OF_NO_RELEASE,
     ON_THE_MACHINE,
     OTHER_CHART,
@@ -349,6 +351,30 @@ ATTACKS = (
         Refused(
             "container … of pod … runs image …, which is not listed for this namespace",
             "delivery/inspection/test_permitted.py::test_while_the_forge_is_away_the_last_list_counts",
+        ),
+    ),
+    Attack(
+        "inspection-forged",
+        "Somebody writes into an Inspection that nothing is strange, or deletes it",
+        NO_DEMAND,
+        NOT_PROPOSED,
+        NOTHING_TO_JUDGE,
+        Refused(
+            "inspection restored name=… was=…",
+            f"{INSPECTOR}::test_a_stranger_that_somebody_made_unnamed_is_named_again",
+            "the inspector's log, within 5 s",
+        ),
+    ),
+    Attack(
+        "inspection-changed-by-policy",
+        "A mutating policy or webhook changes what the inspector writes",
+        NO_DEMAND,
+        NOT_PROPOSED,
+        NOTHING_TO_JUDGE,
+        Refused(
+            "the API server has something else than what was written, so do not believe it",
+            f"{INSPECTOR}::test_admission_that_changes_what_is_written_is_said",
+            "the inspector, which is not ready then",
         ),
     ),
     Attack(

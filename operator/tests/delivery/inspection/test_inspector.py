@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import pytest
@@ -13,6 +13,7 @@ from robotkube.delivery.inspection.loops.looks import NodeLooks, ReleaseLooks
 from robotkube.delivery.inspection.loops.reporting import Reporter
 from robotkube.delivery.inspection.ports import NodeReading
 from robotkube.foundation.runtime.settings_file import split_message
+from tests.stages.attacks import shown
 from tests.stages.delivery.inspected_node import FOREIGN_IMAGE, deployment, permitted, pod_object, pods, running
 from tests.stages.delivery.inspections_in_memory import (
     Clock,
@@ -236,11 +237,76 @@ def test_a_node_that_is_gone_leaves_no_inspection(stage: Stage) -> None:
     assert stage.inspections.names() == ("kubelet.a", "releases")
 
 
-def test_an_unchanged_status_is_written_once_a_minute(stage: Stage) -> None:
+def test_an_unchanged_status_is_written_every_twenty_seconds(stage: Stage) -> None:
     stage.run(30)
     before = stage.inspections.writes
     stage.run(120)
-    assert stage.inspections.writes - before == 4
+    assert stage.inspections.writes - before == 12
+
+
+def _forged(status: Mapping[str, Any]) -> dict[str, Any]:
+    """The status as somebody would like to have it: nothing is strange."""
+    if not status.get("strangers"):
+        return dict(status)
+    clean = [{**one, "status": "True", "message": "no strangers"} for one in status["conditions"]]
+    return {**status, "strangers": [], "strangersTotal": 0, "conditions": clean}
+
+
+def _counted(stage: Stage, name: str) -> Mapping[tuple[str, ...], float]:
+    (values,) = [one.values for one in stage.reporter.metrics() if one.name == f"robotkube_inspection_{name}"]
+    return values
+
+
+def _with_a_stranger(stage: Stage) -> None:
+    stage.nodes.readings["a"] = reading(pod_object(), STRANGER)
+    stage.run(NAMED_SECONDS)
+    assert stage.conditions() == STRANGE
+
+
+def test_a_stranger_that_somebody_made_unnamed_is_named_again(stage: Stage, caplog: pytest.LogCaptureFixture) -> None:
+    _with_a_stranger(stage)
+    stage.inspections.statuses["kubelet.a"] = _forged(stage.inspections.statuses["kubelet.a"])
+    stage.run(4)
+    assert stage.conditions() == STRANGE
+    assert _counted(stage, "restored_total") == {(): 1.0}
+    (line,) = [one.getMessage() for one in caplog.records if "restored" in one.getMessage()]
+    assert line == "inspection restored name=kubelet.a was=changed"
+    shown("nodes", line, "inspection-forged")
+
+
+def test_an_inspection_that_somebody_deleted_is_back(stage: Stage) -> None:
+    _with_a_stranger(stage)
+    stage.inspections.remove("kubelet.a")
+    stage.run(4)
+    assert stage.conditions() == STRANGE
+    assert len(stage.inspections.events) == 2
+
+
+def test_admission_that_changes_what_is_written_is_said(stage: Stage, caplog: pytest.LogCaptureFixture) -> None:
+    stage.run(31.5)
+    stage.inspections.changes = _forged
+    stage.nodes.readings["a"] = reading(pod_object(), STRANGER)
+    stage.run(60)
+    (problem,) = stage.inspector.reasons_not_ready()
+    assert "the API server has something else than what was written, so do not believe it" in problem
+    shown("nodes", problem, "inspection-changed-by-policy")
+    assert _counted(stage, "write_failures_total")[("Changed",)] >= 5
+    hindered = [one for one in caplog.records if "inspection hindered" in one.getMessage()]
+    assert len(hindered) == 1
+    assert list(_counted(stage, "strangers").values()) == [1.0, 1.0]
+    stage.inspections.changes = lambda status: status
+    stage.run(NAMED_SECONDS)
+    assert stage.conditions() == STRANGE
+    assert stage.inspector.reasons_not_ready() == []
+
+
+def test_admission_that_refuses_what_is_written_is_said(stage: Stage) -> None:
+    stage.run(31.5)
+    stage.inspections.refuses = True
+    stage.nodes.readings["a"] = reading(pod_object(), STRANGER)
+    stage.run(NAMED_SECONDS)
+    assert "a policy denied the request" in stage.inspector.reasons_not_ready()[0]
+    assert _counted(stage, "write_failures_total")[("Refused",)] >= 1
 
 
 def test_metrics(stage: Stage) -> None:

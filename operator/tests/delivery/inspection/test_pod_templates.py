@@ -51,7 +51,7 @@ CHANGES: dict[str, Callable[[Object], Any]] = {
     "a device": lambda pod: first(pod).update(volumeDevices=[{"name": "settings", "devicePath": "/dev/x"}]),
     "a command": lambda pod: first(pod).update(command=["sh"]),
     "arguments": lambda pod: first(pod).update(args=["-x"]),
-    "a folder": lambda pod: first(pod).update(workingDir="/tmp"),
+    "a folder": lambda pod: first(pod).update(workingDir="/elsewhere"),
     "a variable": lambda pod: first(pod)["env"].append({"name": "LD_PRELOAD", "value": "/script/x.so"}),
     "variables of a ConfigMap": lambda pod: first(pod).update(envFrom=[{"configMapRef": {"name": "x"}}]),
     "rights": lambda pod: first(pod).update(securityContext={"runAsUser": 0}),

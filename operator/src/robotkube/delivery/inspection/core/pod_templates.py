@@ -34,7 +34,7 @@ TOLERATIONS = tuple(
     for key in ("not-ready", "unreachable")
 )
 """Of the admission plugin DefaultTolerationSeconds."""
-TOKEN_NAME, TOKEN_PATH = "kube-api-access-", "/var/run/secrets/kubernetes.io/serviceaccount"  # noqa: S105 - a name
+TOKEN_NAME, TOKEN_PATH = "kube-api-access-", "/var/run/secrets/kubernetes.io/serviceaccount"
 TOKEN = {
     "defaultMode": 420,
     "sources": [
