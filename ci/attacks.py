@@ -267,6 +267,18 @@ ATTACKS = (
         ),
     ),
     Attack(
+        "settings-past-main",
+        "A release gets settings that main does not have: by the ApplicationSet's values, or while Argo CD is told to "
+        "ignore the difference",
+        NO_DEMAND,
+        NOT_PROPOSED,
+        VERIFIED_OTHERWISE,
+        Refused(
+            "ConfigMap … is not what the chart of release … renders: data.…",
+            f"{INSPECTOR}::test_settings_that_main_does_not_have_are_named_in_time",
+        ),
+    ),
+    Attack(
         "ephemeral-container",
         "A container is added to a pod that runs (`kubectl debug`)",
         NO_DEMAND,

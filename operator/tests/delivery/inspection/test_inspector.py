@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from robotkube.delivery.inspection.core.permitted import ReleaseShape
 from robotkube.delivery.inspection.core.strangers import Look, Stranger
 from robotkube.delivery.inspection.loops.inspector import Inspector
 from robotkube.delivery.inspection.loops.looks import NodeLooks, ReleaseLooks
@@ -14,7 +15,16 @@ from robotkube.delivery.inspection.loops.reporting import Reporter
 from robotkube.delivery.inspection.ports import NodeReading
 from robotkube.foundation.runtime.settings_file import split_message
 from tests.stages.attacks import shown
-from tests.stages.delivery.inspected_node import FOREIGN_IMAGE, deployment, permitted, pod_object, pods, running
+from tests.stages.delivery.inspected_node import (
+    CHART,
+    FOREIGN_IMAGE,
+    RENDERED,
+    deployment,
+    permitted,
+    pod_object,
+    pods,
+    running,
+)
 from tests.stages.delivery.inspections_in_memory import (
     Clock,
     InspectionsInMemory,
@@ -126,6 +136,47 @@ def test_another_kind_of_workload_is_named(stage: Stage) -> None:
     stage.run(60)
     (one,) = stage.inspections.statuses["releases"]["strangers"]
     assert (one["kind"], one["reason"]) == ("StatefulSet", "NoRelease")
+
+
+def _settings(**data: str) -> dict[str, Any]:
+    metadata = {"name": "detector", "namespace": "vehicle-00", "uid": "9", "resourceVersion": str(len(data))}
+    return {"metadata": metadata, "data": data}
+
+
+def _with_settings(stage: Stage, *earlier: dict[str, Any], **data: str) -> None:
+    """The detector's release renders a ConfigMap as well; `data` is what the cluster has."""
+    now = {"detector": RENDERED, "ConfigMap/detector": {"data": {"config.yaml": "a: 1"}}}
+    shape = ReleaseShape("detector", CHART, now, [{"ConfigMap/detector": one} for one in earlier])
+    stage.source.now = permitted(releases={"vehicle-00": [shape]})
+    stage.workloads.workloads.append(("ConfigMap", _settings(**data)))
+    others = {"name": "kube-root-ca.crt", "namespace": "vehicle-00", "uid": "8"}
+    stage.workloads.workloads.append(("ConfigMap", {"metadata": others, "data": {"ca.crt": "x"}}))
+    stage.run(NAMED_SECONDS)
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        ({"config.yaml": "a: 2"}, "data.config.yaml says something else"),
+        ({"config.yaml": "a: 1", "more": ""}, "data.more is there, which the chart does not have"),
+        ({}, "data.config.yaml is missing"),
+    ],
+)
+def test_settings_that_main_does_not_have_are_named_in_time(stage: Stage, data: dict[str, str], words: str) -> None:
+    stage.run(31.5)
+    _with_settings(stage, **data)
+    (one,) = stage.inspections.statuses["releases"]["strangers"]
+    assert (one["kind"], one["name"], one["reason"]) == ("ConfigMap", "detector", "NotOfTheChart")
+    assert f"ConfigMap vehicle-00/detector is not what the chart of release detector renders: {words}" in one["message"]
+    shown("nodes", one["message"], "settings-past-main")
+
+
+def test_settings_as_main_has_or_had_them_are_none(stage: Stage) -> None:
+    _with_settings(stage, **{"config.yaml": "a: 1"})
+    assert stage.conditions("releases") == CLEAN
+    stage.workloads.workloads.clear()
+    _with_settings(stage, {"data": {"config.yaml": "a: 0"}}, **{"config.yaml": "a: 0"})
+    assert stage.conditions("releases") == CLEAN
 
 
 def test_what_a_publication_explains_is_never_named(stage: Stage) -> None:

@@ -200,6 +200,7 @@ def test_every_kind_of_workload_can_be_listed(api: Api) -> None:
     reached = ApiServer(f"https://127.0.0.1:{server.port}", token, _authority(api))
     workloads = KubernetesWorkloads(reached)
     assert {kind: len(workloads.read("cloud-0", kind)) for kind in workloads.kinds} == dict.fromkeys(workloads.kinds, 0)
+    assert workloads.read("cloud-0", "ConfigMap") == []
     reached.close()
 
 

@@ -79,11 +79,11 @@ class Workloads(Protocol):
 
     @property
     def kinds(self) -> Sequence[str]:
-        """Kinds of workloads that there are besides Deployment."""
+        """Kinds of workloads that there are and no release is made of."""
         ...
 
     def read(self, namespace: str, kind: str) -> Sequence[Mapping[str, Any]]:
-        """The workloads of a kind in a namespace, each with its namespace in its metadata."""
+        """The workloads of a kind, or the ConfigMaps, in a namespace, each with its namespace in its metadata."""
         ...
 
 

@@ -151,7 +151,8 @@ class Reporter:
         }
         counted = {key: float(count) for key, count in strangers.items()}
         restored: dict[tuple[str, ...], float] = {(): float(self._restored)}
-        failures = {(kind,): float(self._failures[(kind,)]) for kind in (REFUSED, CHANGED, UNANSWERED)}
+        results = (REFUSED, CHANGED, UNANSWERED)
+        failures: dict[tuple[str, ...], float] = {(kind,): float(self._failures[(kind,)]) for kind in results}
         return [
             _gauge("strangers", counted, "reason"),
             _gauge("look_age_seconds", ages),
