@@ -46,6 +46,7 @@ CHANGED = Refused(
     f"{POLICIES}::test_nobody_else_changes_a_workload_of_an_agent",
 )
 INSPECTION = "delivery/inspection/test_attacks.py"
+INSPECTOR = "delivery/inspection/test_inspector.py"
 RUNS_FOREIGN_IMAGE = Refused(
     "container … of pod … runs image …, which is not listed for this namespace",
     f"{INSPECTION}::test_a_pod_with_an_image_that_is_not_listed",

@@ -23,10 +23,12 @@ from ci.attack_shared import (
     IMAGE,
     INSIDE,
     INSPECTION,
+    INSPECTOR,
     NO_DEMAND,
     NOT_ON_MAIN,
     NOT_PROPOSED,
     NOTHING_RUNS,
+    NOTHING_TO_JUDGE,
     OF_NO_RELEASE,
     ON_THE_MACHINE,
     OTHER_CHART,
@@ -254,6 +256,29 @@ ATTACKS = (
         "annotation", "An annotation is added to a release's Deployment", NO_DEMAND, NOT_PROPOSED, CHANGED, OTHERWISE
     ),
     Attack(
+        "pod-changed-as-made",
+        "A mutating policy or webhook gives pods of a release a probe, a mount or a volume more",
+        NO_DEMAND,
+        NOT_PROPOSED,
+        Unseen("who asks for it is the controller that makes the pod, and its images are verified ones"),
+        Refused(
+            "pod … is not what the chart of its release renders",
+            f"{INSPECTION}::test_a_pod_that_was_changed_as_it_was_made",
+        ),
+    ),
+    Attack(
+        "settings-past-main",
+        "A release gets settings that main does not have: by the ApplicationSet's values, or while Argo CD is told to "
+        "ignore the difference",
+        NO_DEMAND,
+        NOT_PROPOSED,
+        VERIFIED_OTHERWISE,
+        Refused(
+            "ConfigMap … is not what the chart of release … renders: data.…",
+            f"{INSPECTOR}::test_settings_that_main_does_not_have_are_named_in_time",
+        ),
+    ),
+    Attack(
         "ephemeral-container",
         "A container is added to a pod that runs (`kubectl debug`)",
         NO_DEMAND,
@@ -338,6 +363,30 @@ ATTACKS = (
         Refused(
             "container … of pod … runs image …, which is not listed for this namespace",
             "delivery/inspection/test_permitted.py::test_while_the_forge_is_away_the_last_list_counts",
+        ),
+    ),
+    Attack(
+        "inspection-forged",
+        "Somebody writes into an Inspection that nothing is strange, or deletes it",
+        NO_DEMAND,
+        NOT_PROPOSED,
+        NOTHING_TO_JUDGE,
+        Refused(
+            "inspection restored name=… was=…",
+            f"{INSPECTOR}::test_a_stranger_that_somebody_made_unnamed_is_named_again",
+            "the inspector's log, within 5 s",
+        ),
+    ),
+    Attack(
+        "inspection-changed-by-policy",
+        "A mutating policy or webhook changes what the inspector writes",
+        NO_DEMAND,
+        NOT_PROPOSED,
+        NOTHING_TO_JUDGE,
+        Refused(
+            "the API server has something else than what was written, so do not believe it",
+            f"{INSPECTOR}::test_admission_that_changes_what_is_written_is_said",
+            "the inspector, which is not ready then",
         ),
     ),
     Attack(

@@ -26,6 +26,7 @@ from robotkube.errors import InputError, RobotKubeError, UnavailableError
 from robotkube.foundation.kubernetes.adapters.http_client import ApiServer
 
 LOOK_SECONDS = 1.0  # between looks; with GRACE_SECONDS a stranger is named within 15 s
+ATTEND_SECONDS = 5.0  # how often it is read what others wrote into what was reported
 AGAIN_SECONDS = 5.0  # after the cluster took no report
 API_SECONDS_MAX = 5.0  # that a request may keep it from looking
 NAMESPACE, API_PORT = "robotkube", 6443  # the platform's; of every cluster here
@@ -95,11 +96,16 @@ def stranger(node: str, one: Unknown) -> Stranger:
 
 
 class ClusterReports:
-    """Reports looks to the cluster. Where it takes none, it is asked again after AGAIN_SECONDS."""
+    """Reports looks to the cluster, and every ATTEND_SECONDS has it looked after (`attend`) that what was reported
+    still stands. Where it takes none, it is asked again after AGAIN_SECONDS."""
 
-    def __init__(self, report: Callable[[Look], None], clock: Callable[[], float]) -> None:
+    def __init__(
+        self, report: Callable[[Look], None], clock: Callable[[], float], attend: Callable[[], None] = lambda: None
+    ) -> None:
         self._report = report
+        self._attend = attend
         self._clock = clock
+        self._attended = float("-inf")
         self._again = float("-inf")
         self._problem = ""
 
@@ -112,6 +118,9 @@ class ClusterReports:
 
     def _told(self, looks: Iterable[Look]) -> str:
         try:
+            if self._clock() - self._attended >= ATTEND_SECONDS:
+                self._attended = self._clock()
+                self._attend()
             for look in looks:
                 self._report(look)
         except InputError as error:
@@ -178,7 +187,7 @@ def main() -> None:
     reporter = Reporter(KubernetesInspections(api, NAMESPACE, PROCESS, time.time), time.time_ns)
     follow(
         Looking(ClusterNodes(folders), time.monotonic),
-        ClusterReports(reporter.report, time.monotonic),
+        ClusterReports(reporter.report, time.monotonic, reporter.attend),
         lambda report: report.write(folders),
         lambda: time.sleep(LOOK_SECONDS),
         time.time,

@@ -43,7 +43,7 @@ LOOKED_AT = dict.fromkeys(
     [
         *(f"{kind}.apps" for kind in ("daemonsets", "deployments", "replicasets", "statefulsets")),
         *(f"{kind}.batch" for kind in ("cronjobs", "jobs")),
-        "replicationcontrollers",
+        *("configmaps", "podtemplates", "replicationcontrollers"),
     ],
     "list",
 )

@@ -40,11 +40,22 @@ def test_what_could_not_be_looked_at_is_named() -> None:
     found = seen([silent, _inspection(Look("kubelet", node="b"))], NOW)
     assert found.blind == "not looked at: kubelet.a (kubelet of node a: timed out)"
     assert "no strangers in 1 places" in found.text
-    stale = seen([_inspection(Look("kubelet", node="b"))], NOW + 200 * 10**9)
-    assert "kubelet.b (the last look was 220 s ago: is what looks running?)" in stale.blind
+    stale = seen([_inspection(Look("kubelet", node="b"))], NOW + 30 * 10**9)
+    assert "kubelet.b (the last look was 50 s ago: is what looks running?)" in stale.blind
+    assert not seen([_inspection(Look("kubelet", node="b"))], NOW + 20 * 10**9).blind
     assert seen([], NOW).blind == NOBODY_LOOKS
     made = {"metadata": {"name": "kubelet.c"}, "spec": {"looksAt": "kubelet"}}
     assert seen([made], NOW).blind == "not looked at: kubelet.c (nothing looked there yet)"
+
+
+def test_an_inspector_that_is_not_ready_is_named() -> None:
+    """What the Inspections say is then not what it saw, as when admission changes what it writes."""
+    clean = [_inspection(Look("kubelet", node="a"))]
+    assert "inspector (it is not ready: what the Inspections say may be old" in seen(clean, NOW, {"status": {}}).blind
+    assert "inspector (there is no such Deployment" in seen(clean, NOW, {}).blind
+    assert not seen(clean, NOW, {"status": {"availableReplicas": 1}}).blind
+    assert not seen(clean, NOW, None).blind  # who asks may not read it
+    assert seen([], NOW, {}).blind == NOBODY_LOOKS
 
 
 def test_programs_get_one_document() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,8 +10,9 @@ from robotkube.cli.output import Table
 from robotkube.delivery.inspection.core.statuses import CLEAN, SEEN
 from robotkube.foundation.documents.core.times import time_ns
 
-STALE_SECONDS = 150  # what looks writes at least once a minute
+STALE_SECONDS = 45  # a look every 10 s, written every 20 s, and the time that kubelets take which do not answer
 NAMED_MAX = 5
+INSPECTOR = "inspector"
 STRANGER_COLUMNS = ("kind", "namespace", "name", "container", "reason", "since")
 UNSEEN_COLUMNS = ("place", "problem")
 STEP = "kubectl describe inspections in the platform's namespace says what to do"
@@ -67,10 +68,11 @@ class Seen:
         return "".join([*lines, *([f"{self.blind}\n"] if self.blind else [])])
 
 
-def seen(inspections: Sequence[Object], now_ns: int) -> Seen:
-    """What these Inspections say at a time."""
+def seen(inspections: Sequence[Object], now_ns: int, inspector: Object | None = None) -> Seen:
+    """What these Inspections say at a time. `inspector` is the Deployment of who writes them, empty when there is none,
+    None when that is not known."""
     strangers: list[Object] = []
-    unseen: list[Object] = []
+    unseen: list[Object] = [*_away(inspector)] if inspections and inspector is not None else []
     looked = more = 0
     for item in sorted(inspections, key=lambda one: str(one["metadata"]["name"])):
         name = str(item["metadata"]["name"])
@@ -95,6 +97,15 @@ def _problem(status: Object, now_ns: int) -> str:
         return str(conditions[SEEN]["message"])
     age = (now_ns - time_ns(status["observedTime"])) // 10**9 if "observedTime" in status else STALE_SECONDS + 1
     return f"the last look was {age} s ago: is what looks running?" if age > STALE_SECONDS else ""
+
+
+def _away(inspector: Object) -> Iterator[Object]:
+    """That who looks is not there, or not ready, so that what the Inspections say may be old, or somebody else's."""
+    if not inspector:
+        yield {"place": INSPECTOR, "problem": "there is no such Deployment: who writes the Inspections?"}
+    elif not int((inspector.get("status") or {}).get("availableReplicas") or 0):
+        problem = "it is not ready: what the Inspections say may be old, or not what it saw; its log says why"
+        yield {"place": INSPECTOR, "problem": problem}
 
 
 def _words(one: Object) -> str:

@@ -9,6 +9,7 @@ import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
+from robotkube.cli.inspections import INSPECTOR
 from robotkube.delivery.inspection.core.strangers import PLURAL as INSPECTIONS
 from robotkube.delivery.tasks.adapters.kubernetes_tasks import KubernetesTasks
 from robotkube.delivery.tasks.core.task_description import GROUP, PLURAL, VERSION
@@ -102,6 +103,15 @@ class Platform:
             return self._items(f"/apis/{GROUP}/{VERSION}/namespaces/{self._namespace}/{INSPECTIONS}")
         except InputError:
             return ()
+
+    def inspector(self) -> Mapping[str, Any] | None:
+        """The Deployment of who writes the Inspections, empty when there is none; None when that may not be read."""
+        try:
+            return self._read("GET", f"/apis/apps/v1/namespaces/{self._namespace}/deployments/{INSPECTOR}")
+        except KeyError:
+            return {}
+        except (InputError, RefusalError):
+            return None
 
     def page(self, path: str) -> Mapping[str, Any]:
         """A JSON page of the manager."""

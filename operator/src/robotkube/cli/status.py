@@ -63,7 +63,8 @@ def show_status(options: argparse.Namespace) -> Table:
         watch = read_main(access, Path(folder), TrustedKeys(keys), time.monotonic, time.sleep)
     if options.forge_url:
         return _shown(watch, None)
-    return _shown(watch, inspections.seen(Platform(options).inspections(), time.time_ns()))
+    platform = Platform(options)
+    return _shown(watch, inspections.seen(platform.inspections(), time.time_ns(), platform.inspector()))
 
 
 def _shown(watch: UncheckedWatch, seen: inspections.Seen | None) -> Table:

@@ -19,6 +19,7 @@ from ci.cluster.pki import Authority, control_plane_identities
 from ci.cluster.records import ClusterFolders
 from robotkube.delivery.inspection.adapters.kubernetes_inspections import KubernetesInspections
 from robotkube.delivery.inspection.loops.reporting import Reporter
+from robotkube.errors import InputError
 from robotkube.foundation.kubernetes.adapters.client import api_client
 from robotkube.foundation.kubernetes.adapters.http_client import ApiServer
 from tests.stages.kubernetes.api_calls import Api, served
@@ -134,3 +135,54 @@ def test_a_stranger_is_written_as_soon_as_the_platform_is_there(api: Api, own: A
     ]
     assert {one["reportingController"] for one in events} == {"robotkube.io/containers"}
     assert json.dumps(events).count("machine.vehicle-00") >= len(events)
+
+
+POLICIES = "/apis/admissionregistration.k8s.io/v1/mutatingadmissionpolicies"
+BINDINGS = "/apis/admissionregistration.k8s.io/v1/mutatingadmissionpolicybindings"
+RULE = {"apiGroups": ["robotkube.io"], "apiVersions": ["*"], "resources": ["inspections/status"], "operations": ["*"]}
+EMPTIED = {
+    "metadata": {"name": "nothing-is-strange"},
+    "spec": {
+        "failurePolicy": "Fail",
+        "reinvocationPolicy": "Never",
+        "matchConstraints": {"resourceRules": [RULE]},
+        "mutations": [
+            {
+                "patchType": "JSONPatch",
+                "jsonPatch": {"expression": '[JSONPatch{op: "replace", path: "/status/strangers", value: []}]'},
+            }
+        ],
+    },
+}
+
+
+def test_what_others_make_of_an_inspection_is_seen(api: Api, own: ApiServer) -> None:
+    """A patch is written over; a policy that empties what is written is said by the answer to the write."""
+    install_definition(api)
+    api.post("/api/v1/namespaces", {"apiVersion": "v1", "kind": "Namespace", "metadata": {"name": NAMESPACE}})
+    reporter = Reporter(KubernetesInspections(own, NAMESPACE, PROCESS, time.time), time.time_ns)
+    looking = Looking(OneNode(), lambda: 0.0)
+    [look] = looking.looks()
+    reporter.report(look)
+    reporter.attend()
+    path = f"{INSPECTIONS}/machine.vehicle-00"
+    before = api.get(path)
+    own.patch(f"{path}/status", {"status": {"strangers": [], "strangersTotal": 0}})
+    assert api.get(path)["status"]["strangers"] == []
+    reporter.attend()
+    assert api.get(path)["status"] == before["status"]
+
+    api.post(POLICIES, EMPTIED)
+    api.post(BINDINGS, {"metadata": {"name": "x"}, "spec": {"policyName": EMPTIED["metadata"]["name"]}})
+
+    def emptied() -> str:
+        own.delete(path)
+        try:
+            reporter.attend()
+        except InputError as error:
+            return str(error)
+        return ""
+
+    until(lambda: "the API server has something else than what was written" in emptied(), "the policy works")
+    with pytest.raises(InputError, match="something else"):
+        reporter.report(look)

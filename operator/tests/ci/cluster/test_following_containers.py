@@ -71,7 +71,7 @@ class Cluster:
         self.kept: list[Report] = []
         self.looking = Looking(self.nodes, self.clock)
         self.reporter = Reporter(self.inspections, self.clock.ns)
-        self.reports = ClusterReports(self.reporter.report, self.clock)
+        self.reports = ClusterReports(self.reporter.report, self.clock, self.reporter.attend)
 
     def look(self, seconds: float = LOOK_SECONDS) -> None:
         """Look for so long."""
@@ -222,3 +222,10 @@ def test_status_names_strangers_and_what_was_not_seen(folders: ClusterFolders) -
         "  cloud-0 was not looked at: dark",
         f"  not written to the cluster: nobody answers ({folders.log / 'containers.log'})",
     ]
+
+
+def test_what_somebody_wrote_into_an_inspection_is_written_over(cluster: Cluster) -> None:
+    cluster.look(10)
+    cluster.inspections.remove("machine.vehicle-00")
+    cluster.look(7)
+    assert "machine.vehicle-00" in cluster.inspections.names()

@@ -93,3 +93,11 @@ def test_a_container_that_the_runtime_was_told_to_put_into_a_pod() -> None:
 def test_a_static_pod() -> None:
     text = _words("StaticPod", pod_object(annotations={"kubernetes.io/config.source": "file"}))
     shown("nodes", text, "static-pod")
+
+
+def test_a_pod_that_was_changed_as_it_was_made() -> None:
+    """By a mutating policy or webhook: its Deployment is as the chart renders it."""
+    item = pod_object()
+    item["spec"]["volumes"].append({"name": "script", "configMap": {"name": "script", "defaultMode": 420}})
+    item["spec"]["containers"][0]["livenessProbe"] = {"exec": {"command": ["sh", "/script/run"]}}
+    shown("nodes", _words("NotOfTheChart", item), "pod-changed-as-made")

@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import pytest
 
+from robotkube.delivery.inspection.core.permitted import ReleaseShape
 from robotkube.delivery.inspection.core.strangers import Look, Stranger
 from robotkube.delivery.inspection.loops.inspector import Inspector
 from robotkube.delivery.inspection.loops.looks import NodeLooks, ReleaseLooks
 from robotkube.delivery.inspection.loops.reporting import Reporter
 from robotkube.delivery.inspection.ports import NodeReading
 from robotkube.foundation.runtime.settings_file import split_message
-from tests.stages.delivery.inspected_node import FOREIGN_IMAGE, deployment, permitted, pod_object, pods, running
+from tests.stages.attacks import shown
+from tests.stages.delivery.inspected_node import (
+    CHART,
+    FOREIGN_IMAGE,
+    RENDERED,
+    deployment,
+    permitted,
+    pod_object,
+    pods,
+    running,
+)
 from tests.stages.delivery.inspections_in_memory import (
     Clock,
     InspectionsInMemory,
@@ -127,6 +138,47 @@ def test_another_kind_of_workload_is_named(stage: Stage) -> None:
     assert (one["kind"], one["reason"]) == ("StatefulSet", "NoRelease")
 
 
+def _settings(**data: str) -> dict[str, Any]:
+    metadata = {"name": "detector", "namespace": "vehicle-00", "uid": "9", "resourceVersion": str(len(data))}
+    return {"metadata": metadata, "data": data}
+
+
+def _with_settings(stage: Stage, *earlier: dict[str, Any], **data: str) -> None:
+    """The detector's release renders a ConfigMap as well; `data` is what the cluster has."""
+    now = {"detector": RENDERED, "ConfigMap/detector": {"data": {"config.yaml": "a: 1"}}}
+    shape = ReleaseShape("detector", CHART, now, [{"ConfigMap/detector": one} for one in earlier])
+    stage.source.now = permitted(releases={"vehicle-00": [shape]})
+    stage.workloads.workloads.append(("ConfigMap", _settings(**data)))
+    others = {"name": "kube-root-ca.crt", "namespace": "vehicle-00", "uid": "8"}
+    stage.workloads.workloads.append(("ConfigMap", {"metadata": others, "data": {"ca.crt": "x"}}))
+    stage.run(NAMED_SECONDS)
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        ({"config.yaml": "a: 2"}, "data.config.yaml says something else"),
+        ({"config.yaml": "a: 1", "more": ""}, "data.more is there, which the chart does not have"),
+        ({}, "data.config.yaml is missing"),
+    ],
+)
+def test_settings_that_main_does_not_have_are_named_in_time(stage: Stage, data: dict[str, str], words: str) -> None:
+    stage.run(31.5)
+    _with_settings(stage, **data)
+    (one,) = stage.inspections.statuses["releases"]["strangers"]
+    assert (one["kind"], one["name"], one["reason"]) == ("ConfigMap", "detector", "NotOfTheChart")
+    assert f"ConfigMap vehicle-00/detector is not what the chart of release detector renders: {words}" in one["message"]
+    shown("nodes", one["message"], "settings-past-main")
+
+
+def test_settings_as_main_has_or_had_them_are_none(stage: Stage) -> None:
+    _with_settings(stage, **{"config.yaml": "a: 1"})
+    assert stage.conditions("releases") == CLEAN
+    stage.workloads.workloads.clear()
+    _with_settings(stage, {"data": {"config.yaml": "a: 0"}}, **{"config.yaml": "a: 0"})
+    assert stage.conditions("releases") == CLEAN
+
+
 def test_what_a_publication_explains_is_never_named(stage: Stage) -> None:
     """Pods of a release may stand before the inspector has followed main and catalogue."""
     stage.run(31.5)
@@ -236,11 +288,76 @@ def test_a_node_that_is_gone_leaves_no_inspection(stage: Stage) -> None:
     assert stage.inspections.names() == ("kubelet.a", "releases")
 
 
-def test_an_unchanged_status_is_written_once_a_minute(stage: Stage) -> None:
+def test_an_unchanged_status_is_written_every_twenty_seconds(stage: Stage) -> None:
     stage.run(30)
     before = stage.inspections.writes
     stage.run(120)
-    assert stage.inspections.writes - before == 4
+    assert stage.inspections.writes - before == 12
+
+
+def _forged(status: Mapping[str, Any]) -> dict[str, Any]:
+    """The status as somebody would like to have it: nothing is strange."""
+    if not status.get("strangers"):
+        return dict(status)
+    clean = [{**one, "status": "True", "message": "no strangers"} for one in status["conditions"]]
+    return {**status, "strangers": [], "strangersTotal": 0, "conditions": clean}
+
+
+def _counted(stage: Stage, name: str) -> Mapping[tuple[str, ...], float]:
+    (values,) = [one.values for one in stage.reporter.metrics() if one.name == f"robotkube_inspection_{name}"]
+    return values
+
+
+def _with_a_stranger(stage: Stage) -> None:
+    stage.nodes.readings["a"] = reading(pod_object(), STRANGER)
+    stage.run(NAMED_SECONDS)
+    assert stage.conditions() == STRANGE
+
+
+def test_a_stranger_that_somebody_made_unnamed_is_named_again(stage: Stage, caplog: pytest.LogCaptureFixture) -> None:
+    _with_a_stranger(stage)
+    stage.inspections.statuses["kubelet.a"] = _forged(stage.inspections.statuses["kubelet.a"])
+    stage.run(4)
+    assert stage.conditions() == STRANGE
+    assert _counted(stage, "restored_total") == {(): 1.0}
+    (line,) = [one.getMessage() for one in caplog.records if "restored" in one.getMessage()]
+    assert line == "inspection restored name=kubelet.a was=changed"
+    shown("nodes", line, "inspection-forged")
+
+
+def test_an_inspection_that_somebody_deleted_is_back(stage: Stage) -> None:
+    _with_a_stranger(stage)
+    stage.inspections.remove("kubelet.a")
+    stage.run(4)
+    assert stage.conditions() == STRANGE
+    assert len(stage.inspections.events) == 2
+
+
+def test_admission_that_changes_what_is_written_is_said(stage: Stage, caplog: pytest.LogCaptureFixture) -> None:
+    stage.run(31.5)
+    stage.inspections.changes = _forged
+    stage.nodes.readings["a"] = reading(pod_object(), STRANGER)
+    stage.run(60)
+    (problem,) = stage.inspector.reasons_not_ready()
+    assert "the API server has something else than what was written, so do not believe it" in problem
+    shown("nodes", problem, "inspection-changed-by-policy")
+    assert _counted(stage, "write_failures_total")[("Changed",)] >= 5
+    hindered = [one for one in caplog.records if "inspection hindered" in one.getMessage()]
+    assert len(hindered) == 1
+    assert list(_counted(stage, "strangers").values()) == [1.0, 1.0]
+    stage.inspections.changes = lambda status: status
+    stage.run(NAMED_SECONDS)
+    assert stage.conditions() == STRANGE
+    assert stage.inspector.reasons_not_ready() == []
+
+
+def test_admission_that_refuses_what_is_written_is_said(stage: Stage) -> None:
+    stage.run(31.5)
+    stage.inspections.refuses = True
+    stage.nodes.readings["a"] = reading(pod_object(), STRANGER)
+    stage.run(NAMED_SECONDS)
+    assert "a policy denied the request" in stage.inspector.reasons_not_ready()[0]
+    assert _counted(stage, "write_failures_total")[("Refused",)] >= 1
 
 
 def test_metrics(stage: Stage) -> None:

@@ -59,8 +59,12 @@ class Inspections:
     def status(self, name: str) -> dict[str, Any]:
         return self.stands
 
-    def write(self, look: Look, status: Any) -> None:
+    def standing(self, prefix: str) -> dict[str, Any]:
+        return {RELEASES: self.stands}
+
+    def write(self, look: Look, status: Any) -> Any:
         self.written += 1
+        return status
 
     def remove(self, name: str) -> None:
         raise AssertionError(name)
@@ -76,5 +80,7 @@ def test_what_the_remover_says_is_no_reason_to_write_again() -> None:
     with_others = {**stands, "conditions": [REMOVED, *reversed(stands["conditions"])]}
     assert own(with_others) == stands
     inspections = Inspections(with_others)
-    Reporter(inspections, lambda: 1_795_608_010 * 10**9).report(look)
+    reporter = Reporter(inspections, lambda: 1_795_608_010 * 10**9)
+    reporter.report(look)
+    reporter.attend()
     assert inspections.written == 0

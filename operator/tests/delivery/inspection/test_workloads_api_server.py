@@ -14,6 +14,7 @@ import yaml
 from robotkube.delivery.inspection.adapters.kubernetes_workloads import KubernetesWorkloads
 from robotkube.delivery.inspection.core.comparison import differences
 from robotkube.delivery.inspection.core.permitted import Permitted, ReleaseShape
+from robotkube.delivery.inspection.core.pod_templates import pod_differences
 from robotkube.delivery.inspection.core.strangers import Stranger
 from robotkube.delivery.inspection.core.workload_checks import strangers_among
 from robotkube.foundation.kubernetes.adapters.http_client import ApiServer
@@ -90,7 +91,7 @@ def rendered(pod: dict[str, Any], name: str, **spec: Any) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
-    with judged_api_server(tmp_path_factory.mktemp("api"), None) as (api, _):
+    with judged_api_server(tmp_path_factory.mktemp("api"), None, gives_tokens=True) as (api, _):
         api.done("POST", "/api/v1/namespaces", {"metadata": {"name": "vehicle-00"}})
         yield api
 
@@ -123,6 +124,42 @@ def test_our_own_charts_are_as_they_are_rendered(api: Api, chart: str) -> None:
 def test_fields_of_which_nothing_is_said_are_explained(api: Api) -> None:
     item = rendered({"containers": [{"name": "a", "image": f"x.example/y@{VERIFIED}"}]}, "least")
     assert differences(applied(api, item), item) == ()
+
+
+def as_pod(api: Api, item: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """A pod of a Deployment's template as the API server has it, made as a ReplicaSet makes it, and that template."""
+    template = applied(api, item)["spec"]["template"]
+    labels = {**template["metadata"]["labels"], "pod-template-hash": "5d9c7b"}
+    metadata = {**template["metadata"], "name": f"{item['metadata']['name']}-5d9c7b-x", "labels": labels}
+    account = template["spec"].get("serviceAccountName", "default")
+    place = "/api/v1/namespaces/vehicle-00"
+    api.request("POST", f"{place}/serviceaccounts", {"metadata": {"name": account}})  # it may be there
+    made = api.done("POST", f"{place}/pods", {"metadata": metadata, "spec": template["spec"]})
+    return made, item["spec"]["template"]
+
+
+def of_a_pod(made: dict[str, Any], template: dict[str, Any]) -> tuple[str, ...]:
+    metadata = made["metadata"]
+    return pod_differences(metadata["labels"], metadata.get("annotations", {}), made["spec"], template)
+
+
+@pytest.mark.parametrize("chart", APPS)
+def test_a_pod_of_our_own_charts_is_its_template(api: Api, chart: str) -> None:
+    documents = yaml.safe_load_all((GOLDEN / f"{chart}.yaml").read_text(encoding="utf-8"))
+    [item] = [one for one in documents if one and one["kind"] == "Deployment"]
+    item["metadata"]["name"] = f"pod-of-{chart}"
+    made, template = as_pod(api, item)
+    assert of_a_pod(made, template) == ()
+
+
+@pytest.mark.parametrize(("pod", "name"), [(POD, "silent"), (None, "least")], ids=["much", "least"])
+def test_what_is_filled_into_pods_is_explained(api: Api, pod: dict[str, Any] | None, name: str) -> None:
+    """The account's token, tolerations and priority among it, and requests where there are limits alone."""
+    least = {"containers": [{"name": "a", "image": f"x.example/y@{VERIFIED}", "resources": {"limits": {"cpu": "1"}}}]}
+    made, template = as_pod(api, rendered(pod or least, f"pod-{name}"))
+    assert of_a_pod(made, template) == ()
+    assert made["spec"]["volumes"][-1]["name"].startswith("kube-api-access-")
+    assert {"priority", "preemptionPolicy", "tolerations"} <= set(made["spec"])
 
 
 def named(api: Api, name: str) -> Stranger:
@@ -163,6 +200,7 @@ def test_every_kind_of_workload_can_be_listed(api: Api) -> None:
     reached = ApiServer(f"https://127.0.0.1:{server.port}", token, _authority(api))
     workloads = KubernetesWorkloads(reached)
     assert {kind: len(workloads.read("cloud-0", kind)) for kind in workloads.kinds} == dict.fromkeys(workloads.kinds, 0)
+    assert workloads.read("cloud-0", "ConfigMap") == []
     reached.close()
 
 

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from robotkube.delivery.inspection.core.permitted import Permitted
 from robotkube.delivery.inspection.core.strangers import Look, Stranger
 from robotkube.delivery.inspection.ports import NodeAddress, NodeReading
-from robotkube.errors import UnavailableError
+from robotkube.errors import InputError, UnavailableError
 
 
 class InspectionsInMemory:
-    """The port Inspections. `away`: nobody answers."""
+    """The port Inspections. `away`: nobody answers; `refuses`: admission takes no write; `changes`: what admission
+    makes of a status that is written."""
 
     def __init__(self) -> None:
         self.statuses: dict[str, Mapping[str, Any]] = {}
         self.events: list[tuple[str, str, str]] = []
         self.writes = 0
-        self.away = False
+        self.away = self.refuses = False
+        self.changes: Callable[[Mapping[str, Any]], Mapping[str, Any]] = lambda status: status
 
     def names(self) -> tuple[str, ...]:
         return tuple(sorted(self.statuses))
@@ -31,10 +33,13 @@ class InspectionsInMemory:
         self._answer()
         return self.statuses.get(name)
 
-    def write(self, look: Look, status: Mapping[str, Any]) -> None:
+    def write(self, look: Look, status: Mapping[str, Any]) -> Mapping[str, Any]:
         self._answer()
         self.writes += 1
-        self.statuses[look.name] = status
+        if self.refuses:
+            raise InputError("inspections: a policy denied the request")
+        self.statuses[look.name] = self.changes(status)
+        return self.statuses[look.name]
 
     def remove(self, name: str) -> None:
         self.statuses.pop(name, None)

@@ -26,6 +26,7 @@ class ApiServerProcess:
     folder: Path
     options: tuple[str, ...] = ()
     environment: Mapping[str, str] = field(default_factory=dict)
+    gives_tokens: bool = False  # to pods, as every cluster does: then a pod's account has to be there first
     etcd_port: int = field(default_factory=free_port)
     port: int = field(default_factory=free_port)
     token: str = field(default_factory=lambda: secrets.token_hex(16))
@@ -51,11 +52,12 @@ class ApiServerProcess:
 
     def start_server(self) -> None:
         key = self.folder / "account.key"
+        disabled = "TaintNodesByCondition" if self.gives_tokens else "ServiceAccount,TaintNodesByCondition"
         self.server = self._run(
             "kube-apiserver", f"--etcd-servers=http://127.0.0.1:{self.etcd_port}", "--bind-address=127.0.0.1",
             f"--secure-port={self.port}", f"--cert-dir={self.folder}/certificates", "--authorization-mode=RBAC",
             f"--token-auth-file={self.folder}/tokens.csv", "--service-cluster-ip-range=10.255.0.0/24",
-            "--disable-admission-plugins=ServiceAccount,TaintNodesByCondition", "--endpoint-reconciler-type=none",
+            f"--disable-admission-plugins={disabled}", "--endpoint-reconciler-type=none",
             "--service-account-issuer=https://kubernetes.default.svc", f"--service-account-key-file={key}",
             f"--service-account-signing-key-file={key}", *self.options,
         )  # fmt: skip

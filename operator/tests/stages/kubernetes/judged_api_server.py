@@ -59,26 +59,31 @@ class Api(Requests):
 
 @contextmanager
 def judged_api_server(
-    folder: Path, documents: Sequence[Mapping[str, Any]] | None, environment: Mapping[str, str] = NO_VARIABLES
+    folder: Path,
+    documents: Sequence[Mapping[str, Any]] | None,
+    environment: Mapping[str, str] = NO_VARIABLES,
+    gives_tokens: bool = False,
 ) -> Iterator[tuple[Api, PolicyFiles]]:
     """The API server; every account may do everything, as far as rights go: what is refused, a policy refuses. Without
     `documents` it reads no files."""
     files = PolicyFiles(folder / "admission")
     if documents is not None:
         files.write(documents)
-    with served(folder, files, environment) as api:
+    with served(folder, files, environment, gives_tokens) as api:
         yield api, files
 
 
 @contextmanager
-def served(folder: Path, files: PolicyFiles, environment: Mapping[str, str] = NO_VARIABLES) -> Iterator[Api]:
+def served(
+    folder: Path, files: PolicyFiles, environment: Mapping[str, str] = NO_VARIABLES, gives_tokens: bool = False
+) -> Iterator[Api]:
     """The same with these files, where they are there."""
     folder.mkdir(parents=True, exist_ok=True)
     options = {"allow-privileged": "true"}  # so that it is a policy that refuses it
     if files.policies.exists():
         options.update(files.options)
     words = tuple(f"--{name}={value}" for name, value in options.items())
-    server = ApiServerProcess(folder, options=words, environment=environment)
+    server = ApiServerProcess(folder, options=words, environment=environment, gives_tokens=gives_tokens)
     try:
         server.start()
         headers = {"Authorization": f"Bearer {server.token}"}

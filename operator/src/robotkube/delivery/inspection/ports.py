@@ -28,8 +28,9 @@ class Inspections(Protocol):
         """The status of an Inspection as it stands; empty when it has none yet, None when there is no such object."""
         ...
 
-    def write(self, look: Look, status: Mapping[str, Any]) -> None:
-        """Replace the status of the look's Inspection, which is made when it is missing."""
+    def write(self, look: Look, status: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Replace the status of the look's Inspection, which is made when it is missing; the status that the API server
+        says it has now, which admission may have changed."""
         ...
 
     def remove(self, name: str) -> None:
@@ -78,11 +79,11 @@ class Workloads(Protocol):
 
     @property
     def kinds(self) -> Sequence[str]:
-        """Kinds of workloads that there are besides Deployment."""
+        """Kinds of workloads that there are and no release is made of."""
         ...
 
     def read(self, namespace: str, kind: str) -> Sequence[Mapping[str, Any]]:
-        """The workloads of a kind in a namespace, each with its namespace in its metadata."""
+        """The workloads of a kind, or the ConfigMaps, in a namespace, each with its namespace in its metadata."""
         ...
 
 

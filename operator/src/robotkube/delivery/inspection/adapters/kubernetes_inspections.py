@@ -10,12 +10,13 @@ from urllib.parse import urlencode
 
 from robotkube.delivery.inspection.core.statuses import manifest
 from robotkube.delivery.inspection.core.strangers import API_VERSION, GROUP, KIND, PLURAL, VERSION, Look, Stranger
+from robotkube.errors import UnavailableError
 from robotkube.foundation.kubernetes.adapters.http_client import ApiServer, custom_path, event_path
 from robotkube.writes import writes
 
 EVENT_NOTE_BYTES_MAX = 1024
 APPLY = "application/apply-patch+yaml"
-NOT_FOUND = 404
+NOT_FOUND, CONFLICT = 404, 409
 
 
 class KubernetesInspections:
@@ -48,16 +49,20 @@ class KubernetesInspections:
         return dict(item.get("status") or {})
 
     @writes("status")
-    def write(self, look: Look, status: Mapping[str, Any]) -> None:
+    def write(self, look: Look, status: Mapping[str, Any]) -> Mapping[str, Any]:
         """Replace the status, but for conditions of others: by server-side apply, in the name of the controller. The
         Inspection is made when it is missing."""
         query = urlencode({"fieldManager": f"robotkube-{self._controller}", "force": "true"})
         path = f"{self._path(look.name)}/status?{query}"
         body = {**manifest(look, self._namespace), "status": status}
-        if self._api.request("PATCH", path, body, APPLY)[0] == NOT_FOUND:
+        code, answer = self._api.request("PATCH", path, body, APPLY)
+        if code == NOT_FOUND:
             self._api.create(self._path(), manifest(look, self._namespace))
-            self._api.request("PATCH", path, body, APPLY)
+            code, answer = self._api.request("PATCH", path, body, APPLY)
             self._uids.pop(look.name, None)
+        if code in (NOT_FOUND, CONFLICT):
+            raise UnavailableError(f"PATCH {path}: {code} {answer.get('message', '')}")
+        return dict(answer.get("status") or {})
 
     @writes("status")
     def remove(self, name: str) -> None:

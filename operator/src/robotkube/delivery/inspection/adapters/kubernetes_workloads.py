@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 from urllib.parse import quote
 
-from robotkube.delivery.inspection.core.permitted import CHARTS_KIND
+from robotkube.delivery.inspection.core.permitted import CHARTS_KIND, SETTINGS_KIND
 from robotkube.errors import InputError
 from robotkube.foundation.kubernetes.adapters.http_client import ApiServer
 
@@ -18,6 +18,8 @@ PATHS: Mapping[str, tuple[str, str]] = {
     "Job": ("/apis/batch/v1", "jobs"),
     "CronJob": ("/apis/batch/v1", "cronjobs"),
     "ReplicationController": ("/api/v1", "replicationcontrollers"),
+    "PodTemplate": ("/api/v1", "podtemplates"),
+    SETTINGS_KIND: ("/api/v1", "configmaps"),
 }
 
 
@@ -29,8 +31,8 @@ class KubernetesWorkloads:
 
     @property
     def kinds(self) -> Sequence[str]:
-        """Kinds besides Deployment."""
-        return [kind for kind in PATHS if kind != CHARTS_KIND]
+        """Kinds besides those of releases."""
+        return [kind for kind in PATHS if kind not in (CHARTS_KIND, SETTINGS_KIND)]
 
     def read(self, namespace: str, kind: str) -> Sequence[Mapping[str, Any]]:
         """The workloads of a kind in a namespace."""

@@ -41,6 +41,22 @@ def differences(live: Object, rendered: Object) -> tuple[str, ...]:
     return tuple(found[:DIFFERENCES_MAX])
 
 
+def differing_keys(live: Object, rendered: Object) -> tuple[str, ...]:
+    """The keys of a ConfigMap that are not as its chart renders them: the first DIFFERENCES_MAX, with what is wrong.
+    What they hold is not told."""
+    told: list[str] = []
+    for part in ("data", "binaryData"):
+        have, want = (one.get(part) or {} for one in (live, rendered))
+        for key in sorted(have.keys() | want.keys()):
+            if key not in want:
+                told.append(f"{part}.{key} is there, which the chart does not have")
+            elif key not in have:
+                told.append(f"{part}.{key} is missing")
+            elif have[key] != want[key]:
+                told.append(f"{part}.{key} says something else")
+    return tuple(told[:DIFFERENCES_MAX])
+
+
 def _metadata(item: Object, part: str) -> Object:
     return dict((item.get("metadata") or {}).get(part) or {})
 

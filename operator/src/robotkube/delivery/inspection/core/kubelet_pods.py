@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Any
 
@@ -49,6 +49,8 @@ class KubeletPod:
     owner: tuple[str, str] = ("", "")
     volume_images: tuple[str, ...] = ()
     spec: Object | None = None
+    labels: Object = field(default_factory=dict)
+    annotations: Object = field(default_factory=dict)
 
     @property
     def names(self) -> frozenset[str]:
@@ -92,6 +94,7 @@ def _pod(item: Object, digests: bool) -> KubeletPod:
     metadata = item.get("metadata") or {}
     spec = item.get("spec") or {}
     status = item.get("status") or {}
+    labels = metadata.get("labels") or {}
     annotations = metadata.get("annotations") or {}
     volumes = (volume.get("image") for volume in spec.get("volumes") or ())
     return KubeletPod(
@@ -102,10 +105,12 @@ def _pod(item: Object, digests: bool) -> KubeletPod:
         static=annotations.get(SOURCE, API_SOURCE) != API_SOURCE,
         finished=status.get("phase") in FINISHED,
         ends=_end(metadata),
-        release=str((metadata.get("labels") or {}).get(RELEASE_LABEL, "")),
+        release=str(labels.get(RELEASE_LABEL, "")),
         owner=_owner(metadata),
         volume_images=tuple(str(image.get("reference", "")) for image in volumes if image),
         spec=spec,
+        labels=labels,
+        annotations=annotations,
     )
 
 

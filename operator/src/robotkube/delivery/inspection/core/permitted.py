@@ -13,13 +13,19 @@ from robotkube.registry.admission.core.stranded import is_listed
 Object = Mapping[str, Any]
 
 CHARTS_KIND = "Deployment"  # the one kind of workload that releases are made of
+SETTINGS_KIND = "ConfigMap"
+
+
+def place(kind: str, name: str) -> str:
+    """How an object of a release is named among its workloads: a Deployment by its name alone."""
+    return name if kind == CHARTS_KIND else f"{kind}/{name}"
 
 
 @dataclass(frozen=True)
 class ReleaseShape:
-    """The workloads of a release by name: as main has it now, and as it had it before, newest first: Argo CD applies
-    what main says a moment later, and a pod stays until the one that replaces it is ready. `chart` is
-    `<name>@<digest>`. `unknown` says why its workloads are not known now; then there are none."""
+    """The workloads of a release by name, and its ConfigMaps by `place`: as main has it now, and as it had it before,
+    newest first: Argo CD applies what main says a moment later, and a pod stays until the one that replaces it is
+    ready. `chart` is `<name>@<digest>`. `unknown` says why its workloads are not known now; then there are none."""
 
     name: str
     chart: str

@@ -6,9 +6,9 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
-from robotkube.delivery.inspection.core.comparison import differences
 from robotkube.delivery.inspection.core.kubelet_pods import EPHEMERAL, KINDS, Container, KubeletPod, RuntimePod
 from robotkube.delivery.inspection.core.permitted import Permitted
+from robotkube.delivery.inspection.core.pod_templates import pod_differences
 from robotkube.delivery.inspection.core.strangers import (
     CONTAINER,
     FOREIGN_CONTAINER,
@@ -30,7 +30,6 @@ MAKERS = ("ReplicaSet", "StatefulSet", "DaemonSet", "Job", "ReplicationControlle
 REMOVE = "Delete it; what is to run is proposed as a release (robotkube task submit)"
 ON_THE_MACHINE = "It was started on the machine: look who has access to it, and stop it there"
 HOST_KEYS = ("hostNetwork", "hostPID", "hostIPC")
-COMPARED_KEYS = ("image", "command", "args", "env", "envFrom", "securityContext", "workingDir", "lifecycle")
 
 
 def strangers_on(
@@ -184,32 +183,12 @@ def _otherwise(pod: KubeletPod, versions: Iterable[Mapping[str, Any]]) -> str:
     """How a pod differs from its workload's template; empty when it is as main has or had it."""
     first = ""
     for version in versions:
-        problem = _differs(pod.spec or {}, ((version.get("spec") or {}).get("template") or {}).get("spec") or {})
-        if not problem:
+        template = (version.get("spec") or {}).get("template") or {}
+        problems = pod_differences(pod.labels, pod.annotations, pod.spec or {}, template)
+        if not problems:
             return ""
-        first = first or problem
+        first = first or "; ".join(problems)
     return first
-
-
-def _differs(spec: Mapping[str, Any], template: Mapping[str, Any]) -> str:
-    """The first difference of what of a pod says which programs run, with which rights."""
-    live, rendered = (_essence(one) for one in (spec, template))
-    found = differences({"spec": {"template": {"spec": live}}}, {"spec": {"template": {"spec": rendered}}})
-    return found[0].removeprefix("spec.template.") if found else ""
-
-
-def _essence(spec: Mapping[str, Any]) -> dict[str, Any]:
-    containers = {
-        kind: [
-            {"name": entry.get("name"), **{key: entry[key] for key in COMPARED_KEYS if key in entry}}
-            for entry in spec.get(kind) or ()
-        ]
-        for kind in ("containers", "initContainers")
-    }
-    host = {key: True for key in HOST_KEYS if spec.get(key)}
-    paths = [volume["hostPath"] for volume in spec.get("volumes") or () if volume.get("hostPath")]
-    account = spec.get("serviceAccountName") or "default"
-    return {**containers, **host, "volumes": paths, "serviceAccountName": account}
 
 
 def _stranger(pod: KubeletPod, reason: str, text: str, kind: str = POD, image: str = "") -> Stranger:

@@ -1,15 +1,16 @@
-"""Strangers among the workloads of agents' namespaces: what no release has, and what is not as its chart renders it."""
+"""Strangers among the workloads of agents' namespaces: what no release has, and what is not as its chart renders it,
+ConfigMaps of releases among it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from robotkube.delivery.inspection.core.comparison import differences
+from robotkube.delivery.inspection.core.comparison import differences, differing_keys
 from robotkube.delivery.inspection.core.excess import excess
 from robotkube.delivery.inspection.core.kubelet_pods import RELEASE_LABEL
-from robotkube.delivery.inspection.core.permitted import CHARTS_KIND, Permitted
+from robotkube.delivery.inspection.core.permitted import CHARTS_KIND, SETTINGS_KIND, Permitted, place
 from robotkube.delivery.inspection.core.strangers import (
     FOREIGN_CHART,
     NO_RELEASE,
@@ -20,6 +21,10 @@ from robotkube.delivery.inspection.core.strangers import (
 Object = Mapping[str, Any]
 
 RESTORE = "Delete it, and Argo CD makes it anew as main says"
+FIND = (
+    "Look who changed it: it, the ApplicationSet of releases, or what Argo CD ignores (argocd-cm). Then delete it, and "
+    "Argo CD makes it anew as main says"
+)
 WITHDRAW = "Submit the chart (robotkube registry submit), or take the release from main"
 REMOVE = "Delete it; what is to run is proposed as a release (robotkube task submit)"
 
@@ -28,6 +33,9 @@ def strangers_among(workload: Object, kind: str, permitted: Permitted) -> Iterat
     """What is strange about one workload of an agent's namespace; nothing about one that is being deleted."""
     metadata = workload["metadata"]
     if metadata.get("deletionTimestamp") or _made_by(metadata, kind):
+        return
+    if kind == SETTINGS_KIND:
+        yield from _settings(workload, permitted)
         return
     namespace, name = str(metadata["namespace"]), str(metadata["name"])
     label = str((metadata.get("labels") or {}).get(RELEASE_LABEL, ""))
@@ -47,11 +55,27 @@ def strangers_among(workload: Object, kind: str, permitted: Permitted) -> Iterat
         yield replace(one, generation=int(metadata.get("generation") or 0), excess=excess(workload, versions))
 
 
-def _otherwise(workload: Object, versions: Iterable[Object]) -> str:
+def _settings(config_map: Object, permitted: Permitted) -> Iterator[Stranger]:
+    """What is strange about a ConfigMap: nothing, where no release renders one of its name. Who mounts such a one is
+    named as a workload or a pod."""
+    metadata = config_map["metadata"]
+    namespace, name = str(metadata["namespace"]), str(metadata["name"])
+    key = place(SETTINGS_KIND, name)
+    shape = permitted.release(namespace, key)
+    problem = _otherwise(config_map, shape.versions(key), differing_keys) if shape else ""
+    if shape and problem:
+        text = f"{key.replace('/', f' {namespace}/')} is not what the chart of release {shape.name} renders: {problem}"
+        uid = str(metadata.get("uid", ""))
+        yield Stranger(SETTINGS_KIND, namespace, name, NOT_OF_THE_CHART, f"{text}. {FIND}", uid=uid)
+
+
+def _otherwise(
+    workload: Object, versions: Iterable[Object], compare: Callable[[Object, Object], Sequence[str]] = differences
+) -> str:
     """How a workload differs from what main has; empty when it is as main has or had it."""
     first = ""
     for version in versions:
-        problems = differences(workload, version)
+        problems = compare(workload, version)
         if not problems:
             return ""
         first = first or "; ".join(problems)

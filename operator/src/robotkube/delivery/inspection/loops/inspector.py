@@ -21,7 +21,7 @@ AGAIN_SECONDS = CONFIRM_SECONDS + 0.1
 SILENT_SECONDS = 30.0  # until a kubelet is asked again that did not answer twice: it may be away for long
 NODES_SECONDS = 30.0  # how often the list of nodes is read
 REFRESH_SECONDS = 30.0  # how often what may run is read, while nothing is strange
-MACHINES_SECONDS = 5.0  # how often it is read what machines' own processes report
+ATTEND_SECONDS = 3.0  # how often all Inspections are read: what others wrote into ours, and what machines' say
 AT_ONCE = 4  # kubelets that are asked at the same time
 IDLE_SECONDS = 0.5
 
@@ -38,7 +38,7 @@ class _Schedule:
     releases: float = 0.0
     list: float = 0.0
     refresh: float = 0.0
-    machines: float = 0.0
+    attend: float = 0.0
 
 
 class Inspector:
@@ -86,9 +86,9 @@ class Inspector:
         if now >= self._due.list:
             self._due.list = now + NODES_SECONDS
             self._attempt("nodes", self._list_nodes)
-        if now >= self._due.machines:
-            self._due.machines = now + MACHINES_SECONDS
-            self._attempt("machines", lambda: self._reporter.hear(f"{MACHINE}."))
+        if now >= self._due.attend:
+            self._due.attend = now + ATTEND_SECONDS
+            self._attempt("inspections", lambda: self._reporter.attend(f"{MACHINE}."))
         due = [self._addresses[name] for name, at in self._due.nodes.items() if at <= now]
         for node, answer in zip(due, self._pool.map(self._ask, due), strict=True):
             self._node(node, answer)
@@ -175,5 +175,5 @@ class Inspector:
         self._problems[what] = problem
 
     def _next(self) -> float:
-        own = (self._due.refresh, self._due.list, self._due.releases, self._due.machines)
+        own = (self._due.refresh, self._due.list, self._due.releases, self._due.attend)
         return min([*own, *self._due.nodes.values()])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from robotkube.delivery.inspection.core.permitted import CHARTS_KIND, Permitted
+from robotkube.delivery.inspection.core.permitted import CHARTS_KIND, SETTINGS_KIND, Permitted
 from robotkube.delivery.inspection.core.pod_checks import strangers_on
 from robotkube.delivery.inspection.core.strangers import KUBELET, RELEASES, Look, Stranger
 from robotkube.delivery.inspection.core.workload_checks import strangers_among
@@ -63,8 +63,8 @@ class NodeLooks:
 
 
 class ReleaseLooks:
-    """Looks at the workloads of agents' namespaces: at Deployments each time, at one further kind in turn, since what
-    another kind starts is a pod, which its node shows."""
+    """Looks at the workloads of agents' namespaces: at Deployments and ConfigMaps each time, at one further kind in
+    turn, since what another kind starts is a pod, which its node shows."""
 
     def __init__(self, workloads: Workloads) -> None:
         self._workloads = workloads
@@ -80,7 +80,7 @@ class ReleaseLooks:
         self._compare_with(permitted)
         kinds = self._workloads.kinds
         try:
-            strangers = list(self._of_kind(CHARTS_KIND, permitted))
+            strangers = [one for kind in (CHARTS_KIND, SETTINGS_KIND) for one in self._of_kind(kind, permitted)]
             if kinds:
                 kind = kinds[self._turn % len(kinds)]
                 self._others[kind] = tuple(self._of_kind(kind, permitted))

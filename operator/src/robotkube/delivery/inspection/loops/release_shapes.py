@@ -12,7 +12,7 @@ from functools import lru_cache
 from typing import Any, overload
 
 from robotkube.delivery.deployment.core.releases import RELEASES, Release, canonical, read_release
-from robotkube.delivery.inspection.core.permitted import CHARTS_KIND, ReleaseShape
+from robotkube.delivery.inspection.core.permitted import CHARTS_KIND, SETTINGS_KIND, ReleaseShape, place
 from robotkube.delivery.inspection.ports import DeploymentHistory
 from robotkube.errors import DocumentError, InputError, UnavailableError
 from robotkube.foundation.documents.core.json_codec import read_json
@@ -86,7 +86,8 @@ class ReleaseShapes:
 
     def _rendered(self, chart: ChartReference, values: str, plan: str, name: str, namespace: str) -> Shape:
         objects = self._objects(chart, read_json(values), plan, name, namespace)
-        return {str(item["metadata"]["name"]): item for item in objects if item.get("kind") == CHARTS_KIND}
+        kept = [item for item in objects if item.get("kind") in (CHARTS_KIND, SETTINGS_KIND)]
+        return {place(str(item["kind"]), str(item["metadata"]["name"])): item for item in kept}
 
     def _take(self, files: Mapping[str, str]) -> None:
         """Main's files as they are now. One that cannot be read counts as it was: Argo CD keeps it as well."""

@@ -1,7 +1,11 @@
 """Reporting looks: the Inspection's status, an Event and a log line for each stranger that comes or goes, and metrics.
 
 A status is written when it says something else than before, and otherwise every HEARTBEAT_SECONDS, so that a look
-that stopped is seen to have: seventeen nodes that are as they should be cost a write every few seconds.
+that stopped is seen to have: seventeen nodes that are as they should be cost a write a second.
+
+What was written is not believed to stay: who may write Inspections, or have admission change or refuse what is written,
+could make a stranger unnamed. So all are read every few seconds, what is not as it was written is written again, and
+what the API server answers to a write is compared with what was sent.
 """
 
 from __future__ import annotations
@@ -15,10 +19,11 @@ from typing import Any
 from robotkube.delivery.inspection.core.statuses import look_of, own, status_of, strangers_of
 from robotkube.delivery.inspection.core.strangers import Look, Stranger
 from robotkube.delivery.inspection.ports import Inspections
+from robotkube.errors import InputError, UnavailableError
 from robotkube.foundation.documents.core.times import time_ns, time_text
 from robotkube.foundation.runtime.ports import Series
 
-HEARTBEAT_SECONDS = 60
+HEARTBEAT_SECONDS = 20
 GONE = "StrangerGone"
 
 log = logging.getLogger(__name__)
@@ -29,6 +34,11 @@ GAUGES = {
     "look_age_seconds": "Time since anything was seen there.",
     "unseen": "1 where the last look could not see.",
 }
+REFUSED, CHANGED, UNANSWERED = "Refused", "Changed", "Unanswered"
+COUNTERS = {
+    "write_failures_total": "Writes of Inspections after which they were not as they were sent.",
+    "restored_total": "Inspections that somebody else had changed or deleted, and that were written again.",
+}
 
 
 class Reporter:
@@ -38,6 +48,9 @@ class Reporter:
         self._inspections = inspections
         self._now_ns = now_ns
         self._written: dict[str, Status] = {}  # by the name of the Inspection
+        self._hindered: set[str] = set()  # whose last write failed: the next look tries again
+        self._failures: Counter[tuple[str, ...]] = Counter()
+        self._restored = 0
         self._lock = threading.Lock()
         self._looks: dict[str, Look] = {}
         self._looked_ns: dict[str, int] = {}
@@ -52,9 +65,8 @@ class Reporter:
                 self._looked_ns[look.name] = now
         before = self._before(look.name)
         status = status_of(look, before, time_text(now))
-        if not _is_same(before, status, now):
-            self._inspections.write(look, status)
-            self._written[look.name] = status
+        if look.name in self._hindered or not _is_same(before, status, now):
+            self._write(look, status)
         self._tell(look, before, status)
 
     def forget_others(self, names: Iterable[str], prefix: str) -> None:
@@ -69,22 +81,60 @@ class Reporter:
                 del self._looks[name]
                 self._looked_ns.pop(name, None)
                 self._written.pop(name, None)
+                self._hindered.discard(name)
 
     def known(self, name: str) -> tuple[Stranger, ...]:
         """The strangers that the Inspection `name` has now."""
         return strangers_of(self._before(name))
 
-    def hear(self, prefix: str) -> None:
-        """Read the Inspections that begin with `prefix`, which another process writes, for the metrics."""
-        standing = self._inspections.standing(prefix)
+    def attend(self, others: str = "") -> None:
+        """Read all Inspections: write again those that are not as they were written here, and take those that begin
+        with `others`, which another process writes, for the metrics. Errors as those of `report`, after all were
+        tried."""
+        standing = self._inspections.standing("")
+        if others:
+            self._hear(others, standing)
+        problems: list[InputError | UnavailableError] = []
+        for name, status in list(self._written.items()):
+            if name in self._hindered or own(standing.get(name) or {}) == status:
+                continue
+            log.warning("inspection restored name=%s was=%s", name, "changed" if name in standing else "deleted")
+            try:
+                self._write(look_of(name, status), status)
+                self._restored += 1
+            except (InputError, UnavailableError) as error:
+                problems.append(error)
+        if problems:
+            raise problems[0]
+
+    def _hear(self, prefix: str, standing: Mapping[str, Status]) -> None:
+        heard = {name: status for name, status in standing.items() if name.startswith(prefix)}
         with self._lock:
             for name in [name for name in self._looks if name.startswith(prefix)]:
                 del self._looks[name]
                 self._looked_ns.pop(name, None)
-            for name, status in standing.items():
+            for name, status in heard.items():
                 self._looks[name] = look_of(name, status)
                 if "observedTime" in status:
                     self._looked_ns[name] = time_ns(status["observedTime"])
+
+    def _write(self, look: Look, status: Status) -> None:
+        """Write a status, and see that it was taken as it is."""
+        try:
+            answered = own(self._inspections.write(look, status))
+        except (InputError, UnavailableError) as error:
+            self._hindered.add(look.name)
+            self._failures[(REFUSED if isinstance(error, InputError) else UNANSWERED,)] += 1
+            raise
+        if answered != status:
+            self._hindered.add(look.name)
+            self._failures[(CHANGED,)] += 1
+            raise InputError(
+                f"Inspection {look.name}: the API server has something else than what was written, so do not believe "
+                "it. Look for a mutating policy or webhook on inspections, or a changed definition"
+            )
+        self._hindered.discard(look.name)
+        self._written[look.name] = status
 
     def metrics(self) -> list[Series]:
         """Strangers by place and reason, and how old the last look that saw anything is; for any thread."""
@@ -100,7 +150,16 @@ class Reporter:
             places[look.name]: float(bool(look.problem or look.partly)) for look in looks
         }
         counted = {key: float(count) for key, count in strangers.items()}
-        return [_gauge("strangers", counted, "reason"), _gauge("look_age_seconds", ages), _gauge("unseen", unseen)]
+        restored: dict[tuple[str, ...], float] = {(): float(self._restored)}
+        results = (REFUSED, CHANGED, UNANSWERED)
+        failures: dict[tuple[str, ...], float] = {(kind,): float(self._failures[(kind,)]) for kind in results}
+        return [
+            _gauge("strangers", counted, "reason"),
+            _gauge("look_age_seconds", ages),
+            _gauge("unseen", unseen),
+            _counter("write_failures_total", failures, "result"),
+            _counter("restored_total", restored),
+        ]
 
     def _before(self, name: str) -> Status:
         if name not in self._written:
@@ -141,3 +200,7 @@ def _fields(look: Look, one: Stranger) -> tuple[str, ...]:
 
 def _gauge(name: str, values: Mapping[tuple[str, ...], float], *labels: str) -> Series:
     return Series(f"robotkube_inspection_{name}", "gauge", GAUGES[name], values, ("looks_at", "node", *labels))
+
+
+def _counter(name: str, values: Mapping[tuple[str, ...], float], *labels: str) -> Series:
+    return Series(f"robotkube_inspection_{name}", "counter", COUNTERS[name], values, labels)
