@@ -40,6 +40,7 @@ from ci.attack_shared import (
     VERIFIED,
     VERIFIED_OTHERWISE,
 )
+from ci.attacks_on_machines import ON_MACHINES
 from ci.attacks_on_servers import ON_SERVERS
 
 
@@ -402,6 +403,7 @@ ATTACKS = (
             "`robotkube status`, afterwards",
         ),
     ),
+    *ON_MACHINES,
     *ON_SERVERS,
     Attack(
         "exec",

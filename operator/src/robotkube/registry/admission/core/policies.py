@@ -19,7 +19,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from robotkube.registry.admission.core import applications
+from robotkube.registry.admission.core import applications, volumes
 from robotkube.registry.admission.core.allowed import Allowed
 from robotkube.registry.admission.core.documents import Place, Policy, Validation
 from robotkube.registry.admission.core.domain import KEEPERS, POD_MAKERS, Domain, controllers
@@ -109,7 +109,7 @@ def _policies(domain: Domain, lookups: _Lookups) -> Iterator[Policy]:
     yield applications.policy(domain, lookups.charts)
     yield applications.projects(domain)
     if domain.volumes:
-        yield _volumes(domain.volumes)
+        yield volumes.policy(domain.volumes)
 
 
 def _agents(domain: Domain, lookup: Lookup) -> Policy:
@@ -240,18 +240,6 @@ def _no_host() -> Validation:
             "needs one. Use a volume claim, a Service, or no privileges",
         ),
     )
-
-
-def _volumes(folder: str) -> Policy:
-    """A volume is another way to a machine's files."""
-    path = "object.spec.local.path"
-    holds = (
-        f"!has(object.spec.hostPath) && (!has(object.spec.local) || {path}.startsWith('{folder}/') && "
-        f"!{path}.contains('/../') && !{path}.endsWith('/..'))"
-    )
-    why = " is of a folder that is not for volumes. Use one of those that the cluster was made with"
-    rule = Validation(holds, sentence("PersistentVolume ", "object.metadata.name", why))
-    return Policy("robotkube-volumes", [("", ["persistentvolumes"])], None, [], [rule])
 
 
 def _workloads(
