@@ -3,11 +3,36 @@
 from __future__ import annotations
 
 from ci.attack_cells import Attack, Refused, Unseen
-from ci.attack_shared import NO_DEMAND, NOT_PROPOSED
+from ci.attack_shared import NO_DEMAND, NOT_PROPOSED, OTHERWISE
 
 VOLUMES = "registry/admission/test_volumes_api_server.py"
 
+SUBRESOURCES = "registry/admission/test_subresources_api_server.py"
+
 ON_MACHINES = (
+    Attack(
+        "annotation-by-status",
+        "An annotation is written to a Deployment of an agent with its status, or to a pod",
+        NO_DEMAND,
+        NOT_PROPOSED,
+        Refused(
+            "labels or annotations of … changed with its status by …: in its namespace labels and annotations are "
+            "those that main says",
+            f"{SUBRESOURCES}::test_no_annotation_comes_with_a_status",
+        ),
+        OTHERWISE,
+    ),
+    Attack(
+        "pod-resized",
+        "A pod of an agent is resized while it runs (`pods/resize`)",
+        NO_DEMAND,
+        NOT_PROPOSED,
+        Refused(
+            "pod … resized by …: in its namespace a container has what its chart asks for",
+            f"{SUBRESOURCES}::test_no_pod_is_resized",
+        ),
+        Unseen("resources of a single pod are not compared"),
+    ),
     Attack(
         "link-in-a-volume",
         "A folder of the machine becomes a volume, by a symbolic link that a pod left in its own (embedded cluster)",

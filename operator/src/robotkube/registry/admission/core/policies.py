@@ -7,6 +7,7 @@ and as ordinary objects, which differ in where the list stands.
     robotkube-elsewhere     images of either list, in all other namespaces (where the whole cluster is ours)
     robotkube-applications  what Argo CD may be told to apply
     robotkube-projects      what releases may be made of
+    robotkube-subresources  what comes by status, bindings and resizing
     robotkube-volumes       which folders of machines are volumes (where the provider says)
 
 Nothing of any of these namespaces gets a way to its machine: what stands there could be changed from it, these files
@@ -19,7 +20,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from robotkube.registry.admission.core import applications, volumes
+from robotkube.registry.admission.core import applications, subresources, volumes
 from robotkube.registry.admission.core.allowed import Allowed
 from robotkube.registry.admission.core.documents import Place, Policy, Validation
 from robotkube.registry.admission.core.domain import KEEPERS, POD_MAKERS, Domain, controllers
@@ -39,7 +40,9 @@ from robotkube.registry.admission.core.expressions import (
 from robotkube.registry.admission.core.lists import Literals, Lookup, Parameters, parameter_keys, texts
 
 FILE_SUFFIX = ".static.k8s.io"
-API_POLICIES = tuple(f"robotkube-{name}" for name in ("agents", "tests", "platform", "applications", "projects"))
+API_POLICIES = tuple(
+    f"robotkube-{name}" for name in ("agents", "tests", "subresources", "platform", "applications", "projects")
+)
 LIST = "admission-list"
 PLATFORM_LIST = "admission-platform"
 DIGEST_FORM = "^[^@]+@sha256:[0-9a-f]{64}$"
@@ -103,6 +106,8 @@ def _policies(domain: Domain, lookups: _Lookups) -> Iterator[Policy]:
         yield _agents(domain, lookups.verified)
     if domain.tests:
         yield _tests(domain)
+    if domain.agents or domain.tests:
+        yield subresources.policy(domain)
     yield _platform(domain, lookups.platform)
     if domain.elsewhere:
         yield _elsewhere(domain, lookups.both)
