@@ -3,13 +3,35 @@
 from __future__ import annotations
 
 from ci.attack_cells import Attack, Refused, Unseen
-from ci.attack_shared import NO_DEMAND, NOT_PROPOSED, OTHERWISE
+from ci.attack_shared import NO_DEMAND, NOT_PROPOSED, NOTHING_RUNS, OTHERWISE
 
 VOLUMES = "registry/admission/test_volumes_api_server.py"
 
 SUBRESOURCES = "registry/admission/test_subresources_api_server.py"
 
+REGISTRATIONS = "registry/admission/test_registrations_api_server.py"
+REGISTERED = Refused(
+    "… written by …: in a cluster of the platform alone nobody else changes, refuses or answers requests",
+    f"{REGISTRATIONS}::test_nobody_has_requests_changed_or_refused_otherwise",
+)
+
 ON_MACHINES = (
+    Attack(
+        "mutating-policy",
+        "A mutating policy or webhook is registered, to change verified pods as they are made (embedded cluster)",
+        NO_DEMAND,
+        NOT_PROPOSED,
+        REGISTERED,
+        NOTHING_RUNS,
+    ),
+    Attack(
+        "report-refused",
+        "A validating policy or webhook is registered, to keep the inspector from saying what it sees (embedded)",
+        NO_DEMAND,
+        NOT_PROPOSED,
+        REGISTERED,
+        NOTHING_RUNS,
+    ),
     Attack(
         "annotation-by-status",
         "An annotation is written to a Deployment of an agent with its status, or to a pod",

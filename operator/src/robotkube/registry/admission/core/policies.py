@@ -8,6 +8,7 @@ and as ordinary objects, which differ in where the list stands.
     robotkube-applications  what Argo CD may be told to apply
     robotkube-projects      what releases may be made of
     robotkube-subresources  what comes by status, bindings and resizing
+    robotkube-registrations what changes, refuses or answers requests (where the whole cluster is ours)
     robotkube-volumes       which folders of machines are volumes (where the provider says)
 
 Nothing of any of these namespaces gets a way to its machine: what stands there could be changed from it, these files
@@ -20,7 +21,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from robotkube.registry.admission.core import applications, subresources, volumes
+from robotkube.registry.admission.core import applications, registrations, subresources, volumes
 from robotkube.registry.admission.core.allowed import Allowed
 from robotkube.registry.admission.core.documents import Place, Policy, Validation
 from robotkube.registry.admission.core.domain import KEEPERS, POD_MAKERS, Domain, controllers
@@ -113,6 +114,8 @@ def _policies(domain: Domain, lookups: _Lookups) -> Iterator[Policy]:
         yield _elsewhere(domain, lookups.both)
     yield applications.policy(domain, lookups.charts)
     yield applications.projects(domain)
+    if domain.elsewhere:
+        yield registrations.policy()
     if domain.volumes:
         yield volumes.policy(domain.volumes)
 
