@@ -42,6 +42,7 @@ from ci.attack_shared import (
     VERIFIED,
     VERIFIED_OTHERWISE,
 )
+from ci.attacks_on_machines import ON_MACHINES
 from ci.attacks_on_servers import ON_SERVERS
 
 
@@ -451,6 +452,7 @@ ATTACKS = (
             "`robotkube status`, afterwards",
         ),
     ),
+    *ON_MACHINES,
     *ON_SERVERS,
     Attack(
         "exec",

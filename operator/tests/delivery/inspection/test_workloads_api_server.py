@@ -184,7 +184,7 @@ def test_what_somebody_adds_to_a_workload_is_named(api: Api) -> None:
     applied(api, item)
     note = {"metadata": {"annotations": {"example.com/note": "x"}}}
     api.done("PATCH", f"{PLACE}/detector", note, kind=MERGE)
-    shown("nodes", named(api, "detector").message, "annotation")
+    shown("nodes", named(api, "detector").message, "annotation", "annotation-by-status")
     api.done("PATCH", f"{PLACE}/detector", {"metadata": {"annotations": None}}, kind=MERGE)
     sidecar = [{"op": "add", "path": "/spec/template/spec/containers/-", "value": {"name": "miner", "image": "x"}}]
     api.done("PATCH", f"{PLACE}/detector", sidecar, kind=JSON_PATCH)

@@ -304,6 +304,7 @@ def test_a_namespace_stays_what_it_is(api: Api) -> None:
 
 WAYS: dict[str, dict[str, Any]] = {
     "files": {"volumes": [{"name": "host", "hostPath": {"path": "/"}}]},
+    "disks": {"volumes": [{"name": "disk", "fc": {"wwids": ["3600508b400105e210000900000490000"]}}]},
     "network": {"hostNetwork": True},
     "processes": {"hostPID": True},
     "memory": {"hostIPC": True},
@@ -324,25 +325,6 @@ def test_no_pod_gets_a_way_to_its_machine(api: Api, namespace: str, way: str) ->
     words = api.refusal("POST", path("Pod", namespace), {**pod(), "spec": pod_spec(**WAYS[way])}, REPLICA_SETS)
     assert words.startswith(f"pods in namespace {namespace} ask for a way to their machine")
     shown("admission", words, "way-to-the-machine", "application-to-the-machine")
-
-
-@pytest.mark.parametrize(
-    "place",
-    [{"hostPath": {"path": "/"}}, {"local": {"path": "/cluster"}}, {"local": {"path": "/cluster/volumes/../pki"}}],
-)
-def test_no_volume_is_another_way(api: Api, place: dict[str, Any]) -> None:
-    def volume(source: dict[str, Any]) -> dict[str, Any]:
-        here = {"key": "kubernetes.io/hostname", "operator": "In", "values": ["one"]}
-        affinity = {"required": {"nodeSelectorTerms": [{"matchExpressions": [here]}]}}
-        spec = {"capacity": {"storage": "1Gi"}, "accessModes": ["ReadWriteOnce"], "nodeAffinity": affinity, **source}
-        return {"apiVersion": "v1", "kind": "PersistentVolume", "metadata": {"name": "one-0"}, "spec": spec}
-
-    volumes = f"/api/v1/persistentvolumes{DRY}"
-    api.done("POST", volumes, volume({"local": {"path": "/cluster/volumes/one/0"}}))
-    answer = api.request("POST", volumes, volume(place))
-    assert answer["status"] == "Failure"
-    if ".." not in str(place):  # which the API server itself refuses
-        assert "PersistentVolume one-0 is of a folder that is not for volumes" in answer["message"]
 
 
 def test_a_policy_in_files_can_be_neither_seen_nor_deleted(api: Api) -> None:

@@ -22,6 +22,18 @@ PARTS_OF_CONTAINERS = ("env", "envFrom", "ports", "volumeDevices", "volumeMounts
 LISTS_OF_PODS = ("hostAliases", "imagePullSecrets", "tolerations", "topologySpreadConstraints", "volumes")
 LIMITS_OF_PODS = ("automountServiceAccountToken", "hostUsers", "runtimeClassName", "securityContext")
 LIMITS_OF_CONTAINERS = ("securityContext",)
+# As Pod Security has them (restricted). Others are folders, disks and file systems that the machine mounts.
+VOLUMES_OF_PODS = (
+    "configMap",
+    "csi",
+    "downwardAPI",
+    "emptyDir",
+    "ephemeral",
+    "image",
+    "persistentVolumeClaim",
+    "projected",
+    "secret",
+)
 WORDS = ("labels", "annotations")
 CREATING = "request.operation == 'CREATE'"
 EPHEMERAL = "has(request.subResource) && request.subResource == 'ephemeralcontainers'"
@@ -55,8 +67,9 @@ def on_host(pod: str) -> str:
     shared = " || ".join(f"{pod}.?{name}.orValue(false)" for name in ("hostPID", "hostIPC", "hostNetwork"))
     containers = " + ".join(f"{pod}.?{name}.orValue([])" for name in LISTS_OF_CONTAINERS)
     context = "c.?securityContext"
+    other = f"v.exists(k, k != 'name' && !(k in {texts(VOLUMES_OF_PODS)}))"
     return (
-        f"{shared} || {pod}.?volumes.orValue([]).exists(v, has(v.hostPath)) || ({containers}).exists(c, "
+        f"{shared} || {pod}.?volumes.orValue([]).exists(v, {other}) || ({containers}).exists(c, "
         f"{context}.?privileged.orValue(false) || {context}.?procMount.orValue('Default') != 'Default' || "
         f"{context}.?capabilities.?add.orValue([]).exists(a, a != 'NET_BIND_SERVICE'))"
     )

@@ -7,6 +7,8 @@ and as ordinary objects, which differ in where the list stands.
     robotkube-elsewhere     images of either list, in all other namespaces (where the whole cluster is ours)
     robotkube-applications  what Argo CD may be told to apply
     robotkube-projects      what releases may be made of
+    robotkube-subresources  what comes by status, bindings and resizing
+    robotkube-registrations what changes, refuses or answers requests (where the whole cluster is ours)
     robotkube-volumes       which folders of machines are volumes (where the provider says)
 
 Nothing of any of these namespaces gets a way to its machine: what stands there could be changed from it, these files
@@ -19,7 +21,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from robotkube.registry.admission.core import applications
+from robotkube.registry.admission.core import applications, registrations, subresources, volumes
 from robotkube.registry.admission.core.allowed import Allowed
 from robotkube.registry.admission.core.documents import Place, Policy, Validation
 from robotkube.registry.admission.core.domain import KEEPERS, POD_MAKERS, Domain, controllers
@@ -39,7 +41,9 @@ from robotkube.registry.admission.core.expressions import (
 from robotkube.registry.admission.core.lists import Literals, Lookup, Parameters, parameter_keys, texts
 
 FILE_SUFFIX = ".static.k8s.io"
-API_POLICIES = tuple(f"robotkube-{name}" for name in ("agents", "tests", "platform", "applications", "projects"))
+API_POLICIES = tuple(
+    f"robotkube-{name}" for name in ("agents", "tests", "subresources", "platform", "applications", "projects")
+)
 LIST = "admission-list"
 PLATFORM_LIST = "admission-platform"
 DIGEST_FORM = "^[^@]+@sha256:[0-9a-f]{64}$"
@@ -103,13 +107,17 @@ def _policies(domain: Domain, lookups: _Lookups) -> Iterator[Policy]:
         yield _agents(domain, lookups.verified)
     if domain.tests:
         yield _tests(domain)
+    if domain.agents or domain.tests:
+        yield subresources.policy(domain)
     yield _platform(domain, lookups.platform)
     if domain.elsewhere:
         yield _elsewhere(domain, lookups.both)
     yield applications.policy(domain, lookups.charts)
     yield applications.projects(domain)
+    if domain.elsewhere:
+        yield registrations.policy()
     if domain.volumes:
-        yield _volumes(domain.volumes)
+        yield volumes.policy(domain.volumes)
 
 
 def _agents(domain: Domain, lookup: Lookup) -> Policy:
@@ -240,18 +248,6 @@ def _no_host() -> Validation:
             "needs one. Use a volume claim, a Service, or no privileges",
         ),
     )
-
-
-def _volumes(folder: str) -> Policy:
-    """A volume is another way to a machine's files."""
-    path = "object.spec.local.path"
-    holds = (
-        f"!has(object.spec.hostPath) && (!has(object.spec.local) || {path}.startsWith('{folder}/') && "
-        f"!{path}.contains('/../') && !{path}.endsWith('/..'))"
-    )
-    why = " is of a folder that is not for volumes. Use one of those that the cluster was made with"
-    rule = Validation(holds, sentence("PersistentVolume ", "object.metadata.name", why))
-    return Policy("robotkube-volumes", [("", ["persistentvolumes"])], None, [], [rule])
 
 
 def _workloads(
