@@ -7,6 +7,8 @@ from ci.attack_shared import NO_DEMAND, NOT_PROPOSED, NOTHING_RUNS, OTHERWISE
 
 VOLUMES = "registry/admission/test_volumes_api_server.py"
 
+INSPECTION = "delivery/inspection/test_attacks.py"
+
 SUBRESOURCES = "registry/admission/test_subresources_api_server.py"
 
 REGISTRATIONS = "registry/admission/test_registrations_api_server.py"
@@ -53,7 +55,7 @@ ON_MACHINES = (
             "pod … resized by …: in its namespace a container has what its chart asks for",
             f"{SUBRESOURCES}::test_no_pod_is_resized",
         ),
-        Unseen("resources of a single pod are not compared"),
+        Refused("pod … is not what the chart of its release renders", f"{INSPECTION}::test_a_pod_that_was_resized"),
     ),
     Attack(
         "link-in-a-volume",

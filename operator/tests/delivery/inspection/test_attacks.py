@@ -101,3 +101,9 @@ def test_a_pod_that_was_changed_as_it_was_made() -> None:
     item["spec"]["volumes"].append({"name": "script", "configMap": {"name": "script", "defaultMode": 420}})
     item["spec"]["containers"][0]["livenessProbe"] = {"exec": {"command": ["sh", "/script/run"]}}
     shown("nodes", _words("NotOfTheChart", item), "pod-changed-as-made")
+
+
+def test_a_pod_that_was_resized() -> None:
+    item = pod_object()
+    item["spec"]["containers"][0]["resources"] = {"limits": {"memory": "3Gi"}}
+    shown("nodes", _words("NotOfTheChart", item), "pod-resized")
