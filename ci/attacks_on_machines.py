@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 from ci.attack_cells import Attack, Refused, Unseen
-from ci.attack_shared import NO_DEMAND, NOT_PROPOSED, NOTHING_RUNS, OTHERWISE
+from ci.attack_shared import INSPECTION, NO_DEMAND, NOT_PROPOSED, NOTHING_RUNS, OTHERWISE
 
 VOLUMES = "registry/admission/test_volumes_api_server.py"
-
-INSPECTION = "delivery/inspection/test_attacks.py"
-
 SUBRESOURCES = "registry/admission/test_subresources_api_server.py"
-
 REGISTRATIONS = "registry/admission/test_registrations_api_server.py"
 REGISTERED = Refused(
     "… written by …: in a cluster of the platform alone nobody else changes, refuses or answers requests",
