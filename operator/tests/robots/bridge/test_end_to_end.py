@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.data_path import DataPath
+from tests.stages.waiting import until
 
 pytestmark = pytest.mark.processes
 
@@ -46,7 +47,7 @@ def play(setting: DataPath, acts: dict[float, Callable[[], None]]) -> Received:
     """Plays all bags; `acts` are done at their seconds of the run. Returns what arrived."""
     setting.begin()
     eventually(lambda: all(setting.connected(a) for a in [*setting.agents, "cloud-0"]), "bridges connected")
-    eventually(lambda: not setting.unheard(), "players heard")
+    until(lambda: not setting.unheard(), "players heard", WAIT_SECONDS, setting.unheard)
     start = time.time() + LEAD_SECONDS
     setting.order(int(start * 1e9))
     for second, act in sorted(acts.items()):
