@@ -92,7 +92,11 @@ def inspection_event(
     namespace, controller = place
     regarding = {"apiVersion": API_VERSION, "kind": KIND, "namespace": namespace, "name": look.name, "uid": uid}
     gone = reason != stranger.reason
-    text = f"{stranger} is gone; it was there as {stranger.reason}" if gone else stranger.message
+    text = (
+        f"{stranger} is gone, or is again what main says; it was there as {stranger.reason}"
+        if gone
+        else stranger.message
+    )
     words = "\0".join([uid, reason, *stranger.key, f"{at:%H:%M:%S}"])
     digest = hashlib.sha256(words.encode()).hexdigest()
     return {

@@ -175,7 +175,9 @@ def _release(pod: KubeletPod, permitted: Permitted) -> Iterator[Stranger]:
     elif not shape.unknown:
         problem = _otherwise(pod, shape.versions(workload))
         if problem:
-            text = f"pod {pod.namespace}/{pod.name} is not what the chart of its release renders: {problem}. {REMOVE}"
+            place = f"pod {pod.namespace}/{pod.name}"
+            step = f"Delete it; if the new one is not either, delete Deployment {workload}, which Argo CD makes anew"
+            text = f"{place} is not what the chart of its release renders: {problem}. {step}"
             yield _stranger(pod, NOT_OF_THE_CHART, text)
 
 
