@@ -72,6 +72,8 @@ def api(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest
         for namespace, maker in ((AGENT, REPLICA_SETS), (TESTS, SUITE_RUNNER)):
             api.done("POST", path("Pod", namespace), pod(containers=containers), maker)
         api.done("POST", f"{path('Pod', AGENT)}/pod/binding", binding(), "system:kube-scheduler")
+        asked = (f"{status('Deployment')}?dryRun=All", ANNOTATED, ADMINISTRATOR, MERGE)
+        until(lambda: api.request("PATCH", *asked)["kind"] == "Status", "this policy counts: each begins by itself")
         yield api
 
 
