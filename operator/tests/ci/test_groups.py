@@ -88,9 +88,10 @@ def test_a_random_test_that_is_fast_is_tried_with_more_examples_too(mark: str) -
 def test_a_group_says_how_many_examples(monkeypatch: pytest.MonkeyPatch) -> None:
     """What the environment says goes first."""
     monkeypatch.delenv(groups.EXAMPLES, raising=False)
-    for group in groups.THOROUGH:
+    for group in (*groups.GROUPS, *groups.THOROUGH):
+        few = group is groups.FAST
         with groups.temporary_folder(group) as (_, environment):
-            assert environment[groups.EXAMPLES] == str(group.examples)
+            assert environment[groups.EXAMPLES] == str(groups.FEW_EXAMPLES if few else groups.ALL_EXAMPLES)
     monkeypatch.setenv(groups.EXAMPLES, "7")
     with groups.temporary_folder(groups.FAST) as (_, environment):
         assert environment[groups.EXAMPLES] == "7"
