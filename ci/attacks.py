@@ -42,7 +42,7 @@ from ci.attack_shared import (
     VERIFIED,
     VERIFIED_OTHERWISE,
 )
-from ci.attacks_on_machines import ON_MACHINES
+from ci.attacks_around_policies import AROUND_POLICIES
 from ci.attacks_on_servers import ON_SERVERS
 
 
@@ -258,7 +258,7 @@ ATTACKS = (
     ),
     Attack(
         "pod-changed-as-made",
-        "A mutating policy or webhook gives pods of a release a probe, a mount or a volume more",
+        "A mutating policy or webhook gives pods of a release a probe, a mount or a volume more (other clusters)",
         NO_DEMAND,
         NOT_PROPOSED,
         Unseen("who asks for it is the controller that makes the pod, and its images are verified ones"),
@@ -380,7 +380,7 @@ ATTACKS = (
     ),
     Attack(
         "inspection-changed-by-policy",
-        "A mutating policy or webhook changes what the inspector writes",
+        "A mutating policy or webhook changes what the inspector writes (other clusters)",
         NO_DEMAND,
         NOT_PROPOSED,
         NOTHING_TO_JUDGE,
@@ -452,7 +452,7 @@ ATTACKS = (
             "`robotkube status`, afterwards",
         ),
     ),
-    *ON_MACHINES,
+    *AROUND_POLICIES,
     *ON_SERVERS,
     Attack(
         "exec",

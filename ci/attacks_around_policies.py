@@ -1,4 +1,5 @@
-"""Attacks past the API server's policies: on machines, and on what the API server takes for true (`ci.attacks`)."""
+"""Attacks that go around what is asked of pods and workloads: by registrations, subresources and volumes
+(`ci.attacks`)."""
 
 from __future__ import annotations
 
@@ -13,7 +14,7 @@ REGISTERED = Refused(
     f"{REGISTRATIONS}::test_nobody_has_requests_changed_or_refused_otherwise",
 )
 
-ON_MACHINES = (
+AROUND_POLICIES = (
     Attack(
         "mutating-policy",
         "A mutating policy or webhook is registered, to change verified pods as they are made (embedded cluster)",

@@ -112,6 +112,7 @@ def test_a_way_to_the_machine_is_named(namespace: str) -> None:
     ways: list[tuple[dict[str, Any], str]] = [
         ({"hostNetwork": True}, "hostNetwork"),
         ({"volumes": [{"name": "root", "hostPath": {"path": "/"}}]}, "hostPath /"),
+        ({"volumes": [{"name": "share", "nfs": {"server": "files", "path": "/"}}]}, "volume share (nfs)"),
     ]
     for spec, words in ways:
         found = _seen(pod_object(namespace, spec=spec), elsewhere=True)
@@ -119,17 +120,26 @@ def test_a_way_to_the_machine_is_named(namespace: str) -> None:
     privileged = pod_object(namespace)
     privileged["spec"]["containers"][0]["securityContext"] = {
         "privileged": True,
+        "procMount": "Unmasked",
         "capabilities": {"add": ["SYS_ADMIN"]},
     }
     found = _seen(privileged, elsewhere=True)
     (one,) = [one for one in found if one.reason == "WayToTheMachine"]
-    assert "container detector is privileged, container detector has SYS_ADMIN" in one.message
+    words = ("container detector is privileged", "container detector has procMount Unmasked")
+    assert ", ".join([*words, "container detector has SYS_ADMIN"]) in one.message
 
 
 def test_a_capability_that_restricted_pods_may_have_is_none() -> None:
     bound = pod_object("robotkube", owner=("ReplicaSet", "x-1"), image=PLATFORM_IMAGE)
     bound["spec"]["containers"][0]["securityContext"] = {"capabilities": {"add": ["NET_BIND_SERVICE"]}}
     assert not _seen(bound)
+
+
+def test_volumes_that_restricted_pods_may_have_are_none() -> None:
+    kinds = ({"emptyDir": {}}, {"persistentVolumeClaim": {"claimName": "data"}}, {"secret": {"secretName": "a"}})
+    volumes = [{"name": f"volume-{number}", **kind} for number, kind in enumerate(kinds)]
+    spec = {"volumes": volumes}
+    assert not _seen(pod_object("robotkube", owner=("ReplicaSet", "x-1"), image=PLATFORM_IMAGE, spec=spec))
 
 
 def test_a_pod_as_main_had_it_before_is_none() -> None:

@@ -25,13 +25,6 @@ SECONDS = 8.0
 Received = dict[str, list[tuple[int, str]]]
 
 
-def eventually(condition: Callable[[], object], what: str) -> None:
-    deadline = time.monotonic() + WAIT_SECONDS
-    while not condition():
-        assert time.monotonic() < deadline, f"{what}: not within {WAIT_SECONDS} s"
-        time.sleep(0.05)
-
-
 @pytest.fixture
 def setting(tmp_path: Path) -> Iterator[DataPath]:
     made = DataPath(tmp_path, vehicles=3, lidars=1, seconds=SECONDS)
@@ -46,7 +39,7 @@ def setting(tmp_path: Path) -> Iterator[DataPath]:
 def play(setting: DataPath, acts: dict[float, Callable[[], None]]) -> Received:
     """Plays all bags; `acts` are done at their seconds of the run. Returns what arrived."""
     setting.begin()
-    eventually(lambda: all(setting.connected(a) for a in [*setting.agents, "cloud-0"]), "bridges connected")
+    until(lambda: all(setting.connected(a) for a in [*setting.agents, "cloud-0"]), "bridges connected", WAIT_SECONDS)
     until(lambda: not setting.unheard(), "players heard", WAIT_SECONDS, setting.unheard)
     start = time.time() + LEAD_SECONDS
     setting.order(int(start * 1e9))
@@ -55,9 +48,17 @@ def play(setting: DataPath, acts: dict[float, Callable[[], None]]) -> Received:
         act()
     poses = [setting.tracks[agent][0].name for agent in setting.agents]
     ledgers = setting.folder / "ledger"
-    eventually(lambda: sum('"end"' in f.read_text() for f in ledgers.rglob("*pose.jsonl")) == len(poses), "bags' end")
+    until(
+        lambda: sum('"end"' in f.read_text() for f in ledgers.rglob("*pose.jsonl")) == len(poses),
+        "bags' end",
+        WAIT_SECONDS,
+    )
     last = {name: ledger(setting, agent, name)[-1] for agent, name in zip(setting.agents, poses, strict=True)}
-    eventually(lambda: all(line in received_now(setting).get(name, ()) for name, line in last.items()), "last poses")
+    until(
+        lambda: all(line in received_now(setting).get(name, ()) for name, line in last.items()),
+        "last poses",
+        WAIT_SECONDS,
+    )
     setting.close()
     received = received_now(setting)
     assert received, f"the receiver said:\n{(setting.folder / 'receiver.log').read_text()[-4000:]}"

@@ -70,14 +70,14 @@ def _listed(options: argparse.Namespace) -> AllowedVersions:
 
 def _stranded(platform: Platform, options: argparse.Namespace, found: AllowedVersions) -> Table:
     """What of the cluster would be refused if it were made now; refused when there is any."""
-    references = [reference for reference in platform.images().values() if reference]
-    if not references:
+    images = {name: reference for name, reference in platform.images().items() if reference}
+    if not images:
         raise InputError(f"no ConfigMap platform-images in {options.platform_namespace}; is the platform installed?")
-    by_tag = {name: one for name, one in platform.images().items() if one and not IMAGE_BY_DIGEST.fullmatch(one)}
-    for name, reference in by_tag.items():
-        text = f"images.{name} of the platform's chart: {reference!r} names no digest, so nothing of it would start"
+    by_digest = {name: reference for name, reference in images.items() if IMAGE_BY_DIGEST.fullmatch(reference)}
+    for name in images.keys() - by_digest.keys():
+        text = f"images.{name} of the platform's chart: {images[name]!r} names no digest, so nothing of it would start"
         print(f"robotkube: {text}; write <repository>@sha256:<digest>", file=sys.stderr)
-    allowed = found.with_platform(digests_of(set(references) - set(by_tag.values())))
+    allowed = found.with_platform(digests_of(by_digest.values()))
     objects = stranded(_objects(platform), _domain(platform, options), allowed)
     verdict = counted(objects, allowed)
     rows = [asdict(one) for one in objects]

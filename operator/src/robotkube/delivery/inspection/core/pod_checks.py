@@ -23,6 +23,7 @@ from robotkube.delivery.inspection.core.strangers import (
     STATIC_POD,
     Stranger,
 )
+from robotkube.registry.admission.core.expressions import VOLUMES_OF_PODS
 
 CONTROL_PLANE = "kube-system"  # where clusters keep static pods of their own
 ENDING_SECONDS_MAX = 120.0  # after the time by which a pod was to have ended
@@ -106,18 +107,24 @@ def _of_pod(pod: KubeletPod, permitted: Permitted, now: float) -> Iterator[Stran
 def _way_to_the_machine(spec: Mapping[str, Any]) -> str:
     """What of a pod admission would refuse as a way to its machine, in words; empty when there is none."""
     ways = [key for key in HOST_KEYS if spec.get(key)]
-    ways += [
-        f"hostPath {volume['hostPath'].get('path')}" for volume in spec.get("volumes") or () if "hostPath" in volume
-    ]
+    ways += [way for volume in spec.get("volumes") or () for way in _mounted(volume)]
     for kind in KINDS:
         for entry in spec.get(kind) or ():
             context = entry.get("securityContext") or {}
             added = set((context.get("capabilities") or {}).get("add") or ()) - {"NET_BIND_SERVICE"}
             if context.get("privileged"):
                 ways.append(f"container {entry.get('name')} is privileged")
+            if context.get("procMount", "Default") != "Default":
+                ways.append(f"container {entry.get('name')} has procMount {context['procMount']}")
             if added:
                 ways.append(f"container {entry.get('name')} has {', '.join(sorted(added))}")
     return ", ".join(ways)
+
+
+def _mounted(volume: Mapping[str, Any]) -> Iterator[str]:
+    """A volume that is a folder, a disk or a file system that the machine mounts, in words."""
+    for kind in sorted(volume.keys() - {"name", *VOLUMES_OF_PODS}):
+        yield f"hostPath {volume[kind].get('path')}" if kind == "hostPath" else f"volume {volume['name']} ({kind})"
 
 
 def _images(pod: KubeletPod, permitted: Permitted) -> Iterator[Stranger]:

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from robotkube.delivery.inspection.core.comparison import differences
+from robotkube.registry.admission.core.subresources import OF_NETWORKS
 
 Object = Mapping[str, Any]
 
@@ -18,13 +19,7 @@ KINDS = ("containers", "initContainers")
 LABELS = ("pod-template-hash", "topology.kubernetes.io/region", "topology.kubernetes.io/zone")
 """Labels of the ReplicaSet controller, and of the node's place (admission plugin PodTopologyLabels)."""
 LIMIT_RANGER = "kubernetes.io/limit-ranger"
-ANNOTATIONS = (
-    "kubernetes.io/config.",  # the kubelet's, in its own list
-    LIMIT_RANGER,
-    "cni.projectcalico.org/",
-    "k8s.ovn.org/",
-    "k8s.v1.cni.cncf.io/network-status",
-)
+ANNOTATIONS = ("kubernetes.io/config.", LIMIT_RANGER, *OF_NETWORKS)  # the first is the kubelet's, in its own list
 """How annotations begin that kubelets, admission plugins and networks write on pods: no program runs by them."""
 GIVEN = ("nodeName", "priority", "preemptionPolicy", "priorityClassName", "imagePullSecrets")
 """Where it runs, who goes first and who pulls: of the scheduler, of priority classes, of the service account."""

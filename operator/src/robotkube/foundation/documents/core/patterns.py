@@ -43,6 +43,7 @@ ARCHIVE_PART = re.compile(r"[A-Za-z0-9_.@+-]{1,100}", re.ASCII)  # of a path in 
 
 # Digests, images and their platforms.
 DIGEST = re.compile(_SHA256, re.ASCII)
+DIGEST_START = re.compile(r"(sha256:)?(?P<digits>[0-9a-f]{7,64})", re.ASCII)  # as tables shorten it
 EVIDENCE = re.compile(rf"none|{_SHA256}", re.ASCII)
 IMAGE_BY_DIGEST = re.compile(rf"[A-Za-z0-9][A-Za-z0-9./:_-]{{0,254}}@{_SHA256}", re.ASCII)
 IMAGE = re.compile(r"[A-Za-z0-9][A-Za-z0-9._/:@-]{0,400}", re.ASCII)  # in settings: by tag or by digest
@@ -65,7 +66,6 @@ TOKEN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._:-]{0,127}", re.ASCII)
 WORD = re.compile(r"[A-Za-z0-9]([A-Za-z0-9._-]*[A-Za-z0-9])?", re.ASCII)
 REPOSITORY = re.compile(r"[a-z0-9][a-z0-9._-]*/[a-z0-9][a-z0-9._-]*", re.ASCII)  # <owner>/<name>
 COMMIT = re.compile(r"[0-9a-f]{40}", re.ASCII)
-DIGEST_START = re.compile(r"(sha256:)?(?P<digits>[0-9a-f]{7,64})", re.ASCII)  # as tables shorten it
 COMMIT_START = re.compile(r"[0-9a-f]{7,40}", re.ASCII)  # as people shorten it
 FOLDER = re.compile(r"(/[A-Za-z0-9._@+-]+)+", re.ASCII)  # of a machine
 PATH_PREFIX = re.compile(r"[A-Za-z0-9._-]+(/[A-Za-z0-9._-]+)*/?", re.ASCII)  # a file, or a folder with its slash

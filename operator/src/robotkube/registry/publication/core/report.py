@@ -18,6 +18,7 @@ TEXT_CHARACTERS_MAX = 600
 REPORT_CHARACTERS_MAX = 60_000  # of 65,535 that forges take
 
 CHECKING, WAITING, VERIFIED, REFUSED, UNCHANGED = "checking", "waiting", "verified", "refused", "unchanged"
+NOT_ENDED = ("waiting", "queued")  # of a suite that never begins when the submission is refused
 UNDECIDED = "Nothing is decided yet, the gate goes on by itself."
 HEADLINES: Mapping[str, str] = {
     CHECKING: "Checking",
@@ -95,9 +96,6 @@ def _verdict(report: Report) -> str:
     done = sum(suite.state == "passed" for chart in report.charts for suite in chart.suites)
     total = sum(len(chart.suites) for chart in report.charts)
     return f"{done} of {total} suites passed so far."
-
-
-NOT_ENDED = ("waiting", "queued")  # of a suite that never begins when the submission is refused
 
 
 def _is_bad(suite: SuiteReport) -> bool:
