@@ -64,6 +64,7 @@ def modules() -> Mapping[str, frozenset[str]]:
     return {module_name(path, SOURCES): imported_by(path, SOURCES) for path in SOURCES.rglob("*.py")}
 
 
+@cache
 def imported_by(path: Path, root: Path) -> frozenset[str]:
     return frozenset(imported(path.read_text(), package_of(path, root)))
 

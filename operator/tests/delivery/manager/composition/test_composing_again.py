@@ -23,11 +23,12 @@ from robotkube.foundation.documents.adapters.json_schema import validate
 from robotkube.registry.catalogue.core.guarantees import GuaranteeRequirement
 from robotkube.testing.synthetic import Synthetic, demands, synthetic
 from tests.stages.delivery.placement import ONE, application, catalogue, chart, demand, inputs, task
+from tests.stages.examples import EXAMPLES
 
 RENDER = Jinja2Templates().render
 SMALL = synthetic(RENDER, validate, charts=7, versions=3, nodes=24, task_count=6)
 STEPS = 25
-SEEDS = range(12)
+SEEDS = range(EXAMPLES // 10)
 
 
 @dataclass
