@@ -83,7 +83,8 @@ class Workloads(Protocol):
         ...
 
     def read(self, namespace: str, kind: str) -> Sequence[Mapping[str, Any]]:
-        """The workloads of a kind, or the ConfigMaps, in a namespace, each with its namespace in its metadata."""
+        """The workloads of a kind, or the ConfigMaps, in a namespace, each with its namespace in its metadata; of
+        `kinds` perhaps nothing else."""
         ...
 
 
