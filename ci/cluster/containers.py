@@ -70,4 +70,4 @@ def _sentence(report: Report) -> str:
 def _lines(report: Report, log: Path) -> list[str]:
     lines = [f"  {text}" for _, texts in sorted(report.strangers.items()) for text in texts]
     lines += [f"  {node} was not looked at: {why}" for node, why in sorted(report.unseen.items())]
-    return lines + ([f"  not written to the cluster: {report.problem} ({log})"] if report.problem else [])
+    return lines + ([f"  the Inspections do not say what was seen: {report.problem} ({log})"] if report.problem else [])

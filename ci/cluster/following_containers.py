@@ -2,7 +2,8 @@
 nobody of the cluster started, as Inspection `machine.<node>` with Events and log lines.
 
 A process of the host: it reads the nodes' own files, so who administers the cluster through its API has no way to it.
-While the cluster takes no Inspections it goes on looking, says so once, and `status` names what it sees.
+While the cluster takes no Inspections, or has others than it wrote, it goes on looking, says so once, and `status`
+names what it sees.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from ci.cluster.records import ClusterFolders
 from robotkube.delivery.inspection.adapters.kubernetes_inspections import KubernetesInspections
 from robotkube.delivery.inspection.core.strangers import BESIDE_THE_KUBELET, CONTAINER, MACHINE, Look, Stranger
 from robotkube.delivery.inspection.loops.reporting import Reporter
+from robotkube.delivery.inspection.ports import NotInstalledError
 from robotkube.errors import InputError, RobotKubeError, UnavailableError
 from robotkube.foundation.kubernetes.adapters.http_client import ApiServer
 
@@ -123,11 +125,11 @@ class ClusterReports:
                 self._attend()
             for look in looks:
                 self._report(look)
-        except InputError as error:
+        except NotInstalledError as error:
             return (
                 f"namespace {NAMESPACE} takes no Inspections; they are written once the platform is installed: {error}"
             )
-        except UnavailableError as error:
+        except (InputError, UnavailableError) as error:  # as when admission refuses or changes what is written
             return str(error)
         return ""
 
@@ -167,7 +169,7 @@ def _say(report: Report, before: str) -> str:
         return ""
     text = "; ".join([report.problem, *(text for texts in report.strangers.values() for text in texts)])
     if text != before:
-        log.warning("containers: not written to the cluster: %s", text)
+        log.warning("containers: the Inspections do not say what was seen: %s", text)
     return text
 
 

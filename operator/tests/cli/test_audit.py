@@ -15,6 +15,8 @@ import pytest
 
 from robotkube.cli.main import main
 from robotkube.delivery.audit.adapters.html_page import page
+from robotkube.delivery.deployment.core.break_glass import ACCEPTED_PATH
+from robotkube.delivery.deployment.core.policies.initial import PATH
 from tests.stages.delivery.audited_platform import (
     BEGAN,
     MINUTE,
@@ -27,6 +29,7 @@ from tests.stages.delivery.audited_platform import (
     plan_id,
     release,
 )
+from tests.stages.delivery.manipulations import LATER, break_glass
 
 EVIL = "<script>alert('x')</script>"
 
@@ -77,6 +80,41 @@ def test_nothing_found_ends_with_0(line: Line) -> None:
     assert "findings: 0\n" in out
     assert "Cannot be told from Git: which containers ran" in out
     assert err == "robotkube: deployment repository: 6 commits\nrobotkube: catalogue: 3 commits\n"
+
+
+def test_the_table_has_events_traces_and_who_asked_by_a_policy(line: Line, saved: Platform) -> None:
+    people = ("approval", "ada", "grace")
+    saved.merge({PATH: "add: [{application: recording, forRole: cloud}]\n"}, "record\n", LATER, *people)
+    made = release(RECORDER, saved.names["evidence of recorder"], "cloud-0", "standing", plan_id(9))
+    saved.merge(files_of(made), message_of(made, kinds=("initial",)), LATER + MINUTE)
+    path = line.folder / "audit.html"
+    code, out, _ = line.run(*line.keys, *line.offline, "--html", str(path))
+    assert code == 0
+    assert re.search(rf"[0-9a-f]{{12}}  {SECOND.task} +{SECOND.event} +proximity +{SECOND.trace}\n", out)
+    assert re.search(r"cloud-0/standing +recorder 0\.1\.0 +[0-9a-f]{12} +policy recording +-\n", out)
+    asked = "recording on every agent of role cloud"
+    assert re.search(rf"{asked} +operator-team +grace +2026-11-18T12:06:41Z +deployment [0-9a-f]{{12}} #7\n", out)
+    assert "what came past the gate" not in out
+    text = path.read_text()
+    assert f"{asked}<br>" in text
+    assert re.search(r"operator-team, approved by grace, pull request #7,\s+deployment", text)
+    read(text)
+
+
+def test_the_table_has_who_signed_what_came_past_the_gate_and_what_became_of_it(line: Line, saved: Platform) -> None:
+    break_glass(saved)
+    commit = saved.deployment.tip
+    path = line.folder / "audit.html"
+    _, out, _ = line.run(*line.keys, *line.offline, "--html", str(path))
+    assert re.search(rf"{commit[:12]}  break-glass  ada,grace  no\n", out)
+    assert re.search(
+        r"break-glass</span> signed by ada, grace\s*<br><span class=\"no\">not made good", path.read_text()
+    )
+    accepted = saved.merge({ACCEPTED_PATH: f"{commit}\n"}, "right\n", LATER + MINUTE, "approval", "ada", "grace")
+    _, out, _ = line.run(*line.keys, *line.offline, "--html", str(path))
+    assert f"break-glass  ada,grace  accepted by {accepted[:12]}\n" in out
+    assert f'<span class="yes">accepted</span> by <code>{accepted[:12]}</code>' in path.read_text()
+    read(path.read_text())
 
 
 def test_findings_end_with_1_and_stand_on_stdout(line: Line, saved: Platform) -> None:

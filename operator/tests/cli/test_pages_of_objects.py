@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import json
-import threading
-from collections.abc import Callable, Iterator
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from collections.abc import Iterator
 from pathlib import Path
-from urllib.parse import parse_qs, urlsplit
 
 import pytest
 
 from robotkube.cli.platform import PAGE_OBJECTS, PAGES_MAX, Platform
 from robotkube.errors import InputError
+from tests.stages.kubernetes.served_objects import serving
 
 PODS = "/api/v1/pods"
 LAST = PAGES_MAX - 1
@@ -43,39 +40,9 @@ def pages() -> Pages:
 @pytest.fixture
 def platform(pages: Pages, tmp_path: Path) -> Iterator[Platform]:
     """The command line's access to it."""
-    server = ThreadingHTTPServer(("127.0.0.1", 0), handler(pages.answer))
-    thread = threading.Thread(target=server.serve_forever)
-    thread.start()
-    cluster = {"name": "a", "cluster": {"server": f"http://127.0.0.1:{server.server_port}"}}
-    context = {"name": "a", "context": {"cluster": "a", "user": "a"}}
-    document = {"clusters": [cluster], "contexts": [context], "users": [{"name": "a", "user": {}}]}
-    (tmp_path / "kubeconfig").write_text(json.dumps({**document, "current-context": "a"}))
     names = {"context": None, "platform_namespace": "robotkube", "argocd_namespace": "argocd", "manager": "manager"}
-    try:
-        yield Platform(argparse.Namespace(kubeconfig=str(tmp_path / "kubeconfig"), **names))
-    finally:
-        server.shutdown()
-        thread.join()
-        server.server_close()
-
-
-def handler(
-    answer: Callable[[str, dict[str, list[str]]], dict[str, object] | None],
-) -> type[BaseHTTPRequestHandler]:
-    class Handler(BaseHTTPRequestHandler):
-        def do_GET(self) -> None:
-            where = urlsplit(self.path)
-            page = answer(where.path, parse_qs(where.query))
-            body = json.dumps(page or {"message": "none"}).encode()
-            self.send_response(404 if page is None else 200)
-            self.send_header("Content-Length", str(len(body)))
-            self.end_headers()
-            self.wfile.write(body)
-
-        def log_message(self, *arguments: object) -> None:
-            pass
-
-    return Handler
+    with serving(pages.answer, tmp_path) as kubeconfig:
+        yield Platform(argparse.Namespace(kubeconfig=str(kubeconfig), **names))
 
 
 def test_the_last_page_that_is_allowed_is_read(pages: Pages, platform: Platform) -> None:

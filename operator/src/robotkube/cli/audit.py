@@ -146,9 +146,13 @@ def _report(line: str) -> None:
 
 def text(document: Mapping[str, Any]) -> str:
     """The document for people at a terminal."""
+    past = _past_the_gate(document)
     parts = [
-        *_section("what ran", ("from", "until", "release", "chart", "digest", "tasks", "nodes"), _ran(document)),
-        *_section("who asked, who approved", ("time", "commit", "subject", "tasks", "checked"), _changes(document)),
+        *_section("what ran", ("from", "until", "release", "chart", "digest", "asked_by", "nodes"), _ran(document)),
+        *_section("who asked, who approved", ("time", "commit", "subject", "asked_by", "checked"), _changes(document)),
+        *_section("which events led to it", ("commit", "task", "event", "rule", "trace"), _events(document)),
+        *_section("what policies asked for", ("asked_for", "by", "approved_by", "time", "where"), _policies(document)),
+        *(_section("what came past the gate", ("commit", "how", "signed_by", "made_good"), past) if past else []),
         *_section("what had been verified", ("chart", "digest", "suite", "result", "key"), _verified(document)),
         *_section(
             "which applications had been checked",
@@ -183,6 +187,7 @@ def _ran(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:
             "until": run["until"] or "now",
             "chart": f"{run['chart']} {run['version']}",
             "digest": _short(run["digest"]),
+            "asked_by": run["tasks"] or _applications(run["policies"]),
             "nodes": run["observed"]["nodes"] if run["observed"] else None,
         }
         for run in document["ran"]
@@ -194,10 +199,54 @@ def _changes(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:
         {
             **change,
             "commit": _short(change["commit"]),
-            "tasks": [task["task"] for task in change["tasks"]] or change["causes"],
+            "asked_by": [
+                *(task["task"] for task in change["tasks"]),
+                *(_applications(change["policies"]) or (() if change["tasks"] else change["causes"])),
+            ],
             "checked": "the first commit" if change["seed"] else _checked(change["checked"]),
         }
         for change in document["changes"]
+    ]
+
+
+def _applications(policies: Sequence[Mapping[str, Any]]) -> list[str]:
+    """What policies asked for, in few words."""
+    return list(dict.fromkeys(f"policy {row['application']}" for row in policies))
+
+
+def _events(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """A row for each task of each commit."""
+    return [{**task, "commit": _short(change["commit"])} for change in document["changes"] for task in change["tasks"]]
+
+
+def _policies(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """A row for each entry of a policy that asked for something, or stopped to."""
+    rows: dict[tuple[str, str], Mapping[str, Any]] = {}
+    for row in (row for part in ("ran", "changes") for one in document[part] for row in one["policies"]):
+        rows[row["entry"], row["commit"]] = {
+            **row,
+            "asked_for": row["entry"] if row["stands"] else f"no more: {row['entry']}",
+            "by": row["author"] or "not known",
+            "where": f"{row['repository']} {_short(row['commit'])}"
+            + (f" #{row['pull_request']}" if row["pull_request"] else "")
+            + ("" if row["key"] else ", not signed"),
+        }
+    return list(rows.values())
+
+
+def _past_the_gate(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """A row for each commit without a record, but the first one: who signed it, and what became of it."""
+    return [
+        {
+            "commit": _short(change["commit"]),
+            "how": "break-glass" if change["break_glass"] else "no record",
+            "signed_by": change["signed_by"],
+            "made_good": f"{change['made_good']['how']} by {_short(change['made_good']['commit'])}"
+            if change["made_good"]
+            else "no",
+        }
+        for change in document["changes"]
+        if change["checked"] is None and not change["seed"]
     ]
 
 

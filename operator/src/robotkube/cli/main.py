@@ -76,7 +76,7 @@ def commands() -> Sequence[Command]:
         Command(
             "status",
             "",
-            "main of the deployment repository, and what stands there without the gate's check",
+            "main of the deployment repository, what stands there unchecked, a gate that is away, strangers that run",
             status.show_status,
             status.asking,
         ),

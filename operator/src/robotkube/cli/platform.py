@@ -9,6 +9,7 @@ import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
+from robotkube.cli.gate_presence import GATE, GatePresence, presence
 from robotkube.cli.inspections import INSPECTOR
 from robotkube.delivery.inspection.core.strangers import PLURAL as INSPECTIONS
 from robotkube.delivery.tasks.adapters.kubernetes_tasks import KubernetesTasks
@@ -107,11 +108,24 @@ class Platform:
     def inspector(self) -> Mapping[str, Any] | None:
         """The Deployment of who writes the Inspections, empty when there is none; None when that may not be read."""
         try:
-            return self._read("GET", f"/apis/apps/v1/namespaces/{self._namespace}/deployments/{INSPECTOR}")
+            return self._deployment(self._namespace, INSPECTOR)
+        except InputError:
+            return None
+
+    def gate(self) -> GatePresence:
+        """Whether the gate is there."""
+        try:
+            namespace = self.gate_namespace()
+            return presence(namespace, self._deployment(namespace, GATE))
+        except InputError as error:
+            return GatePresence(unknown=str(error))
+
+    def _deployment(self, namespace: str, name: str) -> Mapping[str, Any]:
+        """A Deployment, empty when there is none; InputError when it may not be read."""
+        try:
+            return self._read("GET", f"/apis/apps/v1/namespaces/{namespace}/deployments/{name}")
         except KeyError:
             return {}
-        except (InputError, RefusalError):
-            return None
 
     def page(self, path: str) -> Mapping[str, Any]:
         """A JSON page of the manager."""

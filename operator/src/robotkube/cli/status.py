@@ -1,5 +1,5 @@
-"""The command `robotkube status`: where main of the deployment repository stands, what is there unchecked, and what
-runs that may not."""
+"""The command `robotkube status`: where main of the deployment repository stands, what is there unchecked, whether the
+gate is there, and what runs that may not."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import Any
 
 from robotkube.cli import inspections
 from robotkube.cli.forge_access import REPOSITORY, AccountAtForge, forge_account, reaching
+from robotkube.cli.gate_presence import GatePresence
 from robotkube.cli.output import Table
 from robotkube.cli.platform import Platform
 from robotkube.delivery.deployment.adapters.ssh_keys import holds
@@ -50,9 +51,10 @@ def asking(parser: argparse.ArgumentParser) -> None:
 
 
 def show_status(options: argparse.Namespace) -> Table:
-    """Show each commit of main that the gate did not check and that stands, and each stranger that runs; refused when
-    there is one, or when main has no records. It reads Git and the Inspections alone, so it answers also while gate and
-    inspector are away. With --forge-url the cluster is not asked."""
+    """Show each commit of main that the gate did not check and that stands, a gate that is away, and each stranger that
+    runs; refused when there is one, or when main has no records. It reads Git, the gate's Deployment and the
+    Inspections alone, so it answers also while gate and inspector are away. With --forge-url the cluster is not
+    asked."""
     if options.forge_url and not options.keys:
         raise InputError(
             "--forge-url needs --keys with the public keys that you trust (docs/how-to/audit-a-platform.md)"
@@ -62,29 +64,31 @@ def show_status(options: argparse.Namespace) -> Table:
         keys = options.keys or _cluster_keys(Platform(options), Path(folder) / "keys")
         watch = read_main(access, Path(folder), TrustedKeys(keys), time.monotonic, time.sleep)
     if options.forge_url:
-        return _shown(watch, None)
+        return shown(watch)
     platform = Platform(options)
-    return _shown(watch, inspections.seen(platform.inspections(), time.time_ns(), platform.inspector()))
+    strangers = inspections.seen(platform.inspections(), time.time_ns(), platform.inspector())
+    return shown(watch, strangers, platform.gate())
 
 
-def _shown(watch: UncheckedWatch, seen: inspections.Seen | None) -> Table:
-    """What stands on main unchecked, and what was seen to run; None where nobody asked."""
-    found = f"main of {REPOSITORY} is at {watch.tip[:12]}"
+def shown(watch: UncheckedWatch, seen: inspections.Seen | None = None, gate: GatePresence | None = None) -> Table:
+    """What stands on main unchecked, what was seen to run, and whether the gate is there; None where nobody asked."""
+    at = f"main of {REPOSITORY} is at {watch.tip[:12]}"
     rows = [_row(one) for one in watch.standing]
-    tables = seen.tables if seen else ()
-    main = [*_counted(watch.standing), *([watch.problem] if watch.problem else [])]
-    problems = [f"{'; '.join(main)}: {STEP}" if rows else "; ".join(main)] if main else []
-    if seen and seen.problem:
-        problems.append(seen.problem)
-    if problems:
-        blind = [seen.blind] if seen and seen.blind else []
-        return Table("unchecked", COLUMNS, rows, refusal="; ".join([found, *problems, *blind]), more=tables)
-    text = f"{found}; everything on it was checked by the gate, or has been replaced or accepted\n"
-    if watch.before_records:
-        text += (
-            f"{watch.before_records} of its commits came before the gate's first record, which nothing vouches for\n"
-        )
-    return Table("unchecked", COLUMNS, rows, text=text + (seen.text if seen else ""), more=tables)
+    main = "; ".join([*_counted(watch.standing), *([watch.problem] if watch.problem else [])])
+    problems = [gate.words if gate else "", f"{main}: {STEP}" if rows else main, seen.problem if seen else ""]
+    tables = [*([gate.table] if gate else []), *(seen.tables if seen else ())]
+    if any(problems):
+        said = [at, *problems, gate.text.strip() if gate else "", seen.blind if seen else ""]
+        return Table("unchecked", COLUMNS, rows, refusal="; ".join(filter(None, said)), more=tables)
+    more = f"{gate.text if gate else ''}{seen.text if seen else ''}"
+    return Table("unchecked", COLUMNS, rows, text=_nothing_unchecked(at, watch.before_records) + more, more=tables)
+
+
+def _nothing_unchecked(at: str, before_records: int) -> str:
+    text = f"{at}; everything on it was checked by the gate, or has been replaced or accepted\n"
+    if before_records:
+        text += f"{before_records} of its commits came before the gate's first record, which nothing vouches for\n"
+    return text
 
 
 def read_main(

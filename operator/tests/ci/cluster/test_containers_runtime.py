@@ -165,7 +165,7 @@ def test_the_process_names_it_where_nothing_can_be_written(foreign: LoneNode) ->
     log = folders.log / f"{containers.PROCESS}.log"
     words = "container default/foreign on node vehicle-00 runs /probe"
     until(lambda: words in log.read_text(encoding="utf-8"), "it is logged")
-    count = log.read_text(encoding="utf-8").count("not written to the cluster")
+    count = log.read_text(encoding="utf-8").count("the Inspections do not say what was seen")
     assert count == 2, "once, and once more with what runs beside the kubelet"
     end(foreign, "default")
     until(lambda: "none beside" in containers.status(folders), "it is gone", 15)

@@ -18,6 +18,7 @@ from ci.cluster.node_containers import RUNNING
 from ci.cluster.processes import Process, start_ticks
 from ci.cluster.records import ClusterFolders
 from robotkube.delivery.inspection.loops.reporting import Reporter
+from robotkube.delivery.inspection.ports import NotInstalledError
 from robotkube.errors import InputError, UnavailableError
 from tests.stages.delivery.inspections_in_memory import Clock, InspectionsInMemory
 
@@ -149,10 +150,11 @@ def test_of_a_node_that_cannot_be_read_nothing_is_claimed(cluster: Cluster) -> N
     ("failure", "words"),
     [
         (
-            InputError("no such kind"),
+            NotInstalledError("no such kind"),
             "takes no Inspections; they are written once the platform is installed: no such kind",
         ),
-        (UnavailableError("nobody answers"), "nobody answers"),
+        (UnavailableError("nobody answers"), "say what was seen: nobody answers; "),
+        (InputError("PATCH x: a policy denied the request"), "say what was seen: PATCH x: a policy denied the request"),
     ],
 )
 def test_while_the_cluster_takes_no_inspections_it_is_said_once_and_strangers_are_named(
@@ -170,6 +172,22 @@ def test_while_the_cluster_takes_no_inspections_it_is_said_once_and_strangers_ar
     cluster.look(AGAIN_SECONDS + LOOK_SECONDS)
     assert cluster.names("vehicle-00") == [FOREIGN.key]
     assert cluster.kept[-1].problem == ""
+
+
+def test_when_admission_changes_what_is_written_that_is_what_is_said(
+    cluster: Cluster, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Not that the platform is not installed: it is, and somebody has it say that nothing is strange."""
+    cluster.inspections.changes = lambda status: {**status, "strangers": [], "strangersTotal": 0}
+    cluster.nodes.nodes["vehicle-00"] = Node((FOREIGN,))
+    cluster.look(20)
+    said = caplog.records[-1].getMessage()
+    assert said.startswith(
+        "containers: the Inspections do not say what was seen: Inspection machine.vehicle-00: the API server has "
+        "something else than what was written, so do not believe it. Look for a mutating policy or webhook"
+    )
+    assert "container default/miner on node vehicle-00 runs /bin/miner" in said
+    assert "takes no Inspections" not in cluster.kept[-1].problem
 
 
 def test_the_report_is_kept_when_it_says_something_else_and_now_and_then(cluster: Cluster) -> None:
@@ -220,7 +238,7 @@ def test_status_names_strangers_and_what_was_not_seen(folders: ClusterFolders) -
         "containers: 1 STARTED BESIDE THE KUBELETS of 2 nodes",
         "  container default/miner on node vehicle-00: why",
         "  cloud-0 was not looked at: dark",
-        f"  not written to the cluster: nobody answers ({folders.log / 'containers.log'})",
+        f"  the Inspections do not say what was seen: nobody answers ({folders.log / 'containers.log'})",
     ]
 
 

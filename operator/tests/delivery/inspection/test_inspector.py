@@ -7,8 +7,10 @@ from typing import Any
 
 import pytest
 
+from robotkube.delivery.inspection.adapters.kubernetes_workloads import OTHER_KINDS
 from robotkube.delivery.inspection.core.permitted import ReleaseShape
 from robotkube.delivery.inspection.core.strangers import Look, Stranger
+from robotkube.delivery.inspection.loops import looks
 from robotkube.delivery.inspection.loops.inspector import Inspector
 from robotkube.delivery.inspection.loops.looks import NodeLooks, ReleaseLooks
 from robotkube.delivery.inspection.loops.reporting import Reporter
@@ -55,8 +57,8 @@ class Stage:
     def start(self) -> None:
         """Start the process, anew: it has forgotten everything."""
         self.reporter = Reporter(self.inspections, self.clock.ns)
-        looks = (NodeLooks(self.clock), ReleaseLooks(self.workloads))
-        self.inspector = Inspector(self.nodes, looks, self.source, self.reporter, self.clock)
+        both = (NodeLooks(self.clock), ReleaseLooks(self.workloads))
+        self.inspector = Inspector(self.nodes, both, self.source, self.reporter, self.clock)
         self.made.append(self.inspector)
 
     def run(self, seconds: float) -> None:
@@ -131,11 +133,30 @@ def test_a_sidecar_is_named_in_time(stage: Stage) -> None:
     assert stage.conditions("releases") == CLEAN
 
 
-def test_another_kind_of_workload_is_named(stage: Stage) -> None:
-    stage.workloads.workloads.append(("StatefulSet", deployment()))
-    stage.run(60)
+@pytest.mark.parametrize("kind", OTHER_KINDS)
+def test_another_kind_of_workload_is_named_in_time(stage: Stage, kind: str) -> None:
+    """Also one that starts no pod: no node shows it."""
+    stage.run(31.5)
+    metadata = {"metadata": {"name": "miner", "namespace": "vehicle-00", "uid": "u9", "resourceVersion": "1"}}
+    stage.workloads.workloads.append((kind, metadata))
+    stage.run(NAMED_SECONDS)
     (one,) = stage.inspections.statuses["releases"]["strangers"]
-    assert (one["kind"], one["reason"]) == ("StatefulSet", "NoRelease")
+    assert (one["kind"], one["name"], one["reason"]) == (kind, "miner", "NoRelease")
+    stage.workloads.workloads.pop()
+    stage.run(NAMED_SECONDS)
+    assert stage.conditions("releases") == CLEAN
+
+
+def test_a_look_at_many_agents_is_bounded(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With more lists than one look may take, kinds are read in turn, and each is named all the same."""
+    agents = len(stage.source.permitted().domain.agents)
+    monkeypatch.setattr(looks, "OTHERS_MAX", 2 * agents)
+    metadata = {"metadata": {"name": "miner", "namespace": "vehicle-00", "uid": "u9", "resourceVersion": "1"}}
+    stage.workloads.workloads += [(kind, metadata) for kind in OTHER_KINDS]
+    stage.inspector.step()
+    assert stage.workloads.asked == (2 + 2) * agents
+    stage.run(60)
+    assert {one["kind"] for one in stage.inspections.statuses["releases"]["strangers"]} == set(OTHER_KINDS)
 
 
 def _settings(**data: str) -> dict[str, Any]:

@@ -10,8 +10,9 @@ import pytest
 from robotkube.delivery.deployment.core.releases import Release, write_release
 from robotkube.delivery.inspection.core.permitted import Permitted, ReleaseShape
 from robotkube.delivery.inspection.core.pod_checks import strangers_on
+from robotkube.delivery.inspection.core.workload_checks import strangers_among
 from robotkube.delivery.inspection.loops.permitted import LATELY_SECONDS, InstalledPlatform, PermittedReader
-from robotkube.delivery.inspection.loops.release_shapes import REMOVED_SECONDS, ReleaseShapes
+from robotkube.delivery.inspection.loops.release_shapes import REMOVED_SECONDS, SETTINGS_SECONDS, ReleaseShapes
 from robotkube.errors import InputError, UnavailableError
 from robotkube.foundation.forge.ports.repositories import Commit
 from robotkube.registry.admission.core.listing import AllowedVersions
@@ -84,7 +85,7 @@ class Charts:
             raise self.problem
         self.rendered.append((plan, values))
         deployment = {"kind": "Deployment", "metadata": {"name": release}, "spec": {**RENDERED["spec"], "plan": plan}}
-        return [deployment, {"kind": "ConfigMap", "metadata": {"name": release}}]
+        return [deployment, {"kind": "ConfigMap", "metadata": {"name": release}, "data": dict(values)}]
 
 
 class Listing:
@@ -174,6 +175,44 @@ def test_a_release_that_left_main_counts_for_a_while(stage: Stage, restart: bool
     assert stage.shape() is None
     stage.history.put(release(FOURTH))
     assert _plans(stage.shape())[0] == FOURTH
+
+
+def _settings(stage: Stage, **data: str) -> list[str]:
+    """What is said of a ConfigMap of the release that says this."""
+    metadata = {"name": "detector", "namespace": "vehicle-00"}
+    permitted = stage.read()
+    return [one.message for one in strangers_among({"metadata": metadata, "data": data}, "ConfigMap", permitted)]
+
+
+def test_settings_that_main_had_before_count_for_a_while(stage: Stage) -> None:
+    """Argo CD may be told to ignore that they differ, and then leaves them for ever."""
+    stage.history.put(release(FIRST, mode="a"))
+    stage.read()
+    stage.history.put(release(SECOND, mode="b"))
+    assert _settings(stage, mode="a") == _settings(stage, mode="b") == []
+    stage.clock.now += SETTINGS_SECONDS - 1
+    stage.history.put(release(THIRD, mode="c"))
+    assert _settings(stage, mode="a") == []
+    stage.clock.now += 2
+    [text] = _settings(stage, mode="a")
+    assert "is not what the chart of release detector renders: data.mode says something else; main had it so" in text
+    assert _settings(stage, mode="b") == _settings(stage, mode="c") == []
+    [text] = _settings(stage, mode="x")
+    assert "main had it so" not in text
+    stage.clock.now += SETTINGS_SECONDS
+    assert len(_settings(stage, mode="b")) == 1
+    stage.history.put(release(FOURTH, mode="c", more="d"))
+    assert _settings(stage, mode="c") == _settings(stage, mode="c", more="d") == []
+
+
+def test_after_a_start_settings_that_main_had_before_count_as_long(stage: Stage) -> None:
+    """When they were replaced is not known then."""
+    stage.history.put(release(SECOND, mode="b"))
+    stage.history.put(release(THIRD, mode="c"))
+    assert _settings(stage, mode="b") == []
+    stage.clock.now += SETTINGS_SECONDS + 1
+    assert len(_settings(stage, mode="b")) == 1
+    assert _plans(stage.shape())[:2] == [THIRD, SECOND]  # a Deployment may be as it was, until its pods are replaced
 
 
 def test_a_file_that_cannot_be_read_counts_as_it_was(stage: Stage) -> None:

@@ -11,18 +11,20 @@ from typing import Any
 import pytest
 import yaml
 
-from robotkube.delivery.inspection.adapters.kubernetes_workloads import KubernetesWorkloads
+from robotkube.delivery.inspection.adapters.kubernetes_workloads import PATHS, KubernetesWorkloads
 from robotkube.delivery.inspection.core.comparison import differences
 from robotkube.delivery.inspection.core.permitted import Permitted, ReleaseShape
 from robotkube.delivery.inspection.core.pod_templates import pod_differences
 from robotkube.delivery.inspection.core.strangers import Stranger
 from robotkube.delivery.inspection.core.workload_checks import strangers_among
+from robotkube.delivery.inspection.loops.looks import ReleaseLooks
 from robotkube.foundation.kubernetes.adapters.http_client import ApiServer
 from robotkube.registry.admission.core.allowed import Allowed
 from tests.stages.attacks import shown
 from tests.stages.delivery.inspected_node import CHART, DOMAIN, RENDERED, VERIFIED
 from tests.stages.kubernetes.judged_api_server import MERGE, Api, judged_api_server
 from tests.stages.paths import REPOSITORY
+from tests.stages.waiting import until
 
 pytestmark = [pytest.mark.toolchain]  # a server of its own
 GOLDEN = REPOSITORY / "operator" / "tests" / "charts" / "golden"
@@ -78,6 +80,7 @@ POD: dict[str, Any] = {
         {"maxSkew": 1, "topologyKey": "zone", "whenUnsatisfiable": "ScheduleAnyway", "labelSelector": {}}
     ],
 }
+LEAST: dict[str, Any] = {"containers": [{"name": "a", "image": f"x.example/y@{VERIFIED}"}]}
 SILENT = {"apiVersion": "apps/v1", "kind": "Deployment", "metadata": {"name": "silent"}}
 """As little as a manifest may say: everything else is filled in."""
 
@@ -122,7 +125,7 @@ def test_our_own_charts_are_as_they_are_rendered(api: Api, chart: str) -> None:
 
 
 def test_fields_of_which_nothing_is_said_are_explained(api: Api) -> None:
-    item = rendered({"containers": [{"name": "a", "image": f"x.example/y@{VERIFIED}"}]}, "least")
+    item = rendered(LEAST, "least")
     assert differences(applied(api, item), item) == ()
 
 
@@ -192,16 +195,54 @@ def test_what_somebody_adds_to_a_workload_is_named(api: Api) -> None:
     shown("nodes", named(api, "detector").message, "sidecar")
 
 
-def test_every_kind_of_workload_can_be_listed(api: Api) -> None:
-    """By the inspector's own adapter."""
+@pytest.fixture
+def workloads(api: Api) -> Iterator[KubernetesWorkloads]:
+    """The inspector's own adapter."""
     server = api.server
     token = server.folder / "token"
     token.write_text(server.token)
     reached = ApiServer(f"https://127.0.0.1:{server.port}", token, _authority(api))
-    workloads = KubernetesWorkloads(reached)
+    yield KubernetesWorkloads(reached)
+    reached.close()
+
+
+def test_every_kind_of_workload_can_be_listed(workloads: KubernetesWorkloads) -> None:
     assert {kind: len(workloads.read("cloud-0", kind)) for kind in workloads.kinds} == dict.fromkeys(workloads.kinds, 0)
     assert workloads.read("cloud-0", "ConfigMap") == []
-    reached.close()
+
+
+def test_kinds_that_start_no_pod_are_named_by_one_look(api: Api, workloads: KubernetesWorkloads) -> None:
+    """By their metadata alone: their templates are not sent. A Job of a CronJob is not named beside it."""
+    template = {"metadata": {"labels": {"a": "b"}}, "spec": {**LEAST, "restartPolicy": "Never"}}
+    running = {**template, "spec": {**template["spec"], "restartPolicy": "Always"}}
+    selected = {"replicas": 0, "selector": {"matchLabels": {"a": "b"}}, "template": running}
+    job = {"suspend": True, "template": template}
+    specs = {
+        "ReplicaSet": selected,
+        "StatefulSet": {**selected, "serviceName": "x"},
+        "DaemonSet": {"selector": {"matchLabels": {"a": "b"}}, "template": running},
+        "Job": job,
+        "CronJob": {"suspend": True, "schedule": "* * * * *", "jobTemplate": {"spec": {"template": template}}},
+        "ReplicationController": {"replicas": 0, "selector": {"a": "b"}, "template": running},
+    }
+    made = {}
+    for kind in workloads.kinds:
+        body = {"template": running} if kind == "PodTemplate" else {"spec": specs[kind]}
+        group, plural = PATHS[kind]
+        path = f"{group}/namespaces/vehicle-00/{plural}"
+        made[kind] = api.done("POST", path, {"metadata": {"name": "miner"}, **body})
+        until(lambda kind=kind: bool(workloads.read("vehicle-00", kind)))  # the list comes from what it holds in memory
+        (item,) = workloads.read("vehicle-00", kind)
+        assert set(item) <= {"kind", "apiVersion", "metadata"}
+    owner = {"apiVersion": "batch/v1", "kind": "CronJob", "name": "miner", "uid": made["CronJob"]["metadata"]["uid"]}
+    metadata = {"name": "of-it", "ownerReferences": [{**owner, "controller": True}]}
+    api.done("POST", "/apis/batch/v1/namespaces/vehicle-00/jobs", {"metadata": metadata, "spec": job})
+    until(lambda: len(workloads.read("vehicle-00", "Job")) == 2)
+    permitted = Permitted(DOMAIN, Allowed((VERIFIED,), (), (CHART,)), {})
+    strangers = ReleaseLooks(workloads).look(permitted).strangers
+    assert {(one.kind, one.name, one.reason) for one in strangers if one.kind != "Deployment"} == {
+        (kind, "miner", "NoRelease") for kind in workloads.kinds
+    }
 
 
 def _authority(api: Api) -> Any:

@@ -169,7 +169,7 @@ def test_the_initial_configuration_goes_on_without_the_one_that_leads_elsewhere(
     names = {release.name for release in stage.releases().values()}
     assert "event-detector" not in names
     assert "mqtt-bridge" in names
-    assert "demand refused for its images demand=initial/proximity-operator/cloud-0" in caplog.text
+    assert "demands refused for their images demands=1 first=initial/proximity-operator/cloud-0" in caplog.text
     key = stage.ask()
     stage.go()
     assert stage.tasks.condition(key, "Committed") == ("True", "Merged")

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from robotkube.foundation.forge.core.reviews import Review, approvers, is_approved
+from robotkube.foundation.forge.core.reviews import Review, approvers
 
 HEAD = "c" * 40
 APPROVED = Review("reviewer", HEAD, True, True)
@@ -26,7 +26,7 @@ APPROVED = Review("reviewer", HEAD, True, True)
     ],
 )
 def test_approval(reviews: list[Review], approved: bool) -> None:
-    assert is_approved(reviews, HEAD, "author", ["manager"]) is approved
+    assert bool(approvers(reviews, HEAD, "author", ["manager"])) is approved
 
 
 def test_who_approved_is_named() -> None:

@@ -248,6 +248,26 @@ def test_a_broken_file_leaves_the_last_good_catalogue_in_place(
     assert "policies/verification.yaml: apiVersion: missing" in caplog.text
 
 
+def test_the_same_problem_is_logged_once_while_main_moves(
+    key: KeyFile, trusted: TrustedKeys, caplog: pytest.LogCaptureFixture
+) -> None:
+    repository = Repository()
+    found = AssuredCatalogue(repository, trusted)
+    good = catalogue(published(key, APP))
+    broken = {**good, "applications/relaying.yaml": "{"}
+    repository.commits.append(good)
+    found.read()
+    for number in range(14):
+        repository.commits.append({**broken, "applications/other.txt": str(number)})
+        found.read()
+    assert len(caplog.records) == 1
+    repository.commits.append(good)
+    found.read()
+    repository.commits.append(broken)
+    found.read()
+    assert len(caplog.records) == 2
+
+
 def test_a_key_removed_while_the_newest_commit_is_broken_counts_at_once(
     tmp_path: Path, key: KeyFile, trusted: TrustedKeys
 ) -> None:

@@ -67,6 +67,9 @@ def test_it_waits_and_is_published_with_a_persons_approval(world: PublicationSta
     assert "## Verified: relay 0.1.0" in world.settle(number)
     assert world.merged(number)
     assert world.main()[PATH] == INITIAL
+    publication = world.catalogue.commits[world.catalogue.tip]
+    assert publication.message.endswith(f"RobotKube-Pull-Request: {number}\nRobotKube-Approved-By: reviewer\n")
+    assert publication.author == "publisher"
 
 
 @pytest.mark.parametrize("account", ["publisher", "gate"])

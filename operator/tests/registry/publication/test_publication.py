@@ -378,7 +378,7 @@ def test_the_runner_may_answer_late_for_each_of_two_charts(world: PublicationSta
     message = world.catalogue.commits[world.catalogue.tip].message
     assert message.startswith("publish: other 0.1.0, relay 0.1.0\n\nRobotKube-Chart: other@0.1.0@sha256:")
     assert message.count("RobotKube-Evidence: sha256:") == 2
-    assert message.rstrip().endswith(f"RobotKube-Policy: {POLICY.digest}")
+    assert message.endswith(f"RobotKube-Policy: {POLICY.digest}\nRobotKube-Pull-Request: {number}\n")
 
 
 def test_a_broken_policy_waits_for_a_person(world: PublicationStage) -> None:

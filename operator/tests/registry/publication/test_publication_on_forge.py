@@ -15,6 +15,7 @@ from robotkube.cli.registry.submit import CATALOGUE
 from robotkube.errors import InputError
 from robotkube.foundation.documents.core.digests import sha256
 from robotkube.foundation.documents.core.yaml_codec import read_mapping, write_mapping
+from robotkube.foundation.forge.ports.pull_requests import PullRequest
 from robotkube.registry.charts.adapters.oci import OciRegistry
 from robotkube.registry.charts.core.packing import PackedChart, build_tag
 from robotkube.registry.evidence.core.statements import Artefact, Check, SuiteResult, suite_statement
@@ -104,6 +105,36 @@ def test_a_submission_is_published_and_the_pull_request_merged(publishing: Publi
         assert registry.manifest_digest(f"verified/{name}", f"0.1.0_{packed.digest[7:19]}") == packed.digest
     again = publishing.submit((packed, spec), applications=applications)
     assert (again.verdict, again.unchanged, again.evidence) == (UNCHANGED, (f"{name} 0.1.0",), outcome.evidence)
+
+
+def test_a_submission_that_waits_is_withdrawn_and_approved_by_the_forges_api(publishing: Publishing, name: str) -> None:
+    """As docs/how-to/add-an-application.md and write-a-policy.md say."""
+    installation = publishing.installation
+    pulls = f"{installation.url}/api/v1/repos/{CATALOGUE}/pulls"
+    publisher, person = ((account, installation.passwords[account]) for account in ("publisher", "reviewer"))
+    path = f"applications/use-{name}.yaml"
+    applications = {path: application(f"use-{name}", name, initialFor="cloud")}
+
+    def withdraw(pull: PullRequest) -> None:
+        until(
+            lambda: (
+                "## Waiting"
+                in publishing.installation.client("gate").get(f"../catalogue/issues/{pull.number}/comments").text
+            )
+        )
+        closed = {"state": "closed"}
+        httpx.patch(f"{pulls}/{pull.number}", auth=publisher, json=closed, timeout=30).raise_for_status()
+
+    def approve(pull: PullRequest) -> None:
+        review = {"event": "APPROVED", "commit_id": pull.head, "body": "Seen"}
+        httpx.post(f"{pulls}/{pull.number}/reviews", auth=person, json=review, timeout=30).raise_for_status()
+
+    first = publishing.submit(chart(name), applications=applications, opened=withdraw)
+    assert (first.verdict, path in publishing.main()) == (REFUSED, False)
+    assert f"{path} runs by itself on every agent of role cloud (initialFor)" in first.text
+    second = publishing.submit(chart(name), applications=applications, opened=approve)
+    assert (second.verdict, path in publishing.main()) == (PUBLISHED, True)
+    assert second.number != first.number
 
 
 def test_a_dry_run_writes_nothing(publishing: Publishing, name: str) -> None:

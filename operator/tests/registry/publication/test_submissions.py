@@ -216,10 +216,13 @@ def test_the_publication_says_verified_and_nothing_else_changes() -> None:
         "policy": "sha256:" + "6" * 64,
     }
     assert read_mapping(files[PATH], PATH) == {**read_mapping(entry(PACKED, SPEC), PATH), "status": status}
-    assert publication_message(submission, [verified]) == (
+    message = (
         f"publish: relay 0.1.0, application relaying\n\nRobotKube-Chart: relay@0.1.0@{PACKED.digest}\n"
-        f"RobotKube-Evidence: {summary}\nRobotKube-Policy: sha256:{'6' * 64}\n"
+        f"RobotKube-Evidence: {summary}\nRobotKube-Policy: sha256:{'6' * 64}\nRobotKube-Pull-Request: 7\n"
     )
+    assert publication_message(submission, [verified], 7) == message
+    approved = publication_message(submission, [verified], 7, ("ada", "grace"))
+    assert approved == f"{message}RobotKube-Approved-By: ada\nRobotKube-Approved-By: grace\n"
 
 
 @pytest.mark.parametrize("text", ["", "[]", "a: [", "status: x\n", write_mapping({"kind": "ChartVersion"}), "\0"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from robotkube.delivery.inspection.adapters.kubernetes_workloads import OTHER_KINDS
 from robotkube.delivery.inspection.core.permitted import Permitted
 from robotkube.delivery.inspection.core.strangers import Look, Stranger
 from robotkube.delivery.inspection.ports import NodeAddress, NodeReading
@@ -78,12 +79,14 @@ class NodesInMemory:
 class WorkloadsInMemory:
     """The port Workloads."""
 
-    kinds = ("StatefulSet", "Job")
+    kinds = OTHER_KINDS
 
     def __init__(self, *workloads: tuple[str, Mapping[str, Any]]) -> None:
         self.workloads = list(workloads)
+        self.asked = 0
 
     def read(self, namespace: str, kind: str) -> Sequence[Mapping[str, Any]]:
+        self.asked += 1
         return [item for one, item in self.workloads if one == kind and item["metadata"]["namespace"] == namespace]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from robotkube.cli import main as cli
 from robotkube.cli.registry.submit import CATALOGUE, ForgeAccess, submit_sources
 from robotkube.foundation.forge.adapters.git import GitClone, ProposalWriter
 from robotkube.foundation.forge.adapters.hosts.gitea import GiteaForge
+from robotkube.foundation.forge.ports.pull_requests import PullRequest
 from robotkube.registry.charts.adapters.oci import OciRegistry
 from robotkube.registry.publication.adapters.submission_folders import validation_tools
 from robotkube.registry.publication.loops.application_verification import ApplicationVerification
@@ -94,15 +96,21 @@ class Publishing:
             self.registry.disconnect()
             self._running = None
 
-    def submit(self, *charts: tuple[Any, Any], dry_run: bool = False, **more: Any) -> SubmissionOutcome:
-        """As the command does it, with these charts."""
+    def submit(
+        self,
+        *charts: tuple[Any, Any],
+        dry_run: bool = False,
+        opened: Callable[[PullRequest], None] = lambda pull: None,
+        **more: Any,
+    ) -> SubmissionOutcome:
+        """As the command does it, with these charts; `opened` is called with the pull request."""
         document = {"apiVersion": "registry.robotkube.io/v1alpha1", "kind": "ChartVersion"}
         sources = tuple(
             ChartSource({**document, "metadata": {"name": packed.name}, "spec": spec}, packed, (IMAGE,))
             for packed, spec in charts
         )
         access = ForgeAccess(self.installation.url, "publisher", self.installation.passwords["publisher"])
-        return submit_sources(access, SubmittedSources(sources, **more), self.say, WAIT_SECONDS, dry_run)
+        return submit_sources(access, SubmittedSources(sources, **more), self.say, WAIT_SECONDS, dry_run, opened=opened)
 
     def say(self, line: str) -> None:
         """What the command says; the gate hears of a new pull request as by the forge's webhook."""

@@ -9,12 +9,17 @@ from typing import Any, Protocol
 from robotkube.delivery.inspection.core.kubelet_pods import KubeletPod, RuntimePod
 from robotkube.delivery.inspection.core.permitted import Permitted
 from robotkube.delivery.inspection.core.strangers import Look, Stranger
+from robotkube.errors import InputError
 from robotkube.foundation.forge.ports.repositories import Commit, MainHistory
+
+
+class NotInstalledError(InputError):
+    """There is no place for Inspections: the kind, or the namespace, is not there."""
 
 
 class Inspections(Protocol):
     """The Inspections of one namespace. UnavailableError when the API server does not answer, InputError when it
-    refuses."""
+    refuses, of that NotInstalledError when there is no place for them."""
 
     def names(self) -> tuple[str, ...]:
         """Names of all Inspections."""
@@ -83,7 +88,8 @@ class Workloads(Protocol):
         ...
 
     def read(self, namespace: str, kind: str) -> Sequence[Mapping[str, Any]]:
-        """The workloads of a kind, or the ConfigMaps, in a namespace, each with its namespace in its metadata."""
+        """The workloads of a kind, or the ConfigMaps, in a namespace, each with its namespace in its metadata; of
+        `kinds` perhaps nothing else."""
         ...
 
 

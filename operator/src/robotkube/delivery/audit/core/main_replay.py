@@ -44,12 +44,12 @@ MADE_GOOD = ("break-glass", "break-glass-not-signed", "changed-by-hand")
 @dataclass(frozen=True)
 class MainChange:
     """One commit of main. `message` is what its plan says, None when it is no plan's or cannot be read; `changed` the
-    releases that it changes; `break_glass`: people's signatures let it past the gate."""
+    releases that it changes; `signed_by`: the people whose signatures let it past the gate."""
 
     commit: HistoryCommit
     message: CommitMessage | None
     changed: tuple[ChangedRelease, ...]
-    break_glass: bool = False
+    signed_by: tuple[str, ...] = ()
 
     @property
     def releases(self) -> tuple[str, ...]:
@@ -99,16 +99,16 @@ def replay(
     for commit in commits:
         old = Tree({p: state.releases[p] for p in commit.changes if p in state.releases}, {})
         judged = glass.get(commit.id)
-        let_through = judged is not None and judged.how == BREAK_GLASS
+        signed_by = judged.names if judged is not None and judged.how == BREAK_GLASS else ()
         findings += [*_shape(commit, brought, judged), *time_findings(commit, before, now, "deployment")]
         findings += _apply(commit, state, runs)
         new = Tree({p: state.releases[p] for p in commit.changes if p in state.releases}, {})
         proposal = ProposedCommit(commit.parents, commit.message, commit.changes, commit.irregular, old, new)
-        message, found = _message(commit, proposal, let_through)
+        message, found = _message(commit, proposal, bool(signed_by))
         findings += found
         findings += _sources(commit, new.releases, state.sources)
         findings += _merge_policy(commit, state)
-        changes.append(MainChange(commit, message, changed_releases(proposal), let_through))
+        changes.append(MainChange(commit, message, changed_releases(proposal), signed_by))
         before = commit
     runs += [
         ReleaseRun(release, state.began[path], "", _url(release, state.sources))

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
 from robotkube.delivery.audit.core.findings import Finding
+from robotkube.delivery.audit.core.made_good import MadeGood
 from robotkube.delivery.audit.core.main_replay import MainChange, ReleaseRun
 from robotkube.delivery.audit.core.merge_checks import Merges
 from robotkube.delivery.audit.core.outcomes import Outcomes
 from robotkube.delivery.audit.core.questions import Answered
+from robotkube.delivery.deployment.core.releases import Release
 from robotkube.foundation.documents.core.times import time_text
 from robotkube.registry.evidence.core.statements import NONE
 
 Row = dict[str, Any]
 Evidence = tuple[str, str]
 """Digest of a chart, and of its evidence."""
+PolicyRows = Callable[[Release, str, bool], Sequence[Row]]
+"""The entries of policies because of which a release came or stayed with a commit, or (True) went with it."""
 
 
 @dataclass(frozen=True)
@@ -55,19 +59,30 @@ def document(
     findings: Sequence[Finding],
     accepted: int,
     scope: AuditScope,
+    policies: PolicyRows,
+    ends: Mapping[str, MadeGood],
 ) -> Row:
-    """The document of one audit. `accepted`: how many findings came with commits that the caller knew before."""
+    """The document of one audit. `accepted`: how many findings came with commits that the caller knew before; `ends`:
+    what became of commits that the gate did not check."""
     commits = {change.commit.id for change in answered.changes}
     names = {run.release.key for run in answered.runs} | {run.release.digest for run in answered.runs}
     whole = not answered.word
     times = {change.commit.id: _time(change, merges) for change in answered.changes}
     by_evidence = {(row["digest"], row["evidence"]): row for row in verified}
+    ran = [
+        {**_run(run, times, outcomes, by_evidence), "policies": list(policies(run.release, run.began, False))}
+        for run in answered.runs
+    ]
+    changes = [
+        {**_change(change, merges, ends.get(change.commit.id)), "policies": list(_policies(change, policies))}
+        for change in answered.changes
+    ]
     return {
         "asked": answered.word,
         "understood_as": list(answered.as_),
         "as_of": scope.row(),
-        "ran": [_run(run, times, outcomes, by_evidence) for run in answered.runs],
-        "changes": [_change(change, merges) for change in answered.changes],
+        "ran": ran,
+        "changes": changes,
         "verified": list(verified),
         "applications": list(applications),
         "findings": [
@@ -83,7 +98,10 @@ def document(
             for one in findings
         ],
         "findings_accepted": accepted,
-        "cannot_be_told": list(_limits(answered, merges, outcomes, applications, scope)),
+        "cannot_be_told": [
+            *_limits(answered, merges, outcomes, applications, scope),
+            *_limits_of_policies([row for one in (*ran, *changes) for row in one["policies"]]),
+        ],
     }
 
 
@@ -115,7 +133,17 @@ def _run(run: ReleaseRun, times: Mapping[str, str], outcomes: Outcomes, verified
     }
 
 
-def _change(change: MainChange, merges: Merges) -> Row:
+def _policies(change: MainChange, policies: PolicyRows) -> Iterator[Row]:
+    """The entries because of which a plan changed releases that no task asks for, each once."""
+    told: list[Row] = []
+    for pair in change.changed if change.message else ():
+        release = pair.after or pair.before
+        rows = policies(release, change.commit.id, pair.after is None) if release else ()
+        told += [row for row in rows if row not in told]
+    yield from told
+
+
+def _change(change: MainChange, merges: Merges, end: MadeGood | None) -> Row:
     commit = change.commit
     message = change.message
     record = merges.records.get(commit.id)
@@ -134,7 +162,9 @@ def _change(change: MainChange, merges: Merges) -> Row:
         "term": message.term if message else None,
         "releases": list(change.releases),
         "seed": not commit.parents,
-        "break_glass": change.break_glass,
+        "break_glass": bool(change.signed_by),
+        "signed_by": list(change.signed_by),
+        "made_good": {"how": end.how, "commit": end.commit} if end else None,
         "checked": None
         if record is None
         else {
@@ -205,4 +235,18 @@ def _limits(
         yield (
             f"Cannot be told from Git: who changed these applications of the catalogue: {', '.join(unsigned)}. No "
             "statement covers them; what they led to is in main, and was checked there."
+        )
+
+
+def _limits_of_policies(rows: Sequence[Row]) -> Iterator[str]:
+    """What is not known of who asked by a policy."""
+    if any(row["repository"] == "catalogue" for row in rows):
+        yield (
+            "Cannot be proved from Git: who proposed and approved changes of the catalogue (initialFor). Its commits "
+            "say so, and nobody signed them."
+        )
+    if any(not row["author"] for row in rows):
+        yield (
+            "Cannot be told from Git: who submitted applications that an older gate published; it did not write that "
+            "down. The pull request in the forge says it."
         )

@@ -16,9 +16,11 @@ from robotkube.delivery.audit.core.catalogue_replay import (
     tip_findings,
 )
 from robotkube.delivery.audit.core.findings import Finding, unique
+from robotkube.delivery.audit.core.made_good import made_good
 from robotkube.delivery.audit.core.main_replay import MainReplay, replay
 from robotkube.delivery.audit.core.merge_checks import Merges, check_merges, main_moves, without_record
 from robotkube.delivery.audit.core.outcomes import read_outcomes
+from robotkube.delivery.audit.core.policy_requests import PolicyRequests
 from robotkube.delivery.audit.core.questions import Known, answer
 from robotkube.delivery.audit.core.verifications import application_row, verification_row
 from robotkube.delivery.audit.ports import Manifests
@@ -121,7 +123,13 @@ class Auditor:
         )
         verified = self._verified(runs, merges, offered)
         applications = self._applications(runs, merges, offered)
-        return report.document(answered, merges, outcomes, verified, applications, kept, accepted, scope)
+        requests = PolicyRequests(
+            commits, offered.commits, merges, lambda commit: self._decided_by(commit, merges, offered), self._catalogue
+        )
+        ends = made_good(main.changes, merges.records)
+        return report.document(
+            answered, merges, outcomes, verified, applications, kept, accepted, scope, requests.rows, ends
+        )
 
     def _break_glass(self, commits: Sequence[HistoryCommit], merges: Merges) -> Mapping[str, UncheckedCommit]:
         """The commits without a record that say that they are break-glass, and whether people signed them."""

@@ -10,6 +10,7 @@ from urllib.parse import urlencode
 
 from robotkube.delivery.inspection.core.statuses import manifest
 from robotkube.delivery.inspection.core.strangers import API_VERSION, GROUP, KIND, PLURAL, VERSION, Look, Stranger
+from robotkube.delivery.inspection.ports import NotInstalledError
 from robotkube.errors import UnavailableError
 from robotkube.foundation.kubernetes.adapters.http_client import ApiServer, custom_path, event_path
 from robotkube.writes import writes
@@ -57,12 +58,18 @@ class KubernetesInspections:
         body = {**manifest(look, self._namespace), "status": status}
         code, answer = self._api.request("PATCH", path, body, APPLY)
         if code == NOT_FOUND:
-            self._api.create(self._path(), manifest(look, self._namespace))
+            self._create(look)
             code, answer = self._api.request("PATCH", path, body, APPLY)
             self._uids.pop(look.name, None)
         if code in (NOT_FOUND, CONFLICT):
             raise UnavailableError(f"PATCH {path}: {code} {answer.get('message', '')}")
         return dict(answer.get("status") or {})
+
+    def _create(self, look: Look) -> None:
+        """Make an Inspection without a status; one that is there already is as good."""
+        code, answer = self._api.request("POST", self._path(), manifest(look, self._namespace))
+        if code == NOT_FOUND:
+            raise NotInstalledError(f"POST {self._path()}: {answer.get('message') or 'not found'}")
 
     @writes("status")
     def remove(self, name: str) -> None:

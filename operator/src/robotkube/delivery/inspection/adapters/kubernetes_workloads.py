@@ -8,7 +8,7 @@ from urllib.parse import quote
 
 from robotkube.delivery.inspection.core.permitted import CHARTS_KIND, SETTINGS_KIND
 from robotkube.errors import InputError
-from robotkube.foundation.kubernetes.adapters.http_client import ApiServer
+from robotkube.foundation.kubernetes.adapters.http_client import JSON, METADATA_ALONE, ApiServer
 
 PATHS: Mapping[str, tuple[str, str]] = {
     CHARTS_KIND: ("/apis/apps/v1", "deployments"),
@@ -21,6 +21,7 @@ PATHS: Mapping[str, tuple[str, str]] = {
     "PodTemplate": ("/api/v1", "podtemplates"),
     SETTINGS_KIND: ("/api/v1", "configmaps"),
 }
+OTHER_KINDS = tuple(kind for kind in PATHS if kind not in (CHARTS_KIND, SETTINGS_KIND))
 
 
 class KubernetesWorkloads:
@@ -32,13 +33,14 @@ class KubernetesWorkloads:
     @property
     def kinds(self) -> Sequence[str]:
         """Kinds besides those of releases."""
-        return [kind for kind in PATHS if kind not in (CHARTS_KIND, SETTINGS_KIND)]
+        return OTHER_KINDS
 
     def read(self, namespace: str, kind: str) -> Sequence[Mapping[str, Any]]:
-        """The workloads of a kind in a namespace."""
+        """The workloads of a kind in a namespace; of the further kinds only the metadata, which is all that is looked
+        at."""
         group, plural = PATHS[kind]
         path = f"{group}/namespaces/{quote(namespace)}/{plural}"
-        answer = self._api.get(f"{path}?resourceVersion=0")
+        answer = self._api.get(f"{path}?resourceVersion=0", METADATA_ALONE if kind in OTHER_KINDS else JSON)
         if answer is None:
             raise InputError(f"{path}: the API server does not know this kind")
         return list(answer.get("items") or ())

@@ -25,19 +25,30 @@ def place(kind: str, name: str) -> str:
 class ReleaseShape:
     """The workloads of a release by name, and its ConfigMaps by `place`: as main has it now, and as it had it before,
     newest first: Argo CD applies what main says a moment later, and a pod stays until the one that replaces it is
-    ready. `chart` is `<name>@<digest>`. `unknown` says why its workloads are not known now; then there are none."""
+    ready. Settings follow sooner: `lately` is how many of the earlier ones they may still be, newest first; None: all.
+    `chart` is `<name>@<digest>`. `unknown` says why its workloads are not known now; then there are none."""
 
     name: str
     chart: str
     workloads: Mapping[str, Object]
     earlier: Sequence[Mapping[str, Object]] = ()
     unknown: str = ""
+    lately: int | None = None
 
     def versions(self, workload: str) -> Iterator[Object]:
         """What a workload of this name may look like, today's first."""
         if workload in self.workloads:
             yield self.workloads[workload]
         yield from (shape[workload] for shape in self.earlier if workload in shape)
+
+    def settings(self, key: str) -> Iterator[Object]:
+        """What a ConfigMap may say, today's first. Only today's once main has had it for a while; all when today's has
+        none of that name."""
+        if key not in self.workloads:
+            yield from self.versions(key)
+            return
+        yield self.workloads[key]
+        yield from (shape[key] for shape in self.earlier[: self.lately] if key in shape)
 
 
 @dataclass(frozen=True)

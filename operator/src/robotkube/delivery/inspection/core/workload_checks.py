@@ -25,6 +25,10 @@ FIND = (
     "Look who changed it: it, the ApplicationSet of releases, or what Argo CD ignores (argocd-cm). Then delete it, and "
     "Argo CD makes it anew as main says"
 )
+BEFORE = (
+    "; main had it so before, and Argo CD has had 15 min to put today's there: look first whether it runs and can "
+    "apply the release"
+)
 WITHDRAW = "Submit the chart (robotkube registry submit), or take the release from main"
 REMOVE = "Delete it; what is to run is proposed as a release (robotkube task submit)"
 
@@ -62,11 +66,12 @@ def _settings(config_map: Object, permitted: Permitted) -> Iterator[Stranger]:
     namespace, name = str(metadata["namespace"]), str(metadata["name"])
     key = place(SETTINGS_KIND, name)
     shape = permitted.release(namespace, key)
-    problem = _otherwise(config_map, shape.versions(key), differing_keys) if shape else ""
+    problem = _otherwise(config_map, shape.settings(key), differing_keys) if shape else ""
     if shape and problem:
-        text = f"{key.replace('/', f' {namespace}/')} is not what the chart of release {shape.name} renders: {problem}"
+        before = "" if _otherwise(config_map, shape.versions(key), differing_keys) else BEFORE
+        what = f"{key.replace('/', f' {namespace}/')} is not what the chart of release {shape.name} renders"
         uid = str(metadata.get("uid", ""))
-        yield Stranger(SETTINGS_KIND, namespace, name, NOT_OF_THE_CHART, f"{text}. {FIND}", uid=uid)
+        yield Stranger(SETTINGS_KIND, namespace, name, NOT_OF_THE_CHART, f"{what}: {problem}{before}. {FIND}", uid=uid)
 
 
 def _otherwise(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from robotkube.delivery.inspection.core.permitted import CHARTS_KIND, SETTINGS_KIND, Permitted
@@ -15,6 +15,7 @@ from robotkube.errors import InputError, UnavailableError
 REMEMBERED_SECONDS = 600.0  # a kubelet forgets a pod before the last container of it has ended
 STARTING_SECONDS = 60.0
 FINE_MAX = 20_000
+OTHERS_MAX = 1000  # lists of further kinds in one look: all of them, for 142 agents
 MALFORMED = (AttributeError, KeyError, TypeError, ValueError)  # one kubelet must not end the looks at all others
 NOTHING_READ = "what may run was not read yet: the forge or the OCI registry does not answer"
 STARTING = "its kubelet has no list of pods of the API server yet, while its runtime has some: it is starting"
@@ -63,12 +64,13 @@ class NodeLooks:
 
 
 class ReleaseLooks:
-    """Looks at the workloads of agents' namespaces: at Deployments and ConfigMaps each time, at one further kind in
-    turn, since what another kind starts is a pod, which its node shows."""
+    """Looks at the workloads of agents' namespaces: at Deployments and ConfigMaps, and at as many further kinds as
+    OTHERS_MAX lets, in turn. What another kind starts is a pod, which its node shows; one that starts none is seen
+    here alone."""
 
     def __init__(self, workloads: Workloads) -> None:
         self._workloads = workloads
-        self._turn = 0
+        self._turn = self._began = 0  # how many further kinds were looked at, and had been before the last look
         self._others: dict[str, tuple[Stranger, ...]] = {}  # by kind, as it was looked at last
         self._fine: set[tuple[str, ...]] = set()  # versions of workloads at which nothing was strange
         self._by: tuple[Any, ...] = ()  # what they were compared with
@@ -78,11 +80,9 @@ class ReleaseLooks:
         if permitted is None:
             return Look(RELEASES, problem=NOTHING_READ)
         self._compare_with(permitted)
-        kinds = self._workloads.kinds
         try:
             strangers = [one for kind in (CHARTS_KIND, SETTINGS_KIND) for one in self._of_kind(kind, permitted)]
-            if kinds:
-                kind = kinds[self._turn % len(kinds)]
+            for kind in self._in_turn(len(permitted.domain.agents)):
                 self._others[kind] = tuple(self._of_kind(kind, permitted))
                 self._turn += 1
         except (UnavailableError, InputError) as error:
@@ -93,7 +93,14 @@ class ReleaseLooks:
 
     def again(self) -> None:
         """Look at the same kinds the next time: something of them is to be confirmed."""
-        self._turn = max(0, self._turn - 1)
+        self._turn = self._began
+
+    def _in_turn(self, agents: int) -> Sequence[str]:
+        """The further kinds that this look is for."""
+        self._began = self._turn
+        kinds = self._workloads.kinds
+        count = min(len(kinds), max(1, OTHERS_MAX // max(1, agents)))
+        return [kinds[(self._turn + place) % len(kinds)] for place in range(count)]
 
     def _compare_with(self, permitted: Permitted) -> None:
         by = (permitted.releases, permitted.allowed, permitted.lately)

@@ -1,7 +1,8 @@
 """Releases of main as their charts render them, now and before.
 
 Each version of a release is rendered once; what main had before is rendered only when something is not as main has it
-now. A release that left main counts for REMOVED_SECONDS more, while Argo CD takes it away.
+now. A release that left main counts for REMOVED_SECONDS more, while Argo CD takes it away; settings that main had
+before for SETTINGS_SECONDS, while Argo CD replaces them.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ HISTORY_COMMITS_MAX = 300
 EARLIER_MAX = 4
 RENDERED_MAX = 500
 REMOVED_SECONDS = 180.0
+SETTINGS_SECONDS = 900.0  # Argo CD looks every 5 min by itself, and tries again what failed
 
 log = logging.getLogger(__name__)
 
@@ -39,7 +41,8 @@ class ReleaseShapes:
         self._render = lru_cache(RENDERED_MAX)(self._rendered)
         self._tip = ""
         self._releases: dict[str, Release] = {}  # by path
-        self._earlier: dict[str, list[Release]] = {}  # by path, newest first
+        self._earlier: dict[str, list[tuple[float, Release]]] = {}  # by path, newest first, with when it was replaced
+        self._due: float | None = None  # when the next of them counts no more for settings
         self._removed: dict[str, float] = {}
         self._shapes: Mapping[str, Sequence[ReleaseShape]] = {}
 
@@ -58,8 +61,10 @@ class ReleaseShapes:
         for path in ended:
             del self._removed[path]
         unknown = any(one.unknown for shapes in self._shapes.values() for one in shapes)
-        if moved or ended or unknown:
+        if moved or ended or unknown or (self._due is not None and now > self._due):
             self._shapes = self._shaped()
+            ends = (at + SETTINGS_SECONDS for known in self._earlier.values() for at, _ in known)
+            self._due = min((end for end in ends if end >= now), default=None)
 
     def by_namespace(self) -> Mapping[str, Sequence[ReleaseShape]] | None:
         """The releases by namespace; None before main was read."""
@@ -67,16 +72,18 @@ class ReleaseShapes:
 
     def _shaped(self) -> dict[str, Sequence[ReleaseShape]]:
         shapes: dict[str, list[ReleaseShape]] = {}
-        removed = {path: self._earlier[path][0] for path in self._removed if self._earlier.get(path)}
+        removed = {path: self._earlier[path][0][1] for path in self._removed if self._earlier.get(path)}
         for path, release in sorted({**removed, **self._releases}.items()):
             shapes.setdefault(release.namespace, []).append(self._shape(path, release))
         return dict(shapes)
 
     def _shape(self, path: str, release: Release) -> ReleaseShape:
         chart = f"{release.chart}@{release.digest}"
-        earlier = _Earlier((one for one in self._earlier.get(path, ()) if one != release), self._workloads)
+        others = [(at, one) for at, one in self._earlier.get(path, ()) if one != release]
+        earlier = _Earlier((one for _, one in others), self._workloads)
+        lately = sum(self._clock() - at <= SETTINGS_SECONDS for at, _ in others)
         try:
-            return ReleaseShape(release.name, chart, self._workloads(release), earlier)
+            return ReleaseShape(release.name, chart, self._workloads(release), earlier, lately=lately)
         except (InputError, UnavailableError) as error:
             return ReleaseShape(release.name, chart, {}, unknown=f"release {release.key}: {error}")
 
@@ -91,7 +98,7 @@ class ReleaseShapes:
 
     def _take(self, files: Mapping[str, str]) -> None:
         """Main's files as they are now. One that cannot be read counts as it was: Argo CD keeps it as well."""
-        known = {path: releases[0] for path, releases in self._earlier.items() if releases} | self._releases
+        known = {path: earlier[0][1] for path, earlier in self._earlier.items() if earlier} | self._releases
         read = {path: release or known.get(path) for path, release in _read(files)}
         now = {path: release for path, release in read.items() if release is not None}
         for path, release in self._releases.items():
@@ -104,8 +111,8 @@ class ReleaseShapes:
         self._releases = now
 
     def _remember(self, path: str, release: Release) -> None:
-        others = [one for one in self._earlier.get(path, ()) if one != release]
-        self._earlier[path] = [release, *others][:EARLIER_MAX]
+        others = [(at, one) for at, one in self._earlier.get(path, ()) if one != release]
+        self._earlier[path] = [(self._clock(), release), *others][:EARLIER_MAX]
 
     def _read_history(self) -> None:
         """What the last commits brought: a process that starts may meet what is just being replaced."""

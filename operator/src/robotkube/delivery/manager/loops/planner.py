@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
@@ -47,6 +46,7 @@ from robotkube.delivery.manager.core.standing_evidence import EVIDENCE_REASONS, 
 from robotkube.delivery.manager.core.updates import Pin
 from robotkube.delivery.manager.loops.constraints import Constraints
 from robotkube.delivery.manager.loops.demand_ledger import DemandLedger
+from robotkube.delivery.manager.loops.initial_refusals import InitialRefusals
 from robotkube.delivery.manager.loops.main_reader import MainReader
 from robotkube.delivery.manager.loops.proposals.plan_records import PlanRecord
 from robotkube.delivery.manager.loops.updates import UpdatePlanner
@@ -63,8 +63,6 @@ TASKS_PER_PLAN_MAX = 100
 REFUSED_PLANS_MAX = 10  # in one step, for the images that they would run
 HELD_MAX = 1000
 UNDECIDED = Refused(POSTPONED, "other pre-emptions are decided first; ask again")
-
-log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -115,7 +113,7 @@ class Planner:
         self._tasks_per_plan = TASKS_PER_PLAN_MAX
         self._held: dict[str, tuple[str, PlanRecord]] = {}
         self._held_differences: dict[str, PlanRecord] = {}
-        self._logged_refusals: frozenset[str] = frozenset()
+        self._initial_refusals = InitialRefusals()
         self._turn = 0
         self._now_ns = 0
         self._main_causes: tuple[Tree, Sequence[TaskCause], frozenset[str]] = Tree({}, {}), (), frozenset()
@@ -277,7 +275,7 @@ class Planner:
         ]
         times.append(next_loss_ns(self._cluster.nodes(), self._settings.node_lost_seconds, self._now_ns))
         self.next_due_ns = min((time for time in times if time is not None), default=None)
-        self._log_refusals()
+        self._initial_refusals.tell(self.desired.outcomes)
 
     def _changes(self, desired: Composition, remember: bool = True) -> tuple[Change, ...]:
         """The changes that bring main to `desired`; `remember` as in MainReader.respected."""
@@ -428,16 +426,6 @@ class Planner:
             known = (nodes, now_ns, until_ns, fleet(self._settings.agents, nodes, now_ns, seconds))
             self._known_fleet = known
         return known[3]
-
-    def _log_refusals(self) -> None:
-        """Log refusals of the initial configuration: it has no task whose status could show them."""
-        refused = {
-            k: o for k, o in self.desired.outcomes.items() if isinstance(o, Refused) and k.startswith("initial/")
-        }
-        for key, outcome in refused.items():
-            if key not in self._logged_refusals:
-                log.error("initial demand refused demand=%s cause=%s reason=%s", key, outcome.reason, outcome.message)
-        self._logged_refusals = frozenset(refused)
 
     def accepted(self) -> None:
         """Note that the gate accepted a plan: tasks may be answered together again."""

@@ -93,9 +93,12 @@ class ImageRefusals:
 
     def add(self, refused: Mapping[str, Refused], inputs: Callable[[str], str | None]) -> None:
         """Refuse these demands from now on."""
+        demands: dict[str, list[str]] = {}
         for key, refusal in refused.items():
-            log.error("demand refused for its images demand=%s text=%r", key, refusal.message)
+            demands.setdefault(refusal.message, []).append(key)
             self._refused[key] = (inputs(key) or "", refusal)
+        for text, keys in demands.items():
+            log.error("demands refused for their images demands=%d first=%s text=%r", len(keys), keys[0], text)
 
 
 def blamed(

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+PULL_REQUEST, APPROVED_BY = "RobotKube-Pull-Request", "RobotKube-Approved-By"  # trailers of what the gate merges
+
 
 @dataclass(frozen=True)
 class Review:
@@ -28,8 +30,3 @@ def approvers(reviews: Iterable[Review], commit: str, author: str, excluded: Ite
     ]
     last = {review.author: review for review in counting}
     return tuple(sorted(last)) if all(review.approved for review in last.values()) else ()
-
-
-def is_approved(reviews: Iterable[Review], commit: str, author: str, excluded: Iterable[str]) -> bool:
-    """Whether somebody approved it: see `approvers`."""
-    return bool(approvers(reviews, commit, author, excluded))

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from robotkube.foundation.forge.core.reviews import APPROVED_BY, PULL_REQUEST
 from robotkube.foundation.forge.ports.pull_requests import PullRequest
 from robotkube.foundation.forge.ports.repositories import Commit, Commits, MainBranch
 
-PULL_REQUEST, APPROVED_BY = "RobotKube-Pull-Request", "RobotKube-Approved-By"
 SUBJECT_CHARACTERS_MAX = 200
 
 

@@ -39,6 +39,8 @@ TIMEOUT_SECONDS = 10.0
 WATCH_SECONDS = 240
 BACKOFF_SECONDS_MIN = 0.5
 BACKOFF_SECONDS_MAX = 10.0
+JSON = "application/json"
+METADATA_ALONE = f"{JSON};as=PartialObjectMetadataList;g=meta.k8s.io;v=v1,{JSON}"
 EVENT_BYTES_MAX = 4 * 1024 * 1024
 EVENT_NOTE_BYTES_MAX = 1024  # of an Event, by the API
 EVENT_INSTANCE_CHARACTERS_MAX = 128  # as well
@@ -114,9 +116,10 @@ class ApiServer:
         host = f"[{host}]" if ":" in host else host
         return cls(f"https://{host}:{port}", ACCOUNT_FOLDER / "token", ACCOUNT_FOLDER / "ca.crt")
 
-    def get(self, path: str) -> dict[str, Any] | None:
-        """Read an object, or a list; None when there is none."""
-        status, document = self._call("GET", path)
+    def get(self, path: str, accept: str = JSON) -> dict[str, Any] | None:
+        """Read an object, or a list; None when there is none. With `accept` METADATA_ALONE a list's items are their
+        metadata and nothing else."""
+        status, document = self._call("GET", path, accept=accept)
         return None if status == 404 else document
 
     def create(self, path: str, body: Mapping[str, Any]) -> bool:
@@ -159,27 +162,27 @@ class ApiServer:
             context.load_cert_chain(self.certificate_file, self.key_file)
         return http.client.HTTPSConnection(parts.netloc, timeout=timeout_seconds, context=context)
 
-    def headers(self, content_type: str = "application/json") -> dict[str, str]:
+    def headers(self, content_type: str = JSON, accept: str = JSON) -> dict[str, str]:
         """The headers of a request, with the account's token of this moment."""
-        headers = {"Accept": "application/json", "Content-Type": content_type}
+        headers = {"Accept": accept, "Content-Type": content_type}
         if self.token_file is not None:
             headers["Authorization"] = f"Bearer {self.token_file.read_text().strip()}"
         return headers
 
     def _call(
-        self, method: str, path: str, body: Body | None = None, content_type: str = "application/json"
+        self, method: str, path: str, body: Body | None = None, content_type: str = JSON, accept: str = JSON
     ) -> tuple[int, dict[str, Any]]:
         data = None if body is None else json.dumps(body).encode()
         with self._lock:
             try:
-                status, text = self._exchange(method, path, data, content_type)
+                status, text = self._exchange(method, path, data, self.headers(content_type, accept))
             except (OSError, http.client.HTTPException) as error:
                 raise UnavailableError(
                     f"API server {self.url}, {method} {path}: {error or type(error).__name__}"
                 ) from error
         return _checked(status, text, f"{method} {path}")
 
-    def _exchange(self, method: str, path: str, data: bytes | None, content_type: str) -> tuple[int, bytes]:
+    def _exchange(self, method: str, path: str, data: bytes | None, headers: Mapping[str, str]) -> tuple[int, bytes]:
         """Send on the kept connection; when the server closed that meanwhile, once more on a new one."""
         for fresh in (False, True):
             reused = self._connection is not None and not fresh
@@ -187,7 +190,7 @@ class ApiServer:
                 self._connection = self.open(self.timeout_seconds)
             assert self._connection is not None
             try:
-                self._connection.request(method, path, data, self.headers(content_type))
+                self._connection.request(method, path, data, headers)
                 response = self._connection.getresponse()
                 return response.status, response.read()
             except (OSError, http.client.HTTPException):

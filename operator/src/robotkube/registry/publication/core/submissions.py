@@ -23,6 +23,7 @@ from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.foundation.documents.core.patterns import NAME, SUITE_NAME
 from robotkube.foundation.documents.core.reader import Reader
 from robotkube.foundation.documents.core.yaml_codec import read_mapping, write_mapping
+from robotkube.foundation.forge.core.reviews import APPROVED_BY, PULL_REQUEST
 from robotkube.registry.catalogue.core.catalogue import read_chart_version
 from robotkube.registry.catalogue.core.sources import CatalogueSources, SourceProblem, Tools
 from robotkube.registry.catalogue.core.validation import validate_sources
@@ -373,8 +374,10 @@ def publication_files(submission: Submission, charts: Sequence[VerifiedChart]) -
     return files
 
 
-def publication_message(submission: Submission, charts: Sequence[VerifiedChart]) -> str:
-    """`publish: <what>`, and a pair of trailers per chart."""
+def publication_message(
+    submission: Submission, charts: Sequence[VerifiedChart], number: int, approvers: Sequence[str] = ()
+) -> str:
+    """`publish: <what>`, a pair of trailers per chart, the pull request, and who approved it where somebody had to."""
     lines = [f"publish: {submission.names}", ""]
     for chart in charts:
         entry = chart.submitted
@@ -383,4 +386,5 @@ def publication_message(submission: Submission, charts: Sequence[VerifiedChart])
             f"RobotKube-Evidence: {chart.evidence}",
         ]
     lines += [f"RobotKube-Policy: {policy}" for policy in sorted({chart.policy for chart in charts})]
+    lines += [f"{PULL_REQUEST}: {number}", *(f"{APPROVED_BY}: {account}" for account in approvers)]
     return "\n".join(lines).rstrip() + "\n"

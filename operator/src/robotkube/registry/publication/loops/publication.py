@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from robotkube.errors import DocumentError, InputError, RobotKubeError, UnavailableError
-from robotkube.foundation.forge.core.reviews import is_approved
+from robotkube.foundation.forge.core.reviews import approvers
 from robotkube.foundation.forge.ports.pull_requests import Forge, PullRequest
 from robotkube.foundation.forge.ports.repositories import Commit, Commits, MainBranch
 from robotkube.foundation.runtime.ports import Series, by_one
@@ -231,11 +231,12 @@ class PublicationLoop:
 
     def _approval_missing(self, underway: SubmissionInProgress, pull: PullRequest) -> str:
         """What a submission whose suites all passed waits for; empty when somebody else approved exactly this commit,
-        or need not."""
+        or need not. Who did is kept for the commit of the publication."""
         if underway.problems or not underway.approval or not all(chart.passed for chart in underway.charts):
             return ""
         machines = (*self._settings.publishers, self._settings.account)
-        if is_approved(self._forge.reviews(pull.number), underway.commit.id, pull.author, machines):
+        underway.approvers = approvers(self._forge.reviews(pull.number), underway.commit.id, pull.author, machines)
+        if underway.approvers:
             return ""
         reasons = "; ".join(underway.approval)
         return f"{reasons}. Somebody with write rights who is no publisher reviews this pull request and approves it"
@@ -267,8 +268,8 @@ class PublicationLoop:
             self._end(underway, UNCHANGED)
             return
         self._comments.report(underway, VERIFIED)
-        message = publication_message(underway.submission, verified)
-        commit = self._commits.commit(underway.tip, changes, message, underway.commit.id)
+        message = publication_message(underway.submission, verified, underway.number, underway.approvers)
+        commit = self._commits.commit(underway.tip, changes, message, underway.commit.id, underway.author)
         if not self._main.push_main(commit):
             self._main.fetch()
             return

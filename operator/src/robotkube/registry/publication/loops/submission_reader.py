@@ -56,7 +56,7 @@ class PublicationSettings:
 @dataclass
 class SubmissionInProgress:
     """A submission of `author` at one head, as it stood against main's tip `tip`; `approval`: why it needs a person's
-    approval."""
+    approval, `approvers` who gave it."""
 
     number: int
     author: str
@@ -68,6 +68,7 @@ class SubmissionInProgress:
     charts: list[ChartInProgress] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
     approval: tuple[str, ...] = ()
+    approvers: tuple[str, ...] = ()
     applications: TriedApplications = field(default_factory=TriedApplications)
     waiting_for: str = ""
 
