@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -9,6 +10,9 @@ from typing import Any
 API = "admissionregistration.k8s.io/v1"
 Resources = Sequence[tuple[str, Sequence[str]]]
 """API group and its resources."""
+CHARACTERS_MAX = 100_000  # of one expression (cel-go)
+REFUSING = "something-to-refuse"
+VARIABLE = re.compile(r"\bvariables\.(?=[a-z])")
 
 
 @dataclass(frozen=True)
@@ -56,6 +60,7 @@ class Policy:
         policy: dict[str, Any] = {
             "failurePolicy": "Fail",
             "matchConstraints": constraints,
+            **self._conditions(),
             "variables": [dict(variable) for variable in self.variables],
             "validations": [
                 {
@@ -73,6 +78,22 @@ class Policy:
             binding["paramRef"] = {**place, "parameterNotFoundAction": "Deny"}
         yield _document("ValidatingAdmissionPolicy", name, policy)
         yield _document("ValidatingAdmissionPolicyBinding", name, binding)
+
+    def _conditions(self) -> dict[str, Any]:
+        """The same rules, asked before: what they all let through ends there. The API server composes the sentences
+        of all validations whether they are needed or not, with all variables again, which takes longer than judging.
+        Rules whose list is too long for one expression are asked once, with their sentences."""
+        refusing = f"!({self._all_hold()})"
+        if len(refusing) > CHARACTERS_MAX:
+            return {}
+        return {"matchConditions": [{"name": REFUSING, "expression": refusing}]}
+
+    def _all_hold(self) -> str:
+        """All validations as one expression. A condition may not use variables, so each is bound by a list of it."""
+        whole = " && ".join(f"({validation.holds})" for validation in self.validations)
+        for variable in reversed(self.variables):
+            whole = f"[{variable['expression']}].all({variable['name']}, {whole})"
+        return VARIABLE.sub("", whole)
 
     def _rule(self, group: str, resources: Sequence[str]) -> dict[str, Any]:
         return {
