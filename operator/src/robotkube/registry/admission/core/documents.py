@@ -12,7 +12,6 @@ Resources = Sequence[tuple[str, Sequence[str]]]
 """API group and its resources."""
 CHARACTERS_MAX = 100_000  # of one expression (cel-go)
 REFUSING = "something-to-refuse"
-VARIABLE = re.compile(r"\bvariables\.(?=[a-z])")
 
 
 @dataclass(frozen=True)
@@ -89,11 +88,18 @@ class Policy:
         return {"matchConditions": [{"name": REFUSING, "expression": refusing}]}
 
     def _all_hold(self) -> str:
-        """All validations as one expression. A condition may not use variables, so each is bound by a list of it."""
+        """All validations as one expression. A condition may not use variables: one that is asked for once stands
+        where it is asked for, others are bound by a list of them alone."""
         whole = " && ".join(f"({validation.holds})" for validation in self.validations)
         for variable in reversed(self.variables):
-            whole = f"[{variable['expression']}].all({variable['name']}, {whole})"
-        return VARIABLE.sub("", whole)
+            name, value = variable["name"], variable["expression"]
+            asked = re.compile(rf"\bvariables\.{name}\b")
+            if len(asked.findall(whole)) == 1:
+                before, after = asked.split(whole)
+                whole = f"{before}({value}){after}"
+            elif asked.search(whole):
+                whole = f"[{value}].all({name}, {asked.sub(name, whole)})"
+        return whole
 
     def _rule(self, group: str, resources: Sequence[str]) -> dict[str, Any]:
         return {
