@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -9,6 +10,8 @@ from typing import Any
 API = "admissionregistration.k8s.io/v1"
 Resources = Sequence[tuple[str, Sequence[str]]]
 """API group and its resources."""
+CHARACTERS_MAX = 100_000  # of one expression (cel-go)
+REFUSING = "something-to-refuse"
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,7 @@ class Policy:
         policy: dict[str, Any] = {
             "failurePolicy": "Fail",
             "matchConstraints": constraints,
+            **self._conditions(),
             "variables": [dict(variable) for variable in self.variables],
             "validations": [
                 {
@@ -73,6 +77,29 @@ class Policy:
             binding["paramRef"] = {**place, "parameterNotFoundAction": "Deny"}
         yield _document("ValidatingAdmissionPolicy", name, policy)
         yield _document("ValidatingAdmissionPolicyBinding", name, binding)
+
+    def _conditions(self) -> dict[str, Any]:
+        """The same rules, asked before: what they all let through ends there. The API server composes the sentences
+        of all validations whether they are needed or not, with all variables again, which takes longer than judging.
+        Rules whose list is too long for one expression are asked once, with their sentences."""
+        refusing = f"!({self._all_hold()})"
+        if len(refusing) > CHARACTERS_MAX:
+            return {}
+        return {"matchConditions": [{"name": REFUSING, "expression": refusing}]}
+
+    def _all_hold(self) -> str:
+        """All validations as one expression. A condition may not use variables: one that is asked for once stands
+        where it is asked for, others are bound by a list of them alone."""
+        whole = " && ".join(f"({validation.holds})" for validation in self.validations)
+        for variable in reversed(self.variables):
+            name, value = variable["name"], variable["expression"]
+            asked = re.compile(rf"\bvariables\.{name}\b")
+            if len(asked.findall(whole)) == 1:
+                before, after = asked.split(whole)
+                whole = f"{before}({value}){after}"
+            elif asked.search(whole):
+                whole = f"[{value}].all({name}, {asked.sub(name, whole)})"
+        return whole
 
     def _rule(self, group: str, resources: Sequence[str]) -> dict[str, Any]:
         return {

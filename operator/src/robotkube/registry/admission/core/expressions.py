@@ -42,34 +42,35 @@ RESOURCE = "request.resource.resource"
 
 
 def image_variables() -> list[Variable]:
-    """`added`: references that the object has and the one before it had not. What is there already may be changed
-    otherwise: a pod that lost its evidence must still be let go."""
+    """`containers` and `images`, references, of the object; `known`: those of the one before it. What is there already
+    may be changed otherwise: a pod that lost its evidence must still be let go."""
     return [
         {"name": "pod", "expression": POD_OF.format("object")},
         {"name": "before", "expression": f"{CREATING} ? {{}} : ({POD_OF.format('oldObject')})"},
-        {"name": "images", "expression": _images("variables.pod")},
-        {"name": "known", "expression": _images("variables.before")},
-        {"name": "added", "expression": "variables.images.filter(i, !(i in variables.known))"},
+        {"name": "containers", "expression": _containers("variables.pod")},
+        {"name": "images", "expression": _images("variables.containers", "variables.pod")},
+        {"name": "known", "expression": _images(f"({_containers('variables.before')})", "variables.before")},
     ]
 
 
-def _images(pod: str) -> str:
+def _containers(pod: str) -> str:
+    return " + ".join(f"{pod}.?{name}.orValue([])" for name in LISTS_OF_CONTAINERS)
+
+
+def _images(containers: str, pod: str) -> str:
     """References of a pod's containers of every kind and of its volumes that are images; one that is missing is ''."""
-    of_containers = " + ".join(
-        f"{pod}.?{name}.orValue([]).map(c, c.?image.orValue(''))" for name in LISTS_OF_CONTAINERS
-    )
     volumes = f"{pod}.?volumes.orValue([]).filter(v, has(v.image)).map(v, v.image.?reference.orValue(''))"
-    return f"{of_containers} + {volumes}"
+    return f"{containers}.map(c, c.?image.orValue('')) + {volumes}"
 
 
-def on_host(pod: str) -> str:
-    """Whether a pod asks for a way to its machine: its namespaces, its files, its devices."""
+def on_host() -> str:
+    """Whether the pod asks for a way to its machine: its namespaces, its files, its devices."""
+    pod = "variables.pod"
     shared = " || ".join(f"{pod}.?{name}.orValue(false)" for name in ("hostPID", "hostIPC", "hostNetwork"))
-    containers = " + ".join(f"{pod}.?{name}.orValue([])" for name in LISTS_OF_CONTAINERS)
     context = "c.?securityContext"
     other = f"v.exists(k, k != 'name' && !(k in {texts(VOLUMES_OF_PODS)}))"
     return (
-        f"{shared} || {pod}.?volumes.orValue([]).exists(v, {other}) || ({containers}).exists(c, "
+        f"{shared} || {pod}.?volumes.orValue([]).exists(v, {other}) || variables.containers.exists(c, "
         f"{context}.?privileged.orValue(false) || {context}.?procMount.orValue('Default') != 'Default' || "
         f"{context}.?capabilities.?add.orValue([]).exists(a, a != 'NET_BIND_SERVICE'))"
     )

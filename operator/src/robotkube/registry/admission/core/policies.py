@@ -137,7 +137,7 @@ def _agents(domain: Domain, lookup: Lookup) -> Policy:
             _taken_away(domain.remover_account),
         ),
     ]
-    return _workloads("agents", Place(domain.agents), _unlisted(lookup), rules, lookup.parameters)
+    return _workloads("agents", Place(domain.agents), _strange(lookup), rules, lookup.parameters)
 
 
 def _tests(domain: Domain) -> Policy:
@@ -153,8 +153,8 @@ def _tests(domain: Domain) -> Policy:
         ),
         _kept(writer, ": in a test namespace runs what was submitted. Change the chart, and submit it again"),
     ]
-    unlisted = {"name": "unlisted", "expression": f"variables.added.filter(i, !i.matches('{DIGEST_FORM}'))"}
-    return _workloads("tests", Place(domain.tests), [unlisted], rules)
+    strange = {"name": "strange", "expression": f"variables.images.filter(i, !i.matches('{DIGEST_FORM}'))"}
+    return _workloads("tests", Place(domain.tests), [strange], rules)
 
 
 def _platform(domain: Domain, lookup: Lookup) -> Policy:
@@ -169,7 +169,7 @@ def _platform(domain: Domain, lookup: Lookup) -> Policy:
     return _workloads(
         "platform",
         Place(domain.of_the_platform),
-        _unlisted(lookup),
+        _strange(lookup),
         [_images(NOT_OF_THE_PLATFORM), pods],
         lookup.parameters,
     )
@@ -177,11 +177,11 @@ def _platform(domain: Domain, lookup: Lookup) -> Policy:
 
 def _elsewhere(domain: Domain, lookup: Lookup) -> Policy:
     place = Place((*domain.agents, *domain.tests, domain.platform, domain.gate, domain.argocd), others=True)
-    return _workloads("elsewhere", place, _unlisted(lookup), [_images(NOT_KNOWN)], lookup.parameters)
+    return _workloads("elsewhere", place, _strange(lookup), [_images(NOT_KNOWN)], lookup.parameters)
 
 
-def _unlisted(lookup: Lookup) -> Sequence[Mapping[str, str]]:
-    return lookup.without("unlisted", "added", image=True)
+def _strange(lookup: Lookup) -> Sequence[Mapping[str, str]]:
+    return lookup.without("strange", "images", image=True)
 
 
 def _makers(writer: str) -> Mapping[str, Sequence[str]]:
@@ -238,7 +238,7 @@ def _no_debugging() -> Validation:
 def _no_host() -> Validation:
     """From a machine's files there is a way to everything that runs on it."""
     return Validation(
-        f"variables.pod == variables.before || !({on_host('variables.pod')})",
+        f"variables.pod == variables.before || !({on_host()})",
         sentence(
             "",
             RESOURCE,
@@ -253,9 +253,12 @@ def _no_host() -> Validation:
 def _workloads(
     name: str,
     place: Place,
-    unlisted: Iterable[Mapping[str, str]],
+    strange: Iterable[Mapping[str, str]],
     rules: Sequence[Validation],
     parameters: str = "",
 ) -> Policy:
-    variables = [*image_variables(), *unlisted]
+    """`strange`: variables of which the last has the images that are not listed. Those that an update adds count; the
+    list is asked first, since most are listed."""
+    unlisted = {"name": "unlisted", "expression": "variables.strange.filter(i, !(i in variables.known))"}
+    variables = [*image_variables(), *strange, unlisted]
     return Policy(f"robotkube-{name}", RESOURCES, place, variables, [*rules, _no_host()], parameters)
