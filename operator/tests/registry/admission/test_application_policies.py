@@ -62,6 +62,8 @@ ATTACKS: dict[str, tuple[dict[str, Any], str]] = {
     "several sources": ({"sources": [SOURCE, {"repoURL": "https://example.org/a.git", "path": "."}]}, ONE_CHART),
     "values from an address": (
         {"source": {**SOURCE, "helm": {"valueFiles": ["http://10.0.0.1/secret"]}}}, ONE_CHART),
+    "a parameter without a name": (
+        {"source": {**SOURCE, "helm": {"parameters": [{"value": STRANGE}]}}}, ONE_CHART),
     "a parameter": (
         {"source": {**SOURCE, "helm": {"parameters": [{"name": "image.reference", "value": STRANGE}]}}}, ONE_CHART),
     "differences ignored": (

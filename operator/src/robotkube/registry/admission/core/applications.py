@@ -97,7 +97,7 @@ def _one_chart() -> Validation:
         f"has(object.spec.source) && {_only('object.spec', SPEC_KEYS)} && {_only('variables.source', SOURCE_KEYS)} && "
         f"variables.source.?path.orValue('') == '.' && {_only('variables.helm', HELM_KEYS)} && "
         f"{_only('object.spec.?syncPolicy.orValue({})', SYNC_KEYS)} && "
-        f"variables.helm.?parameters.orValue([]).all(p, p.name == '{PLAN}')"
+        f"variables.helm.?parameters.orValue([]).all(p, p.?name.orValue('') == '{PLAN}')"
     )
     why = (
         " is more than one chart with its values: it has several sources, a key that releases do not use, or a "
