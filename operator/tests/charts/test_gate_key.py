@@ -142,6 +142,7 @@ def test_the_key_is_made_once_and_believed(without_key: Installed, tmp_path: Pat
     assert without_key.key() == before
 
 
+@pytest.mark.thorough
 def test_upgrade_removal_and_installing_again_keep_the_key(without_key: Installed, tmp_path: Path) -> None:
     assert without_key.run()[0] == 0
     before, cluster = without_key.key(), without_key.cluster
@@ -156,10 +157,12 @@ def test_upgrade_removal_and_installing_again_keep_the_key(without_key: Installe
     assert without_key.believed(tmp_path)
 
 
-def test_the_key_stands_in_its_secret_and_in_no_other(without_key: Installed) -> None:
+def test_an_upgrade_keeps_the_key_which_stands_in_its_secret_and_in_no_other(without_key: Installed) -> None:
     assert without_key.run()[0] == 0
+    before = without_key.key()
     body = without_key.private().splitlines()[1]
     without_key.helm("upgrade")
+    assert without_key.key() == before
     secrets = json.loads(without_key.cluster.kubectl("get", "secrets", "-A", "-o", "json"))["items"]
     assert len([one for one in secrets if one["type"] == "helm.sh/release.v1"]) >= 2
     assert [one["metadata"]["name"] for one in secrets if body in words(one)] == [KEY]
